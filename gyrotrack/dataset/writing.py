@@ -1,0 +1,157 @@
+"""Publishing a file whole or not at all.
+
+An HDF5 file is built in memory, then written as plain bytes to ``<name>.part`` in the same folder, flushed to
+the disk, and renamed over the target. A killed process, a full disk or an interrupt leaves the old file, or
+none, and never half a file; HDF5 itself never writes to the disk (it cannot survive a full one).
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import h5py
+
+from gyrotrack.errors import OutputError
+
+try:
+    import fcntl
+except ImportError:  # Windows: an open file cannot be removed there, which serves the same purpose
+    fcntl = None  # type: ignore[assignment]
+
+LIBVER = ("v110", "v110")  # metadata carry checksums from this layout on
+
+
+@contextmanager
+def new_hdf5(path: Path, *, force: bool = False) -> Iterator[Any]:
+    """Yield an empty HDF5 file in memory, and publish it at `path` when the block ends without an error.
+
+    Raises
+    ------
+    OutputError
+        The target exists and `force` is not set, the folder is missing, or the disk refuses.
+    """
+    with new_file(path, force=force) as stream:
+        with h5py.File(path.name, "w", driver="core", backing_store=False, libver=LIBVER) as file:
+            yield file
+            file.flush()
+            image = file.id.get_file_image()
+        stream.write(image)
+
+
+@contextmanager
+def new_file(path: Path, *, force: bool = False) -> Iterator[BinaryIO]:
+    """Yield a binary stream, and publish what was written at `path` when the block ends without an error.
+
+    Raises
+    ------
+    OutputError
+        As for `new_hdf5`.
+    """
+    path = Path(path)
+    refuse_existing(path, force=force)
+    part = path.with_name(path.name + ".part")
+    try:
+        with _open_part(part) as stream:
+            _lock(stream, part)
+            try:
+                yield stream
+                stream.flush()
+                os.fsync(stream.fileno())
+                refuse_existing(path, force=force)
+            except BaseException:
+                _remove(part, stream)
+                raise
+            if not _is_at(part, stream):
+                raise _busy(part)
+        part.replace(path)
+    except OSError as error:
+        raise _refusal(path, error) from error
+    _sync_folder(path.parent)
+
+
+def refuse_existing(path: Path, *, force: bool) -> None:
+    """Raise `OutputError` if `path` cannot be written: a folder is there, or a file and not `force`."""
+    if path.is_dir():
+        raise OutputError(f"{path} is a folder.", "Give the name of a file.")
+    if not path.parent.is_dir():
+        raise OutputError(f"The folder {path.parent} does not exist.", "Create it, or write somewhere else.")
+    if not force and (path.exists() or path.is_symlink()):
+        raise OutputError(f"{path} exists already.", "Use --force to replace it, or -o for another name.")
+
+
+def _open_part(part: Path) -> BinaryIO:
+    """Open the temporary file, which must be new; one left behind by a killed process is cleared away."""
+    try:
+        return part.open("xb")
+    except FileExistsError:
+        _clear_if_abandoned(part)
+        return part.open("xb")
+
+
+def _lock(stream: BinaryIO, part: Path) -> None:
+    if fcntl is not None:
+        try:
+            fcntl.flock(stream.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise _busy(part) from error
+        except OSError:  # a file system without locks
+            return
+
+
+def _clear_if_abandoned(part: Path) -> None:
+    """Remove a temporary file that nobody writes any more; refuse if somebody does."""
+    try:
+        with part.open("rb") as stream:
+            _lock(stream, part)
+            _remove(part, stream)
+    except FileNotFoundError:  # published or removed a moment ago
+        return
+    except PermissionError as error:
+        raise _busy(part) from error
+
+
+def _busy(part: Path) -> OutputError:
+    return OutputError(
+        f"{part} is being written by another process.", "Wait until it is done, or write to another name."
+    )
+
+
+def _is_at(part: Path, stream: BinaryIO) -> bool:
+    """Tell whether `part` still names the file that `stream` writes."""
+    try:
+        return part.stat().st_ino == os.fstat(stream.fileno()).st_ino
+    except FileNotFoundError:
+        return False
+
+
+def _remove(part: Path, stream: BinaryIO) -> None:
+    """Remove `part` if it is the file behind `stream`, not another process's that took its place."""
+    with suppress(OSError):
+        if _is_at(part, stream):
+            part.unlink()
+
+
+def _refusal(path: Path, error: OSError) -> OutputError:
+    if isinstance(error, FileExistsError):
+        return _busy(path.with_name(path.name + ".part"))
+    if error.errno in {errno.ENOSPC, errno.EDQUOT}:
+        return OutputError(
+            f"{path} cannot be written: the disk is full.", "Make room, or write somewhere else."
+        )
+    reason = error.strerror or str(error)
+    return OutputError(f"{path} cannot be written: {reason}.", "Check the folder and its permissions.")
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make the rename itself durable, where the system knows how."""
+    with suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
