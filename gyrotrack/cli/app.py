@@ -1,0 +1,128 @@
+"""The program `gyrotrack`: its commands, and what happens when one of them fails.
+
+A new command is one line in `COMMANDS` and a module with a function ``command(...) -> int | None``: it
+parses, calls one library function, prints through `output.Output`, and returns the exit code (nothing is 0).
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import traceback
+import warnings
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import typer
+from typer.main import get_command
+
+from gyrotrack import __version__
+from gyrotrack.cli.lazy import Entry, lazy_group
+from gyrotrack.cli.output import DONE, FAULT, INTERRUPTED, USAGE, report_error
+
+_DATA = "From films to data"
+
+COMMANDS = (Entry("info", "gyrotrack.cli.info", _DATA, "Say what a file holds, and whether it is sound."),)
+
+app = typer.Typer(
+    name="gyrotrack",
+    cls=lazy_group(COMMANDS),
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+
+
+def _print_version(asked: bool) -> None:  # noqa: FBT001 - the signature of an option's callback
+    if asked:
+        typer.echo(f"gyrotrack {__version__}")
+        raise typer.Exit(DONE)
+
+
+@app.callback(no_args_is_help=True)
+def root(
+    *,
+    _version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+    _debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of a bug.")] = False,
+) -> None:
+    """From films of a spinning gyroscope to the physics that its model is missing."""
+
+
+def main() -> None:
+    """Run the program on the command line's arguments and leave with its exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")  # a terminal that cannot show a letter is no reason to fail
+    sys.exit(run(sys.argv[1:]))
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run the program on `arguments` and return its exit code; no exception leaves."""
+    args, debug = _without_debug(list(arguments))
+    as_json = "--json" in _options(args)
+    if not debug:
+        warnings.simplefilter("ignore")
+    try:
+        code = get_command(app)(args=args, prog_name="gyrotrack", standalone_mode=False)
+        sys.stdout.flush()
+    except KeyboardInterrupt:
+        report_error("interrupted", "Interrupted.", "", as_json=as_json)
+        return INTERRUPTED
+    except BrokenPipeError:  # the reader of our output has gone, as in `gyrotrack ... | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FAULT
+    except Exception as error:  # the last line of defence: no traceback reaches a user
+        if debug:
+            traceback.print_exc()
+        return _explain(error, as_json=as_json)
+    return code if isinstance(code, int) else DONE
+
+
+def _explain(error: Exception, *, as_json: bool) -> int:
+    """Report an error in one sentence and return the exit code that belongs to it."""
+    if hasattr(error, "format_message"):  # wrong usage, as typer sees it
+        return _explain_usage(error, as_json=as_json)
+    if isinstance(error, typer.Abort):
+        report_error("interrupted", "Interrupted.", "", as_json=as_json)
+        return INTERRUPTED
+    if _is_told(error):
+        told: Any = error
+        report_error(told.code, told.message, told.hint, as_json=as_json)
+        return int(getattr(told, "exit_code", FAULT))
+    if isinstance(error, MemoryError):
+        report_error("memory", "There is not enough memory.", "Work on a shorter piece.", as_json=as_json)
+        return FAULT
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    what = f"{type(error).__name__}: {error}".splitlines()[0].rstrip(".")
+    message = f"A bug in gyrotrack, in {os.path.basename(place.filename)} line {place.lineno}: {what}."  # noqa: PTH119
+    report_error(
+        "bug", message, "Run it again with --debug to see the traceback, and report it.", as_json=as_json
+    )
+    return FAULT
+
+
+def _is_told(error: Exception) -> bool:
+    """Tell whether an error speaks for itself: `gyrotrack.errors`, and the errors of the fitting package."""
+    return all(isinstance(getattr(error, name, None), str) for name in ("code", "message", "hint"))
+
+
+def _explain_usage(error: Any, *, as_json: bool) -> int:
+    context: Any = getattr(error, "ctx", None)
+    if type(error).__name__ == "NoArgsIsHelpError":
+        sys.stderr.write(context.get_help() + "\n")
+        return USAGE
+    path = context.command_path if context is not None else "gyrotrack"
+    report_error("usage", str(error.format_message()), f"See `{path} --help`.", as_json=as_json)
+    return USAGE
+
+
+def _options(args: list[str]) -> list[str]:
+    return args[: args.index("--")] if "--" in args else args
+
+
+def _without_debug(args: list[str]) -> tuple[list[str], bool]:
+    """Take ``--debug`` out, wherever it stands before ``--``."""
+    head = _options(args)
+    return [a for a in head if a != "--debug"] + args[len(head) :], "--debug" in head

@@ -1,0 +1,41 @@
+"""Options that several commands share, declared once; a command takes them as keyword-only parameters.
+
+::
+
+    def command(case: CaseFile, *, output: OutputFile, as_json: Json = False) -> int | None: ...
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+I_ROTOR = 5.54e-5
+I_CASING = 2.06e-5
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout and nothing else.")]
+Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="No progress and no notes.")]
+Verbose = Annotated[bool, typer.Option("-v", "--verbose", help="Say more on the way.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace an existing output.")]
+
+OutputFile = Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="The file to write.")]
+OptionalOutputFile = Annotated[
+    Path | None, typer.Option("-o", "--output", metavar="FILE", help="The file to write.")
+]
+CaseFile = Annotated[Path, typer.Argument(metavar="CASE.h5", help="A case, made by `sync` or `import`.")]
+CaseFiles = Annotated[
+    list[Path], typer.Argument(metavar="CASE.h5...", help="Cases, made by `sync` or `import`.")
+]
+
+InertiaRotor = Annotated[
+    float, typer.Option("--inertia-rotor", metavar="X", help="Moment of inertia of the rotor [kg m2].")
+]
+InertiaCasing = Annotated[
+    float, typer.Option("--inertia-casing", metavar="Y", help="Moment of inertia of the casing [kg m2].")
+]
+Label = Annotated[
+    str | None, typer.Option("--label", metavar="L", help="Name of the case; the file's, if not given.")
+]
+Surface = Annotated[str, typer.Option("--surface", metavar="S", help="What the casing turned on.")]
