@@ -22,7 +22,10 @@ from gyrotrack.cli.output import DONE, FAULT, INTERRUPTED, USAGE, report_error
 
 _DATA = "From films to data"
 
-COMMANDS = (Entry("info", "gyrotrack.cli.info", _DATA, "Say what a file holds, and whether it is sound."),)
+COMMANDS = (
+    Entry("import", "gyrotrack.cli.importing", _DATA, "Make a case from tables of angles or speeds (CSV)."),
+    Entry("info", "gyrotrack.cli.info", _DATA, "Say what a file holds, and whether it is sound."),
+)
 
 app = typer.Typer(
     name="gyrotrack",

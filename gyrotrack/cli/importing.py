@@ -1,0 +1,85 @@
+"""`gyrotrack import`: a case from tables of angles or speeds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from gyrotrack.cli.command_line import command_line
+from gyrotrack.cli.options import (
+    I_CASING,
+    I_ROTOR,
+    Force,
+    InertiaCasing,
+    InertiaRotor,
+    Json,
+    Label,
+    OutputFile,
+    Quiet,
+    Surface,
+)
+from gyrotrack.cli.output import Output
+
+_TABLE = "Table with a header: t,angle[,sigma] or t,omega[,sigma]"
+
+
+def command(
+    *,
+    casing: Annotated[Path, typer.Option("--casing", metavar="CSV", help=f"{_TABLE}.")],
+    rotor: Annotated[
+        list[Path], typer.Option("--rotor", metavar="CSV", help="The same; give it once per window.")
+    ],
+    output: OutputFile,
+    label: Label = None,
+    surface: Surface = "",
+    inertia_rotor: InertiaRotor = I_ROTOR,
+    inertia_casing: InertiaCasing = I_CASING,
+    force: Force = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Make a case from tables of angles or speeds (CSV).
+
+    Times in s, all on one clock; angles in rad, wrapped or not. Other units are taken if the header names
+    them, as in `angle [deg]`. Without a sigma column the noise is estimated from the scatter.
+    """
+    from gyrotrack.dataset import write_case
+    from gyrotrack.dataset.writing import refuse_existing
+    from gyrotrack.importing import import_case, summary
+
+    out = Output(as_json=as_json, quiet=quiet)
+    refuse_existing(output, force=force)
+    case = import_case(
+        casing,
+        rotor,
+        label=label if label is not None else output.stem,
+        surface=surface,
+        I_rotor=inertia_rotor,
+        I_casing=inertia_casing,
+    )
+    settings = {"casing": casing, "rotor": rotor, **case.extra}
+    write_case(output, case, command=command_line(), settings=settings, force=force)
+    for warning in case.warnings:
+        out.warn(warning)
+    document = {"output": output, **summary(case)}
+    out.result(document)
+    out.show(_lines(document))
+
+
+def _lines(document: dict[str, Any]) -> str:
+    casing, windows = document["casing"], document["rotor"]["windows"]
+    unit = "rad" if casing["quantity"] == "angle" else "rad/s"
+    heading = f"sigma [{unit}]"
+    lines = [f"{'':<10}{'samples':>9}{'time [s]':>22}{'speed [rad/s]':>20}{heading:>16}"]
+    lines.append(_line("casing", casing))
+    lines += [_line(f"rotor {window['window']}", window) for window in windows]
+    return "\n".join([*lines, f"written: {document['output']}"])
+
+
+def _line(name: str, part: dict[str, Any]) -> str:
+    time = f"{part['t_start']:.3f} to {part['t_stop']:.3f}"
+    known = part["omega_min"] is not None
+    speed = f"{part['omega_min']:.1f} to {part['omega_max']:.1f}" if known else "-"
+    return f"{name:<10}{part['samples']:>9}{time:>22}{speed:>20}{part['median_sigma']:>16.2g}"

@@ -1,0 +1,220 @@
+"""From tables of angles or speeds to a case."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack.angles import angular_velocity
+from gyrotrack.dataset.records import Case, Floats, Series
+from gyrotrack.errors import DatasetError, UsageError
+from gyrotrack.importing.scatter import scatter
+from gyrotrack.importing.table import Table, read_table
+from gyrotrack.importing.unwrapping import TURN, is_wrapped, pieces, unwrap
+
+I_ROTOR = 5.54e-5
+I_CASING = 2.06e-5
+SMOOTHING = 51  # points of the paper's medians
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """One stretch of one table without large gaps."""
+
+    time: Floats
+    angle: Floats
+    sigma: Floats
+    omega: Floats
+    omega_sigma: Floats
+
+
+def import_case(
+    casing: Path,
+    rotors: Sequence[Path],
+    *,
+    label: str = "",
+    surface: str = "",
+    I_rotor: float = I_ROTOR,
+    I_casing: float = I_CASING,
+) -> Case:
+    """Read tables of one experiment, all on one clock, and make a case of them.
+
+    Parameters
+    ----------
+    casing : Path
+        Table of the casing: time and angle, or time and angular velocity, with or without sigma.
+    rotors : sequence of Path
+        Tables of the rotor; a table with gaps longer than 20 sample intervals becomes several windows.
+    label, surface : str
+        Name of the case, and what the casing turned on.
+    I_rotor, I_casing : float
+        Moments of inertia [kg m2]; the paper's by default.
+
+    Returns
+    -------
+    Case
+        With angles growing in the sense in which the bodies turn; where a table had no sigma it is estimated
+        from the scatter, and where it had speeds they are kept as they are and the angle is their integral.
+
+    Raises
+    ------
+    DatasetError
+        A table is not sound, or the tables do not hold the same quantity.
+    UsageError
+        A moment of inertia is not positive, or there is no rotor table.
+    """
+    if not (I_rotor > 0 and I_casing > 0):
+        raise UsageError("A moment of inertia must be positive.", "Give it in kg m2, such as 5.54e-5.")
+    if not rotors:
+        raise UsageError("There is no table of the rotor.", "Give one with --rotor.")
+    tables = [read_table(path) for path in (casing, *rotors)]
+    quantity = _common_quantity(tables)
+    notes = [note for table in tables for note in table.notes]
+    body, *wheels = (_pieces_of(table, notes) for table in tables)
+    windows = sorted((piece for wheel in wheels for piece in wheel), key=lambda piece: piece.time[0])
+    notes += _misplaced(body, windows)
+    sense, doubts = _sense(body, windows)
+    sources = [{"file": str(t.path), "sha256": t.sha256, "samples": len(t.time)} for t in tables]
+    return Case(
+        I_rotor=I_rotor,
+        I_casing=I_casing,
+        label=label,
+        surface=surface,
+        casing=replace(_series(body, sense), window=None, sigma_source=_origin(tables[:1])),
+        rotor=replace(_series(windows, sense), sigma_source=_origin(tables[1:])),
+        quantity=quantity,
+        warnings=tuple(notes + doubts),
+        extra={
+            "sources": sources,
+            "sense": sense,
+            "smoothing_width": SMOOTHING if quantity == "angle" else 1,
+        },
+    )
+
+
+def summary(case: Case) -> dict[str, Any]:
+    """Return what was imported in numbers: samples, times and sigmas of the casing and of each window."""
+    windows = (
+        case.rotor.window if case.rotor.window is not None else np.zeros(len(case.rotor.time), dtype=int)
+    )
+    rotor = [{"window": int(k), **_extent(case.rotor, windows == k)} for k in np.unique(windows)]
+    return {
+        "label": case.label,
+        "casing": {
+            **_extent(case.casing, np.ones(len(case.casing.time), dtype=bool)),
+            "quantity": case.quantity,
+            "sigma_source": case.casing.sigma_source,
+        },
+        "rotor": {"windows": rotor, "quantity": case.quantity, "sigma_source": case.rotor.sigma_source},
+        "sense": case.extra["sense"],
+        "warnings": list(case.warnings),
+    }
+
+
+def _extent(series: Series, chosen: npt.NDArray[np.bool_]) -> dict[str, Any]:
+    time, omega = series.time[chosen], series.omega[chosen]
+    known = omega[np.isfinite(omega)]
+    return {
+        "samples": len(time),
+        "t_start": float(time[0]),
+        "t_stop": float(time[-1]),
+        "omega_min": float(known.min()) if len(known) else None,
+        "omega_max": float(known.max()) if len(known) else None,
+        "median_sigma": float(np.median(series.sigma[chosen])),
+    }
+
+
+def _common_quantity(tables: list[Table]) -> str:
+    for table in tables[1:]:
+        if table.quantity != tables[0].quantity:
+            raise DatasetError(
+                f"{table.path} holds {table.quantity}, but {tables[0].path} holds {tables[0].quantity}.",
+                "Give angles in all tables, or angular velocities in all.",
+            )
+    return tables[0].quantity
+
+
+def _origin(tables: list[Table]) -> str:
+    origins = {"given" if table.sigma is not None else "estimated" for table in tables}
+    return origins.pop() if len(origins) == 1 else "mixed"
+
+
+def _pieces_of(table: Table, notes: list[str]) -> list[_Piece]:
+    """Cut a table at its gaps and bring each piece to angles, speeds and their uncertainties."""
+    cuts = pieces(table.time)
+    value = table.value
+    if table.quantity == "angle" and is_wrapped(value):
+        value, doubtful = unwrap(table.time, value)
+        notes += [f"{table.path.name}: a turn may be lost in the gap after {t:.3f} s" for t in doubtful]
+    sigma = table.sigma
+    if sigma is None:
+        sigma = np.concatenate([scatter(table.time[cut], value[cut]) for cut in cuts])
+        notes.append(
+            f"{table.path.name}: sigma was estimated from the scatter, median {np.median(sigma):.2g}"
+        )
+    make = _from_angles if table.quantity == "angle" else _from_speeds
+    made = [make(table.time[cut], value[cut], sigma[cut]) for cut in cuts]
+    for piece in made:
+        if not np.isfinite(piece.omega).any():
+            start = f"{table.path.name}: the piece at {piece.time[0]:.3f} s"
+            notes.append(f"{start} is too short for the smoothed speed ({len(piece.time)} samples)")
+    return made
+
+
+def _from_angles(time: Floats, angle: Floats, sigma: Floats) -> _Piece:
+    omega, omega_sigma = angular_velocity(time, angle, sigma, SMOOTHING)
+    return _Piece(time, angle, sigma, omega, omega_sigma)
+
+
+def _from_speeds(time: Floats, omega: Floats, sigma: Floats) -> _Piece:
+    """Integrate by the trapezium rule; the errors of the speeds add up along the way."""
+    step = np.diff(time)
+    angle = np.concatenate([[0.0], np.cumsum((omega[1:] + omega[:-1]) / 2 * step)])
+    share = np.concatenate([[step[0]], step]) * sigma
+    return _Piece(time, angle, np.sqrt(np.cumsum(share**2)), omega, sigma)
+
+
+def _misplaced(body: list[_Piece], windows: list[_Piece]) -> list[str]:
+    """Say which rotor windows overlap each other or lie outside the casing's record."""
+    found = []
+    start, stop = body[0].time[0], body[-1].time[-1]
+    for k, window in enumerate(windows):
+        if window.time[0] < start or window.time[-1] > stop:
+            span = f"{window.time[0]:.3f} to {window.time[-1]:.3f} s"
+            found.append(f"rotor window {k} ({span}) reaches beyond the casing's record")
+        if k and window.time[0] <= windows[k - 1].time[-1]:
+            found.append(f"rotor windows {k - 1} and {k} overlap in time: are all times on one clock?")
+    return found
+
+
+def _sense(body: list[_Piece], windows: list[_Piece]) -> tuple[int, list[str]]:
+    """Return the factor that makes the angles grow, and what is strange about the senses of rotation."""
+    turned = [[piece.angle[-1] - piece.angle[0] for piece in group] for group in (body, windows)]
+    casing, rotor = (int(np.sign(sum(angles))) for angles in turned)
+    doubts = []
+    if len({np.sign(angle) for angle in turned[1]}) > 1:
+        doubts.append("the rotor windows turn in different senses")
+    if casing * rotor < 0:
+        doubts.append("the casing turns against the rotor: check the signs of the tables")
+        return 1, doubts
+    if rotor < 0:
+        return -1, [*doubts, "both bodies turn in the negative sense: all signs were reversed (sense -1)"]
+    return 1, doubts
+
+
+def _series(parts: list[_Piece], sense: int) -> Series:
+    angle = np.concatenate([sense * part.angle for part in parts])
+    return Series(
+        time=np.concatenate([part.time for part in parts]),
+        angle=angle,
+        sigma=np.concatenate([part.sigma for part in parts]),
+        omega=np.concatenate([sense * part.omega for part in parts]),
+        omega_sigma=np.concatenate([part.omega_sigma for part in parts]),
+        turn=np.floor(angle / TURN).astype(np.int64),
+        window=np.concatenate([np.full(len(part.time), k, dtype=np.int64) for k, part in enumerate(parts)]),
+    )
