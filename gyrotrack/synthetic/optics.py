@@ -1,0 +1,176 @@
+"""Camera and light: where a point of the table lands in the picture, and how bright it is there.
+
+The plane of the table has axes u (right) and v (up as seen) in mm about the resting point of the gyroscope. A
+body at angle ``psi`` has turned by ``sense * psi`` counter-clockwise as seen. Pictures have x right, y down,
+and pixel centres at integers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """One camera: its picture, its clock, its place, its faults.
+
+    Attributes
+    ----------
+    width, height : int
+        Size of the picture in px; both even.
+    fps : float
+        Frames captured per second of the camera's own clock.
+    container_fps : float or None
+        Rate written into the file, for slow motion (1000 captured, 25 stored). None: as captured.
+    exposure : float
+        Exposure in s; everything that turns is averaged over it.
+    scale : float
+        Magnification in px per mm.
+    centre : tuple of float or None
+        Where the resting point of the gyroscope lands, (x, y) in px. None: the middle of the picture.
+    tilt, tilt_azimuth : float
+        Inclination in rad of the optical axis from the normal of the table, and the direction (rad,
+        counter-clockwise from right) towards which the table falls away. A circle becomes an ellipse with the
+        axis ratio cos(tilt), short along the azimuth.
+    perspective : float
+        Inverse distance of the camera in 1/mm; 0 is orthographic.
+    start, rate : float
+        The true time of frame 0, and true seconds per second of the camera's clock:
+        ``t = start + rate * k / fps`` is the middle of the exposure of frame k.
+    readout : float
+        Seconds of true time from the first to the last row (rolling shutter); 0 is a global shutter. The
+        nominal time belongs to the row in which the resting point lies.
+    sense : {-1, 1}
+        -1: the bodies turn clockwise as seen, as in the paper.
+    psf : float
+        Standard deviation in px of the picture of a point (lens and pixel together).
+    noise : float
+        Standard deviation of the sensor noise in grey levels (of 255), independent in the three colours.
+    gamma : float
+        Grey level = 255 * light**(1 / gamma). 2 resembles a camera; 1 is linear, for tests of exactness.
+    """
+
+    width: int = 640
+    height: int = 360
+    fps: float = 260.0
+    container_fps: float | None = None
+    exposure: float = 1.0e-3
+    scale: float = 4.4
+    centre: tuple[float, float] | None = None
+    tilt: float = 0.0
+    tilt_azimuth: float = 1.1
+    perspective: float = 0.0
+    start: float = 0.0
+    rate: float = 1.0
+    readout: float = 0.0
+    sense: int = -1
+    psf: float = 0.6
+    noise: float = 2.0
+    gamma: float = 2.0
+
+    def __post_init__(self) -> None:
+        if self.sense not in (-1, 1):
+            msg = f"sense is -1 (clockwise as seen) or 1, not {self.sense}"
+            raise ValueError(msg)
+        if self.width % 2 or self.height % 2:
+            msg = f"width and height must be even for H.264, not {self.width}x{self.height}"
+            raise ValueError(msg)
+
+    @property
+    def rest(self) -> tuple[float, float]:
+        """Where the resting point of the gyroscope lands, (x, y) in px."""
+        return self.centre or ((self.width - 1) / 2.0, (self.height - 1) / 2.0)
+
+    def times(self, frames: int) -> Array:
+        """Return the true times in s of the middle of each exposure."""
+        return np.asarray(self.start + self.rate * np.arange(frames) / self.fps, dtype=np.float64)
+
+    def row_delay(self, rows: ArrayLike) -> Array:
+        """Return how much later than the nominal time these rows are exposed, in s."""
+        return self.readout * (np.asarray(rows, dtype=np.float64) - self.rest[1]) / max(self.height - 1, 1)
+
+    def project(self, plane: ArrayLike) -> Array:
+        """Project points of the table, (..., 2) in mm, into the picture, (..., 2) in px."""
+        point = np.asarray(plane, dtype=np.float64)
+        c, s = np.cos(self.tilt_azimuth), np.sin(self.tilt_azimuth)
+        falling = c * point[..., 0] + s * point[..., 1]
+        level = c * point[..., 1] - s * point[..., 0]
+        size = self.scale / (1.0 + self.perspective * np.sin(self.tilt) * falling)
+        short, long = size * np.cos(self.tilt) * falling, size * level
+        x0, y0 = self.rest
+        return np.stack([x0 + c * short - s * long, y0 - (s * short + c * long)], axis=-1)
+
+    def unproject(self, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
+        """Find the points (u, v) of the table in mm that are seen at (x, y) px: the inverse of `project`."""
+        x0, y0 = self.rest
+        a = (np.asarray(x, dtype=np.float64) - x0) / self.scale
+        b = (y0 - np.asarray(y, dtype=np.float64)) / self.scale
+        c, s = np.cos(self.tilt_azimuth), np.sin(self.tilt_azimuth)
+        short, long = c * a + s * b, c * b - s * a
+        lean = self.perspective * np.sin(self.tilt)
+        falling = short / (np.cos(self.tilt) - lean * short)
+        level = long * (1.0 + lean * falling)
+        return c * falling - s * level, s * falling + c * level
+
+    def turn(self, body: ArrayLike, angle: ArrayLike) -> Array:
+        """Turn points of a body, (m, 2) in mm, by its angles (n,) in rad into the plane: (n, m, 2) in mm."""
+        point, psi = np.asarray(body, dtype=np.float64), np.atleast_1d(np.asarray(angle, dtype=np.float64))
+        c, s = np.cos(psi)[:, None], np.sin(psi)[:, None]
+        u = c * point[:, 0] - s * point[:, 1]
+        v = s * point[:, 0] + c * point[:, 1]
+        return np.stack([u, self.sense * v], axis=-1)
+
+
+@dataclass(frozen=True)
+class Light:
+    """The lamps: level, unevenness, flicker, and what they do to metal and table.
+
+    Attributes
+    ----------
+    level : float
+        Brightness at the resting point; 1 shows colours as they are.
+    gradient : tuple of float
+        Relative change of brightness per picture width to the right, and per picture height downwards.
+    vignette : float
+        Relative loss of brightness in the corners.
+    flicker, flicker_hz, flicker_phase : float
+        Relative amplitude, frequency in Hz and phase in rad of the brightness in true time.
+    glint : float
+        Brightness of lamp reflections that stand still on the turning metal.
+    shadow : float
+        Depth, 0 to 1, of the shadows on the table and of the bar on the rotor.
+    shadow_offset : tuple of float
+        Where the shadow of the bar falls, (u, v) in mm from the bar.
+    """
+
+    level: float = 1.0
+    gradient: tuple[float, float] = (0.0, 0.0)
+    vignette: float = 0.0
+    flicker: float = 0.0
+    flicker_hz: float = 100.0
+    flicker_phase: float = 0.0
+    glint: float = 0.0
+    shadow: float = 0.0
+    shadow_offset: tuple[float, float] = (0.8, -1.2)
+
+    def field(self, camera: Camera) -> Array:
+        """Return the steady brightness of every pixel, (height, width)."""
+        x0, y0 = camera.rest
+        x = (np.arange(camera.width) - x0) / camera.width
+        y = ((np.arange(camera.height) - y0) / camera.height)[:, None]
+        slope = 1.0 + self.gradient[0] * x + self.gradient[1] * y
+        bright = self.level * slope * (1.0 - 2.0 * self.vignette * (x**2 + y**2))
+        return np.asarray(np.maximum(bright, 0.0), dtype=np.float64)
+
+    def pulse(self, time: ArrayLike, exposure: float) -> Array:
+        """Return the mean brightness over exposures whose middles are ``time``, relative to the steady one.
+
+        The mean of 1 + a sin(2 pi f t + phi) over an exposure T is 1 + a sinc(f T) sin(2 pi f t_mid + phi).
+        """
+        angle = 2.0 * np.pi * self.flicker_hz * np.asarray(time, dtype=np.float64) + self.flicker_phase
+        return 1.0 + self.flicker * np.sinc(self.flicker_hz * exposure) * np.sin(angle)
