@@ -1,0 +1,60 @@
+"""Local polynomials through a series with gaps: what is smooth in it, and how far each point lies off."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+
+
+def local_fit(value: Floats, weight: Floats, half: int, degree: int = 2) -> tuple[Floats, Floats]:
+    """Fit a polynomial about every point of an even series, over `half` points to both sides.
+
+    Parameters
+    ----------
+    value : ndarray, shape (n,)
+        The series; entries of weight 0 may be NaN.
+    weight : ndarray, shape (n,)
+        Weights, 0 where there is no value.
+    half : int
+        Reach of the window; its weights fall off as (1 - (x/(half + 1))^2).
+    degree : int
+        Of the polynomial.
+
+    Returns
+    -------
+    smooth, leverage : ndarray, shape (n,)
+        The fitted value, and the share with which a point of weight 1 enters its own fitted value. NaN where the window
+        holds too few points.
+    """
+    n = len(value)
+    x = np.arange(-half, half + 1, dtype=np.float64) / (half + 1)
+    bell = 1.0 - x**2
+    clean = np.where(weight > 0, value, 0.0) * weight
+
+    def moment(series: Floats, power: int) -> Floats:
+        kernel = (bell * x**power)[::-1]
+        return np.convolve(np.pad(series, half), kernel, mode="valid")
+
+    s = [moment(weight, k) for k in range(2 * degree + 1)]
+    t = np.stack([moment(clean, k) for k in range(degree + 1)], axis=1)
+    matrix = np.empty((n, degree + 1, degree + 1))
+    for i in range(degree + 1):
+        for j in range(degree + 1):
+            matrix[:, i, j] = s[i + j]
+    held = np.convolve(np.pad((weight > 0).astype(float), half), np.ones(2 * half + 1), mode="valid")
+    enough = held > degree + 2.5
+    matrix[~enough] = np.eye(degree + 1)
+    matrix += 1e-9 * np.maximum(s[0], 1e-12)[:, None, None] * np.eye(degree + 1)
+    first = np.zeros((n, degree + 1, 1))
+    first[:, 0, 0] = 1.0
+    row = np.linalg.solve(matrix, first)[:, :, 0]
+    smooth = np.where(enough, (row * t).sum(axis=1), np.nan)
+    return smooth, np.where(enough, row[:, 0] * bell[half], np.nan)
+
+
+def spread(residual: Floats) -> float:
+    """Return the standard deviation of the core of a sample, 1.4826 times its median absolute value."""
+    known = residual[np.isfinite(residual)]
+    return float(1.4826 * np.median(np.abs(known))) if len(known) else float("nan")

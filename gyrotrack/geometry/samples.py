@@ -1,0 +1,100 @@
+"""Frames set aside to get to know a clip: its first ones in a row, and key frames from its whole length."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack.errors import VideoError
+from gyrotrack.segmentation.ring import Ring, unroll
+from gyrotrack.video import Frame, Reader, keyframes
+
+HEAD = 48
+"""First frames in a row: at 0.2 rad a frame they cover more than a turn."""
+KEYS = 20
+_BLOB_WIDTH = 400
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Sample frames; the first `head` of them are the first frames of the clip, one after the other."""
+
+    frames: tuple[Frame, ...]
+    head: int
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the picture in px."""
+        height, width = self.frames[0].y.shape
+        return width, height
+
+    @cached_property
+    def scale(self) -> int:
+        """Luma px per px of `chroma`: 2, or 4 for large pictures."""
+        return 4 if self.frames[0].u.shape[1] > _BLOB_WIDTH else 2
+
+    @cached_property
+    def chroma(self) -> npt.NDArray[np.uint8]:
+        """Chroma of a spread of frames, shape (2, n, height, width), coarse enough to look at all of it."""
+        chosen = [self.frames[i] for i in self.spread]
+        if self.scale == 2:
+            return np.stack([np.stack([f.u for f in chosen]), np.stack([f.v for f in chosen])])
+        return np.stack([np.stack([_halved(f.u) for f in chosen]), np.stack([_halved(f.v) for f in chosen])])
+
+    @cached_property
+    def spread(self) -> tuple[int, ...]:
+        """Indices of at most 32 frames: every key frame, and the head evenly."""
+        keys = range(self.head, len(self.frames))
+        most = max(12, 32 - len(keys))
+        head = np.unique(np.linspace(0, self.head - 1, min(self.head, most)).astype(int)).tolist()
+        return (*head, *keys)
+
+    def to_luma(self, x: float, y: float) -> tuple[float, float]:
+        """Turn px of `chroma` into luma px."""
+        shift = (self.scale - 1) / 2.0
+        return self.scale * x + shift, self.scale * y + shift
+
+    def strips(self, ring: Ring) -> npt.NDArray[np.uint8]:
+        """Unroll the chroma of all frames, shape (2, n, rows, columns)."""
+        maps = ring.chroma_maps
+        return np.stack([[unroll(f.u, maps) for f in self.frames], [unroll(f.v, maps) for f in self.frames]])
+
+    def luma_strips(self, ring: Ring) -> npt.NDArray[np.uint8]:
+        """Unroll the luma of the head, shape (head, rows, columns)."""
+        return np.stack([unroll(f.y, ring.luma_maps) for f in self.frames[: self.head]])
+
+
+def take_samples(path: Path) -> Samples:
+    """Decode the samples of a film.
+
+    Raises
+    ------
+    VideoError
+        If no frame can be decoded.
+    """
+    head: list[Frame] = []
+    with Reader(path) as reader:
+        for frame in reader:
+            head.append(frame.copy())
+            if len(head) == HEAD:
+                break
+    if not head:
+        raise VideoError(f"no frame of {path} can be decoded", "copy it from the camera again")
+    keys = [frame for frame in keyframes(path, KEYS) if frame.y.shape == head[0].y.shape]
+    return Samples((*head, *keys), len(head))
+
+
+def _halved(plane: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    height, width = plane.shape
+    return np.asarray(
+        cv2.resize(
+            plane[: height // 2 * 2, : width // 2 * 2],
+            (width // 2, height // 2),
+            interpolation=cv2.INTER_AREA,
+        )
+    )

@@ -1,0 +1,164 @@
+"""Which markers a scene has: their names, colours and bodies, and what marks the centre.
+
+A profile names colours; how large the papers are, how far from the centre they sit and what exact shade
+they have under the lamps is found in the clip itself. The default is the gyroscope of the paper. A profile is a
+TOML file::
+
+    name = "bicycle wheel"
+    centre = "orbit"            # no mark at the centre: it is found from the markers' path
+    capture_fps = 300           # optional
+    sense = -1                  # optional: -1 turns clockwise as seen, +1 counter-clockwise
+
+    [[marker]]
+    name = "tape"
+    colour = "green"            # red, orange, yellow, green, cyan, blue, magenta, white
+    body = "rotor"              # casing or rotor
+    mount_angle = 0.0           # optional, rad: where it sits on its body; measured when left out
+"""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from gyrotrack.errors import ProfileError
+
+Colour = Literal["red", "orange", "yellow", "green", "cyan", "blue", "magenta", "white"]
+Body = Literal["casing", "rotor"]
+
+
+class MarkerProfile(BaseModel):
+    """One marker: a piece of coloured paper or tape on one of the bodies."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str = Field(min_length=1, max_length=40, pattern=r"^[A-Za-z0-9_\-]+$")
+    colour: Colour
+    body: Body
+    mount_angle: float | None = None
+
+
+class Profile(BaseModel):
+    """A scene: its markers, and what marks the centre.
+
+    `centre` is the colour of a disc at the centre (or the word ``"circle"``, a red one), or ``"orbit"`` where
+    nothing marks it.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str = "custom"
+    marker: tuple[MarkerProfile, ...] = Field(min_length=1)
+    centre: Literal["circle", "orbit"] = "circle"
+    circle_colour: Colour = "red"
+    capture_fps: float | None = Field(default=None, gt=0.0, lt=1.0e7)
+    sense: Literal[-1, 1] | None = None
+    tilt_correction: bool = True
+
+    @field_validator("marker")
+    @classmethod
+    def _names_differ(cls, value: tuple[MarkerProfile, ...]) -> tuple[MarkerProfile, ...]:
+        names = [marker.name for marker in value]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"two markers are named {twice[0]!r}")
+        return value
+
+    @model_validator(mode="after")
+    def _colours_differ(self) -> Profile:
+        for body in ("casing", "rotor"):
+            colours = [marker.colour for marker in self.marker if marker.body == body]
+            if len(set(colours)) < len(colours):
+                raise ValueError(
+                    f"two markers on the {body} have the same colour and could not be told apart"
+                )
+        if all(marker.colour == "white" for marker in self.marker):
+            raise ValueError("at least one marker must have a colour other than white")
+        return self
+
+    def of(self, body: str) -> tuple[MarkerProfile, ...]:
+        """Return the markers of one body."""
+        return tuple(marker for marker in self.marker if marker.body == body)
+
+
+PAPER = Profile(
+    name="paper",
+    centre="circle",
+    marker=(
+        MarkerProfile(name="red", colour="red", body="casing"),
+        MarkerProfile(name="blue", colour="blue", body="rotor"),
+        MarkerProfile(name="white", colour="white", body="rotor"),
+        MarkerProfile(name="green", colour="green", body="rotor"),
+    ),
+)
+"""The gyroscope of the paper: a red disc at the centre, red on the casing, blue, white and green on the rotor."""
+
+
+def load(path: Path) -> Profile:
+    """Read a profile from a TOML file.
+
+    Raises
+    ------
+    ProfileError
+        Naming the file and every key that is wrong.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError as error:
+        raise ProfileError(f"there is no profile {path}", "check the path") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise ProfileError(f"{path} cannot be read as a text file", "give a profile in TOML") from error
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ProfileError(
+            f"{path} is not valid TOML: {error}", "see the example in the documentation"
+        ) from error
+    return parse(data, str(path))
+
+
+def parse(data: dict[str, Any], where: str) -> Profile:
+    """Check a profile's content; `where` names its origin in messages."""
+    try:
+        return Profile.model_validate(data)
+    except ValidationError as error:
+        faults = "; ".join(f"{_place(fault['loc'])}: {_plain(fault['msg'])}" for fault in error.errors())
+        raise ProfileError(
+            f"{where}: {faults}", "correct these keys; the documentation lists all of them"
+        ) from error
+
+
+def to_toml(profile: Profile) -> str:
+    """Write a profile as TOML text that `load` reads back to the same profile."""
+    lines = [f'name = "{_escaped(profile.name)}"', f'centre = "{profile.centre}"']
+    if profile.circle_colour != "red":
+        lines.append(f'circle_colour = "{profile.circle_colour}"')
+    if profile.capture_fps is not None:
+        lines.append(f"capture_fps = {profile.capture_fps!r}")
+    if profile.sense is not None:
+        lines.append(f"sense = {profile.sense}")
+    if not profile.tilt_correction:
+        lines.append("tilt_correction = false")
+    for marker in profile.marker:
+        lines += ["", "[[marker]]"]
+        lines += [f'{key} = "{value}"' for key, value in marker.model_dump(exclude={"mount_angle"}).items()]
+        if marker.mount_angle is not None:
+            lines.append(f"mount_angle = {marker.mount_angle!r}")
+    return "\n".join(lines) + "\n"
+
+
+def _escaped(text: str) -> str:
+    return text.replace("\\", "\\\\").replace('"', '\\"')
+
+
+def _place(location: tuple[int | str, ...]) -> str:
+    parts = [f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in location]
+    return "".join(parts).lstrip(".") or "profile"
+
+
+def _plain(message: str) -> str:
+    text = message.removeprefix("Value error, ")
+    return text[0].lower() + text[1:]

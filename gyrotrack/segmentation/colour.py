@@ -1,0 +1,44 @@
+"""Named colours as directions of chroma, and how strongly a pixel has one of them.
+
+In the chroma plane (U - U0, V - V0) a hue is a direction, whatever the brightness of the lamp. A name covers
+a sector of +-45 degrees about its direction: "red" takes in dark red and orange-red, "blue" also cyan-blue, "green" also
+yellow-green. The true shade is then measured in the clip.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float32]
+
+_HUE_DEGREES = {
+    "red": 108.0,
+    "orange": 138.0,
+    "yellow": 171.0,
+    "green": 228.0,
+    "cyan": 289.0,
+    "blue": 333.0,
+    "magenta": 52.0,
+}
+
+
+def chroma_direction(colour: str) -> tuple[float, float]:
+    """Return the unit vector (U, V) of a named colour; white has none and gives (0, 0)."""
+    if colour == "white":
+        return (0.0, 0.0)
+    hue = np.deg2rad(_HUE_DEGREES[colour])
+    return (float(np.cos(hue)), float(np.sin(hue)))
+
+
+def hue_score(du: npt.ArrayLike, dv: npt.ArrayLike, direction: tuple[float, float]) -> Floats:
+    """Return how far a chroma difference reaches into the sector of a hue.
+
+    The score is p - |q|, with p the part of (du, dv) along the direction and q the part across it; it is positive
+    within 45 degrees of the direction, and cut off at zero outside.
+    """
+    u, v = np.asarray(du, dtype=np.float32), np.asarray(dv, dtype=np.float32)
+    along = direction[0] * u + direction[1] * v
+    across = direction[0] * v - direction[1] * u
+    score: Floats = np.maximum(along - np.abs(across), np.float32(0.0))
+    return score

@@ -1,0 +1,92 @@
+"""A ring about a centre, unrolled: rows are radii, columns are angles.
+
+A marker that turns about the centre only shifts along such a strip, and its edges stand upright in it. Angles are
+counter-clockwise as seen, atan2(-(y - cy), x - cx); pixel centres are at integers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack.video.planes import Plane
+
+Maps = tuple[npt.NDArray[np.int16], npt.NDArray[np.uint16]]
+
+CHROMA_SHIFT = (0.5, 0.5)
+"""Where the first chroma sample lies in luma pixels (x, y): between the four that it was made from."""
+
+
+@dataclass(frozen=True)
+class Ring:
+    """A polar grid.
+
+    Attributes
+    ----------
+    centre : tuple of float
+        (x, y) in luma px.
+    inner, outer : float
+        Radii of the first and last row in luma px.
+    rows, columns : int
+        Size of the strip; columns cover the full turn, the first at angle 0.
+    """
+
+    centre: tuple[float, float]
+    inner: float
+    outer: float
+    rows: int
+    columns: int
+
+    @property
+    def radii(self) -> npt.NDArray[np.float64]:
+        """Radii of the rows in luma px."""
+        return np.linspace(self.inner, self.outer, self.rows)
+
+    @property
+    def step(self) -> float:
+        """Angle from one column to the next in rad."""
+        return 2.0 * np.pi / self.columns
+
+    def moved(self, centre: tuple[float, float]) -> Ring:
+        """Return the same grid about another centre."""
+        return Ring(centre, self.inner, self.outer, self.rows, self.columns)
+
+    def _points(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        angle = np.arange(self.columns) * self.step
+        radius = self.radii[:, None]
+        return self.centre[0] + radius * np.cos(angle), self.centre[1] - radius * np.sin(angle)
+
+    @cached_property
+    def chroma_maps(self) -> Maps:
+        """Fixed-point maps for `cv2.remap` of a half-resolution plane."""
+        x, y = self._points()
+        return _fixed((x - CHROMA_SHIFT[0]) / 2.0, (y - CHROMA_SHIFT[1]) / 2.0)
+
+    @cached_property
+    def luma_maps(self) -> Maps:
+        """Fixed-point maps for `cv2.remap` of the full-resolution plane."""
+        return _fixed(*self._points())
+
+
+def ring_for(
+    centre: tuple[float, float], inner: float, outer: float, pixel: float, most_columns: int = 1024
+) -> Ring:
+    """Lay a grid with about one sample per `pixel` (in luma px: 2 for chroma, 1 for luma)."""
+    columns = int(np.clip(2 ** np.ceil(np.log2(np.pi * (inner + outer) / pixel)), 128, most_columns))
+    rows = int(np.clip(np.ceil((outer - inner) / pixel) + 1, 6, 32))
+    return Ring(centre, inner, outer, rows, columns)
+
+
+def unroll(plane: Plane, maps: Maps, out: Plane | None = None) -> Plane:
+    """Sample a plane along a ring (bilinear); beyond the picture its border is repeated."""
+    strip = cv2.remap(plane, maps[0], maps[1], cv2.INTER_LINEAR, dst=out, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(strip, dtype=np.uint8)
+
+
+def _fixed(x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]) -> Maps:
+    first, second = cv2.convertMaps(x.astype(np.float32), y.astype(np.float32), cv2.CV_16SC2)
+    return np.asarray(first, dtype=np.int16), np.asarray(second, dtype=np.uint16)

@@ -1,0 +1,24 @@
+"""Films: opening them safely, decoding them in order, and knowing when each frame was captured.
+
+Three parts: `container` opens a file and says what it declares, `planes` turns decoded frames into numpy
+views of their luma and chroma, `clock` decides the capture rate and finds what the time stamps give away.
+A film is read from its first frame to its last; frames are counted here, never taken from a header.
+"""
+
+from __future__ import annotations
+
+from gyrotrack.video.clock import CaptureRate, capture_rate, stamp_warnings
+from gyrotrack.video.container import ClipInfo, probe
+from gyrotrack.video.planes import Frame
+from gyrotrack.video.reader import Reader, keyframes
+
+__all__ = [
+    "CaptureRate",
+    "ClipInfo",
+    "Frame",
+    "Reader",
+    "capture_rate",
+    "keyframes",
+    "probe",
+    "stamp_warnings",
+]
