@@ -1,0 +1,144 @@
+"""One recording as rows: projected measurements, the same projections of a model, and free nuisances.
+
+Rows are in units of the measurement noise: first the polynomial rows of the casing, then of each rotor
+window, then the harmonic rows of the casing. What no one knows beforehand and no one asks about is free in
+every fit: the casing's start angle, the phase of each rotor window, and a centre offset and a tilt of
+the casing's camera that do not change through the recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.compression import CASING_DEGREE, ROTOR_DEGREE, Compressed, compress
+from fitting.record import Record
+from fitting.simulation import Path, Sampler
+from fitting.simulation.sensitivity import angles
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CaseData:
+    """A record, projected once and used for every model."""
+
+    record: Record
+    casing: Compressed
+    rotor: tuple[Compressed, ...]
+
+    @classmethod
+    def of(cls, record: Record) -> CaseData:
+        """Project a record."""
+        angle = record.quantity == "angle"
+        casing = compress(record.casing, degree=CASING_DEGREE, harmonics=angle)
+        rotor = tuple(
+            compress(w, degree=ROTOR_DEGREE, harmonics=False, blocks=max(1, round((w.time[-1] - w.time[0]) / 3.0)))
+            for w in record.rotor
+        )
+        return cls(record, casing, rotor)
+
+    @property
+    def is_angle(self) -> bool:
+        """Whether angles were measured (and not speeds)."""
+        return self.record.quantity == "angle"
+
+    @cached_property
+    def node_times(self) -> Array:
+        """Times at which a smooth model is needed [s], casing first, then each window."""
+        return np.concatenate([self.casing.node_times, *(w.node_times for w in self.rotor)])
+
+    @cached_property
+    def z(self) -> Array:
+        """Return the measured rows."""
+        return np.concatenate([self.casing.z, *(w.z for w in self.rotor), self.casing.harmonic])
+
+    @cached_property
+    def slices(self) -> dict[str, slice]:
+        """Where the rows of the casing, the rotor and the harmonics stand."""
+        a = len(self.casing.z)
+        b = a + sum(len(w.z) for w in self.rotor)
+        return {"casing": slice(0, a), "rotor": slice(a, b), "harmonic": slice(b, len(self.z)), "smooth": slice(0, b)}
+
+    @property
+    def n_effective(self) -> float:
+        """Number of samples, reduced by their correlation."""
+        return self.casing.n_effective + sum(w.n_effective for w in self.rotor)
+
+    @property
+    def rest(self) -> tuple[float, int]:
+        """Chi-square and degrees of freedom of what no model reaches."""
+        parts = (self.casing, *self.rotor)
+        return sum(p.rest for p in parts), sum(p.rest_dof for p in parts)
+
+    @cached_property
+    def nuisance(self) -> Array:
+        """Columns of everything that is free in every fit, (rows, columns)."""
+        columns = []
+        if self.is_angle:
+            nodes = len(self.casing.node_times)
+            columns.append(self.rows(np.ones(nodes), [np.zeros(len(w.node_times)) for w in self.rotor]))
+            for i in range(len(self.rotor)):
+                ones = [np.full(len(w.node_times), float(i == j)) for j, w in enumerate(self.rotor)]
+                columns.append(self.rows(np.zeros(nodes), ones))
+            psi = self.casing.samples.value
+            columns += list(self.casing_rows(camera_columns(psi)).T)
+        return np.stack(columns, axis=1) if columns else np.zeros((len(self.z), 0))
+
+    def rows(self, casing: Array, rotor: Sequence[Array]) -> Array:
+        """Return the rows of a smooth function given at the nodes of the casing and of each window."""
+        parts = [self.casing.at_nodes(casing), *(w.at_nodes(v) for w, v in zip(self.rotor, rotor, strict=True))]
+        tail = np.zeros((len(self.casing.harmonic), *casing.shape[1:]))
+        return np.concatenate([*parts, tail])
+
+    def casing_rows(self, values: Array) -> Array:
+        """Return the rows of any function given at the samples of the casing (samples, columns)."""
+        polynomial, harmonic = self.casing.at_samples(values)
+        middle = np.zeros((self.slices["rotor"].stop - self.slices["rotor"].start, values.shape[1]))
+        return np.concatenate([polynomial, middle, harmonic])
+
+    def observe(self, path: Path, nodes: Array | None = None) -> Array:
+        """Return the rows of a solution, or of columns of a sensitivity of its states.
+
+        Parameters
+        ----------
+        path : Path
+            The solution.
+        nodes : ndarray, shape (intervals, nodes, states, columns), optional
+            A sensitivity; without it the solution itself is observed.
+        """
+        a = len(self.casing.node_times)
+        values = []
+        for state, times in ((1, self.node_times[:a]), (0, self.node_times[a:])):
+            sampler = Sampler(path.mesh, times)
+            values.append(self._seen(sampler, path, state, nodes))
+        ends = np.cumsum([len(w.node_times) for w in self.rotor])[:-1]
+        rows = self.rows(values[0], np.split(values[1], ends))
+        return self._mend_kinks(path, nodes, rows)
+
+    def _seen(self, sampler: Sampler, path: Path, state: int, nodes: Array | None) -> Array:
+        if nodes is None:
+            if self.is_angle:
+                return sampler.integral(*path.angle(path.states[state]))
+            return sampler.value(path.y[..., state])
+        return angles(sampler, path, state, nodes) if self.is_angle else sampler.value(nodes[:, :, state])
+
+    def _mend_kinks(self, path: Path, nodes: Array | None, rows: Array) -> Array:
+        # a block with a kink inside is no polynomial: project it sample by sample
+        for time in path.kinks:
+            for i, (where, operator) in enumerate(self.casing.operators):
+                t = self.casing.samples.time[where]
+                if t[0] < time < t[-1]:
+                    k = self.casing.lift.shape[1]
+                    seen = self._seen(Sampler(path.mesh, t), path, 1, nodes)
+                    rows[i * k : (i + 1) * k] = operator[:k] @ seen
+        return rows
+
+
+def camera_columns(psi: Array) -> Array:
+    """Return cos and sin of the angle and of twice the angle, shape (samples, 4)."""
+    return np.stack([np.cos(psi), np.sin(psi), np.cos(2 * psi), np.sin(2 * psi)], axis=1)

@@ -1,0 +1,174 @@
+"""Tens of thousands of samples as a few hundred numbers, without loss for what can be learned from them.
+
+The samples of a block are projected on polynomials in time, and on the first two harmonics of the measured
+angle, by a weighted QR decomposition at their actual times. A smooth model is a polynomial within a block,
+so its chi-square changes only through these projections; what is orthogonal to them is noise. The next
+higher polynomials hold no model either: they measure the noise at the slow end of the spectrum, where it
+counts, and with it any correlation between neighbouring samples.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import NDArray
+
+from fitting.record import Samples
+
+Array = NDArray[np.float64]
+
+CASING_DEGREE = 7
+ROTOR_DEGREE = 7
+HARMONICS = 4
+_NOISE_ROWS = 14
+_BLOCKS = 60
+_MIN_SAMPLES = 60
+_CLIP = 3.0
+_CLIPPED_VARIANCE = 0.9733  # of a standard normal variable cut off at 3
+_MIN_INDEPENDENCE = 0.2
+
+
+@dataclass(frozen=True)
+class Compressed:
+    """The samples of one series, projected.
+
+    Attributes
+    ----------
+    node_times : ndarray, shape (blocks * (degree + 1),)
+        Where a smooth model is evaluated [s].
+    lift : ndarray, shape (blocks, degree + 1, degree + 1)
+        From values at the nodes to projected values.
+    z : ndarray
+        Projected samples, in units of the noise: polynomial rows of all blocks.
+    harmonic : ndarray
+        Projections on the harmonics, in units of the noise.
+    operators : tuple of (slice, ndarray)
+        For each block its samples and the rows that project them, polynomial rows first.
+    scale : float
+        Noise over the sigma that came with the data.
+    rest, rest_dof : float, int
+        Chi-square of what no model reaches, in units of the calibrated noise, and its degrees of freedom.
+    n_effective : float
+        Number of samples, reduced by their correlation.
+    """
+
+    node_times: Array
+    lift: Array
+    z: Array
+    harmonic: Array
+    operators: tuple[tuple[slice, Array], ...]
+    scale: float
+    rest: float
+    rest_dof: int
+    n_effective: float
+    samples: Samples
+
+    def at_nodes(self, values: Array) -> Array:
+        """Return the polynomial rows of a smooth function given at the nodes (nodes, ...)."""
+        blocks, k, _ = self.lift.shape
+        flat = values.reshape(blocks, k, -1)
+        return np.asarray((self.lift @ flat).reshape(values.shape))
+
+    def at_samples(self, values: Array) -> tuple[Array, Array]:
+        """Return polynomial and harmonic rows of any function given at the samples (samples, columns)."""
+        k = self.lift.shape[1]
+        parts = [rows @ values[where] for where, rows in self.operators]
+        polynomial = np.concatenate([p[:k] for p in parts])
+        harmonic = np.concatenate([p[k:] for p in parts])
+        return polynomial, harmonic
+
+
+def compress(samples: Samples, *, degree: int, harmonics: bool, blocks: int = _BLOCKS) -> Compressed:
+    """Project the samples of a series block by block.
+
+    Parameters
+    ----------
+    samples : Samples
+        One run; for harmonics its values must be angles.
+    degree : int
+        Highest power of the polynomials.
+    harmonics : bool
+        Whether to keep the first two harmonics of the measured angle as rows of their own.
+    blocks : int
+        At most so many blocks.
+
+    Returns
+    -------
+    Compressed
+        With the noise calibrated on what the model cannot reach.
+    """
+    count = max(1, min(blocks, len(samples) // _MIN_SAMPLES))
+    edges = np.linspace(0, len(samples), count + 1).astype(int)
+    parts = [_block(samples, slice(a, b), degree, harmonics=harmonics) for a, b in zip(edges, edges[1:], strict=False)]
+    slow = np.concatenate([p.noise for p in parts])
+    rest, dof = sum(p.rest for p in parts), sum(p.rest_dof for p in parts)
+    fast = rest / dof if dof > 0 else 1.0
+    variance = _robust_variance(slow) if len(slow) >= 20 else fast
+    scale = float(np.sqrt(variance)) if variance > 0 else 1.0
+    correlation = max(1.0, variance / fast) if fast > 0 else 1.0
+    operators = tuple((p.where, p.rows / scale) for p in parts)
+    k = degree + 1
+    projected = [rows @ samples.value[where] for where, rows in operators]
+    return Compressed(
+        node_times=np.concatenate([p.node_times for p in parts]),
+        lift=np.stack([p.lift for p in parts]) / scale,
+        z=np.concatenate([p[:k] for p in projected]),
+        harmonic=np.concatenate([p[k:] for p in projected]),
+        operators=operators,
+        scale=scale,
+        rest=rest / fast / correlation if fast > 0 else 0.0,
+        rest_dof=int(dof / correlation),
+        n_effective=len(samples) / correlation,
+        samples=samples,
+    )
+
+
+@dataclass(frozen=True)
+class _Block:
+    where: slice
+    node_times: Array
+    lift: Array
+    rows: Array
+    noise: Array
+    rest: float
+    rest_dof: int
+
+
+def _block(samples: Samples, where: slice, degree: int, *, harmonics: bool) -> _Block:
+    t, y, sigma = samples.time[where], samples.value[where], samples.sigma[where]
+    k = degree + 1
+    middle, half = 0.5 * (t[0] + t[-1]), 0.5 * (t[-1] - t[0])
+    extra = min(_NOISE_ROWS, max(0, len(t) - k - HARMONICS - 6))
+    powers = chebyshev.chebvander((t - middle) / half, degree + extra)
+    columns = [powers[:, :k]]
+    if harmonics:
+        columns.append(np.stack([np.cos(y), np.sin(y), np.cos(2 * y), np.sin(2 * y)], axis=1))
+    columns.append(powers[:, k:])
+    design = np.concatenate(columns, axis=1) / sigma[:, None]
+    q, r = np.linalg.qr(design)
+    kept = k + HARMONICS * harmonics
+    # a harmonic that is nearly a polynomial here (less than a turn in the block) says nothing of its own
+    independent = np.abs(np.diag(r)) > _MIN_INDEPENDENCE * np.linalg.norm(design, axis=0)
+    rows = q[:, :kept].T / sigma
+    rows[k:] *= independent[k:kept, None]
+    x = np.cos(np.pi * (np.arange(k) + 0.5) / k)
+    lift = r[:k, :k] @ np.linalg.inv(chebyshev.chebvander(x, degree))
+    projected = q.T @ (y / sigma)
+    noise = projected[kept:][independent[kept:]]
+    rest = float(np.sum((y / sigma) ** 2) - np.sum(projected[:kept] ** 2))
+    if rest < 1e-6 * np.sum((y / sigma) ** 2):  # large angles: subtract before squaring
+        rest = float(np.sum((y / sigma - q[:, :kept] @ projected[:kept]) ** 2))
+    return _Block(where, middle + half * x, lift, rows, noise, rest, max(0, len(t) - kept))
+
+
+def _robust_variance(values: Array) -> float:
+    variance = float(np.median(values**2)) / 0.4549
+    for _ in range(20):
+        clipped = values[np.abs(values) < _CLIP * np.sqrt(variance)]
+        updated = float(np.mean(clipped**2)) / _CLIPPED_VARIANCE if len(clipped) else variance
+        if abs(updated - variance) < 1e-4 * variance:
+            break
+        variance = updated
+    return variance

@@ -1,0 +1,5 @@
+"""Fitting: starts that need no guess, a least-squares solver, the fit itself, and its figures of merit."""
+
+from fitting.estimation.fit import Estimate, Fit, fit
+
+__all__ = ["Estimate", "Fit", "fit"]

@@ -1,0 +1,318 @@
+"""The fit: start values, straight variables, measured noise, errors that count it.
+
+Two levels of random torque are found for each case. The *pure* level is what no slow torque can explain: the
+noise. The *level* of the fit is what this model leaves: the same if the model is right, more if it
+misses something. Parameters are estimated at the level of the fit, so that a model that fails by a thousand sigma
+somewhere is not torn there; its chi-square and held-out error are told at the pure level.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.case_data import CaseData
+from fitting.errors import EstimationError
+from fitting.estimation.case_model import Prediction
+from fitting.estimation.layout import Layout
+from fitting.estimation.levenberg import Minimum, minimise
+from fitting.estimation.metrics import CaseMetrics, case_metrics
+from fitting.estimation.problem import Problem, Projection
+from fitting.estimation.start import start_values
+from fitting.model import Model
+from fitting.noise import TorqueNoise, TorqueResponse, Whitener, remaining_level
+from fitting.record import Record
+from fitting.simulation.linear import LinearMotion
+
+Array = NDArray[np.float64]
+
+# chi2 per reachable row above which the model is said to miss something (2000 rows: 1.0 +- 0.03)
+_MISFIT = 1.25
+_FIRST_LEVEL = 0.01
+_CLEARLY = 1.3
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A fitted number: value, standard error (nan on a bound), unit, and whether it lies on a bound."""
+
+    value: float
+    stderr: float
+    unit: str
+    at_bound: bool
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What was measured about the noise of one case.
+
+    Attributes
+    ----------
+    scale : float
+        Measured noise of the casing's samples over the sigma that came with them.
+    pure, level : float
+        Rms of the random torque [N m] on the casing and between the bodies, each: what no slow
+        torque explains, and what the fitted model leaves.
+    time : float
+        Its correlation time [s].
+    whitener : Whitener
+        At `level`.
+    """
+
+    scale: float
+    pure: float
+    level: float
+    time: float
+    whitener: Whitener = field(repr=False)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted model.
+
+    Attributes
+    ----------
+    model : Model
+        What was fitted.
+    estimates : dict of str to Estimate
+        Every parameter and start speed by name.
+    cases : tuple of CaseMetrics
+        Figures of merit of each case.
+    chi2, rows, n_eff, deviance, bic : float
+        Chi-square over the rows a model can reach and their number; effective number of samples;
+        minus twice the log-likelihood (up to a constant of the data); deviance + p ln n_eff.
+    verdict : str
+        "adequate", "misfit" or "not converged".
+    """
+
+    model: Model
+    labels: tuple[str, ...]
+    estimates: dict[str, Estimate]
+    cases: tuple[CaseMetrics, ...]
+    chi2: float
+    rows: int
+    n_eff: float
+    deviance: float
+    bic: float
+    verdict: str
+    covariance: Array = field(repr=False)
+    theta: Array = field(repr=False)
+    noise: tuple[Noise, ...] = field(repr=False)
+    problem: Problem = field(repr=False)
+    predictions: tuple[Prediction, ...] = field(repr=False)
+
+    @property
+    def reduced_chi2(self) -> float:
+        """Chi-square of everything that was fitted over the effective number of samples."""
+        return sum(c.casing.reduced_chi2 * d.casing.n_effective for c, d in zip(self.cases, self.problem.data, strict=True)) / sum(
+            d.casing.n_effective for d in self.problem.data
+        )
+
+    @property
+    def torque_noise(self) -> float:
+        """Rms of the random torque that this model leaves [N m]."""
+        return max(n.level for n in self.noise)
+
+
+def fit(
+    model: Model,
+    cases: Sequence[Record | CaseData],
+    *,
+    share: Iterable[str] = (),
+    per_case: Iterable[str] = (),
+    start: Mapping[str, float] | None = None,
+    noise: Sequence[Noise] | None = None,
+    ranges: Mapping[str, tuple[float, float]] | None = None,
+) -> Fit:
+    """Fit a model to one case, or to several together.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    cases : sequence of Record or CaseData
+        Each experiment; with several, the touch point, the casing's drag and the start speeds have
+        a value for each, all else is shared.
+    share, per_case : iterable of str
+        Change which parameters are shared.
+    start : mapping, optional
+        Values to start from; the others come from a regression.
+    noise : sequence of Noise, optional
+        The noise found by an earlier fit of the same data, so that both can be compared.
+    ranges : mapping, optional
+        Bounds tighter than the declared ones.
+
+    Returns
+    -------
+    Fit
+
+    Raises
+    ------
+    EstimationError
+        If there is nothing to fit, or labels repeat.
+    """
+    data = [c if isinstance(c, CaseData) else CaseData.of(c) for c in cases]
+    labels = [d.record.label for d in data]
+    if not data or len(set(labels)) != len(labels):
+        raise EstimationError("the cases of a joint fit need different labels", "give them with --label when making a case")
+    layout = Layout.of(model, [d.record for d in data], share, per_case)
+    problem = Problem(layout, data)
+    theta = _start(layout, problem, start)
+    if noise is None:
+        noise = first_noise(problem, theta)
+        problem.set_noise([n.whitener for n in noise])
+        _, theta = _minimise(problem, theta, ranges or {})
+        noise = measure_noise(problem, theta)
+    problem.set_noise([n.whitener for n in noise])
+    minimum, theta = _minimise(problem, theta, ranges or {})
+    noise = tuple(refine_level(problem, theta, noise))
+    problem.set_noise([n.whitener for n in noise])
+    minimum, theta = _minimise(problem, theta, ranges or {})
+    return summarise(problem, theta, noise, converged=minimum.converged)
+
+
+def _start(layout: Layout, problem: Problem, given: Mapping[str, float] | None) -> Array:
+    known = dict(given or {})
+    if not set(layout.names) <= set(known):
+        guessed = dict(zip(layout.names, start_values(layout, problem.reference).tolist(), strict=True))
+        known = guessed | {k: v for k, v in known.items() if k in guessed}
+    return np.array([known[n] for n in layout.names])
+
+
+def _minimise(problem: Problem, theta: Array, ranges: Mapping[str, tuple[float, float]]) -> tuple[Minimum, Array]:
+    lower, upper = problem.straight_bounds()
+    for i, name in enumerate(problem.layout.names):
+        if name in ranges:
+            lower[i], upper[i] = max(lower[i], ranges[name][0]), min(upper[i], ranges[name][1])
+    follows_angle = bool(problem.layout.model.rippling or problem.layout.model.measurement)
+    for _ in range(2 if follows_angle else 1):
+        for case in problem.cases:
+            case.forget_columns()
+        minimum = minimise(problem, problem.straight(theta), lower, upper)
+        theta = problem.physical(minimum.x)
+    if problem.valleys and min(theta[i] for v in problem.valleys for i in (v.d, v.f)) < 0:
+        return _on_the_edge(problem, theta)
+    return minimum, theta
+
+
+def _on_the_edge(problem: Problem, theta: Array) -> tuple[Minimum, Array]:
+    """Return the best fit with d >= 0 and f >= 0 when the free one breaks them: one of the two is zero."""
+    v, = problem.valleys
+    valleys, problem.valleys = problem.valleys, ()
+    try:
+        ends = []
+        torque = max(theta[v.d] * v.reference + theta[v.f] * v.reference ** theta[v.g], 1e-12)
+        for gone in (v.d, v.f):
+            lower, upper = problem.layout.bounds()
+            begin = theta.copy()
+            begin[v.d], begin[v.f] = torque / v.reference, torque / v.reference ** theta[v.g]
+            begin[gone] = lower[gone] = upper[gone] = 0.0
+            ends.append(minimise(problem, begin, lower, upper))
+    finally:
+        problem.valleys = valleys
+    best = min(ends, key=lambda m: m.cost)
+    return best, best.x
+
+
+def first_noise(problem: Problem, theta: Array) -> tuple[Noise, ...]:
+    """Return a cautious noise to begin with: a hundredth of the bearing's torque."""
+    found = []
+    for case, p in zip(problem.cases, problem.predict(theta), strict=True):
+        data = case.data
+        response = TorqueResponse(data, LinearMotion(p.path, p.sensitivity.propagator))
+        rates = np.abs(case.dynamics.rates(p.path.mesh.times, p.path.y, problem.layout.numbers(theta, case.case)))
+        level = _FIRST_LEVEL * data.record.I_rotor * float(np.median(rates[..., 0]))
+        time = response.default_time
+        found.append(Noise(data.casing.scale, level, level, time, response.whitener(TorqueNoise(level, time))))
+    return tuple(found)
+
+
+def measure_noise(problem: Problem, theta: Array) -> tuple[Noise, ...]:
+    """Measure the pure noise of each case about a fitted model, and what the model leaves."""
+    found = []
+    for data, p in zip(problem.data, problem.predict(theta), strict=True):
+        response = TorqueResponse(data, LinearMotion(p.path, p.sensitivity.propagator))
+        pure = response.estimate(data.z - p.rows)
+        whitener = response.whitener(pure)
+        found.append(Noise(data.casing.scale, pure.rms, pure.rms, pure.time, whitener))
+    return refine_level(problem, theta, found)
+
+
+def refine_level(problem: Problem, theta: Array, noise: Sequence[Noise]) -> tuple[Noise, ...]:
+    """Return the noise with the level that the model at these variables leaves."""
+    found = []
+    for data, p, n in zip(problem.data, problem.predict(theta), noise, strict=True):
+        level = remaining_level(n.whitener, data.z - p.rows, np.concatenate([p.jacobian, data.nuisance], axis=1), n.pure)
+        found.append(Noise(n.scale, n.pure, level, n.time, n.whitener.at(level)))
+    return tuple(found)
+
+
+def summarise(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, converged: bool) -> Fit:
+    """Return the fit at these variables with errors and figures of merit."""
+    layout = problem.layout
+    predictions = tuple(problem.predict(theta))
+    r, j = problem.residuals(predictions)
+    chi2 = float(r @ r)
+    rows = len(r) - sum(p.basis.shape[1] for p in problem.projections)
+    lower, upper = layout.bounds()
+    size = np.maximum(np.abs(theta), 1e-30)
+    at_bound = (theta - lower <= 1e-9 * size) | (upper - theta <= 1e-9 * size)
+    covariance = _covariance(j, ~at_bound)
+    free = int((~at_bound).sum())
+    # a model that fails has errors of its own beside the noise's
+    covariance *= max(1.0, chi2 / max(1, rows - free))
+    pure = [Projection(d, n.whitener.at(n.pure)) for d, n in zip(problem.data, noise, strict=True)]
+    cases = tuple(
+        case_metrics(c, project, p, theta) for c, project, p in zip(problem.cases, pure, predictions, strict=True)
+    )
+    n_eff = sum(d.n_effective for d in problem.data)
+    deviance = chi2 + sum(n.whitener.log_determinant for n in noise)
+    left = any(n.level > _CLEARLY * n.pure for n in noise) or any(c.misfit > _MISFIT for c in cases)
+    verdict = "not converged" if not converged else "misfit" if left else "adequate"
+    errors = np.sqrt(np.diag(covariance))
+    estimates = {
+        name: Estimate(
+            float(theta[i]), float("nan") if at_bound[i] else float(errors[i]), _unit(layout, name), bool(at_bound[i])
+        )
+        for i, name in enumerate(layout.names)
+    }
+    for key, value in layout.model.constants.items():
+        estimates[key] = Estimate(value, float("nan"), layout.parameter(key).unit, at_bound=False)
+    return Fit(
+        layout.model,
+        tuple(r.label for r in layout.records),
+        estimates,
+        cases,
+        chi2,
+        rows,
+        n_eff,
+        deviance,
+        deviance + len(theta) * float(np.log(n_eff)),
+        verdict,
+        covariance,
+        theta,
+        noise,
+        problem,
+        predictions,
+    )
+
+
+def _unit(layout: Layout, name: str) -> str:
+    return layout.parameter(name).unit
+
+
+def _covariance(j: Array, free: NDArray[np.bool_]) -> Array:
+    n = j.shape[1]
+    covariance = np.zeros((n, n))
+    size = np.linalg.norm(j, axis=0)
+    size[size == 0] = np.inf
+    scaled = (j / size)[:, free]
+    _, s, vt = np.linalg.svd(scaled, full_matrices=False)
+    # directions that the data does not determine keep a huge, honest variance
+    inner = (vt.T / np.maximum(s, 1e-12 * s.max(initial=1.0)) ** 2) @ vt
+    scale = np.where(np.isfinite(size[free]), size[free], 1e-300)
+    covariance[np.ix_(free, free)] = inner / np.outer(scale, scale)
+    return covariance

@@ -1,0 +1,99 @@
+"""All cases of a fit as one least-squares problem in straight variables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.case_data import CaseData
+from fitting.estimation.case_model import CaseModel, Prediction
+from fitting.estimation.coordinates import from_physical, to_physical
+from fitting.estimation.layout import Layout
+from fitting.estimation.start import measured_speeds
+from fitting.noise import WHITE, Whitener
+
+Array = NDArray[np.float64]
+
+
+class Projection:
+    """Whitens the rows of a case and takes out what its nuisances can explain."""
+
+    def __init__(self, data: CaseData, whitener: Whitener) -> None:
+        self.whitener = whitener
+        columns = whitener(data.nuisance)
+        size = np.linalg.norm(columns, axis=0)
+        u, s, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
+        self.basis = u[:, s > 1e-7 * s.max(initial=1.0)]
+
+    def __call__(self, rows: Array) -> Array:
+        """Return the whitened rows, orthogonal to the nuisances."""
+        white = self.whitener(rows)
+        return np.asarray(white - self.basis @ (self.basis.T @ white))
+
+
+class Problem:
+    """Residuals and Jacobian of all cases.
+
+    Parameters
+    ----------
+    layout : Layout
+        The variables.
+    data : sequence of CaseData
+        The cases, in the order of the layout.
+    """
+
+    def __init__(self, layout: Layout, data: Sequence[CaseData]) -> None:
+        self.layout, self.data = layout, tuple(data)
+        self.cases = [CaseModel(d, layout, i) for i, d in enumerate(data)]
+        self.projections = [Projection(d, WHITE) for d in data]
+        self.reference = reference_speed(self.data)
+        self.valleys = layout.valleys(self.reference)
+
+    def set_noise(self, whiteners: Sequence[Whitener]) -> None:
+        """Weigh the rows by this noise from now on."""
+        self.projections = [Projection(d, w) for d, w in zip(self.data, whiteners, strict=True)]
+
+    def predict(self, theta: Array) -> list[Prediction]:
+        """Return the prediction of each case at physical variables."""
+        return [case.predict(theta) for case in self.cases]
+
+    def residuals(self, predictions: Sequence[Prediction]) -> tuple[Array, Array]:
+        """Return whitened, projected residuals and their Jacobian by the physical variables."""
+        r, j = [], []
+        for data, project, p in zip(self.data, self.projections, predictions, strict=True):
+            both = project(np.concatenate([(p.rows - data.z)[:, None], p.jacobian], axis=1))
+            r.append(both[:, 0])
+            j.append(both[:, 1:])
+        return np.concatenate(r), np.concatenate(j)
+
+    def __call__(self, u: Array) -> tuple[Array, Array]:
+        """Return residuals and Jacobian by the straight variables u."""
+        theta, slope = to_physical(u, self.valleys)
+        r, j = self.residuals(self.predict(theta))
+        return r, j @ slope if self.valleys else j
+
+    def straight(self, theta: Array) -> Array:
+        """Return the straight variables of physical ones."""
+        return from_physical(theta, self.valleys)
+
+    def physical(self, u: Array) -> Array:
+        """Return the physical variables of straight ones."""
+        return to_physical(u, self.valleys)[0]
+
+    def straight_bounds(self) -> tuple[Array, Array]:
+        """Return the bounds of the straight variables: d and f may leave theirs on the way."""
+        lower, upper = self.layout.bounds()
+        for v in self.valleys:
+            lower[[v.d, v.f]], upper[[v.d, v.f]] = -np.inf, np.inf
+        return lower, upper
+
+
+def reference_speed(data: Sequence[CaseData]) -> float:
+    """Return a typical speed of the bearing in these cases [rad/s]."""
+    typical = []
+    for d in data:
+        _, speeds = measured_speeds(d.record)
+        typical.append(np.median(np.abs(speeds[:, 0] - speeds[:, 1])))
+    return float(max(np.mean(typical), 1e-3))

@@ -1,0 +1,135 @@
+"""Start values that need no guess from the user: linear regression on the integrated equations.
+
+The laws are linear in their strengths gamma_k, so along the measured speeds
+
+    I_c [omega_c(t) - omega_c(0)] = sum_k gamma_k integral_0^t law_k dt,
+
+and the same for the rotor at its windows: a linear least-squares problem with bounds. Between its windows
+the rotor's speed is interpolated with the measured slopes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.polynomial import polynomial
+from numpy.typing import NDArray
+
+from fitting.estimation.layout import START_CASING, START_ROTOR, Layout
+from fitting.model import INERTIA_CASING, INERTIA_ROTOR, Dynamics
+from fitting.record import Record, Samples
+
+Array = NDArray[np.float64]
+
+_POINTS = 160
+_FIRST_SHARE = 0.1
+
+
+def measured_speeds(record: Record, points: int = _POINTS) -> tuple[Array, Array]:
+    """Return times and rough speeds of rotor and casing (points, 2) from local straight lines."""
+    casing = _local(record.casing, min(points, len(record.casing) // 12), record.quantity == "angle")
+    windows = np.array([_local(w, 1, record.quantity == "angle")[0] for w in record.rotor])
+    times = np.linspace(*record.span, points)
+    omega_c = np.interp(times, casing[:, 0], casing[:, 1])
+    return times, np.stack([_rotor_curve(windows, times), omega_c], axis=1)
+
+
+def _local(samples: Samples, count: int, is_angle: bool) -> Array:  # noqa: FBT001
+    """Return (time, speed, slope) of a run cut in equal pieces."""
+    rows = []
+    for piece in np.array_split(np.arange(len(samples)), max(1, count)):
+        t = samples.time[piece]
+        middle = float(t.mean())
+        c = polynomial.polyfit(t - middle, samples.value[piece], 2 if is_angle else 1)
+        rows.append([middle, *((c[1], 2 * c[2]) if is_angle else (c[0], c[1]))])
+    return np.array(rows)
+
+
+def _rotor_curve(windows: Array, times: Array) -> Array:
+    from scipy.interpolate import CubicHermiteSpline
+
+    windows = windows[np.argsort(windows[:, 0])]
+    t, speed, slope = windows.T
+    if len(t) == 1:
+        curve = speed[0] + slope[0] * (times - t[0])
+    else:
+        inside = CubicHermiteSpline(t, speed, slope)
+        clipped = np.clip(times, t[0], t[-1])
+        edge = np.where(times < t[0], slope[0], slope[-1])
+        curve = inside(clipped) + edge * (times - clipped)
+    return np.asarray(np.maximum(curve, 0.05 * np.abs(speed).min()))
+
+
+def start_values(layout: Layout, reference: float) -> Array:
+    """Return start values of all variables.
+
+    Parameters
+    ----------
+    layout : Layout
+        The variables.
+    reference : float
+        Speed difference [rad/s] at which a power law starts with a tenth of the linear law's torque.
+    """
+    theta = np.array([_resting(layout, name) for name in layout.names])
+    found: dict[int, list[float]] = {}
+    for case, record in enumerate(layout.records):
+        times, speeds = measured_speeds(record)
+        keys, values = _regress(layout, case, times, speeds, theta)
+        for key, value in zip(keys, values, strict=True):
+            found.setdefault(int(layout.places(case, [key])[0]), []).append(value)
+        i, j = layout.places(case, (START_ROTOR, START_CASING))
+        theta[i], theta[j] = speeds[0]
+    for place, values in found.items():
+        theta[place] = float(np.mean(values))
+    if all(k in layout.index for k in ("bearing.linear.d", "bearing.power.f")):
+        d, f, g = (theta[layout.index[f"bearing.{k}"]] for k in ("linear.d", "power.f", "power.g"))
+        torque = max(d * reference, 1e-9)
+        if f <= 0:
+            theta[layout.index["bearing.power.f"]] = _FIRST_SHARE * torque / reference**g
+            theta[layout.index["bearing.linear.d"]] = (1 - _FIRST_SHARE) * torque / reference
+    return theta
+
+
+def _resting(layout: Layout, name: str) -> float:
+    p = layout.parameter(name)
+    if p.relative and p.grid:
+        first, last = layout.records[0].span
+        return first + p.grid[len(p.grid) // 2] * (last - first)
+    return p.start
+
+
+def _regress(layout: Layout, case: int, times: Array, speeds: Array, theta: Array) -> tuple[list[str], Array]:
+    from scipy.optimize import lsq_linear
+
+    dynamics = Dynamics(layout.model.smooth)
+    numbers = layout.numbers(theta, case)
+    state = np.concatenate([speeds, np.zeros((len(times), len(dynamics.states) - 2))], axis=1)
+    linear = [
+        k
+        for k in dynamics.parameters
+        if layout.model.parameters[k].role == "amplitude" and not k.startswith(("bearing.power.", "bearing.heating."))
+    ] or [k for k in dynamics.parameters if layout.model.parameters[k].role == "amplitude"]
+    if "bearing.linear.d" not in linear and "bearing.power.f" in dynamics.parameters:
+        linear.append("bearing.power.f")
+    with np.errstate(all="ignore"):
+        _, _, b = dynamics.linearised(times, state, numbers)
+    columns = np.array([dynamics.parameters.index(k) for k in linear])
+    weight = np.array([numbers[INERTIA_ROTOR], numbers[INERTIA_CASING]])
+    rates = np.nan_to_num(b[:, :2][:, :, columns])
+    middle = 0.5 * (rates[1:] + rates[:-1]) * np.diff(times)[:, None, None]
+    integrals = np.concatenate([np.zeros((1, 2, len(linear))), np.cumsum(middle, axis=0)])
+    blocks = [np.concatenate([integrals[:, i], _start_column(len(times), i)], axis=1) * weight[i] for i in (0, 1)]
+    target = np.concatenate([speeds[:, 0] * weight[0], speeds[:, 1] * weight[1]])
+    design = np.concatenate(blocks)
+    size = np.linalg.norm(design, axis=0)
+    size[size == 0] = 1.0
+    lower = np.array([*(layout.model.parameters[k].lower for k in linear), -np.inf, -np.inf])
+    upper = np.array([*(layout.model.parameters[k].upper for k in linear), np.inf, np.inf])
+    solution = lsq_linear(design / size, target / np.linalg.norm(target), (lower, upper)).x
+    values = solution / size * np.linalg.norm(target)
+    return linear, values[: len(linear)]
+
+
+def _start_column(n: int, body: int) -> Array:
+    column = np.zeros((n, 2))
+    column[:, body] = 1.0
+    return column

@@ -1,0 +1,233 @@
+"""A model: a set of effects, and the equations of motion that they make.
+
+With the bearing torque tau (all laws between the bodies, times all factors),
+
+    I_r d(omega_r)/dt = -tau + sum of the torques on the rotor
+    I_c d(omega_c)/dt = +tau + sum of the torques on the casing
+
+and one more equation for each effect that has a state of its own. The structure is frozen; numbers
+travel beside it as a mapping from ``<effect>.<symbol>`` to a value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.effects import Effect, find
+from fitting.effects.effect import Parameter
+from fitting.errors import EffectError
+from fitting.expression import Expr, Tape, derivative, latex, symbols
+from fitting.expression.nodes import ONE, ZERO, div, mul, neg, sub, substitute, sym, total
+
+Array = NDArray[np.float64]
+
+INERTIA_ROTOR = "inertia.rotor"
+INERTIA_CASING = "inertia.casing"
+
+
+@dataclass(frozen=True)
+class Model:
+    """A set of effects.
+
+    Parameters
+    ----------
+    effects : tuple of Effect
+        The effects, each once.
+    """
+
+    effects: tuple[Effect, ...]
+
+    def __post_init__(self) -> None:
+        names = [e.name for e in self.effects]
+        if len(set(names)) != len(names):
+            twice = next(n for n in names if names.count(n) > 1)
+            raise EffectError(f"the effect {twice!r} is in the model twice")
+
+    @classmethod
+    def of(cls, names: Iterable[str]) -> Model:
+        """Return the model of these effects of the library."""
+        return cls(tuple(find(n) for n in names))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the effects."""
+        return tuple(e.name for e in self.effects)
+
+    def with_effect(self, effect: Effect) -> Model:
+        """Return the model with one more effect."""
+        return Model((*self.effects, effect))
+
+    def without(self, name: str) -> Model:
+        """Return the model without the effect of this name.
+
+        Raises
+        ------
+        EffectError
+            If it is not in the model.
+        """
+        if name not in self.names:
+            raise EffectError(f"{name!r} is not in the model", "it has: " + ", ".join(self.names))
+        return Model(tuple(e for e in self.effects if e.name != name))
+
+    @cached_property
+    def parameters(self) -> dict[str, Parameter]:
+        """Every parameter by its key ``<effect>.<symbol>``."""
+        return {f"{e.name}.{p.symbol}": p for e in self.effects for p in e.parameters}
+
+    @cached_property
+    def free(self) -> tuple[str, ...]:
+        """The keys of the parameters that a fit may move, in order."""
+        return tuple(f"{e.name}.{p.symbol}" for e in self.effects for p in e.free)
+
+    @cached_property
+    def constants(self) -> dict[str, float]:
+        """The parameters that are never fitted, with their values."""
+        return {k: p.start for k, p in self.parameters.items() if p.role == "fixed"}
+
+    @cached_property
+    def smooth(self) -> Model:
+        """The physical effects that do not depend on an angle."""
+        return Model(tuple(e for e in self.effects if e.kind == "physical" and not e.depends_on_angle))
+
+    @cached_property
+    def rippling(self) -> tuple[Effect, ...]:
+        """The physical effects that follow an angle."""
+        return tuple(e for e in self.effects if e.kind == "physical" and e.depends_on_angle)
+
+    @cached_property
+    def measurement(self) -> tuple[Effect, ...]:
+        """The measurement effects."""
+        return tuple(e for e in self.effects if e.kind == "measurement")
+
+    def equations(self) -> tuple[str, ...]:
+        """Return the equations of motion as LaTeX, one line a body."""
+        laws: dict[str, list[str]] = {"rotor": [], "casing": [], "bearing": [], "factor": []}
+        for e in self.effects:
+            if e.joint in laws:
+                laws[e.joint].append(latex(e.expression))
+
+        def join(terms: list[str]) -> str:
+            return " ".join(t if t.startswith("-") else f"+ {t}" for t in terms).removeprefix("+ ")
+
+        tau = join(laws["bearing"]) or "0"
+        if laws["factor"]:
+            tau = rf"\left({tau}\right) " + " ".join(rf"\left({f}\right)" for f in laws["factor"])
+        rotor = join([r"-\tau_{cr}", *laws["rotor"]])
+        casing = join([r"\tau_{cr}", *laws["casing"]])
+        return (rf"I_r \dot\omega_r = {rotor}", rf"I_c \dot\omega_c = {casing}", rf"\tau_{{cr}} = {tau}")
+
+
+class Dynamics:
+    """The equations of motion of a model with their derivatives, ready to evaluate.
+
+    Parameters
+    ----------
+    model : Model
+        Measurement effects are left out: they do not move bodies.
+    angles : bool
+        Carry both angles as states, as laws that follow an angle need.
+
+    Attributes
+    ----------
+    states : tuple of str
+        ``omega_r, omega_c``, then states of effects, then the angles if asked for.
+    parameters : tuple of str
+        Keys of the parameters whose derivatives are given.
+    """
+
+    def __init__(self, model: Model, *, angles: bool = False) -> None:
+        physical = [e for e in model.effects if e.kind == "physical"]
+        own = [(e, e.state) for e in physical if e.state is not None]
+        self.states = ("omega_r", "omega_c", *(s.symbol for _, s in own), *(("psi_r", "psi_c") if angles else ()))
+        self.start = tuple(s.start for _, s in own)
+        self.parameters = tuple(f"{e.name}.{p.symbol}" for e in physical for p in e.free)
+        self.breakpoints = tuple(f"{e.name}.{e.breakpoint}" for e in physical if e.breakpoint)
+        self.constants = {k: v for k, v in model.constants.items() if k.rpartition(".")[0] in {e.name for e in physical}}
+        rates = self._rates(physical)
+        if angles:
+            rates += [sym("omega_r"), sym("omega_c")]
+        outputs = list(rates)
+        self._jacobian_at = self._collect(outputs, rates, self.states)
+        self._sensitivity_at = self._collect(outputs, rates, self.parameters)
+        self._tape = Tape(outputs)
+        self._rates_tape = Tape(rates)
+
+    @staticmethod
+    def _collect(outputs: list[Expr], rates: list[Expr], names: tuple[str, ...]) -> list[tuple[int, int, int]]:
+        places = []
+        for i, rate in enumerate(rates):
+            for j, name in enumerate(names):
+                slope = derivative(rate, name)
+                if slope != ZERO:
+                    places.append((i, j, len(outputs)))
+                    outputs.append(slope)
+        return places
+
+    def _rates(self, physical: list[Effect]) -> list[Expr]:
+        laws: dict[str, list[Expr]] = {"rotor": [], "casing": [], "bearing": [], "factor": []}
+        difference = {"delta": sub(sym("omega_r"), sym("omega_c"))}
+        own: list[Expr] = []
+        for e in physical:
+            rename = {p.symbol: sym(f"{e.name}.{p.symbol}") for p in e.parameters} | difference
+            laws[e.joint].append(substitute(e.expression, rename))
+        tau = total(laws["bearing"])
+        for factor in laws["factor"]:
+            tau = mul(tau, factor)
+        for e in physical:
+            if e.rate is not None:
+                rename = {p.symbol: sym(f"{e.name}.{p.symbol}") for p in e.parameters} | difference | {"tau": tau}
+                own.append(substitute(e.rate, rename))
+        inverse_rotor, inverse_casing = (div(ONE, sym(k)) for k in (INERTIA_ROTOR, INERTIA_CASING))
+        rotor = mul(total([neg(tau), *laws["rotor"]]), inverse_rotor)
+        casing = mul(total([tau, *laws["casing"]]), inverse_casing)
+        self.bearing_torque = tau
+        return [rotor, casing, *own]
+
+    def _values(self, t: Array, y: Array, numbers: Mapping[str, float]) -> dict[str, object]:
+        values: dict[str, object] = {"t": t, **self.constants, **numbers}
+        for i, name in enumerate(self.states):
+            values[name] = y[..., i]
+        return values
+
+    def rates(self, t: Array, y: Array, numbers: Mapping[str, float]) -> Array:
+        """Return dy/dt, shaped like y.
+
+        Parameters
+        ----------
+        t : ndarray
+            Times [s].
+        y : ndarray, shape (..., states)
+            States at these times.
+        numbers : mapping of str to float
+            Parameters by key, and both inertias.
+        """
+        outputs = self._rates_tape(self._values(t, y, numbers))
+        f = np.empty(y.shape)
+        for i, value in enumerate(outputs):
+            f[..., i] = value
+        return f
+
+    def linearised(self, t: Array, y: Array, numbers: Mapping[str, float]) -> tuple[Array, Array, Array]:
+        """Return dy/dt, its derivative by the states (..., n, n) and by the parameters (..., n, p)."""
+        outputs = self._tape(self._values(t, y, numbers))
+        n = len(self.states)
+        f = np.empty(y.shape)
+        for i in range(n):
+            f[..., i] = outputs[i]
+        a = np.zeros((*y.shape, n))
+        for i, j, k in self._jacobian_at:
+            a[..., i, j] = outputs[k]
+        b = np.zeros((*y.shape, len(self.parameters)))
+        for i, j, k in self._sensitivity_at:
+            b[..., i, j] = outputs[k]
+        return f, a, b
+
+
+def parameter_symbols(model: Model) -> set[str]:
+    """Return all symbols that the laws of a model contain (for checks)."""
+    return set().union(*(symbols(e.expression) for e in model.effects)) if model.effects else set()

@@ -1,0 +1,243 @@
+"""The noise of a recording: white noise of the angles, and a small random torque.
+
+The torque is an Ornstein-Uhlenbeck process of rms s and correlation time tau_w, one on the casing and one
+between the bodies, of equal strength: the data of one camera cannot tell them apart, and the mixture is
+the cautious choice. Its effect on the rows is W w with the response W of the linearised motion to a torque in
+each of many short cells, so that the covariance of the rows is
+
+    C(s) = 1 + s^2 K,   K = sum_j W_j R(tau_w) W_j',   R_kl = exp(-|t_k - t_l| / tau_w),
+
+with R applied as a first-order recursion forwards and backwards. The eigenvectors of K whiten rows for any s.
+
+The level s is estimated stretch by stretch with a *saturated* model: in each stretch the start and any slow
+torque are free, so that a missing effect cannot pass for noise. This is the pure error of a
+lack-of-fit test, by restricted maximum likelihood. A stretch that is far noisier than the others holds an
+event (a kink, a jump) and is left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.case_data import CaseData
+from fitting.simulation.linear import LinearMotion
+
+Array = NDArray[np.float64]
+
+_CELLS_PER_ROW = 2.5
+_STRETCHES = 10
+_SLOW_TORQUES = 4
+_TIMES = (1 / 800, 1 / 200, 1 / 60)
+_LEVELS = np.concatenate([[0.0], np.geomspace(0.03, 3e5, 57)])
+# twice the logarithm of a likelihood ratio that pure angle noise hardly ever reaches
+_SIGNIFICANT = 8.0
+_OUTLIER = 14.0
+_MAX_OUTLIERS = 3
+
+
+@dataclass(frozen=True)
+class Whitener:
+    """Turns rows with covariance C = 1 + s^2 K into rows with covariance 1 by the symmetric root of C^-1.
+
+    Attributes
+    ----------
+    vectors, values : ndarray
+        Eigenvectors (m, m) and eigenvalues (m,) of K for the first m rows; the others are white.
+    level : float
+        s [N m].
+    """
+
+    vectors: Array
+    values: Array
+    level: float = 0.0
+
+    def __call__(self, rows: Array) -> Array:
+        """Return C^(-1/2) rows."""
+        m = len(self.values)
+        if self.level == 0 or m == 0:
+            return rows
+        gain = 1 / np.sqrt(1 + self.level**2 * self.values)
+        inner = self.vectors.T @ rows[:m]
+        inner = inner * (gain if rows.ndim == 1 else gain[:, None])
+        return np.concatenate([self.vectors @ inner, rows[m:]])
+
+    @property
+    def log_determinant(self) -> float:
+        """Return log det C."""
+        return float(np.log1p(self.level**2 * self.values).sum())
+
+    def at(self, level: float) -> Whitener:
+        """Return the whitener for another level of the random torque."""
+        return Whitener(self.vectors, self.values, level)
+
+
+WHITE = Whitener(np.zeros((0, 0)), np.zeros(0))
+
+
+@dataclass(frozen=True)
+class TorqueNoise:
+    """A random torque: rms [N m] on the casing and between the bodies, each, and correlation time [s]."""
+
+    rms: float
+    time: float
+
+
+class TorqueResponse:
+    """How the smooth rows of a case answer to a random torque on the casing and in the bearing.
+
+    Parameters
+    ----------
+    data : CaseData
+        The rows.
+    motion : LinearMotion
+        Small motions about the solution.
+    """
+
+    def __init__(self, data: CaseData, motion: LinearMotion) -> None:
+        self.data = data
+        self._smooth = data.slices["smooth"]
+        count = int(_CELLS_PER_ROW * self._smooth.stop)
+        self.edges = np.linspace(*data.record.span, count + 1)
+        inertia = data.record.I_rotor, data.record.I_casing
+        directions = [np.array([0.0, 1 / inertia[1]]), np.array([-1 / inertia[0], 1 / inertia[1]])]
+        self._columns = [_impulses(data, motion, self.edges, b)[self._smooth] for b in directions]
+
+    @property
+    def default_time(self) -> float:
+        """The middle one of the correlation times that are tried [s]."""
+        return float((self.edges[-1] - self.edges[0]) * _TIMES[1])
+
+    def covariance(self, time: float) -> Array:
+        """Return the covariance K of the smooth rows for torques of rms 1 N m."""
+        from scipy.signal import lfilter
+
+        decay = float(np.exp(-(self.edges[1] - self.edges[0]) / time))
+        total = np.zeros((self._smooth.stop, self._smooth.stop))
+        for w in self._columns:
+            forward = lfilter([1.0], [1.0, -decay], w, axis=1)
+            backward = lfilter([1.0], [1.0, -decay], w[:, ::-1], axis=1)[:, ::-1]
+            total += (forward + backward - w) @ w.T
+        return 0.5 * (total + total.T)
+
+    def whitener(self, noise: TorqueNoise) -> Whitener:
+        """Return what whitens rows with this noise."""
+        values, vectors = np.linalg.eigh(self.covariance(noise.time))
+        return Whitener(vectors, np.maximum(values, 0.0), noise.rms)
+
+    def estimate(self, residual: Array) -> TorqueNoise:
+        """Estimate level and correlation time.
+
+        Parameters
+        ----------
+        residual : ndarray
+            Rows: measured minus the path about which the response is linearised.
+        """
+        span = self.edges[-1] - self.edges[0]
+        best, best_value = TorqueNoise(0.0, span * _TIMES[1]), -np.inf
+        for share in _TIMES:
+            covariance = self.covariance(span * share)
+            unit = 1 / np.sqrt(np.median(np.diag(covariance)) + 1e-300)
+            levels = _LEVELS * unit
+            table = np.array([_likelihoods(s, residual, covariance, levels) for s in self._stretches()])
+            place, value, empty = _combine(table)
+            if value > best_value and 2 * (value - empty) > _SIGNIFICANT:
+                best, best_value = TorqueNoise(float(levels[place]), float(span * share)), value
+        return best
+
+    def _stretches(self) -> list[tuple[Array, Array]]:
+        """Return the rows of each stretch and the columns that are free in it."""
+        blocks, k, _ = self.data.casing.lift.shape
+        stretches = []
+        for part in np.array_split(np.arange(blocks), max(1, min(_STRETCHES, blocks // 4))):
+            rows = (part[:, None] * k + np.arange(k)).ravel()
+            nodes = self.data.casing.node_times.reshape(blocks, k)[part]
+            x = 2 * (nodes - nodes.min()) / (nodes.max() - nodes.min()) - 1
+            powers = np.polynomial.legendre.legvander(x.ravel(), _SLOW_TORQUES + 2).reshape(*x.shape, -1)
+            free = (self.data.casing.lift[part] @ powers).reshape(len(rows), -1)
+            stretches.append((rows, np.concatenate([free, self.data.nuisance[rows]], axis=1)))
+        first = len(self.data.casing.z)
+        for window in self.data.rotor:
+            t = window.node_times - window.node_times.mean()
+            rows = first + np.arange(len(t))
+            first += len(t)
+            stretches.append((rows, window.at_nodes(np.stack([np.ones_like(t), t, t**2], axis=1))))
+        return stretches
+
+
+def remaining_level(whitener: Whitener, residual: Array, free: Array, least: float) -> float:
+    """Return the level of random torque that a model leaves, by restricted maximum likelihood.
+
+    Parameters
+    ----------
+    whitener : Whitener
+        Eigenvectors and eigenvalues of K.
+    residual : ndarray, shape (rows,)
+        Measured minus predicted.
+    free : ndarray, shape (rows, columns)
+        What is free: derivatives by the parameters, and nuisances.
+    least : float
+        The pure level, below which no model gets [N m].
+    """
+    m = len(whitener.values)
+    size = np.linalg.norm(free, axis=0)
+    columns = np.concatenate([free[:, size > 0] / size[size > 0], residual[:, None]], axis=1)
+    rotated = np.concatenate([whitener.vectors.T @ columns[:m], columns[m:]])
+    values = np.concatenate([whitener.values, np.zeros(len(residual) - m)])
+    unit = 1 / np.sqrt(np.median(whitener.values[whitener.values > 0]) + 1e-300)
+    levels = np.concatenate([[least], (_LEVELS * unit)[_LEVELS * unit > least]])
+    return float(levels[int(np.argmin([_deviance(rotated, 1 + s**2 * values) for s in levels]))])
+
+
+def _deviance(rotated: Array, variance: Array) -> float:
+    white = rotated / np.sqrt(variance)[:, None]
+    r = np.abs(np.diag(np.linalg.qr(white, mode="r")))
+    # the last entry is the residual's part beyond all free columns
+    return float(np.log(variance).sum() + 2 * np.log(np.maximum(r[:-1], 1e-12)).sum() + r[-1] ** 2)
+
+
+def _likelihoods(stretch: tuple[Array, Array], residual: Array, covariance: Array, levels: Array) -> Array:
+    """Return the restricted log-likelihood of a stretch for each level."""
+    rows, free = stretch
+    size = np.linalg.norm(free, axis=0)
+    u, s, _ = np.linalg.svd(free[:, size > 0] / size[size > 0], full_matrices=True)
+    outside = u[:, int((s > 1e-7 * s[0]).sum()) :]
+    values, vectors = np.linalg.eigh(outside.T @ covariance[np.ix_(rows, rows)] @ outside)
+    seen = vectors.T @ (outside.T @ residual[rows])
+    variance = 1 + levels[:, None] ** 2 * np.maximum(values, 0.0)
+    return np.asarray(-0.5 * (np.log(variance) + seen**2 / variance).sum(axis=1))
+
+
+def _combine(table: Array) -> tuple[int, float, float]:
+    """Return the best level, its log-likelihood and that of no torque, outliers left out."""
+    kept = np.ones(len(table), dtype=bool)
+    for _ in range(_MAX_OUTLIERS):
+        place = int(np.argmax(table[kept].sum(axis=0)))
+        # a stretch in which the level of the others is far too small
+        without = [int(np.argmax(table[kept & (np.arange(len(table)) != i)].sum(axis=0))) for i in range(len(table))]
+        excess = np.array([2 * (row.max() - row[w]) if int(np.argmax(row)) > w else 0.0 for row, w in zip(table, without, strict=True)])
+        excess[~kept] = 0.0
+        if excess.max() < _OUTLIER or kept.sum() <= 5:
+            break
+        kept[int(np.argmax(excess))] = False
+    total = table[kept].sum(axis=0)
+    place = int(np.argmax(total))
+    return place, float(total[place]), float(total[0])
+
+
+def _impulses(data: CaseData, motion: LinearMotion, cells: Array, direction: Array) -> Array:
+    """Return the rows' response to a unit torque in each cell, by variation of constants."""
+    centres = 0.5 * (cells[1:] + cells[:-1])
+    kicks = motion.kicks(centres, direction) * np.diff(cells)[:, None]
+    before = motion.integrated(centres)
+    parts = []
+    for state, compressed in ((1, data.casing), *((0, w) for w in data.rotor)):
+        times = compressed.node_times
+        if data.is_angle:
+            answer = motion.integrated(times)[:, state] @ kicks.T - np.einsum("cm,cm->c", before[:, state], kicks)
+        else:
+            answer = motion.fundamental(times)[:, state] @ kicks.T
+        parts.append(np.where(times[:, None] > centres, answer, 0.0))
+    return data.rows(parts[0], parts[1:])

@@ -1,0 +1,215 @@
+"""Measured angles or speeds of one experiment, as fitting needs them: the only reader of HDF5 in `fitting`.
+
+A `Record` is made from a case file (`read_record`) or from arrays. Times are on one clock [s], angles in
+rad and unwrapped, speeds in rad/s. What was measured is the `quantity`: angles, or angular velocities.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.errors import RecordError
+
+Array = NDArray[np.float64]
+Quantity = Literal["angle", "omega"]
+
+FORMAT = "gyrotrack"
+MAJOR = 1
+_MAX_SAMPLES = 50_000_000
+
+
+@dataclass(frozen=True)
+class Samples:
+    """A run of measured values without a break: time [s], value [rad or rad/s], sigma (same unit)."""
+
+    time: Array
+    value: Array
+    sigma: Array
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+@dataclass(frozen=True)
+class Record:
+    """One experiment on one clock.
+
+    Parameters
+    ----------
+    label, surface : str
+        Names for people; the label tells the cases of a joint fit apart.
+    I_rotor, I_casing : float
+        Moments of inertia [kg m2].
+    casing : Samples
+        The casing through the whole run.
+    rotor : tuple of Samples
+        The rotor in each window.
+    quantity : {"angle", "omega"}
+        What the values are.
+    source : str
+        The file, for provenance.
+    digest : str
+        SHA-256 of the numbers.
+    """
+
+    label: str
+    I_rotor: float
+    I_casing: float
+    casing: Samples
+    rotor: tuple[Samples, ...]
+    quantity: Quantity = "angle"
+    surface: str = ""
+    source: str = ""
+    digest: str = field(default="")
+
+    def __post_init__(self) -> None:
+        if not self.digest:
+            object.__setattr__(self, "digest", _digest(self))
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """The first and the last time of any sample [s]."""
+        ends = [(s.time[0], s.time[-1]) for s in (self.casing, *self.rotor)]
+        return float(min(a for a, _ in ends)), float(max(b for _, b in ends))
+
+
+def read_record(path: str | Path) -> Record:
+    """Read a case file.
+
+    Parameters
+    ----------
+    path : str or Path
+        An HDF5 file of kind "case", layout version 1.
+
+    Raises
+    ------
+    RecordError
+        If the file is missing, not of this format, newer, damaged, or holds too little to fit.
+    """
+    import h5py
+
+    path = Path(path)
+    if not path.is_file():
+        raise RecordError(f"{path}: there is no such file")
+    try:
+        with h5py.File(path, "r") as file:
+            return _read(path, file)
+    except (OSError, KeyError, ValueError, TypeError, RuntimeError) as fault:
+        if isinstance(fault, RecordError):
+            raise
+        if not h5py.is_hdf5(path):
+            raise RecordError(f"{path} is not an HDF5 file", "make a case with `gyrotrack sync` or `gyrotrack import`") from None
+        raise RecordError(f"{path} is damaged or incomplete: {fault}", "`gyrotrack info` tells what it holds") from None
+
+
+def _read(path: Path, file: Any) -> Record:
+    attributes = dict(file.attrs)
+    if _text(attributes.get("format")) != FORMAT:
+        raise RecordError(f"{path} was not written by gyrotrack", "make a case with `gyrotrack sync` or `gyrotrack import`")
+    version = _text(attributes.get("format_version", "1.0"))
+    if not version.split(".")[0].isdigit() or int(version.split(".")[0]) > MAJOR:
+        raise RecordError(f"{path} has layout version {version[:12]}; this program reads {MAJOR}.x", "update gyrotrack")
+    if _text(attributes.get("kind")) != "case":
+        raise RecordError(
+            f"{path} holds a {_text(attributes.get('kind'))[:20] or 'file'}, not a case", "make a case with `gyrotrack sync`"
+        )
+    quantity: Quantity = "omega" if _text(attributes.get("quantity", "angle")) == "omega" else "angle"
+    key = ("omega_measured", "omega_sigma_measured") if quantity == "omega" else ("angle", "sigma")
+    casing = _series(path, file, "casing", key)
+    rotor, window = _series(path, file, "rotor", key), _column(path, file, "rotor", "window")
+    inertias = [float(np.asarray(attributes[k])) for k in ("I_rotor", "I_casing")]
+    if not all(np.isfinite(i) and i > 0 for i in inertias):
+        raise RecordError(f"{path}: the moments of inertia {inertias} are not positive")
+    return make_record(
+        label=_text(attributes.get("label")) or path.stem,
+        surface=_text(attributes.get("surface")),
+        I_rotor=inertias[0],
+        I_casing=inertias[1],
+        casing=casing,
+        rotor=_windows(rotor, window),
+        quantity=quantity,
+        source=str(path),
+    )
+
+
+def make_record(
+    *,
+    casing: tuple[Array, Array, Array],
+    rotor: list[tuple[Array, Array, Array]],
+    I_rotor: float,
+    I_casing: float,
+    label: str = "case",
+    surface: str = "",
+    quantity: Quantity = "angle",
+    source: str = "",
+) -> Record:
+    """Make a record from arrays of (time, value, sigma); samples that are not finite are left out.
+
+    Raises
+    ------
+    RecordError
+        If too few samples are left, or times do not grow.
+    """
+    runs = [_clean(*casing, what="casing"), *(_clean(*r, what="rotor") for r in rotor)]
+    if len(runs[0]) < 60:
+        raise RecordError(f"{label}: the casing has {len(runs[0])} usable samples; at least 60 are needed")
+    windows = tuple(r for r in runs[1:] if len(r) >= 12)
+    if not windows:
+        raise RecordError(f"{label}: no rotor window with at least 12 usable samples", "give at least one rotor clip")
+    return Record(label, I_rotor, I_casing, runs[0], windows, quantity, surface, source)
+
+
+def _clean(time: Array, value: Array, sigma: Array, *, what: str) -> Samples:
+    time, value, sigma = (np.asarray(a, dtype=float) for a in (time, value, sigma))
+    keep = np.isfinite(time) & np.isfinite(value)
+    time, value, sigma = time[keep], value[keep], sigma[keep]
+    if len(time) > 1 and not (np.diff(time) > 0).all():
+        raise RecordError(f"the times of the {what} do not grow from sample to sample")
+    good = np.isfinite(sigma) & (sigma > 0)
+    # where no uncertainty is known all samples weigh the same; the level is measured from the data
+    typical = float(np.median(sigma[good])) if good.any() else 1e-3
+    return Samples(time, value, np.where(good, sigma, typical))
+
+
+def _windows(rotor: tuple[Array, Array, Array], window: Array) -> list[tuple[Array, Array, Array]]:
+    return [(rotor[0][window == w], rotor[1][window == w], rotor[2][window == w]) for w in np.unique(window)]
+
+
+def _series(path: Path, file: Any, group: str, key: tuple[str, str]) -> tuple[Array, Array, Array]:
+    value, sigma = key
+    return _column(path, file, group, "time"), _column(path, file, group, value), _column(path, file, group, sigma)
+
+
+def _column(path: Path, file: Any, group: str, name: str) -> Array:
+    import h5py
+
+    for place in (group, f"{group}/{name}"):
+        # a link that leads out of the file would read what its author chose, not what was measured
+        if not isinstance(file.get(place, getlink=True), h5py.HardLink):
+            raise RecordError(f"{path} has no {place}", "`gyrotrack info` tells what it holds")
+    data = file[f"{group}/{name}"]
+    if not isinstance(data, h5py.Dataset) or data.ndim != 1 or data.is_virtual or data.external:
+        raise RecordError(f"{path}: {group}/{name} is not a plain column")
+    if data.size > _MAX_SAMPLES:
+        raise RecordError(f"{path}: {group}/{name} claims {data.size} samples")
+    return np.asarray(data[()], dtype=float)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, bytes):
+        return value.decode("utf-8", "replace")
+    return "" if value is None else str(value)
+
+
+def _digest(record: Record) -> str:
+    hasher = hashlib.sha256(f"{record.I_rotor!r} {record.I_casing!r} {record.quantity}".encode())
+    for samples in (record.casing, *record.rotor):
+        for a in (samples.time, samples.value, samples.sigma):
+            hasher.update(np.ascontiguousarray(a).tobytes())
+    return hasher.hexdigest()

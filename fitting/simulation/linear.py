@@ -1,0 +1,79 @@
+"""Small motions about a solution, by variation of constants.
+
+With the fundamental matrix Phi(t) of the linearised speeds, a torque u(t) along b gives
+
+    d omega(t) = Phi(t) integral Phi^-1(s) b u(s) ds,
+    d psi(t)   = integral [Psi(t) - Psi(s)] Phi^-1(s) b u(s) ds,    Psi = integral of Phi,
+
+which needs only running sums over the times at which u is known, however fast u varies.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.simulation.collocation import Path, Propagator, Sampler, rule
+
+Array = NDArray[np.float64]
+
+
+class LinearMotion:
+    """The linearised motion of both speeds (states of effects held) about a solution.
+
+    Parameters
+    ----------
+    path : Path
+        The solution.
+    propagator : Propagator
+        Its linearised equations.
+    """
+
+    def __init__(self, path: Path, propagator: Propagator) -> None:
+        n = len(path.states)
+        zero = np.zeros((*path.y.shape, 2))
+        edges = propagator.chain(zero, np.zeros((path.y.shape[0], n, 2)), np.eye(n)[:, :2])
+        self._mesh = path.mesh
+        self._nodes = np.einsum("iknm,imq->iknq", propagator.transfer, edges[:-1])[:, :, :2]
+        steps = path.mesh.half[..., None] * np.einsum("k,iknm->inm", rule().w, self._nodes)
+        self._starts = np.concatenate([np.zeros((1, 2, 2)), np.cumsum(steps, axis=0)])
+
+    def fundamental(self, times: Array) -> Array:
+        """Return Phi at some times, shape (times, 2, 2)."""
+        return Sampler(self._mesh, times).value(self._nodes)
+
+    def integrated(self, times: Array) -> Array:
+        """Return Psi at some times, shape (times, 2, 2)."""
+        return Sampler(self._mesh, times).integral(self._starts, self._nodes)
+
+    def kicks(self, times: Array, direction: Array) -> Array:
+        """Return Phi^-1(s) b at some times, shape (times, 2); b is the rate that a unit torque gives [rad s-2]."""
+        return np.asarray(np.linalg.solve(self.fundamental(times), np.broadcast_to(direction[:, None], (len(times), 2, 1)))[..., 0])
+
+    def driven(self, times: Array, torque: Array, direction: Array, state: int) -> tuple[Array, Array]:
+        """Return d omega and d psi of one body at sample times, for a torque between them.
+
+        Parameters
+        ----------
+        times : ndarray, shape (n,)
+            Sample times [s].
+        torque : ndarray, shape (n - 1, q, columns)
+            Torques [N m] at the q Gauss nodes of each interval between samples.
+        direction : ndarray, shape (2,)
+            Rates of both speeds that a unit torque gives.
+        state : int
+            0 for the rotor, 1 for the casing.
+        """
+        gauss = rule(torque.shape[1])
+        half = 0.5 * np.diff(times)
+        inner = (times[:-1] + half)[:, None] + half[:, None] * gauss.x
+        kicks = self.kicks(inner.ravel(), direction).reshape(*inner.shape, 2)
+        reach = self.integrated(inner.ravel()).reshape(*inner.shape, 2, 2)[:, :, state]
+        weights = half[:, None] * gauss.w
+        pushes = np.einsum("iq,iqm,iqc->imc", weights, kicks, torque)
+        delayed = np.einsum("iq,iqm,iqm,iqc->ic", weights, reach, kicks, torque)
+        sums = np.concatenate([np.zeros((1, *pushes.shape[1:])), np.cumsum(pushes, axis=0)])
+        late = np.concatenate([np.zeros((1, delayed.shape[1])), np.cumsum(delayed, axis=0)])
+        speed = np.einsum("tm,tmc->tc", self.fundamental(times)[:, state], sums)
+        angle = np.einsum("tm,tmc->tc", self.integrated(times)[:, state], sums) - late
+        return speed, angle

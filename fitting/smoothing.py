@@ -1,0 +1,45 @@
+"""The paper's smoothing, for pictures and for the figures of merit that the paper prints."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.record import Quantity, Samples
+
+Array = NDArray[np.float64]
+
+WIDTH = 51
+DROPPED = 50
+
+
+def speeds(samples: Samples, quantity: Quantity, width: int = WIDTH, dropped: int = DROPPED) -> tuple[Array, Array]:
+    """Return times and angular velocities: median of the angle, gradient, median, ends dropped.
+
+    Parameters
+    ----------
+    samples : Samples
+        Angles [rad] or speeds [rad/s].
+    quantity : {"angle", "omega"}
+        Which of both.
+    width : int
+        Points of the running median; the paper has 51.
+    dropped : int
+        Points left out at each end; the paper has 50. Short runs drop a tenth at most.
+
+    Returns
+    -------
+    time, omega : ndarray
+        [s], [rad/s].
+    """
+    from scipy.ndimage import median_filter
+
+    width = min(width, max(3, len(samples) // 10 | 1))
+    value = samples.value
+    if quantity == "angle":
+        # the median of a monotonic angle is its middle point; it only acts on outliers
+        value = np.gradient(median_filter(value, width, mode="nearest"), samples.time)
+    omega = median_filter(value, width, mode="nearest")
+    cut = min(dropped, len(samples) // 10)
+    keep = slice(cut, len(samples) - cut)
+    return samples.time[keep], np.asarray(omega[keep])
