@@ -37,6 +37,9 @@ class Camera:
         Inclination in rad of the optical axis from the normal of the table, and the direction (rad,
         counter-clockwise from right) towards which the table falls away. A circle becomes an ellipse with the
         axis ratio cos(tilt), short along the azimuth.
+    roll : float
+        Rotation in rad of the camera about its axis: everything appears turned counter-clockwise by it, so
+        that a body at angle ``psi`` seems to stand at ``psi + sense * roll``.
     perspective : float
         Inverse distance of the camera in 1/mm; 0 is orthographic.
     start, rate : float
@@ -64,6 +67,7 @@ class Camera:
     centre: tuple[float, float] | None = None
     tilt: float = 0.0
     tilt_azimuth: float = 1.1
+    roll: float = 0.0
     perspective: float = 0.0
     start: float = 0.0
     rate: float = 1.0
@@ -97,25 +101,23 @@ class Camera:
     def project(self, plane: ArrayLike) -> Array:
         """Project points of the table, (..., 2) in mm, into the picture, (..., 2) in px."""
         point = np.asarray(plane, dtype=np.float64)
-        c, s = np.cos(self.tilt_azimuth), np.sin(self.tilt_azimuth)
-        falling = c * point[..., 0] + s * point[..., 1]
-        level = c * point[..., 1] - s * point[..., 0]
+        u, v = _rotate(point[..., 0], point[..., 1], self.roll)
+        falling, level = _rotate(u, v, -self.tilt_azimuth)
         size = self.scale / (1.0 + self.perspective * np.sin(self.tilt) * falling)
-        short, long = size * np.cos(self.tilt) * falling, size * level
+        a, b = _rotate(size * np.cos(self.tilt) * falling, size * level, self.tilt_azimuth)
         x0, y0 = self.rest
-        return np.stack([x0 + c * short - s * long, y0 - (s * short + c * long)], axis=-1)
+        return np.stack([x0 + a, y0 - b], axis=-1)
 
     def unproject(self, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
         """Find the points (u, v) of the table in mm that are seen at (x, y) px: the inverse of `project`."""
         x0, y0 = self.rest
         a = (np.asarray(x, dtype=np.float64) - x0) / self.scale
         b = (y0 - np.asarray(y, dtype=np.float64)) / self.scale
-        c, s = np.cos(self.tilt_azimuth), np.sin(self.tilt_azimuth)
-        short, long = c * a + s * b, c * b - s * a
+        short, long = _rotate(a, b, -self.tilt_azimuth)
         lean = self.perspective * np.sin(self.tilt)
         falling = short / (np.cos(self.tilt) - lean * short)
         level = long * (1.0 + lean * falling)
-        return c * falling - s * level, s * falling + c * level
+        return _rotate(*_rotate(falling, level, self.tilt_azimuth), -self.roll)
 
     def turn(self, body: ArrayLike, angle: ArrayLike) -> Array:
         """Turn points of a body, (m, 2) in mm, by its angles (n,) in rad into the plane: (n, m, 2) in mm."""
@@ -124,6 +126,12 @@ class Camera:
         u = c * point[:, 0] - s * point[:, 1]
         v = s * point[:, 0] + c * point[:, 1]
         return np.stack([u, self.sense * v], axis=-1)
+
+
+def _rotate(x: Array, y: Array, angle: float) -> tuple[Array, Array]:
+    """Turn points counter-clockwise (y up)."""
+    c, s = np.cos(angle), np.sin(angle)
+    return c * x - s * y, s * x + c * y
 
 
 @dataclass(frozen=True)

@@ -137,8 +137,8 @@ class Scene:
     def casing_covers(self, x: Array, y: Array) -> NDArray[np.bool_]:
         """Tell which points (mm, frame of the casing) lie under bar, hub, ring or a paper of the casing."""
         r = np.hypot(x, y)
-        covered = (r <= self.hub_radius) | ((r >= self.ring_inner) & (r <= self.ring_outer))
-        covered |= (np.abs(y) <= 0.5 * self.bar_width) & (r <= self.ring_outer)
+        covered = (r < self.hub_radius) | ((r >= self.ring_inner) & (r <= self.ring_outer))
+        covered |= (np.abs(y) < 0.5 * self.bar_width) & (r <= self.ring_outer)
         for paper in self.on("casing"):
             along, across = paper.local(x, y)
             covered |= (along >= 0.0) & (along <= paper.length) & (np.abs(across) <= 0.5 * paper.base)

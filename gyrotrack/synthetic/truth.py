@@ -23,7 +23,7 @@ from gyrotrack.synthetic.scene import Marker, Scene
 Array = NDArray[np.float64]
 
 COVER_STEPS = 4096  # relative angles of rotor and casing at which the hidden share of a paper is counted
-COVER_GRID = 40  # points across and along a paper that are counted
+COVER_RADII = 96
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ def _uncovered(scene: Scene, marker: Marker, motion: Motion, camera: Camera, tim
     turn = running[-1]
 
     def integral(relative: Array) -> Array:
-        whole, rest = np.divmod(relative, 2.0 * np.pi)
+        whole, rest = np.divmod(relative + 0.5 * step, 2.0 * np.pi)  # a step is centred
         return np.asarray(whole * turn + np.interp(rest, np.arange(COVER_STEPS + 1) * step, running))
 
     half = 0.5 * camera.exposure
@@ -170,19 +170,19 @@ def _uncovered(scene: Scene, marker: Marker, motion: Motion, camera: Camera, tim
 
 
 def _share_against_angle(scene: Scene, marker: Marker) -> Array:
-    """Open share of a rotor's paper at psi_r - psi_c in the middle of each of COVER_STEPS steps."""
-    step = (np.arange(COVER_GRID) + 0.5) / COVER_GRID
-    along, across = np.meshgrid(step * marker.length, (step - 0.5) * marker.base)
-    c, s = np.cos(marker.skew), np.sin(marker.skew)
-    x, y = marker.near + c * along - s * across, s * along + c * across
-    radius, place = np.hypot(x, y).ravel(), np.arctan2(y, x).ravel() + marker.mount
-    share = np.empty(COVER_STEPS)
-    relative = (np.arange(COVER_STEPS) + 0.5) * (2.0 * np.pi / COVER_STEPS)
-    for k, turned in enumerate(relative):
-        share[k] = (
-            1.0 - scene.casing_covers(radius * np.cos(place + turned), radius * np.sin(place + turned)).mean()
-        )
-    return share
+    """Open share of a rotor's paper at psi_r - psi_c = 2 pi k / COVER_STEPS: a cyclic correlation."""
+    reach = np.hypot(*marker.corners().T)
+    low = marker.near * np.cos(marker.skew) - 0.5 * marker.base * abs(np.sin(marker.skew))
+    edges = np.linspace(low, reach.max(), COVER_RADII + 1)
+    r = 0.5 * (edges[1:] + edges[:-1])[:, None]
+    theta = np.arange(COVER_STEPS) * (2.0 * np.pi / COVER_STEPS)
+    x, y = r * np.cos(theta), r * np.sin(theta)
+    along, across = marker.local(x, y)
+    paper = (along >= 0.0) & (along <= marker.length) & (np.abs(across) <= 0.5 * marker.base)
+    weight = np.fft.rfft(paper * r, axis=1)
+    cover = np.fft.rfft(scene.casing_covers(x, y).astype(np.float64), axis=1)
+    hidden = np.fft.irfft(np.conj(weight) * cover, COVER_STEPS, axis=1).sum(axis=0)
+    return np.asarray(np.clip(1.0 - hidden / (paper * r).sum(), 0.0, 1.0))
 
 
 def _inside_picture(corners: Array, camera: Camera) -> Array:
