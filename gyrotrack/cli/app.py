@@ -23,8 +23,9 @@ from gyrotrack.cli.output import DONE, FAULT, INTERRUPTED, USAGE, report_error
 _DATA = "From films to data"
 
 COMMANDS = (
-    Entry("extract", "gyrotrack.cli.extract", _DATA, "Track a film: from its frames to angles with uncertainties."),
+    Entry("extract", "gyrotrack.cli.extract", _DATA, "Track a film: from frames to angles and their errors."),
     Entry("import", "gyrotrack.cli.importing", _DATA, "Make a case from tables of angles or speeds (CSV)."),
+    Entry("sync", "gyrotrack.cli.sync", _DATA, "Put the clips of one experiment on one clock."),
     Entry("info", "gyrotrack.cli.info", _DATA, "Say what a file holds, and whether it is sound."),
 )
 

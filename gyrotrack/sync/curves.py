@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from gyrotrack.dataset.records import Floats, Recording
 from gyrotrack.errors import SyncError
@@ -31,7 +32,7 @@ class Curve:
         chosen = slice(int(np.searchsorted(self.time, start)), int(np.searchsorted(self.time, stop, "right")))
         return Curve(self.time[chosen], self.angle[chosen], self.sigma[chosen])
 
-    def keep(self, good: np.ndarray) -> Curve:
+    def keep(self, good: npt.NDArray[np.bool_]) -> Curve:
         """Return the samples that are good."""
         return Curve(self.time[good], self.angle[good], self.sigma[good])
 
@@ -51,7 +52,8 @@ def casing_curve(recording: Recording, name: str) -> Curve:
     body = recording.bodies.get("casing")
     if body is None:
         raise SyncError(
-            f"{name} does not show the casing.", "Clips are matched by the casing: track its marker in every clip."
+            f"{name} does not show the casing.",
+            "Clips are matched by the casing: track its marker in every clip.",
         )
     seen = np.isfinite(body.angle) & np.isfinite(body.time) & (body.sigma > 0)
     curve = Curve(body.time[seen], body.angle[seen], body.sigma[seen])

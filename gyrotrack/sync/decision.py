@@ -1,14 +1,14 @@
 """All clips together: one clock rate, perhaps one direction, and whether another start can be excluded.
 
-Clips of one camera share its clock, and if it was not touched in between also its direction. Both are used only
-as far as they are seen to hold. A common rate must not cost more chi2 than chance allows. A common direction
-fixes the start to within whole turns of the casing; that the fractions of a turn agree must be too much of a
-coincidence (a chance below 0.001) before it is believed.
+Clips of one camera share its clock, and if it was not touched in between also its direction. Both are used
+only as far as they are seen to hold. A common rate must not cost more chi2 than chance allows. A common
+direction fixes the start to within whole turns of the casing; that the fractions of a turn agree must be too
+much of a coincidence (a chance below 0.001) before it is believed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -67,7 +67,11 @@ class Match:
 
 
 def match_clips(
-    casing: Curve, clips: Sequence[Curve], names: Sequence[str], cameras: Sequence[object]
+    casing: Curve,
+    clips: Sequence[Curve],
+    names: Sequence[str],
+    cameras: Sequence[object],
+    progress: Callable[[int, int | None], None] | None = None,
 ) -> list[Match]:
     """Place every clip on the casing's clock.
 
@@ -81,13 +85,19 @@ def match_clips(
         What to call the clips in messages.
     cameras : sequence
         Clips with equal entries come from one camera.
+    progress : callable, optional
+        Told how many clips have been looked at.
 
     Raises
     ------
     SyncError
         A clip does not belong to this casing recording.
     """
-    prepared = [prepare(casing, clip, name) for clip, name in zip(clips, names, strict=True)]
+    prepared = []
+    for clip, name in zip(clips, names, strict=True):
+        prepared.append(prepare(casing, clip, name))
+        if progress is not None:
+            progress(len(prepared), len(clips))
     found: dict[int, Match] = {}
     for camera in dict.fromkeys(cameras):
         members = [k for k, other in enumerate(cameras) if other == camera]
@@ -104,7 +114,10 @@ def _match_camera(prepared: list[Prepared]) -> list[Match]:
     if common:
         free = _solve(pairs, best.starts, common_rate=False)
         if chi2_distribution.sf(best.chi2 - free.chi2, len(prepared) - 1) < 1e-4:
-            common, fits = False, [_solve(pairs, combo, common_rate=False) for combo in _combinations(prepared)]
+            common, fits = (
+                False,
+                [_solve(pairs, combo, common_rate=False) for combo in _combinations(prepared)],
+            )
             best = min(fits, key=lambda fit: fit.chi2)
     rivals = [_rivals(fits, best, k) for k in range(len(prepared))]
     turns, locked = _common_direction(pairs, best, common_rate=common)
@@ -199,7 +212,7 @@ def _difference(solution: Solution, k: int, reference: int) -> tuple[float, floa
 
 
 def _next_turns(pair: Pair, best: Solution, locked: Solution, k: int) -> list[Rival]:
-    """Return the starts one turn of the casing earlier and later, as the fit without common direction sees them."""
+    """Return the starts one turn earlier and later, as the fit without common direction sees them."""
     middle = locked.starts[k].offset + pair.clip.time.mean()
     window = pair.casing.between(middle - 0.5, middle + 0.5)
     speed = abs(np.polyfit(window.time - middle, window.angle, 1)[0])

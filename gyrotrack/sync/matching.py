@@ -6,9 +6,9 @@ cameras measure it, each with harmonics of its own (H: sin, cos of one and two t
     psi_A(t)          = psi(t) + H_A
     psi_B(s) + offset = psi(t0 + (1 + eps) s) + H_B
 
-The spline and the harmonics are linear; they are eliminated, which leaves for each clip a 3 x 3 normal matrix of
-(t0, eps, offset). The clips of one camera are then solved together, with a common rate and, if asked for, a
-common offset, by Gauss-Newton steps.
+The spline and the harmonics are linear; they are eliminated, which leaves for each clip a 3 x 3 normal matrix
+of (t0, eps, offset). The clips of one camera are then solved together, with a common rate and, if asked for,
+a common offset, by Gauss-Newton steps.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from gyrotrack.sync.curves import Curve, harmonics
 
 DEGREE = 5
 HARMONIC_SIGMA = 0.02  # rad; larger harmonics are not expected of any camera
-MARGIN = 1.0  # the spline reaches beyond the clip by this part of half its length
+MARGIN = 2.0  # the spline reaches beyond the clip by this part of half its length
 MAX_STEP = 0.3  # s
 MAX_ROUNDS = 40
 TURN = 2 * np.pi
@@ -56,7 +56,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class Normal:
-    """The sum of squares about a `Start`: chi2 - 2 gradient . d + d . matrix . d, and what is left at d = 0."""
+    """The sum of squares near a `Start`, chi2 - 2 gradient . d + d . matrix . d, and the residuals there."""
 
     matrix: Floats
     gradient: Floats
@@ -212,7 +212,9 @@ def _link(*, common_rate: bool, shared_angle: Sequence[bool]) -> Floats:
 def _on_lattice(starts: Sequence[Start], turns: Sequence[int | None]) -> list[Start]:
     """Give the clips with a turn number one offset, up to their turns, without moving them in angle."""
     common = next(s.angle - TURN * m for s, m in zip(starts, turns, strict=True) if m is not None)
-    return [s if m is None else replace(s, angle=common + TURN * m) for s, m in zip(starts, turns, strict=True)]
+    return [
+        s if m is None else replace(s, angle=common + TURN * m) for s, m in zip(starts, turns, strict=True)
+    ]
 
 
 def _moved(point: Sequence[Start], step: Floats) -> list[Start]:

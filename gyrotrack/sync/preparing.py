@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from gyrotrack.dataset.records import Floats
 from gyrotrack.errors import SyncError
@@ -12,8 +13,8 @@ from gyrotrack.sync.curves import Curve
 from gyrotrack.sync.matching import Normal, Pair, Solution, Start, normal, solve
 from gyrotrack.sync.search import RATE_SIGMA, candidates
 
-INTERVALS = (1, 2, 4, 8, 16, 32)
-FIRST_INTERVALS = 4
+INTERVALS = (2, 4, 8, 16, 32)
+FIRST_INTERVALS = 8
 OUTLIER = 6.0
 BLOCKS = 60
 MISFIT = 0.015  # rad; two cameras that see the same motion agree better than this
@@ -110,11 +111,14 @@ def _overlaps(pair: Pair, start: Start) -> bool:
     first, last = (start.offset + (1 + start.eps) * pair.clip.time[k] for k in (0, -1))
     seen = pair.casing.between(first, last)
     interval = float(np.median(np.diff(pair.casing.time)))
-    return len(seen.time) > 0.5 * (last - first) / interval
+    return bool(len(seen.time) > 0.5 * (last - first) / interval)
 
 
 def _intervals(pair: Pair, start: Start) -> int:
-    """Choose the number of intervals of the spline by the Bayesian information criterion."""
+    """Choose the spline's intervals: twice as many as the Bayesian information criterion wants.
+
+    The criterion tolerates a curve that is a little too stiff, which would bias the start within its error.
+    """
 
     def criterion(intervals: int) -> float:
         left = normal(replace(pair, intervals=intervals), start)
@@ -122,7 +126,7 @@ def _intervals(pair: Pair, start: Start) -> int:
         return float(size * np.log(left.chi2 / size) + intervals * np.log(size))
 
     longest = [n for n in INTERVALS if n * 8 < len(pair.clip.time)]
-    return min(longest, key=criterion)
+    return 2 * min(longest, key=criterion)
 
 
 def _with_true_noise(pair: Pair, start: Start) -> tuple[Pair, int]:
@@ -154,9 +158,9 @@ def _reach(moment: Floats) -> tuple[float, float]:
     return middle - (1 + MARGIN) * width, middle + (1 + MARGIN) * width
 
 
-def _inliers(residual: Floats) -> np.ndarray:
-    spread = 1.4826 * np.median(np.abs(residual))
-    return np.abs(residual) < OUTLIER * max(spread, 1e-300)
+def _inliers(residual: Floats) -> npt.NDArray[np.bool_]:
+    spread = 1.4826 * float(np.median(np.abs(residual)))
+    return np.asarray(np.abs(residual) < OUTLIER * max(spread, 1e-300))
 
 
 def _noise_factor(residual: Floats, used: float) -> float:

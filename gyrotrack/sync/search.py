@@ -1,8 +1,8 @@
 """Where a clip may start: stretches of the casing's record that turn as fast, and speed up as much.
 
-Each clip is summed up by the speed, acceleration and jerk in its middle, from a cubic with harmonics; so is the
-casing's record around every moment. A stretch fits if the two triples agree within their errors and the freedom
-of the clock rate, which multiplies them by r, r^2 and r^3.
+Each clip is summed up by the speed, acceleration and jerk in its middle, from a cubic with harmonics; so is
+the casing's record around every moment. A stretch fits if the two triples agree within their errors and the
+freedom of the clock rate, which multiplies them by r, r^2 and r^3.
 """
 
 from __future__ import annotations
@@ -92,7 +92,9 @@ def _basins(distance: Floats) -> list[int]:
     """Return the lowest point of every basin that is deep enough, and both shores of a wide one."""
     deep = distance < distance.min() + THRESHOLD
     edges = np.flatnonzero(np.diff(np.concatenate([[0], deep.astype(np.int8), [0]])))
-    basins = sorted(zip(edges[::2], edges[1::2], strict=True), key=lambda ab: float(distance[ab[0] : ab[1]].min()))
+    basins = sorted(
+        zip(edges[::2], edges[1::2], strict=True), key=lambda ab: float(distance[ab[0] : ab[1]].min())
+    )
     starts = []
     for a, b in basins[:MOST]:
         starts.append(int(a + np.argmin(distance[a:b])))
