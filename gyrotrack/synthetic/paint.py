@@ -15,8 +15,8 @@ from gyrotrack.synthetic.scene import Colour, Marker, Scene
 
 Array = NDArray[np.float64]
 
-COLUMNS_PER_PX = 1.8  # along the rim; more towards the axis
-ROWS_PER_PX = 1.6
+COLUMNS_PER_PX = 1.4  # along the rim; more towards the axis
+ROWS_PER_PX = 1.4
 GAP: Colour = (0.02, 0.02, 0.022)
 TABLES: dict[str, Colour] = {
     "grey": (0.13, 0.13, 0.135),

@@ -63,30 +63,39 @@ class PolarPicture:
         return PolarPicture(np.ascontiguousarray(self.pixels[:, :, index : index + 1]), self.per_mm)
 
     def blurred(self, angle: float) -> Paint:
-        """Return the mean over a turn by ``angle`` rad, centred, with one wrapped column for interpolation.
+        """Return the mean over a turn by ``angle`` rad, centred, over two turns: from -1/2 to 3/2 of a turn.
 
-        The last result is kept: the smear of a slowing body changes little from frame to frame.
+        Twice round spares every pixel the wrapping of its angle. The last result is kept: the smear of a
+        slowing body changes little from frame to frame.
         """
         width = round(abs(angle) * self.per_rad / WIDTH_STEP) * WIDTH_STEP
         width = max(1.0, min(width, float(self.columns)))
         if width not in self._blurred:
             self._blurred.clear()
-            self._blurred[width] = _box(self.pixels, width)
+            once, half = _box(self.pixels, width), self.columns // 2
+            self._blurred[width] = np.concatenate([once[:, half:], once, once[:, : half + 1]], axis=1)
         return self._blurred[width]
 
     def sample(self, columns: Picture, rows: Picture, smear: float, out: Paint | None = None) -> Paint:
         """Read the picture at fractional (column, row) positions, smeared by a turn of ``smear`` rad.
 
-        Columns must lie in [0, columns). Bilinear: the picture is sampled finer than the camera's pixels.
+        Columns lie in [0, 2 columns], the angle 0 at ``columns / 2``. Bilinear: the picture is sampled finer
+        than the camera's pixels.
         """
         paint = self.blurred(smear)
         return cv2.remap(  # type: ignore[return-value]
             paint, columns, rows, cv2.INTER_LINEAR, dst=out, borderMode=cv2.BORDER_REPLICATE
         )
 
+    def seen_columns(self, angle: Picture, psi: Array) -> Picture:
+        """Return the columns for `sample` at angles (in columns, within half a turn) of a body turned by psi."""
+        n = self.columns
+        shift = np.mod(-np.asarray(psi) * self.per_rad, n) + 0.5 * n
+        return angle + shift.astype(np.float32)
+
 
 def _box(pixels: Paint, width: float) -> Paint:
-    """Average over ``width`` columns, centred and cyclic, with one wrapped column appended.
+    """Average over ``width`` columns, centred and cyclic.
 
     A box of the width n + 2 f, n odd, is the box of n whole columns with the share f of the next column at
     each end.
@@ -95,14 +104,14 @@ def _box(pixels: Paint, width: float) -> Paint:
     odd = int(width) if int(width) % 2 else int(width) - 1
     share = 0.5 * (width - odd)
     pad = odd // 2 + 2
-    mean = np.pad(pixels, ((0, 0), (pad, pad + 1), (0, 0)), mode="wrap")
+    mean = np.pad(pixels, ((0, 0), (pad, pad), (0, 0)), mode="wrap")
     if share > 0.0:
         inner, outer = cv2.blur(mean, (odd, 1)), cv2.blur(mean, (odd + 2, 1))
         mean = cv2.addWeighted(inner, (1.0 - share) * odd / width, outer, share * (odd + 2) / width, 0.0)  # type: ignore[assignment]
     elif odd > 1:
         mean = cv2.blur(mean, (odd, 1))  # type: ignore[assignment]
     mean = mean.reshape(pixels.shape[0], -1, pixels.shape[2])
-    return np.ascontiguousarray(mean[:, pad : pad + columns + 1])
+    return np.ascontiguousarray(mean[:, pad : pad + columns])
 
 
 def soft_step(x: Array, sigma: float) -> Array:

@@ -90,7 +90,7 @@ class Renderer:
     def _gyroscope(self, time: float) -> list[Picture]:
         """Light of the window in steady lamps, three planes (h, w)."""
         w = self._window
-        angle, radius = self._polar(time, "")
+        angle, radius = self._polar(time)
         smear_r, smear_c = self._smears(time)
         at_rotor, at_casing = self._columns(angle, time)
         rotor = cv2.split(self._rotor.sample(at_rotor, radius, smear_r, self._buffer("rotor", np.uint16, 4)))
@@ -121,15 +121,15 @@ class Renderer:
         return out
 
     def _polar(
-        self, time: float, purpose: str, offset: tuple[float, float] = (0.0, 0.0)
+        self, time: float, offset: tuple[float, float] = (0.0, 0.0), step: int = 1
     ) -> tuple[Picture, Picture]:
-        """Angle (in columns, growing as the bodies turn) and radius (in rows) of every pixel."""
+        """Angle (in columns, growing as the bodies turn) and radius (in rows) of every step-th pixel."""
         shift = self.scene.wobble.shift(np.asarray(time)) + offset
-        u = np.subtract(self._window.u, np.float32(shift[0]), out=self._buffer("u" + purpose))
-        v = np.subtract(self._window.v, np.float32(shift[1]), out=self._buffer("v" + purpose))
+        u = self._window.u[::step, ::step] - np.float32(shift[0])
+        v = self._window.v[::step, ::step] - np.float32(shift[1])
         if self.camera.sense < 0:
             np.negative(v, out=v)
-        angle = np.arctan2(v, u, out=self._buffer("angle" + purpose))
+        angle = np.arctan2(v, u)
         angle *= np.float32(self._rotor.per_rad)
         radius = np.multiply(u, u, out=u)
         radius += np.multiply(v, v, out=v)
@@ -140,24 +140,14 @@ class Renderer:
     def _columns(
         self, angle: Picture, time: float, rows: NDArray[np.intp] | None = None
     ) -> tuple[Picture, Picture]:
-        """Columns of rotor and casing that are seen at each pixel at a time, in [0, columns)."""
+        """Columns of rotor and casing that are seen at each pixel at a time."""
         late: Array = np.asarray(time)
         if self.camera.readout:
             lines = np.arange(self._window.rows.start, self._window.rows.stop)
             late = time + self.camera.row_delay(lines)
             late = late[:, None] if rows is None else late[rows]
-        return self._turned(angle, self.motion.psi_rotor(late)), self._turned(
-            angle, self.motion.psi_casing(late)
-        )
-
-    def _turned(self, angle: Picture, psi: Array) -> Picture:
-        """Columns seen at each pixel when the body has turned by psi."""
-        n = self._rotor.columns
-        back = np.mod(np.asarray(psi) * self._rotor.per_rad, n).astype(np.float32)
-        columns = angle - back
-        for _ in range(2):  # from (-1.5 n, 0.5 n) into [0, n)
-            np.add(columns, np.float32(n), out=columns, where=columns < 0.0)
-        return columns
+        rotor, casing = self.motion.psi_rotor(late), self.motion.psi_casing(late)
+        return self._rotor.seen_columns(angle, rotor), self._casing.seen_columns(angle, casing)
 
     def _smears(self, time: float) -> tuple[float, float]:
         """Angles by which rotor and casing turn during the exposure."""
@@ -190,13 +180,12 @@ class Renderer:
             seen[k][line, place] = total[..., k].ravel()
 
     def _bar_shadow(self, time: float, smear: float) -> Picture:
-        """Return the brightness left by the shadow of the casing on the rotor."""
-        angle, radius = self._polar(time, " of shadow", self.light.shadow_offset)
-        columns = self._turned(angle, self.motion.psi_casing(time))
+        """Return the brightness left by the shadow of the casing on the rotor, drawn at half the size."""
+        angle, radius = self._polar(time, self.light.shadow_offset, step=2)
+        columns = self._casing.seen_columns(angle, self.motion.psi_casing(time))
         cover = self._shadow.sample(columns, radius, abs(smear) + SOFT_SHADOW)
-        dark = cover * np.float32(-self.light.shadow / FULL)
-        dark += np.float32(1.0)
-        return dark
+        dark = np.float32(1.0) - cover * np.float32(self.light.shadow / FULL)
+        return cv2.resize(dark, self._window.shape[::-1], interpolation=cv2.INTER_LINEAR)  # type: ignore[return-value]
 
     def _pulse(self, time: float, rows: NDArray[np.int_]) -> float | Array:
         """Brightness of the lamps during the exposure: one number, or one for each row."""
