@@ -94,6 +94,11 @@ class TorqueResponse:
         The rows.
     motion : LinearMotion
         Small motions about the solution.
+
+    Attributes
+    ----------
+    rotor, casing : ndarray, shape (smooth rows, cells)
+        Response to a torque of 1 N m on one body in each cell.
     """
 
     def __init__(self, data: CaseData, motion: LinearMotion) -> None:
@@ -102,8 +107,13 @@ class TorqueResponse:
         count = int(_CELLS_PER_ROW * self._smooth.stop)
         self.edges = np.linspace(*data.record.span, count + 1)
         inertia = data.record.I_rotor, data.record.I_casing
-        directions = [np.array([0.0, 1 / inertia[1]]), np.array([-1 / inertia[0], 1 / inertia[1]])]
-        self._columns = [_impulses(data, motion, self.edges, b)[self._smooth] for b in directions]
+        self.rotor = _impulses(data, motion, self.edges, np.array([1 / inertia[0], 0.0]))[self._smooth]
+        self.casing = _impulses(data, motion, self.edges, np.array([0.0, 1 / inertia[1]]))[self._smooth]
+
+    @property
+    def centres(self) -> Array:
+        """Middle of each cell [s]."""
+        return np.asarray(0.5 * (self.edges[1:] + self.edges[:-1]))
 
     @property
     def default_time(self) -> float:
@@ -116,7 +126,7 @@ class TorqueResponse:
 
         decay = float(np.exp(-(self.edges[1] - self.edges[0]) / time))
         total = np.zeros((self._smooth.stop, self._smooth.stop))
-        for w in self._columns:
+        for w in (self.casing, self.casing - self.rotor):
             forward = lfilter([1.0], [1.0, -decay], w, axis=1)
             backward = lfilter([1.0], [1.0, -decay], w[:, ::-1], axis=1)[:, ::-1]
             total += (forward + backward - w) @ w.T

@@ -33,6 +33,11 @@ class Prediction:
     path: Path
     sensitivity: Sensitivity
 
+    @property
+    def motion(self) -> LinearMotion:
+        """Small motions about the solution."""
+        return LinearMotion(self.path, self.sensitivity.propagator)
+
 
 class CaseModel:
     """Predicts the rows of one case; remembers its last solution as the guess for the next.

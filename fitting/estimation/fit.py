@@ -25,7 +25,6 @@ from fitting.estimation.start import start_values
 from fitting.model import Model
 from fitting.noise import TorqueNoise, TorqueResponse, Whitener, remaining_level
 from fitting.record import Record
-from fitting.simulation.linear import LinearMotion
 
 Array = NDArray[np.float64]
 
@@ -222,7 +221,7 @@ def first_noise(problem: Problem, theta: Array) -> tuple[Noise, ...]:
     found = []
     for case, p in zip(problem.cases, problem.predict(theta), strict=True):
         data = case.data
-        response = TorqueResponse(data, LinearMotion(p.path, p.sensitivity.propagator))
+        response = TorqueResponse(data, p.motion)
         rates = np.abs(case.dynamics.rates(p.path.mesh.times, p.path.y, problem.layout.numbers(theta, case.case)))
         level = _FIRST_LEVEL * data.record.I_rotor * float(np.median(rates[..., 0]))
         time = response.default_time
@@ -234,7 +233,7 @@ def measure_noise(problem: Problem, theta: Array) -> tuple[Noise, ...]:
     """Measure the pure noise of each case about a fitted model, and what the model leaves."""
     found = []
     for data, p in zip(problem.data, problem.predict(theta), strict=True):
-        response = TorqueResponse(data, LinearMotion(p.path, p.sensitivity.propagator))
+        response = TorqueResponse(data, p.motion)
         pure = response.estimate(data.z - p.rows)
         whitener = response.whitener(pure)
         found.append(Noise(data.casing.scale, pure.rms, pure.rms, pure.time, whitener))

@@ -90,7 +90,8 @@ def minimise(
         fall = cost - cost_new
         if fall > 0:
             x, r, j, cost = np.clip(x + step, lower, upper), r_new, j_new, cost_new
-            damping *= max(1 / 5, 1 - (2 * fall / max(predicted, 1e-300) - 1) ** 3)
+            ratio = min(fall / max(predicted, 1e-300), 2.0)
+            damping *= max(1 / 5, 1 - (2 * ratio - 1) ** 3)
             growth = 2.0
             if damping <= 1 and max(fall, predicted) < enough:
                 converged = True

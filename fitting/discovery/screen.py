@@ -1,0 +1,217 @@
+"""The score test: how much would each effect mend, all effects at once, before any is refitted.
+
+With rows whitened by the noise, residuals r, Jacobian J (parameters and nuisances) and columns s of a candidate,
+
+    M = 1 - J (J'J)^-1 J',   gamma = (s'Ms)^-1 s'Mr,   S = gamma' (s'Ms) gamma,
+
+is the fall of chi-square that a refit would bring (C. R. Rao, Proc. Camb. Phil. Soc. 44, 50 (1948)). The level
+of the random torque competes with the effect for the same residuals, so it is profiled: the score
+is the fall of the deviance, minimised over the level without and with the effect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.discovery.columns import CaseColumns, Trial
+from fitting.effects import Effect
+from fitting.estimation import Fit
+from fitting.estimation.layout import PER_CASE
+
+Array = NDArray[np.float64]
+
+_LEVELS = 9
+_ABSORBED = 1e-6
+_HARMONIC_NUISANCE = {"camera.centre": (0, 1), "camera.tilt": (2, 3)}
+
+
+@dataclass(frozen=True)
+class Score:
+    """A candidate's best trial.
+
+    Attributes
+    ----------
+    effect : Effect
+        The candidate.
+    score : float
+        Predicted fall of the deviance.
+    gamma : ndarray
+        Strength of each column (sine and cosine; one per case where a case has its own).
+    shape : tuple of dict
+        Shape constants, for each case.
+    columns : int
+        Degrees of freedom of its strengths.
+    trials : int
+        How many choices of its shape constants were tried.
+    absorbed : bool
+        The base can mimic it completely.
+    direction : ndarray
+        Its whitened, projected column at the fitted strength, of unit length (for cosines).
+    """
+
+    effect: Effect
+    score: float
+    gamma: Array = field(repr=False)
+    shape: tuple[dict[str, float], ...]
+    columns: int
+    trials: int
+    absorbed: bool
+    direction: Array = field(repr=False)
+    null: Array = field(repr=False)
+
+
+def screen(fit: Fit, effects: Sequence[Effect], cases: Sequence[CaseColumns], draws: int = 1500) -> list[Score]:
+    """Score all candidates on a fit.
+
+    Parameters
+    ----------
+    fit : Fit
+        The base.
+    effects : sequence of Effect
+        Candidates that are not in the base.
+    cases : sequence of CaseColumns
+        One for each case of the fit.
+    draws : int
+        How many empty data sets to draw for the null distribution.
+
+    Returns
+    -------
+    list of Score
+        In the order of the effects.
+    """
+    stage = _Stage(fit, draws)
+    return [_score(stage, effect, [c.trials(effect) for c in cases]) for effect in effects]
+
+
+class _Stage:
+    """Whitened residuals, Jacobian and empty data at several levels of the random torque."""
+
+    def __init__(self, fit: Fit, draws: int) -> None:
+        self.fit = fit
+        data = fit.problem.data
+        self.ends = np.cumsum([0, *(len(d.z) for d in data)])
+        random = np.random.default_rng(7)
+        shares = np.linspace(0, 1, _LEVELS) if any(n.level > n.pure for n in fit.noise) else np.array([1.0])
+        self.whiteners = [[n.whitener.at(_between(n.pure, n.level, x)) for n in fit.noise] for x in shares]
+        free = np.concatenate([p.jacobian for p in fit.predictions])
+        nuisance = _block_diagonal([d.nuisance for d in data])
+        residual = np.concatenate([d.z - p.rows for d, p in zip(data, fit.predictions, strict=True)])
+        self.free = np.concatenate([free, nuisance], axis=1)
+        self.nuisance_at = free.shape[1] + np.cumsum([0, *(d.nuisance.shape[1] for d in data)])
+        self.levels = [self._level(w, self.free, residual) for w in self.whiteners]
+        self.residual = residual
+        self.draws = random.standard_normal((len(residual), draws))
+        base = min(value for _, _, value in self.levels)
+        self.penalty = np.array([value - base for _, _, value in self.levels])
+
+    def white(self, whiteners: Sequence[object], rows: Array) -> Array:
+        """Whiten rows of all cases."""
+        parts = [w(rows[a:b]) for w, a, b in zip(whiteners, self.ends, self.ends[1:], strict=False)]  # type: ignore[operator]
+        return np.concatenate(parts)
+
+    def _level(self, whiteners: Sequence[object], free: Array, residual: Array) -> tuple[Array, Array, float]:
+        q = _orthonormal(self.white(whiteners, free))
+        r = self.white(whiteners, residual)
+        r = r - q @ (q.T @ r)
+        value = float(r @ r) + sum(w.log_determinant for w in whiteners)  # type: ignore[attr-defined]
+        return q, r, value
+
+    def without(self, name: str) -> list[tuple[Array, Array, float]]:
+        """Return the levels with a camera's nuisance taken out of what is free."""
+        skip = [
+            int(end) - 4 + i for end in self.nuisance_at[1:] for i in _HARMONIC_NUISANCE[name]
+        ]
+        free = np.delete(self.free, skip, axis=1)
+        return [self._level(w, free, self.residual) for w in self.whiteners]
+
+
+def _score(stage: _Stage, effect: Effect, trials: list[list[Trial]]) -> Score:
+    own = len(trials) > 1 and effect.name.startswith(PER_CASE)
+    groups = _stack(trials, own)
+    one_sided = not own and groups[0][1].shape[1] == 1 and effect.amplitude is not None and effect.amplitude.lower >= 0
+    levels = stage.without(effect.name) if effect.name in _HARMONIC_NUISANCE else stage.levels
+    best: tuple[float, int, Array, Array] = (-np.inf, 0, np.zeros(1), np.zeros(1))
+    absorbed = True
+    for i, (q, r, value) in enumerate(levels):
+        columns = stage.white(stage.whiteners[i], np.concatenate([c for _, c in groups], axis=1))
+        size = np.linalg.norm(columns, axis=0)
+        columns = columns - q @ (q.T @ columns)
+        left = np.linalg.norm(columns, axis=0)
+        absorbed &= bool((left <= _ABSORBED * np.maximum(size, 1e-300)).all())
+        scores, gammas = _solve(columns, r, len(groups), one_sided=one_sided)
+        scores = np.where(left.reshape(len(groups), -1).max(axis=1) > _ABSORBED * size.reshape(len(groups), -1).max(axis=1), scores, 0.0)
+        place = int(np.argmax(scores))
+        gain = float(scores[place]) - (value - min(v for _, _, v in levels))
+        if gain > best[0]:
+            width = columns.shape[1] // len(groups)
+            direction = columns[:, place * width : (place + 1) * width] @ gammas[place]
+            best = (gain, place, gammas[place], direction / max(float(np.linalg.norm(direction)), 1e-300))
+        if i == len(levels) - 1:
+            null, _ = _solve(columns, stage.draws, len(groups), one_sided=one_sided)
+    return Score(
+        effect,
+        max(best[0], 0.0),
+        best[2],
+        groups[best[1]][0],
+        groups[0][1].shape[1],
+        len(groups),
+        absorbed,
+        best[3],
+        np.asarray(null.max(axis=0)),
+    )
+
+
+def _stack(trials: list[list[Trial]], own: bool) -> list[tuple[tuple[dict[str, float], ...], Array]]:  # noqa: FBT001
+    """Return for each choice of shapes the columns over the rows of all cases."""
+    result = []
+    for i in range(max(len(t) for t in trials)):
+        chosen = [t[min(i, len(t) - 1)] for t in trials]
+        columns = (
+            _block_diagonal([t.columns for t in chosen]) if own else np.concatenate([t.columns for t in chosen])
+        )
+        result.append((tuple(t.shape for t in chosen), columns))
+    return result
+
+
+def _solve(columns: Array, r: Array, groups: int, *, one_sided: bool) -> tuple[Array, Array]:
+    """Return score and strengths of each group of columns, for one residual or many."""
+    width = columns.shape[1] // groups
+    c = columns.reshape(len(columns), groups, width)
+    seen = np.einsum("rgw,r...->gw...", c, r) if r.ndim == 1 else (columns.T @ r).reshape(groups, width, -1)
+    gram = np.einsum("rgw,rgv->gwv", c, c)
+    size = np.sqrt(np.maximum(np.einsum("gww->gw", gram), 1e-300))
+    scaled = gram / (size[:, :, None] * size[:, None, :])
+    inverse = np.linalg.pinv(scaled, rcond=1e-9, hermitian=True)
+    seen = seen / size.reshape(size.shape + (1,) * (seen.ndim - 2))
+    gamma = np.einsum("gwv,gv...->gw...", inverse, seen)
+    score = np.einsum("gw...,gw...->g...", gamma, seen)
+    if one_sided:
+        score = np.where(gamma[:, 0] > 0, score, 0.0)
+    return np.asarray(score), np.asarray(gamma / size.reshape(size.shape + (1,) * (gamma.ndim - 2)))
+
+
+def _between(pure: float, level: float, share: float) -> float:
+    if level <= pure:
+        return pure
+    floor = max(pure, 1e-3 * level)
+    return floor * (level / floor) ** share
+
+
+def _orthonormal(columns: Array) -> Array:
+    size = np.linalg.norm(columns, axis=0)
+    u, s, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
+    return np.asarray(u[:, s > 1e-10 * s[0]])
+
+
+def _block_diagonal(parts: Sequence[Array]) -> Array:
+    rows, columns = sum(len(p) for p in parts), sum(p.shape[1] for p in parts)
+    out = np.zeros((rows, columns))
+    i = j = 0
+    for p in parts:
+        out[i : i + len(p), j : j + p.shape[1]] = p
+        i, j = i + len(p), j + p.shape[1]
+    return out
