@@ -71,7 +71,7 @@ def open_dataset(path: Path, kind: str | None = None) -> Iterator[Any]:
     try:
         file = h5py.File(path, "r")
     except OSError as error:
-        if "lock" in str(error):
+        if "unable to lock" in str(error):
             message, hint = f"{path} is being written by another process.", "Wait until it is done."
         else:
             message, hint = f"{path} is damaged or cut short.", _MAKE_AGAIN

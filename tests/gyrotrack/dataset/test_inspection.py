@@ -1,0 +1,72 @@
+import dataclasses
+
+import h5py
+import numpy as np
+import pytest
+
+from gyrotrack.dataset import write_case, write_recording
+from gyrotrack.dataset.inspection import inspect_file
+from gyrotrack.errors import DatasetError
+
+
+def test_recording_in_numbers(tmp_path, recording):
+    found = inspect_file(write_recording(tmp_path / "r.h5", recording, command="c", settings={"a": 1}))
+    assert found.kind == "recording"
+    assert found.problems == ()
+    assert found.holds["frames"] == 300
+    assert found.holds["markers"]["red"]["ok"] == 299
+    assert found.holds["markers"]["red"]["occluded"] == 1
+    assert found.holds["bodies"]["rotor"]["samples"] == 299
+    assert found.holds["bodies"]["rotor"]["omega_max"] == 30.0
+    assert found.provenance["settings"] == {"a": 1}
+    assert found.warnings == recording.warnings
+
+
+def test_case_in_numbers(tmp_path, case):
+    found = inspect_file(write_case(tmp_path / "c.h5", case, command="c", settings={}))
+    assert found.problems == ()
+    assert [w["samples"] for w in found.holds["rotor"]["windows"]] == [200, 200]
+    assert found.holds["recordings"]["rotor_0"]["placement"]["clock_offset"] == 3.5
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"I_rotor": -1.0}, "inertia"),
+        ({"casing.sigma": lambda x: 0 * x}, "positive uncertainty"),
+        ({"casing.time": lambda x: x[::-1]}, "do not increase"),
+        ({"casing.time": lambda x: x * np.nan}, "lacks some times"),
+        ({"casing.angle": lambda x: x * np.nan}, "no angles"),
+        ({"rotor.sigma": lambda x: -x}, "rotor window 0"),
+    ],
+)
+def test_problems_are_named(tmp_path, case, change, match):
+    for name, value in change.items():
+        part, _, column = name.partition(".")
+        if column:
+            series = getattr(case, part)
+            case = dataclasses.replace(
+                case, **{part: dataclasses.replace(series, **{column: value(getattr(series, column))})}
+            )
+        else:
+            case = dataclasses.replace(case, **{name: value})
+    found = inspect_file(write_case(tmp_path / "c.h5", case, command="c", settings={}))
+    assert any(match in problem for problem in found.problems)
+
+
+def test_verify_reads_what_is_not_ours_too(tmp_path, recording):
+    path = write_recording(tmp_path / "r.h5", recording, command="c", settings={})
+    plain = inspect_file(path, verify=True)
+    assert plain.datasets_verified == plain.chunks_verified > 30
+    with h5py.File(path, "r+") as file:
+        file.create_dataset("notes/mine", data=np.arange(5000.0), chunks=(1000,), fletcher32=True)
+        file["notes/again"] = file["notes"]  # a loop
+        file["notes/out"] = h5py.ExternalLink("nowhere.h5", "/")
+        place = file["notes/mine"].id.get_chunk_info(2)
+    assert inspect_file(path, verify=True).datasets_verified == plain.datasets_verified + 1
+    content = bytearray(path.read_bytes())
+    content[place.byte_offset + 10] ^= 0xFF
+    path.write_bytes(bytes(content))
+    inspect_file(path)
+    with pytest.raises(DatasetError, match="notes/mine cannot be read"):
+        inspect_file(path, verify=True)

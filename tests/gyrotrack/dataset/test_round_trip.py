@@ -1,0 +1,130 @@
+"""What is written is read back, and a plain HDF5 reader finds units, meanings and dimensions."""
+
+import dataclasses
+import json
+import shutil
+import subprocess
+
+import h5py
+import numpy as np
+import pytest
+
+from gyrotrack.dataset import STATUS, read_case, read_kind, read_recording, write_case, write_recording
+from gyrotrack.errors import DatasetError
+
+
+def assert_same(a, b, where="root"):
+    if dataclasses.is_dataclass(a):
+        for field in dataclasses.fields(a):
+            assert_same(getattr(a, field.name), getattr(b, field.name), f"{where}.{field.name}")
+    elif isinstance(a, dict):
+        assert a.keys() == b.keys(), where
+        for key in a:
+            assert_same(a[key], b[key], f"{where}[{key}]")
+    elif isinstance(a, np.ndarray):
+        assert a.dtype == b.dtype, where
+        np.testing.assert_array_equal(a, b, err_msg=where)
+    else:
+        assert a == b, where
+
+
+def test_recording_comes_back(tmp_path, recording):
+    path = write_recording(
+        tmp_path / "r.h5", recording, command="gyrotrack extract", settings={"a": np.arange(2)}
+    )
+    assert read_kind(path) == "recording"
+    assert_same(recording, read_recording(path))
+
+
+def test_case_comes_back(tmp_path, case):
+    path = write_case(tmp_path / "c.h5", case, command="gyrotrack sync", settings={})
+    assert read_kind(path) == "case"
+    assert_same(case, read_case(path))
+
+
+def test_empty_body_comes_back(tmp_path, recording):
+    body = recording.bodies["rotor"]
+    empty = {
+        f.name: getattr(body, f.name)[:0]
+        for f in dataclasses.fields(body)
+        if f.name not in {"name", "smoothing_width"}
+    }
+    bare = dataclasses.replace(recording, bodies={"rotor": dataclasses.replace(body, **empty)})
+    path = write_recording(tmp_path / "r.h5", bare, command="", settings={})
+    assert len(read_recording(path).bodies["rotor"].time) == 0
+
+
+def test_missing_is_nan_not_zero(tmp_path, recording):
+    path = write_recording(tmp_path / "r.h5", recording, command="", settings={})
+    with h5py.File(path) as file:
+        assert np.isnan(file["marker/red/angle"][5])
+
+
+def test_every_dataset_says_what_it_is_and_is_checksummed(tmp_path, case):
+    path = write_case(tmp_path / "c.h5", case, command="x", settings={})
+    seen = []
+
+    def check(name, item):
+        if not isinstance(item, h5py.Dataset):
+            return
+        seen.append(name)
+        assert item.attrs["units"], name
+        assert item.attrs["long_name"], name
+        assert all(len(dim) for dim in item.dims) or item.is_scale, name
+        if name.rpartition("/")[2] not in {"side", "xy"}:
+            assert item.fletcher32, name
+            assert item.compression == "gzip", name
+
+    with h5py.File(path) as file:
+        file.visititems(check)
+        assert file["casing/omega"].attrs["units"] == "rad s-1"
+        assert file["casing"].attrs["signal"] == "omega"
+        status = file["recording/rotor_0/marker/red/status"]
+        assert list(status.attrs["flag_values"]) == list(STATUS.values())
+        assert status.attrs["flag_meanings"].split() == list(STATUS)
+    assert len(seen) > 60
+
+
+def test_root_tells_where_the_file_comes_from(tmp_path, recording):
+    path = write_recording(
+        tmp_path / "r.h5", recording, command="gyrotrack extract a.mp4", settings={"k": 0.5}
+    )
+    with h5py.File(path) as file:
+        assert file.attrs["format"] == "gyrotrack"
+        assert file.attrs["format_version"] == "1.0"
+        assert file.attrs["command"] == "gyrotrack extract a.mp4"
+        assert json.loads(file.attrs["settings"]) == {"k": 0.5}
+        assert file.attrs["created"].endswith("+00:00")
+        assert file.libver == ("v110", "v110") or file.libver[1] in {"v110", "latest", "v114", "v200"}
+
+
+def test_large_settings_fit(tmp_path, recording):
+    path = write_recording(tmp_path / "r.h5", recording, command="", settings={"long": "x" * 300_000})
+    assert read_kind(path) == "recording"
+
+
+@pytest.mark.parametrize(("reader", "wrong"), [(read_case, "recording"), (read_recording, "case")])
+def test_the_other_kind_is_refused(tmp_path, recording, case, reader, wrong):
+    path = tmp_path / "file.h5"
+    write = {"recording": (write_recording, recording), "case": (write_case, case)}[wrong]
+    write[0](path, write[1], command="", settings={})
+    with pytest.raises(DatasetError, match=f"is a {wrong}, not a"):
+        reader(path)
+
+
+def test_xarray_opens_it_with_dimensions_and_units(tmp_path, case):
+    xarray = pytest.importorskip("xarray")
+    pytest.importorskip("h5netcdf")
+    path = write_case(tmp_path / "c.h5", case, command="", settings={})
+    with xarray.open_datatree(path, engine="h5netcdf") as tree:
+        assert tree["casing/omega"].dims == ("time",)
+        assert tree["casing/omega"].attrs["units"] == "rad s-1"
+        corner = tree["recording/rotor_0/marker/red/corner"]
+        assert corner.dims == ("frame", "side", "xy")
+        np.testing.assert_array_equal(tree["rotor/angle"].values, case.rotor.angle)
+
+
+@pytest.mark.skipif(shutil.which("h5dump") is None, reason="the HDF5 tools are not installed")
+def test_the_hdf5_tools_read_it(tmp_path, case):
+    path = write_case(tmp_path / "c.h5", case, command="", settings={})
+    subprocess.run(["h5dump", "-H", str(path)], check=True, capture_output=True)
