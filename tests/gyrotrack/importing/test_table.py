@@ -1,0 +1,128 @@
+"""Tables as they come, and each bad one refused by file and line."""
+
+import numpy as np
+import pytest
+
+from gyrotrack.errors import DatasetError
+from gyrotrack.importing.table import read_table
+
+ROWS = [(0.1 * k, 1.5 * k, 0.01) for k in range(12)]
+
+
+def table(tmp_path, text, encoding="utf-8"):
+    path = tmp_path / "t.csv"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode(encoding))
+    return path
+
+
+def text(header="t,angle,sigma", separator=",", rows=ROWS, decimal="."):
+    lines = [
+        separator.join(f"{x:.6g}".replace(".", decimal) for x in row[: header.count(separator) + 1])
+        for row in rows
+    ]
+    return "\n".join([header, *lines]) + "\n"
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        text(),
+        text().replace("\n", "\r\n"),
+        "\ufeff" + text(),
+        "# a comment\n\n" + text(),
+        text().replace("\n0.5", "\n# another\n\n0.5"),
+        text("t ; angle ; sigma", " ; ", decimal=","),
+        text("Time\tPsi\tError", "\t", decimal=","),
+        text("t angle sigma", " "),
+        text('"t [s]","angle [rad]","sigma [rad]"'),
+        text("t (s),angle (rad),angle_err"),
+        text("t / s,angle / rad,sigma"),
+        "t,angle,sigma,remark\n" + "".join(f"{t},{a},{s},good\n" for t, a, s in ROWS),
+    ],
+)
+def test_forms_that_are_understood(tmp_path, content):
+    read = read_table(table(tmp_path, content))
+    assert read.quantity == "angle"
+    np.testing.assert_allclose(read.time, [row[0] for row in ROWS], rtol=1e-6)
+    np.testing.assert_allclose(read.value, [row[1] for row in ROWS], rtol=1e-5)
+    np.testing.assert_allclose(read.sigma, 0.01)
+
+
+def test_other_encodings(tmp_path):
+    assert len(read_table(table(tmp_path, text(), "utf-16")).time) == 12
+    assert len(read_table(table(tmp_path, "# Drehwinkel für Fall 1\n" + text(), "latin-1")).time) == 12
+
+
+@pytest.mark.parametrize(
+    ("header", "factor"),
+    [
+        ("t [ms],angle", (1e-3, 1)),
+        ("t,angle [deg]", (1, np.pi / 180)),
+        ("t,omega [rpm]", (1, np.pi / 30)),
+        ("t,ω [rad/s]", (1, 1)),
+    ],
+)
+def test_units_in_the_header_are_obeyed(tmp_path, header, factor):
+    read = read_table(table(tmp_path, text(header)))
+    np.testing.assert_allclose(read.time[3], 0.3 * factor[0], rtol=1e-6)
+    np.testing.assert_allclose(read.value[3], 4.5 * factor[1], rtol=1e-6)
+
+
+def test_sigma_shares_the_unit_of_the_angle(tmp_path):
+    read = read_table(table(tmp_path, text("t,angle [deg],sigma")))
+    np.testing.assert_allclose(read.sigma, 0.01 * np.pi / 180)
+
+
+def test_rows_without_a_value_are_left_out_and_told(tmp_path):
+    read = read_table(table(tmp_path, text().replace(",4.5,", ",,").replace(",6,", ",NaN,")))
+    assert len(read.time) == 10
+    assert any("2 rows" in note for note in read.notes)
+
+
+def test_a_column_that_is_ignored_is_told(tmp_path):
+    read = read_table(table(tmp_path, "t,angle,omega\n" + "".join(f"{t},{a},7\n" for t, a, _ in ROWS)))
+    assert read.quantity == "angle"
+    assert any("'omega'" in note for note in read.notes)
+
+
+@pytest.mark.parametrize(
+    ("content", "match"),
+    [
+        (b"", "is empty"),
+        (b"\n\n# nothing\n", "is empty"),
+        ("t,angle\n", "no rows"),
+        (text(rows=ROWS[:5]), "5 samples"),
+        (b"\x00\x01\x02\x03", "not a table"),
+        ("0,1\n0.1,2\n", "line 1: there is no header"),
+        ("time\n0\n1\n", "line 1: there is no column for the angle or omega"),
+        ("angle,sigma\n0,1\n", "line 1: there is no column for the time"),
+        ("t,angle,psi\n0,1,1\n", "two columns are called 'angle'"),
+        ("t,angle [furlong]\n0,1\n", "unit 'furlong' is not known"),
+        (text().replace("0.3,4.5", "0.3,fast"), "line 5: 'fast' in the column 'angle' is not a number"),
+        (text().replace("0.3,4.5", "0.3,inf"), "line 5: 'inf'"),
+        (text().replace("0.3,4.5", "0.3,4_5"), "line 5: '4_5'"),
+        (text().replace("0.3,4.5", "0.2,4.5"), "line 5: the time is the same"),
+        (text().replace("0.3,4.5", "0.1,4.5"), "line 5: the time is earlier"),
+        (text().replace("0.3,4.5", ",4.5"), "line 5: the time is missing"),
+        (text().replace("4.5,0.01", "4.5,-0.01"), "line 5: the sigma is not positive"),
+        (text().replace("4.5,0.01", "4.5,0"), "line 5: the sigma is not positive"),
+        (text().replace("4.5,0.01", "4.5,"), "line 5: the sigma is missing"),
+        (text().replace("4.5,0.01", "4.5"), "line 5: 2 cells"),
+        (text(decimal=","), "line 2: . cells where the header has 3"),
+        (text().replace("0.3,4.5", "0.3,4.5,1"), "line 5: 4 cells"),
+        ("# c\n" + text().replace("0.3,4.5", "x,4.5"), "line 6: 'x' in the column 't'"),
+    ],
+)
+def test_bad_tables_are_refused_by_file_and_line(tmp_path, content, match):
+    path = table(tmp_path, content)
+    with pytest.raises(DatasetError, match=match) as caught:
+        read_table(path)
+    assert str(path) in caught.value.message
+    assert "\n" not in caught.value.message
+
+
+def test_missing_file_and_folder(tmp_path):
+    with pytest.raises(DatasetError, match="does not exist"):
+        read_table(tmp_path / "no.csv")
+    with pytest.raises(DatasetError, match="cannot be read"):
+        read_table(tmp_path)

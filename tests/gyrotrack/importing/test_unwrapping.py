@@ -1,0 +1,64 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gyrotrack.importing.unwrapping import TURN, is_wrapped, pieces, unwrap
+
+
+def wrapped(angle, low=0.0):
+    return np.mod(angle - low, TURN) + low
+
+
+@pytest.mark.parametrize(
+    ("fps", "speed"), [(260, 160.0), (260, -160.0), (1000, 900.0), (1000, 2500.0), (260, 0.3)]
+)
+def test_turns_are_counted_with_samples_missing(fps, speed):
+    rng = np.random.default_rng(1)
+    time = np.arange(3000) / fps
+    angle = speed * time - 0.05 * speed * time**2
+    keep = rng.random(time.size) > 0.3
+    keep[1000:1018] = False
+    noisy = angle + rng.normal(size=time.size) * 5e-3
+    result, doubtful = unwrap(time[keep], wrapped(noisy, -np.pi)[keep])
+    error = result - noisy[keep]
+    assert np.ptp(error) < 1e-9
+    assert not doubtful
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(-500, 500), st.floats(-60, 60), st.integers(0, 2**31))
+def test_any_smooth_motion_is_unwrapped(speed, slope, seed):
+    rng = np.random.default_rng(seed)
+    time = np.arange(600) / 260
+    angle = speed * time + slope * time**2 / 2
+    keep = rng.random(time.size) > 0.2
+    result, _ = unwrap(time[keep], wrapped(angle)[keep])
+    assert np.ptp(result - angle[keep]) < 1e-6
+
+
+def test_a_false_sample_does_not_lose_a_turn():
+    time = np.arange(2000) / 260
+    angle = 100 * time
+    bad = wrapped(angle)
+    bad[700] = np.mod(bad[700] + 3.0, TURN)
+    result, _ = unwrap(time, bad)
+    assert np.abs((result - angle)[-1] - (result - angle)[0]) < 1e-9
+
+
+def test_a_gap_in_which_the_speed_changes_much_is_doubtful():
+    time = np.concatenate([np.arange(500) / 260, 4 + np.arange(500) / 260])
+    angle = 100 * time - 8 * time**2
+    _, doubtful = unwrap(time, wrapped(angle))
+    assert doubtful == [pytest.approx(time[499])]
+
+
+def test_long_gaps_part_the_pieces():
+    time = np.concatenate([np.arange(100) / 1000, 5 + np.arange(50) / 1000])
+    assert pieces(time) == [slice(0, 100), slice(100, 150)]
+    assert pieces(time[:100]) == [slice(0, 100)]
+
+
+def test_wrapped_angles_stay_within_a_turn():
+    assert is_wrapped(np.linspace(-3, 3, 50))
+    assert not is_wrapped(np.linspace(0, 7, 50))
