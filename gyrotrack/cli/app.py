@@ -82,6 +82,8 @@ def run(arguments: Sequence[str]) -> int:
         if debug:
             traceback.print_exc()
         return _explain(error, as_json=as_json)
+    if code == INTERRUPTED:  # typer turns a KeyboardInterrupt into this code
+        report_error("interrupted", "Interrupted.", "", as_json=as_json)
     return code if isinstance(code, int) else DONE
 
 
