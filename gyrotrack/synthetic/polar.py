@@ -88,7 +88,7 @@ class PolarPicture:
         )
 
     def seen_columns(self, angle: Picture, psi: Array) -> Picture:
-        """Return the columns for `sample` at angles (in columns, within half a turn) of a body turned by psi."""
+        """Return the columns for `sample` at angles (columns, within half a turn) of a body turned by psi."""
         n = self.columns
         shift = np.mod(-np.asarray(psi) * self.per_rad, n) + 0.5 * n
         return angle + shift.astype(np.float32)
