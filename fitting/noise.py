@@ -249,5 +249,10 @@ def _impulses(data: CaseData, motion: LinearMotion, cells: Array, direction: Arr
             answer = motion.integrated(times)[:, state] @ kicks.T - np.einsum("cm,cm->c", before[:, state], kicks)
         else:
             answer = motion.fundamental(times)[:, state] @ kicks.T
-        parts.append(np.where(times[:, None] > centres, answer, 0.0))
+        answer = np.where(times[:, None] > centres, answer, 0.0)
+        # within its own cell a torque has acted for a part of the cell only
+        cell = np.clip(np.searchsorted(cells, times, side="right") - 1, 0, len(centres) - 1)
+        since = times - cells[cell]
+        answer[np.arange(len(times)), cell] = direction[state] * (0.5 * since**2 if data.is_angle else since)
+        parts.append(answer)
     return data.rows(parts[0], parts[1:])

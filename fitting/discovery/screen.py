@@ -25,7 +25,8 @@ from fitting.estimation.layout import PER_CASE
 Array = NDArray[np.float64]
 
 _LEVELS = 9
-_ABSORBED = 1e-6
+# share of a column that is left beside the base, angles taken as exact, below which the base mimics it
+_ABSORBED = 1e-7
 _HARMONIC_NUISANCE = {"camera.centre": (0, 1), "camera.tilt": (2, 3)}
 
 
@@ -104,6 +105,7 @@ class _Stage:
         self.nuisance_at = free.shape[1] + np.cumsum([0, *(d.nuisance.shape[1] for d in data)])
         self.levels = [self._level(w, self.free, residual) for w in self.whiteners]
         self.residual = residual
+        self.plain = _orthonormal(self.free[:, : self.nuisance_at[0]])
         self.draws = random.standard_normal((len(residual), draws))
         base = min(value for _, _, value in self.levels)
         self.penalty = np.array([value - base for _, _, value in self.levels])
@@ -112,6 +114,13 @@ class _Stage:
         """Whiten rows of all cases."""
         parts = [w(rows[a:b]) for w, a, b in zip(whiteners, self.ends, self.ends[1:], strict=False)]  # type: ignore[operator]
         return np.concatenate(parts)
+
+    def mimicked(self, groups: Sequence[Array]) -> NDArray[np.bool_]:
+        """Return which groups of columns lie within what is free."""
+        everything = np.concatenate(groups, axis=1)
+        left = everything - self.plain @ (self.plain.T @ everything)
+        share = np.linalg.norm(left, axis=0) / np.maximum(np.linalg.norm(everything, axis=0), 1e-300)
+        return np.asarray(share.reshape(len(groups), -1).max(axis=1) < _ABSORBED)
 
     def _level(self, whiteners: Sequence[object], free: Array, residual: Array) -> tuple[Array, Array, float]:
         q = _orthonormal(self.white(whiteners, free))
@@ -132,18 +141,15 @@ class _Stage:
 def _score(stage: _Stage, effect: Effect, trials: list[list[Trial]]) -> Score:
     own = len(trials) > 1 and effect.name.startswith(PER_CASE)
     groups = _stack(trials, own)
-    one_sided = not own and groups[0][1].shape[1] == 1 and effect.amplitude is not None and effect.amplitude.lower >= 0
+    bounds = _bounds(effect) if not own and groups[0][1].shape[1] == 1 else (-np.inf, np.inf)
     levels = stage.without(effect.name) if effect.name in _HARMONIC_NUISANCE else stage.levels
     best: tuple[float, int, Array, Array] = (-np.inf, 0, np.zeros(1), np.zeros(1))
-    absorbed = True
+    absorbed = stage.mimicked([c for _, c in groups])
     for i, (q, r, value) in enumerate(levels):
         columns = stage.white(stage.whiteners[i], np.concatenate([c for _, c in groups], axis=1))
-        size = np.linalg.norm(columns, axis=0)
         columns = columns - q @ (q.T @ columns)
-        left = np.linalg.norm(columns, axis=0)
-        absorbed &= bool((left <= _ABSORBED * np.maximum(size, 1e-300)).all())
-        scores, gammas = _solve(columns, r, len(groups), one_sided=one_sided)
-        scores = np.where(left.reshape(len(groups), -1).max(axis=1) > _ABSORBED * size.reshape(len(groups), -1).max(axis=1), scores, 0.0)
+        scores, gammas = _solve(columns, r, len(groups), bounds)
+        scores = np.where(absorbed, 0.0, scores)
         place = int(np.argmax(scores))
         gain = float(scores[place]) - (value - min(v for _, _, v in levels))
         if gain > best[0]:
@@ -151,7 +157,7 @@ def _score(stage: _Stage, effect: Effect, trials: list[list[Trial]]) -> Score:
             direction = columns[:, place * width : (place + 1) * width] @ gammas[place]
             best = (gain, place, gammas[place], direction / max(float(np.linalg.norm(direction)), 1e-300))
         if i == len(levels) - 1:
-            null, _ = _solve(columns, stage.draws, len(groups), one_sided=one_sided)
+            null, _ = _solve(columns, stage.draws, len(groups), bounds)
     return Score(
         effect,
         max(best[0], 0.0),
@@ -159,7 +165,7 @@ def _score(stage: _Stage, effect: Effect, trials: list[list[Trial]]) -> Score:
         groups[best[1]][0],
         groups[0][1].shape[1],
         len(groups),
-        absorbed,
+        bool(absorbed.all()),
         best[3],
         np.asarray(null.max(axis=0)),
     )
@@ -177,7 +183,7 @@ def _stack(trials: list[list[Trial]], own: bool) -> list[tuple[tuple[dict[str, f
     return result
 
 
-def _solve(columns: Array, r: Array, groups: int, *, one_sided: bool) -> tuple[Array, Array]:
+def _solve(columns: Array, r: Array, groups: int, bounds: tuple[float, float]) -> tuple[Array, Array]:
     """Return score and strengths of each group of columns, for one residual or many."""
     width = columns.shape[1] // groups
     c = columns.reshape(len(columns), groups, width)
@@ -188,10 +194,15 @@ def _solve(columns: Array, r: Array, groups: int, *, one_sided: bool) -> tuple[A
     inverse = np.linalg.pinv(scaled, rcond=1e-9, hermitian=True)
     seen = seen / size.reshape(size.shape + (1,) * (seen.ndim - 2))
     gamma = np.einsum("gwv,gv...->gw...", inverse, seen)
-    score = np.einsum("gw...,gw...->g...", gamma, seen)
-    if one_sided:
-        score = np.where(gamma[:, 0] > 0, score, 0.0)
+    if width == 1 and bounds != (-np.inf, np.inf):
+        edge = size.reshape(size.shape + (1,) * (seen.ndim - 2))
+        gamma = np.clip(gamma, bounds[0] * edge, bounds[1] * edge)
+    score = np.einsum("gw...,gw...->g...", gamma, 2 * seen - np.einsum("gwv,gv...->gw...", scaled, gamma))
     return np.asarray(score), np.asarray(gamma / size.reshape(size.shape + (1,) * (gamma.ndim - 2)))
+
+
+def _bounds(effect: Effect) -> tuple[float, float]:
+    return (effect.amplitude.lower, effect.amplitude.upper) if effect.amplitude else (-np.inf, np.inf)
 
 
 def _between(pure: float, level: float, share: float) -> float:

@@ -6,7 +6,6 @@ import math
 
 from fitting.effects.effect import Effect, Parameter
 
-_ANY = -math.inf
 _PHASE = Parameter("phi", "rad", "phase", -math.inf, math.inf, meaning="phase")
 
 CAMERA = (
@@ -24,7 +23,7 @@ CAMERA = (
         "camera.offset",
         "camera.rotor",
         "dt*omega",
-        (Parameter("dt", "s", lower=_ANY, meaning="how late the clip starts"),),
+        (Parameter("dt", "s", lower=-0.05, upper=0.05, meaning="how late the clips start"),),
         kind="measurement",
         signature="the speeds of the rotor clips sit beside the curve along time",
         confused_with=(),
