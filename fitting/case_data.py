@@ -37,7 +37,9 @@ class CaseData:
         angle = record.quantity == "angle"
         casing = compress(record.casing, degree=CASING_DEGREE, harmonics=angle)
         rotor = tuple(
-            compress(w, degree=ROTOR_DEGREE, harmonics=False, blocks=max(1, round((w.time[-1] - w.time[0]) / 3.0)))
+            compress(
+                w, degree=ROTOR_DEGREE, harmonics=False, blocks=max(1, round((w.time[-1] - w.time[0]) / 3.0))
+            )
             for w in record.rotor
         )
         return cls(record, casing, rotor)
@@ -62,7 +64,12 @@ class CaseData:
         """Where the rows of the casing, the rotor and the harmonics stand."""
         a = len(self.casing.z)
         b = a + sum(len(w.z) for w in self.rotor)
-        return {"casing": slice(0, a), "rotor": slice(a, b), "harmonic": slice(b, len(self.z)), "smooth": slice(0, b)}
+        return {
+            "casing": slice(0, a),
+            "rotor": slice(a, b),
+            "harmonic": slice(b, len(self.z)),
+            "smooth": slice(0, b),
+        }
 
     @property
     def n_effective(self) -> float:
@@ -91,7 +98,10 @@ class CaseData:
 
     def rows(self, casing: Array, rotor: Sequence[Array]) -> Array:
         """Return the rows of a smooth function given at the nodes of the casing and of each window."""
-        parts = [self.casing.at_nodes(casing), *(w.at_nodes(v) for w, v in zip(self.rotor, rotor, strict=True))]
+        parts = [
+            self.casing.at_nodes(casing),
+            *(w.at_nodes(v) for w, v in zip(self.rotor, rotor, strict=True)),
+        ]
         tail = np.zeros((len(self.casing.harmonic), *casing.shape[1:]))
         return np.concatenate([*parts, tail])
 

@@ -101,7 +101,10 @@ def compress(samples: Samples, *, degree: int, harmonics: bool, blocks: int = _B
     """
     count = max(1, min(blocks, len(samples) // _MIN_SAMPLES))
     edges = np.linspace(0, len(samples), count + 1).astype(int)
-    parts = [_block(samples, slice(a, b), degree, harmonics=harmonics) for a, b in zip(edges, edges[1:], strict=False)]
+    parts = [
+        _block(samples, slice(a, b), degree, harmonics=harmonics)
+        for a, b in zip(edges, edges[1:], strict=False)
+    ]
     slow = np.concatenate([p.noise for p in parts])
     rest, dof = sum(p.rest for p in parts), sum(p.rest_dof for p in parts)
     fast = rest / dof if dof > 0 else 1.0

@@ -143,11 +143,18 @@ class Dynamics:
     def __init__(self, model: Model, *, angles: bool = False) -> None:
         physical = [e for e in model.effects if e.kind == "physical"]
         own = [(e, e.state) for e in physical if e.state is not None]
-        self.states = ("omega_r", "omega_c", *(s.symbol for _, s in own), *(("psi_r", "psi_c") if angles else ()))
+        self.states = (
+            "omega_r",
+            "omega_c",
+            *(s.symbol for _, s in own),
+            *(("psi_r", "psi_c") if angles else ()),
+        )
         self.start = tuple(s.start for _, s in own)
         self.parameters = tuple(f"{e.name}.{p.symbol}" for e in physical for p in e.free)
         self.breakpoints = tuple(f"{e.name}.{e.breakpoint}" for e in physical if e.breakpoint)
-        self.constants = {k: v for k, v in model.constants.items() if k.rpartition(".")[0] in {e.name for e in physical}}
+        self.constants = {
+            k: v for k, v in model.constants.items() if k.rpartition(".")[0] in {e.name for e in physical}
+        }
         rates = self._rates(physical)
         if angles:
             rates += [sym("omega_r"), sym("omega_c")]
@@ -158,7 +165,9 @@ class Dynamics:
         self._rates_tape = Tape(rates)
 
     @staticmethod
-    def _collect(outputs: list[Expr], rates: list[Expr], names: tuple[str, ...]) -> list[tuple[int, int, int]]:
+    def _collect(
+        outputs: list[Expr], rates: list[Expr], names: tuple[str, ...]
+    ) -> list[tuple[int, int, int]]:
         places = []
         for i, rate in enumerate(rates):
             for j, name in enumerate(names):
@@ -180,7 +189,9 @@ class Dynamics:
             tau = mul(tau, factor)
         for e in physical:
             if e.rate is not None:
-                rename = {p.symbol: sym(f"{e.name}.{p.symbol}") for p in e.parameters} | difference | {"tau": tau}
+                rename = (
+                    {p.symbol: sym(f"{e.name}.{p.symbol}") for p in e.parameters} | difference | {"tau": tau}
+                )
                 own.append(substitute(e.rate, rename))
         inverse_rotor, inverse_casing = (div(ONE, sym(k)) for k in (INERTIA_ROTOR, INERTIA_CASING))
         rotor = mul(total([neg(tau), *laws["rotor"]]), inverse_rotor)

@@ -104,20 +104,29 @@ def read_record(path: str | Path) -> Record:
         if isinstance(fault, RecordError):
             raise
         if not h5py.is_hdf5(path):
-            raise RecordError(f"{path} is not an HDF5 file", "make a case with `gyrotrack sync` or `gyrotrack import`") from None
-        raise RecordError(f"{path} is damaged or incomplete: {fault}", "`gyrotrack info` tells what it holds") from None
+            raise RecordError(
+                f"{path} is not an HDF5 file", "make a case with `gyrotrack sync` or `gyrotrack import`"
+            ) from None
+        raise RecordError(
+            f"{path} is damaged or incomplete: {fault}", "`gyrotrack info` tells what it holds"
+        ) from None
 
 
 def _read(path: Path, file: Any) -> Record:
     attributes = dict(file.attrs)
     if _text(attributes.get("format")) != FORMAT:
-        raise RecordError(f"{path} was not written by gyrotrack", "make a case with `gyrotrack sync` or `gyrotrack import`")
+        raise RecordError(
+            f"{path} was not written by gyrotrack", "make a case with `gyrotrack sync` or `gyrotrack import`"
+        )
     version = _text(attributes.get("format_version", "1.0"))
     if not version.split(".")[0].isdigit() or int(version.split(".")[0]) > MAJOR:
-        raise RecordError(f"{path} has layout version {version[:12]}; this program reads {MAJOR}.x", "update gyrotrack")
+        raise RecordError(
+            f"{path} has layout version {version[:12]}; this program reads {MAJOR}.x", "update gyrotrack"
+        )
     if _text(attributes.get("kind")) != "case":
         raise RecordError(
-            f"{path} holds a {_text(attributes.get('kind'))[:20] or 'file'}, not a case", "make a case with `gyrotrack sync`"
+            f"{path} holds a {_text(attributes.get('kind'))[:20] or 'file'}, not a case",
+            "make a case with `gyrotrack sync`",
         )
     quantity: Quantity = "omega" if _text(attributes.get("quantity", "angle")) == "omega" else "angle"
     key = ("omega_measured", "omega_sigma_measured") if quantity == "omega" else ("angle", "sigma")
@@ -161,7 +170,9 @@ def make_record(
         raise RecordError(f"{label}: the casing has {len(runs[0])} usable samples; at least 60 are needed")
     windows = tuple(r for r in runs[1:] if len(r) >= 12)
     if not windows:
-        raise RecordError(f"{label}: no rotor window with at least 12 usable samples", "give at least one rotor clip")
+        raise RecordError(
+            f"{label}: no rotor window with at least 12 usable samples", "give at least one rotor clip"
+        )
     return Record(label, I_rotor, I_casing, runs[0], windows, quantity, surface, source)
 
 
@@ -183,7 +194,11 @@ def _windows(rotor: tuple[Array, Array, Array], window: Array) -> list[tuple[Arr
 
 def _series(path: Path, file: Any, group: str, key: tuple[str, str]) -> tuple[Array, Array, Array]:
     value, sigma = key
-    return _column(path, file, group, "time"), _column(path, file, group, value), _column(path, file, group, sigma)
+    return (
+        _column(path, file, group, "time"),
+        _column(path, file, group, value),
+        _column(path, file, group, sigma),
+    )
 
 
 def _column(path: Path, file: Any, group: str, name: str) -> Array:

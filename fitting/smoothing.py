@@ -13,7 +13,9 @@ WIDTH = 51
 DROPPED = 50
 
 
-def speeds(samples: Samples, quantity: Quantity, width: int = WIDTH, dropped: int = DROPPED) -> tuple[Array, Array]:
+def speeds(
+    samples: Samples, quantity: Quantity, width: int = WIDTH, dropped: int = DROPPED
+) -> tuple[Array, Array]:
     """Return times and angular velocities: median of the angle, gradient, median, ends dropped.
 
     Parameters

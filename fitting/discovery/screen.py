@@ -98,7 +98,9 @@ class _Stage:
         random = np.random.default_rng(7)
         shares = np.linspace(0, 1, _LEVELS) if any(n.level > n.pure for n in fit.noise) else np.array([1.0])
         self.whiteners = [[n.whitener.at(_between(n.pure, n.level, x)) for n in fit.noise] for x in shares]
-        free = np.concatenate([p.jacobian for p in fit.predictions])
+        # a parameter on its bound is held there: what an effect would free is left to the refit
+        moving = ~fit.problem.layout.at_bound(fit.theta)
+        free = np.concatenate([p.jacobian[:, moving] for p in fit.predictions])
         nuisance = _block_diagonal([d.nuisance for d in data])
         residual = np.concatenate([d.z - p.rows for d, p in zip(data, fit.predictions, strict=True)])
         self.free = np.concatenate([free, nuisance], axis=1)

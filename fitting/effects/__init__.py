@@ -8,4 +8,14 @@ from fitting.effects.effect import Effect, Parameter
 from fitting.effects.library import GENERAL, LIBRARY, LINEAR, REDUCED, find
 from fitting.effects.user import read_effects, resolve
 
-__all__ = ["GENERAL", "LIBRARY", "LINEAR", "REDUCED", "Effect", "Parameter", "find", "read_effects", "resolve"]
+__all__ = [
+    "GENERAL",
+    "LIBRARY",
+    "LINEAR",
+    "REDUCED",
+    "Effect",
+    "Parameter",
+    "find",
+    "read_effects",
+    "resolve",
+]

@@ -60,7 +60,15 @@ BEARING = (
             Parameter("k", "K-1", lower=_ANY, meaning="share by which the friction falls with each kelvin"),
             Parameter("C", "J K-1", "fixed", start=1.0, meaning="heat capacity; only k/C is observable"),
             Parameter(
-                "tau_T", "s", "shape", 0.1, 1e5, 30.0, (0.05, 0.15, 0.4, 1.2, 4.0), relative=True, meaning="cooling time"
+                "tau_T",
+                "s",
+                "shape",
+                0.1,
+                1e5,
+                30.0,
+                (0.05, 0.15, 0.4, 1.2, 4.0),
+                relative=True,
+                meaning="cooling time",
             ),
         ),
         signature="the bearing loosens with the heat put into it, and remembers it",

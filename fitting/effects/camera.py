@@ -13,7 +13,11 @@ CAMERA = (
         "camera.clock",
         "camera.rotor",
         "eps*t*omega",
-        (Parameter("eps", "1", lower=-0.2, upper=0.2, meaning="share by which the rotor camera's clock is off"),),
+        (
+            Parameter(
+                "eps", "1", lower=-0.2, upper=0.2, meaning="share by which the rotor camera's clock is off"
+            ),
+        ),
         kind="measurement",
         signature="all speeds of one camera are off by the same share",
         confused_with=(),

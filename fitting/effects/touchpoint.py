@@ -24,7 +24,16 @@ TOUCHPOINT = (
         "-k*exp(-abs(omega_c)/w)*sign(omega_c)",
         (
             Parameter("k", "N m", meaning="extra friction at low speed"),
-            Parameter("w", "s-1", "shape", 0.2, 500.0, 5.0, (1.0, 2.0, 5.0, 12.0, 30.0), meaning="speed at which it has fallen to 1/e"),
+            Parameter(
+                "w",
+                "s-1",
+                "shape",
+                0.2,
+                500.0,
+                5.0,
+                (1.0, 2.0, 5.0, 12.0, 30.0),
+                meaning="speed at which it has fallen to 1/e",
+            ),
         ),
         signature="extra loss while the casing is slow: the first seconds and the end",
         confused_with=("touchpoint.constant",),

@@ -50,10 +50,14 @@ def formula(name: str, body: str, law: str, declared: dict[str, dict[str, Any]],
     for forbidden in symbols(expression) & {"temperature", "chirp", "tau", "psi", "omega"}:
         raise EffectError(f"{forbidden!r} is not known to a law that has no state of its own", _hint())
     if not own:
-        raise EffectError(f"the law {law!r} has no parameter to fit", "write for example: casing: -k*omega_c**3")
+        raise EffectError(
+            f"the law {law!r} has no parameter to fit", "write for example: casing: -k*omega_c**3"
+        )
     linear = [s for s in own if _is_linear(law, s)]
     if not linear:
-        raise EffectError(f"the law {law!r} is linear in none of {', '.join(own)}", "put a strength k in front of it")
+        raise EffectError(
+            f"the law {law!r} is linear in none of {', '.join(own)}", "put a strength k in front of it"
+        )
     amplitude = linear[0]
     parameters = tuple(_parameter(s, declared.get(s, {}), s == amplitude) for s in own)
     unit = declared.get(amplitude, {}).get("unit") or _amplitude_unit(law, amplitude, parameters)
@@ -103,7 +107,9 @@ def _from_table(path: Path, number: int, table: Any) -> Effect:
         if not isinstance(table.get(key, ""), str):
             raise EffectError(f"{where}: {key} must be text")
     if not _NAME.match(table["name"]):
-        raise EffectError(f"{where}: a name has letters, digits, dots and underscores, and starts with a letter")
+        raise EffectError(
+            f"{where}: a name has letters, digits, dots and underscores, and starts with a letter"
+        )
     declared = table.get("parameters", {})
     for symbol, keys in declared.items() if isinstance(declared, dict) else ():
         extra = set(keys) - _PARAMETER_KEYS if isinstance(keys, dict) else {"?"}
@@ -125,7 +131,14 @@ def _parameter(symbol: str, keys: dict[str, Any], is_amplitude: bool) -> Paramet
     grid = tuple(float(v) for v in keys.get("grid", ())) or (() if is_amplitude else _default_grid(start))
     lower, upper = number("lower", -math.inf), number("upper", math.inf)
     return Parameter(
-        symbol, keys.get("unit", "1"), cast("Any", role), lower, upper, start, grid, meaning=keys.get("meaning", "")
+        symbol,
+        keys.get("unit", "1"),
+        cast("Any", role),
+        lower,
+        upper,
+        start,
+        grid,
+        meaning=keys.get("meaning", ""),
     )
 
 

@@ -126,8 +126,16 @@ class CaseModel:
         def law(compressed: Compressed, state: int, from_start: float) -> Array:
             t = compressed.samples.time
             sampler = Sampler(path.mesh, t)
-            psi = compressed.samples.value if self.data.is_angle else sampler.integral(*path.angle(path.states[state]))
-            known: dict[str, Any] = {"t": t - from_start, "omega": sampler.value(path.y[..., state]), "psi": psi}
+            psi = (
+                compressed.samples.value
+                if self.data.is_angle
+                else sampler.integral(*path.angle(path.states[state]))
+            )
+            known: dict[str, Any] = {
+                "t": t - from_start,
+                "omega": sampler.value(path.y[..., state]),
+                "psi": psi,
+            }
             seen = np.asarray(tape(values | known)[0]) * np.ones(len(t))
             return seen if self.data.is_angle else np.gradient(seen, t)
 
@@ -146,7 +154,9 @@ class CaseModel:
         half = 0.5 * np.diff(t)
         inner = ((t[:-1] + half)[:, None] + half[:, None] * rule(_GAUSS).x).ravel()
         sampler = Sampler(path.mesh, inner)
-        known: dict[str, Any] = {name: sampler.value(path.y[..., i]) for i, name in enumerate(path.states[:2])}
+        known: dict[str, Any] = {
+            name: sampler.value(path.y[..., i]) for i, name in enumerate(path.states[:2])
+        }
         known["delta"] = known["omega_r"] - known["omega_c"]
         # the measured angle is closer to the truth than that of a model that may fail
         known["psi_c"] = (

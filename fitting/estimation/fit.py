@@ -243,8 +243,10 @@ def measure_noise(problem: Problem, theta: Array) -> tuple[Noise, ...]:
 def refine_level(problem: Problem, theta: Array, noise: Sequence[Noise]) -> tuple[Noise, ...]:
     """Return the noise with the level that the model at these variables leaves."""
     found = []
+    moving = ~problem.layout.at_bound(theta)
     for data, p, n in zip(problem.data, problem.predict(theta), noise, strict=True):
-        level = remaining_level(n.whitener, data.z - p.rows, np.concatenate([p.jacobian, data.nuisance], axis=1), n.pure)
+        columns = np.concatenate([p.jacobian[:, moving], data.nuisance], axis=1)
+        level = remaining_level(n.whitener, data.z - p.rows, columns, n.pure)
         found.append(Noise(n.scale, n.pure, level, n.time, n.whitener.at(level)))
     return tuple(found)
 
@@ -256,9 +258,7 @@ def summarise(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, conve
     r, j = problem.residuals(predictions)
     chi2 = float(r @ r)
     rows = len(r) - sum(p.basis.shape[1] for p in problem.projections)
-    lower, upper = layout.bounds()
-    size = np.maximum(np.abs(theta), 1e-30)
-    at_bound = (theta - lower <= 1e-9 * size) | (upper - theta <= 1e-9 * size)
+    at_bound = layout.at_bound(theta)
     covariance = _covariance(j, ~at_bound)
     free = int((~at_bound).sum())
     # a model that fails has errors of its own beside the noise's

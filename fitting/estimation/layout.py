@@ -104,6 +104,12 @@ class Layout:
         declared = [self.parameter(n) for n in self.names]
         return np.array([p.lower for p in declared]), np.array([p.upper for p in declared])
 
+    def at_bound(self, theta: Array) -> NDArray[np.bool_]:
+        """Return which variables lie on a bound."""
+        lower, upper = self.bounds()
+        near = 1e-9 * np.maximum(np.abs(theta), 1e-30)
+        return np.asarray((theta - lower <= near) | (upper - theta <= near))
+
     def valleys(self, reference: float) -> tuple[Valley, ...]:
         """Return the pairs of a linear and a power law of the bearing that need straight coordinates."""
         keys = ("bearing.linear.d", "bearing.power.f", "bearing.power.g")

@@ -106,7 +106,8 @@ def _regress(layout: Layout, case: int, times: Array, speeds: Array, theta: Arra
     linear = [
         k
         for k in dynamics.parameters
-        if layout.model.parameters[k].role == "amplitude" and not k.startswith(("bearing.power.", "bearing.heating."))
+        if layout.model.parameters[k].role == "amplitude"
+        and not k.startswith(("bearing.power.", "bearing.heating."))
     ] or [k for k in dynamics.parameters if layout.model.parameters[k].role == "amplitude"]
     if "bearing.linear.d" not in linear and "bearing.power.f" in dynamics.parameters:
         linear.append("bearing.power.f")
@@ -117,7 +118,9 @@ def _regress(layout: Layout, case: int, times: Array, speeds: Array, theta: Arra
     rates = np.nan_to_num(b[:, :2][:, :, columns])
     middle = 0.5 * (rates[1:] + rates[:-1]) * np.diff(times)[:, None, None]
     integrals = np.concatenate([np.zeros((1, 2, len(linear))), np.cumsum(middle, axis=0)])
-    blocks = [np.concatenate([integrals[:, i], _start_column(len(times), i)], axis=1) * weight[i] for i in (0, 1)]
+    blocks = [
+        np.concatenate([integrals[:, i], _start_column(len(times), i)], axis=1) * weight[i] for i in (0, 1)
+    ]
     target = np.concatenate([speeds[:, 0] * weight[0], speeds[:, 1] * weight[1]])
     design = np.concatenate(blocks)
     size = np.linalg.norm(design, axis=0)

@@ -50,7 +50,12 @@ def held_out(data: CaseData, project: Projection, prediction: Prediction) -> dic
     result = {}
     for body, folds, rest, count in (
         ("casing", _casing_folds(data), data.casing.rest, data.casing.n_effective),
-        ("rotor", _rotor_folds(data), sum(w.rest for w in data.rotor), sum(w.n_effective for w in data.rotor)),
+        (
+            "rotor",
+            _rotor_folds(data),
+            sum(w.rest for w in data.rotor),
+            sum(w.n_effective for w in data.rotor),
+        ),
     ):
         total = rest + sum(_error(project, used, weighted, fold) for fold in folds)
         result[body] = float(np.sqrt(total / max(count, 1.0)))

@@ -217,10 +217,14 @@ class Propagator:
         try:
             self._inverse = np.linalg.inv(g)
         except np.linalg.LinAlgError:
-            raise SimulationError("the equations of motion have no bounded solution for these numbers") from None
+            raise SimulationError(
+                "the equations of motion have no bounded solution for these numbers"
+            ) from None
         unit = np.tile(np.eye(n), (k, 1))
         self.transfer: Array = (self._inverse @ unit).reshape(intervals, k, n, n)
-        self._step = np.eye(n) + mesh.half[..., None] * np.einsum("j,ijnm,ijmq->inq", rule().w, a, self.transfer)
+        self._step = np.eye(n) + mesh.half[..., None] * np.einsum(
+            "j,ijnm,ijmq->inq", rule().w, a, self.transfer
+        )
 
     def nodes(self, defect: Array) -> Array:
         """Return the response at the nodes to right-hand sides (intervals, nodes, n, columns), edges held."""

@@ -48,7 +48,11 @@ class LinearMotion:
 
     def kicks(self, times: Array, direction: Array) -> Array:
         """Return Phi^-1(s) b at some times, shape (times, 2); b is the rate that a unit torque gives [rad s-2]."""
-        return np.asarray(np.linalg.solve(self.fundamental(times), np.broadcast_to(direction[:, None], (len(times), 2, 1)))[..., 0])
+        return np.asarray(
+            np.linalg.solve(self.fundamental(times), np.broadcast_to(direction[:, None], (len(times), 2, 1)))[
+                ..., 0
+            ]
+        )
 
     def driven(self, times: Array, torque: Array, direction: Array, state: int) -> tuple[Array, Array]:
         """Return d omega and d psi of one body at sample times, for a torque between them.
