@@ -10,6 +10,7 @@ counts, and with it any correlation between neighbouring samples.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -103,7 +104,7 @@ def compress(samples: Samples, *, degree: int, harmonics: bool, blocks: int = _B
     edges = np.linspace(0, len(samples), count + 1).astype(int)
     parts = [
         _block(samples, slice(a, b), degree, harmonics=harmonics)
-        for a, b in zip(edges, edges[1:], strict=False)
+        for a, b in pairwise(edges)
     ]
     slow = np.concatenate([p.noise for p in parts])
     rest, dof = sum(p.rest for p in parts), sum(p.rest_dof for p in parts)

@@ -3,7 +3,7 @@
 ::
 
     FittingError                   code, message, hint; exit code 1
-    ├── RecordError                "record":     a case file that is not ours, not sound, or lacks what is needed
+    ├── RecordError                "record":     a case file that is not ours or not sound
     ├── ExpressionError            "expression": a formula that is not understood or not allowed
     ├── EffectError                "effect":     an effect that is unknown or not well declared
     ├── SimulationError            "simulation": equations that cannot be integrated

@@ -226,8 +226,15 @@ def _combine(table: Array) -> tuple[int, float, float]:
     for _ in range(_MAX_OUTLIERS):
         place = int(np.argmax(table[kept].sum(axis=0)))
         # a stretch in which the level of the others is far too small
-        without = [int(np.argmax(table[kept & (np.arange(len(table)) != i)].sum(axis=0))) for i in range(len(table))]
-        excess = np.array([2 * (row.max() - row[w]) if int(np.argmax(row)) > w else 0.0 for row, w in zip(table, without, strict=True)])
+        without = [
+            int(np.argmax(table[kept & (np.arange(len(table)) != i)].sum(axis=0))) for i in range(len(table))
+        ]
+        excess = np.array(
+            [
+                2 * (row.max() - row[w]) if int(np.argmax(row)) > w else 0.0
+                for row, w in zip(table, without, strict=True)
+            ]
+        )
         excess[~kept] = 0.0
         if excess.max() < _OUTLIER or kept.sum() <= 5:
             break
@@ -246,7 +253,9 @@ def _impulses(data: CaseData, motion: LinearMotion, cells: Array, direction: Arr
     for state, compressed in ((1, data.casing), *((0, w) for w in data.rotor)):
         times = compressed.node_times
         if data.is_angle:
-            answer = motion.integrated(times)[:, state] @ kicks.T - np.einsum("cm,cm->c", before[:, state], kicks)
+            answer = motion.integrated(times)[:, state] @ kicks.T - np.einsum(
+                "cm,cm->c", before[:, state], kicks
+            )
         else:
             answer = motion.fundamental(times)[:, state] @ kicks.T
         answer = np.where(times[:, None] > centres, answer, 0.0)

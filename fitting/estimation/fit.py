@@ -106,9 +106,10 @@ class Fit:
     @property
     def reduced_chi2(self) -> float:
         """Chi-square of everything that was fitted over the effective number of samples."""
-        return sum(c.casing.reduced_chi2 * d.casing.n_effective for c, d in zip(self.cases, self.problem.data, strict=True)) / sum(
-            d.casing.n_effective for d in self.problem.data
-        )
+        return sum(
+            c.casing.reduced_chi2 * d.casing.n_effective
+            for c, d in zip(self.cases, self.problem.data, strict=True)
+        ) / sum(d.casing.n_effective for d in self.problem.data)
 
     @property
     def torque_noise(self) -> float:
@@ -156,7 +157,9 @@ def fit(
     data = [c if isinstance(c, CaseData) else CaseData.of(c) for c in cases]
     labels = [d.record.label for d in data]
     if not data or len(set(labels)) != len(labels):
-        raise EstimationError("the cases of a joint fit need different labels", "give them with --label when making a case")
+        raise EstimationError(
+            "the cases of a joint fit need different labels", "give them with --label when making a case"
+        )
     layout = Layout.of(model, [d.record for d in data], share, per_case)
     problem = Problem(layout, data)
     theta = _start(layout, problem, start)
@@ -181,7 +184,9 @@ def _start(layout: Layout, problem: Problem, given: Mapping[str, float] | None) 
     return np.array([known[n] for n in layout.names])
 
 
-def _minimise(problem: Problem, theta: Array, ranges: Mapping[str, tuple[float, float]]) -> tuple[Minimum, Array]:
+def _minimise(
+    problem: Problem, theta: Array, ranges: Mapping[str, tuple[float, float]]
+) -> tuple[Minimum, Array]:
     lower, upper = problem.straight_bounds()
     for i, name in enumerate(problem.layout.names):
         if name in ranges:
@@ -199,7 +204,7 @@ def _minimise(problem: Problem, theta: Array, ranges: Mapping[str, tuple[float, 
 
 def _on_the_edge(problem: Problem, theta: Array) -> tuple[Minimum, Array]:
     """Return the best fit with d >= 0 and f >= 0 when the free one breaks them: one of the two is zero."""
-    v, = problem.valleys
+    (v,) = problem.valleys
     valleys, problem.valleys = problem.valleys, ()
     try:
         ends = []
@@ -222,10 +227,14 @@ def first_noise(problem: Problem, theta: Array) -> tuple[Noise, ...]:
     for case, p in zip(problem.cases, problem.predict(theta), strict=True):
         data = case.data
         response = TorqueResponse(data, p.motion)
-        rates = np.abs(case.dynamics.rates(p.path.mesh.times, p.path.y, problem.layout.numbers(theta, case.case)))
+        rates = np.abs(
+            case.dynamics.rates(p.path.mesh.times, p.path.y, problem.layout.numbers(theta, case.case))
+        )
         level = _FIRST_LEVEL * data.record.I_rotor * float(np.median(rates[..., 0]))
         time = response.default_time
-        found.append(Noise(data.casing.scale, level, level, time, response.whitener(TorqueNoise(level, time))))
+        found.append(
+            Noise(data.casing.scale, level, level, time, response.whitener(TorqueNoise(level, time)))
+        )
     return tuple(found)
 
 
@@ -265,7 +274,8 @@ def summarise(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, conve
     covariance *= max(1.0, chi2 / max(1, rows - free))
     pure = [Projection(d, n.whitener.at(n.pure)) for d, n in zip(problem.data, noise, strict=True)]
     cases = tuple(
-        case_metrics(c, project, p, theta) for c, project, p in zip(problem.cases, pure, predictions, strict=True)
+        case_metrics(c, project, p, theta)
+        for c, project, p in zip(problem.cases, pure, predictions, strict=True)
     )
     n_eff = sum(d.n_effective for d in problem.data)
     deviance = chi2 + sum(n.whitener.log_determinant for n in noise)
@@ -274,7 +284,10 @@ def summarise(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, conve
     errors = np.sqrt(np.diag(covariance))
     estimates = {
         name: Estimate(
-            float(theta[i]), float("nan") if at_bound[i] else float(errors[i]), _unit(layout, name), bool(at_bound[i])
+            float(theta[i]),
+            float("nan") if at_bound[i] else float(errors[i]),
+            _unit(layout, name),
+            bool(at_bound[i]),
         )
         for i, name in enumerate(layout.names)
     }

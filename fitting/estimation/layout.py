@@ -54,12 +54,15 @@ class Layout:
         """
         for name in (*share, *per_case):
             if not any(_covers(name, key) for key in model.free):
-                raise EffectError(f"{name!r} is no parameter of the model", "it has: " + ", ".join(model.free))
+                raise EffectError(
+                    f"{name!r} is no parameter of the model", "it has: " + ", ".join(model.free)
+                )
         default = [key for key in model.free if key.startswith(PER_CASE)]
         chosen = [
             key
             for key in model.free
-            if (key in default or any(_covers(n, key) for n in per_case)) and not any(_covers(n, key) for n in share)
+            if (key in default or any(_covers(n, key) for n in per_case))
+            and not any(_covers(n, key) for n in share)
         ]
         return cls(model, tuple(records), tuple(chosen) if len(records) > 1 else ())
 
@@ -115,7 +118,8 @@ class Layout:
         keys = ("bearing.linear.d", "bearing.power.f", "bearing.power.g")
         if not all(k in self.index for k in keys):
             return ()
-        return (Valley(*(self.index[k] for k in keys), reference),)
+        d, f, g = (self.index[k] for k in keys)
+        return (Valley(d, f, g, reference),)
 
 
 def _covers(name: str, key: str) -> bool:

@@ -78,8 +78,8 @@ def start_values(layout: Layout, reference: float) -> Array:
             found.setdefault(int(layout.places(case, [key])[0]), []).append(value)
         i, j = layout.places(case, (START_ROTOR, START_CASING))
         theta[i], theta[j] = speeds[0]
-    for place, values in found.items():
-        theta[place] = float(np.mean(values))
+    for place, several in found.items():
+        theta[place] = float(np.mean(several))
     if all(k in layout.index for k in ("bearing.linear.d", "bearing.power.f")):
         d, f, g = (theta[layout.index[f"bearing.{k}"]] for k in ("linear.d", "power.f", "power.g"))
         torque = max(d * reference, 1e-9)

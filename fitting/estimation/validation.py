@@ -10,13 +10,14 @@ refitting without them, without refitting (leave-block-out; O. Dubrule, Math. Ge
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.case_data import CaseData
 from fitting.estimation.case_model import Prediction
 from fitting.estimation.problem import Projection
-
-from fitting.case_data import CaseData
 
 Array = NDArray[np.float64]
 
@@ -87,4 +88,4 @@ def _casing_folds(data: CaseData) -> list[Array]:
 
 def _rotor_folds(data: CaseData) -> list[Array]:
     ends = data.slices["rotor"].start + np.cumsum([0, *(len(w.z) for w in data.rotor)])
-    return [np.arange(a, b) for a, b in zip(ends, ends[1:], strict=False)]
+    return [np.arange(a, b) for a, b in pairwise(ends)]

@@ -46,10 +46,11 @@ class Rule(NamedTuple):
 def rule(k: int = NODES) -> Rule:
     """Return the Gauss-Legendre rule of k nodes on [-1, 1]."""
     x, w = legendre.leggauss(k)
-    to_legendre = np.linalg.inv(legendre.legvander(x, k - 1))
+    to_legendre: Array = np.asarray(np.linalg.inv(legendre.legvander(x, k - 1)), dtype=np.float64)
     # column j: coefficients of the antiderivative of L_j that vanishes at -1
     antiderivative = legendre.legint(to_legendre, lbnd=-1, axis=0)
-    return Rule(x, w, legendre.legvander(x, k) @ antiderivative, to_legendre, antiderivative)
+    integral: Array = np.asarray(legendre.legvander(x, k) @ antiderivative, dtype=np.float64)
+    return Rule(x, w, integral, to_legendre, antiderivative)
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,7 @@ class LinearMotion:
         return Sampler(self._mesh, times).integral(self._starts, self._nodes)
 
     def kicks(self, times: Array, direction: Array) -> Array:
-        """Return Phi^-1(s) b at some times, shape (times, 2); b is the rate that a unit torque gives [rad s-2]."""
+        """Return Phi^-1(s) b, shape (times, 2); b holds the rates that a unit torque gives [rad s-2]."""
         return np.asarray(
             np.linalg.solve(self.fundamental(times), np.broadcast_to(direction[:, None], (len(times), 2, 1)))[
                 ..., 0
