@@ -325,6 +325,10 @@ def _covariance(j: Array, free: NDArray[np.bool_]) -> Array:
     _, s, vt = np.linalg.svd(scaled, full_matrices=False)
     # directions that the data does not determine keep a huge, honest variance
     inner = (vt.T / np.maximum(s, 1e-12 * s.max(initial=1.0)) ** 2) @ vt
-    scale = np.where(np.isfinite(size[free]), size[free], 1e-300)
-    covariance[np.ix_(free, free)] = inner / np.outer(scale, scale)
+    # a parameter that moves nothing has no error to speak of: it is not determined at all
+    unknown = ~np.isfinite(size[free])
+    scale = np.where(unknown, 1.0, size[free])
+    inner = inner / np.outer(scale, scale)
+    inner[unknown, unknown] = np.inf
+    covariance[np.ix_(free, free)] = inner
     return covariance

@@ -1,0 +1,135 @@
+"""Where a fitted model fails: stretches in time and speed where the residual torque leaves its band, and ripples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.diagnosis.torque import ResidualTorque
+from fitting.estimation import Fit
+from fitting.simulation import Sampler
+from fitting.smoothing import speeds
+
+Array = NDArray[np.float64]
+
+_BAND = 1.96
+_CLEAR = 4.0
+_SHORTEST = 1 / 100
+_MOST = 6
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A stretch where the model fails.
+
+    Attributes
+    ----------
+    label, body : str
+        Case and body.
+    t_start, t_stop : float
+        When [s].
+    kind : str
+        "loses torque" or "gains torque" against the model; "ripple" for a ripple with the angle.
+    where : str
+        In words: in the rise, near the peak, in the tail, with the speed.
+    size_sigma : float
+        Largest distance from zero in standard deviations.
+    residual_rad_s : float
+        Largest misfit of the speed in the stretch, with its sign.
+    residual_torque_Nm : float
+        Mean torque that the model lacks.
+    omega_c : tuple of float
+        The casing's lowest and highest speed in the stretch [rad/s].
+    """
+
+    label: str
+    body: str
+    t_start: float
+    t_stop: float
+    kind: str
+    where: str
+    size_sigma: float
+    residual_rad_s: float
+    residual_torque_Nm: float  # noqa: N815 - the unit's own capitals
+    omega_c: tuple[float, float]
+
+    def __str__(self) -> str:
+        verb = "loses" if self.residual_torque_Nm < 0 else "gains"
+        return (
+            f"from {self.t_start:.1f} s to {self.t_stop:.1f} s, {self.where}, the {self.body} {verb} "
+            f"{abs(self.residual_torque_Nm):.2g} N m more than the model says ({self.size_sigma:.0f} sigma)"
+        )
+
+
+def find_failures(fit: Fit, curves: list[ResidualTorque]) -> list[Failure]:
+    """Return the stretches in which a model fails, worst first.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fitted model.
+    curves : list of ResidualTorque
+        Its residual torques.
+    """
+    if fit.verdict == "adequate":
+        return []
+    found = [f for curve in curves for f in _stretches(fit, curve)]
+    return sorted(found, key=lambda f: -f.size_sigma)[:_MOST]
+
+
+def _stretches(fit: Fit, curve: ResidualTorque) -> list[Failure]:
+    ratio = curve.torque / np.maximum(curve.sigma, 1e-300)
+    outside = np.abs(ratio) > _BAND
+    change = np.flatnonzero(np.diff(np.sign(ratio) * outside) != 0) + 1
+    edges = np.concatenate([[0], change, [len(ratio)]])
+    span = curve.time[-1] - curve.time[0]
+    failures = []
+    for a, b in zip(edges, edges[1:], strict=False):
+        if not outside[a] or curve.time[b - 1] - curve.time[a] < _SHORTEST * span:
+            continue
+        size = float(np.abs(ratio[a:b]).max())
+        if size < _CLEAR:
+            continue
+        mean = float(curve.torque[a:b].mean())
+        failures.append(
+            Failure(
+                curve.label,
+                curve.body,
+                float(curve.time[a]),
+                float(curve.time[b - 1]),
+                "gains torque" if mean > 0 else "loses torque",
+                _place(curve, a, b),
+                size,
+                _speed_misfit(fit, curve, a, b),
+                mean,
+                (float(curve.omega_c[a:b].min()), float(curve.omega_c[a:b].max())),
+            )
+        )
+    return failures
+
+
+def _place(curve: ResidualTorque, a: int, b: int) -> str:
+    peak = int(np.argmax(np.abs(curve.omega_c)))
+    top = 0.9 * abs(curve.omega_c[peak])
+    if a == 0 and b == len(curve.time):
+        return "all the time"
+    if np.abs(curve.omega_c[a:b]).max() > top and a <= peak + (b - a) and b >= peak - (b - a):
+        return "near the peak"
+    return "in the rise" if b <= peak else "in the tail" if a >= peak else "around the peak"
+
+
+def _speed_misfit(fit: Fit, curve: ResidualTorque, a: int, b: int) -> float:
+    index = fit.labels.index(curve.label)
+    record, path = fit.problem.data[index].record, fit.predictions[index].path
+    runs, state = ((record.casing,), 1) if curve.body == "casing" else (record.rotor, 0)
+    worst = 0.0
+    for samples in runs:
+        time, omega = speeds(samples, record.quantity)
+        inside = (time >= curve.time[a]) & (time <= curve.time[b - 1])
+        if inside.any():
+            misfit = omega[inside] - Sampler(path.mesh, time[inside]).value(path.y[..., state])
+            low, high = np.percentile(misfit, [5, 95])
+            worst = max((worst, float(low), float(high)), key=abs)
+    return worst

@@ -1,0 +1,52 @@
+"""Whether what is left looks like noise: autocorrelation of the whitened residuals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.estimation import Fit
+
+Array = NDArray[np.float64]
+
+_LAGS = 12
+_POWERS = 4
+
+
+@dataclass(frozen=True)
+class Whiteness:
+    """Ljung-Box test of the casing's whitened residuals, block by block.
+
+    Attributes
+    ----------
+    label : str
+        Case.
+    autocorrelation : ndarray, shape (lags,)
+        From lag 1 on, in blocks.
+    p_value : float
+        Of the Ljung-Box statistic (G. Ljung, G. Box, Biometrika 65, 297 (1978)).
+    """
+
+    label: str
+    autocorrelation: Array
+    p_value: float
+
+
+def whiteness(fit: Fit) -> list[Whiteness]:
+    """Return the test for each case of a fit."""
+    from scipy.stats import chi2
+
+    results = []
+    for data, project, p in zip(fit.problem.data, fit.problem.projections, fit.predictions, strict=True):
+        blocks, k, _ = data.casing.lift.shape
+        rows = project(p.rows - data.z)[data.slices["casing"]].reshape(blocks, k)[:, :_POWERS]
+        lags = min(_LAGS, blocks // 4)
+        rows = rows - rows.mean(axis=0)
+        power = float((rows**2).sum())
+        rho = np.array([float((rows[m:] * rows[:-m]).sum()) / power for m in range(1, lags + 1)]) if lags else np.zeros(0)
+        weights = _POWERS / (blocks - np.arange(1, lags + 1))
+        statistic = float(blocks * (blocks + 2) * (rho**2 * weights).sum())
+        results.append(Whiteness(data.record.label, rho, float(chi2.sf(statistic, max(lags, 1)))))
+    return results

@@ -1,0 +1,102 @@
+"""Adding effects until nothing more is justified, then taking back what is not needed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fitting.discovery.ranking import Candidate, rank
+from fitting.effects import Effect
+from fitting.estimation import Fit, fit
+
+# what every fit frees anyway is no discovery
+ALWAYS_FREE = ("camera.centre", "camera.tilt")
+_MAX_STEPS = 5
+# an effect whose strength is nearer to zero than this many standard errors is taken back
+_NEEDED = 3.3
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One step of a ladder: what was added or dropped, and the fit."""
+
+    change: str
+    fit: Fit
+    candidates: tuple[Candidate, ...]
+
+
+def improve(
+    base: Fit,
+    extra: Sequence[Effect] = (),
+    *,
+    max_steps: int = _MAX_STEPS,
+    progress: Callable[[int, int | None], None] | None = None,
+    first: Sequence[Candidate] | None = None,
+) -> list[Rung]:
+    """Go on adding the best effect while one is significant, then drop what is not needed.
+
+    Parameters
+    ----------
+    base : Fit
+        Where to begin.
+    extra : sequence of Effect
+        Effects of the user beside the library.
+    max_steps : int
+        At most so many effects are added.
+    progress : callable, optional
+        Called with (steps done, None).
+    first : sequence of Candidate, optional
+        The ranking of the base, if it is known already.
+
+    Returns
+    -------
+    list of Rung
+        The base first, the final model last.
+    """
+    rungs = [Rung("", base, tuple(first) if first is not None else tuple(rank(base, extra)))]
+    for step in range(max_steps):
+        chosen = best(rungs[-1].candidates)
+        if chosen is None or chosen.fit is None:
+            break
+        rungs.append(Rung(f"+{chosen.effect.name}", chosen.fit, ()))
+        rungs[-1] = _backward(rungs)
+        rungs[-1] = Rung(rungs[-1].change, rungs[-1].fit, tuple(rank(rungs[-1].fit, extra)))
+        if progress is not None:
+            progress(step + 1, None)
+    return rungs
+
+
+def best(candidates: Sequence[Candidate]) -> Candidate | None:
+    """Return the candidate to add next: significant, refitted, better in BIC; None if there is none."""
+    for c in candidates:
+        if c.effect.name in ALWAYS_FREE:
+            continue
+        if c.significant and c.fit is not None and c.delta_bic < 0:
+            return c
+    return None
+
+
+def _backward(rungs: list[Rung]) -> Rung:
+    """Drop effects added before that the newest makes unnecessary."""
+    newest = rungs[-1]
+    current = newest.fit
+    base_names = set(rungs[0].fit.model.names)
+    for effect in current.model.effects:
+        if effect.name in base_names or newest.change == f"+{effect.name}" or effect.amplitude is None:
+            continue
+        found = [
+            e for k, e in current.estimates.items() if k.partition("@")[0] == f"{effect.name}.{effect.amplitude.symbol}"
+        ]
+        if any(not np.isfinite(e.stderr) or abs(e.value) > _NEEDED * e.stderr for e in found):
+            continue
+        smaller = fit(
+            current.model.without(effect.name),
+            current.problem.data,
+            start={k: e.value for k, e in current.estimates.items()},
+            noise=current.noise,
+        )
+        if smaller.bic < current.bic:
+            return Rung(f"{newest.change} -{effect.name}", smaller, ())
+    return newest

@@ -1,0 +1,133 @@
+"""The answer: adequate, this effect (or this class) is missing, or an unexplained torque remains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fitting.diagnosis import Failure, ResidualTorque, Whiteness, find_failures, residual_torques, whiteness
+from fitting.discovery.experiment import next_experiment
+from fitting.discovery.improve import ALWAYS_FREE, Rung, best, improve
+from fitting.discovery.ranking import Candidate, rank
+from fitting.effects import Effect
+from fitting.estimation import Fit
+
+_FOLLOW_UP = 2
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Where a model fails and what would mend it.
+
+    Attributes
+    ----------
+    verdict : {"adequate", "missing_effect", "unexplained"}
+        The answer.
+    sentence : str
+        The answer in words.
+    failures : tuple of Failure
+        Where it fails, worst first.
+    candidates : tuple of Candidate
+        What would mend it, best first.
+    next_experiment : str
+        What to measure to tell the rivals apart; empty if there are none.
+    torques : tuple of ResidualTorque
+        The torque that is missing, as curves with bands.
+    """
+
+    fit: Fit
+    verdict: str
+    sentence: str
+    failures: tuple[Failure, ...]
+    candidates: tuple[Candidate, ...]
+    next_experiment: str
+    torques: tuple[ResidualTorque, ...] = field(repr=False)
+    whiteness: tuple[Whiteness, ...] = field(repr=False)
+
+
+def diagnose(fit: Fit, extra: Sequence[Effect] = ()) -> Diagnosis:
+    """Say where a fit fails and which effect is missing.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit in question.
+    extra : sequence of Effect
+        Effects of the user beside the library.
+
+    Returns
+    -------
+    Diagnosis
+    """
+    candidates = rank(fit, extra)
+    chosen = best(candidates)
+    after: list[Rung] = []
+    if chosen is not None and chosen.fit is not None and chosen.fit.verdict != "adequate":
+        after = improve(fit, extra, max_steps=1 + _FOLLOW_UP, first=candidates)
+    end = after[-1].fit if after else chosen.fit if chosen is not None else fit
+    torques = residual_torques(fit)
+    failures = find_failures(fit, torques)
+    if chosen is None:
+        verdict = "adequate" if fit.verdict == "adequate" else "unexplained"
+    else:
+        verdict = "missing_effect" if end is not None and end.verdict == "adequate" else "unexplained"
+    sentence = _sentence(fit, verdict, chosen, after, failures, candidates)
+    rivals = [c for c in candidates if chosen and c.effect.name in chosen.indistinguishable_from]
+    return Diagnosis(
+        fit,
+        verdict,
+        sentence,
+        tuple(failures),
+        tuple(candidates),
+        next_experiment(fit, [chosen, *rivals] if chosen else []),
+        tuple(torques),
+        tuple(whiteness(fit)),
+    )
+
+
+def _sentence(
+    fit: Fit,
+    verdict: str,
+    chosen: Candidate | None,
+    after: list[Rung],
+    failures: list[Failure],
+    candidates: Sequence[Candidate],
+) -> str:
+    parts = []
+    where = str(failures[0]) if failures else ""
+    if verdict == "adequate":
+        parts.append("The model is adequate: what it leaves is noise.")
+    elif chosen is None or verdict == "unexplained":
+        rest = after[-1].fit if after else fit
+        left = max((n.level for n in rest.noise), default=0.0)
+        parts.append(f"The model fails{': ' + where if where else ''}.")
+        parts.append(f"An unexplained torque of {left:.2g} N m rms remains that no effect of the library explains.")
+        if chosen is not None:
+            parts.append(f"The closest formula is that of {chosen.effect.name}; take it as a hypothesis.")
+    else:
+        parts.append(f"The model fails{': ' + where if where else ''}.")
+        names = [chosen.effect.name, *chosen.indistinguishable_from]
+        what = "measurement effect" if not chosen.physical else "effect"
+        if len(names) == 1:
+            parts.append(f"The missing {what} is {names[0]}{_strength(chosen)}.")
+        else:
+            parts.append(f"One of {', '.join(names)} is missing; this data cannot tell them apart.")
+        if len(after) > 2:
+            parts.append("With it " + ", ".join(r.change.lstrip("+") for r in after[2:]) + " is found as well.")
+    for c in candidates:
+        if c.effect.name in ALWAYS_FREE and c.significant:
+            size = float(np.hypot(*c.screened.gamma[:2]))
+            parts.append(f"The camera adds {c.effect.name} of {1e3 * size:.2g} mrad, which every fit takes out.")
+    return " ".join(parts)
+
+
+def _strength(c: Candidate) -> str:
+    amplitude = c.effect.amplitude
+    if amplitude is None:
+        return ""
+    found = [e for k, e in c.estimates.items() if k.partition("@")[0].endswith(f".{amplitude.symbol}")]
+    if not found:
+        return ""
+    return f" with {amplitude.symbol} = ({found[0].value:.4g} +- {found[0].stderr:.1g}) {found[0].unit}"
