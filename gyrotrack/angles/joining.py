@@ -1,8 +1,8 @@
 """From the sightings of markers to the angle of their body, without a slipped turn.
 
-The coarse path that followed the body counts the turns; each marker adds its fine angle as a small departure from it. Markers
-are brought together by where they sit on the body, weighted by how much each one scatters about the smooth motion;
-one that departs from the others is flagged and left out.
+The coarse path that followed the body counts the turns; each marker adds its fine angle as a small departure from it.
+Markers are brought together by where they sit on the body, weighted by how much each one scatters about the
+smooth motion; one that departs from the others is flagged and left out.
 """
 
 from __future__ import annotations
@@ -12,37 +12,55 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack.angles.bias import closed_curve, curve_at, without_common_motion
 from gyrotrack.angles.local import local_fit, spread
-from gyrotrack.angles.watching import Sightings
-from gyrotrack.dataset.records import STATUS
+from gyrotrack.angles.sightings import Sightings
 
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 HALF_WINDOW = 20
+"""Frames to each side over which a body's motion is taken to be a parabola."""
 FAR = 6.0
 """Standard deviations beyond which a sighting is taken for a fault."""
+WEAKEST = 4.0
+"""Factor on the uncertainty beyond which a partly hidden marker is not used."""
 
 
 @dataclass(frozen=True)
-class MarkerAngles:
-    """One marker's fine angles after the correction of the view.
+class Candidate:
+    """Fine angles of one marker before they are joined.
 
     Attributes
     ----------
     angle : ndarray, shape (n,)
         As seen, wrapped [rad].
-    sigma : ndarray, shape (n,)
-        Uncertainty from the marker's own scatter [rad].
-    status : ndarray of int8, shape (n,)
-        See `STATUS`.
+    good : ndarray of bool, shape (n,)
+        Where it is to be trusted by its looks.
+    open : ndarray of bool, shape (n,)
+        Nothing stands before any part of it.
+    weak : ndarray, shape (n,)
+        Factor on its uncertainty for what is hidden or dim.
     mount : float
-        Where it sits on the body, as seen [rad].
+        First value of where it sits on the body, as seen [rad].
+    given : bool
+        Whether that place is fixed by the profile.
     """
 
     angle: Floats
+    good: Mask
+    open: Mask
+    weak: Floats
+    mount: float
+    given: bool = False
+
+
+@dataclass(frozen=True)
+class MarkerAngles:
+    """One marker's fine angles as seen, wrapped, and their uncertainty [rad]; NaN where not used. `mount`: its place."""
+
+    angle: Floats
     sigma: Floats
-    status: npt.NDArray[np.int8]
     mount: float
 
 
@@ -57,111 +75,188 @@ class BodyAngles:
 
 
 def plausible(seen: Sightings) -> Mask:
-    """Frames in which a marker stands out at its usual height with its usual profile."""
-    known = np.isfinite(seen.gain)
-    if not known.any():
-        return known
-    tall = known & (seen.gain > 0.5 * np.nanpercentile(seen.gain, 75))
-    if not tall.any():
-        return tall
-    limit = max(3.0 * float(np.median(seen.misfit[tall])), 0.03)
-    radial = max(4.0 * float(np.median(seen.radial_misfit[tall])), 0.05)
-    return tall & (seen.misfit < limit) & (seen.radial_misfit < radial)
+    """Frames in which a marker stands out at its usual height, with its usual profile where it is open."""
+    known = np.isfinite(seen.gain) & (seen.weakness < WEAKEST * _usual_weakness(seen))
+    whole = known & seen.open
+    if not whole.any():
+        return whole
+    height = float(np.median(seen.gain[whole]))
+    known &= (seen.gain > 0.5 * height) & (seen.gain < 2.0 * height)
+    typical = float(np.median(seen.misfit[whole]))
+    scatter = 1.4826 * float(np.median(np.abs(seen.misfit[whole] - typical)))
+    return np.asarray(known & (seen.misfit < typical + 6.0 * scatter + 0.01))
 
 
-def join(
-    coarse: Floats,
-    fine: dict[str, Floats],
-    good: dict[str, Mask],
-    mounts: dict[str, float],
-    *,
-    given: frozenset[str],
-) -> BodyAngles:
+def candidate(seen: Sightings, angle: Floats, mount: float, *, given: bool) -> Candidate:
+    """Make a candidate from sightings and their corrected angle."""
+    return Candidate(angle, plausible(seen), seen.open, seen.weakness / _usual_weakness(seen), mount, given)
+
+
+def _usual_weakness(seen: Sightings) -> float:
+    whole = seen.open & np.isfinite(seen.weakness)
+    return float(np.median(seen.weakness[whole])) if whole.any() else 1.0
+
+
+def join(coarse: Floats, candidates: dict[str, Candidate], other: Floats | None = None) -> BodyAngles:
     """Join the markers of one body.
 
     Parameters
     ----------
     coarse : ndarray, shape (n,)
         Unwrapped coarse angle of the body as seen [rad], NaN where it was lost.
-    fine : dict of ndarray, shape (n,)
-        Fine angle of each marker as seen [rad].
-    good : dict of ndarray of bool, shape (n,)
-        Where each marker is to be trusted by its looks.
-    mounts : dict of float
-        First values of where they sit.
-    given : frozenset of str
-        Markers whose place the profile fixes; the others' places are measured relative to the first marker.
+    candidates : dict of Candidate
+        Its markers. Places that the profile does not fix are measured relative to the first marker.
+    other : ndarray, shape (n,), optional
+        Angle as seen of the body that hides the markers now and then [rad].
     """
-    use = {name: mask & np.isfinite(coarse) & np.isfinite(fine[name]) for name, mask in good.items()}
-    mounts = dict(mounts)
-    scatter = dict.fromkeys(fine, 0.01)
-    body = _weighted(coarse, fine, use, mounts, scatter)[0]
-    for _ in range(4):
-        mounts = _placed(coarse, body, fine, use, mounts, given)
-        body = _weighted(coarse, fine, use, mounts, scatter)[0]
-        smooth, leverage = local_fit(body - coarse, np.isfinite(body).astype(float), HALF_WINDOW)
-        for name in fine:
-            off = _wrap(fine[name] - coarse - mounts[name]) - smooth
-            mine = off[use[name]] / np.sqrt(np.maximum(1.0 - leverage[use[name]] / len(fine), 0.1))
-            if np.isfinite(mine).sum() >= 8:
-                scatter[name] = max(spread(mine), 1e-5)
-            use[name] = use[name] & ~(np.abs(off) > FAR * scatter[name] + 1e-3)
-    angle, sigma, count = _weighted(coarse, fine, use, mounts, scatter)
-    markers = {}
-    for name in fine:
-        status = np.full(len(coarse), STATUS["lost"], dtype=np.int8)
-        status[np.isfinite(coarse) & np.isfinite(fine[name])] = STATUS["occluded"]
-        status[use[name]] = STATUS["ok"]
-        markers[name] = MarkerAngles(
-            np.where(use[name], _wrap(fine[name]), np.nan),
-            np.where(use[name], scatter[name], np.nan),
-            status,
-            mounts[name],
+    path = smooth_path(coarse)
+    state = _Joint(path, candidates)
+    half, degree = _learning_window(path)
+    for _ in range(5):
+        smooth, leverage = local_fit(state.mean()[0], state.weight(), HALF_WINDOW)
+        state.replace_mounts(smooth)
+        state.judge(smooth, leverage)
+        smooth, _ = local_fit(state.mean()[0], state.weight(), half, degree)
+        state.learn_places(smooth)
+        if other is not None:
+            state.learn_neighbours(smooth, other)
+    smooth, leverage = local_fit(state.mean()[0], state.weight(), HALF_WINDOW)
+    state.judge(smooth, leverage)
+    departure, sigma, count = state.mean()
+    markers = {
+        name: MarkerAngles(
+            np.where(state.use[name], _wrap(c.angle - state.bias(name)), np.nan),
+            np.where(state.use[name], state.sigma(name), np.nan),
+            state.mounts[name],
         )
-    return BodyAngles(angle, sigma, count, markers)
+        for name, c in candidates.items()
+    }
+    return BodyAngles(path + departure, sigma, count, markers)
 
 
-def _weighted(
-    coarse: Floats,
-    fine: dict[str, Floats],
-    use: dict[str, Mask],
-    mounts: dict[str, float],
-    scatter: dict[str, float],
-) -> tuple[Floats, Floats, npt.NDArray[np.int64]]:
-    total, weight = np.zeros(len(coarse)), np.zeros(len(coarse))
-    count = np.zeros(len(coarse), dtype=np.int64)
-    for name, angle in fine.items():
-        w = use[name] / scatter[name] ** 2
-        total += np.where(use[name], w * _wrap(angle - coarse - mounts[name]), 0.0)
-        weight += w
-        count += use[name]
-    seen = weight > 0
-    safe = np.where(seen, weight, 1.0)
-    return (
-        np.where(seen, coarse + total / safe, np.nan),
-        np.where(seen, 1.0 / np.sqrt(safe), np.nan),
-        count,
-    )
+class _Joint:
+    """The markers' departures from the coarse path, and what is thought of them so far."""
+
+    def __init__(self, path: Floats, candidates: dict[str, Candidate]) -> None:
+        self.path = path
+        self.candidates = candidates
+        self.mounts = {name: c.mount for name, c in candidates.items()}
+        self.scatter = dict.fromkeys(candidates, (0.01, 0.03))
+        self.by_place = {name: np.zeros(len(path)) for name in candidates}
+        self.by_neighbour = {name: np.zeros(len(path)) for name in candidates}
+        self.use = {n: c.good & np.isfinite(path) & np.isfinite(c.angle) for n, c in candidates.items()}
+
+    def departure(self, name: str) -> Floats:
+        return _wrap(self.candidates[name].angle - self.path - self.mounts[name] - self.bias(name))
+
+    def bias(self, name: str) -> Floats:
+        return self.by_place[name] + self.by_neighbour[name]
+
+    def sigma(self, name: str) -> Floats:
+        """Uncertainty of each sighting: the scatter of open or of partly hidden ones, times their weakness."""
+        c = self.candidates[name]
+        clear, partly = self.scatter[name]
+        return np.asarray(np.where(c.open, clear, partly) * c.weak)
+
+    def mean(self) -> tuple[Floats, Floats, npt.NDArray[np.int64]]:
+        """Return the weighted mean departure, its uncertainty, and the number of markers in it."""
+        total, weight = np.zeros(len(self.path)), np.zeros(len(self.path))
+        count = np.zeros(len(self.path), dtype=np.int64)
+        for name in self.candidates:
+            w = np.where(self.use[name], 1.0 / self.sigma(name) ** 2, 0.0)
+            total += np.where(w > 0, w * self.departure(name), 0.0)
+            weight += w
+            count += w > 0
+        seen = weight > 0
+        safe = np.where(seen, weight, 1.0)
+        nothing = np.where(seen, 0.0, np.nan)
+        return total / safe + nothing, 1.0 / np.sqrt(safe) + nothing, count
+
+    def weight(self) -> Floats:
+        """Weights of the mean departures for a smooth curve through them, about 1 where they are usual."""
+        sigma = self.mean()[1]
+        known = np.isfinite(sigma)
+        if not known.any():
+            return np.zeros(len(sigma))
+        return np.where(known, (np.median(sigma[known]) / np.where(known, sigma, 1.0)) ** 2, 0.0)
+
+    def replace_mounts(self, smooth: Floats) -> None:
+        """Measure the places of the markers anew; the mean of the fixed ones (or the first) stays as it is."""
+        shift = {}
+        for name in self.candidates:
+            off = (self.departure(name) - smooth)[self.use[name]]
+            off = off[np.isfinite(off)]
+            shift[name] = float(np.median(off)) if len(off) else 0.0
+        fixed = [name for name, c in self.candidates.items() if c.given] or [next(iter(self.candidates))]
+        zero = float(np.mean([shift[name] for name in fixed]))
+        for name, c in self.candidates.items():
+            if not c.given:
+                self.mounts[name] += shift[name] - zero
+
+    def judge(self, smooth: Floats, leverage: Floats) -> None:
+        """Measure each marker's scatter about the smooth motion, and drop what lies far off."""
+        for name, c in self.candidates.items():
+            off = (self.departure(name) - smooth) / c.weak
+            share = np.clip(1.0 - leverage / max(len(self.candidates), 1), 0.1, 1.0)
+            off = off / np.sqrt(share)
+            clear = _scatter(off[self.use[name] & c.open], self.scatter[name][0])
+            partly = max(_scatter(off[self.use[name] & ~c.open], 3.0 * clear), clear)
+            self.scatter[name] = (clear, partly)
+            limit = FAR * np.where(c.open, clear, min(partly, 5.0 * clear)) + 5e-4
+            self.use[name] = self.use[name] & ~(np.abs(off) > limit)
+
+    def learn_places(self, smooth: Floats) -> None:
+        """Learn each marker's error by its place in the picture (see `bias`)."""
+        curves = {}
+        for name, c in self.candidates.items():
+            off = _wrap(c.angle - self.path - self.mounts[name] - self.by_neighbour[name]) - smooth
+            weight = np.where(self.use[name] & c.open, 1.0 / self.sigma(name) ** 2, 0.0)
+            curves[name] = closed_curve(c.angle, off, weight)
+        curves = without_common_motion(curves, self.mounts)
+        for name, curve in curves.items():
+            self.by_place[name] = curve_at(curve, np.nan_to_num(self.candidates[name].angle))
+
+    def learn_neighbours(self, smooth: Floats, other: Floats) -> None:
+        """Learn each marker's error by its angle to the body that hides it (see `bias`)."""
+        for name, c in self.candidates.items():
+            off = _wrap(c.angle - self.path - self.mounts[name] - self.by_place[name]) - smooth
+            near = self.use[name] & np.isfinite(other)
+            weight = np.where(near, 1.0 / self.sigma(name) ** 2, 0.0)
+            curve = closed_curve(np.nan_to_num(c.angle - other), off, weight)
+            self.by_neighbour[name] = np.where(
+                near & ~c.open, curve_at(curve, np.nan_to_num(c.angle - other)), 0.0
+            )
 
 
-def _placed(
-    coarse: Floats,
-    body: Floats,
-    fine: dict[str, Floats],
-    use: dict[str, Mask],
-    mounts: dict[str, float],
-    given: frozenset[str],
-) -> dict[str, float]:
-    """Measure the markers' places anew against the body's smooth path; the first free one keeps its own."""
-    smooth, _ = local_fit(body - coarse, np.isfinite(body).astype(float), HALF_WINDOW)
-    shift = {}
-    for name in fine:
-        off = _wrap(fine[name] - coarse - mounts[name]) - smooth
-        off = off[use[name] & np.isfinite(off)]
-        shift[name] = float(np.median(off)) if len(off) else 0.0
-    fixed = [name for name in fine if name in given] or [next(iter(fine))]
-    zero = float(np.mean([shift[name] for name in fixed]))
-    return {name: mounts[name] + (0.0 if name in given else shift[name] - zero) for name in fine}
+def _scatter(off: Floats, otherwise: float) -> float:
+    return max(spread(off), 1e-5) if np.isfinite(off).sum() >= 8 else otherwise
+
+
+def _learning_window(path: Floats) -> tuple[int, int]:
+    """Return half width and degree of the local polynomials against which repeating errors are learnt.
+
+    A little more than a turn to each side, so that an error that repeats with the turn is not taken for motion.
+    """
+    step = np.abs(np.diff(path))
+    step = step[np.isfinite(step)]
+    typical = float(np.median(step)) if len(step) else 0.0
+    half = int(np.clip(1.2 * 2.0 * np.pi / max(typical, 1e-3), HALF_WINDOW, 6 * HALF_WINDOW))
+    return half, 2 if half < 2 * HALF_WINDOW else 3
+
+
+def smooth_path(coarse: Floats) -> Floats:
+    """Smooth a coarse path, so that departures from it are departures from an even motion.
+
+    Local parabolas replace it wherever they stay within 0.3 rad of it, so that turns are kept.
+    """
+    known = np.isfinite(coarse)
+    if known.sum() < 8:
+        return coarse
+    index = np.arange(len(coarse), dtype=np.float64)
+    trend = np.polyval(np.polyfit(index[known], coarse[known], 1), index)
+    smooth, _ = local_fit(coarse - trend, known.astype(float), HALF_WINDOW)
+    near = np.abs(smooth + trend - coarse) < 0.3
+    return np.where(known, np.where(near, smooth + trend, coarse), np.nan)
 
 
 def _wrap(angle: Floats) -> Floats:

@@ -1,9 +1,9 @@
 """The fine angle of a marker: its profile across, matched with the mean of its own recent profiles.
 
-p(x) = a T(x - d) + b with gain a, offset b and displacement d free in every frame. T is the mean of the frames' own
-profiles, each brought to zero displacement, and made symmetric: T(x) = T(-x). A paper with parallel sides smeared by an
-even motion during the exposure has a symmetric profile about its middle at mid-exposure, so d is the angle of
-the middle of the paper at the middle of the exposure, however wide the smear is.
+p(x) = a T(x - d) + b with gain a, offset b and displacement d free in every frame, fitted over those samples that nothing
+hides. T is the mean of the frames' own profiles, each brought to zero displacement, and made symmetric: T(x) = T(-x).
+A paper with parallel sides smeared by an even motion during the exposure has a symmetric profile about its middle at
+mid-exposure, so d is the angle of the middle of the paper at the middle of the exposure, however wide the smear is.
 """
 
 from __future__ import annotations
@@ -28,13 +28,71 @@ class Match:
     gain, offset : ndarray, shape (n,)
         a and b, in units of the profiles.
     misfit : ndarray, shape (n,)
-        rms of what the template leaves over, relative to the gain.
+        rms of what the template leaves over in the open samples, relative to the gain.
+    weakness : ndarray, shape (n,)
+        How much larger the uncertainty of d is than with all samples open and a gain of 1 (from the curvature of the fit);
+        inf where d cannot be found.
     """
 
     shift: Floats
     gain: Floats
     offset: Floats
     misfit: Floats
+    weakness: Floats
+
+
+def match(profile: Floats, template: Floats, start: Floats, seen: Mask, rounds: int = 4) -> Match:
+    """Fit gain, offset and displacement of every profile by Gauss-Newton.
+
+    Parameters
+    ----------
+    profile : ndarray, shape (n, m)
+        One profile a frame.
+    template : ndarray, shape (m,)
+        T on the same samples.
+    start : ndarray, shape (n,)
+        First guess of the displacement in samples.
+    seen : ndarray of bool, shape (n, m)
+        Samples that nothing hides.
+    """
+    slope = np.gradient(template)
+    weight = seen.astype(np.float64)
+    shift = np.array(start, dtype=np.float64)
+    limit = 0.3 * len(template)
+    for _ in range(rounds):
+        basis = np.stack([_moved(template, shift), np.ones_like(profile), _moved(slope, shift)], axis=2)
+        normal, solution = _solve(basis, profile, weight)
+        gain = solution[:, 0]
+        step = -solution[:, 2] / np.where(np.abs(gain) > 1e-3, gain, np.inf)
+        shift = np.clip(shift + np.clip(step, -2.0, 2.0), -limit, limit)
+    left = profile - (basis @ solution[:, :, None])[:, :, 0]
+    count = np.maximum(weight.sum(axis=1), 1.0)
+    misfit = np.sqrt((weight * left**2).sum(axis=1) / count) / np.maximum(np.abs(gain), 1e-3)
+    return Match(shift, gain, solution[:, 1], misfit, _weakness(normal, gain, template, slope))
+
+
+def _solve(basis: Floats, value: Floats, weight: Floats) -> tuple[Floats, Floats]:
+    weighted = basis * weight[:, :, None]
+    normal = weighted.transpose(0, 2, 1) @ basis
+    right = weighted.transpose(0, 2, 1) @ value[:, :, None]
+    ridge = 1e-9 * (1.0 + normal.trace(axis1=1, axis2=2))[:, None, None] * np.eye(3)
+    return normal, np.linalg.solve(normal + ridge, right)[:, :, 0]
+
+
+def _weakness(normal: Floats, gain: Floats, template: Floats, slope: Floats) -> Floats:
+    full = np.stack([template, np.ones_like(template), slope], axis=1)
+    best = np.linalg.inv(full.T @ full + 1e-9 * np.eye(3))[2, 2]
+    ridge = 1e-9 * (1.0 + normal.trace(axis1=1, axis2=2))[:, None, None] * np.eye(3)
+    here = np.linalg.inv(normal + ridge)[:, 2, 2]
+    ratio = np.sqrt(np.maximum(here, 0.0) / best) / np.maximum(np.abs(gain), 1e-3)
+    return np.where(np.isfinite(ratio), ratio, np.inf)
+
+
+def _moved(curve: Floats, shift: Floats) -> Floats:
+    """Return curve(x - shift) for every shift, (n, m); beyond the ends the end values."""
+    m = len(curve)
+    place = np.arange(m)[None, :] - shift[:, None]
+    return np.asarray(np.interp(place.ravel(), np.arange(m), curve).reshape(place.shape))
 
 
 def shifted(profile: Floats, shift: Floats) -> Floats:
@@ -55,52 +113,35 @@ def shifted(profile: Floats, shift: Floats) -> Floats:
     return out
 
 
-def match(profile: Floats, template: Floats, start: Floats | None = None, rounds: int = 3) -> Match:
-    """Fit gain, offset and displacement of every profile by Gauss-Newton.
+def mean_profile(profile: Floats, found: Match, use: Mask, seen: Mask, *, symmetric: bool) -> Floats | None:
+    """Return the template that the open samples of the frames in `use` suggest, top at 1 and foot at 0.
 
-    Parameters
-    ----------
-    profile : ndarray, shape (n, m)
-        One profile a frame.
-    template : ndarray, shape (m,)
-        T on the same samples.
-    start : ndarray, shape (n,), optional
-        First guess of the displacement in samples.
+    None if there are fewer than three frames, or a part of the profile that none of them shows.
     """
-    slope = np.gradient(template)
-    design = np.stack([template, np.ones_like(template), slope], axis=1)
-    solve = np.linalg.pinv(design).T
-    shift = np.zeros(len(profile)) if start is None else np.array(start, dtype=np.float64)
-    limit = 0.3 * len(template)
-    for _ in range(rounds):
-        aligned = shifted(profile, shift)
-        gain, offset, tangent = (aligned @ solve).T
-        step = -tangent / np.where(np.abs(gain) > 1e-6, gain, np.inf)
-        shift = np.clip(shift + np.clip(step, -3.0, 3.0), -limit, limit)
-    left = aligned - np.outer(gain, template) - offset[:, None] - np.outer(tangent, slope)
-    misfit = np.sqrt(np.mean(left**2, axis=1)) / np.maximum(np.abs(gain), 1e-6)
-    return Match(shift, gain, offset, misfit)
-
-
-def mean_profile(profile: Floats, found: Match, use: Mask, *, symmetric: bool) -> Floats | None:
-    """Return the template that the frames in `use` suggest, its top at 1 and its foot at 0; None if too few."""
     if use.sum() < 3:
         return None
     aligned = shifted(profile[use], found.shift[use])
+    whole = shifted(seen[use].astype(np.float64), found.shift[use]) > 0.99
     scaled = (aligned - found.offset[use, None]) / found.gain[use, None]
-    template = np.median(scaled, axis=0) if len(scaled) < 12 else _trimmed_mean(scaled)
+    template = _clipped_mean(scaled, whole)
     if symmetric:
         template = 0.5 * (template + template[::-1])
-    foot = float(min(template[0], template[-1])) if symmetric else float(template.min())
+    foot = float(0.5 * (template[0] + template[-1])) if symmetric else float(template.min())
     top = float(template.max())
-    return None if top - foot < 1e-3 else np.asarray((template - foot) / (top - foot))
+    return np.asarray((template - foot) / (top - foot)) if top - foot > 1e-3 else None
 
 
-def _trimmed_mean(values: Floats) -> Floats:
-    """Mean without the lowest and highest tenth of each column."""
-    cut = len(values) // 10
-    order = np.sort(values, axis=0)
-    return np.asarray(order[cut : len(values) - cut].mean(axis=0))
+def _clipped_mean(values: Floats, seen: Mask) -> Floats:
+    """Mean of each column over its seen values, without those beyond 2.5 standard deviations; NaN if none."""
+    for _ in range(2):
+        count = seen.sum(axis=0)
+        safe = np.maximum(count, 1)
+        mean = np.where(seen, values, 0.0).sum(axis=0) / safe
+        off = np.where(seen, values - mean, 0.0)
+        seen = seen & (np.abs(off) <= 2.5 * np.sqrt((off**2).sum(axis=0) / safe) + 1e-9)
+    count = seen.sum(axis=0)
+    mean = np.where(seen, values, 0.0).sum(axis=0) / np.maximum(count, 1)
+    return np.where(count > 0, mean, np.nan)
 
 
 def flat_top(half_width: float, length: int) -> Floats:

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack.angles.joining import BodyAngles, join, plausible
+from gyrotrack.angles.joining import BodyAngles, candidate, join, plausible
+from gyrotrack.angles.sightings import Sightings
 from gyrotrack.angles.uncertainty import paper_angle
 from gyrotrack.angles.velocity import angular_velocity
-from gyrotrack.angles.watching import Sightings
-from gyrotrack.dataset.records import BodyTrack, MarkerTrack, Recording
+from gyrotrack.dataset.records import STATUS, BodyTrack, MarkerTrack, Recording
 from gyrotrack.errors import TrackingError
 from gyrotrack.geometry.acquisition import acquire
 from gyrotrack.geometry.centre import CentrePath, smooth_path
@@ -45,7 +44,10 @@ def extract(
     scene = acquire(samples, profile, video.name)
     seen = watch(video, scene, samples, threads, progress)
     centre = _centre(seen, scene)
-    joined = {name: _joined(sights, centre, profile, scene, name) for name, sights in seen.bodies.items()}
+    joined: dict[str, tuple[BodyAngles, Flattening]] = {}
+    for name, sights in seen.bodies.items():
+        casing = joined["casing"][0].angle if "casing" in joined else None
+        joined[name] = _joined(sights, centre, profile, scene, name, casing)
     n = len(seen.pts_time)
     time = np.arange(n) / rate.fps
     sense = _sense(profile, joined)
@@ -80,36 +82,33 @@ def extract(
 def _centre(seen: Watched, scene: Scene) -> CentrePath:
     if seen.disc is not None:
         return smooth_path(seen.disc)
-    sights = max(
-        (s for body in seen.bodies.values() for s in body.markers.values()),
-        key=lambda s: int(plausible(s).sum()),
-    )
-    return wandering_centre(_positions(sights, plausible(sights)), plausible(sights), np.array(scene.centre))
-
-
-def _positions(s: Sightings, good: npt.NDArray[np.bool_]) -> Floats:
-    """Where the middle of a marker is in the picture, (n, 2) in px; its usual radius where that is not well seen."""
-    usual = np.nanmedian(s.radius[good]) if good.any() else np.nan
-    r = np.where(good, s.radius, usual)
-    return s.centre + np.stack([r * np.cos(s.angle), -r * np.sin(s.angle)], axis=1)
+    sights = [s for body in seen.bodies.values() for s in body.markers.values()]
+    best = max(sights, key=lambda s: int(plausible(s).sum()))
+    good = plausible(best)
+    return wandering_centre(best.position(good & best.open), good & best.open, np.array(scene.centre))
 
 
 def _joined(
-    sights: BodySightings, centre: CentrePath, profile: Profile, scene: Scene, name: str
+    sights: BodySightings,
+    centre: CentrePath,
+    profile: Profile,
+    scene: Scene,
+    name: str,
+    casing: Floats | None,
 ) -> tuple[BodyAngles, Flattening]:
-    good = {m: plausible(s) for m, s in sights.markers.items()}
-    place = {}
-    for m, s in sights.markers.items():
-        v = _positions(s, good[m]) - centre.centre
-        place[m] = np.stack([v[:, 0], -v[:, 1]], axis=1)
-    flat = fit_flattening({m: v[good[m] & np.isfinite(v).all(axis=1)] for m, v in place.items()})
-    fine = {}
+    whole = {m: plausible(s) & s.open for m, s in sights.markers.items()}
+    place = {
+        m: (s.position(whole[m]) - centre.centre) * np.array([1.0, -1.0]) for m, s in sights.markers.items()
+    }
+    flat = fit_flattening({m: v[whole[m] & np.isfinite(v).all(axis=1)] for m, v in place.items()})
+    given = {m.name for m in profile.of(name) if m.mount_angle is not None}
+    mounts = {p.name: p.mount for p in scene.of(name)}
+    candidates = {}
     for m, v in place.items():
         level = flat.level(m, v)
-        fine[m] = np.arctan2(level[:, 1], level[:, 0])
-    given = frozenset(m.name for m in profile.of(name) if m.mount_angle is not None and m.name in fine)
-    mounts = {p.name: p.mount for p in scene.of(name)}
-    return join(sights.coarse, fine, good, mounts, given=given), flat
+        angle = np.arctan2(level[:, 1], level[:, 0])
+        candidates[m] = candidate(sights.markers[m], angle, mounts[m], given=m in given)
+    return join(sights.coarse, candidates, casing), flat
 
 
 def _sense(profile: Profile, joined: dict[str, tuple[BodyAngles, Flattening]]) -> int:
@@ -130,7 +129,11 @@ def _markers(
     tracks = {}
     for name, found in angles.markers.items():
         s = sights.markers[name]
-        ok = found.status == 0
+        used = np.isfinite(found.angle)
+        ok = used & s.open
+        status = np.full(len(used), STATUS["lost"], dtype=np.int8)
+        status[np.isfinite(s.angle)] = STATUS["occluded"]
+        status[ok] = STATUS["ok"]
         xy = s.centre[:, None, :] + np.stack(
             [s.corner_radius * np.cos(s.corner_angle), -s.corner_radius * np.sin(s.corner_angle)], axis=-1
         )
@@ -148,7 +151,7 @@ def _markers(
             u_r=paper.u_r,
             u_1=paper.u_1,
             u_2=paper.u_2,
-            status=found.status,
+            status=status,
             angle_fine=_wrap(sense * found.angle),
             sigma_calibrated=found.sigma,
         )

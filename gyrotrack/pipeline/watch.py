@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack.angles.watching import BodyWatch, Sightings
+from gyrotrack.angles.body_watch import BodyWatch
+from gyrotrack.angles.sightings import Sightings
 from gyrotrack.geometry.centre import DiscWindow
 from gyrotrack.geometry.samples import Samples
 from gyrotrack.geometry.scene import Scene
@@ -25,10 +26,9 @@ _MOVE = 0.6
 
 @dataclass(frozen=True)
 class BodySightings:
-    """One body in all frames: unwrapped coarse angle as seen [rad], whether it was seen, its markers."""
+    """One body in all frames: unwrapped coarse angle as seen [rad], NaN where it was lost; its markers."""
 
     coarse: Floats
-    seen: npt.NDArray[np.bool_]
     markers: dict[str, Sightings]
 
 
@@ -68,16 +68,17 @@ class _Pass:
         self.disc = DiscWindow(scene.disc, BATCH) if scene.disc else None
         self.centre = scene.centre
         self.filled = 0
-        self._parts: dict[str, list[tuple[Floats, npt.NDArray[np.bool_], dict[str, Sightings]]]] = {
-            b: [] for b in self.bodies
-        }
+        self._parts: dict[str, list[tuple[Floats, dict[str, Sightings]]]] = {b: [] for b in self.bodies}
         self._centres: list[Floats] = []
 
     def digest(self) -> None:
         if not self.filled:
             return
+        casing: Floats | None = None
         for name, body in self.bodies.items():
-            self._parts[name].append(body.digest(self.filled))
+            self._parts[name].append(body.digest(self.filled, casing))
+            if name == "casing":
+                casing = self._parts[name][-1][0]
         if self.disc is not None:
             self._centres.append(self.disc.centres(self.filled))
             self._move(self._centres[-1])
@@ -96,9 +97,8 @@ class _Pass:
     def result(self, reader: Reader) -> Watched:
         bodies = {}
         for name, parts in self._parts.items():
-            markers = {m: Sightings.joined([part[2][m] for part in parts]) for m in parts[0][2]}
-            coarse, seen = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
-            bodies[name] = BodySightings(coarse, seen, markers)
+            markers = {m: Sightings.joined([part[1][m] for part in parts]) for m in parts[0][1]}
+            bodies[name] = BodySightings(np.concatenate([part[0] for part in parts]), markers)
         disc = np.concatenate(self._centres) if self._centres else None
         return Watched(bodies, disc, reader.pts_seconds(), reader.warnings, (0, 0))
 

@@ -17,8 +17,8 @@ from gyrotrack.video.planes import Plane
 
 Maps = tuple[npt.NDArray[np.int16], npt.NDArray[np.uint16]]
 
-CHROMA_SHIFT = (0.5, 0.5)
-"""Where the first chroma sample lies in luma pixels (x, y): between the four that it was made from."""
+CHROMA_SHIFT = (0.0, 0.5)
+"""Where the first chroma sample lies in luma px (x, y): H.264 places it on the left column, between two rows."""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,58 @@
+"""What was seen of one marker, frame by frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """One marker in consecutive frames, about the ring's centre; NaN where its body was not followed.
+
+    Attributes
+    ----------
+    angle, radius : ndarray, shape (n,)
+        Fine angle as seen [rad], radius of the middle of the paper [px].
+    corner_angle, corner_radius : ndarray, shape (n, 2)
+        The near corners about the ring's centre.
+    gain, misfit : ndarray, shape (n,)
+        Height relative to the typical one, and rms of what the template leaves over, relative to the gain.
+    weakness : ndarray, shape (n,)
+        Factor on the uncertainty for what is hidden or dim; see `matching.Match`.
+    radial_misfit : ndarray, shape (n,)
+        As `misfit`, along the radius.
+    open : ndarray of bool, shape (n,)
+        Nothing is known to stand before any part of the marker.
+    centre : ndarray, shape (n, 2)
+        Centre of the ring in px.
+    """
+
+    angle: Floats
+    radius: Floats
+    corner_angle: Floats
+    corner_radius: Floats
+    gain: Floats
+    misfit: Floats
+    weakness: Floats
+    radial_misfit: Floats
+    open: Mask
+    centre: Floats
+
+    @staticmethod
+    def joined(parts: list[Sightings]) -> Sightings:
+        """Put batches one after the other."""
+        return Sightings(
+            **{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Sightings)}
+        )
+
+    def position(self, good: Mask) -> Floats:
+        """Return where the middle of the marker is in the picture, (n, 2) in px; its usual radius where not good."""
+        usual = float(np.nanmedian(self.radius[good])) if good.any() else np.nan
+        r = np.where(good, self.radius, usual)
+        return self.centre + np.stack([r * np.cos(self.angle), -r * np.sin(self.angle)], axis=1)

@@ -1,0 +1,88 @@
+"""What the surroundings do to a marker at each angle: light that differs from place to place, and what hides it.
+
+Both are learnt from the marker itself. When a marker with profile a T(x) passes an angle, the height that is seen there,
+relative to the expected one, tells how bright the light is (angles fixed in the picture) or whether something
+stands before it (angles fixed on the other body): h = sum(a T p) / sum((a T)^2) over all passages.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+
+class AngleMap:
+    """Mean relative height of a marker at each angle, learnt from its passages.
+
+    Parameters
+    ----------
+    layers, columns : int
+        Rows of the map (parts of the radius) and angles in a full turn.
+    """
+
+    def __init__(self, layers: int, columns: int) -> None:
+        self.columns = columns
+        self._top = np.zeros((layers, columns))
+        self._bottom = np.zeros((layers, columns))
+
+    def learn(self, layer: int, column: Integers, expected: Floats, value: Floats) -> None:
+        """Add passages: flat arrays of column, expected height and height above the background that was seen."""
+        inside = column % self.columns
+        self._top[layer] += np.bincount(inside, expected * value, self.columns)
+        self._bottom[layer] += np.bincount(inside, expected**2, self.columns)
+
+    def heights(self, blur: int, prior: float = 0.0) -> Floats:
+        """Return the heights relative to their upper middle (layers, columns); NaN where nothing has passed.
+
+        Parameters
+        ----------
+        blur : int
+            Half width in columns of the mean that is taken.
+        prior : float
+            Weight, in full passages of a column, with which a height of 1 is mixed in.
+        """
+        top, bottom = (_blurred(part, blur) for part in (self._top, self._bottom))
+        known = bottom > 0.5
+        height = np.where(known, top / np.where(known, bottom, 1.0), np.nan)
+        for row, weight in zip(height, bottom, strict=True):
+            if np.isfinite(row).any():
+                row /= max(float(np.nanpercentile(row, 60)), 1e-3)
+                row[:] = (row * weight + prior) / (weight + prior)
+        return height
+
+
+HIDDEN = 0.55
+"""Relative height below which a marker counts as hidden."""
+
+
+def even_light(light: AngleMap, columns: int) -> Floats:
+    """Return the relative brightness at each column, 1 where nothing is known; between 0.4 and 2.5."""
+    height = light.heights(max(columns // 128, 1), prior=4.0)[0]
+    known = np.isfinite(height)
+    if not known.any():
+        return np.ones(columns)
+    place = np.arange(columns)
+    filled = np.interp(place, place[known], height[known], period=columns)
+    return np.clip(filled, HIDDEN, 2.0)
+
+
+def open_columns(cover: AngleMap, grow: int) -> npt.NDArray[np.bool_]:
+    """Return at which angles nothing stands before the marker, in any layer; unknown angles count as open.
+
+    What is hidden is grown by `grow` columns, because an edge is never sharp.
+    """
+    hidden = (np.nan_to_num(cover.heights(1), nan=1.0) < HIDDEN).any(axis=0)
+    for _ in range(grow):
+        hidden = hidden | np.roll(hidden, 1) | np.roll(hidden, -1)
+    return np.asarray(~hidden)
+
+
+def _blurred(rows: Floats, half: int) -> Floats:
+    if half < 1:
+        return rows
+    padded = np.concatenate([rows[:, -half:], rows, rows[:, :half]], axis=1)
+    total = np.cumsum(np.pad(padded, ((0, 0), (1, 0))), axis=1)
+    return np.asarray(total[:, 2 * half + 1 :] - total[:, : -(2 * half + 1)])
