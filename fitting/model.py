@@ -11,14 +11,16 @@ travel beside it as a mapping from ``<effect>.<symbol>`` to a value.
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.effects import Effect, find
+from fitting.effects import Effect, find, read_effects, resolve
 from fitting.effects.effect import Parameter
 from fitting.errors import EffectError
 from fitting.expression import Expr, Tape, derivative, latex, symbols
@@ -242,3 +244,30 @@ class Dynamics:
 def parameter_symbols(model: Model) -> set[str]:
     """Return all symbols that the laws of a model contain (for checks)."""
     return set().union(*(symbols(e.expression) for e in model.effects)) if model.effects else set()
+
+
+def read_model(path: Path, own: Iterable[Effect] = ()) -> Model:
+    """Read a model from a TOML file: ``effects = ["rotor.air.quadratic", ...]`` and ``[[effect]]`` tables.
+
+    Raises
+    ------
+    EffectError
+        If the file cannot be read, has no list of effects, or names one that is unknown.
+    """
+    try:
+        with path.open("rb") as file:
+            document = tomllib.load(file)
+    except OSError as fault:
+        raise EffectError(f"{path}: {fault.strerror or fault}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
+        raise EffectError(f"{path} is not a TOML file: {fault}") from None
+    names = document.get("effects", [])
+    if not isinstance(names, list) or not all(isinstance(n, str) for n in names):
+        raise EffectError(f"{path}: effects must be a list of names", 'write: effects = ["bearing.linear", ...]')
+    declared = read_effects(path) if "effect" in document else []
+    known = {e.name: e for e in (*own, *declared)}
+    chosen = [known[n] if n in known else resolve(n) for n in names]
+    chosen += [e for e in declared if e.name not in names]
+    if not chosen:
+        raise EffectError(f"{path} names no effect", 'write: effects = ["bearing.linear", ...]')
+    return Model(tuple(chosen))

@@ -129,7 +129,7 @@ def _read(path: Path, file: Any) -> Record:
             "make a case with `gyrotrack sync`",
         )
     quantity: Quantity = "omega" if _text(attributes.get("quantity", "angle")) == "omega" else "angle"
-    key = ("omega_measured", "omega_sigma_measured") if quantity == "omega" else ("angle", "sigma")
+    key = ("omega", "omega_sigma") if quantity == "omega" else ("angle", "sigma")
     casing = _series(path, file, "casing", key)
     rotor, window = _series(path, file, "rotor", key), _column(path, file, "rotor", "window")
     inertias = [float(np.asarray(attributes[k])) for k in ("I_rotor", "I_casing")]

@@ -87,7 +87,6 @@ def dimension(e: Expr, units: Mapping[str, Dimension], exponents: Mapping[str, f
         return units[e.name]
     parts = [dimension(a, units, exponents) for a in e.args]
     if e.op == "add":
-        # a bare number beside a quantity is meant in that quantity's SI unit only if it is zero
         if not _same(parts[0], parts[1]):
             raise ExpressionError(
                 f"quantities of unlike units are added: {format_unit(parts[0])} and {format_unit(parts[1])}"

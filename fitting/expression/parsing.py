@@ -33,7 +33,7 @@ def parse(text: str) -> Expr:
     Parameters
     ----------
     text : str
-        The formula. Every name that is not a function becomes a symbol.
+        The formula. Every name but ``pi`` that is not a function becomes a symbol.
 
     Returns
     -------
@@ -69,13 +69,13 @@ def _convert(node: ast.expr, depth: int) -> Expr:
         case ast.Name(id=name):
             if name in nodes.FUNCTIONS or name.startswith("_"):
                 raise ExpressionError(f"{name!r} cannot be the name of a quantity")
-            return nodes.sym(name)
+            return nodes.num(math.pi) if name == "pi" else nodes.sym(name)
         case ast.UnaryOp(op=ast.USub(), operand=operand):
             return nodes.neg(_convert(operand, depth + 1))
         case ast.UnaryOp(op=ast.UAdd(), operand=operand):
             return _convert(operand, depth + 1)
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
-            return _BINARY[type(op)](_convert(left, depth + 1), _convert(right, depth + 1))
+            return _combine(type(op), _convert(left, depth + 1), _convert(right, depth + 1))
         case ast.Call(func=ast.Name(id=name), args=[argument], keywords=[]) if name in nodes.FUNCTIONS:
             return nodes.call(name, _convert(argument, depth + 1))
         case ast.Call(func=ast.Name(id=name)):
@@ -86,6 +86,15 @@ def _convert(node: ast.expr, depth: int) -> Expr:
         case _:
             pass
     raise ExpressionError(f"{type(node).__name__} is not allowed in a formula", f"a formula has {_ALLOWED}")
+
+
+def _combine(op: type[ast.operator], left: Expr, right: Expr) -> Expr:
+    if op is ast.Div and right == nodes.ZERO:
+        raise ExpressionError("the formula divides by zero")
+    result = _BINARY[op](left, right)
+    if result.op == "num" and not math.isfinite(result.value):
+        raise ExpressionError("a number in the formula is too large")
+    return result
 
 
 def _number(number: float) -> Expr:

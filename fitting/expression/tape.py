@@ -24,7 +24,7 @@ def _power(x: Any, y: Any) -> Any:
         if y == 2.0:
             return x * x
         if y == -1.0:
-            return 1.0 / x
+            return np.divide(1.0, x)
     return np.power(x, y)
 
 

@@ -48,7 +48,7 @@ def rule(k: int = NODES) -> Rule:
     x, w = legendre.leggauss(k)
     to_legendre: Array = np.asarray(np.linalg.inv(legendre.legvander(x, k - 1)), dtype=np.float64)
     # column j: coefficients of the antiderivative of L_j that vanishes at -1
-    antiderivative = legendre.legint(to_legendre, lbnd=-1, axis=0)
+    antiderivative: Array = np.asarray(legendre.legint(to_legendre, lbnd=-1, axis=0), dtype=np.float64)
     integral: Array = np.asarray(legendre.legvander(x, k) @ antiderivative, dtype=np.float64)
     return Rule(x, w, integral, to_legendre, antiderivative)
 

@@ -1,0 +1,167 @@
+"""A law that a user typed, as an effect: which of its names are parameters, and of what kind."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+
+from fitting.effects.effect import VARIABLES, Effect, Joint, Parameter, Role
+from fitting.errors import EffectError, ExpressionError
+from fitting.expression import Expr, Tape, derivative, parse, symbols
+from fitting.expression.dimension import NONE, Dimension, dimension, format_unit, parse_unit
+from fitting.expression.nodes import ZERO, substitute
+
+# the unit of a strength that cannot be worked out because other units were not given
+UNKNOWN_UNIT = "SI"
+_BODIES = ("rotor", "casing", "bearing")
+_NOT_FOR_USERS = {"temperature", "chirp", "tau", "psi", "omega"}
+
+
+def formula(
+    name: str,
+    body: str,
+    law: str,
+    declared: Mapping[str, Mapping[str, Any]],
+    *,
+    signature: str = "",
+    source: str = "",
+) -> Effect:
+    """Return an effect from a law; parameters that are not declared are found in the law.
+
+    Raises
+    ------
+    EffectError, ExpressionError
+        If the law is not understood, has no strength to fit, or does not come out in its unit.
+    """
+    if body not in _BODIES:
+        raise EffectError(f"{body[:30]!r} is no body", "write rotor:, casing: or bearing: before the law")
+    expression = parse(law)
+    own = sorted(symbols(expression) - set(VARIABLES))
+    for forbidden in sorted(symbols(expression) & _NOT_FOR_USERS):
+        raise EffectError(f"{forbidden!r} is not known to a law that has no state of its own", _hint())
+    if not own:
+        raise EffectError(
+            f"the law {law!r} has no parameter to fit", "write for example: casing: -k*omega_c**3"
+        )
+    for symbol in sorted(set(declared) - set(own)):
+        raise EffectError(f"the parameter {symbol!r} does not occur in the law {law!r}", _hint())
+    amplitude = _strength(law, expression, [s for s in own if not declared.get(s, {}).get("shape", False)])
+    roles: dict[str, Role] = {s: "phase" if _is_phase(expression, s) else "shape" for s in own}
+    roles[amplitude] = "amplitude"
+    parameters = tuple(_parameter(s, declared.get(s, {}), roles[s]) for s in own)
+    unit = declared.get(amplitude, {}).get("unit") or _amplitude_unit(expression, amplitude, parameters)
+    parameters = tuple(replace(p, unit=unit) if p.symbol == amplitude else p for p in parameters)
+    effect = Effect(name, cast("Joint", body), law, parameters, signature=signature, source=source)
+    _check(effect)
+    return effect
+
+
+def _check(effect: Effect) -> None:
+    shapes = [p.symbol for p in effect.parameters if p.role == "shape"]
+    if effect.depends_on_angle and shapes:
+        raise EffectError(
+            f"{shapes[0]!r} shapes a law that follows an angle, which can have a strength and a phase only",
+            f"write a number for {shapes[0]}",
+        )
+    if all(p.unit != UNKNOWN_UNIT for p in effect.parameters):
+        try:
+            effect.check()
+        except ExpressionError as fault:
+            raise EffectError(
+                f"the units of the law {effect.law!r} do not agree: {fault.message}",
+                "give the unit of every parameter, or of none",
+            ) from None
+
+
+def _parameter(symbol: str, keys: Mapping[str, Any], role: Role) -> Parameter:
+    def number(what: str, value: Any) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
+            raise EffectError(f"parameter {symbol}: {what} must be a number")
+        return float(value)
+
+    start = number("start", keys.get("start", 1.0 if role == "shape" else 0.0))
+    grid = tuple(number("grid", v) for v in keys.get("grid", ())) or (
+        _default_grid(start) if role == "shape" else ()
+    )
+    lower, upper = number("lower", keys.get("lower", -math.inf)), number("upper", keys.get("upper", math.inf))
+    if not lower < upper or not lower <= start <= upper:
+        raise EffectError(
+            f"parameter {symbol}: start {start:g} must lie between lower {lower:g} and upper {upper:g}"
+        )
+    grid = tuple(v for v in grid if lower <= v <= upper)
+    return Parameter(
+        symbol,
+        keys.get("unit", "1"),
+        role,
+        lower,
+        upper,
+        start,
+        grid,
+        meaning=keys.get("meaning", ""),
+    )
+
+
+def _default_grid(start: float) -> tuple[float, ...]:
+    return tuple(start * factor for factor in (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0))
+
+
+def _strength(law: str, expression: Expr, candidates: list[str]) -> str:
+    """Return the first parameter that the law is proportional to."""
+    linear = [c for c in candidates if c not in symbols(derivative(expression, c))]
+    if not linear:
+        raise EffectError(
+            f"the law {law!r} is linear in none of {', '.join(candidates)}", "put a strength k in front of it"
+        )
+    for symbol in linear:
+        if substitute(expression, {symbol: ZERO}) == ZERO:
+            return symbol
+    raise EffectError(
+        f"the law {law!r} does not vanish with any one of {', '.join(linear)}",
+        "write a sum of laws as several effects, or put one strength in front of it",
+    )
+
+
+def _is_phase(expression: Expr, symbol: str) -> bool:
+    """Return whether the law is a sine and a cosine of a parameter: its second derivative is minus itself."""
+    slope = derivative(derivative(expression, symbol), symbol)
+    tape = Tape([expression, slope])
+    values = {name: 0.4 + 0.17 * i + np.linspace(0.0, 1.0, 5) for i, name in enumerate(sorted(tape.names))}
+    if symbol not in values:
+        return False
+    with np.errstate(all="ignore"):
+        law, curvature = (np.asarray(v) for v in tape(values))
+    size = np.abs(law).max()
+    return bool(size > 0 and np.abs(law + curvature).max() < 1e-9 * size)
+
+
+def _amplitude_unit(expression: Expr, amplitude: str, parameters: tuple[Parameter, ...]) -> str:
+    """Return the unit that makes the law a torque; where an exponent is fitted, ``N m s^p``."""
+    torque = parse_unit("N m")
+    exponents = {p.symbol: p.start for p in parameters if p.unit == "1"}
+
+    def needed(shift: str = "") -> Dimension:
+        values = exponents | ({shift: exponents[shift] + 1.0} if shift else {})
+        units: dict[str, Dimension] = {name: parse_unit(unit) for name, unit in VARIABLES.items()}
+        units |= {p.symbol: NONE if p.symbol == amplitude else parse_unit(p.unit, values) for p in parameters}
+        rest = dimension(expression, units, values)
+        return (torque[0] - rest[0], torque[1] - rest[1], torque[2] - rest[2], torque[3] - rest[3])
+
+    try:
+        unit = needed()
+        for symbol in exponents:
+            seconds = needed(symbol)[2] - unit[2]
+            if seconds != 0:
+                at_zero = unit[2] - seconds * exponents[symbol]
+                plain = len(symbol) == 1 and seconds == 1 and at_zero == torque[2]
+                return f"N m s^{symbol}" if plain else UNKNOWN_UNIT
+    except ExpressionError:
+        return UNKNOWN_UNIT
+    return format_unit(unit)
+
+
+def _hint() -> str:
+    return "a law may speak of t, omega_r, omega_c, psi_r, psi_c and delta"

@@ -1,0 +1,202 @@
+"""The fits so far: a plain JSON file beside the data, a rung a fit.
+
+A rung holds the model (with the laws of effects that are not in the library), parameters, figures of
+merit, noise, the rung it was made from, digests of the data, and the program's version. A ledger may hold
+ladders of several sets of cases; each rung says which cases it belongs to.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from fitting.case_data import CaseData
+from fitting.effects import LIBRARY, Effect
+from fitting.effects.effect import Parameter
+from fitting.errors import LedgerError
+from fitting.estimation import Fit, fit
+from fitting.model import Model
+from fitting.summary import fit_document, rung_document
+
+FORMAT = "gyrotrack ledger"
+VERSION = 1
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One rung as it is stored: see `document`, the JSON object of the rung."""
+
+    document: dict[str, Any]
+
+    @property
+    def fit_id(self) -> str:
+        """The name of the rung."""
+        return str(self.document["fit_id"])
+
+    @property
+    def digests(self) -> list[str]:
+        """Digests of the cases that were fitted."""
+        return [str(d) for d in self.document["digests"]]
+
+    @property
+    def model(self) -> Model:
+        """The model that was fitted."""
+        own = {e["name"]: _effect(e) for e in self.document.get("own_effects", [])}
+        return Model(tuple(own[n] if n in own else LIBRARY[n] for n in self.document["model"]))
+
+    def refit(self, data: Sequence[CaseData]) -> Fit:
+        """Return the fit of this rung, made anew from its own parameters."""
+        start = {k: float(v["value"]) for k, v in self.document["parameters"].items()}
+        ranges = {k: (float(a), float(b)) for k, (a, b) in self.document.get("ranges", {}).items()}
+        return fit(
+            self.model,
+            data,
+            share=self.document.get("share", ()),
+            per_case=self.document.get("per_case", ()),
+            start=start,
+            ranges=ranges,
+        )
+
+
+class Ledger:
+    """The rungs in one file.
+
+    Parameters
+    ----------
+    path : Path
+        The file; it need not exist yet.
+
+    Raises
+    ------
+    LedgerError
+        If the file is there and is no ledger.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.entries: list[Entry] = []
+        if path.exists():
+            self.entries = _read(path)
+
+    @classmethod
+    def beside(cls, case: Path) -> Ledger:
+        """Return the ledger beside a case file: ``case1.h5`` has ``case1.fits.json``."""
+        return cls(case.with_name(f"{case.stem}.fits.json"))
+
+    def of(self, data: Sequence[CaseData]) -> list[Entry]:
+        """Return the rungs of exactly these cases."""
+        key = sorted(d.record.digest for d in data)
+        return [e for e in self.entries if sorted(e.digests) == key]
+
+    def find(self, fit_id: str) -> Entry:
+        """Return a rung by its name.
+
+        Raises
+        ------
+        LedgerError
+            If there is none.
+        """
+        for entry in self.entries:
+            if entry.fit_id == fit_id:
+                return entry
+        known = ", ".join(e.fit_id for e in self.entries) or "none yet"
+        raise LedgerError(f"{self.path} has no fit {fit_id[:40]!r}", f"it has: {known}")
+
+    def add(
+        self,
+        found: Fit,
+        *,
+        parent: str = "",
+        added: str = "",
+        previous: Fit | None = None,
+        share: Sequence[str] = (),
+        per_case: Sequence[str] = (),
+        ranges: dict[str, tuple[float, float]] | None = None,
+    ) -> Entry:
+        """Append a fit and write the file, whole or not at all."""
+        fit_id = f"f{1 + max((int(e.fit_id[1:]) for e in self.entries), default=0)}"
+        document = fit_document(found, fit_id) | {
+            "parent": parent,
+            "added": added,
+            "rung": rung_document(found, fit_id, added, previous),
+            "digests": [d.record.digest for d in found.problem.data],
+            "sources": [d.record.source for d in found.problem.data],
+            "own_effects": [asdict(e) for e in found.model.effects if LIBRARY.get(e.name) != e],
+            "share": list(share),
+            "per_case": list(per_case),
+            "ranges": {k: list(v) for k, v in (ranges or {}).items()},
+            "created": datetime.now(UTC).isoformat(timespec="seconds"),
+            "software_version": _version(),
+        }
+        entry = Entry(_plain(document))
+        self.entries.append(entry)
+        self._write()
+        return entry
+
+    def _write(self) -> None:
+        document = {"format": FORMAT, "version": VERSION, "fits": [e.document for e in self.entries]}
+        part = self.path.with_name(self.path.name + ".part")
+        try:
+            with part.open("w", encoding="utf-8") as stream:
+                json.dump(document, stream, indent=1, allow_nan=False)
+                stream.flush()
+                os.fsync(stream.fileno())
+            part.replace(self.path)
+        except OSError as fault:
+            part.unlink(missing_ok=True)
+            raise LedgerError(f"{self.path} cannot be written: {fault.strerror}", "choose another with --ledger") from None
+
+
+def _read(path: Path) -> list[Entry]:
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as fault:
+        raise LedgerError(f"{path} is not a ledger of fits: {fault}", "move it away or choose another with --ledger") from None
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise LedgerError(f"{path} is not a ledger of fits", "move it away or choose another with --ledger")
+    if int(document.get("version", 0)) > VERSION:
+        raise LedgerError(f"{path} was written by a newer version", "update gyrotrack")
+    entries = [Entry(d) for d in document.get("fits", []) if isinstance(d, dict)]
+    if any(not {"fit_id", "model", "parameters", "digests"} <= set(e.document) for e in entries):
+        raise LedgerError(f"{path} is damaged: a fit lacks its model or parameters", "move it away or choose another with --ledger")
+    return entries
+
+
+def _effect(stored: dict[str, Any]) -> Effect:
+    fields = dict(stored)
+    fields["parameters"] = tuple(
+        Parameter(**{k: tuple(v) if k == "grid" else _number(v) for k, v in p.items()}) for p in fields["parameters"]
+    )
+    fields["confused_with"] = tuple(fields.get("confused_with", ()))
+    fields["state"] = None
+    return Effect(**fields)
+
+
+def _number(value: Any) -> Any:
+    return {"inf": math.inf, "-inf": -math.inf}.get(value, value) if isinstance(value, str) else value
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if hasattr(value, "tolist"):
+        return _plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None if math.isnan(value) else ("inf" if value > 0 else "-inf")
+    return value
+
+
+def _version() -> str:
+    try:
+        return version("gyrotrack")
+    except PackageNotFoundError:
+        return "unknown"

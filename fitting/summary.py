@@ -1,0 +1,160 @@
+"""Fits, diagnoses and ladders as plain numbers for JSON and as lines for people.
+
+Numbers are written as a physicist writes them: value and error rounded together, one power of ten.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from fitting.discovery import Candidate, Diagnosis, Rung
+from fitting.estimation import Estimate, Fit
+
+_UNDETERMINED = 1.0
+
+
+def rounded(value: float, error: float, unit: str = "") -> str:
+    """Return ``(7.16 +- 0.04) x 10^-7 N m s``.
+
+    The error keeps two digits if they lie between 10 and 29, else one; the value is rounded to the same place.
+    """
+    if not math.isfinite(value):
+        return "not a number"
+    tail = f" {unit}" if unit and unit != "1" else ""
+    if not math.isfinite(error) or error <= 0:
+        return f"{value:.4g}{tail}"
+    leading = math.floor(math.log10(error))
+    digits = -leading + (1 if error / 10.0**leading < 2.95 else 0)
+    exponent = math.floor(math.log10(max(abs(value), error)))
+    if -3 < exponent < 5:
+        places = max(0, digits)
+        return f"{round(value, digits):.{places}f} +- {round(error, digits):.{places}f}{tail}"
+    places = max(0, digits + exponent)
+    scale = 10.0**exponent
+    return f"({value / scale:.{places}f} +- {error / scale:.{places}f}) x 10^{exponent}{tail}"
+
+
+def fit_document(fit: Fit, fit_id: str) -> dict[str, Any]:
+    """Return a fit under the keys that other programs rely on."""
+    return {
+        "fit_id": fit_id,
+        "model": list(fit.model.names),
+        "parameters": {k: _estimate(e) for k, e in fit.estimates.items()},
+        "cases": [
+            {
+                "label": c.label,
+                "casing": _body(c.casing),
+                "rotor": _body(c.rotor),
+                "energy_drift": c.energy_drift,
+                "misfit": c.misfit,
+                "torque_noise_Nm": n.pure,
+                "torque_left_Nm": n.level,
+                "noise_scale": n.scale,
+            }
+            for c, n in zip(fit.cases, fit.noise, strict=True)
+        ],
+        "n_eff": fit.n_eff,
+        "bic": fit.bic,
+        "verdict": fit.verdict,
+        "equations": list(fit.model.equations()),
+        "not_determined": not_determined(fit),
+    }
+
+
+def not_determined(fit: Fit) -> list[str]:
+    """Return the parameters whose error is larger than their value: the data does not hold them."""
+    return [
+        k
+        for k, e in fit.estimates.items()
+        if not k.startswith("initial.") and math.isfinite(e.stderr) and e.stderr > _UNDETERMINED * abs(e.value)
+    ]
+
+
+def _estimate(e: Estimate) -> dict[str, Any]:
+    return {"value": e.value, "stderr": e.stderr, "unit": e.unit, "at_bound": e.at_bound}
+
+
+def _body(metrics: Any) -> dict[str, float]:
+    return {k: getattr(metrics, k) for k in ("r2", "rmse", "reduced_chi2", "held_out")}
+
+
+def diagnosis_document(d: Diagnosis, fit_id: str) -> dict[str, Any]:
+    """Return a diagnosis under the keys that other programs rely on."""
+    return {
+        "fit_id": fit_id,
+        "verdict": d.verdict,
+        "sentence": d.sentence,
+        "failures": [
+            {
+                "label": f.label,
+                "body": f.body,
+                "t_start": f.t_start,
+                "t_stop": f.t_stop,
+                "kind": f.kind,
+                "where": f.where,
+                "size_sigma": f.size_sigma,
+                "residual_rad_s": f.residual_rad_s,
+                "residual_torque_Nm": f.residual_torque_Nm,
+                "omega_c": list(f.omega_c),
+            }
+            for f in d.failures
+        ],
+        "candidates": [_candidate(c) for c in d.candidates],
+        "next_experiment": d.next_experiment,
+        "whiteness": [{"label": w.label, "p_value": w.p_value} for w in d.whiteness],
+    }
+
+
+def _candidate(c: Candidate) -> dict[str, Any]:
+    return {
+        "effect": c.effect.name,
+        "kind": c.effect.kind,
+        "score": c.score,
+        "delta_bic": c.delta_bic,
+        "p_value": c.p_value,
+        "significant": c.significant,
+        "held_out_gain": c.held_out_gain,
+        "indistinguishable_from": list(c.indistinguishable_from),
+        "parameters": {k: _estimate(e) for k, e in c.estimates.items()},
+        "law": f"{c.effect.joint}: {c.effect.law}",
+    }
+
+
+def rung_document(fit: Fit, fit_id: str, added: str, previous: Fit | None) -> dict[str, Any]:
+    """Return one rung of a ladder: what was added and what the error did."""
+    cases = fit.cases
+    return {
+        "fit_id": fit_id,
+        "added": added,
+        "model": list(fit.model.names),
+        "rmse_casing": math.sqrt(sum(c.casing.rmse**2 for c in cases) / len(cases)),
+        "reduced_chi2": fit.reduced_chi2,
+        "held_out": math.sqrt(sum(c.casing.held_out**2 for c in cases) / len(cases)),
+        "delta_bic": fit.bic - previous.bic if previous is not None else 0.0,
+        "energy_drift": max(c.energy_drift for c in cases),
+        "torque_left_Nm": fit.torque_noise,
+        "moved": _moved(fit, previous),
+        "verdict": fit.verdict,
+    }
+
+
+def _moved(fit: Fit, previous: Fit | None) -> list[str]:
+    """Return the parameters that moved by more than three of their errors."""
+    if previous is None:
+        return []
+    return [
+        k
+        for k, e in fit.estimates.items()
+        if k in previous.estimates
+        and not k.startswith("initial.")
+        and abs(e.value - previous.estimates[k].value) > 3 * max(e.stderr, 0.0)
+    ]
+
+
+def ladder_verdict(rungs: Sequence[Rung]) -> str:
+    """Return "adequate", "missing_effect" (found and added) or "unexplained" for a finished ladder."""
+    if rungs[-1].fit.verdict != "adequate":
+        return "unexplained"
+    return "missing_effect" if len(rungs) > 1 else "adequate"

@@ -1,0 +1,36 @@
+"""`gyrotrack diagnose`: where the current fit fails, and which effects would mend it."""
+
+from __future__ import annotations
+
+from gyrotrack.cli.options import CaseFiles, Json, Quiet
+from gyrotrack.cli.output import Output
+from gyrotrack.cli.study import EffectsFile, From, LedgerFile, open_study, own_effects
+from gyrotrack.cli.tables import diagnosis_tables
+
+
+def command(
+    cases: CaseFiles,
+    *,
+    effects: EffectsFile = None,
+    start: From = None,
+    ledger: LedgerFile = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Say where the current fit fails, in time, speed and torque, and which effect is missing.
+
+    Several cases are looked at together. Without a fit so far the reduced model is fitted first.
+
+    Example: gyrotrack diagnose case1.h5
+    """
+    from fitting.discovery import diagnose
+    from fitting.summary import diagnosis_document
+
+    out = Output(as_json=as_json, quiet=quiet)
+    study = open_study(cases, ledger)
+    with out.progress("scoring effects") as progress:
+        progress(0, None)
+        fit, fit_id = study.base(start)
+        found = diagnose(fit, own_effects(effects))
+    out.result(diagnosis_document(found, fit_id))
+    out.show(*diagnosis_tables(found, fit_id))

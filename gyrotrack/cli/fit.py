@@ -1,0 +1,145 @@
+"""`gyrotrack fit`: the parameters of a model from one case or several."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from gyrotrack.cli.options import CaseFiles, Json, Quiet
+from gyrotrack.cli.output import DONE, NOT_TRUSTED, Output
+from gyrotrack.cli.study import EffectsFile, From, LedgerFile, Study, changed, open_study, own_effects
+from gyrotrack.cli.tables import fit_tables
+from gyrotrack.errors import UsageError
+
+if TYPE_CHECKING:
+    from fitting.effects import Effect
+    from fitting.estimation import Fit
+    from fitting.model import Model
+
+_NAMED = ("reduced", "general", "linear")
+# the paper lets the general model move so far from the reduced fit
+_SHARE_A = {"rotor.air.quadratic.a2": 0.2, "casing.air.linear.b2": 0.2, "bearing.power.g": 0.2}
+_SHARE_B = {"bearing.linear.d": 0.5, "bearing.power.f": 0.5}
+
+
+def command(
+    cases: CaseFiles,
+    *,
+    model: Annotated[
+        str | None,
+        typer.Option("--model", metavar="M", help="reduced, general, linear, or a TOML file; reduced, if nothing was fitted yet."),
+    ] = None,
+    add: Annotated[
+        list[str] | None, typer.Option("--add", metavar="E", help="Add an effect by name, or a law: 'casing: -k*omega_c**3'.")
+    ] = None,
+    drop: Annotated[list[str] | None, typer.Option("--drop", metavar="E", help="Take an effect out.")] = None,
+    effects: EffectsFile = None,
+    joint: Annotated[bool, typer.Option("--joint", help="Fit the cases together.")] = False,
+    share: Annotated[list[str] | None, typer.Option("--share", metavar="P", help="One value for all cases.")] = None,
+    per_case: Annotated[list[str] | None, typer.Option("--per-case", metavar="P", help="A value for each case.")] = None,
+    start: From = None,
+    ledger: LedgerFile = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> int:
+    """Fit a model to angles: parameters, their errors, and how well it describes the data.
+
+    With --add or --drop the latest fit is the start; the new fit is a further rung of the ladder.
+
+    Example: gyrotrack fit case1.h5 --add casing.air.quadratic
+    """
+    if (share or per_case) and not joint:
+        raise UsageError("--share and --per-case speak of a joint fit.", "Add --joint.")
+    out = Output(as_json=as_json, quiet=quiet)
+    groups = [cases] if joint else [[case] for case in cases]
+    documents, trusted = [], True
+    for group in groups:
+        study = open_study(group, ledger)
+        wish = _Wish(model, tuple(add or ()), tuple(drop or ()), own_effects(effects), tuple(share or ()), tuple(per_case or ()))
+        with out.progress("fitting") as progress:
+            progress(0, None)
+            found, fit_id = wish.fit(study, start)
+        documents.append(_document(found, fit_id))
+        trusted &= found.verdict != "not converged"
+        out.show(*fit_tables(found, fit_id))
+    out.result(documents[0] if len(documents) == 1 else {"fits": documents})
+    return DONE if trusted else NOT_TRUSTED
+
+
+def _document(found: Fit, fit_id: str) -> dict[str, Any]:
+    from fitting.summary import fit_document
+
+    return fit_document(found, fit_id)
+
+
+class _Wish:
+    """What the user asked to be fitted."""
+
+    def __init__(
+        self,
+        model: str | None,
+        add: tuple[str, ...],
+        drop: tuple[str, ...],
+        own: Sequence[Effect],
+        share: tuple[str, ...],
+        per_case: tuple[str, ...],
+    ) -> None:
+        self.model, self.add, self.drop, self.own = model, add, drop, own
+        self.share, self.per_case = share, per_case
+
+    def fit(self, study: Study, start: str | None) -> tuple[Fit, str]:
+        """Fit and keep the result."""
+        from fitting.effects import REDUCED
+        from fitting.estimation import fit
+        from fitting.model import Model
+
+        follows = self.model is None and (self.add or self.drop or start)
+        entry = study.entry(start) if follows else None
+        base = entry.model if entry is not None else Model.of(REDUCED) if self.model is None else self._named(self.model)
+        wanted = changed(base, self.add, self.drop, self.own)
+        ranges = _paper_ranges(study, self.share, self.per_case) if self.model == "general" else {}
+        previous = entry.refit(study.data) if entry is not None else None
+        if previous is None and self.add and self.model is None:
+            previous, fit_id = study.base(None)
+            entry = study.entry(fit_id)
+        values = {k: e.value for k, e in previous.estimates.items()} if previous is not None else None
+        found = fit(wanted, study.data, share=self.share, per_case=self.per_case, start=values, ranges=ranges)
+        change = " ".join([*(f"+{a}" for a in self.add), *(f"-{d}" for d in self.drop)]) or (self.model or "")
+        kept = study.ledger.add(
+            found,
+            parent=entry.fit_id if entry is not None else "",
+            added=change,
+            previous=previous,
+            share=self.share,
+            per_case=self.per_case,
+            ranges=ranges,
+        )
+        return found, kept.fit_id
+
+    def _named(self, name: str) -> Model:
+        from fitting.effects import GENERAL, LINEAR, REDUCED
+        from fitting.model import Model, read_model
+
+        if name in _NAMED:
+            return Model.of({"reduced": REDUCED, "general": GENERAL, "linear": LINEAR}[name])
+        path = Path(name)
+        if not path.is_file():
+            raise UsageError(f"{name} is no model.", f"Models: {', '.join(_NAMED)}, or the name of a TOML file.")
+        return read_model(path, self.own)
+
+
+def _paper_ranges(study: Study, share: tuple[str, ...], per_case: tuple[str, ...]) -> dict[str, tuple[float, float]]:
+    from fitting.effects import REDUCED
+    from fitting.estimation import fit
+    from fitting.model import Model
+
+    reduced = fit(Model.of(REDUCED), study.data, share=share, per_case=per_case)
+    ranges = {}
+    for name, estimate in reduced.estimates.items():
+        width = (_SHARE_A | _SHARE_B).get(name.partition("@")[0])
+        if width is not None and estimate.value > 0:
+            ranges[name] = ((1 - width) * estimate.value, (1 + width) * estimate.value)
+    return ranges

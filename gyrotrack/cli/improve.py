@@ -1,0 +1,47 @@
+"""`gyrotrack improve`: diagnose, add the best effect, refit, until nothing more is justified."""
+
+from __future__ import annotations
+
+from gyrotrack.cli.options import CaseFiles, Json, Quiet
+from gyrotrack.cli.output import Output
+from gyrotrack.cli.study import EffectsFile, From, LedgerFile, open_study, own_effects
+from gyrotrack.cli.tables import ladder_tables
+
+
+def command(
+    cases: CaseFiles,
+    *,
+    effects: EffectsFile = None,
+    start: From = None,
+    ledger: LedgerFile = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Add effects one by one until what is left is noise, and print the ladder of fits.
+
+    Example: gyrotrack improve case1.h5
+    """
+    from fitting.discovery import improve
+    from fitting.summary import fit_document, ladder_verdict
+
+    out = Output(as_json=as_json, quiet=quiet)
+    study = open_study(cases, ledger)
+    with out.progress("adding effects") as progress:
+        progress(0, None)
+        base, parent = study.base(start)
+        rungs = improve(base, own_effects(effects), progress=progress)
+    steps = [study.ledger.find(parent).document["rung"]]
+    for before, rung in zip(rungs, rungs[1:], strict=False):
+        entry = study.ledger.add(rung.fit, parent=parent, added=rung.change, previous=before.fit)
+        parent = entry.fit_id
+        steps.append(entry.document["rung"])
+    verdict = ladder_verdict(rungs)
+    out.result({"ladder": steps, "final": fit_document(rungs[-1].fit, parent), "verdict": verdict})
+    out.show(*ladder_tables(steps), f"verdict: {_WORDS[verdict]}")
+
+
+_WORDS = {
+    "adequate": "the model was adequate already; nothing was added",
+    "missing_effect": "what was missing has been added; what is left is noise",
+    "unexplained": "an unexplained torque remains; see `gyrotrack diagnose`",
+}

@@ -1,0 +1,101 @@
+"""Fits, diagnoses and ladders in the terminal: readable at 80 columns, without colour, and in a pipe."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fitting.discovery import Diagnosis
+    from fitting.estimation import Fit
+
+_BAR = 24
+_CANDIDATES = 8
+
+
+def fit_tables(fit: Fit, fit_id: str) -> list[str]:
+    """Return a fit as lines: verdict first, then how well it describes the data, then parameters."""
+    from fitting.summary import not_determined, rounded
+
+    lines = [f"fit {fit_id}: {_verdict(fit)}", ""]
+    lines.append(f"{'':<12}{'R2':>10}{'rmse [rad/s]':>14}{'chi2/n':>12}{'held out':>11}")
+    for case in fit.cases:
+        for name, body in (("casing", case.casing), ("rotor", case.rotor)):
+            title = f"{case.label[:5]} {name}" if len(fit.cases) > 1 else name
+            lines.append(f"{title:<12}{body.r2:>10.6f}{body.rmse:>14.4g}{body.reduced_chi2:>12.4g}{body.held_out:>11.4g}")
+    lines.append(f"energy drift {max(c.energy_drift for c in fit.cases):.2g}, effective samples {fit.n_eff:.0f}, BIC {fit.bic:.1f}")
+    left = ", ".join(f"{n.level:.2g}" for n in fit.noise)
+    lines += [f"random torque that this model leaves: {left} N m rms", ""]
+    for name, e in fit.estimates.items():
+        note = " (on its bound)" if e.at_bound else ""
+        value = rounded(e.value, e.stderr, e.unit)
+        lines.append(f"  {name:<32}{value}{note}" if len(name) < 32 else f"  {name}\n  {'':<32}{value}{note}")
+    weak = not_determined(fit)
+    if weak:
+        lines += ["", f"not determined by this data: {', '.join(weak)}"]
+    return ["\n".join(lines)]
+
+
+def _verdict(fit: Fit) -> str:
+    return {
+        "adequate": "adequate; what the model leaves is noise",
+        "misfit": "the model misses something; `gyrotrack diagnose` says where",
+        "not converged": "not converged; do not trust these numbers",
+    }[fit.verdict]
+
+
+def diagnosis_tables(d: Diagnosis, fit_id: str) -> list[str]:
+    """Return a diagnosis as lines: the sentence, where it fails, what would mend it."""
+    lines = [*_wrapped(d.sentence), "", f"fit {fit_id}, verdict: {d.verdict.replace('_', ' ')}"]
+    if d.failures:
+        lines += ["", "where it fails:", f"  {'case':<10}{'body':<8}{'time [s]':>16}{'torque [N m]':>14}{'speed [rad/s]':>15}{'sigma':>7}"]
+        for f in d.failures:
+            time = f"{f.t_start:.1f} - {f.t_stop:.1f}"
+            lines.append(
+                f"  {f.label[:9]:<10}{f.body:<8}{time:>16}{f.residual_torque_Nm:>14.2g}{f.residual_rad_s:>15.2g}{f.size_sigma:>7.0f}"
+            )
+    shown = [c for c in d.candidates if c.score > 0][:_CANDIDATES]
+    if shown:
+        lines += ["", "what would mend it:", f"  {'effect':<28}{'score':>9}{'dBIC':>9}{'p':>9}  class"]
+        classes = _classes(shown)
+        for c in shown:
+            name = c.effect.name[:25] + (" *" if c.effect.kind == "measurement" else "")
+            bic = f"{c.delta_bic:.1f}" if math.isfinite(c.delta_bic) else "-"
+            lines.append(f"  {name:<28}{c.score:>9.1f}{bic:>9}{c.p_value:>9.1g}  {classes.get(c.effect.name, '')}")
+        if any(c.effect.kind == "measurement" for c in shown):
+            lines.append("  * an artefact of the measurement, not physics")
+    if d.next_experiment:
+        lines += ["", *_wrapped(f"next experiment: {d.next_experiment}")]
+    return ["\n".join(lines)]
+
+
+def _classes(candidates: Sequence[Any]) -> dict[str, str]:
+    letters: dict[str, str] = {}
+    for c in candidates:
+        if c.indistinguishable_from and c.effect.name not in letters:
+            letter = chr(ord("A") + len(set(letters.values())))
+            for name in (c.effect.name, *c.indistinguishable_from):
+                letters.setdefault(name, letter)
+    return letters
+
+
+def ladder_tables(rungs: Sequence[dict[str, Any]]) -> list[str]:
+    """Return a ladder as lines: a bar a rung, the error falling."""
+    lines = [f"{'fit':<5}{'rmse':>9} {'chi2/n':>9} {'held out':>9} {'dBIC':>9}  {'':<{_BAR}}", ""]
+    sizes = [max(r["rmse_casing"], 1e-300) for r in rungs]
+    for r, size in zip(rungs, sizes, strict=True):
+        bar = "#" * max(1, round(_BAR * size / max(sizes)))
+        added = r["added"] or "base"
+        lines.append(
+            f"{r['fit_id']:<5}{r['rmse_casing']:>9.4g} {r['reduced_chi2']:>9.3g} {r['held_out']:>9.3g} {r['delta_bic']:>9.1f}  {bar}"
+        )
+        lines.append(f"     {added}" + (f"  (left: {r['torque_left_Nm']:.2g} N m)" if r.get("torque_left_Nm") else ""))
+    lines += ["", "rmse of the casing's speed [rad/s]; held-out error in units of the noise (1 is as good as can be)"]
+    return ["\n".join(lines)]
+
+
+def _wrapped(text: str) -> list[str]:
+    import textwrap
+
+    return textwrap.wrap(text, 79)
