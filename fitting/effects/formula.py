@@ -83,15 +83,15 @@ def _parameter(symbol: str, keys: Mapping[str, Any], role: Role) -> Parameter:
             raise EffectError(f"parameter {symbol}: {what} must be a number")
         return float(value)
 
-    start = number("start", keys.get("start", 1.0 if role == "shape" else 0.0))
-    grid = tuple(number("grid", v) for v in keys.get("grid", ())) or (
-        _default_grid(start) if role == "shape" else ()
-    )
     lower, upper = number("lower", keys.get("lower", -math.inf)), number("upper", keys.get("upper", math.inf))
-    if not lower < upper or not lower <= start <= upper:
-        raise EffectError(
-            f"parameter {symbol}: start {start:g} must lie between lower {lower:g} and upper {upper:g}"
-        )
+    if not lower < upper:
+        raise EffectError(f"parameter {symbol}: lower {lower:g} must be less than upper {upper:g}")
+    usual = min(max(1.0 if role == "shape" else 0.0, lower), upper)
+    start = number("start", keys.get("start", usual))
+    if not lower <= start <= upper:
+        raise EffectError(f"parameter {symbol}: start {start:g} lies outside {lower:g} to {upper:g}")
+    given = tuple(number("grid", v) for v in keys.get("grid", ()))
+    grid = given or (_default_grid(start) if role == "shape" else ())
     grid = tuple(v for v in grid if lower <= v <= upper)
     return Parameter(
         symbol,
@@ -111,6 +111,10 @@ def _default_grid(start: float) -> tuple[float, ...]:
 
 def _strength(law: str, expression: Expr, candidates: list[str]) -> str:
     """Return the first parameter that the law is proportional to."""
+    if not candidates:
+        raise EffectError(
+            f"every parameter of the law {law!r} is declared a shape", "leave out shape for its strength"
+        )
     linear = [c for c in candidates if c not in symbols(derivative(expression, c))]
     if not linear:
         raise EffectError(

@@ -42,7 +42,8 @@ def read_effects(path: Path) -> list[Effect]:
     """Read effects from a TOML file with one ``[[effect]]`` table an effect.
 
     Each has ``name``, ``body``, ``law`` and, if wished, ``signature``, ``source`` and
-    ``[effect.parameters.k]`` tables with ``unit``, ``lower``, ``upper``, ``start``, ``grid``, ``meaning``.
+    ``[effect.parameters.k]`` tables with ``unit``, ``lower``, ``upper``, ``start``, ``grid``, ``meaning``,
+    and ``shape = true`` for a parameter that is not to be taken as the law's strength.
 
     Raises
     ------
