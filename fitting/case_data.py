@@ -2,8 +2,8 @@
 
 Rows are in units of the measurement noise: first the polynomial rows of the casing, then of each rotor
 window, then the harmonic rows of the casing. What no one knows beforehand and no one asks about is free in
-every fit: the casing's start angle, the phase of each rotor window, and a centre offset and a tilt of
-the casing's camera that do not change through the recording.
+every fit: the casing's start angle, the phase of each rotor window, and a centre offset, a tilt and a
+rolling shutter of the casing's camera that do not change through the recording.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.compression import CASING_DEGREE, ROTOR_DEGREE, Compressed, compress
-from fitting.record import Record
+from fitting.record import Record, Samples
 from fitting.simulation import Path, Sampler
 from fitting.simulation.sensitivity import angles
 
@@ -92,8 +92,7 @@ class CaseData:
             for i in range(len(self.rotor)):
                 ones = [np.full(len(w.node_times), float(i == j)) for j, w in enumerate(self.rotor)]
                 columns.append(self.rows(np.zeros(nodes), ones))
-            psi = self.casing.samples.value
-            columns += list(self.casing_rows(camera_columns(psi)).T)
+            columns += list(self.casing_rows(camera_columns(self.casing.samples)).T)
         return np.stack(columns, axis=1) if columns else np.zeros((len(self.z), 0))
 
     def rows(self, casing: Array, rotor: Sequence[Array]) -> Array:
@@ -149,6 +148,26 @@ class CaseData:
         return rows
 
 
-def camera_columns(psi: Array) -> Array:
-    """Return cos and sin of the angle and of twice the angle, shape (samples, 4)."""
-    return np.stack([np.cos(psi), np.sin(psi), np.cos(2 * psi), np.sin(2 * psi)], axis=1)
+# columns of `camera_columns` that belong to each measurement effect
+CAMERA_COLUMNS = {"camera.centre": (0, 1), "camera.tilt": (2, 3), "camera.shutter": (4, 5)}
+_SMOOTHED = 25
+
+
+def camera_columns(samples: Samples) -> Array:
+    """Return cos and sin of the angle, of twice the angle, and of the angle times the speed, (samples, 6)."""
+    psi = samples.value
+    width = min(_SMOOTHED, len(psi) // 4)
+    knots = np.arange(0, len(psi), width)
+    omega = np.interp(samples.time, samples.time[knots], np.gradient(psi[knots], samples.time[knots]))
+    omega = omega / np.abs(omega).max()
+    return np.stack(
+        [
+            np.cos(psi),
+            np.sin(psi),
+            np.cos(2 * psi),
+            np.sin(2 * psi),
+            omega * np.cos(psi),
+            omega * np.sin(psi),
+        ],
+        axis=1,
+    )

@@ -102,18 +102,18 @@ def compress(samples: Samples, *, degree: int, harmonics: bool, blocks: int = _B
     """
     count = max(1, min(blocks, len(samples) // _MIN_SAMPLES))
     edges = np.linspace(0, len(samples), count + 1).astype(int)
-    parts = [
-        _block(samples, slice(a, b), degree, harmonics=harmonics)
-        for a, b in pairwise(edges)
-    ]
+    parts = [_block(samples, slice(a, b), degree, harmonics=harmonics) for a, b in pairwise(edges)]
     slow = np.concatenate([p.noise for p in parts])
     rest, dof = sum(p.rest for p in parts), sum(p.rest_dof for p in parts)
     fast = rest / dof if dof > 0 else 1.0
     variance = _robust_variance(slow) if len(slow) >= 20 else fast
     scale = float(np.sqrt(variance)) if variance > 0 else 1.0
     correlation = max(1.0, variance / fast) if fast > 0 else 1.0
-    operators = tuple((p.where, p.rows / scale) for p in parts)
     k = degree + 1
+    spread = np.full(parts[0].rows.shape[0], scale)
+    if harmonics:
+        spread[k:] *= _restlessness(np.stack([p.rows[k:] @ samples.value[p.where] for p in parts]) / scale)
+    operators = tuple((p.where, p.rows / spread[:, None]) for p in parts)
     projected = [rows @ samples.value[where] for where, rows in operators]
     return Compressed(
         node_times=np.concatenate([p.node_times for p in parts]),
@@ -152,6 +152,9 @@ def _block(samples: Samples, where: slice, degree: int, *, harmonics: bool) -> _
     columns.append(powers[:, k:])
     design = np.concatenate(columns, axis=1) / sigma[:, None]
     q, r = np.linalg.qr(design)
+    # one sign in all blocks, so that a steady harmonic gives steady rows
+    sign = np.where(np.diag(r) < 0, -1.0, 1.0)
+    q, r = q * sign, r * sign[:, None]
     kept = k + HARMONICS * harmonics
     # a harmonic that is nearly a polynomial here (less than a turn in the block) says nothing of its own
     independent = np.abs(np.diag(r)) > _MIN_INDEPENDENCE * np.linalg.norm(design, axis=0)
@@ -165,6 +168,20 @@ def _block(samples: Samples, where: slice, degree: int, *, harmonics: bool) -> _
     if rest < 1e-6 * np.sum((y / sigma) ** 2):  # large angles: subtract before squaring
         rest = float(np.sum((y / sigma - q[:, :kept] @ projected[:kept]) ** 2))
     return _Block(where, middle + half * x, lift, rows, noise, rest, max(0, len(t) - kept))
+
+
+def _restlessness(rows: Array) -> Array:
+    """Return by how much harmonics change from block to block beyond the noise, at least 1.
+
+    An artefact of tracking that wanders (a centre that is smoothed, a marker cut by the codec) does so from
+    block to block; what physics does to the harmonics is smooth in time and passes the second difference.
+    """
+    if len(rows) < 12:
+        return np.ones(rows.shape[1])
+    second = np.abs(rows[2:] - 2 * rows[1:-1] + rows[:-2]) / np.sqrt(6.0)
+    size = np.median(second, axis=0) / 0.6745
+    pairs = np.sqrt(0.5 * (size[0::2] ** 2 + size[1::2] ** 2))
+    return np.asarray(np.maximum(1.0, np.repeat(pairs, 2)))
 
 
 def _robust_variance(values: Array) -> float:

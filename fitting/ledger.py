@@ -151,28 +151,36 @@ class Ledger:
             part.replace(self.path)
         except OSError as fault:
             part.unlink(missing_ok=True)
-            raise LedgerError(f"{self.path} cannot be written: {fault.strerror}", "choose another with --ledger") from None
+            raise LedgerError(
+                f"{self.path} cannot be written: {fault.strerror}", "choose another with --ledger"
+            ) from None
 
 
 def _read(path: Path) -> list[Entry]:
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as fault:
-        raise LedgerError(f"{path} is not a ledger of fits: {fault}", "move it away or choose another with --ledger") from None
+        raise LedgerError(
+            f"{path} is not a ledger of fits: {fault}", "move it away or choose another with --ledger"
+        ) from None
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise LedgerError(f"{path} is not a ledger of fits", "move it away or choose another with --ledger")
     if int(document.get("version", 0)) > VERSION:
         raise LedgerError(f"{path} was written by a newer version", "update gyrotrack")
     entries = [Entry(d) for d in document.get("fits", []) if isinstance(d, dict)]
     if any(not {"fit_id", "model", "parameters", "digests"} <= set(e.document) for e in entries):
-        raise LedgerError(f"{path} is damaged: a fit lacks its model or parameters", "move it away or choose another with --ledger")
+        raise LedgerError(
+            f"{path} is damaged: a fit lacks its model or parameters",
+            "move it away or choose another with --ledger",
+        )
     return entries
 
 
 def _effect(stored: dict[str, Any]) -> Effect:
     fields = dict(stored)
     fields["parameters"] = tuple(
-        Parameter(**{k: tuple(v) if k == "grid" else _number(v) for k, v in p.items()}) for p in fields["parameters"]
+        Parameter(**{k: tuple(v) if k == "grid" else _number(v) for k, v in p.items()})
+        for p in fields["parameters"]
     )
     fields["confused_with"] = tuple(fields.get("confused_with", ()))
     fields["state"] = None

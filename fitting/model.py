@@ -263,7 +263,9 @@ def read_model(path: Path, own: Iterable[Effect] = ()) -> Model:
         raise EffectError(f"{path} is not a TOML file: {fault}") from None
     names = document.get("effects", [])
     if not isinstance(names, list) or not all(isinstance(n, str) for n in names):
-        raise EffectError(f"{path}: effects must be a list of names", 'write: effects = ["bearing.linear", ...]')
+        raise EffectError(
+            f"{path}: effects must be a list of names", 'write: effects = ["bearing.linear", ...]'
+        )
     declared = read_effects(path) if "effect" in document else []
     known = {e.name: e for e in (*own, *declared)}
     chosen = [known[n] if n in known else resolve(n) for n in names]

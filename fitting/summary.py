@@ -68,7 +68,9 @@ def not_determined(fit: Fit) -> list[str]:
     return [
         k
         for k, e in fit.estimates.items()
-        if not k.startswith("initial.") and math.isfinite(e.stderr) and e.stderr > _UNDETERMINED * abs(e.value)
+        if not k.startswith("initial.")
+        and math.isfinite(e.stderr)
+        and e.stderr > _UNDETERMINED * abs(e.value)
     ]
 
 

@@ -55,7 +55,10 @@ def _case(fit: Fit, index: int) -> list[ResidualTorque]:
     level = remaining_level(slow, residual, data.nuisance, noise.pure)
     floor = noise.pure**2 * response.covariance(noise.time) if noise.pure > 0 else 0.0
     covariance = np.eye(smooth.stop) + floor
-    shaped = {"casing": _smear(response.casing, response, time), "rotor": _smear(response.rotor, response, time)}
+    shaped = {
+        "casing": _smear(response.casing, response, time),
+        "rotor": _smear(response.rotor, response, time),
+    }
     for name, w in (("casing", response.casing), ("rotor", response.rotor)):
         covariance = covariance + level**2 * shaped[name] @ w.T
     gain = _without_nuisance(covariance, data.nuisance[smooth])
@@ -68,7 +71,9 @@ def _case(fit: Fit, index: int) -> list[ResidualTorque]:
         # rounding sets a floor where the data says almost everything
         sigma = np.sqrt(np.maximum(level**2 - learned, (_FLOOR * level) ** 2))
         curves.append(
-            ResidualTorque(data.record.label, body, response.centres, mean, sigma, y[:, 0].copy(), y[:, 1].copy())
+            ResidualTorque(
+                data.record.label, body, response.centres, mean, sigma, y[:, 0].copy(), y[:, 1].copy()
+            )
         )
     return curves
 

@@ -45,7 +45,11 @@ def whiteness(fit: Fit) -> list[Whiteness]:
         lags = min(_LAGS, blocks // 4)
         rows = rows - rows.mean(axis=0)
         power = float((rows**2).sum())
-        rho = np.array([float((rows[m:] * rows[:-m]).sum()) / power for m in range(1, lags + 1)]) if lags else np.zeros(0)
+        rho = (
+            np.array([float((rows[m:] * rows[:-m]).sum()) / power for m in range(1, lags + 1)])
+            if lags
+            else np.zeros(0)
+        )
         weights = _POWERS / (blocks - np.arange(1, lags + 1))
         statistic = float(blocks * (blocks + 2) * (rho**2 * weights).sum())
         results.append(Whiteness(data.record.label, rho, float(chi2.sf(statistic, max(lags, 1)))))

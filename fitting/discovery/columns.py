@@ -59,7 +59,9 @@ class CaseColumns:
         y = Sampler(path.mesh, self.response.centres).value(path.y)
         self._known: dict[str, Any] = {name: y[:, i] for i, name in enumerate(path.states)}
         self._known |= {"t": self.response.centres, "delta": y[:, 0] - y[:, 1]}
-        tau = Tape([self.case.dynamics.bearing_torque])(self._known | self.case.dynamics.constants | self.numbers)
+        tau = Tape([self.case.dynamics.bearing_torque])(
+            self._known | self.case.dynamics.constants | self.numbers
+        )
         self._known["tau"] = np.asarray(tau[0]) * np.ones(len(y))
 
     def trials(self, effect: Effect) -> list[Trial]:
@@ -72,7 +74,9 @@ class CaseColumns:
             return [Trial({}, np.stack(pair, axis=1))]
         shapes = [p for p in effect.parameters if p.role == "shape"]
         grids = [self._grid(effect, p) for p in shapes]
-        choices = [dict(zip([p.symbol for p in shapes], values, strict=True)) for values in itertools.product(*grids)]
+        choices = [
+            dict(zip([p.symbol for p in shapes], values, strict=True)) for values in itertools.product(*grids)
+        ]
         torques = [self._torque(effect, choice) for choice in choices]
         rotor = np.concatenate([t[0] for t in torques], axis=1)
         casing = np.concatenate([t[1] for t in torques], axis=1)
@@ -101,7 +105,13 @@ class CaseColumns:
             count = int(min(_MAX_FREQUENCIES, fastest * reach / _PHASE_STEP))
             return np.linspace(fastest / max(count, 1), fastest, max(count, 1))
         grid = np.array(p.grid or (p.start,))
-        return first + grid * (last - first) if p.symbol == effect.breakpoint else grid * (last - first) if p.relative else grid
+        return (
+            first + grid * (last - first)
+            if p.symbol == effect.breakpoint
+            else grid * (last - first)
+            if p.relative
+            else grid
+        )
 
     def _torque(self, effect: Effect, shape: dict[str, float]) -> tuple[Array, Array]:
         values = self._known | {p.symbol: p.start for p in effect.parameters} | shape
@@ -115,7 +125,10 @@ class CaseColumns:
         else:
             values[amplitude] = 1.0
             tape, phase = Tape([effect.expression]), _phase(effect)
-            law = [np.asarray(tape(values | ({phase: phi} if phase else {}))[0]) for phi in ((0.0, np.pi / 2) if phase else (0.0,))]
+            law = [
+                np.asarray(tape(values | ({phase: phi} if phase else {}))[0])
+                for phi in ((0.0, np.pi / 2) if phase else (0.0,))
+            ]
         unit = np.stack([v * np.ones(len(self.response.centres)) for v in law], axis=1)
         on_rotor = {"rotor": 1.0, "casing": 0.0}.get(effect.joint, -1.0)
         on_casing = {"rotor": 0.0, "casing": 1.0}.get(effect.joint, 1.0)

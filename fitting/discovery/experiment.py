@@ -33,8 +33,16 @@ def _options(omega_r: float, omega_c: float) -> dict[str, tuple[float, float, fl
         "a run that starts with the rotor at half the speed": (0.5 * omega_r, omega_c, 1.0),
         "a run that starts with the rotor 30 % faster": (1.3 * omega_r, omega_c, 1.0),
         "a recording twice as long": (omega_r, omega_c, 2.0),
-        "a run in which the casing is started by hand at high speed": (omega_r, max(20 * omega_c, 0.3 * omega_r), 1.0),
-        "a run with the rotor nearly at rest and the casing spun by hand": (0.1 * omega_r, 0.3 * omega_r, 0.5),
+        "a run in which the casing is started by hand at high speed": (
+            omega_r,
+            max(20 * omega_c, 0.3 * omega_r),
+            1.0,
+        ),
+        "a run with the rotor nearly at rest and the casing spun by hand": (
+            0.1 * omega_r,
+            0.3 * omega_r,
+            0.5,
+        ),
     }
 
 
@@ -88,7 +96,9 @@ def _separation(a: Fit, b: Fit, start: Array, span: tuple[float, float]) -> floa
     return float(np.linalg.norm(left) / per_point)
 
 
-def _angles(fit: Fit, start: Array, span: tuple[float, float], t: Array, *, with_free: bool) -> tuple[Array, Array]:
+def _angles(
+    fit: Fit, start: Array, span: tuple[float, float], t: Array, *, with_free: bool
+) -> tuple[Array, Array]:
     case = fit.problem.cases[0]
     numbers = fit.problem.layout.numbers(fit.theta, 0)
     y0 = np.array([*start, *case.dynamics.start])

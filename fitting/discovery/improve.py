@@ -7,15 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fitting.discovery.ranking import Candidate, rank
+from fitting.discovery.ranking import ALWAYS_FREE, Candidate, rank
 from fitting.effects import Effect
 from fitting.estimation import Fit, fit
 
-# what every fit frees anyway is no discovery
-ALWAYS_FREE = ("camera.centre", "camera.tilt")
 _MAX_STEPS = 5
 # an effect whose strength is nearer to zero than this many standard errors is taken back
 _NEEDED = 3.3
+# BIC must fall by this much: "positive" evidence after R. Kass, A. Raftery, J. Am. Stat. Assoc. 90, 773 (1995)
+_EVIDENCE = 3.0
+# tracking has artefacts of its own once and twice a turn: physics there needs "very strong" evidence
+_EVIDENCE_ANGLE = 10.0
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,8 @@ def best(candidates: Sequence[Candidate]) -> Candidate | None:
     for c in candidates:
         if c.effect.name in ALWAYS_FREE:
             continue
-        if c.significant and c.fit is not None and c.delta_bic < 0:
+        needed = _EVIDENCE_ANGLE if c.physical and c.effect.depends_on_angle else _EVIDENCE
+        if c.significant and c.fit is not None and c.delta_bic < -needed:
             return c
     return None
 
@@ -87,7 +90,9 @@ def _backward(rungs: list[Rung]) -> Rung:
         if effect.name in base_names or newest.change == f"+{effect.name}" or effect.amplitude is None:
             continue
         found = [
-            e for k, e in current.estimates.items() if k.partition("@")[0] == f"{effect.name}.{effect.amplitude.symbol}"
+            e
+            for k, e in current.estimates.items()
+            if k.partition("@")[0] == f"{effect.name}.{effect.amplitude.symbol}"
         ]
         if any(not np.isfinite(e.stderr) or abs(e.value) > _NEEDED * e.stderr for e in found):
             continue

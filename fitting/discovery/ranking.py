@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.case_data import CAMERA_COLUMNS
 from fitting.discovery.columns import CaseColumns
 from fitting.discovery.screen import Score, screen
 from fitting.effects import LIBRARY, Effect
@@ -30,6 +31,8 @@ CLASS_WIDTH = 10.0
 _REFITTED_SHARE = 0.1
 _MAX_REFITS = 14
 _SAME_DIRECTION = 0.9999
+# what every fit frees anyway is found by the screen, and is no discovery
+ALWAYS_FREE = tuple(CAMERA_COLUMNS)
 
 
 @dataclass(frozen=True)
@@ -103,7 +106,10 @@ def rank(base: Fit, extra: Sequence[Effect] = (), *, refit: bool = True) -> list
     rough.sort(key=lambda c: -c.score)
     if refit:
         chance = {s.effect.name: c for s, c in zip(scores, chances, strict=True)}
-        rough = [_refitted(base, c, lambda x, n=c.effect.name: family(chance[n](x))) if w else c for c, w in _worth(rough)]
+        rough = [
+            _refitted(base, c, lambda x, n=c.effect.name: family(chance[n](x))) if w else c
+            for c, w in _worth(rough)
+        ]
     return _classed(sorted(rough, key=_order))
 
 
@@ -114,14 +120,25 @@ def _fits_in(effect: Effect, base: Fit) -> bool:
 
 
 def _worth(candidates: list[Candidate]) -> list[tuple[Candidate, bool]]:
-    best = max((c.score for c in candidates), default=0.0)
+    best = max((c.score for c in candidates if c.effect.name not in ALWAYS_FREE), default=0.0)
     return [
-        (c, i < _MAX_REFITS and c.p_value < 0.5 and c.score > _REFITTED_SHARE * best) for i, c in enumerate(candidates)
+        (
+            c,
+            i < _MAX_REFITS
+            and c.p_value < 0.5
+            and c.score > _REFITTED_SHARE * best
+            and c.effect.name not in ALWAYS_FREE,
+        )
+        for i, c in enumerate(candidates)
     ]
 
 
 def _order(c: Candidate) -> tuple[bool, float]:
-    penalised = c.delta_bic if c.fit is not None else -c.score + (c.screened.columns + len(c.screened.shape[0])) * 10.0
+    penalised = (
+        c.delta_bic
+        if c.fit is not None
+        else -c.score + (c.screened.columns + len(c.screened.shape[0])) * 10.0
+    )
     return (not c.significant, penalised)
 
 
@@ -134,7 +151,10 @@ class _Chance:
         self._chi2, self._columns = chi2, score.columns
         middle = float(np.median(score.null))
         tail = float(np.quantile(score.null, 0.9))
-        self._trials = max(_trials(float(chi2.sf(middle, score.columns)), 0.5), _trials(float(chi2.sf(tail, score.columns)), 0.1))
+        self._trials = max(
+            _trials(float(chi2.sf(middle, score.columns)), 0.5),
+            _trials(float(chi2.sf(tail, score.columns)), 0.1),
+        )
         self.null = np.array([self(x) for x in np.quantile(score.null, np.linspace(0, 1, 64))])
         self._sorted = np.sort(score.null)
         self.draws = score.null
@@ -209,7 +229,11 @@ def start_of(base: Fit, score: Score) -> dict[str, float]:
         tail = f"@{label}" if own else ""
         found: Mapping[str, float] = score.shape[i]
         if phase is not None:
-            found = {**found, amplitude: float(np.hypot(*gamma[i])), phase: float(np.arctan2(gamma[i][1], gamma[i][0]))}
+            found = {
+                **found,
+                amplitude: float(np.hypot(*gamma[i])),
+                phase: float(np.arctan2(gamma[i][1], gamma[i][0])),
+            }
         else:
             found = {**found, amplitude: float(gamma[i][0])}
         values |= {f"{effect.name}.{k}{tail}": float(v) for k, v in found.items()}
@@ -226,6 +250,8 @@ def _classed(candidates: list[Candidate]) -> list[Candidate]:
         return a.significant and b.significant and abs(a.delta_bic - b.delta_bic) < CLASS_WIDTH
 
     return [
-        replace(c, indistinguishable_from=tuple(o.effect.name for o in candidates if o is not c and alike(c, o)))
+        replace(
+            c, indistinguishable_from=tuple(o.effect.name for o in candidates if o is not c and alike(c, o))
+        )
         for c in candidates
     ]

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.case_data import CAMERA_COLUMNS
 from fitting.discovery.columns import CaseColumns, Trial
 from fitting.effects import Effect
 from fitting.estimation import Fit
@@ -25,9 +26,9 @@ from fitting.estimation.layout import PER_CASE
 Array = NDArray[np.float64]
 
 _LEVELS = 9
+_CAMERA_WIDTH = 6
 # share of a column that is left beside the base, angles taken as exact, below which the base mimics it
 _ABSORBED = 1e-7
-_HARMONIC_NUISANCE = {"camera.centre": (0, 1), "camera.tilt": (2, 3)}
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,9 @@ class Score:
     null: Array = field(repr=False)
 
 
-def screen(fit: Fit, effects: Sequence[Effect], cases: Sequence[CaseColumns], draws: int = 1500) -> list[Score]:
+def screen(
+    fit: Fit, effects: Sequence[Effect], cases: Sequence[CaseColumns], draws: int = 1500
+) -> list[Score]:
     """Score all candidates on a fit.
 
     Parameters
@@ -133,9 +136,7 @@ class _Stage:
 
     def without(self, name: str) -> list[tuple[Array, Array, float]]:
         """Return the levels with a camera's nuisance taken out of what is free."""
-        skip = [
-            int(end) - 4 + i for end in self.nuisance_at[1:] for i in _HARMONIC_NUISANCE[name]
-        ]
+        skip = [int(end) - _CAMERA_WIDTH + i for end in self.nuisance_at[1:] for i in CAMERA_COLUMNS[name]]
         free = np.delete(self.free, skip, axis=1)
         return [self._level(w, free, self.residual) for w in self.whiteners]
 
@@ -144,7 +145,7 @@ def _score(stage: _Stage, effect: Effect, trials: list[list[Trial]]) -> Score:
     own = len(trials) > 1 and effect.name.startswith(PER_CASE)
     groups = _stack(trials, own)
     bounds = _bounds(effect) if not own and groups[0][1].shape[1] == 1 else (-np.inf, np.inf)
-    levels = stage.without(effect.name) if effect.name in _HARMONIC_NUISANCE else stage.levels
+    levels = stage.without(effect.name) if effect.name in CAMERA_COLUMNS else stage.levels
     best: tuple[float, int, Array, Array] = (-np.inf, 0, np.zeros(1), np.zeros(1))
     absorbed = stage.mimicked([c for _, c in groups])
     for i, (q, r, value) in enumerate(levels):
@@ -179,7 +180,9 @@ def _stack(trials: list[list[Trial]], own: bool) -> list[tuple[tuple[dict[str, f
     for i in range(max(len(t) for t in trials)):
         chosen = [t[min(i, len(t) - 1)] for t in trials]
         columns = (
-            _block_diagonal([t.columns for t in chosen]) if own else np.concatenate([t.columns for t in chosen])
+            _block_diagonal([t.columns for t in chosen])
+            if own
+            else np.concatenate([t.columns for t in chosen])
         )
         result.append((tuple(t.shape for t in chosen), columns))
     return result

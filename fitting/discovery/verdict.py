@@ -9,8 +9,8 @@ import numpy as np
 
 from fitting.diagnosis import Failure, ResidualTorque, Whiteness, find_failures, residual_torques, whiteness
 from fitting.discovery.experiment import next_experiment
-from fitting.discovery.improve import ALWAYS_FREE, Rung, best, improve
-from fitting.discovery.ranking import Candidate, rank
+from fitting.discovery.improve import Rung, best, improve
+from fitting.discovery.ranking import ALWAYS_FREE, Candidate, rank
 from fitting.effects import Effect
 from fitting.estimation import Fit
 
@@ -103,7 +103,9 @@ def _sentence(
         rest = after[-1].fit if after else fit
         left = max((n.level for n in rest.noise), default=0.0)
         parts.append(f"The model fails{': ' + where if where else ''}.")
-        parts.append(f"An unexplained torque of {left:.2g} N m rms remains that no effect of the library explains.")
+        parts.append(
+            f"An unexplained torque of {left:.2g} N m rms remains that no effect of the library explains."
+        )
         if chosen is not None:
             parts.append(f"The closest formula is that of {chosen.effect.name}; take it as a hypothesis.")
     else:
@@ -115,11 +117,14 @@ def _sentence(
         else:
             parts.append(f"One of {', '.join(names)} is missing; this data cannot tell them apart.")
         if len(after) > 2:
-            parts.append("With it " + ", ".join(r.change.lstrip("+") for r in after[2:]) + " is found as well.")
+            parts.append(
+                "With it " + ", ".join(r.change.lstrip("+") for r in after[2:]) + " is found as well."
+            )
     for c in candidates:
         if c.effect.name in ALWAYS_FREE and c.significant:
             size = float(np.hypot(*c.screened.gamma[:2]))
-            parts.append(f"The camera adds {c.effect.name} of {1e3 * size:.2g} mrad, which every fit takes out.")
+            unit = next(p.unit for p in c.effect.parameters if p.role == "amplitude")
+            parts.append(f"The camera adds {c.effect.name} of {size:.2g} {unit}, which every fit takes out.")
     return " ".join(parts)
 
 

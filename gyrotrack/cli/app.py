@@ -22,17 +22,26 @@ from gyrotrack.cli.output import DONE, FAULT, INTERRUPTED, USAGE, report_error
 
 _DATA = "From films to data"
 _PHYSICS = "From data to physics"
+_ORACLE = "Known answers"
 
 COMMANDS = (
     Entry("extract", "gyrotrack.cli.extract", _DATA, "Track a film: from frames to angles and their errors."),
     Entry("import", "gyrotrack.cli.importing", _DATA, "Make a case from tables of angles or speeds (CSV)."),
     Entry("sync", "gyrotrack.cli.sync", _DATA, "Put the clips of one experiment on one clock."),
     Entry("info", "gyrotrack.cli.info", _DATA, "Say what a file holds, and whether it is sound."),
-    Entry("fit", "gyrotrack.cli.fit", _PHYSICS, "Fit a model: parameters, errors, how well it describes the data."),
-    Entry("diagnose", "gyrotrack.cli.diagnose", _PHYSICS, "Say where the fit fails and which effect is missing."),
+    Entry(
+        "fit",
+        "gyrotrack.cli.fit",
+        _PHYSICS,
+        "Fit a model: parameters, errors, how well it describes the data.",
+    ),
+    Entry(
+        "diagnose", "gyrotrack.cli.diagnose", _PHYSICS, "Say where the fit fails and which effect is missing."
+    ),
     Entry("improve", "gyrotrack.cli.improve", _PHYSICS, "Add effects until what is left is noise."),
     Entry("ladder", "gyrotrack.cli.ladder", _PHYSICS, "List the fits so far and watch the error fall."),
     Entry("effects", "gyrotrack.cli.effects", _PHYSICS, "Show the library of effects."),
+    Entry("simulate", "gyrotrack.cli.simulate", _ORACLE, "Make data or film with chosen effects."),
 )
 
 app = typer.Typer(

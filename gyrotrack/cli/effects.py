@@ -48,7 +48,14 @@ def _document(e: Effect) -> dict[str, Any]:
         "law": e.law,
         "latex": latex(e.expression),
         "parameters": [
-            {"symbol": p.symbol, "unit": p.unit, "role": p.role, "lower": p.lower, "upper": p.upper, "meaning": p.meaning}
+            {
+                "symbol": p.symbol,
+                "unit": p.unit,
+                "role": p.role,
+                "lower": p.lower,
+                "upper": p.upper,
+                "meaning": p.meaning,
+            }
             for p in e.parameters
         ],
         "signature": e.signature,
@@ -58,7 +65,11 @@ def _document(e: Effect) -> dict[str, Any]:
 
 
 def _where(e: Effect) -> str:
-    return {"factor": "bearing, factor", "camera.casing": "casing camera", "camera.rotor": "rotor camera"}.get(e.joint, e.joint)
+    return {
+        "factor": "bearing, factor",
+        "camera.casing": "casing camera",
+        "camera.rotor": "rotor camera",
+    }.get(e.joint, e.joint)
 
 
 def _page(e: Effect) -> str:

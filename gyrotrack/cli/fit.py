@@ -30,16 +30,25 @@ def command(
     *,
     model: Annotated[
         str | None,
-        typer.Option("--model", metavar="M", help="reduced, general, linear, or a TOML file; reduced, if nothing was fitted yet."),
+        typer.Option(
+            "--model",
+            metavar="M",
+            help="reduced, general, linear, or a TOML file; reduced, if nothing was fitted yet.",
+        ),
     ] = None,
     add: Annotated[
-        list[str] | None, typer.Option("--add", metavar="E", help="Add an effect by name, or a law: 'casing: -k*omega_c**3'.")
+        list[str] | None,
+        typer.Option("--add", metavar="E", help="Add an effect by name, or a law: 'casing: -k*omega_c**3'."),
     ] = None,
     drop: Annotated[list[str] | None, typer.Option("--drop", metavar="E", help="Take an effect out.")] = None,
     effects: EffectsFile = None,
     joint: Annotated[bool, typer.Option("--joint", help="Fit the cases together.")] = False,
-    share: Annotated[list[str] | None, typer.Option("--share", metavar="P", help="One value for all cases.")] = None,
-    per_case: Annotated[list[str] | None, typer.Option("--per-case", metavar="P", help="A value for each case.")] = None,
+    share: Annotated[
+        list[str] | None, typer.Option("--share", metavar="P", help="One value for all cases.")
+    ] = None,
+    per_case: Annotated[
+        list[str] | None, typer.Option("--per-case", metavar="P", help="A value for each case.")
+    ] = None,
     start: From = None,
     ledger: LedgerFile = None,
     as_json: Json = False,
@@ -58,7 +67,14 @@ def command(
     documents, trusted = [], True
     for group in groups:
         study = open_study(group, ledger)
-        wish = _Wish(model, tuple(add or ()), tuple(drop or ()), own_effects(effects), tuple(share or ()), tuple(per_case or ()))
+        wish = _Wish(
+            model,
+            tuple(add or ()),
+            tuple(drop or ()),
+            own_effects(effects),
+            tuple(share or ()),
+            tuple(per_case or ()),
+        )
         with out.progress("fitting") as progress:
             progress(0, None)
             found, fit_id = wish.fit(study, start)
@@ -98,7 +114,13 @@ class _Wish:
 
         follows = self.model is None and (self.add or self.drop or start)
         entry = study.entry(start) if follows else None
-        base = entry.model if entry is not None else Model.of(REDUCED) if self.model is None else self._named(self.model)
+        base = (
+            entry.model
+            if entry is not None
+            else Model.of(REDUCED)
+            if self.model is None
+            else self._named(self.model)
+        )
         wanted = changed(base, self.add, self.drop, self.own)
         ranges = _paper_ranges(study, self.share, self.per_case) if self.model == "general" else {}
         previous = entry.refit(study.data) if entry is not None else None
@@ -127,11 +149,15 @@ class _Wish:
             return Model.of({"reduced": REDUCED, "general": GENERAL, "linear": LINEAR}[name])
         path = Path(name)
         if not path.is_file():
-            raise UsageError(f"{name} is no model.", f"Models: {', '.join(_NAMED)}, or the name of a TOML file.")
+            raise UsageError(
+                f"{name} is no model.", f"Models: {', '.join(_NAMED)}, or the name of a TOML file."
+            )
         return read_model(path, self.own)
 
 
-def _paper_ranges(study: Study, share: tuple[str, ...], per_case: tuple[str, ...]) -> dict[str, tuple[float, float]]:
+def _paper_ranges(
+    study: Study, share: tuple[str, ...], per_case: tuple[str, ...]
+) -> dict[str, tuple[float, float]]:
     from fitting.effects import REDUCED
     from fitting.estimation import fit
     from fitting.model import Model

@@ -18,9 +18,14 @@ if TYPE_CHECKING:
     from fitting.ledger import Entry, Ledger
     from fitting.model import Model
 
-From = Annotated[str | None, typer.Option("--from", metavar="ID", help="Start from this fit; the latest, if not given.")]
+From = Annotated[
+    str | None, typer.Option("--from", metavar="ID", help="Start from this fit; the latest, if not given.")
+]
 LedgerFile = Annotated[
-    Path | None, typer.Option("--ledger", metavar="FILE", help="Where the fits are kept; beside the first case, if not given.")
+    Path | None,
+    typer.Option(
+        "--ledger", metavar="FILE", help="Where the fits are kept; beside the first case, if not given."
+    ),
 ]
 EffectsFile = Annotated[
     Path | None, typer.Option("--effects", metavar="FILE", help="Effects of your own, in TOML.")
@@ -39,7 +44,9 @@ class Study:
         if fit_id is not None:
             found = self.ledger.find(fit_id)
             if sorted(found.digests) != sorted(d.record.digest for d in self.data):
-                raise UsageError(f"The fit {fit_id} is not one of these cases.", "`gyrotrack ladder` lists them.")
+                raise UsageError(
+                    f"The fit {fit_id} is not one of these cases.", "`gyrotrack ladder` lists them."
+                )
             return found
         entries = self.ledger.of(self.data)
         return entries[-1] if entries else None

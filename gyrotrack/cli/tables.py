@@ -23,8 +23,12 @@ def fit_tables(fit: Fit, fit_id: str) -> list[str]:
     for case in fit.cases:
         for name, body in (("casing", case.casing), ("rotor", case.rotor)):
             title = f"{case.label[:5]} {name}" if len(fit.cases) > 1 else name
-            lines.append(f"{title:<12}{body.r2:>10.6f}{body.rmse:>14.4g}{body.reduced_chi2:>12.4g}{body.held_out:>11.4g}")
-    lines.append(f"energy drift {max(c.energy_drift for c in fit.cases):.2g}, effective samples {fit.n_eff:.0f}, BIC {fit.bic:.1f}")
+            lines.append(
+                f"{title:<12}{body.r2:>10.6f}{body.rmse:>14.4g}{body.reduced_chi2:>12.4g}{body.held_out:>11.4g}"
+            )
+    lines.append(
+        f"energy drift {max(c.energy_drift for c in fit.cases):.2g}, effective samples {fit.n_eff:.0f}, BIC {fit.bic:.1f}"
+    )
     left = ", ".join(f"{n.level:.2g}" for n in fit.noise)
     lines += [f"random torque that this model leaves: {left} N m rms", ""]
     for name, e in fit.estimates.items():
@@ -49,7 +53,11 @@ def diagnosis_tables(d: Diagnosis, fit_id: str) -> list[str]:
     """Return a diagnosis as lines: the sentence, where it fails, what would mend it."""
     lines = [*_wrapped(d.sentence), "", f"fit {fit_id}, verdict: {d.verdict.replace('_', ' ')}"]
     if d.failures:
-        lines += ["", "where it fails:", f"  {'case':<10}{'body':<8}{'time [s]':>16}{'torque [N m]':>14}{'speed [rad/s]':>15}{'sigma':>7}"]
+        lines += [
+            "",
+            "where it fails:",
+            f"  {'case':<10}{'body':<8}{'time [s]':>16}{'torque [N m]':>14}{'speed [rad/s]':>15}{'sigma':>7}",
+        ]
         for f in d.failures:
             time = f"{f.t_start:.1f} - {f.t_stop:.1f}"
             lines.append(
@@ -62,7 +70,9 @@ def diagnosis_tables(d: Diagnosis, fit_id: str) -> list[str]:
         for c in shown:
             name = c.effect.name[:25] + (" *" if c.effect.kind == "measurement" else "")
             bic = f"{c.delta_bic:.1f}" if math.isfinite(c.delta_bic) else "-"
-            lines.append(f"  {name:<28}{c.score:>9.1f}{bic:>9}{c.p_value:>9.1g}  {classes.get(c.effect.name, '')}")
+            lines.append(
+                f"  {name:<28}{c.score:>9.1f}{bic:>9}{c.p_value:>9.1g}  {classes.get(c.effect.name, '')}"
+            )
         if any(c.effect.kind == "measurement" for c in shown):
             lines.append("  * an artefact of the measurement, not physics")
     if d.next_experiment:
@@ -90,8 +100,13 @@ def ladder_tables(rungs: Sequence[dict[str, Any]]) -> list[str]:
         lines.append(
             f"{r['fit_id']:<5}{r['rmse_casing']:>9.4g} {r['reduced_chi2']:>9.3g} {r['held_out']:>9.3g} {r['delta_bic']:>9.1f}  {bar}"
         )
-        lines.append(f"     {added}" + (f"  (left: {r['torque_left_Nm']:.2g} N m)" if r.get("torque_left_Nm") else ""))
-    lines += ["", "rmse of the casing's speed [rad/s]; held-out error in units of the noise (1 is as good as can be)"]
+        lines.append(
+            f"     {added}" + (f"  (left: {r['torque_left_Nm']:.2g} N m)" if r.get("torque_left_Nm") else "")
+        )
+    lines += [
+        "",
+        "rmse of the casing's speed [rad/s]; held-out error in units of the noise (1 is as good as can be)",
+    ]
     return ["\n".join(lines)]
 
 
