@@ -54,6 +54,8 @@ class Record:
         What the values are.
     source : str
         The file, for provenance.
+    tracked : bool
+        The angles come from film, with tracking's own artefacts once and twice a turn.
     digest : str
         SHA-256 of the numbers.
     """
@@ -66,6 +68,7 @@ class Record:
     quantity: Quantity = "angle"
     surface: str = ""
     source: str = ""
+    tracked: bool = False
     digest: str = field(default="")
 
     def __post_init__(self) -> None:
@@ -144,6 +147,7 @@ def _read(path: Path, file: Any) -> Record:
         rotor=_windows(rotor, window),
         quantity=quantity,
         source=str(path),
+        tracked=_text(file["casing"].attrs.get("sigma_source")) == "measured",
     )
 
 
@@ -157,6 +161,7 @@ def make_record(
     surface: str = "",
     quantity: Quantity = "angle",
     source: str = "",
+    tracked: bool = False,
 ) -> Record:
     """Make a record from arrays of (time, value, sigma); samples that are not finite are left out.
 
@@ -173,7 +178,7 @@ def make_record(
         raise RecordError(
             f"{label}: no rotor window with at least 12 usable samples", "give at least one rotor clip"
         )
-    return Record(label, I_rotor, I_casing, runs[0], windows, quantity, surface, source)
+    return Record(label, I_rotor, I_casing, runs[0], windows, quantity, surface, source, tracked)
 
 
 def _clean(time: Array, value: Array, sigma: Array, *, what: str) -> Samples:

@@ -75,7 +75,8 @@ def best(candidates: Sequence[Candidate]) -> Candidate | None:
     for c in candidates:
         if c.effect.name in ALWAYS_FREE:
             continue
-        needed = _EVIDENCE_ANGLE if c.physical and c.effect.depends_on_angle else _EVIDENCE
+        tracked = c.fit is not None and any(d.record.tracked for d in c.fit.problem.data)
+        needed = _EVIDENCE_ANGLE if tracked and c.physical and c.effect.depends_on_angle else _EVIDENCE
         if c.significant and c.fit is not None and c.delta_bic < -needed:
             return c
     return None

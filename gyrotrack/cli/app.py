@@ -41,6 +41,7 @@ COMMANDS = (
     Entry("improve", "gyrotrack.cli.improve", _PHYSICS, "Add effects until what is left is noise."),
     Entry("ladder", "gyrotrack.cli.ladder", _PHYSICS, "List the fits so far and watch the error fall."),
     Entry("effects", "gyrotrack.cli.effects", _PHYSICS, "Show the library of effects."),
+    Entry("demo", "gyrotrack.cli.demo", _ORACLE, "Run the whole story on the sample clips."),
     Entry("simulate", "gyrotrack.cli.simulate", _ORACLE, "Make data or film with chosen effects."),
 )
 
