@@ -8,6 +8,8 @@ TOML file::
     centre = "orbit"            # no mark at the centre: it is found from the markers' path
     capture_fps = 300           # optional
     sense = -1                  # optional: -1 turns clockwise as seen, +1 counter-clockwise
+    wander = false              # optional: the centre of an orbit stays where it is (true: it may move slowly)
+    tilt_correction = true      # optional: correct the angles for the slant of the camera
 
     [[marker]]
     name = "tape"
@@ -56,6 +58,7 @@ class Profile(BaseModel):
     circle_colour: Colour = "red"
     capture_fps: float | None = Field(default=None, gt=0.0, lt=1.0e7)
     sense: Literal[-1, 1] | None = None
+    wander: bool = True
     tilt_correction: bool = True
 
     @field_validator("marker")
@@ -140,6 +143,8 @@ def to_toml(profile: Profile) -> str:
         lines.append(f"capture_fps = {profile.capture_fps!r}")
     if profile.sense is not None:
         lines.append(f"sense = {profile.sense}")
+    if not profile.wander:
+        lines.append("wander = false")
     if not profile.tilt_correction:
         lines.append("tilt_correction = false")
     for marker in profile.marker:

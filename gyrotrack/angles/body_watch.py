@@ -61,11 +61,6 @@ class BodyWatch:
         for channel in self._channels:
             channel.aim(centre)
 
-    def flatten_background(self) -> None:
-        """See `Channel.flatten_background`."""
-        for channel in self._channels:
-            channel.flatten_background()
-
     def take(self, frame: Frame, place: int) -> None:
         """Unroll one frame."""
         for channel in self._channels:

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack.angles.bias import closed_curve, curve_at, without_common_motion
-from gyrotrack.angles.local import local_fit, spread
+from gyrotrack.geometry.local import local_fit, spread
 from gyrotrack.angles.sightings import Sightings
 
 Floats = npt.NDArray[np.float64]
@@ -97,7 +97,9 @@ def _usual_weakness(seen: Sightings) -> float:
     return float(np.median(seen.weakness[whole])) if whole.any() else 1.0
 
 
-def join(coarse: Floats, candidates: dict[str, Candidate], other: Floats | None = None) -> BodyAngles:
+def join(
+    coarse: Floats, candidates: dict[str, Candidate], other: Floats | None = None, floor: float = 0.0
+) -> BodyAngles:
     """Join the markers of one body.
 
     Parameters
@@ -108,25 +110,35 @@ def join(coarse: Floats, candidates: dict[str, Candidate], other: Floats | None 
         Its markers. Places that the profile does not fix are measured relative to the first marker.
     other : ndarray, shape (n,), optional
         Angle as seen of the body that hides the markers now and then [rad].
+    floor : float
+        Uncertainty in rad for errors by place that cannot be learnt because the body does not turn round.
     """
     path = smooth_path(coarse)
     state = _Joint(path, candidates)
-    half, degree = _learning_window(path)
+    half, degree = learning_window(path)
     for _ in range(5):
-        smooth, leverage = local_fit(state.mean()[0], state.weight(), HALF_WINDOW)
+        smooth, leverage = state.smooth(HALF_WINDOW)
         state.replace_mounts(smooth)
         state.judge(smooth, leverage)
-        smooth, _ = local_fit(state.mean()[0], state.weight(), half, degree)
+        short, (smooth, _) = smooth, state.smooth(half, degree)
+        state.note_turns(short, smooth, half)
         state.learn_places(smooth)
         if other is not None:
             state.learn_neighbours(smooth, other)
-    smooth, leverage = local_fit(state.mean()[0], state.weight(), HALF_WINDOW)
+    smooth, leverage = state.smooth(HALF_WINDOW)
     state.judge(smooth, leverage)
+    smooth, leverage = state.smooth(half, degree)
+    state.measure_scatter(smooth, leverage)
     departure, sigma, count = state.mean()
+    sigma = np.where(state.turning, sigma, np.hypot(sigma, floor))
+    normalised = np.where(state.turning, (departure - smooth) / sigma, np.nan)
+    sigma = sigma * state.excess(normalised, leverage)
     markers = {
         name: MarkerAngles(
             np.where(state.use[name], _wrap(c.angle - state.bias(name)), np.nan),
-            np.where(state.use[name], state.sigma(name), np.nan),
+            np.where(
+                state.use[name], np.hypot(state.sigma(name), np.where(state.turning, 0.0, floor)), np.nan
+            ),
             state.mounts[name],
         )
         for name, c in candidates.items()
@@ -139,9 +151,12 @@ class _Joint:
 
     def __init__(self, path: Floats, candidates: dict[str, Candidate]) -> None:
         self.path = path
+        self.turning = np.zeros(len(path), dtype=np.bool_)
+        self.bend = path - _line(path)
         self.candidates = candidates
         self.mounts = {name: c.mount for name, c in candidates.items()}
         self.scatter = dict.fromkeys(candidates, (0.01, 0.03))
+        self.used_up = dict.fromkeys(candidates, 0.0)
         self.by_place = {name: np.zeros(len(path)) for name in candidates}
         self.by_neighbour = {name: np.zeros(len(path)) for name in candidates}
         self.use = {n: c.good & np.isfinite(path) & np.isfinite(c.angle) for n, c in candidates.items()}
@@ -172,6 +187,11 @@ class _Joint:
         nothing = np.where(seen, 0.0, np.nan)
         return total / safe + nothing, 1.0 / np.sqrt(safe) + nothing, count
 
+    def smooth(self, half: int, degree: int = 2) -> tuple[Floats, Floats]:
+        """Fit a smooth curve to the body's angle; returns its departure from the path, and the leverages."""
+        fitted, leverage = local_fit(self.bend + self.mean()[0], self.weight(), half, degree)
+        return fitted - self.bend, leverage
+
     def weight(self) -> Floats:
         """Weights of the mean departures for a smooth curve through them, about 1 where they are usual."""
         sigma = self.mean()[1]
@@ -196,22 +216,57 @@ class _Joint:
     def judge(self, smooth: Floats, leverage: Floats) -> None:
         """Measure each marker's scatter about the smooth motion, and drop what lies far off."""
         for name, c in self.candidates.items():
-            off = (self.departure(name) - smooth) / c.weak
-            share = np.clip(1.0 - leverage / max(len(self.candidates), 1), 0.1, 1.0)
-            off = off / np.sqrt(share)
+            off = self._standardised(name, smooth, leverage)
             clear = _scatter(off[self.use[name] & c.open], self.scatter[name][0])
             partly = max(_scatter(off[self.use[name] & ~c.open], 3.0 * clear), clear)
             self.scatter[name] = (clear, partly)
             limit = FAR * np.where(c.open, clear, min(partly, 5.0 * clear)) + 5e-4
             self.use[name] = self.use[name] & ~(np.abs(off) > limit)
 
+    def measure_scatter(self, smooth: Floats, leverage: Floats) -> None:
+        """Measure the scatter once more about a curve that is smooth over whole turns.
+
+        Errors that repeat with the turn are no motion there, and count; what the learnt curves have taken up is given
+        back. A scatter far above that about the short curve is a motion in earnest and is not believed.
+        """
+        for name, c in self.candidates.items():
+            off = self._standardised(name, smooth, leverage)
+            for k, part in enumerate((c.open, ~c.open)):
+                some = self.use[name] & part & self.turning
+                grown = np.sqrt(1.0 / max(1.0 - self.used_up[name] / max(float(some.sum()), 1.0), 0.25))
+                short = self.scatter[name][k]
+                wide = float(np.clip(grown * _scatter(off[some], short), short, 2.5 * short))
+                self.scatter[name] = (
+                    (wide, self.scatter[name][1]) if k == 0 else (self.scatter[name][0], wide)
+                )
+
+    def excess(self, normalised: Floats, leverage: Floats) -> float:
+        """Return by how much the body's angles scatter more than their markers' uncertainties say."""
+        used = min(sum(self.used_up.values()) / max(float(np.isfinite(normalised).sum()), 1.0), 0.75)
+        scatter = _scatter(normalised / np.sqrt(np.clip(1.0 - leverage, 0.1, 1.0)), 1.0)
+        return float(np.clip(scatter / np.sqrt(1.0 - used), 0.5, 3.0))
+
+    def _standardised(self, name: str, smooth: Floats, leverage: Floats) -> Floats:
+        share = np.clip(1.0 - leverage / max(len(self.candidates), 1), 0.1, 1.0)
+        return np.asarray((self.departure(name) - smooth) / self.candidates[name].weak / np.sqrt(share))
+
+    def note_turns(self, short: Floats, smooth: Floats, half: int) -> None:
+        """Note where errors that repeat with the turn can be told from motion.
+
+        There the long window holds a whole turn, and its curve follows the motion: a sudden start is in no curve.
+        """
+        usual = min(clear for clear, _ in self.scatter.values())
+        with np.errstate(invalid="ignore"):
+            self.turning = whole_turns(self.path, half) & (np.abs(smooth - short) < 12.0 * usual)
+
     def learn_places(self, smooth: Floats) -> None:
         """Learn each marker's error by its place in the picture (see `bias`)."""
         curves = {}
         for name, c in self.candidates.items():
             off = _wrap(c.angle - self.path - self.mounts[name] - self.by_neighbour[name]) - smooth
-            weight = np.where(self.use[name] & c.open, 1.0 / self.sigma(name) ** 2, 0.0)
-            curves[name] = closed_curve(c.angle, off, weight)
+            fit = self.use[name] & c.open & self.turning
+            weight = np.where(fit, 1.0 / self.sigma(name) ** 2, 0.0)
+            curves[name], self.used_up[name] = closed_curve(c.angle, off, weight)
         curves = without_common_motion(curves, self.mounts)
         for name, curve in curves.items():
             self.by_place[name] = curve_at(curve, np.nan_to_num(self.candidates[name].angle))
@@ -221,18 +276,36 @@ class _Joint:
         for name, c in self.candidates.items():
             off = _wrap(c.angle - self.path - self.mounts[name] - self.by_place[name]) - smooth
             near = self.use[name] & np.isfinite(other)
-            weight = np.where(near, 1.0 / self.sigma(name) ** 2, 0.0)
-            curve = closed_curve(np.nan_to_num(c.angle - other), off, weight)
+            weight = np.where(near & self.turning, 1.0 / self.sigma(name) ** 2, 0.0)
+            curve, _ = closed_curve(np.nan_to_num(c.angle - other), off, weight)
             self.by_neighbour[name] = np.where(
                 near & ~c.open, curve_at(curve, np.nan_to_num(c.angle - other)), 0.0
             )
+
+
+def whole_turns(path: Floats, half: int) -> Mask:
+    """Return where the window of `half` frames to both sides holds a whole turn, so that what repeats with it shows."""
+    ahead, behind = np.roll(path, -half), np.roll(path, half)
+    swept = np.abs(ahead - behind)
+    swept[:half] = 2.0 * np.abs(ahead - path)[:half]
+    swept[len(path) - half :] = 2.0 * np.abs(path - behind)[len(path) - half :]
+    return np.asarray(np.nan_to_num(swept) > 2.0 * np.pi)
+
+
+def _line(path: Floats) -> Floats:
+    """Return the straight line through a path, to keep numbers small."""
+    known = np.isfinite(path)
+    if known.sum() < 2:
+        return np.zeros(len(path))
+    index = np.arange(len(path), dtype=np.float64)
+    return np.asarray(np.polyval(np.polyfit(index[known], path[known], 1), index))
 
 
 def _scatter(off: Floats, otherwise: float) -> float:
     return max(spread(off), 1e-5) if np.isfinite(off).sum() >= 8 else otherwise
 
 
-def _learning_window(path: Floats) -> tuple[int, int]:
+def learning_window(path: Floats) -> tuple[int, int]:
     """Return half width and degree of the local polynomials against which repeating errors are learnt.
 
     A little more than a turn to each side, so that an error that repeats with the turn is not taken for motion.
@@ -252,8 +325,7 @@ def smooth_path(coarse: Floats) -> Floats:
     known = np.isfinite(coarse)
     if known.sum() < 8:
         return coarse
-    index = np.arange(len(coarse), dtype=np.float64)
-    trend = np.polyval(np.polyfit(index[known], coarse[known], 1), index)
+    trend = _line(coarse)
     smooth, _ = local_fit(coarse - trend, known.astype(float), HALF_WINDOW)
     near = np.abs(smooth + trend - coarse) < 0.3
     return np.where(known, np.where(near, smooth + trend, coarse), np.nan)

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from gyrotrack.angles.matching import Match, flat_top, match, mean_profile
 from gyrotrack.angles.sightings import Sightings
-from gyrotrack.angles.surroundings import AngleMap, even_light
+from gyrotrack.angles.surroundings import AngleMap, even_light, unlit
 from gyrotrack.geometry.channel import Channel
 from gyrotrack.geometry.corners import near_corners
 from gyrotrack.geometry.scene import Paper
@@ -39,6 +39,7 @@ class MarkerWatch:
 
     def measure(self, look: Look, open_: Mask) -> Sightings:
         """Measure the marker; `open_` (n, columns of the window) tells which samples nothing hides."""
+        open_ = open_ & ~unlit(self._light)[look.column]
         whole = (open_ | ~self._matters()).all(axis=1) & look.known
         found = self._matched_across(look, open_, whole)
         along = self._matched_along(look, found, whole)
@@ -125,10 +126,22 @@ class MarkerWatch:
             shaped = (look.window[whole] - found.offset[whole, None, None]) / gain
             angles = np.arange(-self.half, self.half + 1) * ring.step
             shaped = np.nan_to_num(shaped)
-            radius[whole], angle[whole] = near_corners(
-                shaped, ring.radii, angles, self.paper.inner, self.paper.outer
-            )
+            r, phi = near_corners(shaped, ring.radii, angles, self.paper.inner, self.paper.outer)
+            likely = self._likely(r, phi, found.shift[whole] * ring.step)
+            radius[whole], angle[whole] = np.where(likely, r, np.nan), np.where(likely, phi, np.nan)
         return radius, angle
+
+    def _likely(self, radius: Floats, angle: Floats, fine: Floats) -> Mask:
+        """Tell which pairs of corners fit the marker: about its middle, as wide as usual, at its near edge; (n, 1)."""
+        half, middle = 0.5 * (angle[:, 1] - angle[:, 0]), angle.mean(axis=1)
+        if not np.isfinite(half).any():
+            return np.zeros((len(half), 1), dtype=np.bool_)
+        usual = float(np.nanmedian(half))
+        length = self.paper.outer - self.paper.inner
+        with np.errstate(invalid="ignore"):
+            likely = (np.abs(middle - fine) < 0.25 * usual + 0.01) & (np.abs(half - usual) < 0.3 * usual)
+            likely &= np.abs(radius.mean(axis=1) - self.paper.inner) < 0.35 * length + 2.0
+        return np.asarray(likely[:, None])
 
 
 class Look:

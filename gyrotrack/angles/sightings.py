@@ -51,6 +51,17 @@ class Sightings:
             **{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Sightings)}
         )
 
+    def outside(self, inner: float, outer: float, half_width: float, size: tuple[int, int]) -> Mask:
+        """Return where a part of the marker lies outside a picture of (width, height) px."""
+        found = np.zeros(len(self.angle), dtype=np.bool_)
+        for radius in (inner, outer):
+            for side in (-half_width, half_width):
+                x = self.centre[:, 0] + radius * np.cos(self.angle + side)
+                y = self.centre[:, 1] - radius * np.sin(self.angle + side)
+                with np.errstate(invalid="ignore"):
+                    found |= (x < 0) | (y < 0) | (x > size[0] - 1) | (y > size[1] - 1)
+        return found
+
     def position(self, good: Mask) -> Floats:
         """Return where the middle of the marker is in the picture, (n, 2) in px; its usual radius where not good."""
         usual = float(np.nanmedian(self.radius[good])) if good.any() else np.nan

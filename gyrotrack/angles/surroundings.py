@@ -69,6 +69,12 @@ def even_light(light: AngleMap, columns: int) -> Floats:
     return np.clip(filled, HIDDEN, 2.0)
 
 
+def unlit(light: AngleMap) -> npt.NDArray[np.bool_]:
+    """Return at which angles something that stands still hides the marker, or outshines it."""
+    height = light.heights(max(light.columns // 128, 1), prior=4.0)[0]
+    return np.asarray(np.nan_to_num(height, nan=1.0) < HIDDEN)
+
+
 def open_columns(cover: AngleMap, grow: int) -> npt.NDArray[np.bool_]:
     """Return at which angles nothing stands before the marker, in any layer; unknown angles count as open.
 

@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
 
 FACTOR_R, FACTOR_1, FACTOR_2 = 30.0, 150.0, 150.0
 """The constants of the paper's formula."""
@@ -62,10 +63,17 @@ def paper_angle(corner: Floats, centre: Floats, use: npt.NDArray[np.bool_]) -> P
     z = v[..., 0] - 1j * v[..., 1]
     middle, base = z.mean(axis=1), z[:, 1] - z[:, 0]
     rho, delta = np.abs(middle), np.abs(base)
+    known = np.isfinite(rho) & (rho > 0) & (delta > 0)
+    z[~known] = middle[~known] = base[~known] = np.nan + 0j
+    with np.errstate(invalid="ignore"):
+        return _from_corners(z, middle, base, use & known)
+
+
+def _from_corners(z: Complexes, middle: Complexes, base: Complexes, use: npt.NDArray[np.bool_]) -> PaperAngle:
+    rho, delta = np.abs(middle), np.abs(base)
     beta = np.abs(np.angle(base / middle))
-    good = use & np.isfinite(rho) & np.isfinite(delta)
-    mean_rho = float(rho[good].mean()) if good.any() else np.nan
-    mean_delta = float(delta[good].mean()) if good.any() else np.nan
+    mean_rho = float(rho[use].mean()) if use.any() else np.nan
+    mean_delta = float(delta[use].mean()) if use.any() else np.nan
     along = base / delta
     across = 1j * middle / rho
     side = np.array([-0.5, 0.5]) * mean_delta

@@ -106,10 +106,10 @@ def _neutral(plane: npt.NDArray[np.float32], samples: Samples, orbit: Orbit | No
 
 
 def _near(shape: tuple[int, ...], samples: Samples, orbit: Orbit) -> npt.NDArray[np.float32]:
-    """Mask of what lies within 0.4 of the smallest orbit around its centre."""
+    """Mask of what lies within 0.45 of the largest orbit around its centre."""
     y, x = np.ogrid[: shape[0], : shape[1]]
     lx, ly = samples.scale * x + (samples.scale - 1) / 2.0, samples.scale * y + (samples.scale - 1) / 2.0
-    reach = 0.4 * min(orbit.radii.values())
+    reach = 0.45 * max(orbit.radii.values())
     return (np.hypot(lx - orbit.centre[0], ly - orbit.centre[1]) < reach).astype(np.float32)
 
 

@@ -1,4 +1,10 @@
-"""The centre in every frame: the middle of the coloured disc, and its path smoothed as much as the data bear."""
+"""The path of the centre: slow motion kept, fast motion kept where it is regular, the measurement's noise removed.
+
+The noise of a compressed film is not independent from frame to frame, so that what predicts the next frame best is not the
+true path. The path is therefore taken as a slow curve (local parabolas, their width chosen by how well they predict
+points at least `HOLE` frames away) plus whatever stands out as a line in the spectrum of the rest: a precession
+or a wobble with the turn of the casing.
+"""
 
 from __future__ import annotations
 
@@ -7,170 +13,105 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack.geometry.scene import Disc
-from gyrotrack.segmentation.ring import CHROMA_SHIFT
-from gyrotrack.video.planes import Frame
+from gyrotrack.geometry.local import local_fit
 
 Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
 
-_WIDTHS = (0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 32.0)
-
-
-class DiscWindow:
-    """A small chroma window about the disc, collected for a batch of frames.
-
-    Parameters
-    ----------
-    disc : Disc
-        Where it was found, how large it is, and its chroma.
-    capacity : int
-        Frames of a batch.
-    """
-
-    def __init__(self, disc: Disc, capacity: int) -> None:
-        self.disc = disc
-        self.half = int(np.ceil((1.5 * disc.radius + 6.0) / 2.0))
-        side = 2 * self.half + 1
-        self._pixels = np.zeros((capacity, 2, side, side), dtype=np.uint8)
-        self._corner = (0, 0)
-
-    def aim(self, centre: tuple[float, float], frame: Frame) -> None:
-        """Put the window about a centre (luma px), inside the picture."""
-        height, width = frame.u.shape
-        side = 2 * self.half + 1
-        x = int(np.clip(round((centre[0] - CHROMA_SHIFT[0]) / 2.0) - self.half, 0, max(width - side, 0)))
-        y = int(np.clip(round((centre[1] - CHROMA_SHIFT[1]) / 2.0) - self.half, 0, max(height - side, 0)))
-        self._corner = (x, y)
-
-    def take(self, frame: Frame, place: int) -> None:
-        """Store the window of one frame."""
-        x, y = self._corner
-        side = 2 * self.half + 1
-        u, v = frame.u[y : y + side, x : x + side], frame.v[y : y + side, x : x + side]
-        self._pixels[place, 0, : u.shape[0], : u.shape[1]] = u
-        self._pixels[place, 1, : v.shape[0], : v.shape[1]] = v
-
-    def centres(self, count: int) -> Floats:
-        """Measure the disc's centre in the first `count` frames, (count, 2) in luma px; NaN where it is hidden."""
-        u, v = self.disc.chroma
-        norm = u * u + v * v
-        pixels = self._pixels[:count].astype(np.float32)
-        score = (pixels[:, 0] * np.float32(u / norm) + pixels[:, 1] * np.float32(v / norm)).astype(np.float64)
-        x, y = _disc_centroid(score, self.disc.radius / 2.0)
-        place = np.stack([x + self._corner[0], y + self._corner[1]], axis=1)
-        return 2.0 * place + np.array(CHROMA_SHIFT)
-
-
-def _disc_centroid(score: Floats, radius: float) -> tuple[Floats, Floats]:
-    """Find the centroid of a bright disc in each image, (n, side, side), in px of the window.
-
-    The disc's level and the background's are taken from each frame; the mask rises softly between 30 % and 70 %
-    of the step, so that the edge counts with the share of each pixel that it covers.
-    """
-    count, side, _ = score.shape
-    grid = np.arange(side, dtype=np.float64)
-    level = np.percentile(score.reshape(count, -1), 97, axis=1)[:, None, None]
-    ground = np.median(score.reshape(count, -1), axis=1)[:, None, None]
-    step = np.maximum(level - ground, 1e-6)
-    soft = np.clip(((score - ground) / step - 0.3) / 0.4, 0.0, 1.0)
-    middle = (side - 1) / 2.0
-    x, y = np.full(count, middle), np.full(count, middle)
-    for reach in (2.2 * radius + 3.0, 1.5 * radius + 1.5, 1.35 * radius + 1.0):
-        inside = (grid[None, None, :] - x[:, None, None]) ** 2 + (
-            grid[None, :, None] - y[:, None, None]
-        ) ** 2 < reach**2
-        weight = soft * inside
-        total = np.maximum(weight.sum(axis=(1, 2)), 1e-9)
-        x = (weight.sum(axis=1) @ grid) / total
-        y = (weight.sum(axis=2) @ grid) / total
-    expected = np.pi * radius**2
-    hidden = (total < 0.6 * expected) | (total > 1.7 * expected) | (step[:, 0, 0] < 0.3)
-    x[hidden] = np.nan
-    y[hidden] = np.nan
-    return x, y
+HOLE = 8
+"""Frames over which the errors of a compressed film hang together."""
+_HALVES = (24, 48, 96, 192)
+_STANDS_OUT = 7.0
+LEAST_SIGMA = 0.05
+"""Uncertainty of a coordinate in px that no smoothing beats: encoders hold a still disc in place while it creeps."""
 
 
 @dataclass(frozen=True)
 class CentrePath:
-    """The centre in each frame (n, 2) [px], its uncertainty per axis (n,) [px], and the smoothing width [frames]."""
+    """The centre in each frame (n, 2) [px], its uncertainty per axis (n,) [px], and the reach of the smoothing."""
 
     centre: Floats
     sigma: Floats
-    width: float
+    reach: int
 
 
 def smooth_path(measured: Floats) -> CentrePath:
-    """Smooth a measured path, by as much as makes it most predictable.
-
-    Parameters
-    ----------
-    measured : ndarray, shape (n, 2)
-        Positions in px, NaN where there is none.
-
-    Notes
-    -----
-    The kernel is a Gaussian of standard deviation w frames, "twiced" (2 G - G G) so that curved paths keep their
-    amplitude. For each w every point is predicted from the others; the mean squared error of that prediction
-    is s^2 + e(w)^2 with s the noise of one measurement (from fourth differences) and e the error of the
-    smooth path; the w with the least e is taken, or none when e(w) >= s for all.
-    """
+    """Smooth a measured path, (n, 2) in px, NaN where there is none."""
     known = np.isfinite(measured).all(axis=1)
     if not known.any():
-        return CentrePath(measured, np.full(len(measured), np.nan), 0.0)
+        return CentrePath(measured, np.full(len(measured), np.nan), 0)
     index = np.arange(len(measured))
     filled = np.stack([np.interp(index, index[known], measured[known, k]) for k in (0, 1)], axis=1)
-    noise = _noise(filled)
-    best, least = 0.0, noise**2
-    for width in _WIDTHS[1:]:
-        if 6 * width > len(measured):
-            break
-        error = _left_out(filled, known, width) - noise**2
-        if error < least:
-            best, least = width, error
-    path = filled if best == 0.0 else _smooth(filled, known, best)[0]
-    gain = 1.0 if best == 0.0 else float(np.sqrt((_kernel(best) ** 2).sum()))
-    sigma = np.sqrt(max(least, (gain * noise) ** 2))
-    near = np.convolve(known, np.ones(2 * int(4 * best) + 1), mode="same") > 0
-    return CentrePath(path, np.where(near, sigma, np.nan), best)
-
-
-def _noise(path: Floats) -> float:
-    """Return the noise of one coordinate from fourth differences, var = sum of squared binomials (70) s^2."""
-    if len(path) < 6:
-        return 0.1
-    fourth = np.diff(path, n=4, axis=0)
-    scatter = 1.4826 * np.median(np.abs(fourth - np.median(fourth, axis=0)), axis=0)
-    return float(max(np.sqrt(np.mean(scatter**2) / 70.0), 1e-3))
-
-
-def _kernel(width: float) -> Floats:
-    reach = int(np.ceil(4.0 * width))
-    x = np.arange(-2 * reach, 2 * reach + 1)
-    once = np.exp(-0.5 * (x / width) ** 2)
-    once /= once.sum()
-    twice = np.exp(-0.25 * (x / width) ** 2)
-    return np.asarray(2.0 * once - twice / twice.sum())
-
-
-def _smooth(path: Floats, known: npt.NDArray[np.bool_], width: float) -> tuple[Floats, Floats]:
-    """Return the smoothed path and the weight that each point had in its own smoothed value."""
-    kernel = _kernel(width)
+    z = filled[:, 0] + 1j * filled[:, 1]
     weight = known.astype(np.float64)
-    reach = len(kernel) // 2
-    total = np.convolve(np.pad(weight, reach), kernel, mode="valid")
-    total = np.where(np.abs(total) < 0.2, 0.2, total)
-    columns = [np.convolve(np.pad(weight * path[:, k], reach), kernel, mode="valid") / total for k in (0, 1)]
-    return np.stack(columns, axis=1), weight * kernel[reach] / total
+    halves = [half for half in _HALVES if 3 * half <= len(z)]
+    if not halves:
+        return _steady(z, known)
+    half = min(halves, key=lambda h: _prediction_error(z, weight, h))
+    slow = _fitted(z, weight, half)
+    path = slow + _lines(np.where(known, z - slow, 0.0))
+    left = (z - path)[known]
+    sigma = _left_error(left, half)
+    gap = np.convolve(weight, np.ones(2 * half + 1), mode="same") > 0
+    return CentrePath(np.stack([path.real, path.imag], axis=1), np.where(gap, sigma, np.nan), half)
 
 
-def _left_out(path: Floats, known: npt.NDArray[np.bool_], width: float) -> float:
-    """Return the mean squared error, per axis, of predicting each point from the others."""
-    smooth, own = _smooth(path, known, width)
-    error = (path - smooth) / (1.0 - own)[:, None]
-    inner = known.copy()
-    edge = min(int(3 * width), len(path) // 4)
-    inner[:edge] = inner[len(path) - edge :] = False
-    if not inner.any():
-        return float("inf")
-    scatter = np.sort((error[inner] ** 2).sum(axis=1))
-    return float(scatter[: max(int(0.98 * len(scatter)), 1)].mean() / 2.0)
+def _steady(z: Complexes, known: npt.NDArray[np.bool_]) -> CentrePath:
+    """Take the mean for a clip of a few frames."""
+    mean = z[known].mean()
+    scatter = float(np.sqrt(np.mean(np.abs(z[known] - mean) ** 2) / 2.0))
+    centre = np.tile([mean.real, mean.imag], (len(z), 1))
+    return CentrePath(centre, np.full(len(z), max(scatter, LEAST_SIGMA)), len(z))
+
+
+def _fitted(z: Complexes, weight: Floats, half: int, hole: int = -1) -> Complexes:
+    origin = z.mean()
+    x, y = (local_fit(part, weight, half, 2, hole)[0] for part in ((z - origin).real, (z - origin).imag))
+    fitted = origin + x + 1j * y
+    return np.asarray(np.where(np.isfinite(fitted), fitted, z))
+
+
+def _prediction_error(z: Complexes, weight: Floats, half: int) -> float:
+    """Return the trimmed mean squared error of predicting points from others at least `HOLE` frames away."""
+    error = np.abs(z - _fitted(z, weight, half, HOLE)) ** 2
+    inner = slice(half // 2, len(z) - half // 2)
+    core = np.sort(error[inner][weight[inner] > 0])
+    return float(core[: max(int(0.95 * len(core)), 1)].mean()) if len(core) else float("inf")
+
+
+def _lines(rest: Complexes) -> Complexes:
+    """Keep what stands out of the spectrum of a series, piece by piece (Hann windows, half overlapping)."""
+    n = len(rest)
+    if n < 96:
+        return np.zeros(n, dtype=np.complex128)
+    size = 64 if n < 1024 else 128
+    hop = size // 2
+    padded = np.pad(rest, (size, size + (-n) % hop))
+    window = np.sqrt(np.hanning(size + 1)[:size])
+    starts = np.arange(0, len(padded) - size + 1, hop)
+    spectra = np.fft.fft(np.stack([padded[s : s + size] * window for s in starts]), axis=1)
+    power = np.abs(spectra) ** 2
+    floor = _floor(power[2:-2].mean(axis=0) if len(power) > 6 else power.mean(axis=0))
+    kept = spectra * np.where(power > _STANDS_OUT * floor, 1.0 - floor / np.maximum(power, 1e-12), 0.0)
+    out = np.zeros(len(padded), dtype=np.complex128)
+    for start, piece in zip(starts, np.fft.ifft(kept, axis=1) * window, strict=True):
+        out[start : start + size] += piece
+    return out[size : size + n]
+
+
+def _floor(power: Floats) -> Floats:
+    """Return the level of a spectrum without its lines: a running median, raised to the mean of noise."""
+    reach = 8
+    wrapped = np.concatenate([power[-reach:], power, power[:reach]])
+    around = np.stack([wrapped[k : k + len(power)] for k in range(2 * reach + 1)])
+    return np.asarray(np.median(around, axis=0) / np.log(2.0) + 1e-9)
+
+
+def _left_error(left: Complexes, half: int) -> float:
+    """Return what remains of the noise in the smoothed path: its rms, lessened by averaging over its own length."""
+    rms = float(np.sqrt(np.mean(np.abs(left) ** 2) / 2.0))
+    lags = min(48, len(left) // 4)
+    base = float(np.mean(np.abs(left) ** 2)) + 1e-12
+    chain = [float(np.mean((left[k:] * left[: len(left) - k].conj()).real)) / base for k in range(1, lags)]
+    length = 1.0 + 2.0 * sum(c for c in chain if c > 0.1)
+    return max(rms * float(np.sqrt(min(length / (1.1 * half), 1.0))), LEAST_SIGMA)

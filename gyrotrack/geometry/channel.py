@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack.geometry.papers import LONGEST_STAY
 from gyrotrack.geometry.samples import Samples
 from gyrotrack.geometry.scene import Paper
 from gyrotrack.segmentation.ring import ring_for, unroll
@@ -51,13 +52,15 @@ class Channel:
         self.ring = ring_for(centre, max(inner - margin, keep_out, 2.0), outer + margin, pixel)
         planes = 1 if self.white else 2
         self._strips = np.zeros((capacity, planes, self.ring.rows, self.ring.columns), dtype=np.uint8)
-        strips = samples.luma_strips(self.ring)[None] if self.white else samples.strips(self.ring)
-        self._ground = np.asarray(np.median(strips, axis=1), dtype=np.float32)
+        self._ground = self._background(samples)
 
-    def flatten_background(self) -> None:
-        """Replace the background by its median along each row: for bodies that hardly turned in the samples."""
-        level = np.median(self._ground, axis=2, keepdims=True)
-        self._ground = np.ascontiguousarray(np.broadcast_to(level, self._ground.shape))
+    def _background(self, samples: Samples) -> npt.NDArray[np.float32]:
+        """Return what lies under the papers: the median of the samples, or of each row if the papers hardly moved."""
+        strips = samples.luma_strips(self.ring)[None] if self.white else samples.strips(self.ring)
+        ground = np.asarray(np.median(strips, axis=1), dtype=np.float32)
+        if max(paper.stay for paper in self.papers) > LONGEST_STAY:
+            ground[:] = np.median(ground, axis=2, keepdims=True)
+        return ground
 
     def aim(self, centre: tuple[float, float]) -> None:
         """Put the ring about another centre."""

@@ -2,7 +2,8 @@
 
 In the unrolled ring a paper has two upright edges and a near edge that is almost level. Each edge is where the score
 crosses half of the marker's height; lines are fitted through these crossings over several rows and columns, and
-the corners are where they meet.
+the corners are where they meet. Half way is between the marker and what lies beyond that edge: a bar in a colour of its own
+under the marker is not as dark as the rest.
 """
 
 from __future__ import annotations
@@ -35,6 +36,9 @@ def near_corners(
         Polar coordinates of both corners, the lower angle first; NaN where an edge is not seen.
     """
     left, right = _side_edges(window, radii, angles, inner, outer)
+    if not np.isfinite(left[0] + right[0]).any():
+        nothing = np.full((len(window), 2), np.nan)
+        return nothing, nothing
     near = _near_edge(window, radii, angles, 0.5 * (right[0] - left[0]), 0.5 * (right[0] + left[0]))
     radius, angle = np.empty((2, len(window), 2))
     for side, (base, lean) in enumerate((left, right)):
@@ -61,8 +65,8 @@ def _side_edges(
     part = window[:, rows, :]
     middle = part.shape[2] // 2
     r = radii[rows] - inner
-    right = _crossing(part[:, :, middle:], angles[middle:])
-    left = _crossing(part[:, :, middle::-1], angles[middle::-1])
+    right = _crossing(_from_beyond(part[:, :, middle:]), angles[middle:])
+    left = _crossing(_from_beyond(part[:, :, middle::-1]), angles[middle::-1])
     return _lines(left, r), _lines(right, r)
 
 
@@ -82,17 +86,26 @@ def _near_edge(
     if top < 1:
         return nothing, nothing, nothing
     inward = window[:, top::-1, :][:, :, columns].transpose(0, 2, 1)
-    edge = _crossing(inward, radii[top::-1])
+    edge = _crossing(_from_beyond(inward), radii[top::-1])
     phi = angles[columns]
     degree = 2 if len(columns) >= 5 else 0
-    fill = np.nanmedian(edge, axis=1, keepdims=True) if np.isfinite(edge).any() else edge
-    seen = np.isfinite(edge).mean(axis=1) > 0.6
-    edge = np.where(np.isfinite(edge), edge, fill)
+    known = np.isfinite(edge)
+    seen = known.mean(axis=1) > 0.6
+    mean = np.where(known, edge, 0.0).sum(axis=1, keepdims=True) / np.maximum(
+        known.sum(axis=1, keepdims=True), 1
+    )
+    edge = np.where(known, edge, mean)
     solve = np.linalg.pinv(np.vander(phi, degree + 1, increasing=True))
     coefficient = np.zeros((len(window), 3))
     coefficient[:, : degree + 1] = np.where(seen[:, None], edge, np.nan) @ solve.T
     coefficient[~seen] = np.nan
     return coefficient[:, 0], coefficient[:, 1], coefficient[:, 2]
+
+
+def _from_beyond(values: Floats) -> Floats:
+    """Shift and scale curves that run from the marker outwards so that what lies beyond the edge is at 0."""
+    beyond = float(np.clip(np.median(values[:, :, -2:]), -0.3, 0.6))
+    return np.asarray((values - beyond) / (1.0 - beyond))
 
 
 def _crossing(values: Floats, axis: Floats) -> Floats:

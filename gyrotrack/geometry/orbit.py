@@ -41,8 +41,9 @@ def common_centre(points: Floats, group: Integers, *, seed: int = 0, trials: int
 
     Notes
     -----
-    Random triples of one group give circles; the centre with which most points agree (within 5 % of their
-    group's median radius) is kept and refined by least squares over these points.
+    Random triples of one group give circles. The centre is kept about which points that agree in radius (within 5 % of
+    their group's typical one) lie in most directions - what stands still agrees with every centre, but in
+    one direction only - and refined by least squares over these points.
     """
     if len(points) < 5:
         return None
@@ -57,8 +58,9 @@ def common_centre(points: Floats, group: Integers, *, seed: int = 0, trials: int
         if centre is None:
             continue
         inlier = _agreeing(points, group, centre)
-        if best is None or int(inlier.sum()) > best[0]:
-            best = (int(inlier.sum()), inlier)
+        around = _directions(points, group, centre, inlier)
+        if best is None or around > best[0]:
+            best = (around, inlier)
     if best is None or best[0] < 5:
         return None
     inlier = best[1]
@@ -67,8 +69,7 @@ def common_centre(points: Floats, group: Integers, *, seed: int = 0, trials: int
         inlier = _agreeing(points, group, centre)
         if inlier.sum() < 5:
             return None
-    angle = np.arctan2(-(points[inlier, 1] - centre[1]), points[inlier, 0] - centre[0])
-    spread = covered_angle(angle)
+    spread = covered_angle(_angles(points[inlier], centre))
     if spread < 1.5:
         return None
     return Orbit((float(centre[0]), float(centre[1])), radii, int(inlier.sum()), spread)
@@ -115,8 +116,20 @@ def _agreeing(points: Floats, group: Integers, centre: Floats) -> npt.NDArray[np
     for label in np.unique(group):
         mine = group == label
         typical = _mode(radius[mine])
-        inlier |= mine & (np.abs(radius - typical) < max(1.5, 0.05 * typical)) & (typical > 6.0)
+        agree = mine & (np.abs(radius - typical) < max(1.5, 0.05 * typical)) & (typical > 6.0)
+        if agree.any() and covered_angle(_angles(points[agree], centre)) > 0.5:
+            inlier |= agree
     return inlier
+
+
+def _directions(points: Floats, group: Integers, centre: Floats, inlier: npt.NDArray[np.bool_]) -> int:
+    """Count the directions, in steps of 10 degrees for each group, in which agreeing points lie."""
+    sector = np.floor(_angles(points[inlier], centre) * 36.0 / (2.0 * np.pi)).astype(np.int64)
+    return len(np.unique(36 * group[inlier] + sector % 36))
+
+
+def _angles(points: Floats, centre: Floats) -> Floats:
+    return np.asarray(np.arctan2(-(points[:, 1] - centre[1]), points[:, 0] - centre[0]))
 
 
 def _mode(values: Floats) -> float:

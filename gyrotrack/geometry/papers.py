@@ -18,6 +18,12 @@ Strips = npt.NDArray[np.float32]
 
 LEAST_CONTRAST = 6.0
 """Grey levels of chroma by which a paper must differ from its surroundings."""
+FAINTEST = 0.12
+"""Share of the strongest marker's contrast below which a colour is only a tinge."""
+LEAST_SIZE = 4.5
+"""Smallest side of a paper in px."""
+LONGEST_STAY = 0.3
+"""Share of the samples beyond which a paper over one direction spoils the median as a background."""
 WIDEST = 0.8
 """Half width in rad beyond which a marker is smeared too far to be followed."""
 
@@ -43,19 +49,28 @@ def find_papers(
         if marker.colour == "white":
             continue
         seen = _find_coloured(strips, ring, marker)
-        if seen is not None and seen.paper.half_width <= WIDEST:
+        if seen is not None and _is_paper(seen.paper):
             sightings[marker.name] = seen
+    strongest = max((np.hypot(*seen.paper.contrast) for seen in sightings.values()), default=0.0)
+    for name in [n for n, s in sightings.items() if np.hypot(*s.paper.contrast) < FAINTEST * strongest]:
+        del sightings[name]
     for body in ("casing", "rotor"):
         _place_on_body(sightings, profile, body)
     papers = {name: seen.paper for name, seen in sightings.items()}
     for marker in profile.marker:
         if marker.colour == "white":
             paper = _find_white(samples, ring, marker, sightings)
-            if paper is not None:
+            if paper is not None and _is_paper(paper):
                 papers[marker.name] = paper
     missing = tuple(marker.name for marker in profile.marker if marker.name not in papers)
     ordered = tuple(papers[marker.name] for marker in profile.marker if marker.name in papers)
     return ordered, missing, tuple(notes)
+
+
+def _is_paper(paper: Paper) -> bool:
+    """Tell whether what was found is large enough for a paper, and not smeared too far to be followed."""
+    width = 2.0 * np.tan(min(paper.half_width, 1.4)) * paper.radius
+    return paper.half_width <= WIDEST and min(width, paper.outer - paper.inner) >= LEAST_SIZE
 
 
 def _search_ring(
@@ -90,7 +105,8 @@ def _scores(difference: Strips, direction: tuple[float, float]) -> Strips:
 
 
 def _stands(seen: Sighting) -> bool:
-    return bool(np.abs(np.mean(np.exp(1j * seen.angle))) > 0.98)
+    """Tell whether a paper lay over one direction so often that the median of the samples may show it."""
+    return seen.paper.stay > LONGEST_STAY
 
 
 def _sight(score: Strips, difference: Strips, ring: Ring, marker: MarkerProfile) -> Sighting | None:
@@ -116,8 +132,13 @@ def _sight(score: Strips, difference: Strips, ring: Ring, marker: MarkerProfile)
     paper = Paper(
         marker.name, marker.body, marker.colour, inner, outer, half_width, (contrast[0], contrast[1])
     )
-    angle = (column + lean) * ring.step
-    return Sighting(paper, _refined(score[:, rows].mean(axis=1), angle, half_width, ring), clear)
+    angle = _refined(score[:, rows].mean(axis=1), (column + lean) * ring.step, half_width, ring)
+    return Sighting(replace(paper, stay=_stay(angle, 1.3 * half_width)), angle, clear)
+
+
+def _stay(angle: Floats, reach: float) -> float:
+    apart = np.abs(np.angle(np.exp(1j * (angle[:, None] - angle[None, :]))))
+    return float((apart < reach).mean(axis=0).max())
 
 
 def _aligned(score: Strips, column: npt.NDArray[np.int64], use: npt.NDArray[np.bool_]) -> Floats:

@@ -33,6 +33,8 @@ class Paper:
         Half its width (with smear) as an angle at the centre, in rad.
     contrast : tuple of float
         Its difference from what lies around it: (U, V) for a colour, (Y, 0) for white, in grey levels.
+    stay : float
+        Largest share of the samples in which it lies over one direction: near 1 for a body that stands.
     mount : float
         Its angle relative to the body's zero, as seen (counter-clockwise), in rad.
     """
@@ -45,6 +47,7 @@ class Paper:
     half_width: float
     contrast: tuple[float, float]
     mount: float = 0.0
+    stay: float = 0.0
 
     @property
     def radius(self) -> float:

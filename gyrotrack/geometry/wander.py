@@ -17,7 +17,7 @@ _TURNS_PER_KNOT = 1.0
 
 
 def wandering_centre(
-    place: Floats, weight: npt.NDArray[np.bool_], start: Floats, rounds: int = 12
+    place: Floats, weight: npt.NDArray[np.bool_], start: Floats, *, still: bool = False, rounds: int = 12
 ) -> CentrePath:
     """Find the path of the centre of an orbit.
 
@@ -29,6 +29,8 @@ def wandering_centre(
         Trusted sightings.
     start : ndarray, shape (2,)
         First guess of the centre in px.
+    still : bool
+        The centre stays where it is.
 
     Notes
     -----
@@ -40,8 +42,8 @@ def wandering_centre(
     path = np.tile(np.asarray(start, dtype=np.float64), (n, 1))
     use = weight & np.isfinite(place).all(axis=1)
     if use.sum() < 12:
-        return CentrePath(path, np.full(n, np.nan), 0.0)
-    basis = _basis(place - path, use)
+        return CentrePath(path, np.full(n, np.nan), 0)
+    basis = np.ones((n, 1)) if still else _basis(place - path, use)
     error = float("nan")
     for _ in range(rounds):
         v = place[use] - path[use]
@@ -55,8 +57,9 @@ def wandering_centre(
         solution, error = _robust(design, rho - typical)
         knots = basis.shape[1]
         path = path + np.stack([basis @ solution[:knots], basis @ solution[knots : 2 * knots]], axis=1)
-    sigma = error * np.sqrt(2.0 * basis.shape[1] / max(float(use.sum()), 1.0))
-    return CentrePath(path, np.full(n, max(sigma, 1e-3)), float(n / max(basis.shape[1] - 1, 1)))
+    # What is left of the radius bounds how far the centre still is from its place: sideways that turns the marker.
+    sigma = error
+    return CentrePath(path, np.full(n, max(sigma, 1e-3)), n // max(basis.shape[1] - 1, 1))
 
 
 def _basis(v: Floats, use: npt.NDArray[np.bool_]) -> Floats:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from gyrotrack.angles.body_watch import BodyWatch
 from gyrotrack.angles.sightings import Sightings
-from gyrotrack.geometry.centre import DiscWindow
+from gyrotrack.geometry.disc import DiscWindow
 from gyrotrack.geometry.samples import Samples
 from gyrotrack.geometry.scene import Scene
 from gyrotrack.video import Reader
@@ -42,8 +42,6 @@ class Watched:
         By name.
     disc : ndarray, shape (n, 2), or None
         The disc's centre in every frame [px].
-    repeated : ndarray of bool, shape (n,)
-        Frames whose rings are identical to those of the frame before.
     pts_time : ndarray, shape (n,)
         The stream's own time stamps [s].
     warnings : tuple of str
@@ -67,6 +65,7 @@ class _Pass:
         }
         self.disc = DiscWindow(scene.disc, BATCH) if scene.disc else None
         self.centre = scene.centre
+        self.size = samples.size
         self.filled = 0
         self._parts: dict[str, list[tuple[Floats, dict[str, Sightings]]]] = {b: [] for b in self.bodies}
         self._centres: list[Floats] = []
@@ -100,7 +99,7 @@ class _Pass:
             markers = {m: Sightings.joined([part[1][m] for part in parts]) for m in parts[0][1]}
             bodies[name] = BodySightings(np.concatenate([part[0] for part in parts]), markers)
         disc = np.concatenate(self._centres) if self._centres else None
-        return Watched(bodies, disc, reader.pts_seconds(), reader.warnings, (0, 0))
+        return Watched(bodies, disc, reader.pts_seconds(), reader.warnings, self.size)
 
 
 def watch(path: Path, scene: Scene, samples: Samples, threads: int, progress: Progress | None) -> Watched:

@@ -8,7 +8,7 @@ A film is read from its first frame to its last; frames are counted here, never 
 from __future__ import annotations
 
 from gyrotrack.video.clock import CaptureRate, capture_rate, stamp_warnings
-from gyrotrack.video.container import ClipInfo, probe
+from gyrotrack.video.container import ClipInfo, file_sha256, probe
 from gyrotrack.video.planes import Frame
 from gyrotrack.video.reader import Reader, keyframes
 
@@ -18,6 +18,7 @@ __all__ = [
     "Frame",
     "Reader",
     "capture_rate",
+    "file_sha256",
     "keyframes",
     "probe",
     "stamp_warnings",

@@ -8,7 +8,9 @@ import numpy.typing as npt
 Floats = npt.NDArray[np.float64]
 
 
-def local_fit(value: Floats, weight: Floats, half: int, degree: int = 2) -> tuple[Floats, Floats]:
+def local_fit(
+    value: Floats, weight: Floats, half: int, degree: int = 2, hole: int = -1
+) -> tuple[Floats, Floats]:
     """Fit a polynomial about every point of an even series, over `half` points to both sides.
 
     Parameters
@@ -21,6 +23,8 @@ def local_fit(value: Floats, weight: Floats, half: int, degree: int = 2) -> tupl
         Reach of the window; its weights fall off as (1 - (x/(half + 1))^2).
     degree : int
         Of the polynomial.
+    hole : int
+        Points up to this distance are left out, to predict each point from others; -1: none.
 
     Returns
     -------
@@ -30,7 +34,7 @@ def local_fit(value: Floats, weight: Floats, half: int, degree: int = 2) -> tupl
     """
     n = len(value)
     x = np.arange(-half, half + 1, dtype=np.float64) / (half + 1)
-    bell = 1.0 - x**2
+    bell = np.where(np.abs(np.arange(-half, half + 1)) <= hole, 0.0, 1.0 - x**2)
     clean = np.where(weight > 0, value, 0.0) * weight
 
     def moment(series: Floats, power: int) -> Floats:

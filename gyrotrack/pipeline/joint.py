@@ -1,0 +1,122 @@
+"""From the sightings of one pass to the angles of the bodies: centre, tilt, joining, sense."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack.angles.joining import BodyAngles, candidate, join, plausible
+from gyrotrack.angles.sense import find_sense, net_turn, unfold
+from gyrotrack.geometry.centre import CentrePath, smooth_path
+from gyrotrack.geometry.scene import Paper, Scene
+from gyrotrack.geometry.tilt import NO_FLATTENING, Flattening, fit_flattening
+from gyrotrack.geometry.wander import wandering_centre
+from gyrotrack.pipeline.watch import BodySightings, Watched
+from gyrotrack.profile import Profile
+
+Floats = npt.NDArray[np.float64]
+
+PLACE_ERROR = 0.12
+"""Error in px by place in the picture (uneven light, compression) where a body turns too little to show it."""
+
+
+@dataclass(frozen=True)
+class Joint:
+    """All bodies of a clip.
+
+    Attributes
+    ----------
+    centre : CentrePath
+        The centre in every frame.
+    bodies : dict of BodyAngles
+        Angles as seen.
+    flattening : dict of Flattening
+        What the slanted view does to each body's orbits.
+    sense : int
+        Factor that makes the angles grow.
+    warnings : tuple of str
+        What the user should know.
+    """
+
+    centre: CentrePath
+    bodies: dict[str, BodyAngles]
+    flattening: dict[str, Flattening]
+    sense: int
+    warnings: tuple[str, ...]
+
+
+def join_bodies(seen: Watched, scene: Scene, profile: Profile) -> Joint:
+    """Find the centre's path, and join the markers of each body about it."""
+    centre = _centre(seen, scene, profile)
+    bodies: dict[str, BodyAngles] = {}
+    flattening: dict[str, Flattening] = {}
+    warnings: list[str] = []
+    for name, sights in seen.bodies.items():
+        casing = bodies["casing"].angle if "casing" in bodies else None
+        found, flat = _joined(sights, centre, profile, scene.of(name), casing, seen.size)
+        if _credible(found):
+            bodies[name], flattening[name] = found, flat
+        else:
+            warnings.append(f"the {name}'s markers cannot be followed; it is left out")
+    sense = find_sense({name: net_turn(body.angle) for name, body in bodies.items()}, profile.sense)
+    for name, body in bodies.items():
+        angle, changed = unfold(body.angle, sense)
+        if changed:
+            bodies[name] = replace(body, angle=angle)
+            warnings.append(
+                f"the {name} turns by more than half a turn between frames; its sense is taken as known"
+            )
+    return Joint(centre, bodies, flattening, sense, tuple(warnings))
+
+
+def _centre(seen: Watched, scene: Scene, profile: Profile) -> CentrePath:
+    if seen.disc is not None:
+        return smooth_path(seen.disc)
+    sights = [s for body in seen.bodies.values() for s in body.markers.values()]
+    best = max(sights, key=lambda s: int(plausible(s).sum()))
+    good = plausible(best) & best.open
+    return wandering_centre(best.position(good), good, np.array(scene.centre), still=not profile.wander)
+
+
+def _joined(
+    sights: BodySightings,
+    centre: CentrePath,
+    profile: Profile,
+    papers: tuple[Paper, ...],
+    casing: Floats | None,
+    size: tuple[int, int],
+) -> tuple[BodyAngles, Flattening]:
+    up = np.array([1.0, -1.0])
+    inside = {
+        p.name: ~sights.markers[p.name].outside(p.inner, p.outer, 0.7 * p.half_width, size) for p in papers
+    }
+    whole = {m: plausible(s) & s.open & inside[m] for m, s in sights.markers.items()}
+    place = {m: (s.position(whole[m]) - centre.centre) * up for m, s in sights.markers.items()}
+    flat = NO_FLATTENING
+    if profile.tilt_correction:
+        flat = fit_flattening({m: v[whole[m] & np.isfinite(v).all(axis=1)] for m, v in place.items()})
+    fixed = {marker.name for marker in profile.marker if marker.mount_angle is not None}
+    candidates = {}
+    for p in papers:
+        found = candidate(
+            sights.markers[p.name], _direction(flat, p.name, place[p.name]), p.mount, given=p.name in fixed
+        )
+        candidates[p.name] = replace(found, good=found.good & inside[p.name])
+    radius = float(np.mean([p.radius for p in papers]))
+    joined = join(sights.coarse, candidates, casing, floor=PLACE_ERROR / radius)
+    # The markers share the centre: its error does not show in their scatter and does not average out.
+    shared = np.nan_to_num(centre.sigma) / radius
+    return replace(joined, sigma=np.hypot(joined.sigma, shared)), flat
+
+
+def _direction(flat: Flattening, name: str, place: Floats) -> Floats:
+    level = flat.level(name, place)
+    return np.asarray(np.arctan2(level[:, 1], level[:, 0]))
+
+
+def _credible(body: BodyAngles) -> bool:
+    """Tell whether a body was really followed: in at least a twentieth of the frames, and evenly."""
+    used = np.isfinite(body.angle)
+    return bool(used.sum() >= max(3, 0.05 * len(used)) and np.median(body.sigma[used]) < 0.2)
