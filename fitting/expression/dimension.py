@@ -26,7 +26,7 @@ _BASE: dict[str, Dimension] = {
     "N": (1, 1, -2, 0),
     "J": (1, 2, -2, 0),
 }
-_TOKEN = re.compile(r"^([A-Za-z]+|1)\^?(-?[0-9.]+|[a-z])?$")
+_TOKEN = re.compile(r"^([A-Za-z]+|1)(?:\^?(-?[0-9.]+|[a-z]))?$")
 _TOLERANCE = 1e-9
 
 

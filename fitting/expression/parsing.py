@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import math
+import warnings
 from collections.abc import Callable
 
 from fitting.errors import ExpressionError
@@ -52,7 +53,10 @@ def parse(text: str) -> Expr:
     if text.count("(") > MAX_DEPTH or text.count("**") > MAX_DEPTH:
         raise ExpressionError("the formula is nested too deeply", f"at most {MAX_DEPTH} levels are allowed")
     try:
-        tree = ast.parse(text.strip(), mode="eval").body
+        with warnings.catch_warnings():
+            # Python's own advice about odd literals is not for the person who typed a formula
+            warnings.simplefilter("ignore")
+            tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         raise ExpressionError(f"{text[:60]!r} is not a formula", f"a formula has {_ALLOWED}") from None
     return _convert(tree, 0)
