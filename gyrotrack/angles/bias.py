@@ -9,7 +9,9 @@ marker lies off its body's even motion, as a smooth closed curve: the c that min
 with B hat functions on evenly spaced knots, s the scatter, D2 second differences round the circle.
 
 What a body really does must not be taken for an error. An uneven weight or a sloping table changes the motion once or
-twice a turn of the body, for all its markers together: that part (orders 1 and 2 over the body's angle) is left in.
+twice a turn of the body, for all its markers together. A body that turns fast does not follow such torques: a swing of its
+acceleration by A shows as A / omega^2 in its angle. Where there are fast frames, curves are learnt from them and hold for
+all; where there are none, that part (orders 1 and 2 over the body's angle) is left in (`without_common_motion`).
 """
 
 from __future__ import annotations
@@ -62,11 +64,10 @@ def curve_at(curve: Floats, angle: Floats) -> Floats:
 
 
 def without_common_motion(curves: dict[str, Floats], mounts: dict[str, float]) -> dict[str, Floats]:
-    """Take out of the curves what all markers do together once or twice a turn of their body, and the means."""
+    """Take out of the curves what all markers do together once or twice a turn of their body."""
     knots = np.arange(KNOTS) * 2.0 * np.pi / KNOTS
     together = np.mean([curve_at(curve, knots + mounts[name]) for name, curve in curves.items()], axis=0)
     spectrum = np.fft.rfft(together)
     spectrum[3:] = 0.0
     common = np.fft.irfft(spectrum, KNOTS)
-    cleaned = {name: curve - curve_at(common, knots - mounts[name]) for name, curve in curves.items()}
-    return {name: curve - curve.mean() for name, curve in cleaned.items()}
+    return {name: curve - curve_at(common, knots - mounts[name]) for name, curve in curves.items()}

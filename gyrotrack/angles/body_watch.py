@@ -54,6 +54,7 @@ class BodyWatch:
         self.markers = {p.name: MarkerWatch(p, channel) for channel in self._channels for p in channel.papers}
         self._main = self._channels[0]
         self._motion: Motion | None = None
+        self._fresh = True
         self._cover = AngleMap(LAYERS, _COVER_COLUMNS)
 
     def aim(self, centre: tuple[float, float]) -> None:
@@ -87,7 +88,13 @@ class BodyWatch:
             for name, look in looks.items():
                 if not self.markers[name].channel.white:
                     self._learn_cover(self.markers[name], look, casing)
-        return coarse, {
+        if self._fresh:  # the first batch is measured twice: once to learn from, once to give
+            self._fresh = False
+            self._measured(looks, casing)
+        return coarse, self._measured(looks, casing)
+
+    def _measured(self, looks: dict[str, Look], casing: Floats | None) -> dict[str, Sightings]:
+        return {
             name: self.markers[name].measure(look, self._open(self.markers[name], look, casing))
             for name, look in looks.items()
         }

@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack.angles.bias import closed_curve, curve_at, without_common_motion
-from gyrotrack.geometry.local import local_fit, spread
 from gyrotrack.angles.sightings import Sightings
+from gyrotrack.geometry.local import local_fit, spread
 
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -23,6 +23,10 @@ HALF_WINDOW = 20
 """Frames to each side over which a body's motion is taken to be a parabola."""
 FAR = 6.0
 """Standard deviations beyond which a sighting is taken for a fault."""
+FAST = 70.0
+"""Speed in rad/s above which no weight on a wheel makes the angle swing by 2 mrad: 10 rad/s^2 over its square."""
+LARGEST_MISFIT = 0.12
+"""Misfit that light alone can cause: something that hides a tenth of a marker leaves more."""
 WEAKEST = 4.0
 """Factor on the uncertainty beyond which a partly hidden marker is not used."""
 
@@ -84,7 +88,7 @@ def plausible(seen: Sightings) -> Mask:
     known &= (seen.gain > 0.5 * height) & (seen.gain < 2.0 * height)
     typical = float(np.median(seen.misfit[whole]))
     scatter = 1.4826 * float(np.median(np.abs(seen.misfit[whole] - typical)))
-    return np.asarray(known & (seen.misfit < typical + 6.0 * scatter + 0.01))
+    return np.asarray(known & (seen.misfit < max(typical + 6.0 * scatter, LARGEST_MISFIT)))
 
 
 def candidate(seen: Sightings, angle: Floats, mount: float, *, given: bool) -> Candidate:
@@ -98,7 +102,11 @@ def _usual_weakness(seen: Sightings) -> float:
 
 
 def join(
-    coarse: Floats, candidates: dict[str, Candidate], other: Floats | None = None, floor: float = 0.0
+    coarse: Floats,
+    candidates: dict[str, Candidate],
+    fps: float,
+    other: Floats | None = None,
+    floor: float = 0.0,
 ) -> BodyAngles:
     """Join the markers of one body.
 
@@ -108,13 +116,15 @@ def join(
         Unwrapped coarse angle of the body as seen [rad], NaN where it was lost.
     candidates : dict of Candidate
         Its markers. Places that the profile does not fix are measured relative to the first marker.
+    fps : float
+        Frames per second of the camera.
     other : ndarray, shape (n,), optional
         Angle as seen of the body that hides the markers now and then [rad].
     floor : float
         Uncertainty in rad for errors by place that cannot be learnt because the body does not turn round.
     """
     path = smooth_path(coarse)
-    state = _Joint(path, candidates)
+    state = _Joint(path, candidates, fps)
     half, degree = learning_window(path)
     for _ in range(5):
         smooth, leverage = state.smooth(HALF_WINDOW)
@@ -149,9 +159,11 @@ def join(
 class _Joint:
     """The markers' departures from the coarse path, and what is thought of them so far."""
 
-    def __init__(self, path: Floats, candidates: dict[str, Candidate]) -> None:
+    def __init__(self, path: Floats, candidates: dict[str, Candidate], fps: float) -> None:
         self.path = path
         self.turning = np.zeros(len(path), dtype=np.bool_)
+        with np.errstate(invalid="ignore"):
+            self.fast = np.abs(np.gradient(path)) * fps > FAST
         self.bend = path - _line(path)
         self.candidates = candidates
         self.mounts = {name: c.mount for name, c in candidates.items()}
@@ -261,15 +273,19 @@ class _Joint:
 
     def learn_places(self, smooth: Floats) -> None:
         """Learn each marker's error by its place in the picture (see `bias`)."""
+        fast = self.turning & self.fast
+        geometry_only = fast.sum() > 0.2 * self.turning.sum()
+        when = fast if geometry_only else self.turning
         curves = {}
         for name, c in self.candidates.items():
             off = _wrap(c.angle - self.path - self.mounts[name] - self.by_neighbour[name]) - smooth
-            fit = self.use[name] & c.open & self.turning
+            fit = self.use[name] & c.open & when
             weight = np.where(fit, 1.0 / self.sigma(name) ** 2, 0.0)
             curves[name], self.used_up[name] = closed_curve(c.angle, off, weight)
-        curves = without_common_motion(curves, self.mounts)
+        if not geometry_only:
+            curves = without_common_motion(curves, self.mounts)
         for name, curve in curves.items():
-            self.by_place[name] = curve_at(curve, np.nan_to_num(self.candidates[name].angle))
+            self.by_place[name] = curve_at(curve - curve.mean(), np.nan_to_num(self.candidates[name].angle))
 
     def learn_neighbours(self, smooth: Floats, other: Floats) -> None:
         """Learn each marker's error by its angle to the body that hides it (see `bias`)."""

@@ -73,7 +73,7 @@ def extract(
         profile = _only_casing(profile)
     scene = acquire(samples, profile, str(video))
     seen = watch(video, scene, samples, threads, progress)
-    joint = join_bodies(seen, scene, profile)
+    joint = join_bodies(seen, scene, profile, rate.fps)
     _check_bodies(joint, body, video)
     time = np.arange(len(seen.pts_time)) / rate.fps
     markers = {

@@ -47,7 +47,7 @@ class Joint:
     warnings: tuple[str, ...]
 
 
-def join_bodies(seen: Watched, scene: Scene, profile: Profile) -> Joint:
+def join_bodies(seen: Watched, scene: Scene, profile: Profile, fps: float) -> Joint:
     """Find the centre's path, and join the markers of each body about it."""
     centre = _centre(seen, scene, profile)
     bodies: dict[str, BodyAngles] = {}
@@ -55,7 +55,7 @@ def join_bodies(seen: Watched, scene: Scene, profile: Profile) -> Joint:
     warnings: list[str] = []
     for name, sights in seen.bodies.items():
         casing = bodies["casing"].angle if "casing" in bodies else None
-        found, flat = _joined(sights, centre, profile, scene.of(name), casing, seen.size)
+        found, flat = _joined(sights, centre, profile, scene.of(name), casing, seen.size, fps)
         if _credible(found):
             bodies[name], flattening[name] = found, flat
         else:
@@ -87,6 +87,7 @@ def _joined(
     papers: tuple[Paper, ...],
     casing: Floats | None,
     size: tuple[int, int],
+    fps: float,
 ) -> tuple[BodyAngles, Flattening]:
     up = np.array([1.0, -1.0])
     inside = {
@@ -105,7 +106,7 @@ def _joined(
         )
         candidates[p.name] = replace(found, good=found.good & inside[p.name])
     radius = float(np.mean([p.radius for p in papers]))
-    joined = join(sights.coarse, candidates, casing, floor=PLACE_ERROR / radius)
+    joined = join(sights.coarse, candidates, fps, casing, floor=PLACE_ERROR / radius)
     # The markers share the centre: its error does not show in their scatter and does not average out.
     shared = np.nan_to_num(centre.sigma) / radius
     return replace(joined, sigma=np.hypot(joined.sigma, shared)), flat
