@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import string
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 from fitting.effects.effect import Effect
 from fitting.effects.formula import formula
 from fitting.effects.library import LIBRARY, find
-from fitting.errors import EffectError
+from fitting.errors import EffectError, ExpressionError, FittingError
 from fitting.expression.dimension import parse_unit
 
 _NAME = re.compile(r"^[A-Za-z][A-Za-z0-9_.]{0,60}$")
@@ -90,7 +91,10 @@ def _from_table(path: Path, number: int, table: Any) -> Effect:
     for symbol, keys in declared.items():
         _check_keys(f"{where}, parameter {symbol}", keys)
     words = {k: table[k] for k in ("signature", "source") if k in table}
-    return formula(table["name"], table["body"], table["law"], declared, **words)
+    try:
+        return formula(table["name"], table["body"], table["law"], declared, **words)
+    except FittingError as fault:
+        raise EffectError(f"{where}: {fault.message}", fault.hint) from None
 
 
 def _check_keys(where: str, keys: Any) -> None:
@@ -109,4 +113,7 @@ def _check_keys(where: str, keys: Any) -> None:
     ):
         if not isinstance(keys.get(key, kind()), kind):
             raise EffectError(f"{where}: {key} must be {word}")
-    parse_unit(keys.get("unit", "1"), dict.fromkeys("abcdefghijklmnopqrstuvwxyz", 1.0))
+    try:
+        parse_unit(keys.get("unit", "1"), dict.fromkeys(string.ascii_lowercase, 1.0))
+    except ExpressionError as fault:
+        raise EffectError(f"{where}: {fault.message}", fault.hint) from None
