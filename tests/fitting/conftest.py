@@ -3,3 +3,4 @@ from pathlib import Path
 
 # twobody.py and nist.py stand beside the tests that use them
 sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parent / "simulation"))

@@ -1,0 +1,156 @@
+"""Collocation against SciPy at a hundred times tighter tolerance, and against an exact solution."""
+
+import numpy as np
+import pytest
+from reference import EXTRA, INERTIA, PAPER, integrate
+from scipy.linalg import expm
+
+from fitting.errors import SimulationError
+from fitting.model import Dynamics, Model
+from fitting.simulation import Mesh, Sampler, solve
+from fitting.simulation.collocation import rule
+
+TIMES = np.linspace(0, 200, 1501)
+
+
+def model_of(p):
+    return Model.of(dict.fromkeys(k.rpartition(".")[0] for k in p))
+
+
+def path_of(p, start=(900.0, 5.0), span=200.0, intervals=12, angles=False):
+    dynamics = Dynamics(model_of(p), angles=angles)
+    first = np.array([*start, *dynamics.start, *((0.0, 0.0) if angles else ())])
+    return solve(dynamics, {**p, **INERTIA}, first, Mesh.uniform(0.0, span, intervals))
+
+
+def check(p, path, times, start=(900.0, 5.0), tolerance=1e-6):
+    exact = integrate(p, start, times)
+    sampler = Sampler(path.mesh, times)
+    found = sampler.value(path.y)
+    for i, body in enumerate(("rotor", "casing")):
+        error = np.abs(found[:, i] - exact[i]).max()
+        assert error < tolerance, f"{body}: {error:.1e} rad/s"
+        angle = sampler.integral(*path.angle(path.states[i]))
+        assert np.abs(angle - exact[3 + i]).max() < 1e-5
+
+
+@pytest.mark.parametrize(
+    "name", ["none", "general", "stribeck", "step", "heating", "precession", "drift", "air"]
+)
+def test_speeds_and_angles_agree_with_scipy(name):
+    p = PAPER | EXTRA[name]
+    path = path_of(p)
+    check(p, path, TIMES)
+    own = [s for s in path.states if s not in {"omega_r", "omega_c"}]
+    if own:
+        exact = integrate(p, (900.0, 5.0), TIMES)[2]
+        found = Sampler(path.mesh, TIMES).value(path.y)[:, 2]
+        assert np.abs(found - exact).max() < 1e-7 * np.abs(exact).max()
+
+
+@pytest.mark.parametrize("name", ["unbalance", "none"])
+def test_models_that_follow_the_angle(name):
+    p = PAPER | EXTRA[name]
+    times = np.linspace(0, 12, 2001)
+    path = path_of(p, start=(900.0, 30.0), span=12.0, angles=True)
+    check(p, path, times, start=(900.0, 30.0))
+    exact = integrate(p, (900.0, 30.0), times)
+    found = Sampler(path.mesh, times).value(path.y)
+    assert np.abs(found[:, path.states.index("psi_c")] - exact[4]).max() < 1e-6
+
+
+def test_a_sharp_law_gets_more_intervals_where_it_is_sharp():
+    calm, sharp = path_of(PAPER), path_of(PAPER | EXTRA["stribeck"])
+    assert len(sharp.mesh.edges) > len(calm.mesh.edges)
+    new = np.setdiff1d(sharp.mesh.edges, calm.mesh.edges)
+    speed = Sampler(sharp.mesh, new).value(sharp.y)[:, 1]
+    assert np.median(speed) < 60
+
+
+@pytest.mark.parametrize("intervals", [1, 3, 40])
+def test_the_first_mesh_does_not_matter(intervals):
+    p = PAPER | EXTRA["stribeck"]
+    check(p, path_of(p, intervals=intervals), TIMES)
+
+
+def test_jump_lies_on_an_edge():
+    path = path_of(PAPER | EXTRA["step"])
+    assert 61.237 in path.mesh.edges
+    assert path.kinks == (61.237,)
+
+
+def test_a_jump_outside_the_record_is_no_edge():
+    path = path_of(PAPER | EXTRA["step"] | {"touchpoint.step.t0": 300.0})
+    assert path.kinks == ()
+    check(PAPER, path, TIMES)
+
+
+def test_guess_changes_nothing_but_the_way():
+    dynamics = Dynamics(model_of(PAPER))
+    numbers = {**PAPER, **INERTIA}
+    mesh, first = Mesh.uniform(0.0, 200.0, 12), np.array([900.0, 5.0])
+    guess = solve(dynamics, {**numbers, "bearing.linear.d": 2e-7}, np.array([850.0, 9.0]), mesh)
+    check(PAPER, solve(dynamics, numbers, first, mesh, guess), TIMES)
+
+
+def test_linear_model_against_the_matrix_exponential():
+    a1, b1, b2, d = 4e-8, 2.88e-6, 8.28e-7, 1.9e-7
+    p = {
+        "rotor.air.linear.a1": a1,
+        "touchpoint.constant.b1": b1,
+        "casing.air.linear.b2": b2,
+        "bearing.linear.d": d,
+    }
+    path = path_of(p)
+    i_r, i_c = INERTIA["inertia.rotor"], INERTIA["inertia.casing"]
+    matrix = np.array([[-(d + a1) / i_r, d / i_r], [d / i_c, -(d + b2) / i_c]])
+    rest = np.linalg.solve(matrix, [0.0, b1 / i_c])
+    exact = np.array([rest + expm(matrix * t) @ (np.array([900.0, 5.0]) - rest) for t in TIMES[::50]])
+    assert exact[:, 1].min() > 0
+    found = Sampler(path.mesh, TIMES[::50]).value(path.y)
+    np.testing.assert_allclose(found, exact, rtol=1e-9)
+    # and its integral: psi = rest t + A^-1 (exp(A t) - 1) (y0 - rest)
+    swing = np.array(
+        [np.linalg.solve(matrix, (expm(matrix * t) - np.eye(2)) @ ([900.0, 5.0] - rest)) for t in TIMES[::50]]
+    )
+    for i, state in enumerate(("omega_r", "omega_c")):
+        angle = Sampler(path.mesh, TIMES[::50]).integral(*path.angle(state))
+        np.testing.assert_allclose(angle, rest[i] * TIMES[::50] + swing[:, i], rtol=1e-9, atol=1e-8)
+
+
+def test_order_of_the_rule():
+    gauss = rule(10)
+    for power in range(20):
+        exact = (1 - (-1) ** (power + 1)) / (power + 1)
+        assert gauss.w @ gauss.x**power == pytest.approx(exact, abs=1e-14)
+    for power in range(10):
+        exact = (gauss.x ** (power + 1) - (-1) ** (power + 1)) / (power + 1)
+        np.testing.assert_allclose(gauss.s @ gauss.x**power, exact, atol=1e-14)
+
+
+def test_sampler_is_exact_for_polynomials():
+    mesh = Mesh.uniform(2.0, 7.0, 4, [3.3])
+    assert len(mesh.edges) == 6
+    coefficients = np.random.default_rng(0).normal(size=9)
+    poly = np.polynomial.Polynomial(coefficients, domain=[2, 7])
+    times = np.linspace(2, 7, 101)
+    sampler = Sampler(mesh, times)
+    np.testing.assert_allclose(sampler.value(poly(mesh.times)), poly(times), rtol=1e-10, atol=1e-12)
+    integral = poly.integ(lbnd=2.0)
+    np.testing.assert_allclose(
+        sampler.integral(integral(mesh.edges), poly(mesh.times)), integral(times), rtol=1e-10, atol=1e-11
+    )
+
+
+def test_motion_without_bound_is_an_error_and_no_crash():
+    p = PAPER | {"casing.air.quadratic.k": -1e-5}
+    with pytest.raises(SimulationError):
+        path_of(p)
+
+
+def test_a_casing_that_comes_to_rest_is_an_error_and_no_crash():
+    """Dry friction stops the casing within the record: then sign(omega_c) has no solution of this kind."""
+    p = PAPER | {"touchpoint.constant.b1": 2e-4}
+    with pytest.raises(SimulationError) as caught:
+        path_of(p)
+    assert caught.value.message

@@ -1,0 +1,171 @@
+"""Sensitivities and small motions against differences of SciPy's solutions, which know nothing of them."""
+
+import numpy as np
+import pytest
+from reference import EXTRA, INERTIA, PAPER, integrate
+from scipy.integrate import solve_ivp
+
+from fitting.model import Dynamics, Model
+from fitting.simulation import Mesh, Sampler, respond, sensitivities, solve
+from fitting.simulation.collocation import rule
+from fitting.simulation.linear import LinearMotion
+from fitting.simulation.sensitivity import angles
+
+TIMES = np.linspace(0, 150, 301)
+START = (900.0, 5.0)
+
+
+def solved(p, span=150.0, follow=False):
+    model = Model.of(dict.fromkeys(k.rpartition(".")[0] for k in p))
+    dynamics = Dynamics(model, angles=follow)
+    numbers = {**p, **INERTIA, **dynamics.constants}
+    first = np.array([*START, *dynamics.start, *((0.0, 0.0) if follow else ())])
+    return dynamics, numbers, solve(dynamics, numbers, first, Mesh.uniform(0.0, span, 12))
+
+
+def difference(p, key, times):
+    """Return the derivative of all states by a parameter or a start speed, by fourth-order differences."""
+    # what oscillates changes its phase by many times the change of a parameter
+    share = 3e-4 if "precession" in str(p) else 2e-5 if "unbalance" in str(p) else 3e-3
+    step = share * abs(p.get(key, 10.0))
+    if key.endswith((".t0", ".phi")):
+        step = 0.02
+
+    def at(shift):
+        start, changed = list(START), dict(p)
+        if key.startswith("start"):
+            start[int(key[-1])] += shift
+        else:
+            changed[key] += shift
+        return integrate(changed, start, times, rtol=1e-13, max_step=0.5)
+
+    return (8 * (at(step) - at(-step)) - (at(2 * step) - at(-2 * step))) / (12 * step)
+
+
+@pytest.mark.parametrize("name", ["none", "general", "stribeck", "step", "heating", "precession", "drift"])
+def test_sensitivities_match_differences(name):
+    p = PAPER | EXTRA[name]
+    dynamics, numbers, path = solved(p)
+    found = sensitivities(dynamics, numbers, path)
+    # a difference across the jump itself is no derivative
+    times = TIMES[np.abs(TIMES - p.get("touchpoint.step.t0", -1)) > 0.05]
+    times = times[times <= (50 if name == "precession" else 150)]
+    sampler = Sampler(path.mesh, times)
+    speeds = sampler.value(found.nodes)
+    keys = [*dynamics.parameters, "start0", "start1"]
+    assert speeds.shape[2] == len(keys)
+    for j, key in enumerate(keys):
+        exact = difference(p, key, times)
+        for body in (0, 1):
+            size = np.abs(exact[body]).max()
+            np.testing.assert_allclose(speeds[:, body, j], exact[body], atol=1e-6 * size + 1e-9, err_msg=key)
+            turned = angles(sampler, path, body, found.nodes)[:, j]
+            np.testing.assert_allclose(
+                turned, exact[3 + body], atol=1e-6 * np.abs(exact[3 + body]).max() + 1e-9
+            )
+
+
+def test_sensitivities_of_a_law_that_follows_the_angle():
+    p = PAPER | EXTRA["unbalance"]
+    dynamics, numbers, path = solved(p, span=8.0, follow=True)
+    found = sensitivities(dynamics, numbers, path)
+    times = np.linspace(0, 8, 401)
+    speeds = Sampler(path.mesh, times).value(found.nodes)
+    for key in ("casing.unbalance.k", "casing.unbalance.phi", "bearing.linear.d"):
+        exact = difference(p, key, times)[1]
+        got = speeds[:, 1, dynamics.parameters.index(key)]
+        np.testing.assert_allclose(got, exact, atol=1e-5 * np.abs(exact).max())
+
+
+def test_time_of_the_jump_kicks_by_the_jump_of_the_rate():
+    """Right after the jump, d omega_c / d t0 = k / I_c: for a moment longer the casing was not braked."""
+    p = PAPER | EXTRA["step"]
+    dynamics, numbers, path = solved(p)
+    found = sensitivities(dynamics, numbers, path)
+    j = dynamics.parameters.index("touchpoint.step.t0")
+    edge = int(np.searchsorted(path.mesh.edges, p["touchpoint.step.t0"]))
+    assert found.edges[edge][1, j] == pytest.approx(
+        p["touchpoint.step.k"] / INERTIA["inertia.casing"], rel=1e-9
+    )
+    assert np.abs(found.edges[:edge, :, j]).max() == 0
+
+
+def jacobian(p, wr, wc):
+    """The linearised speeds, by hand."""
+    i_r, i_c = INERTIA["inertia.rotor"], INERTIA["inertia.casing"]
+    diff = wr - wc
+    stiff = p["bearing.linear.d"] + p["bearing.power.f"] * p["bearing.power.g"] * diff ** (
+        p["bearing.power.g"] - 1
+    )
+    rotor = [(-stiff - 2 * p["rotor.air.quadratic.a2"] * wr) / i_r, stiff / i_r]
+    return np.array([rotor, [stiff / i_c, (-stiff - p["casing.air.linear.b2"]) / i_c]])
+
+
+def directly(p, path, torque, direction, times):
+    """Integrate d(dy)/dt = A dy + b u by SciPy; return speeds and angles, (times, 4)."""
+    knots = np.linspace(0, 150, 15_001)
+    wr, wc = Sampler(path.mesh, knots).value(path.y)[:, :2].T
+
+    def rates(t, y):
+        a = jacobian(p, np.interp(t, knots, wr), np.interp(t, knots, wc))
+        return [*(a @ y[:2] + direction * torque(t)), y[0], y[1]]
+
+    return solve_ivp(
+        rates,
+        (0, times[-1]),
+        np.zeros(4),
+        method="DOP853",
+        rtol=1e-9,
+        atol=1e-14,
+        t_eval=times,
+        max_step=0.1,
+    ).y.T
+
+
+@pytest.mark.parametrize("body", [0, 1], ids=["rotor", "casing"])
+def test_driven_motion_matches_direct_integration(body):
+    """A fast torque of 3 to 40 rad/s on the casing, and what it does to both bodies."""
+    dynamics, numbers, path = solved(PAPER)
+    motion = LinearMotion(path, sensitivities(dynamics, numbers, path).propagator)
+
+    def torque(t):
+        return 1e-5 * np.sin(3 * t + 0.2 * t * t) + 2e-6
+
+    times = np.arange(0, 40.0, 1 / 50)
+    direction = np.array([-1 / INERTIA["inertia.rotor"], 1 / INERTIA["inertia.casing"]])
+    gauss, half = rule(3), 0.5 * np.diff(times)
+    inner = (times[:-1] + half)[:, None] + half[:, None] * gauss.x
+    both = np.stack([torque(inner), np.ones_like(inner) * 1e-6], axis=-1)
+    speed, angle = motion.driven(times, both, direction, body)
+    exact = directly(PAPER, path, torque, direction, times)
+    np.testing.assert_allclose(speed[:, 0], exact[:, body], atol=1e-5 * np.abs(exact[:, body]).max())
+    np.testing.assert_allclose(angle[:, 0], exact[:, 2 + body], atol=1e-5 * np.abs(exact[:, 2 + body]).max())
+    steady = directly(PAPER, path, lambda t: 1e-6, direction, times)
+    np.testing.assert_allclose(speed[:, 1], steady[:, body], atol=1e-6 * np.abs(steady[:, body]).max())
+    np.testing.assert_allclose(
+        angle[:, 1], steady[:, 2 + body], atol=1e-6 * np.abs(steady[:, 2 + body]).max()
+    )
+
+
+def test_response_to_an_extra_rate_is_that_of_a_parameter():
+    """A small constant torque on the casing does what the derivative by external.constant says."""
+    p = PAPER | {"external.constant.k": 1e-7}
+    dynamics, numbers, path = solved(p)
+    found = sensitivities(dynamics, numbers, path)
+    forcing = np.zeros((*path.y.shape, 1))
+    forcing[:, :, 1] = 1 / INERTIA["inertia.casing"]
+    nodes, edges = respond(path, found.propagator, forcing)
+    j = dynamics.parameters.index("external.constant.k")
+    np.testing.assert_allclose(nodes[..., 0], found.nodes[..., j], rtol=1e-10, atol=1e-9)
+    np.testing.assert_allclose(edges[..., 0], found.edges[..., j], rtol=1e-10, atol=1e-9)
+
+
+def test_fundamental_matrix_starts_at_one_and_carries_start_values():
+    dynamics, numbers, path = solved(PAPER)
+    found = sensitivities(dynamics, numbers, path)
+    motion = LinearMotion(path, found.propagator)
+    np.testing.assert_allclose(motion.fundamental(np.array([0.0]))[0], np.eye(2), atol=1e-8)
+    np.testing.assert_allclose(
+        motion.fundamental(TIMES), Sampler(path.mesh, TIMES).value(found.nodes)[:, :2, -2:], atol=1e-12
+    )
+    np.testing.assert_allclose(motion.integrated(np.array([0.0]))[0], 0, atol=1e-10)
