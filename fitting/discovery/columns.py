@@ -64,19 +64,19 @@ class CaseColumns:
         )
         self._known["tau"] = np.asarray(tau[0]) * np.ones(len(y))
 
-    def trials(self, effect: Effect) -> list[Trial]:
-        """Return the columns of a candidate for every choice of its shape constants."""
+    def trials(self, effect: Effect, choices: list[dict[str, float]] | None = None) -> list[Trial]:
+        """Return the columns of a candidate for every choice of its shape constants, or for the choices given."""
         if effect.kind == "measurement" or effect.depends_on_angle:
             sine, cosine = self.case.unit_columns(
                 effect, self.prediction.path, self.prediction.sensitivity, self.numbers
             )
             pair = [sine, cosine] if _phase(effect) else [sine]
             return [Trial({}, np.stack(pair, axis=1))]
-        shapes = [p for p in effect.parameters if p.role == "shape"]
-        grids = [self._grid(effect, p) for p in shapes]
-        choices = [
-            dict(zip([p.symbol for p in shapes], values, strict=True)) for values in itertools.product(*grids)
-        ]
+        if choices is None:
+            shapes = [p for p in effect.parameters if p.role == "shape"]
+            grids = [self._grid(effect, p) for p in shapes]
+            symbols = [p.symbol for p in shapes]
+            choices = [dict(zip(symbols, map(float, v), strict=True)) for v in itertools.product(*grids)]
         torques = [self._torque(effect, choice) for choice in choices]
         rotor = np.concatenate([t[0] for t in torques], axis=1)
         casing = np.concatenate([t[1] for t in torques], axis=1)

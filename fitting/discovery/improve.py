@@ -62,7 +62,7 @@ def improve(
         chosen = best(rungs[-1].candidates)
         if chosen is None or chosen.fit is None:
             break
-        rungs.append(Rung(f"+{chosen.effect.name}", chosen.fit, ()))
+        rungs.append(Rung(f"+{chosen.effect.name}", polished(chosen.fit), ()))
         rungs[-1] = _backward(rungs)
         rungs[-1] = Rung(rungs[-1].change, rungs[-1].fit, tuple(rank(rungs[-1].fit, extra)))
         if progress is not None:
@@ -80,6 +80,19 @@ def best(candidates: Sequence[Candidate]) -> Candidate | None:
         if c.significant and c.fit is not None and c.delta_bic < -needed:
             return c
     return None
+
+
+def polished(found: Fit) -> Fit:
+    """Return a fit that was made quickly, at its minimum."""
+    layout = found.problem.layout
+    return fit(
+        found.model,
+        found.problem.data,
+        share=[k for k in found.model.free if k not in layout.per_case] if len(layout.records) > 1 else (),
+        per_case=layout.per_case,
+        start={k: e.value for k, e in found.estimates.items()},
+        noise=found.noise,
+    )
 
 
 def _backward(rungs: list[Rung]) -> Rung:

@@ -199,6 +199,7 @@ def _refitted(base: Fit, candidate: Candidate, p_value: object) -> Candidate:
             per_case=own if len(layout.records) > 1 else (),
             start=start,
             noise=base.noise,
+            quick=True,
         )
     except FittingError:
         return candidate
@@ -247,7 +248,8 @@ def _classed(candidates: list[Candidate]) -> list[Candidate]:
         same = abs(float(a.screened.direction @ b.screened.direction)) > _SAME_DIRECTION
         if a.fit is None or b.fit is None:
             return same and a.significant and b.significant
-        return a.significant and b.significant and abs(a.delta_bic - b.delta_bic) < CLASS_WIDTH
+        near = min(abs(a.delta_bic - b.delta_bic), abs(a.score - b.score))
+        return a.significant and b.significant and near < CLASS_WIDTH
 
     return [
         replace(

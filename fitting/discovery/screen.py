@@ -12,7 +12,7 @@ is the fall of the deviance, minimised over the level without and with the effec
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,7 +88,19 @@ def screen(
         In the order of the effects.
     """
     stage = _Stage(fit, draws)
-    return [_score(stage, effect, [c.trials(effect) for c in cases]) for effect in effects]
+    return [_score(stage, effect, _trials(effect, cases)) for effect in effects]
+
+
+def _own(effect: Effect, cases: int) -> bool:
+    """Tell whether each case has its own parameters of an effect."""
+    return cases > 1 and effect.name.startswith(PER_CASE)
+
+
+def _trials(effect: Effect, cases: Sequence[CaseColumns]) -> list[list[Trial]]:
+    first = cases[0].trials(effect)
+    # what the cases share must be tried with the same shapes in all of them
+    shapes = None if _own(effect, len(cases)) else [t.shape for t in first]
+    return [first, *(c.trials(effect, shapes) for c in cases[1:])]
 
 
 class _Stage:
@@ -142,10 +154,37 @@ class _Stage:
 
 
 def _score(stage: _Stage, effect: Effect, trials: list[list[Trial]]) -> Score:
-    own = len(trials) > 1 and effect.name.startswith(PER_CASE)
-    groups = _stack(trials, own)
-    bounds = _bounds(effect) if not own and groups[0][1].shape[1] == 1 else (-np.inf, np.inf)
+    own = _own(effect, len(trials))
     levels = stage.without(effect.name) if effect.name in CAMERA_COLUMNS else stage.levels
+    if not own or len(trials[0]) == 1:
+        groups = _stack(trials, own)
+        return _search(stage, effect, groups, levels)
+    # each case chooses its shapes by itself; then all are scored together
+    singles = [_search(stage, effect, _alone(stage, t, i), levels) for i, t in enumerate(trials)]
+    chosen = [[next(t for t in ts if t.shape == s.shape[0])] for ts, s in zip(trials, singles, strict=True)]
+    together = _search(stage, effect, _stack(chosen, own), levels)
+    null = np.sum([s.null for s in singles], axis=0)
+    return replace(together, null=null, trials=sum(len(t) for t in trials))
+
+
+def _alone(stage: _Stage, trials: list[Trial], case: int) -> list[tuple[tuple[dict[str, float], ...], Array]]:
+    """Return the columns of one case among the rows of all."""
+    groups = []
+    for t in trials:
+        rows = np.zeros((stage.ends[-1], t.columns.shape[1]))
+        rows[stage.ends[case] : stage.ends[case + 1]] = t.columns
+        groups.append(((t.shape,), rows))
+    return groups
+
+
+def _search(
+    stage: _Stage,
+    effect: Effect,
+    groups: list[tuple[tuple[dict[str, float], ...], Array]],
+    levels: list[tuple[Array, Array, float]],
+) -> Score:
+    """Return the best of some groups of columns over all levels of the random torque."""
+    bounds = _bounds(effect)
     best: tuple[float, int, Array, Array] = (-np.inf, 0, np.zeros(1), np.zeros(1))
     absorbed = stage.mimicked([c for _, c in groups])
     for i, (q, r, value) in enumerate(levels):
@@ -199,7 +238,7 @@ def _solve(columns: Array, r: Array, groups: int, bounds: tuple[float, float]) -
     inverse = np.linalg.pinv(scaled, rcond=1e-9, hermitian=True)
     seen = seen / size.reshape(size.shape + (1,) * (seen.ndim - 2))
     gamma = np.einsum("gwv,gv...->gw...", inverse, seen)
-    if width == 1 and bounds != (-np.inf, np.inf):
+    if bounds != (-np.inf, np.inf):
         edge = size.reshape(size.shape + (1,) * (seen.ndim - 2))
         gamma = np.clip(gamma, bounds[0] * edge, bounds[1] * edge)
     score = np.einsum("gw...,gw...->g...", gamma, 2 * seen - np.einsum("gwv,gv...->gw...", scaled, gamma))
@@ -207,6 +246,8 @@ def _solve(columns: Array, r: Array, groups: int, bounds: tuple[float, float]) -
 
 
 def _bounds(effect: Effect) -> tuple[float, float]:
+    if any(p.role == "phase" for p in effect.parameters):
+        return (-np.inf, np.inf)
     return (effect.amplitude.lower, effect.amplitude.upper) if effect.amplitude else (-np.inf, np.inf)
 
 

@@ -38,6 +38,7 @@ def minimise(
     upper: Array,
     *,
     tolerance: float = 1e-9,
+    absolute: float = 1e-7,
     max_iterations: int = 200,
 ) -> Minimum:
     """Minimise the sum of squares of residuals.
@@ -50,7 +51,9 @@ def minimise(
         Start and bounds.
     tolerance : float
         The search ends when the sum of squares is predicted to fall, and falls, by less than this
-        share of itself, or by less than 1e-7 in all.
+        share of itself, or by less than `absolute` in all.
+    absolute : float
+        See `tolerance`.
     max_iterations : int
         Steps tried at most.
 
@@ -78,7 +81,7 @@ def minimise(
         unit = np.where(scale > 0, scale, 1.0)
         step = _step(r, j, unit, damping, lower - x, upper - x)
         predicted = cost - float(np.sum((r + j @ step) ** 2))
-        enough = max(tolerance * cost, 1e-7)
+        enough = max(tolerance * cost, absolute)
         if damping <= 1 and predicted < 1e-3 * enough:
             converged = True
             break

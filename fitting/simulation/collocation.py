@@ -182,7 +182,6 @@ def _newton(dynamics: Dynamics, numbers: Mapping[str, float], start: Array, mesh
     y, edges = first.y.copy(), first.edges.copy()
     edges[0] = start
     gauss = rule()
-    previous = np.inf
     with np.errstate(all="ignore"):
         for _ in range(_MAX_NEWTON):
             f, a, _ = dynamics.linearised(times, y, numbers)
@@ -198,10 +197,9 @@ def _newton(dynamics: Dynamics, numbers: Mapping[str, float], start: Array, mesh
             size = float((np.abs(move).max(axis=(0, 1)) / scale).max())
             if not np.isfinite(size) or size > 1e8:
                 break
-            # the last steps only stir the rounding error
-            if size < 1e-13 or (size < 1e-9 and size > 0.3 * previous):
+            # Newton squares the error: what is left after a step this small is rounding
+            if size < 1e-9:
                 return replace(first, mesh=mesh, y=y, edges=edges)
-            previous = size
     raise SimulationError("the equations of motion have no bounded solution for these numbers")
 
 
