@@ -1,21 +1,20 @@
 """Which markers a scene has: their names, colours and bodies, and what marks the centre.
 
-A profile names colours; how large the papers are, how far from the centre they sit and what exact shade
-they have under the lamps is found in the clip itself. The default is the gyroscope of the paper. A profile is a
+A profile names colours; how large the papers are, how far from the centre they sit and what exact shade they
+have under the lamps is found in the clip itself. The default is the gyroscope of the paper. A profile is a
 TOML file::
 
-    name = "bicycle wheel"
-    centre = "orbit"            # no mark at the centre: it is found from the markers' path
-    capture_fps = 300           # optional
-    sense = -1                  # optional: -1 turns clockwise as seen, +1 counter-clockwise
-    wander = false              # optional: the centre of an orbit stays where it is (true: it may move slowly)
-    tilt_correction = true      # optional: correct the angles for the slant of the camera
+    name = "bicycle wheel" centre = "orbit"            # no mark at the centre: it is found from the markers'
+    path capture_fps = 300           # optional sense = -1                  # optional: -1 turns clockwise as
+    seen, +1 counter-clockwise wander = false              # optional: the centre of an orbit stays where it
+    is (true: it may move slowly) tilt_correction = true      # optional: correct the angles for the slant of
+    the camera
 
     [[marker]]
     name = "tape"
     colour = "green"            # red, orange, yellow, green, cyan, blue, magenta, white
     body = "rotor"              # casing or rotor
-    mount_angle = 0.0           # optional, rad: where it sits on its body; measured when left out
+    mount_angle = 0.0           # optional, rad: fixes the body's zero; else that is the first marker
 """
 
 from __future__ import annotations
@@ -78,8 +77,8 @@ class Profile(BaseModel):
                 raise ValueError(
                     f"two markers on the {body} have the same colour and could not be told apart"
                 )
-        if all(marker.colour == "white" for marker in self.marker):
-            raise ValueError("at least one marker must have a colour other than white")
+            if colours == ["white"]:
+                raise ValueError(f"the {body} has only a white marker; it needs a coloured one too")
         return self
 
     def of(self, body: str) -> tuple[MarkerProfile, ...]:
@@ -97,7 +96,7 @@ PAPER = Profile(
         MarkerProfile(name="green", colour="green", body="rotor"),
     ),
 )
-"""The gyroscope of the paper: a red disc at the centre, red on the casing, blue, white and green on the rotor."""
+"""The gyroscope of the paper: red disc at the centre, red on the casing, three colours on the rotor."""
 
 
 def load(path: Path) -> Profile:
@@ -129,9 +128,7 @@ def parse(data: dict[str, Any], where: str) -> Profile:
         return Profile.model_validate(data)
     except ValidationError as error:
         faults = "; ".join(f"{_place(fault['loc'])}: {_plain(fault['msg'])}" for fault in error.errors())
-        raise ProfileError(
-            f"{where}: {faults}", "correct these keys; the documentation lists all of them"
-        ) from error
+        raise ProfileError(f"{where}: {faults}", "correct these keys") from error
 
 
 def to_toml(profile: Profile) -> str:

@@ -1,4 +1,4 @@
-"""Angles of markers and bodies: measured in each frame, with uncertainties, joined, smoothed, differentiated."""
+"""Angles of markers and bodies: measured in each frame, with uncertainties, joined, smoothed."""
 
 from __future__ import annotations
 

@@ -1,17 +1,18 @@
 """Errors of a marker's angle that repeat: with its place in the picture, and with what stands beside it.
 
-Lamps that mirror in the metal pull a marker the same way whenever it passes the same place; the edge of the bar and its
-shadow do so whenever it passes the bar. Such errors are curves over an angle, and are learnt from how far the
-marker lies off its body's even motion, as a smooth closed curve: the c that minimises
+Lamps that mirror in the metal pull a marker the same way whenever it passes the same place; the edge of the
+bar and its shadow do so whenever it passes the bar. Such errors are curves over an angle, and are learnt
+from how far the marker lies off its body's even motion, as a smooth closed curve: the c that minimises
 
     sum w (r - B c)^2 / s^2  +  |D2 c|^2 / bend^2  +  |c|^2 / size^2
 
 with B hat functions on evenly spaced knots, s the scatter, D2 second differences round the circle.
 
-What a body really does must not be taken for an error. An uneven weight or a sloping table changes the motion once or
-twice a turn of the body, for all its markers together. A body that turns fast does not follow such torques: a swing of its
-acceleration by A shows as A / omega^2 in its angle. Where there are fast frames, curves are learnt from them and hold for
-all; where there are none, that part (orders 1 and 2 over the body's angle) is left in (`without_common_motion`).
+What a body really does must not be taken for an error. An uneven weight or a sloping table changes the
+motion once or twice a turn of the body, for all its markers together. A body that turns fast does not follow
+such torques: a swing of its acceleration by A shows as A / omega^2 in its angle. Where there are fast
+frames, curves are learnt from them and hold for all; where there are none, that part (orders 1 and 2 over
+the body's angle) is left in (`without_common_motion`).
 """
 
 from __future__ import annotations

@@ -14,6 +14,7 @@ from gyrotrack.angles.surroundings import AngleMap, open_columns
 from gyrotrack.geometry.channel import Channel
 from gyrotrack.geometry.samples import Samples
 from gyrotrack.geometry.scene import Paper
+from gyrotrack.segmentation.ring import boxed
 from gyrotrack.video.planes import Frame
 
 Floats = npt.NDArray[np.float64]
@@ -130,7 +131,7 @@ class BodyWatch:
         for paper in self._main.papers:
             half = max(int(paper.half_width / step), 1)
             around = np.clip(self._main.around(paper, count), -0.2, 1.3)
-            total += np.roll(_boxed(around, half), -round(paper.mount / step), axis=1)
+            total += np.roll(boxed(around, half), -round(paper.mount / step), axis=1)
         return total
 
     def _follow(self, score: Floats) -> Floats:
@@ -165,11 +166,3 @@ class BodyWatch:
             coarse[begin:frame] = np.where(here, angle, np.nan)[::-1]
         self._motion = motion
         return frame
-
-
-def _boxed(profile: Floats, half: int) -> Floats:
-    """Average circularly over 2 half + 1 columns."""
-    width = 2 * half + 1
-    padded = np.concatenate([profile[:, -half:], profile, profile[:, :half]], axis=1)
-    total = np.cumsum(np.pad(padded, ((0, 0), (1, 0))), axis=1)
-    return np.asarray((total[:, width:] - total[:, :-width]) / width)

@@ -1,8 +1,9 @@
 """Following a body through a film: one coarse, unwrapped angle a frame, from rings that show its markers.
 
-The input is a score over all directions, frame by frame: high where the body's markers would coincide with what is
-seen. A lock finds angle and speed from some frames at once; then each frame is searched only near its prediction,
-so that nothing else of the same colour can take over; after a loss the prediction runs on, then a new lock is sought.
+The input is a score over all directions, frame by frame: high where the body's markers would coincide with
+what is seen. A lock finds angle and speed from some frames at once; then each frame is searched only near
+its prediction, so that nothing else of the same colour can take over; after a loss the prediction runs on,
+then a new lock is sought.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ REACH = 0.35
 
 @dataclass(frozen=True)
 class Motion:
-    """Where a body is and how fast it turns: unwrapped angle [rad], step [rad / frame], frames since it was seen."""
+    """Where a body is: unwrapped angle [rad], step [rad / frame], frames since it was seen."""
 
     angle: float
     step: float
@@ -47,10 +48,8 @@ def find_lock(score: Floats, threshold: float, hint: float = 0.0) -> tuple[int, 
     (frame, Motion) or None
         The motion at that frame.
 
-    Notes
-    -----
-    The step w maximises |sum exp(i (theta_k - w k))| over all w in (-pi, pi]: frames in which something else is
-    brighter only lower the sum. A lock needs 70 % of the frames that were seen in phase.
+    Notes ----- The step w maximises |sum exp(i (theta_k - w k))| over all w in (-pi, pi]: frames in which
+    something else is brighter only lower the sum. A lock needs 70 % of the frames that were seen in phase.
     """
     columns = score.shape[1]
     best = np.argmax(score, axis=1)
@@ -99,8 +98,8 @@ def follow(score: Floats, motion: Motion, threshold: float) -> tuple[Floats, npt
     Returns
     -------
     angle, seen, motion
-        Unwrapped angle (n,) [rad], whether it was seen (n,), and the prediction for frame n. From the frame on
-        where the body was missed more than `LONGEST_COAST` times in a row the angles are NaN.
+        Unwrapped angle (n,) [rad], whether it was seen (n,), and the prediction for frame n. From the frame
+        on where the body was missed more than `LONGEST_COAST` times in a row the angles are NaN.
     """
     count, columns = score.shape
     scale = columns / (2.0 * np.pi)

@@ -61,7 +61,7 @@ class MarkerWatch:
         )
 
     def _matters(self) -> Mask:
-        """Samples of the window in which the marker itself may show."""
+        """Return the samples of the window in which the marker itself may show."""
         step = self.channel.ring.step
         x = np.abs(np.arange(-self.half, self.half + 1)) * step
         if self._across is None:
@@ -124,7 +124,7 @@ class MarkerWatch:
         if whole.any():
             gain = np.where(np.abs(found.gain) > 1e-3, found.gain, np.nan)[whole, None, None]
             shaped = (look.window[whole] - found.offset[whole, None, None]) / gain
-            angles = np.arange(-self.half, self.half + 1) * ring.step
+            angles = np.asarray(np.arange(-self.half, self.half + 1) * ring.step, dtype=np.float64)
             shaped = np.nan_to_num(shaped)
             r, phi = near_corners(shaped, ring.radii, angles, self.paper.inner, self.paper.outer)
             likely = self._likely(r, phi, found.shift[whole] * ring.step)
@@ -132,7 +132,7 @@ class MarkerWatch:
         return radius, angle
 
     def _likely(self, radius: Floats, angle: Floats, fine: Floats) -> Mask:
-        """Tell which pairs of corners fit the marker: about its middle, as wide as usual, at its near edge; (n, 1)."""
+        """Tell which pairs of corners fit the marker in place and width, (n, 1)."""
         half, middle = 0.5 * (angle[:, 1] - angle[:, 0]), angle.mean(axis=1)
         if not np.isfinite(half).any():
             return np.zeros((len(half), 1), dtype=np.bool_)
@@ -186,7 +186,7 @@ class Look:
 
 
 def _good(found: Match, whole: Mask, known: Mask) -> Mask:
-    """Frames that may shape a template: high, with no more left over than usual; open ones if there are enough."""
+    """Frames that may shape a template: high, with no more left over than usual."""
     usable = known & (found.gain > 0.25) & (found.gain < 4.0) & (found.weakness < 4.0)
     good = whole & usable
     if good.sum() < 6:

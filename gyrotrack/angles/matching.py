@@ -1,9 +1,10 @@
 """The fine angle of a marker: its profile across, matched with the mean of its own recent profiles.
 
-p(x) = a T(x - d) + b with gain a, offset b and displacement d free in every frame, fitted over those samples that nothing
-hides. T is the mean of the frames' own profiles, each brought to zero displacement, and made symmetric: T(x) = T(-x).
-A paper with parallel sides smeared by an even motion during the exposure has a symmetric profile about its middle at
-mid-exposure, so d is the angle of the middle of the paper at the middle of the exposure, however wide the smear is.
+p(x) = a T(x - d) + b with gain a, offset b and displacement d free in every frame, fitted over those samples
+that nothing hides. T is the mean of the frames' own profiles, each brought to zero displacement, and made
+symmetric: T(x) = T(-x). A paper with parallel sides smeared by an even motion during the exposure has a
+symmetric profile about its middle at mid-exposure, so d is the angle of the middle of the paper at the
+middle of the exposure, however wide the smear is.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ class Match:
     misfit : ndarray, shape (n,)
         rms of what the template leaves over in the open samples, relative to the gain.
     weakness : ndarray, shape (n,)
-        How much larger the uncertainty of d is than with all samples open and a gain of 1 (from the curvature of the fit);
-        inf where d cannot be found.
+        How much larger the uncertainty of d is than with all samples open and a gain of 1 (from the
+        curvature of the fit); inf where d cannot be found.
     """
 
     shift: Floats
@@ -145,6 +146,6 @@ def _clipped_mean(values: Floats, seen: Mask) -> Floats:
 
 
 def flat_top(half_width: float, length: int) -> Floats:
-    """Return a first template: 1 within `half_width` samples of the middle, falling to 0 over three samples."""
+    """Return a first template: 1 within `half_width` samples of the middle, falling to 0 over three."""
     x = np.abs(np.arange(length) - (length - 1) / 2.0)
     return np.asarray(np.clip((half_width + 1.5 - x) / 3.0, 0.0, 1.0))

@@ -24,10 +24,8 @@ def find_sense(turns: dict[str, float], given: int | None) -> int:
     given : int or None
         What the profile says; it is believed.
 
-    Notes
-    -----
-    The casing decides, since it never turns by half a turn between frames; where it hardly moves, the rotor. If nothing
-    moves the bodies are taken to turn clockwise as seen, as in the paper.
+    Notes ----- The casing decides, since it never turns by half a turn between frames; where it hardly
+    moves, the rotor. If nothing moves the bodies are taken to turn clockwise as seen, as in the paper.
     """
     if given is not None:
         return given
@@ -40,8 +38,9 @@ def find_sense(turns: dict[str, float], given: int | None) -> int:
 def unfold(angle: Floats, sense: int) -> tuple[Floats, bool]:
     """Add a turn a frame to a body that seems to turn against the sense, as spokes do in a film.
 
-    A body that turns by w between frames looks the same as one that turns by w - 2 pi. Friction carries both bodies
-    the same way round, so that the rotor's sense is the casing's. Returns the angle, and whether it was changed.
+    A body that turns by w between frames looks the same as one that turns by w - 2 pi. Friction carries both
+    bodies the same way round, so that the rotor's sense is the casing's. Returns the angle, and whether it
+    was changed.
     """
     turn = net_turn(angle)
     steps = max(int(np.isfinite(angle).sum()) - 1, 1)

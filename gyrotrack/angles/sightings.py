@@ -63,7 +63,7 @@ class Sightings:
         return found
 
     def position(self, good: Mask) -> Floats:
-        """Return where the middle of the marker is in the picture, (n, 2) in px; its usual radius where not good."""
+        """Return where the middle of the marker is, (n, 2) in px; at its usual radius where not good."""
         usual = float(np.nanmedian(self.radius[good])) if good.any() else np.nan
         r = np.where(good, self.radius, usual)
-        return self.centre + np.stack([r * np.cos(self.angle), -r * np.sin(self.angle)], axis=1)
+        return np.asarray(self.centre + np.stack([r * np.cos(self.angle), -r * np.sin(self.angle)], axis=1))

@@ -1,8 +1,9 @@
-"""What the surroundings do to a marker at each angle: light that differs from place to place, and what hides it.
+"""What the surroundings do to a marker at each angle: uneven light, and what hides it.
 
-Both are learnt from the marker itself. When a marker with profile a T(x) passes an angle, the height that is seen there,
-relative to the expected one, tells how bright the light is (angles fixed in the picture) or whether something
-stands before it (angles fixed on the other body): h = sum(a T p) / sum((a T)^2) over all passages.
+Both are learnt from the marker itself. When a marker with profile a T(x) passes an angle, the height that is
+seen there, relative to the expected one, tells how bright the light is (angles fixed in the picture) or
+whether something stands before it (angles fixed on the other body): h = sum(a T p) / sum((a T)^2) over all
+passages.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ class AngleMap:
         self._bottom = np.zeros((layers, columns))
 
     def learn(self, layer: int, column: Integers, expected: Floats, value: Floats) -> None:
-        """Add passages: flat arrays of column, expected height and height above the background that was seen."""
+        """Add passages: flat arrays of column, height expected, height seen above the background."""
         inside = column % self.columns
         self._top[layer] += np.bincount(inside, expected * value, self.columns)
         self._bottom[layer] += np.bincount(inside, expected**2, self.columns)
@@ -66,7 +67,7 @@ def even_light(light: AngleMap, columns: int) -> Floats:
         return np.ones(columns)
     place = np.arange(columns)
     filled = np.interp(place, place[known], height[known], period=columns)
-    return np.clip(filled, HIDDEN, 2.0)
+    return np.asarray(np.clip(filled, HIDDEN, 2.0))
 
 
 def unlit(light: AngleMap) -> npt.NDArray[np.bool_]:

@@ -1,17 +1,18 @@
 """The paper's uncertainty of one angle, from its base, radius and the angle between them.
 
-Notation, for one frame: C the centre, P_1 and P_2 the two near corners, M their midpoint, rho = |M - C| the radius,
-delta = |P_2 - P_1| the base, beta the angle between the base and the radius; bars are averages over the clip. Ideally
-delta and rho are constant and beta is a right angle. Then
+Notation, for one frame: C the centre, P_1 and P_2 the two near corners, M their midpoint, rho = |M - C| the
+radius, delta = |P_2 - P_1| the base, beta the angle between the base and the radius; bars are averages over
+the clip. Ideally delta and rho are constant and beta is a right angle. Then
 
     u_r  = |rho - mean(rho)| / mean(rho)                                 (relative, one for both corners)
     u_1k = |angle(M +- mean(delta)/2 * e_base)  - angle(P_k)|            (average base, as it lies)
     u_2k = |angle(M +- mean(delta)/2 * e_right) - angle(P_k)|            (average base at a right angle)
     sigma_k = sqrt((30 u_r)^2 + (150 u_1k)^2 + (150 u_2k)^2)             for each corner k
 
-with e_base along the base and e_right perpendicular to the radius. The datum is the mean of the corners' angles. Its
-parts are the root mean squares of the corners' parts, and its uncertainty, by the same formula, the root mean square of the
-corners' uncertainties: both corners err from the same causes, so averaging them is not taken to lessen it.
+with e_base along the base and e_right perpendicular to the radius. The datum is the mean of the corners'
+angles. Its parts are the root mean squares of the corners' parts, and its uncertainty, by the same formula,
+the root mean square of the corners' uncertainties: both corners err from the same causes, so averaging them
+is not taken to lessen it.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Finding the scene in a clip: what turns about which centre, and how each marker looks.
 
-Nothing is known beforehand but the names of colours. First blobs that change from frame to frame are collected for
-each colour, and the point that they circle; then the disc at that point; then, in rings unrolled about it, each
-paper with its radii, width and true shade (`papers`).
+Nothing is known beforehand but the names of colours. First blobs that change from frame to frame are
+collected for each colour, and the point that they circle; then the disc at that point; then, in rings
+unrolled about it, each paper with its radii, width and true shade (`papers`).
 """
 
 from __future__ import annotations
@@ -36,18 +36,20 @@ def acquire(samples: Samples, profile: Profile, where: str) -> Scene:
     if disc is None and orbit is None:
         raise TrackingError(
             f"no markers found in {where}: nothing in the profile's colours turns about a centre",
-            "check the profile's colours (--profile); a clip in which nothing turns needs a disc at the centre",
+            "check the profile's colours (--profile); where nothing turns, a disc must mark the centre",
         )
-    warnings = (_NO_DISC,) if disc is None and profile.centre == "circle" else ()
     centre = disc.centre if disc is not None else orbit.centre if orbit is not None else (0.0, 0.0)
     radius = max(orbit.radii.values()) if orbit is not None else None
-    papers, missing, notes = find_papers(samples, profile, centre, disc, radius)
+    papers = find_papers(samples, profile, centre, disc, radius)
     if not papers:
+        names = ", ".join(marker.name for marker in profile.marker)
         raise TrackingError(
-            f"no markers found in {where}: none of {', '.join(m.name for m in profile.marker)} is seen about the centre",
+            f"no markers found in {where}: none of {names} is seen about the centre",
             "check the profile's colours (--profile)",
         )
-    return Scene(centre, disc, papers, missing, (*warnings, *notes))
+    missing = tuple(marker.name for marker in profile.marker if marker.name not in papers)
+    warnings = (_NO_DISC,) if disc is None and profile.centre == "circle" else ()
+    return Scene(centre, disc, tuple(papers.values()), missing, warnings)
 
 
 def _find_orbit(samples: Samples, profile: Profile) -> Orbit | None:
@@ -58,10 +60,7 @@ def _find_orbit(samples: Samples, profile: Profile) -> Orbit | None:
     colours = sorted({m.colour for m in profile.marker if m.colour != "white"})
     for label, colour in enumerate(colours):
         direction = chroma_direction(colour)
-        scores = [
-            hue_score(chroma[0, i] - still[0], chroma[1, i] - still[1], direction)
-            for i in range(chroma.shape[1])
-        ]
+        scores = [hue_score(u - still[0], v - still[1], direction) for u, v in zip(*chroma, strict=True)]
         for blobs in _blobs_in(scores, most=2):
             points += [samples.to_luma(b.x, b.y) for b in blobs]
             group += [label] * len(blobs)

@@ -1,9 +1,9 @@
-"""The path of the centre: slow motion kept, fast motion kept where it is regular, the measurement's noise removed.
+"""The path of the centre: slow motion and regular fast motion kept, noise removed.
 
-The noise of a compressed film is not independent from frame to frame, so that what predicts the next frame best is not the
-true path. The path is therefore taken as a slow curve (local parabolas, their width chosen by how well they predict
-points at least `HOLE` frames away) plus whatever stands out as a line in the spectrum of the rest: a precession
-or a wobble with the turn of the casing.
+The noise of a compressed film is not independent from frame to frame, so that what predicts the next frame
+best is not the true path. The path is therefore taken as a slow curve (local parabolas, their width chosen
+by how well they predict points at least `HOLE` frames away) plus whatever stands out as a line in the
+spectrum of the rest: a precession or a wobble with the turn of the casing.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ HOLE = 8
 _HALVES = (24, 48, 96, 192)
 _STANDS_OUT = 7.0
 LEAST_SIGMA = 0.05
-"""Uncertainty of a coordinate in px that no smoothing beats: encoders hold a still disc in place while it creeps."""
+"""Uncertainty in px that no smoothing beats: encoders hold a disc in place while it creeps."""
 
 
 @dataclass(frozen=True)
 class CentrePath:
-    """The centre in each frame (n, 2) [px], its uncertainty per axis (n,) [px], and the reach of the smoothing."""
+    """The centre in each frame (n, 2) [px], its uncertainty per axis (n,) [px], frames of smoothing."""
 
     centre: Floats
     sigma: Floats
@@ -37,13 +37,13 @@ class CentrePath:
 
 def smooth_path(measured: Floats) -> CentrePath:
     """Smooth a measured path, (n, 2) in px, NaN where there is none."""
-    known = np.isfinite(measured).all(axis=1)
+    known: npt.NDArray[np.bool_] = np.asarray(np.isfinite(measured).all(axis=1))
     if not known.any():
         return CentrePath(measured, np.full(len(measured), np.nan), 0)
     index = np.arange(len(measured))
     filled = np.stack([np.interp(index, index[known], measured[known, k]) for k in (0, 1)], axis=1)
     z = filled[:, 0] + 1j * filled[:, 1]
-    weight = known.astype(np.float64)
+    weight: Floats = known.astype(np.float64)
     halves = [half for half in _HALVES if 3 * half <= len(z)]
     if not halves:
         return _steady(z, known)
@@ -108,7 +108,7 @@ def _floor(power: Floats) -> Floats:
 
 
 def _left_error(left: Complexes, half: int) -> float:
-    """Return what remains of the noise in the smoothed path: its rms, lessened by averaging over its own length."""
+    """Return what remains of the noise in the smoothed path: its rms, lessened by averaging."""
     rms = float(np.sqrt(np.mean(np.abs(left) ** 2) / 2.0))
     lags = min(48, len(left) // 4)
     base = float(np.mean(np.abs(left) ** 2)) + 1e-12

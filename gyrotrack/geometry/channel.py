@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack.geometry.papers import LONGEST_STAY
+from gyrotrack.geometry.coloured import LONGEST_STAY
 from gyrotrack.geometry.samples import Samples
 from gyrotrack.geometry.scene import Paper
 from gyrotrack.segmentation.ring import ring_for, unroll
@@ -55,7 +57,7 @@ class Channel:
         self._ground = self._background(samples)
 
     def _background(self, samples: Samples) -> npt.NDArray[np.float32]:
-        """Return what lies under the papers: the median of the samples, or of each row if the papers hardly moved."""
+        """Return what lies under the papers: the median of the samples; of each row if they hardly moved."""
         strips = samples.luma_strips(self.ring)[None] if self.white else samples.strips(self.ring)
         ground = np.asarray(np.median(strips, axis=1), dtype=np.float32)
         if max(paper.stay for paper in self.papers) > LONGEST_STAY:
@@ -101,11 +103,20 @@ class Channel:
 
     def window(self, paper: Paper, start: Integers, half: int) -> Floats:
         """Return the score within `half` columns of `start` in each frame: (count, rows, 2 half + 1)."""
-        index = (start[:, None] + np.arange(-half, half + 1)) % self.ring.columns
         out = np.zeros((len(start), self.ring.rows, 2 * half + 1), dtype=np.float32)
-        frames = np.arange(len(start))[:, None, None]
-        rows = np.arange(self.ring.rows)[None, :, None]
+        pixels, ground = np.empty_like(out), np.empty_like(out)
+        first = (start - half) % self.ring.columns
         for plane, weight in enumerate(self.weights(paper)):
-            pixels = self._strips[frames, plane, rows, index[:, None, :]]
-            out += weight * (pixels - self._ground[plane][rows, index[:, None, :]])
+            for k, column in enumerate(first.tolist()):
+                _cut(self._strips[k, plane], column, pixels[k])
+                _cut(self._ground[plane], column, ground[k])
+            out += weight * (pixels - ground)
         return out.astype(np.float64)
+
+
+def _cut(strip: npt.NDArray[Any], first: int, out: npt.NDArray[np.float32]) -> None:
+    """Copy columns from `first` on out of a strip that closes on itself."""
+    inside = min(strip.shape[1] - first, out.shape[1])
+    out[:, :inside] = strip[:, first : first + inside]
+    if inside < out.shape[1]:
+        out[:, inside:] = strip[:, : out.shape[1] - inside]

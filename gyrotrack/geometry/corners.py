@@ -1,9 +1,9 @@
 """The two corners of a marker nearest to the centre, from its fitted edges.
 
-In the unrolled ring a paper has two upright edges and a near edge that is almost level. Each edge is where the score
-crosses half of the marker's height; lines are fitted through these crossings over several rows and columns, and
-the corners are where they meet. Half way is between the marker and what lies beyond that edge: a bar in a colour of its own
-under the marker is not as dark as the rest.
+In the unrolled ring a paper has two upright edges and a near edge that is almost level. Each edge is where
+the score crosses half of the marker's height; lines are fitted through these crossings over several rows and
+columns, and the corners are where they meet. Half way is between the marker and what lies beyond that edge:
+a bar in a colour of its own under the marker is not as dark as the rest.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ def _crossing(values: Floats, axis: Floats) -> Floats:
 
 
 def _lines(edge: Floats, r: Floats) -> tuple[Floats, Floats]:
-    """Fit straight lines through the crossings of all rows; NaN where fewer than 60 % of the rows have one."""
+    """Fit lines through the crossings of all rows; NaN where fewer than 60 % of the rows have one."""
     seen = np.isfinite(edge)
     enough = seen.mean(axis=1) > 0.6
     count = np.maximum(seen.sum(axis=1), 1)

@@ -47,7 +47,7 @@ class DiscWindow:
         self._pixels[place, 1, : v.shape[0], : v.shape[1]] = v
 
     def centres(self, count: int) -> Floats:
-        """Measure the disc's centre in the first `count` frames, (count, 2) in luma px; NaN where it is hidden."""
+        """Measure the disc's centre in the first `count` frames, (count, 2) in px; NaN where hidden."""
         u, v = self.disc.chroma
         norm = u * u + v * v
         pixels = self._pixels[:count].astype(np.float32)
@@ -60,8 +60,8 @@ class DiscWindow:
 def _disc_centroid(score: Floats, radius: float) -> tuple[Floats, Floats]:
     """Find the centroid of a bright disc in each image, (n, side, side), in px of the window.
 
-    The disc's level and the background's are taken from each frame; the mask rises softly between 30 % and 70 %
-    of the step, so that the edge counts with the share of each pixel that it covers.
+    The disc's level and the background's are taken from each frame; the mask rises softly between 30 % and
+    70 % of the step, so that the edge counts with the share of each pixel that it covers.
     """
     count, side, _ = score.shape
     grid = np.arange(side, dtype=np.float64)

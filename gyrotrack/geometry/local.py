@@ -29,8 +29,8 @@ def local_fit(
     Returns
     -------
     smooth, leverage : ndarray, shape (n,)
-        The fitted value, and the share with which a point of weight 1 enters its own fitted value. NaN where the window
-        holds too few points.
+        The fitted value, and the share with which a point of weight 1 enters its own fitted value. NaN where
+        the window holds too few points.
     """
     n = len(value)
     x = np.arange(-half, half + 1, dtype=np.float64) / (half + 1)

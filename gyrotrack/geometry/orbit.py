@@ -39,11 +39,9 @@ def common_centre(points: Floats, group: Integers, *, seed: int = 0, trials: int
     Orbit or None
         None when the points do not go round: too few, not spread over at least 1.5 rad, or no circle.
 
-    Notes
-    -----
-    Random triples of one group give circles. The centre is kept about which points that agree in radius (within 5 % of
-    their group's typical one) lie in most directions - what stands still agrees with every centre, but in
-    one direction only - and refined by least squares over these points.
+    Notes ----- Random triples of one group give circles. The centre is kept about which points that agree in
+    radius (within 5 % of their group's typical one) lie in most directions - what stands still agrees with
+    every centre, but in one direction only - and refined by least squares over these points.
     """
     if len(points) < 5:
         return None
@@ -54,11 +52,11 @@ def common_centre(points: Floats, group: Integers, *, seed: int = 0, trials: int
         same = np.flatnonzero(group == group[first])
         if len(same) < 3:
             continue
-        centre = circumcentre(points[rng.choice(same, 3, replace=False)])
-        if centre is None:
+        trial = circumcentre(points[rng.choice(same, 3, replace=False)])
+        if trial is None:
             continue
-        inlier = _agreeing(points, group, centre)
-        around = _directions(points, group, centre, inlier)
+        inlier = _agreeing(points, group, trial)
+        around = _directions(points, group, trial, inlier)
         if best is None or around > best[0]:
             best = (around, inlier)
     if best is None or best[0] < 5:

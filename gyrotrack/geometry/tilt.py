@@ -1,12 +1,13 @@
 """The tilt of the camera and the true centre of an orbit, from the orbit itself.
 
-A circle seen from a slant is an ellipse, and a mark that lies higher than the disc at the centre circles a point
-beside it. With v = (x - cx, -(y - cy)) the position of a marker relative to the disc,
+A circle seen from a slant is an ellipse, and a mark that lies higher than the disc at the centre circles a
+point beside it. With v = (x - cx, -(y - cy)) the position of a marker relative to the disc,
 
     v = e + rho A (cos theta, sin theta),    A = [[1 + p, q], [q, 1 - p]],
 
-with e the offset of the orbit's centre and (p, q) the flattening: for a tilt t, hypot(p, q) = t^2 / 4. Both show in the
-radius and both bend the angle: uncorrected, e shifts it by |e| / rho once a turn, (p, q) by hypot(p, q) twice a turn.
+with e the offset of the orbit's centre and (p, q) the flattening: for a tilt t, hypot(p, q) = t^2 / 4. Both
+show in the radius and both bend the angle: uncorrected, e shifts it by |e| / rho once a turn, (p, q) by
+hypot(p, q) twice a turn.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from gyrotrack.geometry.orbit import covered_angle
 
 Floats = npt.NDArray[np.float64]
 
+MOST_SIGHTINGS = 2000
 LEAST_COVER = 5.0
 """Angle in rad that must be covered by the sightings before an orbit is trusted."""
 
@@ -55,18 +57,18 @@ def fit_flattening(positions: dict[str, Floats], rounds: int = 6) -> Flattening:
     positions : dict of ndarray, shape (n, 2)
         Positions v of each marker relative to the centre, y up, only trusted ones.
 
-    Notes
-    -----
-    Gauss-Newton on the radii: |v| = rho + e . r + rho (p cos 2 theta + q sin 2 theta) to first order, with r the unit
-    vector of theta; points beyond 4 median absolute deviations are left out in each round. Markers whose
-    sightings cover less than 5 rad take no part.
+    Notes ----- Gauss-Newton on the radii: |v| = rho + e . r + rho (p cos 2 theta + q sin 2 theta) to first
+    order, with r the unit vector of theta; points beyond 4 median absolute deviations are left out in each
+    round. Markers whose sightings cover less than 5 rad take no part.
     """
     use = {name: v for name, v in positions.items() if len(v) >= 30 and _cover(v) > LEAST_COVER}
     if not use:
         return NO_FLATTENING
     found = Flattening(dict.fromkeys(use, (0.0, 0.0)), 0.0, 0.0)
+    # Some thousand sightings settle a handful of numbers.
+    few = {name: v[:: max(len(v) // MOST_SIGHTINGS, 1)] for name, v in use.items()}
     for _ in range(rounds):
-        found = _improved(found, use)
+        found = _improved(found, few)
     return found
 
 
@@ -89,7 +91,7 @@ def _improved(found: Flattening, positions: dict[str, Floats]) -> Flattening:
     design, value = np.concatenate(blocks), np.concatenate(values)
     keep = np.ones(len(value), dtype=np.bool_)
     for _ in range(3):
-        solution, *_ = np.linalg.lstsq(design[keep], value[keep], rcond=None)
+        solution = np.linalg.solve(design[keep].T @ design[keep], design[keep].T @ value[keep])
         left = value - design @ solution
         keep = np.abs(left) < 4.0 * 1.4826 * np.median(np.abs(left[keep])) + 1e-9
     offset = {

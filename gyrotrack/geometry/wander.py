@@ -1,7 +1,8 @@
 """A centre that nothing marks, and that may wander: from the orbit of a marker itself.
 
-The marker's position is c(t) + rho A (cos theta, sin theta) (see `tilt`). Each sighting tells where c(t) lies along its
-own radius; over half a turn that fixes both coordinates. c(t) is a broken line with about one knot a turn.
+The marker's position is c(t) + rho A (cos theta, sin theta) (see `tilt`). Each sighting tells where c(t)
+lies along its own radius; over half a turn that fixes both coordinates. c(t) is a broken line with about one
+knot a turn.
 """
 
 from __future__ import annotations
@@ -32,11 +33,10 @@ def wandering_centre(
     still : bool
         The centre stays where it is.
 
-    Notes
-    -----
-    Gauss-Newton on |place - c(t)| = rho (1 + p cos 2 theta + q sin 2 theta), linear in knots, rho, p, q for given theta;
-    outliers beyond 4 median absolute deviations are left out. The flattening is free here so that it does not leak into the
-    path, and is fitted again, with its tilt, by `tilt.fit_flattening`.
+    Notes ----- Gauss-Newton on |place - c(t)| = rho (1 + p cos 2 theta + q sin 2 theta), linear in knots,
+    rho, p, q for given theta; outliers beyond 4 median absolute deviations are left out. The flattening is
+    free here so that it does not leak into the path, and is fitted again, with its tilt, by
+    `tilt.fit_flattening`.
     """
     n = len(place)
     path = np.tile(np.asarray(start, dtype=np.float64), (n, 1))
@@ -57,9 +57,8 @@ def wandering_centre(
         solution, error = _robust(design, rho - typical)
         knots = basis.shape[1]
         path = path + np.stack([basis @ solution[:knots], basis @ solution[knots : 2 * knots]], axis=1)
-    # What is left of the radius bounds how far the centre still is from its place: sideways that turns the marker.
-    sigma = error
-    return CentrePath(path, np.full(n, max(sigma, 1e-3)), n // max(basis.shape[1] - 1, 1))
+    # What is left of the radius tells how far the centre may still be off; sideways that turns the marker.
+    return CentrePath(path, np.full(n, max(error, 1e-3)), n // max(basis.shape[1] - 1, 1))
 
 
 def _basis(v: Floats, use: npt.NDArray[np.bool_]) -> Floats:

@@ -24,7 +24,7 @@ def marker_track(
     sense: int,
     size: tuple[int, int],
 ) -> MarkerTrack:
-    """Build the record of one marker; corners and the paper's angle are given only where nothing hides the marker."""
+    """Build the record of one marker; its corners are given only where nothing hides the marker."""
     found = body.markers[paper.name]
     status = _status(paper, seen, np.isfinite(found.angle), size)
     ok = status == STATUS["ok"]
@@ -60,8 +60,9 @@ def _corners(seen: Sightings) -> Floats:
 def _status(paper: Paper, seen: Sightings, used: npt.NDArray[np.bool_], size: tuple[int, int]) -> Codes:
     """Say for each frame how a marker was seen.
 
-    ok: whole, with both corners. blurred: whole, but its corners are not to be made out. occluded: something stands
-    before a part of it. out_of_frame: a part lies outside the picture. lost: nothing like it where it should be.
+    ok: whole, with both corners. blurred: whole, but its corners are not to be made out. occluded: something
+    stands before a part of it. out_of_frame: a part lies outside the picture. lost: nothing like it where it
+    should be.
     """
     status = np.full(len(used), STATUS["lost"], dtype=np.int8)
     status[np.isfinite(seen.angle) & ~seen.open] = STATUS["occluded"]

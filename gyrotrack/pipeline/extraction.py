@@ -39,10 +39,11 @@ def extract(
     profile : Profile
         Its markers.
     capture_fps : float, optional
-        Frames per second of the camera; without it the profile's, the camera's tag, or the container's from 100 fps.
+        Frames per second of the camera; without it the profile's, the camera's tag, or the container's from
+        100 fps.
     body : {"casing", "rotor", "both"}, optional
-        "casing" looks at nothing else. "rotor" and "both" fail when that body is not seen; with "rotor" the casing
-        is kept where it is seen, because synchronising needs it. Without it all that is seen is kept.
+        "casing" looks at nothing else. "rotor" and "both" fail when that body is not seen; with "rotor" the
+        casing is kept where it is seen, because synchronising needs it. Without it all that is seen is kept.
     threads : int
         Threads of the decoder.
     progress : callable, optional
@@ -161,7 +162,12 @@ def _extra(scene: Scene, joint: Joint, rate_source: str) -> dict[str, Any]:
             for name, flat in joint.flattening.items()
         },
         "papers": {
-            p.name: {"colour": p.colour, "inner": p.inner, "outer": p.outer, "half_width": p.half_width, "contrast": list(p.contrast)}
+            p.name: {
+                "inner": p.inner,
+                "outer": p.outer,
+                "half_width": p.half_width,
+                "contrast": list(p.contrast),
+            }
             for p in scene.papers
         },
-    }  # fmt: skip
+    }

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack.angles.joining import BodyAngles, candidate, join, plausible
+from gyrotrack.angles.candidates import candidate, plausible
+from gyrotrack.angles.joining import BodyAngles, MarkerAngles, join
 from gyrotrack.angles.sense import find_sense, net_turn, unfold
 from gyrotrack.geometry.centre import CentrePath, smooth_path
 from gyrotrack.geometry.scene import Paper, Scene
@@ -19,7 +20,7 @@ from gyrotrack.profile import Profile
 Floats = npt.NDArray[np.float64]
 
 PLACE_ERROR = 0.12
-"""Error in px by place in the picture (uneven light, compression) where a body turns too little to show it."""
+"""Error in px by place in the picture (light, compression) where a body turns too little to show it."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,8 @@ def join_bodies(seen: Watched, scene: Scene, profile: Profile, fps: float) -> Jo
             warnings.append(
                 f"the {name} turns by more than half a turn between frames; its sense is taken as known"
             )
+    for name, body in bodies.items():
+        bodies[name] = _zeroed(body, profile, sense)
     return Joint(centre, bodies, flattening, sense, tuple(warnings))
 
 
@@ -98,13 +101,10 @@ def _joined(
     flat = NO_FLATTENING
     if profile.tilt_correction:
         flat = fit_flattening({m: v[whole[m] & np.isfinite(v).all(axis=1)] for m, v in place.items()})
-    fixed = {marker.name for marker in profile.marker if marker.mount_angle is not None}
     candidates = {}
     for p in papers:
-        found = candidate(
-            sights.markers[p.name], _direction(flat, p.name, place[p.name]), p.mount, given=p.name in fixed
-        )
-        candidates[p.name] = replace(found, good=found.good & inside[p.name])
+        looks = candidate(sights.markers[p.name], _direction(flat, p.name, place[p.name]), p.mount)
+        candidates[p.name] = replace(looks, good=looks.good & inside[p.name])
     radius = float(np.mean([p.radius for p in papers]))
     joined = join(sights.coarse, candidates, fps, casing, floor=PLACE_ERROR / radius)
     # The markers share the centre: its error does not show in their scatter and does not average out.
@@ -115,6 +115,19 @@ def _joined(
 def _direction(flat: Flattening, name: str, place: Floats) -> Floats:
     level = flat.level(name, place)
     return np.asarray(np.arctan2(level[:, 1], level[:, 0]))
+
+
+def _zeroed(body: BodyAngles, profile: Profile, sense: int) -> BodyAngles:
+    """Move the body's zero to where the profile puts it by naming a mount angle, if it names one."""
+    named = {
+        m.name: m.mount_angle for m in profile.marker if m.mount_angle is not None and m.name in body.markers
+    }
+    if not named:
+        return body
+    turn = [np.exp(1j * (sense * angle - body.markers[name].mount)) for name, angle in named.items()]
+    shift = float(np.angle(np.sum(turn)))
+    markers = {name: MarkerAngles(m.angle, m.sigma, m.mount + shift) for name, m in body.markers.items()}
+    return replace(body, angle=body.angle - shift, markers=markers)
 
 
 def _credible(body: BodyAngles) -> bool:

@@ -22,7 +22,8 @@ class Blob:
     weight : float
         Sum of their scores.
     fill : float
-        Area over that of the smallest circle with the same extent: 1 for a disc, less for rectangles and arcs.
+        Area over that of the smallest circle with the same extent: 1 for a disc, less for rectangles and
+        arcs.
     """
 
     x: float
@@ -37,13 +38,14 @@ def find_blobs(
 ) -> list[Blob]:
     """Find the strongest connected patches above a threshold, strongest first."""
     mask = (score > threshold).astype(np.uint8)
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    count, found_labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    labels = np.asarray(found_labels, dtype=np.int32)
     areas = stats[1:count, cv2.CC_STAT_AREA]
     found = []
     for label in (np.argsort(-areas)[: 4 * most] + 1).tolist():
         if areas[label - 1] < least_area:
             break
-        found.append(_blob(score, labels, stats[label], label))
+        found.append(_blob(score, labels, np.asarray(stats[label], dtype=np.int32), label))
     return sorted(found, key=lambda blob: -blob.weight)[:most]
 
 

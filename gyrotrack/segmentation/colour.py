@@ -1,8 +1,8 @@
 """Named colours as directions of chroma, and how strongly a pixel has one of them.
 
 In the chroma plane (U - U0, V - V0) a hue is a direction, whatever the brightness of the lamp. A name covers
-a sector of +-45 degrees about its direction: "red" takes in dark red and orange-red, "blue" also cyan-blue, "green" also
-yellow-green. The true shade is then measured in the clip.
+a sector of +-45 degrees about its direction: "red" takes in dark red and orange-red, "blue" also cyan-blue,
+"green" also yellow-green. The true shade is then measured in the clip.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ def chroma_direction(colour: str) -> tuple[float, float]:
 def hue_score(du: npt.ArrayLike, dv: npt.ArrayLike, direction: tuple[float, float]) -> Floats:
     """Return how far a chroma difference reaches into the sector of a hue.
 
-    The score is p - |q|, with p the part of (du, dv) along the direction and q the part across it; it is positive
-    within 45 degrees of the direction, and cut off at zero outside.
+    The score is p - |q|, with p the part of (du, dv) along the direction and q the part across it; it is
+    positive within 45 degrees of the direction, and cut off at zero outside.
     """
     u, v = np.asarray(du, dtype=np.float32), np.asarray(dv, dtype=np.float32)
     along = direction[0] * u + direction[1] * v

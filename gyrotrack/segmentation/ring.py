@@ -1,13 +1,14 @@
 """A ring about a centre, unrolled: rows are radii, columns are angles.
 
-A marker that turns about the centre only shifts along such a strip, and its edges stand upright in it. Angles are
-counter-clockwise as seen, atan2(-(y - cy), x - cx); pixel centres are at integers.
+A marker that turns about the centre only shifts along such a strip, and its edges stand upright in it.
+Angles are counter-clockwise as seen, atan2(-(y - cy), x - cx); pixel centres are at integers.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import cv2
 import numpy as np
@@ -18,7 +19,7 @@ from gyrotrack.video.planes import Plane
 Maps = tuple[npt.NDArray[np.int16], npt.NDArray[np.uint16]]
 
 CHROMA_SHIFT = (0.0, 0.5)
-"""Where the first chroma sample lies in luma px (x, y): H.264 places it on the left column, between two rows."""
+"""Where the first chroma sample lies in luma px (x, y): on the left column, between two rows."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +86,14 @@ def unroll(plane: Plane, maps: Maps, out: Plane | None = None) -> Plane:
     """Sample a plane along a ring (bilinear); beyond the picture its border is repeated."""
     strip = cv2.remap(plane, maps[0], maps[1], cv2.INTER_LINEAR, dst=out, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(strip, dtype=np.uint8)
+
+
+def boxed(profile: npt.NDArray[np.floating[Any]], half: int) -> npt.NDArray[np.float64]:
+    """Average profiles that close on themselves, (n, columns), over 2 half + 1 columns."""
+    width = 2 * half + 1
+    padded = np.concatenate([profile[:, -half:], profile, profile[:, :half]], axis=1).astype(np.float64)
+    total = np.cumsum(np.pad(padded, ((0, 0), (1, 0))), axis=1)
+    return np.asarray((total[:, width:] - total[:, :-width]) / width)
 
 
 def _fixed(x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]) -> Maps:

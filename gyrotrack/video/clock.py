@@ -1,7 +1,7 @@
 """When a frame was captured: the capture rate, and what the time stamps give away.
 
-A frame's time is its index divided by the capture rate. Slow-motion films are stored at a lower rate than they
-were captured with, so a container's rate below 100 fps is never taken for the capture rate by itself.
+A frame's time is its index divided by the capture rate. Slow-motion films are stored at a lower rate than
+they were captured with, so a container's rate below 100 fps is never taken for the capture rate by itself.
 """
 
 from __future__ import annotations
@@ -53,7 +53,8 @@ def _differences(info: ClipInfo, fps: float, source: str) -> tuple[str, ...]:
     found = []
     if np.isfinite(info.container_fps) and abs(fps / info.container_fps - 1.0) > 1.0e-3:
         found.append(
-            f"the container plays at {info.container_fps:g} fps; times are from the capture rate of {fps:g} fps ({source})"
+            f"the container plays at {info.container_fps:g} fps; "
+            f"times are from the capture rate of {fps:g} fps ({source})"
         )
     if info.tag_fps is not None and abs(fps / info.tag_fps - 1.0) > 1.0e-3:
         found.append(f"the camera's own tag says {info.tag_fps:g} fps, not {fps:g}")

@@ -80,13 +80,12 @@ def orientation_of(frame: Any) -> Orientation:
     if data is None:
         return Orientation()
     a, b, _, c, d, *_ = struct.unpack("<9i", bytes(data)[:36])
-    sign = (int(np.sign(round(a / 65536))), int(np.sign(round(b / 65536))))
-    sign += (int(np.sign(round(c / 65536))), int(np.sign(round(d / 65536))))
-    return _ORIENTATIONS.get(sign, Orientation())
+    signs = tuple(int(np.sign(round(entry / 65536))) for entry in (a, b, c, d))
+    return _ORIENTATIONS.get(signs, Orientation())
 
 
 # (a, b, c, d) maps coded (x, y) to shown (a x + c y, b x + d y), y downwards.
-_ORIENTATIONS = {
+_ORIENTATIONS: dict[tuple[int, ...], Orientation] = {
     (1, 0, 0, 1): Orientation(),
     (0, 1, -1, 0): Orientation(quarters=3),
     (-1, 0, 0, -1): Orientation(quarters=2),

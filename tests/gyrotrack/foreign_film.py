@@ -1,7 +1,7 @@
 """A second, independent renderer of the paper's scene, so that tracking is not tuned to one oracle.
 
-It paints polygons with OpenCV at twice the size, averages sub-exposures, adds light and noise in sRGB, and encodes with
-libx264 from RGB. It shares no code with the package.
+It paints polygons with OpenCV at twice the size, averages sub-exposures, adds light and noise in sRGB, and
+encodes with libx264 from RGB. It shares no code with the package.
 """
 
 from __future__ import annotations
