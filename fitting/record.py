@@ -216,6 +216,10 @@ def _column(path: Path, file: Any, group: str, name: str) -> Array:
     data = file[f"{group}/{name}"]
     if not isinstance(data, h5py.Dataset) or data.ndim != 1 or data.is_virtual or data.external:
         raise RecordError(f"{path}: {group}/{name} is not a plain column")
+    if data.dtype.kind not in "fiu":
+        raise RecordError(f"{path}: {group}/{name} holds no real numbers")
+    if data.size != file[f"{group}/time"].size:
+        raise RecordError(f"{path}: {group}/{name} and {group}/time have different lengths")
     if data.size > _MAX_SAMPLES:
         raise RecordError(f"{path}: {group}/{name} claims {data.size} samples")
     return np.asarray(data[()], dtype=float)
