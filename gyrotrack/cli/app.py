@@ -73,6 +73,8 @@ def root(
 
 def main() -> None:
     """Run the program on the command line's arguments and leave with its exit code."""
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+        os.environ.setdefault(name, "1")  # many small matrices: threads only get into each other's way
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")  # a terminal that cannot show a letter is no reason to fail

@@ -67,6 +67,7 @@ def _study(out: Output, case: Path, output: Path) -> dict[str, Any]:
     from fitting.model import Model
     from fitting.summary import diagnosis_document, fit_document, ladder_verdict
     from gyrotrack.cli.study import open_study
+    from gyrotrack.dataset import read_case
     from gyrotrack.report import write_report
 
     ledger = Ledger.beside(case).path
@@ -89,7 +90,12 @@ def _study(out: Output, case: Path, output: Path) -> dict[str, Any]:
     out.show(*ladder_tables(steps))
     out.show(f"\n6. The report\n\n$ gyrotrack report {case} -o {output / 'report.html'}")
     report = write_report(
-        output / "report.html", rungs, diagnosis, case_files=[case], provenance={"command": "gyrotrack demo"}, force=True
+        output / "report.html",
+        rungs,
+        diagnosis,
+        recordings=[read_case(case)],
+        provenance={"command": "gyrotrack demo"},
+        force=True,
     )
     return {
         "case": case,
