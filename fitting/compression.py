@@ -146,28 +146,36 @@ def _block(samples: Samples, where: slice, degree: int, *, harmonics: bool) -> _
     middle, half = 0.5 * (t[0] + t[-1]), 0.5 * (t[-1] - t[0])
     extra = min(_NOISE_ROWS, max(0, len(t) - k - HARMONICS - 6))
     powers = chebyshev.chebvander((t - middle) / half, degree + extra)
-    columns = [powers[:, :k]]
-    if harmonics:
-        columns.append(np.stack([np.cos(y), np.sin(y), np.cos(2 * y), np.sin(2 * y)], axis=1))
-    columns.append(powers[:, k:])
-    design = np.concatenate(columns, axis=1) / sigma[:, None]
+    waves = _independent_harmonics(y, powers[:, :k]) if harmonics else np.zeros((len(t), 0))
+    chosen = np.flatnonzero(np.any(waves != 0, axis=0))
+    design = np.concatenate([powers[:, :k], waves[:, chosen], powers[:, k:]], axis=1) / sigma[:, None]
     q, r = np.linalg.qr(design)
     # one sign in all blocks, so that a steady harmonic gives steady rows
     sign = np.where(np.diag(r) < 0, -1.0, 1.0)
     q, r = q * sign, r * sign[:, None]
-    kept = k + HARMONICS * harmonics
-    # a harmonic that is nearly a polynomial here (less than a turn in the block) says nothing of its own
-    independent = np.abs(np.diag(r)) > _MIN_INDEPENDENCE * np.linalg.norm(design, axis=0)
-    rows = q[:, :kept].T / sigma
-    rows[k:] *= independent[k:kept, None]
+    kept = k + len(chosen)
+    rows = np.zeros((k + HARMONICS * harmonics, len(t)))
+    rows[np.concatenate([np.arange(k), k + chosen])] = q[:, :kept].T / sigma
     x = np.cos(np.pi * (np.arange(k) + 0.5) / k)
     lift = r[:k, :k] @ np.linalg.inv(chebyshev.chebvander(x, degree))
     projected = q.T @ (y / sigma)
-    noise = projected[kept:][independent[kept:]]
+    noise = projected[kept:]
     rest = float(np.sum((y / sigma) ** 2) - np.sum(projected[:kept] ** 2))
     if rest < 1e-6 * np.sum((y / sigma) ** 2):  # large angles: subtract before squaring
         rest = float(np.sum((y / sigma - q[:, :kept] @ projected[:kept]) ** 2))
     return _Block(where, middle + half * x, lift, rows, noise, rest, max(0, len(t) - kept))
+
+
+def _independent_harmonics(y: Array, polynomials: Array) -> Array:
+    """Return cos y, sin y, cos 2y, sin 2y, with zeros for those that are nearly polynomials here.
+
+    In less than a turn a harmonic says nothing of its own; what is left of it beside the polynomials would
+    be the noise of y itself, which must not be taken for a signal.
+    """
+    waves = np.stack([np.cos(y), np.sin(y), np.cos(2 * y), np.sin(2 * y)], axis=1)
+    r = np.abs(np.diag(np.linalg.qr(np.concatenate([polynomials, waves], axis=1), mode="r")))
+    keep = r[polynomials.shape[1] :] > _MIN_INDEPENDENCE * np.linalg.norm(waves, axis=0)
+    return np.asarray(np.where(keep, waves, 0.0))
 
 
 def _restlessness(rows: Array) -> Array:

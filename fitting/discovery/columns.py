@@ -130,9 +130,24 @@ class CaseColumns:
                 for phi in ((0.0, np.pi / 2) if phase else (0.0,))
             ]
         unit = np.stack([v * np.ones(len(self.response.centres)) for v in law], axis=1)
+        if effect.breakpoint:
+            self._part_of_cell(effect, values, unit)
         on_rotor = {"rotor": 1.0, "casing": 0.0}.get(effect.joint, -1.0)
         on_casing = {"rotor": 0.0, "casing": 1.0}.get(effect.joint, 1.0)
         return on_rotor * unit, on_casing * unit
+
+    def _part_of_cell(self, effect: Effect, values: dict[str, Any], unit: Array) -> None:
+        """Let a jump within a cell act for the part of the cell that comes after it."""
+        edges = self.response.edges
+        cell = int(np.searchsorted(edges, values[effect.breakpoint], side="right")) - 1
+        if not 0 <= cell < len(unit):
+            return
+        late = (edges[cell + 1] - values[effect.breakpoint]) / (edges[cell + 1] - edges[cell])
+        here = {k: v[cell] if isinstance(v, np.ndarray) and v.ndim else v for k, v in values.items()}
+        before, after = (
+            Tape([effect.expression])(here | {"t": float(t)})[0] for t in (edges[cell] - 1e-9, edges[cell + 1] + 1e-9)
+        )
+        unit[cell] = (1 - late) * before + late * after
 
     def _state(self, effect: Effect, shape: dict[str, float]) -> Array:
         """Integrate the effect's own state along the base's path (Crank-Nicolson on the cells)."""

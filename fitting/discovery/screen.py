@@ -27,6 +27,9 @@ Array = NDArray[np.float64]
 
 _LEVELS = 9
 _CAMERA_WIDTH = 6
+_SHARPENED = 0.1
+_ROUNDS = 3
+_POINTS = 9
 # share of a column that is left beside the base, angles taken as exact, below which the base mimics it
 _ABSORBED = 1e-7
 
@@ -88,7 +91,39 @@ def screen(
         In the order of the effects.
     """
     stage = _Stage(fit, draws)
-    return [_score(stage, effect, _trials(effect, cases)) for effect in effects]
+    tried = {e.name: _trials(e, cases) for e in effects}
+    scores = [_score(stage, effect, tried[effect.name]) for effect in effects]
+    promising = _SHARPENED * max((s.score for s in scores), default=0.0)
+    return [_sharpened(stage, s, tried[s.effect.name], cases) if s.score > promising else s for s in scores]
+
+
+def _sharpened(stage: _Stage, score: Score, tried: list[list[Trial]], cases: Sequence[CaseColumns]) -> Score:
+    """Search between the points of the grid for a better shape constant, for effects that have one."""
+    shapes = [p.symbol for p in score.effect.parameters if p.role == "shape"]
+    if len(shapes) != 1:
+        return score
+    symbol, own = shapes[0], _own(score.effect, len(cases))
+    best = score
+    reach = [_neighbours([t.shape[symbol] for t in trials], best.shape[i][symbol]) for i, trials in enumerate(tried)]
+    for _ in range(_ROUNDS):
+        values = [np.linspace(low, high, _POINTS) for low, high in reach]
+        if not own:
+            values = [values[0]] * len(cases)
+        fresh = [c.trials(score.effect, [{symbol: float(x)} for x in v]) for c, v in zip(cases, values, strict=True)]
+        found = _score(stage, score.effect, fresh)
+        if found.score > best.score:
+            best = replace(found, null=score.null, trials=score.trials)
+        reach = [_neighbours(list(v), best.shape[i][symbol]) for i, v in enumerate(values)]
+    return best
+
+
+def _neighbours(grid: list[float], value: float) -> tuple[float, float]:
+    """Return the points of a grid next to a value."""
+    ordered = np.sort(np.array(grid))
+    below, above = ordered[ordered < value - 1e-12 * abs(value)], ordered[ordered > value + 1e-12 * abs(value)]
+    step = (ordered[-1] - ordered[0]) / max(len(ordered) - 1, 1)
+    low = below[-1] if len(below) else max(value - step, 0.3 * value)
+    return float(low), float(above[0] if len(above) else value + step)
 
 
 def _own(effect: Effect, cases: int) -> bool:
