@@ -145,7 +145,8 @@ class CaseColumns:
         late = (edges[cell + 1] - values[effect.breakpoint]) / (edges[cell + 1] - edges[cell])
         here = {k: v[cell] if isinstance(v, np.ndarray) and v.ndim else v for k, v in values.items()}
         before, after = (
-            Tape([effect.expression])(here | {"t": float(t)})[0] for t in (edges[cell] - 1e-9, edges[cell + 1] + 1e-9)
+            Tape([effect.expression])(here | {"t": float(t)})[0]
+            for t in (edges[cell] - 1e-9, edges[cell + 1] + 1e-9)
         )
         unit[cell] = (1 - late) * before + late * after
 

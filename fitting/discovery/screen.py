@@ -30,6 +30,7 @@ _CAMERA_WIDTH = 6
 _SHARPENED = 0.1
 _ROUNDS = 3
 _POINTS = 9
+_MOST_SWEPT = 4
 # share of a column that is left beside the base, angles taken as exact, below which the base mimics it
 _ABSORBED = 1e-7
 
@@ -104,12 +105,18 @@ def _sharpened(stage: _Stage, score: Score, tried: list[list[Trial]], cases: Seq
         return score
     symbol, own = shapes[0], _own(score.effect, len(cases))
     best = score
-    reach = [_neighbours([t.shape[symbol] for t in trials], best.shape[i][symbol]) for i, trials in enumerate(tried)]
+    reach = [
+        _neighbours([t.shape[symbol] for t in trials], best.shape[i][symbol])
+        for i, trials in enumerate(tried)
+    ]
     for _ in range(_ROUNDS):
         values = [np.linspace(low, high, _POINTS) for low, high in reach]
         if not own:
             values = [values[0]] * len(cases)
-        fresh = [c.trials(score.effect, [{symbol: float(x)} for x in v]) for c, v in zip(cases, values, strict=True)]
+        fresh = [
+            c.trials(score.effect, [{symbol: float(x)} for x in v])
+            for c, v in zip(cases, values, strict=True)
+        ]
         found = _score(stage, score.effect, fresh)
         if found.score > best.score:
             best = replace(found, null=score.null, trials=score.trials)
@@ -120,7 +127,10 @@ def _sharpened(stage: _Stage, score: Score, tried: list[list[Trial]], cases: Seq
 def _neighbours(grid: list[float], value: float) -> tuple[float, float]:
     """Return the points of a grid next to a value."""
     ordered = np.sort(np.array(grid))
-    below, above = ordered[ordered < value - 1e-12 * abs(value)], ordered[ordered > value + 1e-12 * abs(value)]
+    below, above = (
+        ordered[ordered < value - 1e-12 * abs(value)],
+        ordered[ordered > value + 1e-12 * abs(value)],
+    )
     step = (ordered[-1] - ordered[0]) / max(len(ordered) - 1, 1)
     low = below[-1] if len(below) else max(value - step, 0.3 * value)
     return float(low), float(above[0] if len(above) else value + step)
@@ -181,6 +191,11 @@ class _Stage:
         value = float(r @ r) + sum(w.log_determinant for w in whiteners)  # type: ignore[attr-defined]
         return q, r, value
 
+    def beside(self, columns: Array) -> list[tuple[Array, Array, float]]:
+        """Return the levels with further columns free."""
+        free = np.concatenate([self.free, columns], axis=1)
+        return [self._level(w, free, self.residual) for w in self.whiteners]
+
     def without(self, name: str) -> list[tuple[Array, Array, float]]:
         """Return the levels with a camera's nuisance taken out of what is free."""
         skip = [int(end) - _CAMERA_WIDTH + i for end in self.nuisance_at[1:] for i in CAMERA_COLUMNS[name]]
@@ -194,12 +209,30 @@ def _score(stage: _Stage, effect: Effect, trials: list[list[Trial]]) -> Score:
     if not own or len(trials[0]) == 1:
         groups = _stack(trials, own)
         return _search(stage, effect, groups, levels)
-    # each case chooses its shapes by itself; then all are scored together
-    singles = [_search(stage, effect, _alone(stage, t, i), levels) for i, t in enumerate(trials)]
-    chosen = [[next(t for t in ts if t.shape == s.shape[0])] for ts, s in zip(trials, singles, strict=True)]
-    together = _search(stage, effect, _stack(chosen, own), levels)
-    null = np.sum([s.null for s in singles], axis=0)
+    chosen, null = _choose(stage, effect, trials, levels)
+    together = _search(stage, effect, _stack([[t] for t in chosen], own), levels)
     return replace(together, null=null, trials=sum(len(t) for t in trials))
+
+
+def _choose(
+    stage: _Stage, effect: Effect, trials: list[list[Trial]], levels: list[tuple[Array, Array, float]]
+) -> tuple[list[Trial], Array]:
+    """Let each case choose its shapes: the clearest first, then the others beside it, then all once more."""
+    groups = [_alone(stage, t, i) for i, t in enumerate(trials)]
+    singles = [_search(stage, effect, g, levels) for g in groups]
+    chosen = [_place(t, s) for t, s in zip(trials, singles, strict=True)]
+    order = sorted(range(len(trials)), key=lambda i: -singles[i].score)
+    if len(trials) <= _MOST_SWEPT:
+        for i in [*order[1:], *order]:
+            beside = [groups[j][chosen[j]][1] for j in order if j != i]
+            inner = stage.beside(np.concatenate(beside, axis=1))
+            chosen[i] = _place(trials[i], _search(stage, effect, groups[i], inner))
+    null = np.sum([s.null for s in singles], axis=0)
+    return [t[k] for t, k in zip(trials, chosen, strict=True)], null
+
+
+def _place(trials: list[Trial], score: Score) -> int:
+    return next(k for k, t in enumerate(trials) if t.shape == score.shape[0])
 
 
 def _alone(stage: _Stage, trials: list[Trial], case: int) -> list[tuple[tuple[dict[str, float], ...], Array]]:
