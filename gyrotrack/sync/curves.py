@@ -7,10 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack.angles import median_smooth
 from gyrotrack.dataset.records import Floats, Recording
 from gyrotrack.errors import SyncError
 
 FEWEST = 60
+NEIGHBOURS = 15
 SHORTEST = 0.2
 
 
@@ -62,7 +64,21 @@ def casing_curve(recording: Recording, name: str) -> Curve:
             f"{name} shows the casing in only {len(curve.time)} frames.",
             f"At least {FEWEST} frames over {SHORTEST} s are needed.",
         )
-    return curve
+    return without_outliers(curve)
+
+
+def without_outliers(curve: Curve) -> Curve:
+    """Return the curve without samples that lie apart from their neighbours.
+
+    The speed, as a running median, is integrated and taken off; what remains drifts slowly, and a sample more
+    than six spreads from the median around it is left out.
+    """
+    step = np.diff(curve.time)
+    speed = median_smooth(np.diff(curve.angle) / step, NEIGHBOURS)
+    left = curve.angle - np.concatenate([[0.0], np.cumsum(speed * step)])
+    apart = np.abs(left - median_smooth(left, NEIGHBOURS))
+    spread = 1.4826 * float(np.median(apart))
+    return curve.keep(apart <= 6 * spread) if spread > 0 else curve
 
 
 def harmonics(angle: Floats) -> Floats:

@@ -112,7 +112,7 @@ def _match_camera(prepared: list[Prepared]) -> list[Match]:
     fits = [_solve(pairs, combo, common_rate=common) for combo in _combinations(prepared)]
     best = min(fits, key=lambda fit: fit.chi2)
     if common:
-        free = _solve(pairs, best.starts, common_rate=False)
+        free = _solve(pairs, best.starts, common_rate=False, windows=best.windows)
         if chi2_distribution.sf(best.chi2 - free.chi2, len(prepared) - 1) < 1e-4:
             common, fits = (
                 False,
@@ -148,8 +148,9 @@ def _solve(
     *,
     common_rate: bool,
     turns: Sequence[int | None] | None = None,
+    windows: Sequence[Start] | None = None,
 ) -> Solution:
-    return solve(pairs, starts, rate_sigma=RATE_SIGMA, common_rate=common_rate, turns=turns)
+    return solve(pairs, starts, rate_sigma=RATE_SIGMA, common_rate=common_rate, turns=turns, windows=windows)
 
 
 def _combinations(prepared: list[Prepared]) -> list[tuple[Start, ...]]:

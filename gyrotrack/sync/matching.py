@@ -1,14 +1,13 @@
 """Least squares for the start, clock rate and direction of clips, from the casing's angle in both cameras.
 
-While a clip runs, the true angle of the casing is a quintic spline psi(t) on the casing camera's clock. Both
-cameras measure it, each with harmonics of its own (H: sin, cos of one and two turns):
+While a clip runs, the casing's camera knows the true angle psi(t) as a `stretch.Stretch`. The other camera
+sees the same, on its own clock, from its own direction, with harmonics of its own:
 
-    psi_A(t)          = psi(t) + H_A
     psi_B(s) + offset = psi(t0 + (1 + eps) s) + H_B
 
-The spline and the harmonics are linear; they are eliminated, which leaves for each clip a 3 x 3 normal matrix
-of (t0, eps, offset). The clips of one camera are then solved together, with a common rate and, if asked for,
-a common offset, by Gauss-Newton steps.
+Spline and harmonics are linear; they are eliminated, which leaves for each clip a 3 x 3 normal matrix of
+(t0, eps, offset). The clips of one camera are then solved together, with a common rate and, if asked for, a
+common offset, by Gauss-Newton steps. chi2 is that of the clips, given what the casing's camera saw.
 """
 
 from __future__ import annotations
@@ -17,18 +16,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import BSpline
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import block_diag, cho_factor, cho_solve
 
 from gyrotrack.dataset.records import Floats
 from gyrotrack.sync.curves import Curve, harmonics
+from gyrotrack.sync.stretch import HARMONIC_SIGMA, HARMONICS, Stretch, stretch, window
 
-DEGREE = 5
-HARMONIC_SIGMA = 0.02  # rad; larger harmonics are not expected of any camera
-MARGIN = 2.0  # the spline reaches beyond the clip by this part of half its length
 MAX_STEP = 0.3  # s
 MAX_ROUNDS = 40
+MAX_HALVINGS = 6
+CLOSE = 1e-3  # expected fall of chi2 at which the search ends
 TURN = 2 * np.pi
+
+Part = tuple[Curve, Stretch]
 
 
 @dataclass(frozen=True)
@@ -39,10 +39,9 @@ class Start:
     eps: float
     angle: float
 
-    @property
-    def vector(self) -> Floats:
-        """Offset [s], eps [1] and angle [rad] as an array."""
-        return np.array([self.offset, self.eps, self.angle])
+    def moments(self, time: Floats) -> Floats:
+        """Return times of the clip's clock on the casing's clock [s]."""
+        return self.offset + (1 + self.eps) * time
 
 
 @dataclass(frozen=True)
@@ -76,63 +75,58 @@ class Solution:
     covariance : ndarray, shape (3 k, 3 k)
         Of (offset, eps, angle) of all clips, one after the other.
     chi2 : float
-        Sum of squares at the best point, with the prior of the rate.
+        Sum of squares of the clips at the best point, with the prior of the rate.
     converged : bool
         Whether the steps became small.
+    windows : tuple of Start
+        The starts about which the windows lie; solutions with the same windows can be compared in chi2.
     """
 
     starts: tuple[Start, ...]
     covariance: Floats
     chi2: float
     converged: bool
+    windows: tuple[Start, ...]
 
     def sigma(self, clip: int) -> Floats:
         """Return the uncertainties of offset, eps and angle of one clip."""
         return np.sqrt(np.diag(self.covariance)[3 * clip : 3 * clip + 3])
 
 
-def normal(pair: Pair, start: Start) -> Normal:
-    """Return the normal equations of one clip about `start`, spline and harmonics eliminated."""
-    clip = pair.clip
-    moment = start.offset + (1 + start.eps) * clip.time
-    middle, width = (moment[0] + moment[-1]) / 2, (moment[-1] - moment[0]) / 2
-    reach = (1 + MARGIN) * width
-    casing = pair.casing.between(middle - reach, middle + reach)
-    edges = min(casing.time[0], moment[0]), max(casing.time[-1], moment[-1])
-    curve = np.polynomial.Polynomial.fit((moment - middle) / width, clip.angle + start.angle, 4)
-    speed = curve.deriv()((moment - middle) / width) / width
-    knots = _knots(*edges, pair.intervals)
-    n, h = pair.intervals + DEGREE, 4
-    rows_a = np.zeros((len(casing.time), n + 2 * h))
-    rows_b = np.zeros((len(moment), n + 2 * h))
-    rows_a[:, :n] = BSpline.design_matrix(casing.time, knots, DEGREE).toarray()
-    rows_b[:, :n] = BSpline.design_matrix(moment, knots, DEGREE).toarray()
-    rows_a[:, n : n + h] = harmonics(casing.angle)
-    rows_b[:, n + h :] = harmonics(clip.angle)
-    left_a = (casing.angle - curve((casing.time - middle) / width)) / casing.sigma
-    left_b = (clip.angle + start.angle - curve((moment - middle) / width)) / clip.sigma
+def surroundings(pair: Pair, start: Start) -> Stretch:
+    """Return the casing's motion in the window about a clip."""
+    first, last = start.moments(pair.clip.time[[0, -1]])
+    return stretch(pair.casing, window(first, last), pair.intervals)
+
+
+def normal(clip: Curve, start: Start, casing: Stretch) -> Normal:
+    """Return the normal equations of one clip about `start`, spline and harmonics eliminated.
+
+    Raises
+    ------
+    LinAlgError
+        The clip has left the window of `casing`.
+    """
+    moment = start.moments(clip.time)
+    design = casing.design(moment)
+    size = design.shape[1]
+    angle = design @ casing.best[:size] + casing.reference(moment)
+    left = (clip.angle + start.angle - angle) / clip.sigma
+    speed = casing.speed(moment)
     change = np.column_stack([speed, speed * clip.time, -np.ones_like(speed)]) / clip.sigma[:, None]
-    rows_a /= casing.sigma[:, None]
-    rows_b /= clip.sigma[:, None]
-    square = rows_a.T @ rows_a + rows_b.T @ rows_b
-    square[np.arange(n, n + 2 * h), np.arange(n, n + 2 * h)] += HARMONIC_SIGMA**-2
-    right = rows_a.T @ left_a + rows_b.T @ left_b
-    cross = rows_b.T @ change
+    unseen = np.zeros((len(moment), HARMONICS))
+    rows = np.hstack([design, unseen, harmonics(clip.angle)]) / clip.sigma[:, None]
+    square = rows.T @ rows + block_diag(casing.information, np.eye(HARMONICS) / HARMONIC_SIGMA**2)
+    right, cross = rows.T @ left, rows.T @ change
     factor = cho_factor(square)
     best = cho_solve(factor, right)
     return Normal(
         matrix=change.T @ change - cross.T @ cho_solve(factor, cross),
-        gradient=change.T @ left_b - cross.T @ best,
-        chi2=float(left_a @ left_a + left_b @ left_b - right @ best),
-        residual_casing=left_a - rows_a @ best,
-        residual_clip=left_b - rows_b @ best,
+        gradient=change.T @ left - cross.T @ best,
+        chi2=float(left @ left - right @ best),
+        residual_casing=casing.residual - casing.rows @ best[: size + HARMONICS],
+        residual_clip=left - rows @ best,
     )
-
-
-def _knots(start: float, stop: float, intervals: int) -> Floats:
-    margin = 1e-9 * max(1.0, abs(start), abs(stop))
-    inner = np.linspace(start - margin, stop + margin, intervals + 1)
-    return np.concatenate([np.repeat(inner[0], DEGREE), inner, np.repeat(inner[-1], DEGREE)])
 
 
 def solve(
@@ -142,6 +136,7 @@ def solve(
     rate_sigma: float,
     common_rate: bool = True,
     turns: Sequence[int | None] | None = None,
+    windows: Sequence[Start] | None = None,
 ) -> Solution:
     """Find the starts of clips together.
 
@@ -156,43 +151,75 @@ def solve(
     turns : sequence of int or None
         The clips with a number share one offset of the angle, up to that many whole turns; the others, with
         None, have their own.
+    windows : sequence of Start, or None
+        The starts about which the casing is looked at; `starts`, if not given.
+
+    Raises
+    ------
+    LinAlgError
+        A clip leaves its window, or the clips say nothing of some parameter.
     """
     shared = [turn is not None for turn in turns or [None] * len(pairs)]
     link = _link(common_rate=common_rate, shared_angle=shared)
     point = _on_lattice(starts, turns) if turns is not None else list(starts)
     if common_rate:
         point = [replace(start, eps=point[0].eps) for start in point]
+    windows = tuple(windows or starts)
+    parts = [(p.clip, surroundings(p, w)) for p, w in zip(pairs, windows, strict=True)]
+    here = _stack(parts, point, rate_sigma, link)
     converged = False
     for _ in range(MAX_ROUNDS):
-        matrix, gradient, chi2 = _stack(pairs, point, rate_sigma, link)
-        covariance = np.linalg.inv(matrix)
-        step = covariance @ gradient
-        longest = float(np.max(np.abs((link @ step)[::3])))
-        if converged or not np.isfinite(longest):
+        covariance = np.linalg.inv(here.matrix)
+        step = covariance @ here.gradient
+        converged = bool(step @ here.gradient < CLOSE)
+        found = None if converged else _downhill(parts, point, link @ step, here.chi2, rate_sigma, link)
+        if found is None:
             break
-        converged = bool(step @ gradient < 1e-4)  # chi2 changes by less than that
-        step = step * min(1.0, MAX_STEP / max(longest, 1e-300))
-        point = _moved(point, link @ step)
-    return Solution(tuple(point), link @ covariance @ link.T, chi2, converged)
+        point, here = found
+    return Solution(tuple(point), link @ covariance @ link.T, here.chi2, converged, windows)
 
 
-def _stack(
-    pairs: Sequence[Pair], point: Sequence[Start], rate_sigma: float, link: Floats
-) -> tuple[Floats, Floats, float]:
+@dataclass(frozen=True)
+class _Stacked:
+    """The normal equations of several clips in their free parameters."""
+
+    matrix: Floats
+    gradient: Floats
+    chi2: float
+
+
+def _downhill(
+    parts: Sequence[Part], point: list[Start], step: Floats, chi2: float, rate_sigma: float, link: Floats
+) -> tuple[list[Start], _Stacked] | None:
+    """Go along a step as far as chi2 falls; None if it does not."""
+    length = min(1.0, MAX_STEP / max(float(np.max(np.abs(step[::3]))), 1e-300))
+    for _ in range(MAX_HALVINGS):
+        there = _moved(point, length * step)
+        try:
+            stacked = _stack(parts, there, rate_sigma, link)
+        except np.linalg.LinAlgError:  # too far
+            stacked = None
+        if stacked is not None and stacked.chi2 < chi2:
+            return there, stacked
+        length /= 3
+    return None
+
+
+def _stack(parts: Sequence[Part], point: Sequence[Start], rate_sigma: float, link: Floats) -> _Stacked:
     """Sum the normal equations of all clips in the free parameters, with the prior of each free rate."""
-    size = 3 * len(pairs)
+    size = 3 * len(parts)
     matrix, gradient, chi2 = np.zeros((size, size)), np.zeros(size), 0.0
     rates = np.flatnonzero(link[1::3].any(axis=0))
-    for k, (pair, start) in enumerate(zip(pairs, point, strict=True)):
-        part = normal(pair, start)
+    for k, ((clip, casing), start) in enumerate(zip(parts, point, strict=True)):
+        part = normal(clip, start, casing)
         block = slice(3 * k, 3 * k + 3)
         matrix[block, block], gradient[block] = part.matrix, part.gradient
         chi2 += part.chi2
-        share = len(rates) / len(pairs) / rate_sigma**2  # a common rate has one prior, not one per clip
+        share = len(rates) / len(parts) / rate_sigma**2  # a common rate has one prior, not one per clip
         matrix[3 * k + 1, 3 * k + 1] += share
         gradient[3 * k + 1] -= start.eps * share
         chi2 += start.eps**2 * share
-    return link.T @ matrix @ link, link.T @ gradient, chi2
+    return _Stacked(link.T @ matrix @ link, link.T @ gradient, chi2)
 
 
 def _link(*, common_rate: bool, shared_angle: Sequence[bool]) -> Floats:

@@ -5,18 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from gyrotrack.dataset.records import Floats
 from gyrotrack.errors import SyncError
 from gyrotrack.sync.curves import Curve
-from gyrotrack.sync.matching import Normal, Pair, Solution, Start, normal, solve
+from gyrotrack.sync.matching import Normal, Pair, Solution, Start, normal, solve, surroundings
+from gyrotrack.sync.noise import BLOCKS, block_excess, block_means, correlation_factor, inliers
 from gyrotrack.sync.search import RATE_SIGMA, candidates
+from gyrotrack.sync.stretch import window
 
 INTERVALS = (2, 4, 8, 16, 32)
-FIRST_INTERVALS = 8
-OUTLIER = 6.0
-BLOCKS = 60
+PARAMETERS = 16  # beside the intervals: ends of the spline, harmonics, start, rate, direction
+ROUNDS = 2
 MISFIT = 0.015  # rad; two cameras that see the same motion agree better than this
 RATE_LIMIT = 5 * RATE_SIGMA
 RIVAL = 60.0  # chi2 above the best up to which another start is kept for the joint fit
@@ -43,20 +42,19 @@ def prepare(casing: Curve, clip: Curve, name: str) -> Prepared:
         No stretch of the casing's record moves like the clip.
     """
     guesses = [_guess(casing, clip, offset) for offset in candidates(casing, clip)]
-    pair = Pair(casing, clip, FIRST_INTERVALS)
-    solutions = _distinct(pair, guesses)
-    if not solutions:
-        raise _foreign(casing, clip, name, "no stretch of the record turns like it")
+    pair = Pair(casing, clip, INTERVALS[-1])
+    guesses = [guess for guess in guesses if _overlaps(pair, guess)]
+    solutions = _distinct(pair, guesses, 10 * RATE_LIMIT)
     rejected = 0
-    for _ in range(2):
-        best = solutions[0].starts[0]
-        pair = replace(pair, intervals=_intervals(pair, best))
-        pair, dropped = _with_true_noise(pair, best)
-        rejected += dropped
-        solutions = _distinct(pair, [s.starts[0] for s in solutions])
+    for _ in range(ROUNDS):
         if not solutions:
             raise _foreign(casing, clip, name, "no stretch of the record turns like it")
-    misfit = _misfit(normal(pair, solutions[0].starts[0]), pair)
+        pair, dropped = _tuned(pair, solutions[0].starts[0])
+        rejected += dropped
+        solutions = _distinct(pair, [solution.starts[0] for solution in solutions])
+    if not solutions:
+        raise _foreign(casing, clip, name, "no stretch of the record turns like it")
+    misfit = _misfit(_residuals(pair, solutions[0].starts[0]), pair)
     if misfit > MISFIT:
         raise _foreign(casing, clip, name, f"the best stretch differs by {1e3 * misfit:.0f} mrad")
     return Prepared(name, pair, tuple(solutions), misfit, rejected)
@@ -78,13 +76,13 @@ def _guess(casing: Curve, clip: Curve, offset: float) -> Start:
     return Start(offset, 0.0, float(np.interp(offset + middle, casing.time, casing.angle) - seen))
 
 
-def _distinct(pair: Pair, guesses: list[Start]) -> list[Solution]:
+def _distinct(pair: Pair, guesses: list[Start], rate_limit: float = RATE_LIMIT) -> list[Solution]:
     """Refine each guess and return the different solutions worth keeping, the best first."""
     found: list[Solution] = []
     for guess in guesses:
         if not _overlaps(pair, guess):
             continue
-        solution = _refine(pair, guess)
+        solution = _refine(pair, guess, rate_limit)
         if solution is not None:
             found.append(solution)
     found.sort(key=lambda solution: solution.chi2)
@@ -97,99 +95,77 @@ def _distinct(pair: Pair, guesses: list[Start]) -> list[Solution]:
     return distinct
 
 
-def _refine(pair: Pair, guess: Start) -> Solution | None:
+def _refine(pair: Pair, guess: Start, rate_limit: float) -> Solution | None:
     try:
         solution = solve([pair], [guess], rate_sigma=RATE_SIGMA)
     except (np.linalg.LinAlgError, ValueError):  # the search left the record, or the casing stands still
         return None
     start = solution.starts[0]
-    sound = abs(start.eps) < RATE_LIMIT and np.isfinite(solution.covariance).all() and _overlaps(pair, start)
+    sound = abs(start.eps) < rate_limit and np.isfinite(solution.covariance).all() and _overlaps(pair, start)
     return solution if sound else None
 
 
 def _overlaps(pair: Pair, start: Start) -> bool:
-    first, last = (start.offset + (1 + start.eps) * pair.clip.time[k] for k in (0, -1))
+    first, last = start.moments(pair.clip.time[[0, -1]])
     seen = pair.casing.between(first, last)
     interval = float(np.median(np.diff(pair.casing.time)))
     return bool(len(seen.time) > 0.5 * (last - first) / interval)
 
 
-def _intervals(pair: Pair, start: Start) -> int:
-    """Choose the spline's intervals: twice as many as the Bayesian information criterion wants.
+def _tuned(pair: Pair, start: Start) -> tuple[Pair, int]:
+    """Drop outliers, give both cameras their true sigma, and choose the spline's intervals.
 
-    The criterion tolerates a curve that is a little too stiff, which would bias the start within its error.
+    The noise is seen best under the most pliant spline. How pliant it need be, says the Bayesian information
+    criterion for the number of independent samples, and twice that is taken: a curve a little too stiff would
+    bias the start within its error. What is then left in averages over blocks raises sigma again.
     """
+    pair, rejected, independent = _with_true_noise(replace(pair, intervals=2 * INTERVALS[-1]), start)
 
     def criterion(intervals: int) -> float:
-        left = normal(replace(pair, intervals=intervals), start)
-        size = len(left.residual_clip) + len(left.residual_casing)
-        return float(size * np.log(left.chi2 / size) + intervals * np.log(size))
+        left = _residuals(replace(pair, intervals=intervals), start)
+        chi2 = np.sum(left.residual_clip**2) + np.sum(left.residual_casing**2)
+        return float(chi2 + intervals * np.log(independent))
 
-    longest = [n for n in INTERVALS if n * 8 < len(pair.clip.time)]
-    return 2 * min(longest, key=criterion)
+    pair = replace(pair, intervals=2 * min(INTERVALS, key=criterion))
+    left = _residuals(pair, start)
+    free = max(1 - (pair.intervals + PARAMETERS) / (2 * BLOCKS), 0.3)
+    casing, clip = (np.sqrt(block_excess(r, free)) for r in (left.residual_casing, left.residual_clip))
+    return replace(pair, casing=pair.casing.scaled(casing), clip=pair.clip.scaled(clip)), rejected
 
 
-def _with_true_noise(pair: Pair, start: Start) -> tuple[Pair, int]:
-    """Drop outliers and scale both cameras' sigma to what the residuals show."""
-    left = normal(pair, start)
-    moment = start.offset + (1 + start.eps) * pair.clip.time
-    first = int(np.searchsorted(pair.casing.time, _reach(moment)[0]))
-    good_clip, good_seen = _inliers(left.residual_clip), _inliers(left.residual_casing)
+def _with_true_noise(pair: Pair, start: Start) -> tuple[Pair, int, float]:
+    """Return the pair without outliers, with true sigmas, and the number of independent samples."""
+    left = _residuals(pair, start)
+    good_clip, good_seen = inliers(left.residual_clip), inliers(left.residual_casing)
+    edges = window(*start.moments(pair.clip.time[[0, -1]]))
+    first = int(np.searchsorted(pair.casing.time, edges[0]))
     good_casing = np.ones(len(pair.casing.time), dtype=bool)
     good_casing[first : first + len(good_seen)] = good_seen
-    parameters = pair.intervals + 16
-    used = parameters / (good_clip.sum() + good_seen.sum())
-    factors = [
-        _noise_factor(residual[good], used)
-        for residual, good in ((left.residual_casing, good_seen), (left.residual_clip, good_clip))
-    ]
-    scaled = replace(
-        pair,
-        casing=pair.casing.keep(good_casing).scaled(factors[0]),
-        clip=pair.clip.keep(good_clip).scaled(factors[1]),
+    residuals = left.residual_casing[good_seen], left.residual_clip[good_clip]
+    used = (pair.intervals + PARAMETERS) / sum(map(len, residuals))
+    factors = [correlation_factor(residual) for residual in residuals]
+    casing, clip = (
+        float(np.sqrt(np.mean(residual**2) / max(1 - used, 0.1) * factor))
+        for residual, factor in zip(residuals, factors, strict=True)
     )
-    return scaled, int((~good_clip).sum() + (~good_seen).sum())
+    independent = sum(len(residual) / factor for residual, factor in zip(residuals, factors, strict=True))
+    cleaned = replace(
+        pair,
+        casing=pair.casing.keep(good_casing).scaled(casing),
+        clip=pair.clip.keep(good_clip).scaled(clip),
+    )
+    return cleaned, int((~good_clip).sum() + (~good_seen).sum()), independent
 
 
-def _reach(moment: Floats) -> tuple[float, float]:
-    from gyrotrack.sync.matching import MARGIN
-
-    middle, width = (moment[0] + moment[-1]) / 2, (moment[-1] - moment[0]) / 2
-    return middle - (1 + MARGIN) * width, middle + (1 + MARGIN) * width
-
-
-def _inliers(residual: Floats) -> npt.NDArray[np.bool_]:
-    spread = 1.4826 * float(np.median(np.abs(residual)))
-    return np.asarray(np.abs(residual) < OUTLIER * max(spread, 1e-300))
-
-
-def _noise_factor(residual: Floats, used: float) -> float:
-    """Return by how much sigma must grow: the spread, and the correlation from sample to sample.
-
-    What matters for slow quantities is the noise of averages over blocks; it is taken only when it stands out
-    from that of independent samples by more than 3.5 sigma.
-    """
-    variance = float(np.mean(residual**2)) / max(1 - used, 0.1)
-    excess, blocks = _block_excess(residual)
-    free = max(1 - used * len(residual) / blocks, 0.2)
-    stands_out = excess / free > 1 + 3.5 * np.sqrt(2 / blocks)
-    return float(np.sqrt(variance * (excess / free if stands_out else 1.0)))
-
-
-def _block_excess(residual: Floats) -> tuple[float, int]:
-    """Return the variance of block means, relative to independent samples, and the number of blocks."""
-    length = max(len(residual) // BLOCKS, 2)
-    blocks = len(residual) // length
-    means = residual[: blocks * length].reshape(blocks, length).mean(axis=1)
-    return float(length * np.mean(means**2) / max(np.mean(residual**2), 1e-300)), blocks
+def _residuals(pair: Pair, start: Start) -> Normal:
+    return normal(pair.clip, start, surroundings(pair, start))
 
 
 def _misfit(left: Normal, pair: Pair) -> float:
     """Return by how much the cameras disagree beyond the noise of single frames [rad]."""
     total = 0.0
     for residual, sigma in ((left.residual_casing, pair.casing.sigma), (left.residual_clip, pair.clip.sigma)):
-        length = max(len(residual) // BLOCKS, 2)
-        blocks = len(residual) // length
-        means = residual[: blocks * length].reshape(blocks, length).mean(axis=1)
-        total += (float(np.mean(means**2)) - 1 / length) * float(np.median(sigma)) ** 2
+        means, length = block_means(residual)
+        noise = float(np.mean(residual**2)) / length
+        total += (float(np.mean(means**2)) - noise) * float(np.median(sigma)) ** 2
     return float(np.sqrt(max(total, 0.0)))
