@@ -87,7 +87,8 @@ def minimise(
             break
         try:
             r_new, j_new = problem(np.clip(x + step, lower, upper))
-            cost_new = float(r_new @ r_new)
+            with np.errstate(over="ignore"):
+                cost_new = float(r_new @ r_new)
         except SimulationError:
             cost_new = np.inf
         fall = cost - cost_new

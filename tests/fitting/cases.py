@@ -1,0 +1,35 @@
+"""Fits of simulated recordings that several tests look at, each computed once."""
+
+from functools import lru_cache
+
+import twobody
+
+from fitting.case_data import CaseData
+from fitting.effects import REDUCED
+from fitting.estimation import fit
+from fitting.model import Model
+from fitting.record import make_record
+
+HIDDEN = {
+    "nothing": twobody.Hidden(),
+    "step": twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -1e-6 if t > 88 else 0.0),
+    "drag": twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -1e-6 * (wc / 100) ** 2),
+}
+
+
+@lru_cache(maxsize=64)
+def data(seed=0, ou=0.0, ou_time=1.0, hidden="nothing", quantity="angle"):
+    motion = twobody.simulate(seed=seed, ou=ou, ou_time=ou_time, hidden=HIDDEN[hidden])
+    sigma = 1e-3 if quantity == "angle" else 0.05
+    cameras = twobody.Cameras(quantity=quantity, sigma=sigma)
+    return CaseData.of(make_record(**twobody.film(motion, seed=seed, cameras=cameras)))
+
+
+@lru_cache(maxsize=64)
+def fitted(seed=0, ou=0.0, ou_time=1.0, hidden="nothing", quantity="angle"):
+    return fit(Model.of(REDUCED), [data(seed, ou, ou_time, hidden, quantity)])
+
+
+def pulls(result, true):
+    """Return (estimate - truth) / standard error by name."""
+    return {k: (e.value - true[k]) / e.stderr for k, e in result.estimates.items() if k in true}

@@ -1,0 +1,140 @@
+"""The level of a small random torque, measured under angle noise that hides it in any single frame."""
+
+import numpy as np
+import pytest
+from cases import fitted
+
+from fitting.noise import WHITE, TorqueNoise, TorqueResponse, Whitener, remaining_level
+from fitting.simulation.linear import LinearMotion
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_level_of_a_random_torque_is_recovered(seed):
+    (noise,) = fitted(seed=seed, ou=1e-7).noise
+    assert 1e-7 / 1.5 < noise.pure < 1.5e-7
+    assert 1e-7 / 1.5 < noise.level < 1.6e-7
+    assert noise.scale == pytest.approx(1.0, abs=0.08)
+
+
+@pytest.mark.parametrize("time", [0.4, 3.0])
+def test_another_correlation_time_changes_the_level_little(time):
+    (noise,) = fitted(seed=2, ou=2e-7, ou_time=time).noise
+    assert 1e-7 < noise.pure < 4e-7
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_random_torque_is_found_where_there_is_none(seed):
+    (noise,) = fitted(seed=seed).noise
+    assert noise.pure == 0
+    assert noise.level == 0
+
+
+@pytest.mark.parametrize("hidden", ["step", "drag"])
+@pytest.mark.parametrize("seed", range(2))
+def test_a_missing_effect_does_not_pass_for_noise(hidden, seed):
+    """The pure level must stay what it is; a missing effect shows in the level that the model leaves."""
+    result = fitted(seed=seed, hidden=hidden)
+    (noise,) = result.noise
+    assert noise.pure < 1e-8
+    assert noise.level > 3e-8
+    assert result.verdict == "misfit"
+
+
+@pytest.mark.parametrize("hidden", ["step", "drag"])
+def test_noise_under_a_missing_effect_is_still_the_noise(hidden):
+    (noise,) = fitted(seed=1, ou=1e-7, hidden=hidden).noise
+    assert 1e-7 / 1.6 < noise.pure < 1.6e-7
+
+
+@pytest.fixture(scope="module")
+def response():
+    result = fitted(seed=0)
+    p = result.predictions[0]
+    return TorqueResponse(result.problem.data[0], LinearMotion(p.path, p.sensitivity.propagator))
+
+
+def test_response_to_a_torque_in_all_cells_is_that_of_a_constant_torque(response):
+    """A constant torque on the casing moves the rows as SciPy says it moves the angles."""
+    from scipy.integrate import solve_ivp
+
+    result = fitted(seed=0)
+    data, path = response.data, result.predictions[0].path
+    est = {k.rpartition(".")[2]: e.value for k, e in result.estimates.items() if "@" not in k}
+    knots = np.linspace(*data.record.span, 4001)
+    from fitting.simulation import Sampler
+
+    wr, wc = Sampler(path.mesh, knots).value(path.y)[:, :2].T
+    stiff = est["d"] + est["f"] * est["g"] * (wr - wc) ** (est["g"] - 1)
+
+    def rates(t, y):
+        s, w = np.interp(t, knots, stiff), np.interp(t, knots, wr)
+        rotor = (-s * (y[0] - y[1]) - 2 * est["a2"] * w * y[0]) / data.record.I_rotor
+        casing = (1e-7 + s * (y[0] - y[1]) - est["b2"] * y[1]) / data.record.I_casing
+        return [rotor, casing, y[0], y[1]]
+
+    times = np.sort(data.node_times)
+    exact = solve_ivp(
+        rates, (0, times[-1]), np.zeros(4), method="DOP853", rtol=1e-8, atol=1e-12, t_eval=times
+    ).y
+    where = np.searchsorted(times, data.node_times)
+    a = len(data.casing.node_times)
+    ends = np.cumsum([len(w.node_times) for w in data.rotor])[:-1]
+    expected = data.rows(exact[3][where[:a]], np.split(exact[2][where[a:]], ends))[data.slices["smooth"]]
+    found = 1e-7 * response.casing.sum(axis=1)
+    np.testing.assert_allclose(found, expected, atol=2e-4 * np.abs(expected).max())
+
+
+def test_covariance_is_what_random_torques_do(response):
+    """Draw Ornstein-Uhlenbeck torques in the cells and compare the variance of the rows with the formula."""
+    rng = np.random.default_rng(3)
+    cells, time = len(response.centres), response.default_time
+    decay = np.exp(-(response.edges[1] - response.edges[0]) / time)
+
+    def torques(n):
+        w = np.empty((cells, n))
+        w[0] = rng.standard_normal(n)
+        for i in range(1, cells):
+            w[i] = decay * w[i - 1] + np.sqrt(1 - decay**2) * rng.standard_normal(n)
+        return w
+
+    on_casing, between = torques(600), torques(600)
+    rows = response.casing @ on_casing + (response.casing - response.rotor) @ between
+    found, formula = rows.var(axis=1), np.diag(response.covariance(time))
+    ratio = found[formula > 1e-3 * formula.max()] / formula[formula > 1e-3 * formula.max()]
+    # one variance from 600 draws: 1 +- 0.058; neighbouring rows share their torques
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.1)
+    assert ratio.max() < 1.35
+    assert ratio.min() > 0.7
+
+
+def test_whitener_makes_white(response):
+    whitener = response.whitener(TorqueNoise(1e-7, response.default_time))
+    m = len(whitener.values)
+    covariance = np.eye(m) + 1e-14 * response.covariance(response.default_time)
+    root = whitener(np.eye(m))
+    # ten orders of magnitude lie between the eigenvalues
+    np.testing.assert_allclose(root @ covariance @ root.T, np.eye(m), atol=1e-4)
+    assert whitener.log_determinant == pytest.approx(np.linalg.slogdet(covariance)[1], rel=1e-8)
+    rows = np.random.default_rng(0).normal(size=m + 30)
+    np.testing.assert_array_equal(whitener(rows)[m:], rows[m:])
+    np.testing.assert_array_equal(whitener.at(0.0)(rows), rows)
+    np.testing.assert_array_equal(WHITE(rows), rows)
+    assert WHITE.log_determinant == 0
+
+
+def test_remaining_level_is_that_of_drawn_rows():
+    rng = np.random.default_rng(4)
+    m = 300
+    values = np.geomspace(1e8, 1e16, m)
+    whitener = Whitener(np.linalg.qr(rng.normal(size=(m, m)))[0], values)
+    free = rng.normal(size=(m, 6))
+    for level in (0.0, 1e-7, 1e-6):
+        found = []
+        for _ in range(8):
+            rows = whitener.vectors @ (np.sqrt(1 + level**2 * values) * rng.standard_normal(m))
+            found.append(remaining_level(whitener, rows, free, 0.0))
+        if level:
+            assert np.median(found) == pytest.approx(level, rel=0.25)
+        else:
+            assert max(found) < 3e-8
+        assert remaining_level(whitener, rows, free, 3e-6) == pytest.approx(3e-6, rel=0.3)
