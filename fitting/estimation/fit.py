@@ -2,8 +2,8 @@
 
 Two levels of random torque are found for each case. The *pure* level is what no slow torque can explain: the
 noise. The *level* of the fit is what this model leaves: the same if the model is right, more if it
-misses something. Parameters are estimated at the level of the fit, so that a model that fails by a thousand sigma
-somewhere is not torn there; its chi-square and held-out error are told at the pure level.
+misses something. Parameters are estimated at the level of the fit, so that a model that fails by a
+thousand sigma somewhere is not torn there; its chi-square and held-out error are told at the pure level.
 """
 
 from __future__ import annotations
