@@ -50,15 +50,21 @@ def command(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Track the markers in a film and write the angles of casing and rotor, with uncertainties."""
+    """Track the markers in a film and write the angles of casing and rotor, with uncertainties.
+
+    Example: gyrotrack extract rotor_1.mp4 --capture-fps 1000 -o rotor_1.h5
+    """
     from gyrotrack import pipeline
     from gyrotrack.dataset import write_recording
     from gyrotrack.dataset.writing import refuse_existing
+    from gyrotrack.pipeline.overlay import check_overlay, write_overlay
     from gyrotrack.profile import PAPER, load
 
     out = Output(as_json=as_json, quiet=quiet)
     target = output if output is not None else video.with_suffix(".h5")
     refuse_existing(target, force=force)
+    if overlay is not None:
+        check_overlay(overlay, force=force)
     chosen = load(profile) if profile is not None else PAPER
     with out.progress(f"tracking {video.name}") as progress:
         start = perf_counter()
@@ -70,9 +76,14 @@ def command(
         "video": video, "capture_fps": capture_fps, "body": body, "profile": chosen.model_dump(mode="json"),
     }  # fmt: skip
     write_recording(target, recording, command=command_line(), settings=settings, force=force)
+    if overlay is not None:
+        with out.progress(f"drawing {overlay.name}") as progress:
+            write_overlay(overlay, video, recording, force=force, progress=progress)
     for warning in recording.warnings:
         out.warn(warning)
     document = _document(target, recording, elapsed)
+    if overlay is not None:
+        document["overlay"] = overlay
     out.result(document)
     out.show(_lines(document))
 

@@ -44,6 +44,8 @@ def command(
 
     Times in s, all on one clock; angles in rad, wrapped or not. Other units are taken if the header names
     them, as in `angle [deg]`. Without a sigma column the noise is estimated from the scatter.
+
+    Example: gyrotrack import --casing casing.csv --rotor r1.csv --rotor r2.csv -o case1.h5
     """
     from gyrotrack.dataset import write_case
     from gyrotrack.dataset.writing import refuse_existing

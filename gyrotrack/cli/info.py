@@ -22,7 +22,10 @@ def command(
     ] = False,
     as_json: Json = False,
 ) -> int:
-    """Say what a file holds, and whether it is sound (exit code 3 if not)."""
+    """Say what a file holds, and whether it is sound (exit code 3 if not).
+
+    Example: gyrotrack info case1.h5 --verify
+    """
     from gyrotrack.dataset.inspection import inspect_file
 
     found = inspect_file(file, verify=verify)

@@ -42,6 +42,8 @@ def command(
     """Put the clips of one experiment on one clock, and make a case of them.
 
     The rotor clips must show the casing too: its angle, seen by both cameras, tells when each clip started.
+
+    Example: gyrotrack sync casing.h5 rotor_1.h5 rotor_2.h5 -o case1.h5 --surface "grey cardstock"
     """
     from gyrotrack.dataset import read_recording, write_case
     from gyrotrack.dataset.writing import refuse_existing
