@@ -41,7 +41,7 @@ def find_lock(score: Floats, threshold: float, hint: float = 0.0) -> tuple[int, 
     threshold : float
         Least score that counts as seen.
     hint : float
-        Step in rad a frame that is preferred where several explain the frames (steps differ by whole turns).
+        Step in rad a frame that is expected: of steps that differ by whole turns the nearest is taken.
 
     Returns
     -------
@@ -68,14 +68,17 @@ def find_lock(score: Floats, threshold: float, hint: float = 0.0) -> tuple[int, 
 
 def _even_advance(angle: Floats, frame: Integers, hint: float) -> Motion | None:
     span = int(frame[-1]) + 1
-    steps = np.linspace(-np.pi, np.pi, 16 * span, endpoint=False)
     phasor = np.exp(1j * angle)
+
+    def power(steps: Floats) -> Floats:
+        return np.asarray(np.abs(np.exp(-1j * np.outer(steps, frame)) @ phasor) / len(frame))
+
+    steps = np.linspace(-np.pi, np.pi, 16 * span, endpoint=False)
+    step, width = float(steps[np.argmax(power(steps))]), float(steps[1] - steps[0])
     for _ in range(3):
-        power = np.abs(np.exp(-1j * np.outer(steps, frame)) @ phasor) / len(frame)
-        near = power > power.max() - 1e-3
-        step = float(steps[near][np.argmin(np.abs(steps[near] - hint))])
-        width = steps[1] - steps[0]
         steps = step + np.linspace(-width, width, 21)
+        step, width = float(steps[np.argmax(power(steps))]), 0.1 * width
+    step += 2.0 * np.pi * round((hint - step) / (2.0 * np.pi))
     start = float(np.angle(np.mean(phasor * np.exp(-1j * step * frame))))
     off = np.abs(np.angle(phasor * np.exp(-1j * (start + step * frame))))
     if np.mean(off < 0.25) < 0.7:

@@ -72,10 +72,12 @@ _TABLES = {"grey": (150, 150, 150), "white": (225, 225, 222), "wood": (170, 125,
 
 def render(film: Film, path: Path) -> Path:
     """Write the film; the true angles are `film.casing(film.time)` and `film.rotor(film.time)`."""
+    cv2.setNumThreads(1)
     rng = np.random.default_rng(film.seed)
     table = _table(film, rng)
-    light = 1.0 + film.gradient * np.linspace(-1, 1, film.width)[None, :, None]
-    with av.open(str(path), "w") as container:
+    light = (1.0 + film.gradient * np.linspace(-1, 1, film.width)[None, :, None]).astype(np.float32)
+    options = {"movflags": "use_metadata_tags"} if film.tag is not None else {}
+    with av.open(str(path), "w", options=options) as container:
         rate = Fraction(film.container_fps or film.fps).limit_denominator(1000)
         stream = container.add_stream(film.codec, rate=rate)
         stream.width, stream.height, stream.pix_fmt = film.width, film.height, film.pixel_format
@@ -86,7 +88,7 @@ def render(film: Film, path: Path) -> Path:
         for k, t in enumerate(film.time):
             picture = _exposed(film, table, float(t))
             picture = picture * light * (1.0 + film.flicker * np.sin(2 * np.pi * 100.0 * t + 0.3))
-            picture = picture + rng.normal(0.0, film.noise, picture.shape)
+            picture = picture + film.noise * rng.standard_normal(picture.shape, dtype=np.float32)
             frame = av.VideoFrame.from_ndarray(np.clip(picture, 0, 255).astype(np.uint8), format="rgb24")
             frame.pts = k
             container.mux(stream.encode(frame))
@@ -104,8 +106,8 @@ def _table(film: Film, rng: np.random.Generator) -> np.ndarray:
 
 def _exposed(film: Film, table: np.ndarray, t: float) -> np.ndarray:
     swept = abs(float(film.rotor(np.array(t + 1e-5)) - film.rotor(np.array(t - 1e-5)))) / 2e-5 * film.exposure
-    parts = int(np.clip(np.ceil(swept / 0.035), 2, 24))
-    total = np.zeros((film.height, film.width, 3))
+    parts = int(np.clip(np.ceil(swept / 0.04), 1, 24))
+    total = np.zeros((film.height, film.width, 3), dtype=np.float32)
     for shift in ((np.arange(parts) + 0.5) / parts - 0.5) * film.exposure:
         big = _paint(film, table.copy(), t + float(shift))
         total += cv2.resize(big, (film.width, film.height), interpolation=cv2.INTER_AREA)

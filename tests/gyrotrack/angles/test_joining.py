@@ -1,0 +1,87 @@
+import numpy as np
+import pytest
+
+from gyrotrack.angles.candidates import Candidate
+from gyrotrack.angles.joining import join
+
+N = 1500
+MOUNTS = {"blue": 0.0, "white": 2.1, "green": -2.0}
+SCATTER = {"blue": 2e-3, "white": 1e-3, "green": 4e-3}
+
+
+def _scene(seed, bias=0.0, wrong=0.0, share=0.8):
+    """Three markers of a rotor at 0.5 rad a frame, each seen in a share of the frames."""
+    rng = np.random.default_rng(seed)
+    k = np.arange(N)
+    truth = 1.0 + 0.5 * k - 2e-5 * k**2
+    markers = {}
+    for name, mount in MOUNTS.items():
+        angle = truth + mount + rng.normal(0, SCATTER[name], N)
+        angle = angle + bias * np.cos(4 * (truth + mount))
+        good = rng.uniform(size=N) < share
+        angle = angle + np.where(rng.uniform(size=N) < wrong, 0.05, 0.0)
+        markers[name] = Candidate(
+            np.angle(np.exp(1j * angle)), good, np.ones(N, dtype=bool), np.ones(N), mount + 0.01
+        )
+    coarse = truth + 0.01 + rng.normal(0, 0.01, N)
+    return truth, coarse, markers
+
+
+def test_the_angle_is_right_and_so_is_its_uncertainty():
+    z = []
+    for seed in range(6):
+        truth, coarse, markers = _scene(seed)
+        body = join(coarse, markers, 1000.0)
+        error = body.angle - truth
+        error -= np.nanmean(error)
+        assert np.nanstd(error) < 1.45e-3  # ideal weights give 1.3e-3
+        z.append(error / body.sigma)
+    assert np.nanstd(np.concatenate(z)) == pytest.approx(1.0, abs=0.12)
+
+
+def test_places_on_the_body_are_measured():
+    _, coarse, markers = _scene(1)
+    body = join(coarse, markers, 1000.0)
+    first = body.markers["blue"].mount
+    assert body.markers["white"].mount - first == pytest.approx(2.1, abs=3e-4)
+    assert body.markers["green"].mount - first == pytest.approx(-2.0, abs=5e-4)
+
+
+def test_faults_are_left_out():
+    truth, coarse, markers = _scene(2, wrong=0.03)
+    body = join(coarse, markers, 1000.0)
+    error = body.angle - truth
+    assert np.nanmax(np.abs(error - np.nanmedian(error))) < 0.02
+    assert (np.abs(error - np.nanmedian(error)) > 5 * body.sigma).mean() < 2e-3
+
+
+def test_errors_that_repeat_with_the_place_are_learnt():
+    truth, coarse, markers = _scene(3, bias=6e-3)
+    body = join(coarse, markers, 1000.0)
+    assert np.nanstd(body.angle - truth) < 1.5e-3
+
+
+def test_frames_with_no_marker_have_no_angle():
+    truth, coarse, markers = _scene(4)
+    for name, c in markers.items():
+        good = c.good.copy()
+        good[700:720] = False
+        markers[name] = Candidate(c.angle, good, c.open, c.weak, c.mount)
+    body = join(coarse, markers, 1000.0)
+    assert np.isnan(body.angle[700:720]).all()
+    assert (body.count[700:720] == 0).all()
+    error = body.angle - truth
+    assert abs(np.nanmean(error[720:]) - np.nanmean(error[:700])) < 1e-3  # no slipped turn
+
+
+def test_a_slow_swing_with_the_turn_is_motion_not_error():
+    """A single marker on an unbalanced wheel at 20 rad/s: the swing once a turn is real and must stay."""
+    rng = np.random.default_rng(5)
+    k = np.arange(1200)
+    turn = 0.07 * k
+    truth = turn + 8e-3 * np.sin(turn)
+    angle = np.angle(np.exp(1j * (truth + rng.normal(0, 1e-3, 1200))))
+    one = Candidate(angle, np.ones(1200, dtype=bool), np.ones(1200, dtype=bool), np.ones(1200), 0.0)
+    body = join(truth + rng.normal(0, 0.01, 1200), {"tape": one}, 300.0)
+    swing = np.abs(np.mean((body.angle - turn - np.mean(body.angle - turn)) * np.exp(-1j * turn))) * 2
+    assert swing == pytest.approx(8e-3, rel=0.1)

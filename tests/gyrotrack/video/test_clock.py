@@ -1,0 +1,57 @@
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gyrotrack.errors import VideoError
+from gyrotrack.video import ClipInfo, capture_rate, stamp_warnings
+
+INFO = ClipInfo(Path("a.mp4"), 640, 360, 260.0, 100, None, "h264", "yuv420p", Fraction(1, 90000))
+
+
+def test_a_fast_container_is_believed():
+    rate = capture_rate(INFO)
+    assert (rate.fps, rate.source, rate.warnings) == (260.0, "container", ())
+
+
+def test_a_slow_container_says_nothing_about_the_camera():
+    with pytest.raises(VideoError, match="does not say at what rate") as caught:
+        capture_rate(replace(INFO, container_fps=30.0))
+    assert "--capture-fps" in caught.value.hint
+
+
+def test_the_order_is_flag_profile_tag_container():
+    info = replace(INFO, container_fps=25.0, tag_fps=1000.0)
+    assert capture_rate(info).fps == 1000.0
+    assert capture_rate(info, None, 960.0).fps == 960.0
+    assert capture_rate(info, 950.0, 960.0).fps == 950.0
+
+
+def test_differences_are_told():
+    rate = capture_rate(replace(INFO, container_fps=25.0, tag_fps=1000.0), 960.0)
+    assert any("25" in text for text in rate.warnings)
+    assert any("1000" in text for text in rate.warnings)
+
+
+@pytest.mark.parametrize("fps", [0.0, -5.0, float("nan"), float("inf")])
+def test_impossible_rates_are_refused(fps):
+    with pytest.raises(VideoError, match="not possible"):
+        capture_rate(INFO, fps)
+
+
+def test_even_stamps_are_silent():
+    assert stamp_warnings(np.arange(100) / 260.0, 260.0) == ()
+
+
+def test_a_millisecond_clock_is_no_gap():
+    stamps = np.round(np.arange(2000) / 260.0, 3)  # steps of 3 and 4 ms
+    assert stamp_warnings(stamps, 260.0) == ()
+
+
+def test_missing_frames_are_counted():
+    index = np.delete(np.arange(200), [50, 51, 120])
+    (text,) = stamp_warnings(index / 260.0, 260.0)
+    assert "3 missing frames at 2 places" in text
+    assert "after frame 49" in text
