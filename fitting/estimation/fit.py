@@ -108,7 +108,7 @@ class Fit:
 
     @property
     def reduced_chi2(self) -> float:
-        """Chi-square of everything that was fitted over the effective number of samples."""
+        """Chi-square of the casings over their effective number of samples."""
         return sum(
             c.casing.reduced_chi2 * d.casing.n_effective
             for c, d in zip(self.cases, self.problem.data, strict=True)
@@ -166,19 +166,19 @@ def fit(
         raise EstimationError(
             "the cases of a joint fit need different labels", "give them with --label when making a case"
         )
-    layout = Layout.of(model, [d.record for d in data], share, per_case)
+    layout = Layout.of(model, [d.record for d in data], share, per_case, ranges)
     problem = Problem(layout, data)
     theta = _start(layout, problem, start)
     if noise is None:
         noise = first_noise(problem, theta)
         problem.set_noise([n.whitener for n in noise])
-        _, theta = _minimise(problem, theta, ranges or {}, quick=quick)
+        _, theta = _minimise(problem, theta, quick=quick)
         noise = measure_noise(problem, theta)
     problem.set_noise([n.whitener for n in noise])
-    minimum, theta = _minimise(problem, theta, ranges or {}, quick=quick)
+    minimum, theta = _minimise(problem, theta, quick=quick)
     noise = tuple(refine_level(problem, theta, noise))
     problem.set_noise([n.whitener for n in noise])
-    minimum, theta = _minimise(problem, theta, ranges or {}, quick=quick)
+    minimum, theta = _minimise(problem, theta, quick=quick)
     return summarise(problem, theta, noise, converged=minimum.converged)
 
 
@@ -190,13 +190,8 @@ def _start(layout: Layout, problem: Problem, given: Mapping[str, float] | None) 
     return np.array([known[n] for n in layout.names])
 
 
-def _minimise(
-    problem: Problem, theta: Array, ranges: Mapping[str, tuple[float, float]], *, quick: bool = False
-) -> tuple[Minimum, Array]:
+def _minimise(problem: Problem, theta: Array, *, quick: bool = False) -> tuple[Minimum, Array]:
     lower, upper = problem.straight_bounds()
-    for i, name in enumerate(problem.layout.names):
-        if name in ranges:
-            lower[i], upper[i] = max(lower[i], ranges[name][0]), min(upper[i], ranges[name][1])
     follows_angle = bool(problem.layout.model.rippling or problem.layout.model.measurement)
     for _ in range(2 if follows_angle else 1):
         for case in problem.cases:

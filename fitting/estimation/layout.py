@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -35,15 +35,23 @@ class Layout:
         The cases.
     per_case : tuple of str
         Parameters (keys, effects or prefixes) with a value for each case.
+    ranges : mapping
+        Bounds, by name, within the declared ones.
     """
 
     model: Model
     records: tuple[Record, ...]
     per_case: tuple[str, ...]
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @classmethod
     def of(
-        cls, model: Model, records: Sequence[Record], share: Iterable[str] = (), per_case: Iterable[str] = ()
+        cls,
+        model: Model,
+        records: Sequence[Record],
+        share: Iterable[str] = (),
+        per_case: Iterable[str] = (),
+        ranges: Mapping[str, tuple[float, float]] | None = None,
     ) -> Layout:
         """Return the layout: the paper's per-case parameters, changed by `share` and `per_case`.
 
@@ -64,7 +72,7 @@ class Layout:
             if (key in default or any(_covers(n, key) for n in per_case))
             and not any(_covers(n, key) for n in share)
         ]
-        return cls(model, tuple(records), tuple(chosen) if len(records) > 1 else ())
+        return cls(model, tuple(records), tuple(chosen) if len(records) > 1 else (), dict(ranges or {}))
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -105,7 +113,12 @@ class Layout:
     def bounds(self) -> tuple[Array, Array]:
         """Return lower and upper bounds of all variables."""
         declared = [self.parameter(n) for n in self.names]
-        return np.array([p.lower for p in declared]), np.array([p.upper for p in declared])
+        lower, upper = np.array([p.lower for p in declared]), np.array([p.upper for p in declared])
+        for name, (least, most) in self.ranges.items():
+            if name in self.index:
+                i = self.index[name]
+                lower[i], upper[i] = max(lower[i], least), min(upper[i], most)
+        return lower, upper
 
     def at_bound(self, theta: Array) -> NDArray[np.bool_]:
         """Return which variables lie on a bound."""
@@ -116,7 +129,8 @@ class Layout:
     def valleys(self, reference: float) -> tuple[Valley, ...]:
         """Return the pairs of a linear and a power law of the bearing that need straight coordinates."""
         keys = ("bearing.linear.d", "bearing.power.f", "bearing.power.g")
-        if not all(k in self.index for k in keys):
+        # a box around d, f or g is none in straight coordinates: there the fit keeps to the natural ones
+        if not all(k in self.index for k in keys) or any(k in self.ranges for k in keys):
             return ()
         d, f, g = (self.index[k] for k in keys)
         return (Valley(d, f, g, reference),)
