@@ -1,0 +1,199 @@
+"""One case as a report shows it: what was measured, and what models make of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrotrack.report.residuals import Misfit, misfits
+from gyrotrack.report.thinning import thin
+
+if TYPE_CHECKING:
+    from fitting.diagnosis import Failure, ResidualTorque
+    from fitting.discovery import Diagnosis, Rung
+    from fitting.estimation import Fit
+
+Array = NDArray[np.float64]
+
+_MODEL_POINTS = 800
+_WINDOW_POINTS = 60
+_ENERGY_PIECES = 50
+_MOST_POINTS = 1600
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A curve with its standard deviation (zero where it has none)."""
+
+    time: Array
+    value: Array
+    sigma: Array
+
+
+@dataclass(frozen=True)
+class Energy:
+    """Balance K + losses over its first value, minus 1: as it is, its running mean, and its largest size."""
+
+    exact: Curve
+    mean: Curve
+    drift: float
+
+
+@dataclass(frozen=True)
+class Seen:
+    """One case under one model.
+
+    Attributes
+    ----------
+    casing : Curve
+        Modelled speed [rad/s] and its standard deviation from the parameters' errors.
+    rotor : tuple of Curve
+        The same in each window.
+    casing_misfit, rotor_misfit : Misfit, tuple of Misfit
+        Measured minus modelled speed.
+    torques : dict of str to ResidualTorque
+        What the model lacks, for each body.
+    """
+
+    casing: Curve
+    rotor: tuple[Curve, ...]
+    casing_misfit: Misfit
+    rotor_misfit: tuple[Misfit, ...]
+    torques: dict[str, ResidualTorque]
+
+
+@dataclass(frozen=True)
+class CaseView:
+    """One case: what was measured, and what the first and the last model make of it.
+
+    Attributes
+    ----------
+    casing, rotor : Curve, tuple of Curve
+        Measured speed, smoothed as in the paper and thinned out [rad/s].
+    models : tuple of Seen
+        The base and, if anything was added, the final model.
+    supplied : dict or None
+        Torque on each body that the final model has and the base lacks, with time and omega_c.
+    energy : tuple of Energy
+        The balance of each rung.
+    failures : tuple of Failure
+        Where the base fails.
+    """
+
+    label: str
+    surface: str
+    quantity: str
+    casing: Curve
+    rotor: tuple[Curve, ...]
+    models: tuple[Seen, ...]
+    supplied: dict[str, Array] | None
+    energy: tuple[Energy, ...]
+    failures: tuple[Failure, ...]
+
+
+def case_view(
+    rungs: Sequence[Rung],
+    diagnosis: Diagnosis | None,
+    torques: Sequence[tuple[ResidualTorque, ...]],
+    index: int,
+) -> CaseView:
+    """Return one case under the first and the last model of a ladder.
+
+    Parameters
+    ----------
+    rungs : sequence of Rung
+        The ladder, base first.
+    diagnosis : Diagnosis or None
+        That of the base.
+    torques : sequence
+        What the first and the last model lack.
+    index : int
+        Which case.
+    """
+    from fitting.smoothing import speeds
+
+    base, final = rungs[0].fit, rungs[-1].fit
+    record = base.problem.data[index].record
+    fits = [base, final] if len(rungs) > 1 else [base]
+    return CaseView(
+        label=record.label,
+        surface=record.surface,
+        quantity=record.quantity,
+        casing=_measured(*speeds(record.casing, record.quantity)),
+        rotor=tuple(_measured(*speeds(w, record.quantity)) for w in record.rotor),
+        models=tuple(_seen(f, t, index) for f, t in zip(fits, torques, strict=True)),
+        supplied=_supplied(base, final, index) if len(fits) > 1 else None,
+        energy=tuple(_energy(r.fit, index) for r in rungs),
+        failures=tuple(f for f in (diagnosis.failures if diagnosis else ()) if f.label == record.label),
+    )
+
+
+def _measured(time: Array, omega: Array) -> Curve:
+    time, omega = thin(time, omega, _MOST_POINTS)
+    return Curve(time, omega, np.zeros_like(omega))
+
+
+def _seen(fit: Fit, torques: Sequence[ResidualTorque], index: int) -> Seen:
+    record = fit.problem.data[index].record
+    casing, rotor = misfits(fit, index)
+    ends = record.casing.time[[0, -1]]
+    return Seen(
+        _modelled(fit, index, 1, np.linspace(ends[0], ends[1], _MODEL_POINTS)),
+        tuple(
+            _modelled(fit, index, 0, np.linspace(w.time[0], w.time[-1], _WINDOW_POINTS)) for w in record.rotor
+        ),
+        casing,
+        rotor,
+        {t.body: t for t in torques if t.label == record.label},
+    )
+
+
+def _modelled(fit: Fit, index: int, state: int, time: Array) -> Curve:
+    """Return a modelled speed with the standard deviation that the parameters' covariance gives it."""
+    from fitting.estimation.layout import START_CASING, START_ROTOR
+    from fitting.simulation import Sampler
+
+    prediction, case = fit.predictions[index], fit.problem.cases[index]
+    sampler = Sampler(prediction.path.mesh, time)
+    places = fit.problem.layout.places(index, (*case.dynamics.parameters, START_ROTOR, START_CASING))
+    slope = sampler.value(prediction.sensitivity.nodes[:, :, state])
+    covariance = fit.covariance[np.ix_(places, places)]
+    # a parameter that moves nothing has no finite variance and does not matter here
+    covariance = np.where(np.isfinite(covariance), covariance, 0.0)
+    variance = np.einsum("tp,pq,tq->t", slope, covariance, slope)
+    return Curve(time, sampler.value(prediction.path.y[..., state]), np.sqrt(np.maximum(variance, 0.0)))
+
+
+def _supplied(base: Fit, final: Fit, index: int) -> dict[str, Array] | None:
+    """Return the torque that the final model has and the base lacks, along the final motion [N m]."""
+    from fitting.simulation import Sampler
+
+    old, new = base.problem.cases[index], final.problem.cases[index]
+    path = final.predictions[index].path
+    if set(final.model.smooth.names) <= set(base.model.smooth.names):
+        return None
+    if not set(old.dynamics.states) <= set(path.states):
+        return None
+    time = np.linspace(path.mesh.edges[0], path.mesh.edges[-1], _MODEL_POINTS)
+    state = Sampler(path.mesh, time).value(path.y)
+    inertia = np.array([new.data.record.I_rotor, new.data.record.I_casing])
+    gained = new.dynamics.rates(time, state, final.problem.layout.numbers(final.theta, index))[:, :2]
+    seen = state[:, [path.states.index(s) for s in old.dynamics.states]]
+    had = old.dynamics.rates(time, seen, base.problem.layout.numbers(base.theta, index))[:, :2]
+    torque = (gained - had) * inertia
+    return {"time": time, "omega_c": state[:, 1], "rotor": torque[:, 0], "casing": torque[:, 1]}
+
+
+def _energy(fit: Fit, index: int) -> Energy:
+    from scipy.ndimage import uniform_filter1d
+
+    from fitting.estimation.energy import energy_balance
+
+    balance = energy_balance(fit.problem.cases[index], fit.theta, fit.predictions[index].path)
+    drift = balance.energy / balance.energy[0] - 1
+    mean = uniform_filter1d(drift, max(1, len(drift) // _ENERGY_PIECES), mode="nearest")
+    return Energy(_measured(balance.time, drift), _measured(balance.time, mean), balance.drift)

@@ -1,0 +1,123 @@
+"""Pictures about numbers: correlations of the parameters, and the energy balance."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrotrack.report.case_view import CaseView
+from gyrotrack.report.content import Content, correlations
+from gyrotrack.report.figures.mathematics import symbol
+from gyrotrack.report.figures.style import (
+    AFTER,
+    BEFORE,
+    GREEN,
+    PURPLE,
+    SKY,
+    WIDTH,
+    Picture,
+    canvas,
+    legend,
+    look,
+    panel,
+    picture,
+    plain,
+    zero,
+)
+from gyrotrack.report.notation import POWERS, scaled, short
+
+Array = NDArray[np.float64]
+_STRONG = 0.95
+
+
+def correlation_picture(content: Content, name: str = "correlation") -> Picture | None:
+    """Draw the correlation matrix of the final model's parameters; None for fewer than two."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    names, matrix = correlations(content.final)
+    if len(names) < 2:
+        return None
+    labels = [symbol(n, [v.label for v in content.cases]) for n in names]
+    with look({"axes.grid": False}):
+        size = min(7.5, 1.6 + 0.5 * len(names))
+        figure = canvas(size + 0.9, size)
+        ax = figure.subplots()
+        colours = LinearSegmentedColormap.from_list("blue-white-vermillion", [AFTER, "#ffffff", BEFORE], N=41)
+        image = ax.pcolormesh(matrix, cmap=colours, vmin=-1, vmax=1)
+        ax.set_aspect("equal")
+        ax.invert_yaxis()
+        ax.set_xticks(np.arange(len(names)) + 0.5, labels)
+        ax.set_yticks(np.arange(len(names)) + 0.5, labels)
+        ax.tick_params(length=0, labelsize=12 if len(names) < 14 else 8)
+        ax.spines[:].set_visible(False)
+        if len(names) <= 14:
+            for i, j in np.ndindex(*matrix.shape):
+                if i != j:
+                    colour = "white" if abs(matrix[i, j]) > 0.75 else "black"
+                    text = _two_digits(float(matrix[i, j]))
+                    ax.text(j + 0.5, i + 0.5, text, ha="center", va="center", color=colour, fontsize=8.5)
+        bar = figure.colorbar(image, ax=ax, shrink=0.8)
+        bar.set_label("correlation [1]")
+        if bar.solids is not None:
+            bar.solids.set_rasterized(False)
+        bar.outline.set_visible(False)
+        return picture(name, figure, _correlation_caption(), _strongest(names, matrix))
+
+
+def _two_digits(value: float) -> str:
+    return f"{round(value, 2) + 0.0:.2f}".replace("-", "−")
+
+
+def _correlation_caption() -> str:
+    return (
+        "Correlation of the final model's parameters. Pairs near ±1 are determined in combination only: "
+        "one can stand in for the other. "
+        "Parameters on a bound are left out."
+    )
+
+
+def _strongest(names: list[str], matrix: Array) -> str:
+    off = np.abs(matrix - np.eye(len(names)))
+    i, j = np.unravel_index(int(np.argmax(off)), off.shape)
+    strong = int((np.triu(off, 1) > _STRONG).sum())
+    return (
+        f"The strongest correlation is {matrix[i, j]:.4f}".replace("-", "−")
+        + f", between {names[i]} and {names[j]}; {strong} pairs exceed 0.95."
+    )
+
+
+def energy_picture(view: CaseView, steps: tuple[str, ...], name: str) -> Picture:
+    """Draw the energy balance for each rung."""
+    largest = max(c.drift for c in view.energy)
+    factor, prefix = scaled(largest)
+    exponent = POWERS[prefix] or "1"
+    middle = [GREEN, PURPLE, SKY, "#555555", "#999999"]
+    colours = [BEFORE, *[middle[i % len(middle)] for i in range(len(view.energy) - 2)], AFTER]
+    with look():
+        figure = canvas(WIDTH, 3.2)
+        ax = figure.subplots()
+        for curve, step, colour in zip(view.energy, steps, colours, strict=False):
+            ax.plot(curve.exact.time, factor * curve.exact.value, color=colour, linewidth=0.4, alpha=0.4)
+            ax.plot(
+                curve.mean.time, factor * curve.mean.value, color=colour, linewidth=1.8, label=plain(step)
+            )
+        zero(ax)
+        ax.set_xlabel("time [s]")
+        ax.set_ylabel(f"relative drift [{exponent}]")
+        ax.margins(x=0.01)
+        legend(ax)
+        panel(ax, "", "kinetic energy + all losses, relative to the start")
+        drifts = [c.drift for c in view.energy]
+        return picture(
+            name,
+            figure,
+            "Kinetic energy plus everything that friction has taken must stay what it was. The casing's "
+            "measured speed enters, so that a model that misses a torque drifts; "
+            "the pale jitter is the noise of the measured speed, the line its running mean.",
+            f"The balance drifts by at most {short(drifts[0], 2)} with the base model"
+            + (
+                f" and {short(drifts[-1], 2)} with the final model, relative."
+                if len(drifts) > 1
+                else ", relative."
+            ),
+        )

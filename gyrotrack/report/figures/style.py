@@ -1,0 +1,147 @@
+"""One look for all figures: colours for every eye (Okabe and Ito), and SVG that is the same on every run."""
+
+from __future__ import annotations
+
+import html
+import io
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# M. Okabe, K. Ito, Color Universal Design (2008)
+BLUE, VERMILLION, GREEN, ORANGE = "#0072B2", "#D55E00", "#009E73", "#E69F00"
+SKY, PURPLE, YELLOW, BLACK = "#56B4E9", "#CC79A7", "#F0E442", "#000000"
+GREY, PALE = "#8c8c8c", "#d9d9d9"
+BEFORE, AFTER, FAILING = VERMILLION, BLUE, YELLOW
+
+WIDTH = 9.2
+_LOOK: dict[str, Any] = {
+    "axes.axisbelow": True,
+    "axes.edgecolor": "#444444",
+    "axes.grid": True,
+    "axes.labelsize": 11,
+    "axes.linewidth": 0.8,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlelocation": "left",
+    "axes.titlesize": 10.5,
+    "axes.titleweight": "bold",
+    "axes.unicode_minus": True,
+    "figure.constrained_layout.use": True,
+    "figure.facecolor": "white",
+    "font.family": ["DejaVu Sans"],
+    "font.size": 10.5,
+    "grid.color": "#e6e6e6",
+    "grid.linewidth": 0.7,
+    "hatch.linewidth": 0.8,
+    "legend.fontsize": 9.5,
+    "legend.columnspacing": 1.2,
+    "legend.frameon": False,
+    "lines.linewidth": 1.6,
+    "mathtext.fontset": "dejavusans",
+    "svg.fonttype": "path",
+    "svg.hashsalt": "gyrotrack",
+    "xtick.labelsize": 10,
+    "ytick.labelsize": 10,
+}
+_DROPPED = re.compile(
+    r"<!--.*?-->|<metadata>.*?</metadata>|<style[^>]*>.*?</style>|<\?xml.*?\?>|<!DOCTYPE.*?>", re.DOTALL
+)
+_NAMES = re.compile(r'(\bid="|xlink:href="#|url\(#)')
+_SIZE = re.compile(r'<svg ([^>]*?)width="([\d.]+)pt" height="([\d.]+)pt"([^>]*)>|<svg ([^>]*)>')
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure of the page.
+
+    Attributes
+    ----------
+    name : str
+        Its place in the page, unique, made by the program.
+    svg : str
+        Markup made by matplotlib alone: all text is drawn as outlines.
+    caption : str
+        What is seen; plain text.
+    finding : str
+        What it says, for those who do not see it; plain text.
+    """
+
+    name: str
+    svg: str
+    caption: str
+    finding: str
+
+
+@contextmanager
+def look(changes: Mapping[str, Any] | None = None) -> Iterator[None]:
+    """Use the look of the report inside the block."""
+    import matplotlib as mpl
+
+    settings: Any = {**_LOOK, **(changes or {})}
+    with mpl.rc_context(settings):
+        yield
+
+
+def canvas(width: float, height: float) -> Figure:
+    """Return an empty figure, in inches; no window system is asked."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height))
+
+
+def picture(name: str, figure: Figure, caption: str, finding: str) -> Picture:
+    """Return a figure as markup for the page."""
+    return Picture(name, markup(figure, name, finding), caption, finding)
+
+
+def markup(figure: Figure, name: str, finding: str, *, tight: bool = False) -> str:
+    """Return a figure as an ``svg`` element with a text alternative, its ids starting with `name`."""
+    stream = io.StringIO()
+    nothing: dict[str, Any] = {"Date": None, "Creator": None, "Format": None, "Type": None}
+    room: dict[str, Any] = {"bbox_inches": "tight", "pad_inches": 0.03} if tight else {}
+    figure.savefig(stream, format="svg", metadata=nothing, **room)
+    text = _DROPPED.sub("", stream.getvalue()).strip()
+    text = _NAMES.sub(lambda m: f"{m[1]}{name}-", text)
+    label = html.escape(finding, quote=True)
+
+    def head(m: re.Match[str]) -> str:
+        rest = f"{m[1]}{m[4]}"
+        return f'<svg role="img" aria-label="{label}" width="{float(m[2]):.0f}pt" {rest}>'
+
+    return _SIZE.sub(head, text, count=1)
+
+
+def plain(text: str, most: int = 34) -> str:
+    """Return text of users for a figure: no mathematics, no characters that the font lacks, not too long."""
+    text = "".join(c if 32 <= ord(c) < 127 else "?" for c in text)
+    text = text if len(text) <= most else text[: most - 3] + "..."
+    return text.replace("$", r"\$")
+
+
+def legend(axes: Axes, **changes: Any) -> None:
+    """Write the legend above the axes, on the right, where it covers nothing."""
+    place = {
+        "loc": "lower right",
+        "bbox_to_anchor": (1.0, 1.0),
+        "borderaxespad": 0.2,
+        "ncols": 4,
+        "handlelength": 1.6,
+    }
+    axes.legend(**{**place, **changes})
+
+
+def zero(axes: Axes) -> None:
+    """Draw a line at zero, behind everything."""
+    axes.axhline(0, color="#777777", linewidth=0.8, zorder=0.8)
+
+
+def panel(axes: Axes, letter: str, title: str) -> None:
+    """Write the letter and the title of a panel."""
+    axes.set_title(f"({letter})  {title}" if letter else title)

@@ -1,0 +1,71 @@
+"""Numbers and units as they are printed: (7.16 ± 0.04) × 10⁻⁷ N m s."""
+
+from __future__ import annotations
+
+import math
+import re
+
+# from so many digits on, a number with a power of ten keeps them all
+_LONG = 3
+_RAISED = str.maketrans("0123456789+-g.", "⁰¹²³⁴⁵⁶⁷⁸⁹⁺⁻ᵍ·")
+_UNIT = re.compile(r"(?<![\w.])(kg m|N m s|N m|rad s|s|K|m)\^?(-?\d(?:\.\d+)?|g)(?!\w|\.\d)")
+_POWER = re.compile(r"x 10\^(-?\d+)")
+# a number of a sentence: followed by its error, its unit, or a bracket; a number in a formula is not
+_SCIENTIFIC = re.compile(r"(?<![\w.*])(\d+(?:\.\d+)?)e([+-]\d+)(?=\)| \+-| N m| rad| s\b)")
+POWERS = {"": "", "m": "$10^{-3}$", "µ": "$10^{-6}$", "n": "$10^{-9}$", "p": "$10^{-12}$"}
+_PREFIXES = ((1.0, ""), (1e3, "m"), (1e6, "µ"), (1e9, "n"), (1e12, "p"))
+
+
+def raised(number: int) -> str:
+    """Return an integer as an exponent: -7 becomes ⁻⁷."""
+    return str(number).translate(_RAISED)
+
+
+def unit_text(unit: str) -> str:
+    """Return a unit with raised exponents: ``N m s2`` becomes N m s²; a pure number has none."""
+    if unit == "1":
+        return ""
+    return _UNIT.sub(lambda m: m[1] + m[2].translate(_RAISED), unit)
+
+
+def typeset(text: str) -> str:
+    """Return a sentence or a rounded number with ±, × and raised exponents."""
+    text = _SCIENTIFIC.sub(lambda m: f"{m[1]} × 10{raised(int(m[2]))}", text)
+    text = _POWER.sub(lambda m: f"× 10{raised(int(m[1]))}", text)
+    return unit_text(text.replace(" +- ", " ± "))
+
+
+def measured(value: float, error: float, unit: str) -> str:
+    """Return a value with its error, rounded together."""
+    from fitting.summary import rounded
+
+    text = typeset(rounded(value, error, "" if unit == "1" else unit))
+    return text.replace("-", "−", 1) if text.startswith(("-", "(-")) else text
+
+
+def short(value: float, digits: int = 3) -> str:
+    """Return a number of a table in few digits: 0.0462, 6.6 × 10⁵, or a dash for none."""
+    if not math.isfinite(value):
+        return "–" if math.isnan(value) else "∞"
+    if value != 0 and not 1e-3 <= abs(value) < 1e5:
+        places = digits - 1 if digits > _LONG else max(0, digits - 2)
+        mantissa, _, exponent = f"{value:.{places}e}".partition("e")
+        text = f"{mantissa} × 10{raised(int(exponent))}"
+    else:
+        text = f"{value:#.{digits}g}".rstrip(".") if 0 < abs(value) < 1000 else f"{value:.0f}"
+    return text.replace("-", "−", 1) if text.startswith("-") else text
+
+
+def probability(p: float) -> str:
+    """Return a p-value: 0.34, 2 × 10⁻⁷, or < 10⁻³⁰."""
+    if math.isfinite(p) and p < 1e-30:
+        return f"< 10{raised(-30)}"
+    return short(p, 2)
+
+
+def scaled(largest: float) -> tuple[float, str]:
+    """Return a factor and the prefix of the unit that bring a size between 0.5 and 500."""
+    for factor, prefix in _PREFIXES:
+        if largest * factor >= 0.5:
+            return factor, prefix
+    return _PREFIXES[0]

@@ -1,0 +1,65 @@
+import os
+
+# the matrices of a fit are small: several BLAS threads would spend ten times the work waiting for each other
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import pytest
+
+from fitting.case_data import CaseData
+from fitting.discovery import Diagnosis, Rung, diagnose, improve
+from fitting.effects import REDUCED
+from fitting.estimation import fit
+from fitting.model import INERTIA_CASING, INERTIA_ROTOR, Model
+from fitting.record import Record
+from fitting.simulation import Path
+from fitting.simulation.recording import Experiment, simulate, simulate_path
+
+MISSING = "casing.air.quadratic"
+NUMBERS = {
+    "rotor.air.quadratic.a2": 9.97e-11,
+    "touchpoint.constant.b1": 2.88e-6,
+    "casing.air.linear.b2": 8.28e-7,
+    "bearing.linear.d": 1.57e-7,
+    "bearing.power.f": 1.26e-8,
+    "bearing.power.g": 1.32,
+    "casing.air.quadratic.k": 3e-10,
+}
+TRUTH = Model.of([*REDUCED, MISSING])
+SHORT = Experiment(duration=60.0, casing_fps=60.0, rotor_fps=250.0, windows=(3.0, 25.0, 52.0), sigma=5e-4)
+
+
+@dataclass(frozen=True)
+class Story:
+    record: Record
+    rungs: list[Rung]
+    diagnosis: Diagnosis
+
+
+def recording(seed: int = 1) -> Record:
+    return simulate(
+        TRUTH, NUMBERS, SHORT, inertia_rotor=5.54e-5, inertia_casing=2.06e-5, seed=seed, label="run"
+    )
+
+
+@pytest.fixture(scope="session")
+def record_of() -> Callable[[int], Record]:
+    """Return a recording of the true model by its seed."""
+    return recording
+
+
+@pytest.fixture(scope="session")
+def true_path() -> Path:
+    """The exact motion behind every recording."""
+    inertias = {INERTIA_ROTOR: 5.54e-5, INERTIA_CASING: 2.06e-5}
+    return simulate_path(TRUTH, NUMBERS | inertias, SHORT)[1]
+
+
+@pytest.fixture(scope="session")
+def story() -> Story:
+    record = recording()
+    base = fit(Model.of(REDUCED), [CaseData.of(record)])
+    diagnosis = diagnose(base)
+    return Story(record, improve(base, first=diagnosis.candidates, max_steps=1), diagnosis)

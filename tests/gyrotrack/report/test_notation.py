@@ -1,0 +1,61 @@
+import math
+
+import pytest
+
+from gyrotrack.report.notation import measured, probability, scaled, short, typeset, unit_text
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "unit", "text"),
+    [
+        (7.16e-7, 4e-9, "N m s", "(7.16 ± 0.04) × 10⁻⁷ N m s"),
+        (1.26e-8, 3e-10, "N m s^g", "(1.26 ± 0.03) × 10⁻⁸ N m sᵍ"),
+        (-2.17, 0.24, "rad", "−2.17 ± 0.24 rad"),
+        (899.9998, 0.00011, "rad s-1", "899.99980 ± 0.00011 rad s⁻¹"),
+        (1.3195, 0.0003, "1", "1.3195 ± 0.0003"),
+    ],
+)
+def test_value_and_error_are_rounded_together(value, error, unit, text):
+    assert measured(value, error, unit) == text
+
+
+@pytest.mark.parametrize(
+    ("unit", "text"),
+    [("N m s2", "N m s²"), ("rad s-1", "rad s⁻¹"), ("N m s1.5", "N m s¹·⁵"), ("1", ""), ("kg m2", "kg m²")],
+)
+def test_units_have_raised_exponents(unit, text):
+    assert unit_text(unit) == text
+
+
+def test_sentence_is_typeset_but_names_and_formulas_are_left():
+    sentence = (
+        "loses 2.7e-07 N m with k = (9.996e-11 +- 2e-14) N m s2. Effect casing: -1e-6*omega_c**2 of run s2x"
+    )
+    assert typeset(sentence) == (
+        "loses 2.7 × 10⁻⁷ N m with k = (9.996 × 10⁻¹¹ ± 2 × 10⁻¹⁴) N m s². "
+        "Effect casing: -1e-6*omega_c**2 of run s2x"
+    )
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.04617, "0.0462"), (659193.14, "6.6 × 10⁵"), (-1550.9, "−1551"), (0.9986, "0.999"), (1.0, "1.00")],
+)
+def test_short_numbers(value, text):
+    assert short(value) == text
+
+
+def test_what_is_no_number_is_a_dash():
+    assert short(math.nan) == "–"
+
+
+def test_tiny_probabilities_are_bounded():
+    assert probability(1e-186) == "< 10⁻³⁰"
+    assert probability(0.0) == "< 10⁻³⁰"
+
+
+def test_scale_keeps_the_size_readable():
+    for size in (3e-8, 4e-5, 0.02, 1.0, 160.0):
+        factor, prefix = scaled(size)
+        assert 0.5 <= size * factor <= 500
+        assert factor == {"": 1, "m": 1e3, "µ": 1e6, "n": 1e9, "p": 1e12}[prefix]

@@ -1,0 +1,184 @@
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from fitting.discovery import Rung
+from gyrotrack.dataset import BodyTrack, Case, MarkerTrack, Placement, Recording, Series
+from gyrotrack.errors import OutputError
+from gyrotrack.report import write_report
+
+HOSTILE = "<script>alert(1)</script> $\\frac{$ & \"quoted\" 'single' \u202e\U0001f300"
+_TAGS = """html head meta title style body header main footer section nav ul li a h1 h2 h3 p strong span br
+sub code div figure figcaption table caption thead tbody tr th td dl dt dd svg g path use defs clippath rect pattern"""
+
+
+class _Page(HTMLParser):
+    """Tags, attributes and text of a page, as a browser would see them."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.attributes, self.texts = [], [], []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.attributes += [(tag, k, v or "") for k, v in attrs]
+
+    def handle_data(self, data):
+        self.texts.append(data)
+
+    @property
+    def text(self):
+        return " ".join(self.texts)
+
+    def values(self, name):
+        return [v for _, k, v in self.attributes if k == name]
+
+
+@pytest.fixture(scope="module")
+def page(story, tmp_path_factory):
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    write_report(path, story.rungs, story.diagnosis, provenance={"command": "gyrotrack report run.h5"})
+    return path.read_text("utf-8")
+
+
+def test_page_is_whole_and_needs_nothing_else(page):
+    seen = _Page(page)
+    assert len(page) < 6e6
+    assert not {"script", "link", "iframe", "object", "embed", "base", "img", "form"} & set(seen.tags)
+    assert "default-src 'none'" in page
+    assert all(v.startswith("#") for v in [*seen.values("href"), *seen.values("xlink:href")])
+    assert not [k for _, k, _ in seen.attributes if k.startswith("on") or k == "src"]
+    assert "@import" not in page
+    assert all(u.startswith("#") for u in re.findall(r"url\(([^)]*)\)", page))
+
+
+def test_ids_are_unique_and_references_resolve(page):
+    ids = _Page(page).values("id")
+    assert len(ids) == len(set(ids))
+    wanted = {u[1:] for u in re.findall(r"url\((#[^)]*)\)", page)}
+    wanted |= {v[1:] for v in [*_Page(page).values("href"), *_Page(page).values("xlink:href")]}
+    assert wanted <= set(ids)
+
+
+def test_every_drawing_has_a_text_alternative(page):
+    seen = _Page(page)
+    assert seen.tags.count("svg") == seen.values("role").count("img")
+    labels = [v for tag, k, v in seen.attributes if tag == "svg" and k == "aria-label"]
+    assert len(labels) == seen.tags.count("svg")
+    assert all(labels)
+    assert seen.tags.count("figure") == seen.tags.count("figcaption") >= 8
+
+
+def test_page_tells_the_story(page):
+    text = _Page(page).text
+    for words in (
+        "A missing effect was found",
+        "casing.air.quadratic",
+        "What the final model leaves is noise.",
+        "N m s²",
+        "Where the base model fails",
+        "gyrotrack report run.h5",
+    ):
+        assert words in text
+    # the value found is the true one, 3e-10, rounded with its error
+    value, error = re.search(r"Found: k = \(([\d.]+) ± ([\d.]+)\) × 10⁻¹⁰", text).groups()
+    assert abs(float(value) - 3) < 4 * float(error)
+
+
+def test_page_does_not_change_from_run_to_run(story, page, tmp_path):
+    write_report(
+        tmp_path / "again.html",
+        story.rungs,
+        story.diagnosis,
+        provenance={"command": "gyrotrack report run.h5"},
+    )
+    assert (tmp_path / "again.html").read_text("utf-8") == page
+
+
+def _hostile(story):
+    record = replace(story.record, label=HOSTILE, surface=HOSTILE)
+    rungs = []
+    for rung in story.rungs:
+        effects = tuple(
+            replace(e, name=HOSTILE, signature=HOSTILE) if e.name == "casing.air.quadratic" else e
+            for e in rung.fit.model.effects
+        )
+        data = tuple(replace(d, record=record) for d in rung.fit.problem.data)
+        problem = _shallow(rung.fit.problem, data=data)
+        model = replace(rung.fit.model, effects=effects)
+        rungs.append(Rung(rung.change and f"+{HOSTILE}", replace(rung.fit, model=model, problem=problem), ()))
+    candidates = tuple(
+        replace(c, effect=replace(c.effect, name=HOSTILE + c.effect.name)) for c in story.diagnosis.candidates
+    )
+    diagnosis = replace(
+        story.diagnosis,
+        sentence=HOSTILE,
+        next_experiment=HOSTILE,
+        candidates=candidates,
+        failures=tuple(replace(f, label=HOSTILE, body=HOSTILE) for f in story.diagnosis.failures),
+        torques=tuple(replace(t, label=HOSTILE) for t in story.diagnosis.torques),
+    )
+    return rungs, replace(diagnosis, fit=rungs[0].fit)
+
+
+def _shallow(thing, **changes):
+    other = object.__new__(type(thing))
+    other.__dict__.update({**thing.__dict__, **changes})
+    return other
+
+
+def _case():
+    n = 20
+    ones, two = np.ones(n), np.ones((n, 2))
+    status = np.array([0] * 17 + [2, 4, 4], dtype=np.int8)
+    marker = MarkerTrack(HOSTILE, "rotor", 0.0, np.ones((n, 2, 2)), *[ones] * 8, status, ones, ones)
+    body = BodyTrack("rotor", ones, ones, 2e-3 * ones, ones, np.ones(n, dtype=np.int64), ones, ones, 51)
+    clip = Recording(
+        HOSTILE, "ab" * 32, 640, 480, 1000.0, 25.0, 22, n, 1, "rotor", np.arange(n), ones, ones, two, ones,
+        {HOSTILE: marker}, {"rotor": body}, (HOSTILE,),
+    )  # fmt: skip
+    placement = Placement("r1", 70.0123, 0.0004, 1.0, 0.0, 0.0, True, "matching")
+    series = Series(ones, ones, ones, ones, ones, np.ones(n, dtype=np.int64))
+    return Case(5e-5, 2e-5, HOSTILE, HOSTILE, series, series, {"r1": clip}, {"r1": placement})
+
+
+def test_names_from_files_appear_as_text(story, tmp_path):
+    rungs, diagnosis = _hostile(story)
+    path = write_report(
+        tmp_path / "hostile.html", rungs, diagnosis, recordings=[_case()], provenance={HOSTILE: HOSTILE}
+    )
+    seen = _Page(path.read_text("utf-8"))
+    assert "script" not in seen.tags
+    assert set(seen.tags) <= set(_TAGS.split())
+    # title, heading, surface, sentence, next experiment, effect, clip, marker, warning, provenance ...
+    assert seen.text.count(HOSTILE) > 10
+    assert not [k for _, k, _ in seen.attributes if k.startswith("on")]
+
+
+def test_one_fit_alone_makes_a_report(story, tmp_path):
+    path = write_report(tmp_path / "one.html", story.rungs[:1], None, recordings=[_case()])
+    text = " ".join(_Page(path.read_text("utf-8")).text.split())
+    assert "Final model" not in text
+    assert "An unexplained torque remains" in text
+    # and the tracking behind it
+    assert "85 % ok, 5 % occluded, 10 % lost" in text
+    assert "rotor: 2 mrad" in text
+    assert "70.0123 ± 0.0004 s" in text
+    assert "yes: another start cannot be excluded" in text
+    assert "2 of 22 not decoded" in text
+
+
+def test_an_existing_file_is_kept_unless_forced(story, tmp_path):
+    path = tmp_path / "report.html"
+    path.write_text("mine")
+    with pytest.raises(OutputError, match="exists already"):
+        write_report(path, story.rungs, story.diagnosis)
+    assert path.read_text() == "mine"
+    write_report(path, story.rungs[:1], None, force=True)
+    assert path.read_text("utf-8").startswith("<!DOCTYPE html>")
+    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
