@@ -44,6 +44,7 @@ COMMANDS = (
     Entry("effects", "gyrotrack.cli.effects", _PHYSICS, "Show the library of effects."),
     Entry("demo", "gyrotrack.cli.demo", _ORACLE, "Run the whole story on the sample clips."),
     Entry("simulate", "gyrotrack.cli.simulate", _ORACLE, "Make data or film with chosen effects."),
+    Entry("reveal", "gyrotrack.cli.reveal", _ORACLE, "Open a sealed challenge and score the answer."),
 )
 
 app = typer.Typer(

@@ -28,9 +28,9 @@ def command(
     clips: Annotated[
         Path | None, typer.Option("--clips", metavar="DIR", help="Folder with study.toml and the films.")
     ] = None,
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the results.")] = Path(
-        "gyrotrack_demo"
-    ),
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the results.")
+    ] = Path("gyrotrack_demo"),
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -49,7 +49,12 @@ def command(
     case = output / "case.h5"
     casing = [r for r, c in zip(recordings, study["clip"], strict=True) if c["body"] == "casing"]
     rotors = [r for r, c in zip(recordings, study["clip"], strict=True) if c["body"] != "casing"]
-    inertias = ["--inertia-rotor", str(study["inertia_rotor"]), "--inertia-casing", str(study["inertia_casing"])]
+    inertias = [
+        "--inertia-rotor",
+        str(study["inertia_rotor"]),
+        "--inertia-casing",
+        str(study["inertia_casing"]),
+    ]
     names = ["--label", str(study["label"]), "--surface", str(study["surface"])]
     _run(out, ["sync", *casing, *rotors, "-o", case, *inertias, *names, "--force"])
     document = _study(out, case, output)
@@ -114,7 +119,8 @@ def _find(clips: Path | None) -> Path:
         if (place / "study.toml").is_file():
             return place
     raise DatasetError(
-        f"There are no sample clips in {places[0]}.", "Run it in the project's folder, or name the folder with --clips."
+        f"There are no sample clips in {places[0]}.",
+        "Run it in the project's folder, or name the folder with --clips.",
     )
 
 
@@ -136,7 +142,10 @@ def _run(out: Output, arguments: Sequence[object]) -> None:
     """Run one command of the program, show what it says, and pass its error on."""
     words = [str(a) for a in arguments]
     done = subprocess.run(  # noqa: S603 - our own program, no shell
-        [sys.executable, "-m", "gyrotrack", *words, "--json", "-q"], capture_output=True, text=True, check=False
+        [sys.executable, "-m", "gyrotrack", *words, "--json", "-q"],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     document = json.loads(done.stdout or "{}")
     if "error" in document:
@@ -147,7 +156,10 @@ def _run(out: Output, arguments: Sequence[object]) -> None:
 
 def _said(verb: str, document: dict[str, Any]) -> str:
     if verb == "extract":
-        bodies = ", ".join(f"{n} {b['samples']} angles +- {1e3 * b['median_sigma']:.2g} mrad" for n, b in document["body"].items())
+        bodies = ", ".join(
+            f"{n} {b['samples']} angles +- {1e3 * b['median_sigma']:.2g} mrad"
+            for n, b in document["body"].items()
+        )
         return f"  {document['frames']} frames at {document['fps']:.0f}/s: {bodies}"
     lines = [
         f"  {Path(c['source']).name} starts at {c['offset_s']:.5f} s +- {1e3 * c['offset_sigma_s']:.2g} ms"

@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 def command(
     cases: CaseFiles,
     *,
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="The page to write.")] = Path("report.html"),
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="The page to write.")] = Path(
+        "report.html"
+    ),
     effects: EffectsFile = None,
     start: From = None,
     ledger: LedgerFile = None,
@@ -60,6 +62,8 @@ def _rungs(study: Study, start: str | None) -> list[Rung]:
         return [Rung("", fit, ())]
     known = {e.fit_id: e for e in study.ledger.of(study.data)}
     chain = [entry]
-    while (parent := known.get(str(chain[-1].document.get("parent", "")))) is not None and parent not in chain:
+    while (
+        parent := known.get(str(chain[-1].document.get("parent", "")))
+    ) is not None and parent not in chain:
         chain.append(parent)
     return [Rung(str(e.document.get("added", "")), e.refit(study.data), ()) for e in reversed(chain)]

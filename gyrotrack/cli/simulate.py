@@ -71,6 +71,9 @@ def command(
     film: Annotated[
         Path | None, typer.Option("--film", metavar="DIR", help="Draw the films as well, into this folder.")
     ] = None,
+    hide: Annotated[
+        bool, typer.Option("--hide", help="Draw an effect by lot and seal its name beside the case.")
+    ] = False,
     label: Annotated[str | None, typer.Option("--label", metavar="L", help="Name of the case.")] = None,
     surface: Surface = "",
     inertia_rotor: InertiaRotor = I_ROTOR,
@@ -83,9 +86,14 @@ def command(
 
     Example: gyrotrack simulate -o case.h5 --add casing.air.quadratic --strength 0.03
     """
+    import secrets
+
+    import numpy as np
+
     from fitting.effects import REDUCED
     from fitting.model import Model
     from fitting.simulation.recording import Experiment, simulate
+    from gyrotrack.challenge import draw_effect, seal
     from gyrotrack.dataset.writing import refuse_existing
     from gyrotrack.simulated import draw_films, write_record
 
@@ -109,6 +117,13 @@ def command(
         raise UsageError(
             "Measurement effects cannot be simulated this way.", "For a centre offset give --centre-offset."
         )
+    sealed: Path | None = output.with_name(f"{output.stem}.seal.json") if hide else None
+    if sealed is not None:
+        refuse_existing(sealed, force=force)
+        seed = secrets.randbits(48)
+        drawn = draw_effect(model.names, random := np.random.default_rng(seed))
+        model = model.with_effect(drawn)
+        strength = float(strength * 2 ** random.uniform(-1, 1))
     numbers = _numbers(model, experiment, strength, set_values or ())
     with out.progress("simulating") as progress:
         progress(0, None)
@@ -121,7 +136,16 @@ def command(
             seed=seed,
             label=label if label is not None else output.stem,
         )
-    settings = {"model": model.names, "parameters": numbers, "experiment": vars(experiment), "seed": seed}
+    settings: dict[str, Any] = {"experiment": vars(experiment)}
+    document: dict[str, Any] = {"output": output}
+    if sealed is None:
+        document |= {"model": list(model.names), "parameters": numbers}
+        settings |= {**document, "seed": seed}
+    else:
+        own = {k: v for k, v in numbers.items() if k.startswith(f"{drawn.name}.")}
+        commitment = seal(sealed, drawn.name, own, force=force)
+        document |= {"seal": sealed, "commitment": commitment}
+        settings |= {"commitment": commitment}
     write_record(output, record, surface=surface, command=command_line(), settings=settings, force=force)
     films = []
     if film is not None:
@@ -136,15 +160,13 @@ def command(
                 force=force,
                 progress=progress,
             )
-    document: dict[str, Any] = {
-        "output": output,
-        "model": list(model.names),
-        "parameters": numbers,
-        "films": films,
-    }
-    out.result(document)
-    lines = [f"  {key:<34}{value:.6g}" for key, value in numbers.items()]
-    out.show("\n".join([*lines, f"written: {output}", *(f"written: {f}" for f in films)]))
+    out.result({**document, "films": films})
+    shown = (
+        [f"  {key:<34}{value:.6g}" for key, value in numbers.items()]
+        if sealed is None
+        else [f"sealed: {sealed}"]
+    )
+    out.show("\n".join([*shown, f"written: {output}", *(f"written: {f}" for f in films)]))
 
 
 def _numbers(model: Any, experiment: Any, strength: float, given: Any) -> dict[str, float]:
