@@ -18,7 +18,7 @@ from scipy.stats import chi2 as chi2_distribution
 from gyrotrack.sync.curves import Curve
 from gyrotrack.sync.matching import TURN, Pair, Solution, Start, solve
 from gyrotrack.sync.preparing import NEAR, RIVAL, Prepared, prepare
-from gyrotrack.sync.search import RATE_SIGMA
+from gyrotrack.sync.search import RATE_SIGMA, half_length, survey
 
 EXCLUDED = 25.0  # a rival this much worse in chi2 is out
 UNCERTAIN = 1e-3  # s; a start that is known no better is called ambiguous
@@ -93,9 +93,10 @@ def match_clips(
     SyncError
         A clip does not belong to this casing recording.
     """
+    surveys = {half: survey(casing, half) for half in {half_length(clip) for clip in clips}}
     prepared = []
     for clip, name in zip(clips, names, strict=True):
-        prepared.append(prepare(casing, clip, name))
+        prepared.append(prepare(casing, surveys[half_length(clip)], clip, name))
         if progress is not None:
             progress(len(prepared), len(clips))
     found: dict[int, Match] = {}

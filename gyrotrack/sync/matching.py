@@ -22,13 +22,12 @@ from gyrotrack.dataset.records import Floats
 from gyrotrack.sync.curves import Curve, harmonics
 from gyrotrack.sync.stretch import HARMONIC_SIGMA, HARMONICS, Stretch, stretch, window
 
+FAR = 5.0  # s; a start is not sought further from its window; keeps a casing of constant speed solvable
 MAX_STEP = 0.3  # s
 MAX_ROUNDS = 40
 MAX_HALVINGS = 6
 CLOSE = 1e-3  # expected fall of chi2 at which the search ends
 TURN = 2 * np.pi
-
-Part = tuple[Curve, Stretch]
 
 
 @dataclass(frozen=True)
@@ -51,6 +50,15 @@ class Pair:
     casing: Curve
     clip: Curve
     intervals: int
+
+
+@dataclass(frozen=True)
+class _Part:
+    """One clip, the casing around it, and the start about which that was looked at."""
+
+    clip: Curve
+    casing: Stretch
+    centre: Start
 
 
 @dataclass(frozen=True)
@@ -90,7 +98,8 @@ class Solution:
 
     def sigma(self, clip: int) -> Floats:
         """Return the uncertainties of offset, eps and angle of one clip."""
-        return np.sqrt(np.diag(self.covariance)[3 * clip : 3 * clip + 3])
+        variance = np.diag(self.covariance)[3 * clip : 3 * clip + 3]
+        return np.sqrt(np.where(variance > 0, variance, np.inf))
 
 
 def surroundings(pair: Pair, start: Start) -> Stretch:
@@ -165,7 +174,7 @@ def solve(
     if common_rate:
         point = [replace(start, eps=point[0].eps) for start in point]
     windows = tuple(windows or starts)
-    parts = [(p.clip, surroundings(p, w)) for p, w in zip(pairs, windows, strict=True)]
+    parts = [_Part(p.clip, surroundings(p, w), w) for p, w in zip(pairs, windows, strict=True)]
     here = _stack(parts, point, rate_sigma, link)
     converged = False
     for _ in range(MAX_ROUNDS):
@@ -189,7 +198,7 @@ class _Stacked:
 
 
 def _downhill(
-    parts: Sequence[Part], point: list[Start], step: Floats, chi2: float, rate_sigma: float, link: Floats
+    parts: Sequence[_Part], point: list[Start], step: Floats, chi2: float, rate_sigma: float, link: Floats
 ) -> tuple[list[Start], _Stacked] | None:
     """Go along a step as far as chi2 falls; None if it does not."""
     length = min(1.0, MAX_STEP / max(float(np.max(np.abs(step[::3]))), 1e-300))
@@ -205,13 +214,13 @@ def _downhill(
     return None
 
 
-def _stack(parts: Sequence[Part], point: Sequence[Start], rate_sigma: float, link: Floats) -> _Stacked:
-    """Sum the normal equations of all clips in the free parameters, with the prior of each free rate."""
+def _stack(parts: Sequence[_Part], point: Sequence[Start], rate_sigma: float, link: Floats) -> _Stacked:
+    """Sum the normal equations of all clips in the free parameters, with the priors of rates and starts."""
     size = 3 * len(parts)
     matrix, gradient, chi2 = np.zeros((size, size)), np.zeros(size), 0.0
     rates = np.flatnonzero(link[1::3].any(axis=0))
-    for k, ((clip, casing), start) in enumerate(zip(parts, point, strict=True)):
-        part = normal(clip, start, casing)
+    for k, (one, start) in enumerate(zip(parts, point, strict=True)):
+        part = normal(one.clip, start, one.casing)
         block = slice(3 * k, 3 * k + 3)
         matrix[block, block], gradient[block] = part.matrix, part.gradient
         chi2 += part.chi2
@@ -219,6 +228,10 @@ def _stack(parts: Sequence[Part], point: Sequence[Start], rate_sigma: float, lin
         matrix[3 * k + 1, 3 * k + 1] += share
         gradient[3 * k + 1] -= start.eps * share
         chi2 += start.eps**2 * share
+        away = start.offset - one.centre.offset
+        matrix[3 * k, 3 * k] += FAR**-2
+        gradient[3 * k] -= away / FAR**2
+        chi2 += away**2 / FAR**2
     return _Stacked(link.T @ matrix @ link, link.T @ gradient, chi2)
 
 

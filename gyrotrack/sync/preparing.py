@@ -10,7 +10,7 @@ from gyrotrack.errors import SyncError
 from gyrotrack.sync.curves import Curve
 from gyrotrack.sync.matching import Normal, Pair, Solution, Start, normal, solve, surroundings
 from gyrotrack.sync.noise import BLOCKS, block_excess, block_means, correlation_factor, inliers
-from gyrotrack.sync.search import RATE_SIGMA, candidates
+from gyrotrack.sync.search import RATE_SIGMA, Survey, candidates
 from gyrotrack.sync.stretch import window
 
 INTERVALS = (2, 4, 8, 16, 32)
@@ -33,15 +33,15 @@ class Prepared:
     rejected: int
 
 
-def prepare(casing: Curve, clip: Curve, name: str) -> Prepared:
-    """Find where a clip may start on the casing's clock.
+def prepare(casing: Curve, record: Survey, clip: Curve, name: str) -> Prepared:
+    """Find where a clip may start on the casing's clock; `record` is the casing's survey.
 
     Raises
     ------
     SyncError
         No stretch of the casing's record moves like the clip.
     """
-    guesses = [_guess(casing, clip, offset) for offset in candidates(casing, clip)]
+    guesses = [_guess(casing, clip, offset) for offset in candidates(record, clip)]
     pair = Pair(casing, clip, INTERVALS[-1])
     guesses = [guess for guess in guesses if _overlaps(pair, guess)]
     solutions = _distinct(pair, guesses, 10 * RATE_LIMIT)

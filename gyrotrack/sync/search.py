@@ -19,6 +19,7 @@ RATE_SIGMA = 1e-3
 LONGEST = 3.0
 GRID = 0.1
 FINE = 0.005
+APART = 0.3
 MOST = 5
 THRESHOLD = 100.0
 ALLOWANCE = np.array([0.02, 0.02, 0.05])  # what a cubic misses of a motion, in rad s-1, s-2, s-3
@@ -54,15 +55,39 @@ def motion(curve: Curve, moment: float) -> Motion | None:
     return Motion(solution[1:4] * scale, covariance * np.outer(scale, scale))
 
 
-def candidates(casing: Curve, clip: Curve) -> list[float]:
+@dataclass(frozen=True)
+class Survey:
+    """The casing's motion all along its record, summed up over stretches of 2 `half` seconds."""
+
+    half: float
+    moments: Floats
+    motions: tuple[Motion, ...]
+
+
+def half_length(clip: Curve) -> float:
+    """Return half the length over which a clip is summed up [s]; clips alike share it, and a survey."""
+    return min(round(clip.duration / 2, 1), LONGEST / 2) or clip.duration / 2
+
+
+def survey(casing: Curve, half: float) -> Survey:
+    """Sum up the casing's motion around every moment of its record."""
+    moments, found = [], []
+    expected = 2 * half / float(np.median(np.diff(casing.time)))
+    for moment in np.arange(casing.time[0], casing.time[-1], min(GRID, half / 4)):
+        piece = casing.between(moment - half, moment + half)
+        fitted = motion(piece, moment) if len(piece.time) > expected / 2 else None
+        if fitted is not None:
+            moments.append(moment)
+            found.append(fitted)
+    return Survey(half, np.asarray(moments), tuple(found))
+
+
+def candidates(record: Survey, clip: Curve) -> list[float]:
     """Return possible starts of the clip on the casing's clock [s], at most a handful, the best first."""
     middle = (clip.time[0] + clip.time[-1]) / 2
-    half = min(clip.duration, LONGEST) / 2
-    mine = motion(clip.between(middle - half, middle + half), middle)
-    if mine is None:
-        return []
-    moments, theirs = _motions(casing, half)
-    if len(moments) < 4:
+    mine = motion(clip.between(middle - record.half, middle + record.half), middle)
+    moments, theirs = record.moments, record.motions
+    if mine is None or len(moments) < 4:
         return []
     fine = np.arange(moments[0], moments[-1], FINE)
     value = CubicSpline(moments, np.array([m.value for m in theirs]))(fine)
@@ -73,31 +98,16 @@ def candidates(casing: Curve, clip: Curve) -> list[float]:
     covariance = covariance + RATE_SIGMA**2 * stretch[:, :, None] * stretch[:, None, :]
     difference = mine.value - value
     distance = np.einsum("ni,ni->n", difference, np.linalg.solve(covariance, difference[:, :, None])[:, :, 0])
-    return [float(fine[i] - middle) for i in _basins(distance)]
+    return [float(fine[i] - middle) for i in _valleys(distance)]
 
 
-def _motions(casing: Curve, half: float) -> tuple[Floats, list[Motion]]:
-    moments, found = [], []
-    expected = 2 * half / float(np.median(np.diff(casing.time)))
-    for moment in np.arange(casing.time[0], casing.time[-1], min(GRID, half / 4)):
-        piece = casing.between(moment - half, moment + half)
-        fitted = motion(piece, moment) if len(piece.time) > expected / 2 else None
-        if fitted is not None:
-            moments.append(moment)
-            found.append(fitted)
-    return np.asarray(moments), found
-
-
-def _basins(distance: Floats) -> list[int]:
-    """Return the lowest point of every basin that is deep enough, and both shores of a wide one."""
-    deep = distance < distance.min() + THRESHOLD
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], deep.astype(np.int8), [0]])))
-    basins = sorted(
-        zip(edges[::2], edges[1::2], strict=True), key=lambda ab: float(distance[ab[0] : ab[1]].min())
-    )
-    starts = []
-    for a, b in basins[:MOST]:
-        starts.append(int(a + np.argmin(distance[a:b])))
-        if b - a > 1.0 / FINE:
-            starts += [int(a), int(b - 1)]
-    return starts
+def _valleys(distance: Floats) -> list[int]:
+    """Return the lowest points of the valleys that are deep enough, the deepest first."""
+    padded = np.concatenate([[np.inf], distance, [np.inf]])
+    low = (padded[1:-1] <= padded[:-2]) & (padded[1:-1] < padded[2:])
+    deep = np.flatnonzero(low & (distance < distance.min() + THRESHOLD))
+    chosen: list[int] = []
+    for i in deep[np.argsort(distance[deep])]:
+        if all(abs(i - j) * FINE > APART for j in chosen):
+            chosen.append(int(i))
+    return chosen[:MOST]
