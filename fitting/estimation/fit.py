@@ -205,24 +205,30 @@ def _minimise(problem: Problem, theta: Array, *, quick: bool = False) -> tuple[M
             max_iterations=40 if quick else 200,
         )
         theta = problem.physical(minimum.x)
-    if problem.valleys and min(theta[i] for v in problem.valleys for i in (v.d, v.f)) < 0:
-        return _on_the_edge(problem, theta)
-    return minimum, theta
+    # the box around d and f is none in straight variables: whether they kept to it is seen afterwards
+    lower, upper = problem.layout.bounds()
+    outside = [i for v in problem.valleys for i in (v.d, v.f) if not lower[i] <= theta[i] <= upper[i]]
+    return _on_the_edge(problem, theta) if outside else (minimum, theta)
 
 
 def _on_the_edge(problem: Problem, theta: Array) -> tuple[Minimum, Array]:
-    """Return the best fit with d >= 0 and f >= 0 when the free one breaks them: one of the two is zero."""
+    """Return the best fit with d and f within their bounds when the free one breaks them.
+
+    One of the two then lies on a bound: every bound is tried, with the torque at the reference speed kept.
+    """
     (v,) = problem.valleys
     valleys, problem.valleys = problem.valleys, ()
+    unit = {v.d: v.reference, v.f: v.reference ** theta[v.g]}
+    torque = max(theta[v.d] * unit[v.d] + theta[v.f] * unit[v.f], 1e-12)
+    ends = []
     try:
-        ends = []
-        torque = max(theta[v.d] * v.reference + theta[v.f] * v.reference ** theta[v.g], 1e-12)
-        for gone in (v.d, v.f):
-            lower, upper = problem.layout.bounds()
-            begin = theta.copy()
-            begin[v.d], begin[v.f] = torque / v.reference, torque / v.reference ** theta[v.g]
-            begin[gone] = lower[gone] = upper[gone] = 0.0
-            ends.append(minimise(problem, begin, lower, upper, absolute=_ENOUGH))
+        for held, other in ((v.d, v.f), (v.f, v.d)):
+            for bound in {float(b[held]) for b in problem.layout.bounds() if np.isfinite(b[held])}:
+                lower, upper = problem.layout.bounds()
+                begin = theta.copy()
+                begin[held] = lower[held] = upper[held] = bound
+                begin[other] = max(torque - bound * unit[held], 0.0) / unit[other]
+                ends.append(minimise(problem, begin, lower, upper, absolute=_ENOUGH))
     finally:
         problem.valleys = valleys
     best = min(ends, key=lambda m: m.cost)

@@ -129,8 +129,7 @@ class Layout:
     def valleys(self, reference: float) -> tuple[Valley, ...]:
         """Return the pairs of a linear and a power law of the bearing that need straight coordinates."""
         keys = ("bearing.linear.d", "bearing.power.f", "bearing.power.g")
-        # a box around d, f or g is none in straight coordinates: there the fit keeps to the natural ones
-        if not all(k in self.index for k in keys) or any(k in self.ranges for k in keys):
+        if not all(k in self.index for k in keys):
             return ()
         d, f, g = (self.index[k] for k in keys)
         return (Valley(d, f, g, reference),)

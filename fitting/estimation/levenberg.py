@@ -17,6 +17,10 @@ from fitting.errors import EstimationError, SimulationError
 Array = NDArray[np.float64]
 Problem = Callable[[Array], tuple[Array, Array]]
 
+# a fall of the sum of squares, in variances of the noise, that moves no parameter by a tenth of its error
+_WORTH_WHILE = 0.01
+_HARDLY_DAMPED = 1e-20
+
 
 @dataclass(frozen=True)
 class Minimum:
@@ -83,8 +87,11 @@ def minimise(
         predicted = cost - float(np.sum((r + j @ step) ** 2))
         enough = max(tolerance * cost, absolute)
         if damping <= 1 and predicted < 1e-3 * enough:
-            converged = True
-            break
+            if _undamped(r, j, unit, lower - x, upper - x) < _WORTH_WHILE + enough:
+                converged = True
+                break
+            damping *= 0.01
+            continue
         try:
             r_new, j_new = problem(np.clip(x + step, lower, upper))
             with np.errstate(over="ignore"):
@@ -98,16 +105,27 @@ def minimise(
             damping *= max(1 / 5, 1 - (2 * ratio - 1) ** 3)
             growth = 2.0
             if damping <= 1 and max(fall, predicted) < enough:
-                converged = True
-                break
+                if _undamped(r, j, unit, lower - x, upper - x) < _WORTH_WHILE + enough:
+                    converged = True
+                    break
+                damping *= 0.01
         elif damping > 1e14:
             # no step helps, however short: rounding has the last word
-            converged = predicted < 1e-3 * max(1.0, tolerance * cost)
+            converged = _undamped(r, j, unit, lower - x, upper - x) < _WORTH_WHILE + enough
             break
         else:
             damping *= growth
             growth *= 2
     return Minimum(x, r, j, cost, converged, iteration, (x <= lower) | (x >= upper))
+
+
+def _undamped(r: Array, j: Array, unit: Array, down: Array, up: Array) -> float:
+    """Return by how much the sum of squares would fall with no damping, if the problem were linear.
+
+    Where variables are nearly collinear a damped step promises little although the valley still falls.
+    """
+    step = _step(r, j, unit, _HARDLY_DAMPED, down, up)
+    return float(r @ r) - float(np.sum((r + j @ step) ** 2))
 
 
 def _step(r: Array, j: Array, scale: Array, damping: float, down: Array, up: Array) -> Array:
