@@ -19,6 +19,7 @@ from gyrotrack.cli.options import (
     OutputFile,
     Quiet,
     Surface,
+    Verbose,
 )
 from gyrotrack.cli.output import Output
 
@@ -39,6 +40,7 @@ def command(
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
     """Make a case from tables of angles or speeds (CSV).
 
@@ -51,7 +53,7 @@ def command(
     from gyrotrack.dataset.writing import refuse_existing
     from gyrotrack.importing import import_case, summary
 
-    out = Output(as_json=as_json, quiet=quiet)
+    out = Output(as_json=as_json, quiet=quiet, verbose=verbose)
     refuse_existing(output, force=force)
     case = import_case(
         casing,
@@ -65,6 +67,8 @@ def command(
     write_case(output, case, command=command_line(), settings=settings, force=force)
     for warning in case.warnings:
         out.warn(warning)
+    for source in case.extra["sources"]:
+        out.detail(f"{source['file']}: {source['samples']} samples taken")
     document = {"output": output, **summary(case)}
     out.result(document)
     out.show(_lines(document))

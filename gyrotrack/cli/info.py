@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gyrotrack.cli.options import Json
+from gyrotrack.cli.options import Json, Quiet, Verbose
 from gyrotrack.cli.output import DONE, NOT_TRUSTED, Output
 
 if TYPE_CHECKING:
@@ -21,6 +22,8 @@ def command(
         bool, typer.Option("--verify", help="Re-read every chunk against its checksum.")
     ] = False,
     as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> int:
     """Say what a file holds, and whether it is sound (exit code 3 if not).
 
@@ -31,7 +34,9 @@ def command(
     found = inspect_file(file, verify=verify)
     out = Output(as_json=as_json)
     out.result(_document(found))
-    out.show("\n".join(_lines(found)))
+    out.show("\n".join(_verdict(found) if quiet else _verdict(found) + _contents(found)))
+    if verbose:
+        out.show("settings: " + json.dumps(found.provenance["settings"], indent=2))
     return NOT_TRUSTED if found.problems else DONE
 
 
@@ -49,15 +54,16 @@ def _document(found: Inspection) -> dict[str, Any]:
     }
 
 
-def _lines(found: Inspection) -> list[str]:
-    holds = found.holds
+def _verdict(found: Inspection) -> list[str]:
     verdict = "sound" if not found.problems else "NOT SOUND"
     size = found.path.stat().st_size / 1e6
     lines = [f"{found.path}: a {found.kind}, {verdict} ({size:.1f} MB)"]
     lines += [f"  problem: {problem}" for problem in found.problems]
-    lines += [f"  warning: {warning}" for warning in found.warnings]
-    lines.append("")
-    lines += _case_lines(holds) if found.kind == "case" else _recording_lines(holds)
+    return lines + [f"  warning: {warning}" for warning in found.warnings]
+
+
+def _contents(found: Inspection) -> list[str]:
+    lines = ["", *(_case_lines(found.holds) if found.kind == "case" else _recording_lines(found.holds))]
     version = found.provenance["software_version"]
     lines += ["", f"written by gyrotrack {version}, layout {found.provenance['format_version']}, "]
     lines[-1] += found.provenance["created"]
@@ -87,10 +93,13 @@ def _case_lines(holds: dict[str, Any]) -> list[str]:
 
 
 def _placement_line(p: dict[str, Any]) -> str:
-    doubt = "  AMBIGUOUS" if p["ambiguous"] else ""
+    if not p["clock_rate_sigma"]:
+        return f"clock    {p['method']}"
+    doubt = ", AMBIGUOUS" if p["ambiguous"] else ""
+    sign = "+" if p["clock_rate"] >= 1 else "-"
     return (
-        f"  starts at {p['clock_offset']:.4f} +- {p['clock_offset_sigma']:.4f} s, "
-        f"clock rate 1 {p['clock_rate'] - 1:+.1e}{doubt}"
+        f"clock    starts at {p['clock_offset']:.6f} s +- {1e3 * p['clock_offset_sigma']:.3f} ms, "
+        f"rate 1 {sign} {abs(p['clock_rate'] - 1):.1e}{doubt}"
     )
 
 
@@ -99,9 +108,9 @@ def _recording_lines(holds: dict[str, Any]) -> list[str]:
     lines = [
         f"film     {holds['source']}, {holds['width']} x {holds['height']} px, {holds['capture_fps']:g} fps",
         f"frames   {holds['frames']} in {holds['duration_s']:.3f} s, turning {turning} as seen",
-        "",
-        f"{'marker':<10}{'body':<10}" + "".join(f"{word:>9}" for word in _WORDS),
     ]
+    if holds["markers"]:
+        lines += ["", f"{'marker':<10}{'body':<10}" + "".join(f"{word:>9}" for word in _WORDS)]
     for name, marker in holds["markers"].items():
         lines.append(f"{name:<10}{marker['body']:<10}" + "".join(f"{marker[w]:>9}" for w in _WORDS.values()))
     lines += ["", _HEADER]

@@ -19,6 +19,7 @@ from gyrotrack.cli.options import (
     OutputFile,
     Quiet,
     Surface,
+    Verbose,
 )
 from gyrotrack.cli.output import Output
 
@@ -38,6 +39,7 @@ def command(
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
     """Put the clips of one experiment on one clock, and make a case of them.
 
@@ -49,7 +51,7 @@ def command(
     from gyrotrack.dataset.writing import refuse_existing
     from gyrotrack.sync import synchronise
 
-    out = Output(as_json=as_json, quiet=quiet)
+    out = Output(as_json=as_json, quiet=quiet, verbose=verbose)
     refuse_existing(output, force=force)
     recordings = [read_recording(path) for path in (casing, *rotors)]
     with out.progress("matching clips") as progress:
@@ -67,6 +69,8 @@ def command(
     write_case(output, done.case, command=command_line(), settings=settings, force=force)
     for warning in done.case.warnings:
         out.warn(warning)
+    for match in done.matches:
+        out.detail(f"{match.name}: {match.method}; the cameras differ by {1e3 * match.misfit:.2f} mrad")
     clips = [_clip(path, match) for path, match in zip(rotors, done.matches, strict=True)]
     out.result({"output": output, "clips": clips, "warnings": done.case.warnings})
     out.show("\n".join([_HEADER, *(_line(clip) for clip in clips), f"written: {output}"]))
@@ -92,7 +96,7 @@ def _clip(path: Path, match: Match) -> dict[str, Any]:
     }
 
 
-_HEADER = f"{'clip':<24}{'start [s]':>12}{'+- [ms]':>10}{'rate - 1':>12}{'+-':>10}{'':>11}"
+_HEADER = f"{'clip':<24}{'start [s]':>12}{'+- [ms]':>10}{'rate - 1':>12}{'+-':>10}"
 
 
 def _line(clip: dict[str, Any]) -> str:
@@ -102,4 +106,4 @@ def _line(clip: dict[str, Any]) -> str:
     return (
         f"{name:<24}{clip['offset_s']:>12.5f}{1e3 * clip['offset_sigma_s']:>10.3f}"
         f"{clip['rate'] - 1:>12.2e}{clip['rate_sigma']:>10.1e}  {doubt}"
-    )
+    ).rstrip()

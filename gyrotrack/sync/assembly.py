@@ -156,8 +156,8 @@ def _doubts(matches: Sequence[Match], wheels: Sequence[BodyTrack], order: Sequen
             found.append(f"{match.name}: it may as well start at {others} as at {match.start.offset:.3f} s")
         elif match.offset_sigma > UNCERTAIN:
             found.append(
-                f"{match.name}: its start is known to {1e3 * match.offset_sigma:.1f} ms only; "
-                "the casing's speed tells no better there"
+                f"{match.name}: its start is known to {1e3 * match.offset_sigma:.1f} ms only, "
+                "as the casing's speed changes too little there"
             )
     for a, b in pairwise(order):
         first, second = _on_clock(wheels[a], matches[a]), _on_clock(wheels[b], matches[b])
