@@ -38,7 +38,7 @@ def typical_values(
     effect : Effect
         The effect.
     share : float
-        Its torque over the budget of 1e-4 N m, at typical speeds.
+        Its largest torque over the budget of 1e-4 N m, at typical speeds.
     duration : float
         Length of the recording [s], for time constants.
     speeds : mapping
@@ -70,6 +70,9 @@ def typical_values(
         heat = _BUDGET * at["delta"] * values.get("tau_T", duration) if effect.state else duration
         values[amplitude] = share / heat
         return {f"{effect.name}.{k}": v for k, v in values.items()}
-    unit = abs(float(Tape([effect.expression])(at)[0]))
+    tape, unit = Tape([effect.expression]), 0.0
+    for part in (0.05, 0.3, 1.0, 1.5):
+        slower = {"omega_c": part * speeds["omega_c"], "omega": part * speeds["omega_c"]}
+        unit = max(unit, abs(float(tape(at | slower)[0])))
     values[amplitude] = share * _BUDGET / unit if unit > 0 and math.isfinite(unit) else share * _BUDGET
     return {f"{effect.name}.{k}": v for k, v in values.items()}
