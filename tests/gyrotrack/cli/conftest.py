@@ -1,0 +1,84 @@
+"""The program as a user runs it, and small simulated cases whose answers are known."""
+
+import json
+import shutil
+from dataclasses import dataclass
+
+import pytest
+
+from gyrotrack.cli import app
+
+# one run of 40 s: about 10,000 samples of the casing and 9,000 of the rotor
+LENGTH = ["--duration", "40"]
+
+
+@dataclass(frozen=True)
+class Said:
+    """What one command answered."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def json(self):
+        """The document on stdout, which must be the only thing there."""
+        return json.loads(self.out)
+
+    @property
+    def error(self):
+        """The error document."""
+        return self.json["error"]
+
+
+@pytest.fixture
+def gyrotrack(capsys):
+    """Run a command in this process: gyrotrack("fit", path, "--json") -> Said."""
+
+    def run(*words):
+        capsys.readouterr()
+        code = app.run([str(w) for w in words])
+        said = capsys.readouterr()
+        assert "Traceback" not in said.out + said.err
+        return Said(code, said.out, said.err)
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def simulated(tmp_path_factory):
+    """Cases made once: plain (nothing hidden), drag (quadratic drag hidden), other (plain, other start)."""
+    folder = tmp_path_factory.mktemp("simulated")
+    for name, settings in (
+        ("plain", ["--seed", "2"]),
+        ("drag", ["--seed", "1", "--add", "casing.air.quadratic", "--strength", "0.05"]),
+        ("other", ["--seed", "3", "--omega-rotor", "700", "--set", "touchpoint.constant.b1=5e-6"]),
+    ):
+        assert app.run(["simulate", "-o", str(folder / f"{name}.h5"), *LENGTH, *settings]) == 0
+    return folder
+
+
+@pytest.fixture
+def case(simulated, tmp_path):
+    """Copy a simulated case into this test's own folder, so that its ledger is new: case("plain")."""
+
+    def copy(name):
+        return shutil.copy(simulated / f"{name}.h5", tmp_path / f"{name}.h5")
+
+    return copy
+
+
+@pytest.fixture(scope="session")
+def studied(simulated, tmp_path_factory):
+    """The case `drag` with the ledger of `improve`: two rungs, made once."""
+    folder = tmp_path_factory.mktemp("studied")
+    path = shutil.copy(simulated / "drag.h5", folder / "drag.h5")
+    assert app.run(["improve", str(path), "-q"]) == 0
+    return folder
+
+
+@pytest.fixture
+def study(studied, tmp_path):
+    """A copy of the studied case with its ledger, for this test alone."""
+    shutil.copytree(studied, tmp_path, dirs_exist_ok=True)
+    return tmp_path / "drag.h5"
