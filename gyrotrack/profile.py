@@ -4,11 +4,12 @@ A profile names colours; how large the papers are, how far from the centre they 
 have under the lamps is found in the clip itself. The default is the gyroscope of the paper. A profile is a
 TOML file::
 
-    name = "bicycle wheel" centre = "orbit"            # no mark at the centre: it is found from the markers'
-    path capture_fps = 300           # optional sense = -1                  # optional: -1 turns clockwise as
-    seen, +1 counter-clockwise wander = false              # optional: the centre of an orbit stays where it
-    is (true: it may move slowly) tilt_correction = true      # optional: correct the angles for the slant of
-    the camera
+    name = "bicycle wheel"
+    centre = "orbit"            # no mark at the centre: it is found from the markers' path
+    capture_fps = 300           # optional
+    sense = -1                  # optional: -1 turns clockwise as seen, +1 counter-clockwise
+    wander = false              # optional: does the centre of an orbit move? if not said, only when it moves far
+    tilt_correction = true      # optional: correct the angles for the slant of the camera
 
     [[marker]]
     name = "tape"
@@ -57,7 +58,7 @@ class Profile(BaseModel):
     circle_colour: Colour = "red"
     capture_fps: float | None = Field(default=None, gt=0.0, lt=1.0e7)
     sense: Literal[-1, 1] | None = None
-    wander: bool = True
+    wander: bool | None = None
     tilt_correction: bool = True
 
     @field_validator("marker")
@@ -140,8 +141,8 @@ def to_toml(profile: Profile) -> str:
         lines.append(f"capture_fps = {profile.capture_fps!r}")
     if profile.sense is not None:
         lines.append(f"sense = {profile.sense}")
-    if not profile.wander:
-        lines.append("wander = false")
+    if profile.wander is not None:
+        lines.append(f"wander = {str(profile.wander).lower()}")
     if not profile.tilt_correction:
         lines.append("tilt_correction = false")
     for marker in profile.marker:

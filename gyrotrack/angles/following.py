@@ -48,7 +48,9 @@ def find_lock(score: Floats, threshold: float, hint: float = 0.0) -> tuple[int, 
     (frame, Motion) or None
         The motion at that frame.
 
-    Notes ----- The step w maximises |sum exp(i (theta_k - w k))| over all w in (-pi, pi]: frames in which
+    Notes
+    -----
+    The step w maximises |sum exp(i (theta_k - w k))| over all w in (-pi, pi]: frames in which
     something else is brighter only lower the sum. A lock needs 70 % of the frames that were seen in phase.
     """
     columns = score.shape[1]

@@ -24,7 +24,9 @@ def find_sense(turns: dict[str, float], given: int | None) -> int:
     given : int or None
         What the profile says; it is believed.
 
-    Notes ----- The casing decides, since it never turns by half a turn between frames; where it hardly
+    Notes
+    -----
+    The casing decides, since it never turns by half a turn between frames; where it hardly
     moves, the rotor. If nothing moves the bodies are taken to turn clockwise as seen, as in the paper.
     """
     if given is not None:

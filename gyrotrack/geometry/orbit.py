@@ -39,7 +39,9 @@ def common_centre(points: Floats, group: Integers, *, seed: int = 0, trials: int
     Orbit or None
         None when the points do not go round: too few, not spread over at least 1.5 rad, or no circle.
 
-    Notes ----- Random triples of one group give circles. The centre is kept about which points that agree in
+    Notes
+    -----
+    Random triples of one group give circles. The centre is kept about which points that agree in
     radius (within 5 % of their group's typical one) lie in most directions - what stands still agrees with
     every centre, but in one direction only - and refined by least squares over these points.
     """

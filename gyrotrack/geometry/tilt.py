@@ -57,7 +57,9 @@ def fit_flattening(positions: dict[str, Floats], rounds: int = 6) -> Flattening:
     positions : dict of ndarray, shape (n, 2)
         Positions v of each marker relative to the centre, y up, only trusted ones.
 
-    Notes ----- Gauss-Newton on the radii: |v| = rho + e . r + rho (p cos 2 theta + q sin 2 theta) to first
+    Notes
+    -----
+    Gauss-Newton on the radii: |v| = rho + e . r + rho (p cos 2 theta + q sin 2 theta) to first
     order, with r the unit vector of theta; points beyond 4 median absolute deviations are left out in each
     round. Markers whose sightings cover less than 5 rad take no part.
     """

@@ -33,7 +33,9 @@ def wandering_centre(
     still : bool
         The centre stays where it is.
 
-    Notes ----- Gauss-Newton on |place - c(t)| = rho (1 + p cos 2 theta + q sin 2 theta), linear in knots,
+    Notes
+    -----
+    Gauss-Newton on |place - c(t)| = rho (1 + p cos 2 theta + q sin 2 theta), linear in knots,
     rho, p, q for given theta; outliers beyond 4 median absolute deviations are left out. The flattening is
     free here so that it does not leak into the path, and is fitted again, with its tilt, by
     `tilt.fit_flattening`.

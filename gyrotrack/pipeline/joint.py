@@ -74,13 +74,24 @@ def join_bodies(seen: Watched, scene: Scene, profile: Profile, fps: float) -> Jo
     return Joint(centre, bodies, flattening, sense, tuple(warnings))
 
 
+_FAR = 0.05
+
+
 def _centre(seen: Watched, scene: Scene, profile: Profile) -> CentrePath:
     if seen.disc is not None:
         return smooth_path(seen.disc)
     sights = [s for body in seen.bodies.values() for s in body.markers.values()]
     best = max(sights, key=lambda s: int(plausible(s).sum()))
     good = plausible(best) & best.open
-    return wandering_centre(best.position(good), good, np.array(scene.centre), still=not profile.wander)
+    place, first = best.position(good), np.array(scene.centre)
+    still = wandering_centre(place, good, first, still=True)
+    if profile.wander is False:
+        return still
+    moving = wandering_centre(place, good, first)
+    # a path of a few hundredths of the radius is no better known than a centre that stays
+    reach = float(np.ptp(moving.centre, axis=0).max())
+    radius = float(np.nanmedian(np.hypot(*(place[good] - still.centre[good]).T)))
+    return moving if profile.wander or reach > _FAR * radius else still
 
 
 def _joined(
