@@ -32,13 +32,14 @@ def learning_window(path: Floats) -> tuple[int, int]:
     """Return half width and degree of the local polynomials against which repeating errors are learnt.
 
     A little more than a turn to each side, so that an error that repeats with the turn is not taken for
-    motion.
+    motion; and never so short that an error is followed which creeps because the turn and the film's rate
+    are in step.
     """
     step = np.abs(np.diff(path))
     step = step[np.isfinite(step)]
     typical = float(np.median(step)) if len(step) else 0.0
-    half = int(np.clip(1.2 * 2.0 * np.pi / max(typical, 1e-3), HALF_WINDOW, 6 * HALF_WINDOW))
-    return half, 2 if half < 2 * HALF_WINDOW else 3
+    half = int(np.clip(1.2 * 2.0 * np.pi / max(typical, 1e-3), 3 * HALF_WINDOW, 6 * HALF_WINDOW))
+    return half, 3
 
 
 def whole_turns(path: Floats, half: int) -> Mask:

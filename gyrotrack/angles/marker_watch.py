@@ -86,7 +86,7 @@ class MarkerWatch:
             if good.any():
                 self._learn_light(look, found, good, open_)
                 look.apply_light(even_light(self._light, self.channel.ring.columns))
-            found = match(look.profile, self.template(look.profile.shape[1]), found.shift, open_, rounds=2)
+            found = match(look.profile, self.template(look.profile.shape[1]), found.shift, open_)
         return found
 
     def _learn_light(self, look: Look, found: Match, good: Mask, open_: Mask) -> None:

@@ -17,6 +17,10 @@ import numpy.typing as npt
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
+ROUNDS = 8
+CONVERGED = 0.01
+"""Step in samples below which a fit of the displacement is done."""
+
 
 @dataclass(frozen=True)
 class Match:
@@ -42,7 +46,7 @@ class Match:
     weakness: Floats
 
 
-def match(profile: Floats, template: Floats, start: Floats, seen: Mask, rounds: int = 4) -> Match:
+def match(profile: Floats, template: Floats, start: Floats, seen: Mask) -> Match:
     """Fit gain, offset and displacement of every profile by Gauss-Newton.
 
     Parameters
@@ -59,13 +63,15 @@ def match(profile: Floats, template: Floats, start: Floats, seen: Mask, rounds: 
     slope = np.gradient(template)
     weight = seen.astype(np.float64)
     shift = np.array(start, dtype=np.float64)
-    limit = 0.3 * len(template)
-    for _ in range(rounds):
+    limit, stride = 0.3 * len(template), 0.08 * len(template)
+    for _ in range(ROUNDS):
         basis = np.stack([_moved(template, shift), np.ones_like(profile), _moved(slope, shift)], axis=2)
         normal, solution = _solve(basis, profile, weight)
         gain = solution[:, 0]
         step = -solution[:, 2] / np.where(np.abs(gain) > 1e-3, gain, np.inf)
-        shift = np.clip(shift + np.clip(step, -2.0, 2.0), -limit, limit)
+        shift = np.clip(shift + np.clip(step, -stride, stride), -limit, limit)
+        if np.percentile(np.abs(step), 99) < CONVERGED:
+            break
     left = profile - (basis @ solution[:, :, None])[:, :, 0]
     count = np.maximum(weight.sum(axis=1), 1.0)
     misfit = np.sqrt((weight * left**2).sum(axis=1) / count) / np.maximum(np.abs(gain), 1e-3)
