@@ -178,13 +178,15 @@ def _read(path: Path) -> list[Entry]:
 
 def _effect(stored: dict[str, Any]) -> Effect:
     fields = dict(stored)
-    fields["parameters"] = tuple(
-        Parameter(**{k: tuple(v) if k == "grid" else _number(v) for k, v in p.items()})
-        for p in fields["parameters"]
-    )
+    fields["parameters"] = tuple(_parameter(p) for p in fields["parameters"])
     fields["confused_with"] = tuple(fields.get("confused_with", ()))
     fields["state"] = None
     return Effect(**fields)
+
+
+def _parameter(stored: dict[str, Any]) -> Parameter:
+    values: dict[str, Any] = {k: tuple(v) if k == "grid" else _number(v) for k, v in stored.items()}
+    return Parameter(**values)
 
 
 def _number(value: Any) -> Any:

@@ -16,8 +16,26 @@ BUDGET = 1.33e-4  # N m, the torque that 2e-6 N m are 1.5 % of
 # what the strength of an effect refers to: its largest torque in the run
 OMEGA_R, OMEGA_C, D = 900.0, 160.0, 890.0
 CASES = (
-    {"a2": 9.97e-11, "b1": 2.88e-6, "b2": 8.28e-7, "d": 1.57e-7, "f": 1.26e-8, "g": 1.32, "start": (900.0, 5.0), "span": 200.0},
-    {"a2": 9.97e-11, "b1": 2.4e-5, "b2": 8.1e-7, "d": 1.57e-7, "f": 1.26e-8, "g": 1.32, "start": (740.0, 12.0), "span": 160.0},
+    {
+        "a2": 9.97e-11,
+        "b1": 2.88e-6,
+        "b2": 8.28e-7,
+        "d": 1.57e-7,
+        "f": 1.26e-8,
+        "g": 1.32,
+        "start": (900.0, 5.0),
+        "span": 200.0,
+    },
+    {
+        "a2": 9.97e-11,
+        "b1": 2.4e-5,
+        "b2": 8.1e-7,
+        "d": 1.57e-7,
+        "f": 1.26e-8,
+        "g": 1.32,
+        "start": (740.0, 12.0),
+        "span": 160.0,
+    },
 )
 
 
@@ -77,7 +95,15 @@ def outside(x: float, span: float, rng: np.random.Generator) -> dict[str, Hidden
     }
 
 
-def record(case: dict, hidden: Hidden, *, torque_noise: float, sigma: float = 1e-3, rng: np.random.Generator, label: str) -> dict:
+def record(
+    case: dict,
+    hidden: Hidden,
+    *,
+    torque_noise: float,
+    sigma: float = 1e-3,
+    rng: np.random.Generator,
+    label: str,
+) -> dict:
     """Integrate one run and film it; return arrays as `fitting.record.make_record` takes them."""
     span, step = case["span"], 0.02
     n = int(span / step) + 3
@@ -105,11 +131,20 @@ def record(case: dict, hidden: Hidden, *, torque_noise: float, sigma: float = 1e
         ]
 
     time = np.arange(0, span, 1 / 260)
-    windows = [start + np.arange(3000) / 1000 for start in np.array([0.02, 0.35, 0.78]) * span + rng.uniform(0, 3, 3)]
+    windows = [
+        start + np.arange(3000) / 1000 for start in np.array([0.02, 0.35, 0.78]) * span + rng.uniform(0, 3, 3)
+    ]
     every = np.unique(np.concatenate([time, *windows]))
     longest = 0.1 if torque_noise else (0.02 if hidden.truth.get("t0") else 1.0)
     solution = solve_ivp(
-        rates, (0, span), [*case["start"], 0, 0, 0, 0], method="DOP853", rtol=1e-9, atol=1e-9, t_eval=every, max_step=longest
+        rates,
+        (0, span),
+        [*case["start"], 0, 0, 0, 0],
+        method="DOP853",
+        rtol=1e-9,
+        atol=1e-9,
+        t_eval=every,
+        max_step=longest,
     )
     psi_r, psi_c = solution.y[2], solution.y[3][np.searchsorted(every, time)]
     psi_c = psi_c + hidden.centre * np.sin(psi_c - 1.1)

@@ -46,7 +46,15 @@ def main() -> None:
             line = one(name, seed, options)
             with options.output.open("a") as stream:
                 stream.write(json.dumps(line) + "\n")
-            print(line["hidden"], seed, line["verdict"], line["first"], line["class"], f"{line['seconds']:.1f} s", flush=True)
+            print(
+                line["hidden"],
+                seed,
+                line["verdict"],
+                line["first"],
+                line["class"],
+                f"{line['seconds']:.1f} s",
+                flush=True,
+            )
 
 
 def names(options) -> list[str]:
@@ -63,16 +71,22 @@ def one(name: str, seed: int, options) -> dict:
         rng = np.random.default_rng([seed, sum(map(ord, name))])
         x = options.strength * BUDGET
         if options.kind == "nothing":
-            hidden = Hidden(centre=2e-3 if "centre" in name else 0.0, inertia=1.03 if "inertia" in name else 1.0)
+            hidden = Hidden(
+                centre=2e-3 if "centre" in name else 0.0, inertia=1.03 if "inertia" in name else 1.0
+            )
         else:
             hidden = (hidden_effects if options.kind == "library" else outside)(x, case["span"], rng)[name]
         rng = np.random.default_rng([seed, i, sum(map(ord, name))])
-        records.append(make_record(**record(case, hidden, torque_noise=options.noise, rng=rng, label=f"case{i + 1}")))
+        records.append(
+            make_record(**record(case, hidden, torque_noise=options.noise, rng=rng, label=f"case{i + 1}"))
+        )
     began = time.perf_counter()
     base = fit(Model.of(REDUCED), records)
     found = diagnose(base)
     seconds = time.perf_counter() - began
-    physical = [c for c in found.candidates if c.effect.name not in ("camera.centre", "camera.tilt", "camera.shutter")]
+    physical = [
+        c for c in found.candidates if c.effect.name not in ("camera.centre", "camera.tilt", "camera.shutter")
+    ]
     first = physical[0]
     named = [first.effect.name, *first.indistinguishable_from] if found.verdict != "adequate" else []
     after = first.fit.cases[0] if first.fit is not None else None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,7 +87,7 @@ def _stretches(fit: Fit, curve: ResidualTorque) -> list[Failure]:
     edges = np.concatenate([[0], change, [len(ratio)]])
     span = curve.time[-1] - curve.time[0]
     failures = []
-    for a, b in zip(edges, edges[1:], strict=False):
+    for a, b in pairwise(edges):
         if not outside[a] or curve.time[b - 1] - curve.time[a] < _SHORTEST * span:
             continue
         size = float(np.abs(ratio[a:b]).max())

@@ -1,4 +1,4 @@
-"""Which effect is missing: score every candidate, refit the best, say what cannot be told apart, go on until nothing is left."""
+"""Which effect is missing: score every candidate, refit the best, say what cannot be told apart, go on."""
 
 from fitting.discovery.improve import Rung, improve
 from fitting.discovery.ranking import Candidate, rank

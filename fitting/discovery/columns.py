@@ -162,7 +162,9 @@ class CaseColumns:
         h = self.response.edges[1] - self.response.edges[0]
         push = 0.5 * h * (source[1:] + source[:-1])
         if not decay.any():
-            return effect.state.start + np.concatenate([[0.0], np.cumsum(push)]) + 0.5 * h * source[0]
+            return np.asarray(
+                effect.state.start + np.concatenate([[0.0], np.cumsum(push)]) + 0.5 * h * source[0]
+            )
         keep = (1 + 0.5 * h * decay[:-1]) / (1 - 0.5 * h * decay[1:])
         gain = push / (1 - 0.5 * h * decay[1:])
         state = np.empty(n)

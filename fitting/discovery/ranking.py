@@ -98,7 +98,7 @@ def rank(base: Fit, extra: Sequence[Effect] = (), *, refit: bool = True) -> list
     cases = [CaseColumns(base, i) for i in range(len(base.problem.cases))]
     scores = screen(base, effects, cases)
     chances = [_Chance(s) for s in scores]
-    family = _family(chances)
+    family = _Family(chances)
     rough = [
         Candidate(s.effect, s.score, np.nan, family(c(s.score)), np.nan, (), {}, s)
         for s, c in zip(scores, chances, strict=True)
@@ -106,10 +106,7 @@ def rank(base: Fit, extra: Sequence[Effect] = (), *, refit: bool = True) -> list
     rough.sort(key=lambda c: -c.score)
     if refit:
         chance = {s.effect.name: c for s, c in zip(scores, chances, strict=True)}
-        rough = [
-            _refitted(base, c, lambda x, n=c.effect.name: family(chance[n](x))) if w else c
-            for c, w in _worth(rough)
-        ]
+        rough = [_refitted(base, c, chance[c.effect.name], family) if w else c for c, w in _worth(rough)]
     return _classed(sorted(rough, key=_order))
 
 
@@ -174,7 +171,7 @@ def _trials(single: float, share: float) -> float:
     return float(np.log1p(-share) / np.log1p(-min(max(single, 1e-12), 1 - 1e-12)))
 
 
-class _family:  # noqa: N801
+class _Family:
     """p-value over the whole list: calibrated on the smallest p of each empty data set."""
 
     def __init__(self, chances: Sequence[_Chance]) -> None:
@@ -185,7 +182,7 @@ class _family:  # noqa: N801
         return float(-np.expm1(self._candidates * np.log1p(-min(p, 1 - 1e-12))))
 
 
-def _refitted(base: Fit, candidate: Candidate, p_value: object) -> Candidate:
+def _refitted(base: Fit, candidate: Candidate, chance: _Chance, family: _Family) -> Candidate:
     """Refit base and effect together from the base's optimum."""
     start = {name: e.value for name, e in base.estimates.items()} | start_of(base, candidate.screened)
     layout = base.problem.layout
@@ -211,7 +208,7 @@ def _refitted(base: Fit, candidate: Candidate, p_value: object) -> Candidate:
         candidate,
         score=gain,
         delta_bic=found.bic - base.bic,
-        p_value=p_value(gain),  # type: ignore[operator]
+        p_value=family(chance(gain)),
         held_out_gain=base.cases[0].casing.held_out - found.cases[0].casing.held_out,
         estimates={k: e for k, e in found.estimates.items() if k.startswith(prefix)},
         fit=found,

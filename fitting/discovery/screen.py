@@ -19,20 +19,17 @@ from numpy.typing import NDArray
 
 from fitting.case_data import CAMERA_COLUMNS
 from fitting.discovery.columns import CaseColumns, Trial
+from fitting.discovery.stage import Level, Stage, block_diagonal
 from fitting.effects import Effect
 from fitting.estimation import Fit
 from fitting.estimation.layout import PER_CASE
 
 Array = NDArray[np.float64]
 
-_LEVELS = 9
-_CAMERA_WIDTH = 6
 _SHARPENED = 0.1
 _ROUNDS = 3
 _POINTS = 9
 _MOST_SWEPT = 4
-# share of a column that is left beside the base, angles taken as exact, below which the base mimics it
-_ABSORBED = 1e-7
 
 
 @dataclass(frozen=True)
@@ -91,14 +88,14 @@ def screen(
     list of Score
         In the order of the effects.
     """
-    stage = _Stage(fit, draws)
+    stage = Stage(fit, draws)
     tried = {e.name: _trials(e, cases) for e in effects}
     scores = [_score(stage, effect, tried[effect.name]) for effect in effects]
     promising = _SHARPENED * max((s.score for s in scores), default=0.0)
     return [_sharpened(stage, s, tried[s.effect.name], cases) if s.score > promising else s for s in scores]
 
 
-def _sharpened(stage: _Stage, score: Score, tried: list[list[Trial]], cases: Sequence[CaseColumns]) -> Score:
+def _sharpened(stage: Stage, score: Score, tried: list[list[Trial]], cases: Sequence[CaseColumns]) -> Score:
     """Search between the points of the grid for a better shape constant, for effects that have one."""
     shapes = [p.symbol for p in score.effect.parameters if p.role == "shape"]
     if len(shapes) != 1:
@@ -148,62 +145,7 @@ def _trials(effect: Effect, cases: Sequence[CaseColumns]) -> list[list[Trial]]:
     return [first, *(c.trials(effect, shapes) for c in cases[1:])]
 
 
-class _Stage:
-    """Whitened residuals, Jacobian and empty data at several levels of the random torque."""
-
-    def __init__(self, fit: Fit, draws: int) -> None:
-        self.fit = fit
-        data = fit.problem.data
-        self.ends = np.cumsum([0, *(len(d.z) for d in data)])
-        random = np.random.default_rng(7)
-        shares = np.linspace(0, 1, _LEVELS) if any(n.level > n.pure for n in fit.noise) else np.array([1.0])
-        self.whiteners = [[n.whitener.at(_between(n.pure, n.level, x)) for n in fit.noise] for x in shares]
-        # a parameter on its bound is held there: what an effect would free is left to the refit
-        moving = ~fit.problem.layout.at_bound(fit.theta)
-        free = np.concatenate([p.jacobian[:, moving] for p in fit.predictions])
-        nuisance = _block_diagonal([d.nuisance for d in data])
-        residual = np.concatenate([d.z - p.rows for d, p in zip(data, fit.predictions, strict=True)])
-        self.free = np.concatenate([free, nuisance], axis=1)
-        self.nuisance_at = free.shape[1] + np.cumsum([0, *(d.nuisance.shape[1] for d in data)])
-        self.levels = [self._level(w, self.free, residual) for w in self.whiteners]
-        self.residual = residual
-        self.plain = _orthonormal(self.free[:, : self.nuisance_at[0]])
-        self.draws = random.standard_normal((len(residual), draws))
-        base = min(value for _, _, value in self.levels)
-        self.penalty = np.array([value - base for _, _, value in self.levels])
-
-    def white(self, whiteners: Sequence[object], rows: Array) -> Array:
-        """Whiten rows of all cases."""
-        parts = [w(rows[a:b]) for w, a, b in zip(whiteners, self.ends, self.ends[1:], strict=False)]  # type: ignore[operator]
-        return np.concatenate(parts)
-
-    def mimicked(self, groups: Sequence[Array]) -> NDArray[np.bool_]:
-        """Return which groups of columns lie within what is free."""
-        everything = np.concatenate(groups, axis=1)
-        left = everything - self.plain @ (self.plain.T @ everything)
-        share = np.linalg.norm(left, axis=0) / np.maximum(np.linalg.norm(everything, axis=0), 1e-300)
-        return np.asarray(share.reshape(len(groups), -1).max(axis=1) < _ABSORBED)
-
-    def _level(self, whiteners: Sequence[object], free: Array, residual: Array) -> tuple[Array, Array, float]:
-        q = _orthonormal(self.white(whiteners, free))
-        r = self.white(whiteners, residual)
-        r = r - q @ (q.T @ r)
-        value = float(r @ r) + sum(w.log_determinant for w in whiteners)  # type: ignore[attr-defined]
-        return q, r, value
-
-    def beside(self, columns: Array) -> list[tuple[Array, Array, float]]:
-        """Return the levels with further columns free."""
-        free = np.concatenate([self.free, columns], axis=1)
-        return [self._level(w, free, self.residual) for w in self.whiteners]
-
-    def without(self, name: str) -> list[tuple[Array, Array, float]]:
-        """Return the levels with a camera's nuisance taken out of what is free."""
-        skip = [int(end) - _CAMERA_WIDTH + i for end in self.nuisance_at[1:] for i in CAMERA_COLUMNS[name]]
-        free = np.delete(self.free, skip, axis=1)
-        return [self._level(w, free, self.residual) for w in self.whiteners]
-
-
-def _score(stage: _Stage, effect: Effect, trials: list[list[Trial]]) -> Score:
+def _score(stage: Stage, effect: Effect, trials: list[list[Trial]]) -> Score:
     own = _own(effect, len(trials))
     levels = stage.without(effect.name) if effect.name in CAMERA_COLUMNS else stage.levels
     if not own or len(trials[0]) == 1:
@@ -215,7 +157,7 @@ def _score(stage: _Stage, effect: Effect, trials: list[list[Trial]]) -> Score:
 
 
 def _choose(
-    stage: _Stage, effect: Effect, trials: list[list[Trial]], levels: list[tuple[Array, Array, float]]
+    stage: Stage, effect: Effect, trials: list[list[Trial]], levels: list[Level]
 ) -> tuple[list[Trial], Array]:
     """Let each case choose its shapes: the clearest first, then the others beside it, then all once more."""
     groups = [_alone(stage, t, i) for i, t in enumerate(trials)]
@@ -235,9 +177,9 @@ def _place(trials: list[Trial], score: Score) -> int:
     return next(k for k, t in enumerate(trials) if t.shape == score.shape[0])
 
 
-def _alone(stage: _Stage, trials: list[Trial], case: int) -> list[tuple[tuple[dict[str, float], ...], Array]]:
+def _alone(stage: Stage, trials: list[Trial], case: int) -> list[tuple[tuple[dict[str, float], ...], Array]]:
     """Return the columns of one case among the rows of all."""
-    groups = []
+    groups: list[tuple[tuple[dict[str, float], ...], Array]] = []
     for t in trials:
         rows = np.zeros((stage.ends[-1], t.columns.shape[1]))
         rows[stage.ends[case] : stage.ends[case + 1]] = t.columns
@@ -246,22 +188,22 @@ def _alone(stage: _Stage, trials: list[Trial], case: int) -> list[tuple[tuple[di
 
 
 def _search(
-    stage: _Stage,
+    stage: Stage,
     effect: Effect,
     groups: list[tuple[tuple[dict[str, float], ...], Array]],
-    levels: list[tuple[Array, Array, float]],
+    levels: list[Level],
 ) -> Score:
     """Return the best of some groups of columns over all levels of the random torque."""
     bounds = _bounds(effect)
     best: tuple[float, int, Array, Array] = (-np.inf, 0, np.zeros(1), np.zeros(1))
     absorbed = stage.mimicked([c for _, c in groups])
-    for i, (q, r, value) in enumerate(levels):
-        columns = stage.white(stage.whiteners[i], np.concatenate([c for _, c in groups], axis=1))
-        columns = columns - q @ (q.T @ columns)
-        scores, gammas = _solve(columns, r, len(groups), bounds)
+    for i, level in enumerate(levels):
+        columns = stage.white(level.whiteners, np.concatenate([c for _, c in groups], axis=1))
+        columns = columns - level.basis @ (level.basis.T @ columns)
+        scores, gammas = _solve(columns, level.residual, len(groups), bounds)
         scores = np.where(absorbed, 0.0, scores)
         place = int(np.argmax(scores))
-        gain = float(scores[place]) - (value - min(v for _, _, v in levels))
+        gain = float(scores[place]) - (level.deviance - min(x.deviance for x in levels))
         if gain > best[0]:
             width = columns.shape[1] // len(groups)
             direction = columns[:, place * width : (place + 1) * width] @ gammas[place]
@@ -287,7 +229,7 @@ def _stack(trials: list[list[Trial]], own: bool) -> list[tuple[tuple[dict[str, f
     for i in range(max(len(t) for t in trials)):
         chosen = [t[min(i, len(t) - 1)] for t in trials]
         columns = (
-            _block_diagonal([t.columns for t in chosen])
+            block_diagonal([t.columns for t in chosen])
             if own
             else np.concatenate([t.columns for t in chosen])
         )
@@ -317,26 +259,3 @@ def _bounds(effect: Effect) -> tuple[float, float]:
     if any(p.role == "phase" for p in effect.parameters):
         return (-np.inf, np.inf)
     return (effect.amplitude.lower, effect.amplitude.upper) if effect.amplitude else (-np.inf, np.inf)
-
-
-def _between(pure: float, level: float, share: float) -> float:
-    if level <= pure:
-        return pure
-    floor = max(pure, 1e-3 * level)
-    return floor * (level / floor) ** share
-
-
-def _orthonormal(columns: Array) -> Array:
-    size = np.linalg.norm(columns, axis=0)
-    u, s, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
-    return np.asarray(u[:, s > 1e-10 * s[0]])
-
-
-def _block_diagonal(parts: Sequence[Array]) -> Array:
-    rows, columns = sum(len(p) for p in parts), sum(p.shape[1] for p in parts)
-    out = np.zeros((rows, columns))
-    i = j = 0
-    for p in parts:
-        out[i : i + len(p), j : j + p.shape[1]] = p
-        i, j = i + len(p), j + p.shape[1]
-    return out

@@ -6,7 +6,7 @@ linearised motion about that solution.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -137,7 +137,7 @@ def simulate(
     dynamics, path = simulate_path(model, values, experiment)
     # ripples hardly change how the speeds answer to a torque: the smooth motion stands in for the whole
     smooth = (dynamics, path) if not model.rippling else simulate_path(model.smooth, values, experiment)
-    shake = _random_torque(*smooth, values, experiment, random)
+    shake = _RandomTorque(*smooth, values, experiment, random)
     time = np.arange(0.0, experiment.duration, 1 / experiment.casing_fps)
     psi = _angle(path, "omega_c", time) + shake(time, 1)
     psi = psi + experiment.centre_offset * np.sin(psi - 0.7)
@@ -160,7 +160,7 @@ def _noisy(time: Array, angle: Array, sigma: float, random: np.random.Generator)
     )
 
 
-class _random_torque:  # noqa: N801 - used as a function
+class _RandomTorque:
     """The change of an angle by Ornstein-Uhlenbeck torques on the casing and in the bearing."""
 
     def __init__(

@@ -9,6 +9,7 @@ import sys
 import tomllib
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from pathlib import Path
 from time import perf_counter
 from typing import Annotated, Any
@@ -88,7 +89,7 @@ def _study(out: Output, case: Path, output: Path) -> dict[str, Any]:
     out.show("\n5. Add it, and watch the error fall", f"\n$ gyrotrack improve {case}\n")
     rungs = improve(base, first=diagnosis.candidates)
     steps, parent = [first.document["rung"]], first.fit_id
-    for before, rung in zip(rungs, rungs[1:], strict=False):
+    for before, rung in pairwise(rungs):
         entry = study.ledger.add(rung.fit, parent=parent, added=rung.change, previous=before.fit)
         steps.append(entry.document["rung"])
         parent = entry.fit_id

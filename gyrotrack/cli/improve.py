@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 from gyrotrack.cli.options import CaseFiles, Json, Quiet
 from gyrotrack.cli.output import Output
 from gyrotrack.cli.study import EffectsFile, From, LedgerFile, open_study, own_effects
@@ -31,7 +33,7 @@ def command(
         base, parent = study.base(start)
         rungs = improve(base, own_effects(effects), progress=progress)
     steps = [study.ledger.find(parent).document["rung"]]
-    for before, rung in zip(rungs, rungs[1:], strict=False):
+    for before, rung in pairwise(rungs):
         entry = study.ledger.add(rung.fit, parent=parent, added=rung.change, previous=before.fit)
         parent = entry.fit_id
         steps.append(entry.document["rung"])

@@ -27,7 +27,8 @@ def fit_tables(fit: Fit, fit_id: str) -> list[str]:
                 f"{title:<12}{body.r2:>10.6f}{body.rmse:>14.4g}{body.reduced_chi2:>12.4g}{body.held_out:>11.4g}"
             )
     lines.append(
-        f"energy drift {max(c.energy_drift for c in fit.cases):.2g}, effective samples {fit.n_eff:.0f}, BIC {fit.bic:.1f}"
+        f"energy drift {max(c.energy_drift for c in fit.cases):.2g}, "
+        f"effective samples {fit.n_eff:.0f}, BIC {fit.bic:.1f}"
     )
     left = ", ".join(f"{n.level:.2g}" for n in fit.noise)
     lines += [f"random torque that this model leaves: {left} N m rms", ""]
@@ -61,7 +62,8 @@ def diagnosis_tables(d: Diagnosis, fit_id: str) -> list[str]:
         for f in d.failures:
             time = f"{f.t_start:.1f} - {f.t_stop:.1f}"
             lines.append(
-                f"  {f.label[:9]:<10}{f.body:<8}{time:>16}{f.residual_torque_Nm:>14.2g}{f.residual_rad_s:>15.2g}{f.size_sigma:>7.0f}"
+                f"  {f.label[:9]:<10}{f.body:<8}{time:>16}"
+                f"{f.residual_torque_Nm:>14.2g}{f.residual_rad_s:>15.2g}{f.size_sigma:>7.0f}"
             )
     shown = [c for c in d.candidates if c.score > 0][:_CANDIDATES]
     if shown:
@@ -98,7 +100,8 @@ def ladder_tables(rungs: Sequence[dict[str, Any]]) -> list[str]:
         bar = "#" * max(1, round(_BAR * size / max(sizes)))
         added = r["added"] or "base"
         lines.append(
-            f"{r['fit_id']:<5}{r['rmse_casing']:>9.4g} {r['reduced_chi2']:>9.3g} {r['held_out']:>9.3g} {r['delta_bic']:>9.1f}  {bar}"
+            f"{r['fit_id']:<5}{r['rmse_casing']:>9.4g} {r['reduced_chi2']:>9.3g}"
+            f" {r['held_out']:>9.3g} {r['delta_bic']:>9.1f}  {bar}"
         )
         lines.append(
             f"     {added}" + (f"  (left: {r['torque_left_Nm']:.2g} N m)" if r.get("torque_left_Nm") else "")

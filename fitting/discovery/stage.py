@@ -1,0 +1,106 @@
+"""What a score is computed against: residuals, free columns and empty data, whitened at several noise levels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.case_data import CAMERA_COLUMNS
+from fitting.estimation import Fit
+from fitting.noise import Whitener
+
+Array = NDArray[np.float64]
+
+_LEVELS = 9
+_CAMERA_WIDTH = 6
+# share of a column that is left beside the base, angles taken as exact, below which the base mimics it
+_ABSORBED = 1e-7
+_SEED = 7
+
+
+class Level(NamedTuple):
+    """One level of the random torque: whiteners, basis of what is free, what is left, and the deviance."""
+
+    whiteners: Sequence[Whitener]
+    basis: Array
+    residual: Array
+    deviance: float
+
+
+class Stage:
+    """Whitened residuals, Jacobian and empty data at several levels of the random torque."""
+
+    def __init__(self, fit: Fit, draws: int) -> None:
+        self.fit = fit
+        data = fit.problem.data
+        self.ends = np.cumsum([0, *(len(d.z) for d in data)])
+        random = np.random.default_rng(_SEED)
+        shares = np.linspace(0, 1, _LEVELS) if any(n.level > n.pure for n in fit.noise) else np.array([1.0])
+        self._whiteners = [[n.whitener.at(_between(n.pure, n.level, x)) for n in fit.noise] for x in shares]
+        # a parameter on its bound is held there: what an effect would free is left to the refit
+        moving = ~fit.problem.layout.at_bound(fit.theta)
+        free = np.concatenate([p.jacobian[:, moving] for p in fit.predictions])
+        nuisance = block_diagonal([d.nuisance for d in data])
+        residual = np.concatenate([d.z - p.rows for d, p in zip(data, fit.predictions, strict=True)])
+        self._free = np.concatenate([free, nuisance], axis=1)
+        self._nuisance_at = free.shape[1] + np.cumsum([0, *(d.nuisance.shape[1] for d in data)])
+        self._residual = residual
+        self._plain = _orthonormal(self._free[:, : self._nuisance_at[0]])
+        self.levels = [self._level(w, self._free) for w in self._whiteners]
+        self.draws = random.standard_normal((len(residual), draws))
+
+    def white(self, whiteners: Sequence[Whitener], rows: Array) -> Array:
+        """Whiten rows of all cases."""
+        parts = [w(rows[a:b]) for w, a, b in zip(whiteners, self.ends, self.ends[1:], strict=False)]
+        return np.concatenate(parts)
+
+    def mimicked(self, groups: Sequence[Array]) -> NDArray[np.bool_]:
+        """Return which groups of columns lie within what is free."""
+        everything = np.concatenate(groups, axis=1)
+        left = everything - self._plain @ (self._plain.T @ everything)
+        share = np.linalg.norm(left, axis=0) / np.maximum(np.linalg.norm(everything, axis=0), 1e-300)
+        return np.asarray(share.reshape(len(groups), -1).max(axis=1) < _ABSORBED)
+
+    def _level(self, whiteners: Sequence[Whitener], free: Array) -> Level:
+        q = _orthonormal(self.white(whiteners, free))
+        r = self.white(whiteners, self._residual)
+        r = r - q @ (q.T @ r)
+        return Level(whiteners, q, r, float(r @ r) + sum(w.log_determinant for w in whiteners))
+
+    def beside(self, columns: Array) -> list[Level]:
+        """Return the levels with further columns free."""
+        free = np.concatenate([self._free, columns], axis=1)
+        return [self._level(w, free) for w in self._whiteners]
+
+    def without(self, name: str) -> list[Level]:
+        """Return the levels with a camera's nuisance taken out of what is free."""
+        skip = [int(end) - _CAMERA_WIDTH + i for end in self._nuisance_at[1:] for i in CAMERA_COLUMNS[name]]
+        free = np.delete(self._free, skip, axis=1)
+        return [self._level(w, free) for w in self._whiteners]
+
+
+def _between(pure: float, level: float, share: float) -> float:
+    if level <= pure:
+        return pure
+    floor = max(pure, 1e-3 * level)
+    return float(floor * (level / floor) ** share)
+
+
+def _orthonormal(columns: Array) -> Array:
+    size = np.linalg.norm(columns, axis=0)
+    u, s, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
+    return np.asarray(u[:, s > 1e-10 * s[0]])
+
+
+def block_diagonal(parts: Sequence[Array]) -> Array:
+    """Return a block-diagonal matrix of these parts."""
+    rows, columns = sum(len(p) for p in parts), sum(p.shape[1] for p in parts)
+    out = np.zeros((rows, columns))
+    i = j = 0
+    for p in parts:
+        out[i : i + len(p), j : j + p.shape[1]] = p
+        i, j = i + len(p), j + p.shape[1]
+    return out

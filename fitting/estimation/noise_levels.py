@@ -1,0 +1,79 @@
+"""The noise of the cases of a fit: what no slow torque explains, and what the model leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.estimation.problem import Problem
+from fitting.noise import TorqueNoise, TorqueResponse, Whitener, remaining_level
+
+Array = NDArray[np.float64]
+
+_FIRST_LEVEL = 0.01
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What was measured about the noise of one case.
+
+    Attributes
+    ----------
+    scale : float
+        Measured noise of the casing's samples over the sigma that came with them.
+    pure, level : float
+        Rms of the random torque [N m] on the casing and between the bodies, each: what no slow
+        torque explains, and what the fitted model leaves.
+    time : float
+        Its correlation time [s].
+    whitener : Whitener
+        At `level`.
+    """
+
+    scale: float
+    pure: float
+    level: float
+    time: float
+    whitener: Whitener = field(repr=False)
+
+
+def first_noise(problem: Problem, theta: Array) -> tuple[Noise, ...]:
+    """Return a cautious noise to begin with: a hundredth of the bearing's torque."""
+    found = []
+    for case, p in zip(problem.cases, problem.predict(theta), strict=True):
+        data = case.data
+        response = TorqueResponse(data, p.motion)
+        rates = np.abs(
+            case.dynamics.rates(p.path.mesh.times, p.path.y, problem.layout.numbers(theta, case.case))
+        )
+        level = _FIRST_LEVEL * data.record.I_rotor * float(np.median(rates[..., 0]))
+        time = response.default_time
+        found.append(
+            Noise(data.casing.scale, level, level, time, response.whitener(TorqueNoise(level, time)))
+        )
+    return tuple(found)
+
+
+def measure_noise(problem: Problem, theta: Array) -> tuple[Noise, ...]:
+    """Measure the pure noise of each case about a fitted model, and what the model leaves."""
+    found = []
+    for data, p in zip(problem.data, problem.predict(theta), strict=True):
+        response = TorqueResponse(data, p.motion)
+        pure = response.estimate(data.z - p.rows)
+        whitener = response.whitener(pure)
+        found.append(Noise(data.casing.scale, pure.rms, pure.rms, pure.time, whitener))
+    return refine_level(problem, theta, found)
+
+
+def refine_level(problem: Problem, theta: Array, noise: Sequence[Noise]) -> tuple[Noise, ...]:
+    """Return the noise with the level that the model at these variables leaves."""
+    found = []
+    moving = ~problem.layout.at_bound(theta)
+    for data, p, n in zip(problem.data, problem.predict(theta), noise, strict=True):
+        columns = np.concatenate([p.jacobian[:, moving], data.nuisance], axis=1)
+        level = remaining_level(n.whitener, data.z - p.rows, columns, n.pure)
+        found.append(Noise(n.scale, n.pure, level, n.time, n.whitener.at(level)))
+    return tuple(found)
