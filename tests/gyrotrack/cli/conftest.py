@@ -51,7 +51,7 @@ def simulated(tmp_path_factory):
     folder = tmp_path_factory.mktemp("simulated")
     for name, settings in (
         ("plain", ["--seed", "2"]),
-        ("drag", ["--seed", "1", "--add", "casing.air.quadratic", "--strength", "0.05"]),
+        ("drag", ["--seed", "1", "--add", "casing.air.quadratic", "--set", "casing.air.quadratic.k=5e-10"]),
         ("other", ["--seed", "3", "--omega-rotor", "700", "--set", "touchpoint.constant.b1=5e-6"]),
     ):
         assert app.run(["simulate", "-o", str(folder / f"{name}.h5"), *LENGTH, *settings]) == 0

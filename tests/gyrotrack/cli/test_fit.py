@@ -148,10 +148,6 @@ def test_named_models(gyrotrack, case, model, names):
     assert said.json["verdict"] == ("adequate" if model == "reduced" else "misfit")
 
 
-@pytest.mark.xfail(
-    reason="the paper's ranges of d and f are laid on the straight variables, which have other units",
-    strict=True,
-)
 def test_the_general_model_describes_at_least_as_well_as_the_reduced_one(gyrotrack, case):
     path = case("plain")
     reduced = gyrotrack("fit", path, "--json").json

@@ -13,7 +13,7 @@ import pytest
 from fitting.effects import LIBRARY
 from gyrotrack.cli import app
 
-DRAG = 5e-10  # of the case `drag`, from N m of 5 % of the budget at 100 rad/s
+DRAG = 5e-10  # of the case `drag`
 
 
 class TestDiagnose:
@@ -219,18 +219,13 @@ class TestSimulate:
         assert info["label"] == "x"
 
     def test_strength_is_a_share_of_the_budget(self, gyrotrack, tmp_path):
-        said = gyrotrack(
-            "simulate",
-            "-o",
-            tmp_path / "x.h5",
-            *SHORT,
-            "--add",
-            "casing.air.quadratic",
-            "--strength",
-            "0.05",
-            "--json",
-        )
-        assert said.json["parameters"]["casing.air.quadratic.k"] * 100**2 == pytest.approx(0.05 * 1e-4)
+        words = ["--add", "casing.air.quadratic", "--force", "--json"]
+        k = {}
+        for strength in (0.01, 0.05):
+            said = gyrotrack("simulate", "-o", tmp_path / "x.h5", *SHORT, "--strength", strength, *words)
+            k[strength] = said.json["parameters"]["casing.air.quadratic.k"]
+        assert k[0.05] == pytest.approx(5 * k[0.01])
+        assert 50 < np.sqrt(0.05 * 1e-4 / k[0.05]) < 200  # the speed at which it is 5 % of 1e-4 N m [rad/s]
 
     @pytest.mark.parametrize(
         ("words", "code", "match"),
