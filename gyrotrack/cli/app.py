@@ -17,6 +17,7 @@ import typer
 from typer.main import get_command
 
 from gyrotrack import __version__
+from gyrotrack.cli.command_line import running
 from gyrotrack.cli.lazy import Entry, lazy_group
 from gyrotrack.cli.output import DONE, FAULT, INTERRUPTED, USAGE, report_error
 
@@ -87,11 +88,12 @@ def run(arguments: Sequence[str]) -> int:
     """Run the program on `arguments` and return its exit code; no exception leaves."""
     args, debug = _without_debug(list(arguments))
     as_json = "--json" in _options(args)
-    if not debug:
-        warnings.simplefilter("ignore")
     try:
-        code = get_command(app)(args=args, prog_name="gyrotrack", standalone_mode=False)
-        sys.stdout.flush()
+        with warnings.catch_warnings(), running(arguments):
+            if not debug:
+                warnings.simplefilter("ignore")
+            code = get_command(app)(args=args, prog_name="gyrotrack", standalone_mode=False)
+            sys.stdout.flush()
     except KeyboardInterrupt:
         report_error("interrupted", "Interrupted.", "", as_json=as_json)
         return INTERRUPTED
