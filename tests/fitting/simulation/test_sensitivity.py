@@ -67,9 +67,9 @@ def test_sensitivities_match_differences(name):
 
 def test_sensitivities_of_a_law_that_follows_the_angle():
     p = PAPER | EXTRA["unbalance"]
-    dynamics, numbers, path = solved(p, span=8.0, follow=True)
+    dynamics, numbers, path = solved(p, span=4.0, follow=True)
     found = sensitivities(dynamics, numbers, path)
-    times = np.linspace(0, 8, 401)
+    times = np.linspace(0, 4, 201)
     speeds = Sampler(path.mesh, times).value(found.nodes)
     for key in ("casing.unbalance.k", "casing.unbalance.phi", "bearing.linear.d"):
         exact = difference(p, key, times)[1]
