@@ -1,0 +1,48 @@
+"""Write docs/command-line.md from the commands' own help: `python docs/make_command_line.py`."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from unittest import mock
+
+from typer.main import get_command
+
+from gyrotrack.cli.app import COMMANDS, app
+from gyrotrack.cli.lazy import load
+
+TARGET = Path(__file__).with_name("command-line.md")
+
+_HEAD = """# Command line
+
+This page is made from the help of the commands themselves by `docs/make_command_line.py`; a test compares the two.
+
+Results go to stdout, progress and messages to stderr. `--json` prints one JSON document on stdout and nothing else; an
+error is then `{"error": {"code", "message", "hint"}}`. Exit codes: 0 done, 1 the input or the data is at fault, 2 the
+command was not written right, 3 done but not to be trusted, 130 interrupted. `--debug`, anywhere, shows the
+traceback of a bug.
+"""
+
+
+def page() -> str:
+    """Return the page as it should be."""
+    with mock.patch.dict(os.environ, {"COLUMNS": "80", "NO_COLOR": "1"}):
+        parts = [_HEAD, _help("gyrotrack", "gyrotrack", get_command(app))]
+        section = ""
+        for entry in COMMANDS:
+            if entry.section != section:
+                section = entry.section
+                parts.append(f"## {section}\n")
+            parts.append(_help(f"`{entry.name}`", f"gyrotrack {entry.name}", load(entry)))
+    return "\n".join(parts)
+
+
+def _help(title: str, name: str, command: object) -> str:
+    context = command.make_context(name, [], resilient_parsing=True)  # type: ignore[attr-defined]
+    text = "\n".join(line.rstrip() for line in context.get_help().strip().splitlines())
+    level = "##" if title == "gyrotrack" else "###"
+    return f"{level} {title}\n\n```text\n{text}\n```\n"
+
+
+if __name__ == "__main__":
+    TARGET.write_text(page(), encoding="utf-8")

@@ -1,0 +1,59 @@
+"""Pages that are made from the program must be as the program would make them now."""
+
+import importlib.util
+from pathlib import Path
+
+import h5py
+import pytest
+
+from fitting.effects import LIBRARY
+from gyrotrack.cli import app
+
+DOCS = Path(__file__).parents[1] / "docs"
+
+
+def maker(name):
+    spec = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("name", ["make_command_line", "make_effects", "make_format"])
+def test_a_made_page_is_up_to_date(name):
+    module = maker(name)
+    assert module.TARGET.read_text(encoding="utf-8") == module.page(), f"run python docs/{name}.py"
+
+
+def test_no_effect_is_left_out():
+    rows = (DOCS / "effects.md").read_text(encoding="utf-8").splitlines()
+    for name in LIBRARY:
+        assert sum(row.startswith(f"| {name} | `") for row in rows) == 1, name
+
+
+def test_the_tables_of_the_format_are_those_of_a_real_file(tmp_path):
+    """What `simulate` writes has exactly the datasets, units and dimensions that the page lists."""
+    path = tmp_path / "case.h5"
+    words = ["simulate", "-o", path, "--duration", "12", "--window-length", "1"]
+    assert app.run([str(w) for w in words]) == 0
+    text = (DOCS / "format.md").read_text(encoding="utf-8")
+    with h5py.File(path) as file:
+        for group, title in (("casing", "### `/casing` of a case"), ("rotor", "### `/rotor` of a case")):
+            section = text.split(title, 1)[1].split("###", 1)[0]
+            rows = [
+                [c.strip() for c in r.split("|")[1:-1]] for r in section.splitlines() if r.startswith("| ")
+            ]
+            listed = {r[0]: (r[2], r[3]) for r in rows if r[0] != "dataset"}
+            held = {n: (d.dtype.str[1:], d.attrs["units"]) for n, d in file[group].items()}
+            assert held == listed
+        for name in (
+            "format",
+            "format_version",
+            "kind",
+            "software_version",
+            "created",
+            "command",
+            "settings",
+        ):
+            assert name in file.attrs
+            assert f"{name}" in text
