@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,23 +16,11 @@ import numpy.typing as npt
 
 from gyrotrack.dataset.records import Floats, Integers
 from gyrotrack.errors import DatasetError
+from gyrotrack.importing.header import EXPECTED, Header, is_number, read_header
 
 FEWEST = 8
 MOST_BYTES = 2**30
-_EXPECTED = "The header must be `t,angle`, `t,angle,sigma`, `t,omega` or `t,omega,sigma`."
 
-_NAMES = {
-    "t": {"t", "time", "zeit"},
-    "angle": {"angle", "psi", "phi", "theta", "ψ", "φ", "θ", "winkel"},
-    "omega": {"omega", "w", "ω", "speed", "angular_velocity", "angularvelocity"},
-    "sigma": {"sigma", "σ", "error", "err", "uncertainty", "std", "sd"},
-}
-_UNITS = {
-    "t": {"": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0},
-    "angle": {"": 1.0, "rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "°": math.pi / 180},
-    "omega": {"": 1.0, "rad/s": 1.0, "rads-1": 1.0, "s-1": 1.0, "1/s": 1.0, "rpm": math.pi / 30},
-}
-_UNITS["omega"] |= {"deg/s": math.pi / 180, "°/s": math.pi / 180, "rads^-1": 1.0, "rev/s": 2 * math.pi}
 _MISSING = {"", "nan", "na", "n/a", "-", "none", "null"}
 
 
@@ -65,17 +52,6 @@ class Table:
     notes: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class _Header:
-    line: int
-    delimiter: str | None
-    width: int
-    columns: dict[str, int]
-    scales: dict[str, float]
-    quantity: str
-    notes: tuple[str, ...]
-
-
 def read_table(path: Path) -> Table:
     """Read one table.
 
@@ -88,8 +64,8 @@ def read_table(path: Path) -> Table:
     content = _read_bytes(path)
     lines = _content_lines(path, content)
     if not lines:
-        raise DatasetError(f"{path} is empty.", _EXPECTED)
-    header = _read_header(path, *lines[0])
+        raise DatasetError(f"{path} is empty.", EXPECTED)
+    header = read_header(path, *lines[0])
     rows = [_read_row(path, number, text, header) for number, text in lines[1:]]
     if not rows:
         raise DatasetError(f"{path} has a header but no rows.", "Write the samples below the header.")
@@ -131,56 +107,7 @@ def _content_lines(path: Path, content: bytes) -> list[tuple[int, str]]:
     return [(number, line) for number, line in lines if line.strip() and not line.lstrip().startswith("#")]
 
 
-def _read_header(path: Path, number: int, text: str) -> _Header:
-    delimiter = next((d for d in (";", "\t", ",") if d in text), None)
-    names = [cell.strip().strip('"').strip() for cell in text.split(delimiter)]
-    if any(_is_number(name) for name in names):
-        raise DatasetError(f"{path}, line {number}: there is no header above the numbers.", _EXPECTED)
-    columns: dict[str, int] = {}
-    units: dict[str, str] = {}
-    strange = []
-    for position, name in enumerate(names):
-        known, unit = _identify(name)
-        if known is None:
-            strange.append(name)
-        elif known in columns:
-            raise DatasetError(f"{path}, line {number}: two columns are called '{known}'.", _EXPECTED)
-        else:
-            columns[known], units[known] = position, unit
-    quantity = "angle" if "angle" in columns else "omega"
-    if "t" not in columns or quantity not in columns:
-        missing = "time" if "t" not in columns else "angle or omega"
-        raise DatasetError(f"{path}, line {number}: there is no column for the {missing}.", _EXPECTED)
-    if quantity == "angle" and columns.pop("omega", None) is not None:
-        strange.append("omega")
-    scales = {name: _scale(path, number, name, units[name], quantity) for name in columns}
-    if "sigma" in columns and not units["sigma"]:
-        scales["sigma"] = scales[quantity]
-    notes = (f"{path.name}: ignored the column(s) {', '.join(map(repr, strange))}",) if strange else ()
-    return _Header(number, delimiter, len(names), columns, scales, quantity, notes)
-
-
-def _identify(name: str) -> tuple[str | None, str]:
-    """Split ``t [s]``, ``t (s)`` or ``t / s`` and return our name for the column and its unit."""
-    match = re.fullmatch(r"([^\[\](){}/]+?)\s*(?:[\[({]\s*(.*?)\s*[\])}]|/\s*(.*))?", name)
-    word, unit = (match[1], match[2] or match[3] or "") if match else (name, "")
-    word = word.strip().lower().replace(" ", "_")
-    if word.startswith(("sigma_", "err_", "d_")) or word.endswith(("_sigma", "_err", "_error")):
-        word = "sigma"
-    known = next((ours for ours, theirs in _NAMES.items() if word in theirs), None)
-    return known, re.sub(r"[\s*·]", "", unit)
-
-
-def _scale(path: Path, number: int, name: str, unit: str, quantity: str) -> float:
-    table = _UNITS[quantity if name == "sigma" else name]
-    scale = table.get(unit, table.get(unit.lower()))
-    if scale is None:
-        known = ", ".join(u for u in table if u)
-        raise DatasetError(f"{path}, line {number}: the unit '{unit}' is not known.", f"Use one of {known}.")
-    return scale
-
-
-def _read_row(path: Path, number: int, text: str, header: _Header) -> list[float]:
+def _read_row(path: Path, number: int, text: str, header: Header) -> list[float]:
     cells = text.split(header.delimiter)
     if header.delimiter is not None and len(cells) == header.width + 1 and not cells[-1].strip():
         cells = cells[:-1]  # a delimiter at the end of the line
@@ -200,7 +127,7 @@ def _read_row(path: Path, number: int, text: str, header: _Header) -> list[float
             cell = cell.replace(",", ".")
         if cell.lower() in _MISSING:
             row.append(math.nan)
-        elif not _is_number(cell) or math.isinf(float(cell)):
+        elif not is_number(cell) or math.isinf(float(cell)):
             raise DatasetError(
                 f"{path}, line {number}: '{cell[:30]}' in the column '{name}' is not a number.",
                 "Leave the cell empty where a value is missing.",
@@ -210,15 +137,7 @@ def _read_row(path: Path, number: int, text: str, header: _Header) -> list[float
     return row
 
 
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return "_" not in text
-
-
-def _checked(path: Path, sha256: str, header: _Header, cells: Floats, numbers: Integers) -> Table:
+def _checked(path: Path, sha256: str, header: Header, cells: Floats, numbers: Integers) -> Table:
     """Check order and signs, and leave out the rows without a value."""
     time = cells[:, 0]
     _refuse(path, numbers, np.isnan(time), "the time is missing", "Every row needs its time.")

@@ -20,6 +20,7 @@ from scipy.linalg import block_diag, cho_factor, cho_solve
 
 from gyrotrack.dataset.records import Floats
 from gyrotrack.sync.curves import Curve, harmonics
+from gyrotrack.sync.linking import link_matrix
 from gyrotrack.sync.stretch import HARMONIC_SIGMA, HARMONICS, Stretch, stretch, window
 
 FAR = 5.0  # s; a start is not sought further from its window; keeps a casing of constant speed solvable
@@ -169,7 +170,7 @@ def solve(
         A clip leaves its window, or the clips say nothing of some parameter.
     """
     shared = [turn is not None for turn in turns or [None] * len(pairs)]
-    link = _link(common_rate=common_rate, shared_angle=shared)
+    link = link_matrix(common_rate=common_rate, shared_angle=shared)
     point = _on_lattice(starts, turns) if turns is not None else list(starts)
     if common_rate:
         point = [replace(start, eps=point[0].eps) for start in point]
@@ -233,20 +234,6 @@ def _stack(parts: Sequence[_Part], point: Sequence[Start], rate_sigma: float, li
         gradient[3 * k] -= away / FAR**2
         chi2 += away**2 / FAR**2
     return _Stacked(link.T @ matrix @ link, link.T @ gradient, chi2)
-
-
-def _link(*, common_rate: bool, shared_angle: Sequence[bool]) -> Floats:
-    """Return the matrix from free parameters to (offset, eps, angle) of every clip."""
-    clips = len(shared_angle)
-    columns = []
-    for k, shared in ((0, [False] * clips), (1, [common_rate] * clips), (2, list(shared_angle))):
-        each = np.zeros((3 * clips, clips))
-        each[3 * np.arange(clips) + k, np.arange(clips)] = 1
-        together = np.asarray(shared)
-        columns.append(each[:, ~together])
-        if together.any():
-            columns.append(each[:, together].sum(axis=1, keepdims=True))
-    return np.hstack(columns)
 
 
 def _on_lattice(starts: Sequence[Start], turns: Sequence[int | None]) -> list[Start]:

@@ -1,0 +1,103 @@
+"""The header of a table: which column is what, and in which unit."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from gyrotrack.errors import DatasetError
+
+EXPECTED = "The header must be `t,angle`, `t,angle,sigma`, `t,omega` or `t,omega,sigma`."
+
+_NAMES = {
+    "t": {"t", "time", "zeit"},
+    "angle": {"angle", "psi", "phi", "theta", "ψ", "φ", "θ", "winkel"},
+    "omega": {"omega", "w", "ω", "speed", "angular_velocity", "angularvelocity"},
+    "sigma": {"sigma", "σ", "error", "err", "uncertainty", "std", "sd"},
+}
+_UNITS = {
+    "t": {"": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0},
+    "angle": {"": 1.0, "rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "°": math.pi / 180},
+    "omega": {"": 1.0, "rad/s": 1.0, "rads-1": 1.0, "s-1": 1.0, "1/s": 1.0, "rpm": math.pi / 30},
+}
+_UNITS["omega"] |= {"deg/s": math.pi / 180, "°/s": math.pi / 180, "rads^-1": 1.0, "rev/s": 2 * math.pi}
+
+
+@dataclass(frozen=True)
+class Header:
+    """What the header says: the columns, the factors to SI units, and the quantity that was measured."""
+
+    line: int
+    delimiter: str | None
+    width: int
+    columns: dict[str, int]
+    scales: dict[str, float]
+    quantity: str
+    notes: tuple[str, ...]
+
+
+def read_header(path: Path, number: int, text: str) -> Header:
+    """Understand the header, line `number` of the file.
+
+    Raises
+    ------
+    DatasetError
+        There is no header, or a column or unit is missing, doubled or unknown.
+    """
+    delimiter = next((d for d in (";", "\t", ",") if d in text), None)
+    names = [cell.strip().strip('"').strip() for cell in text.split(delimiter)]
+    if any(is_number(name) for name in names):
+        raise DatasetError(f"{path}, line {number}: there is no header above the numbers.", EXPECTED)
+    columns: dict[str, int] = {}
+    units: dict[str, str] = {}
+    strange = []
+    for position, name in enumerate(names):
+        known, unit = _identify(name)
+        if known is None:
+            strange.append(name)
+        elif known in columns:
+            raise DatasetError(f"{path}, line {number}: two columns are called '{known}'.", EXPECTED)
+        else:
+            columns[known], units[known] = position, unit
+    quantity = "angle" if "angle" in columns else "omega"
+    if "t" not in columns or quantity not in columns:
+        missing = "time" if "t" not in columns else "angle or omega"
+        raise DatasetError(f"{path}, line {number}: there is no column for the {missing}.", EXPECTED)
+    if quantity == "angle" and columns.pop("omega", None) is not None:
+        strange.append("omega")
+    scales = {name: _scale(path, number, name, units[name], quantity) for name in columns}
+    if "sigma" in columns and not units["sigma"]:
+        scales["sigma"] = scales[quantity]
+    notes = (f"{path.name}: ignored the column(s) {', '.join(map(repr, strange))}",) if strange else ()
+    return Header(number, delimiter, len(names), columns, scales, quantity, notes)
+
+
+def _identify(name: str) -> tuple[str | None, str]:
+    """Split ``t [s]``, ``t (s)`` or ``t / s`` and return our name for the column and its unit."""
+    match = re.fullmatch(r"([^\[\](){}/]+?)\s*(?:[\[({]\s*(.*?)\s*[\])}]|/\s*(.*))?", name)
+    word, unit = (match[1], match[2] or match[3] or "") if match else (name, "")
+    word = word.strip().lower().replace(" ", "_")
+    if word.startswith(("sigma_", "err_", "d_")) or word.endswith(("_sigma", "_err", "_error")):
+        word = "sigma"
+    known = next((ours for ours, theirs in _NAMES.items() if word in theirs), None)
+    return known, re.sub(r"[\s*·]", "", unit)
+
+
+def _scale(path: Path, number: int, name: str, unit: str, quantity: str) -> float:
+    table = _UNITS[quantity if name == "sigma" else name]
+    scale = table.get(unit, table.get(unit.lower()))
+    if scale is None:
+        known = ", ".join(u for u in table if u)
+        raise DatasetError(f"{path}, line {number}: the unit '{unit}' is not known.", f"Use one of {known}.")
+    return scale
+
+
+def is_number(text: str) -> bool:
+    """Tell whether a cell is a number as other programs write them."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return "_" not in text
