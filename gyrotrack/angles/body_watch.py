@@ -18,6 +18,7 @@ from gyrotrack.segmentation.ring import boxed
 from gyrotrack.video.planes import Frame
 
 Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
 SEEN = 0.4
@@ -68,13 +69,17 @@ class BodyWatch:
         for channel in self._channels:
             channel.take(frame, place)
 
-    def digest(self, count: int, casing: Floats | None) -> tuple[Floats, dict[str, Sightings]]:
+    def digest(
+        self, count: int, advance: Integers, casing: Floats | None
+    ) -> tuple[Floats, dict[str, Sightings]]:
         """Follow the body through the first `count` frames of the buffer and measure its markers.
 
         Parameters
         ----------
         count : int
             Frames in the buffer.
+        advance : ndarray of int, shape (count,)
+            Frames of the camera from each frame to the next; more than 1 where frames are missing.
         casing : ndarray, shape (count,), or None
             Angle as seen of the other body, whose bar may hide markers [rad].
 
@@ -83,7 +88,7 @@ class BodyWatch:
         coarse, sightings
             Unwrapped coarse angle (count,) [rad], NaN where the body is lost; the markers.
         """
-        coarse = self._follow(self._joint_score(count))
+        coarse = self._follow(self._joint_score(count), advance)
         looks = {name: watch.look(coarse + watch.paper.mount) for name, watch in self.markers.items()}
         if casing is not None:
             for name, look in looks.items():
@@ -134,31 +139,39 @@ class BodyWatch:
             total += np.roll(boxed(around, half), -round(paper.mount / step), axis=1)
         return total
 
-    def _follow(self, score: Floats) -> Floats:
+    def _follow(self, score: Floats, advance: Integers) -> Floats:
+        """Return the coarse angle in each frame of a batch; `advance` is as for `following.follow`."""
         count = len(score)
         coarse = np.full(count, np.nan)
         begin = 0
         while begin < count:
             if self._motion is None or self._motion.missed > LONGEST_COAST:
-                begin = self._lock(score, begin, coarse)
-                if self._motion is None:
+                begin = self._lock(score, begin, advance, coarse)
+                if begin == count:
                     break
-            angle, _, self._motion = follow(score[begin:], self._motion, SEEN)
+            angle, _, motion = follow(score[begin:], self._motion_now(), SEEN, advance[begin:])
+            self._motion = motion
             coarse[begin:] = angle
             lost = np.flatnonzero(np.isnan(angle))
             begin = begin + int(lost[0]) if len(lost) else count
         return coarse
 
-    def _lock(self, score: Floats, begin: int, coarse: Floats) -> int:
-        """Find the body anew from frame `begin` on; fill in the frames before the lock by going backwards."""
+    def _motion_now(self) -> Motion:
+        return self._motion if self._motion is not None else Motion(0.0, 0.0)
+
+    def _lock(self, score: Floats, begin: int, advance: Integers, coarse: Floats) -> int:
+        """Find the body anew from frame `begin` on; fill in the frames before the lock by going backwards.
+
+        Without a lock the old motion runs on, so that its turns are still counted when the body comes back.
+        """
         old = self._motion
-        self._motion = None
         lock = find_lock(score[begin:], SEEN, old.step if old else 0.0)
         if lock is None:
+            self._motion = old and _run_on(old, int(advance[begin:].sum()))
             return len(score)
         frame, motion = begin + lock[0], lock[1]
         if old is not None:
-            ahead = old.angle + old.step * lock[0] - motion.angle
+            ahead = _run_on(old, int(advance[begin:frame].sum())).angle - motion.angle
             motion = replace(motion, angle=motion.angle + 2.0 * np.pi * round(ahead / (2.0 * np.pi)))
         if frame > begin:
             back = Motion(motion.angle - motion.step, -motion.step)
@@ -166,3 +179,7 @@ class BodyWatch:
             coarse[begin:frame] = np.where(here, angle, np.nan)[::-1]
         self._motion = motion
         return frame
+
+
+def _run_on(motion: Motion, frames: int) -> Motion:
+    return Motion(motion.angle + frames * motion.step, motion.step, motion.missed + frames)

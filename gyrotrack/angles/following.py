@@ -88,7 +88,9 @@ def _even_advance(angle: Floats, frame: Integers, hint: float) -> Motion | None:
     return Motion(start, step)
 
 
-def follow(score: Floats, motion: Motion, threshold: float) -> tuple[Floats, npt.NDArray[np.bool_], Motion]:
+def follow(
+    score: Floats, motion: Motion, threshold: float, advance: Integers | None = None
+) -> tuple[Floats, npt.NDArray[np.bool_], Motion]:
     """Follow a body through consecutive frames from a known motion.
 
     Parameters
@@ -99,6 +101,8 @@ def follow(score: Floats, motion: Motion, threshold: float) -> tuple[Floats, npt
         The prediction for frame 0.
     threshold : float
         Least score that counts as seen.
+    advance : ndarray of int, shape (n,), optional
+        Frames of the camera from each frame to the next; more than 1 where frames are missing.
 
     Returns
     -------
@@ -124,7 +128,8 @@ def follow(score: Floats, motion: Motion, threshold: float) -> tuple[Floats, npt
         else:
             angle[k] = motion.angle
             motion = replace(motion, missed=motion.missed + 1)
-        motion = replace(motion, angle=motion.angle + motion.step)
+        frames = 1 if advance is None else int(advance[k])
+        motion = replace(motion, angle=motion.angle + frames * motion.step)
     return angle, seen, motion
 
 

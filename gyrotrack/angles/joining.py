@@ -39,6 +39,13 @@ class BodyAngles:
     count: npt.NDArray[np.int64]
     markers: dict[str, MarkerAngles]
 
+    def at(self, index: npt.NDArray[np.int64]) -> BodyAngles:
+        """Return the frames `index` alone."""
+        markers = {
+            name: MarkerAngles(m.angle[index], m.sigma[index], m.mount) for name, m in self.markers.items()
+        }
+        return BodyAngles(self.angle[index], self.sigma[index], self.count[index], markers)
+
 
 def join(
     coarse: Floats,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -51,6 +52,12 @@ class Sightings:
             **{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Sightings)}
         )
 
+    def spread_out(self, index: npt.NDArray[np.int64], count: int) -> Sightings:
+        """Put the frames at the places `index` of `count`; see `spread_out`."""
+        return Sightings(
+            **{f.name: spread_out(getattr(self, f.name), index, count) for f in fields(Sightings)}
+        )
+
     def outside(self, inner: float, outer: float, half_width: float, size: tuple[int, int]) -> Mask:
         """Return where a part of the marker lies outside a picture of (width, height) px."""
         found = np.zeros(len(self.angle), dtype=np.bool_)
@@ -67,3 +74,12 @@ class Sightings:
         usual = float(np.nanmedian(self.radius[good])) if good.any() else np.nan
         r = np.where(good, self.radius, usual)
         return np.asarray(self.centre + np.stack([r * np.cos(self.angle), -r * np.sin(self.angle)], axis=1))
+
+
+def spread_out(values: npt.NDArray[Any], index: npt.NDArray[np.int64], count: int) -> npt.NDArray[Any]:
+    """Put rows at the places `index` of `count` rows; the others are NaN, or False."""
+    out = np.zeros((count, *values.shape[1:]), dtype=values.dtype)
+    if values.dtype != np.bool_:
+        out[:] = np.nan
+    out[index] = values
+    return out

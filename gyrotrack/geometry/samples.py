@@ -17,6 +17,7 @@ from gyrotrack.video import Frame, Reader, keyframes
 HEAD = 48
 """First frames in a row: at 0.2 rad a frame they cover more than a turn."""
 KEYS = 20
+FEWEST = 8
 _BLOB_WIDTH = 400
 
 
@@ -85,6 +86,11 @@ def take_samples(path: Path) -> Samples:
                 break
     if not head:
         raise VideoError(f"no frame of {path} can be decoded", "copy it from the camera again")
+    if len(head) < FEWEST:
+        raise VideoError(
+            f"{path} holds only {len(head)} frames; at least {FEWEST} are needed to find a motion in them",
+            "give a longer film",
+        )
     keys = [frame for frame in keyframes(path, KEYS) if frame.y.shape == head[0].y.shape]
     return Samples((*head, *keys), len(head))
 

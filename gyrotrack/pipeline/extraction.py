@@ -16,7 +16,7 @@ from gyrotrack.pipeline.assembly import body_track, marker_track
 from gyrotrack.pipeline.joint import Joint, join_bodies
 from gyrotrack.pipeline.watch import Progress, watch
 from gyrotrack.profile import PAPER, Profile
-from gyrotrack.video import capture_rate, file_sha256, probe
+from gyrotrack.video import capture_rate, file_sha256, frame_numbers, probe
 
 BODIES = (None, "casing", "rotor", "both")
 
@@ -76,7 +76,8 @@ def extract(
     seen = watch(video, scene, samples, threads, progress)
     joint = join_bodies(seen, scene, profile, rate.fps)
     _check_bodies(joint, body, video)
-    time = np.arange(len(seen.pts_time)) / rate.fps
+    index = frame_numbers(seen.pts_time)
+    time = index / rate.fps
     markers = {
         paper.name: marker_track(
             paper,
@@ -103,7 +104,7 @@ def extract(
         frames_decoded=len(time),
         sense=joint.sense,
         body="both" if len(bodies) == 2 else next(iter(bodies)),
-        frame_index=np.arange(len(time)),
+        frame_index=index,
         time=time,
         pts_time=seen.pts_time,
         centre=joint.centre.centre,

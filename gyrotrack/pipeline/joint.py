@@ -10,14 +10,17 @@ import numpy.typing as npt
 from gyrotrack.angles.candidates import candidate, plausible
 from gyrotrack.angles.joining import BodyAngles, MarkerAngles, join
 from gyrotrack.angles.sense import find_sense, net_turn, unfold
+from gyrotrack.angles.sightings import spread_out
 from gyrotrack.geometry.centre import CentrePath, smooth_path
 from gyrotrack.geometry.scene import Paper, Scene
 from gyrotrack.geometry.tilt import NO_FLATTENING, Flattening, fit_flattening
 from gyrotrack.geometry.wander import wandering_centre
 from gyrotrack.pipeline.watch import BodySightings, Watched
 from gyrotrack.profile import Profile
+from gyrotrack.video import frame_numbers
 
 Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
 
 PLACE_ERROR = 0.12
 """Error in px by place in the picture (light, compression) where a body turns too little to show it."""
@@ -49,7 +52,36 @@ class Joint:
 
 
 def join_bodies(seen: Watched, scene: Scene, profile: Profile, fps: float) -> Joint:
-    """Find the centre's path, and join the markers of each body about it."""
+    """Find the centre's path, and join the markers of each body about it.
+
+    Frames that are missing in the film get empty places, so that the motion is even in between; the result has
+    the film's frames only.
+    """
+    index = frame_numbers(seen.pts_time)
+    joint = _join_even(_with_gaps(seen, index), scene, profile, fps)
+    if len(index) == 0 or index[-1] + 1 == len(index):
+        return joint
+    centre = CentrePath(joint.centre.centre[index], joint.centre.sigma[index], joint.centre.reach)
+    return replace(joint, centre=centre, bodies={name: body.at(index) for name, body in joint.bodies.items()})
+
+
+def _with_gaps(seen: Watched, index: Integers) -> Watched:
+    """Put the frames where they belong on the camera's even grid; what lies between is NaN or False."""
+    count = int(index[-1]) + 1 if len(index) else 0
+    if count == len(index):
+        return seen
+    bodies = {
+        name: BodySightings(
+            spread_out(body.coarse, index, count),
+            {m: s.spread_out(index, count) for m, s in body.markers.items()},
+        )
+        for name, body in seen.bodies.items()
+    }
+    disc = None if seen.disc is None else spread_out(seen.disc, index, count)
+    return replace(seen, bodies=bodies, disc=disc)
+
+
+def _join_even(seen: Watched, scene: Scene, profile: Profile, fps: float) -> Joint:
     centre = _centre(seen, scene, profile)
     bodies: dict[str, BodyAngles] = {}
     flattening: dict[str, Flattening] = {}

@@ -14,9 +14,10 @@ from gyrotrack.angles.sightings import Sightings
 from gyrotrack.geometry.disc import DiscWindow
 from gyrotrack.geometry.samples import Samples
 from gyrotrack.geometry.scene import Scene
-from gyrotrack.video import Reader
+from gyrotrack.video import Reader, frame_numbers, read_stamps
 
 Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
 Progress = Callable[[int, int | None], None]
 
 BATCH = 128
@@ -70,12 +71,12 @@ class _Pass:
         self._parts: dict[str, list[tuple[Floats, dict[str, Sightings]]]] = {b: [] for b in self.bodies}
         self._centres: list[Floats] = []
 
-    def digest(self) -> None:
+    def digest(self, advance: Integers) -> None:
         if not self.filled:
             return
         casing: Floats | None = None
         for name, body in self.bodies.items():
-            self._parts[name].append(body.digest(self.filled, casing))
+            self._parts[name].append(body.digest(self.filled, advance, casing))
             if name == "casing":
                 casing = self._parts[name][-1][0]
         if self.disc is not None:
@@ -102,9 +103,26 @@ class _Pass:
         return Watched(bodies, disc, reader.pts_seconds(), reader.warnings, self.size)
 
 
+class _Advance:
+    """How many frames of the camera lie between frames of the film, by the stamps of the whole film."""
+
+    def __init__(self, stamps: Floats) -> None:
+        self._stamps = stamps
+        numbers = frame_numbers(stamps)
+        self._next = np.append(np.diff(numbers), 1) if len(numbers) else np.ones(1, dtype=np.int64)
+
+    def steps(self, pts: Floats) -> Integers:
+        """Return the step from each frame with these stamps to the next, (n,)."""
+        if not len(self._stamps) or not np.isfinite(pts).all():
+            return np.ones(len(pts), dtype=np.int64)
+        place = np.searchsorted(self._stamps, pts - 1e-7)
+        return np.asarray(self._next[np.clip(place, 0, len(self._next) - 1)], dtype=np.int64)
+
+
 def watch(path: Path, scene: Scene, samples: Samples, threads: int, progress: Progress | None) -> Watched:
     """Read a film once, from its first frame to its last, and measure everything in it."""
     work = _Pass(scene, samples)
+    clock = _Advance(read_stamps(path))
     with Reader(path, threads) as reader:
         total = reader.info.frames_declared or None
         for frame in reader:
@@ -116,10 +134,10 @@ def watch(path: Path, scene: Scene, samples: Samples, threads: int, progress: Pr
                 work.disc.take(frame, work.filled)
             work.filled += 1
             if work.filled == BATCH:
-                work.digest()
+                work.digest(clock.steps(reader.pts_seconds()[-work.filled :]))
                 if progress is not None:
                     progress(reader.decoded, total)
-        work.digest()
+        work.digest(clock.steps(reader.pts_seconds()[-work.filled :]))
         if progress is not None:
             progress(reader.decoded, total)
         return work.result(reader)

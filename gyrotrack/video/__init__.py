@@ -7,10 +7,10 @@ A film is read from its first frame to its last; frames are counted here, never 
 
 from __future__ import annotations
 
-from gyrotrack.video.clock import CaptureRate, capture_rate, stamp_warnings
+from gyrotrack.video.clock import CaptureRate, capture_rate, frame_numbers, stamp_warnings
 from gyrotrack.video.container import ClipInfo, file_sha256, probe
 from gyrotrack.video.planes import Frame
-from gyrotrack.video.reader import Reader, keyframes
+from gyrotrack.video.reader import Reader, keyframes, read_stamps
 
 __all__ = [
     "CaptureRate",
@@ -19,7 +19,9 @@ __all__ = [
     "Reader",
     "capture_rate",
     "file_sha256",
+    "frame_numbers",
     "keyframes",
     "probe",
+    "read_stamps",
     "stamp_warnings",
 ]

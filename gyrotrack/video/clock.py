@@ -61,36 +61,50 @@ def _differences(info: ClipInfo, fps: float, source: str) -> tuple[str, ...]:
     return tuple(found)
 
 
-def stamp_warnings(pts: npt.NDArray[np.float64], fps: float) -> tuple[str, ...]:
-    """Find missing and repeated time stamps.
+def frame_numbers(pts: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
+    """Return the numbers of a film's frames by their time stamps, without those of missing frames.
 
     Parameters
     ----------
     pts : ndarray, shape (n,)
-        Time stamps in s, NaN where a frame has none.
-    fps : float
-        Nominal rate of the container. The true spacing is taken from the stamps (their median).
+        Time stamps in s, in order, NaN where a frame has none.
 
     Notes
     -----
-    A step counts as a gap only beyond 1.5 periods: containers with a 1 ms clock jitter by half a period.
+    The period is the median spacing. A step counts as a gap only beyond 1.5 periods and 1.1 ms more than one,
+    because containers with a 1 ms clock jitter by a part of a period. Films whose stamps are not evenly spaced
+    otherwise (one step in ten is no whole number of periods) are numbered without gaps.
     """
+    plain = np.arange(len(pts), dtype=np.int64)
+    step = np.diff(pts)
+    period = float(np.median(step[np.isfinite(step)])) if np.isfinite(step).any() else 0.0
+    if len(pts) < 3 or period <= 0.0 or not np.isfinite(pts).all():
+        return plain
+    ratio = step / period
+    uneven = np.abs(ratio - np.rint(ratio)) * period > np.maximum(0.2 * period, 1.1e-3)
+    if uneven.mean() > 0.1:
+        return plain
+    gap = (step > 1.5 * period) & (step > period + 1.1e-3)
+    advance = np.where(gap, np.rint(ratio), 1.0).astype(np.int64)
+    return np.concatenate([[0], np.cumsum(advance)])
+
+
+def stamp_warnings(pts: npt.NDArray[np.float64]) -> tuple[str, ...]:
+    """Tell of missing frames and of time stamps that do not grow; `pts` (n,) in s, NaN where there is none."""
+    if len(pts) < 3:
+        return ()
     stamps = pts[np.isfinite(pts)]
-    if len(stamps) < 3:
-        return () if len(pts) < 3 else ("the film has no time stamps",)
-    step = np.diff(stamps)
-    period = float(np.median(step)) if not np.isfinite(fps) or fps <= 0 else 1.0 / fps
-    if period <= 0.0:
-        return ("the film's time stamps do not grow",)
+    if len(stamps) < len(pts):
+        return (f"{len(pts) - len(stamps)} frames have no time stamp; times count decoded frames",)
     found = []
-    # Each step is judged with its neighbours' rounding taken out: two half-period errors are no gap.
-    lost = np.rint(step / period).astype(int) - 1
-    gaps = np.flatnonzero((lost >= 1) & (step > 1.5 * period + 1.1e-3))
+    advance = np.diff(frame_numbers(pts))
+    gaps = np.flatnonzero(advance > 1)
     if len(gaps):
         found.append(
-            f"time stamps show {int(lost[gaps].sum())} missing frames at {len(gaps)} places, "
-            f"the first after frame {int(gaps[0])}; times count decoded frames"
+            f"time stamps show {int((advance - 1).sum())} missing frames at {len(gaps)} places, "
+            f"the first after frame {int(gaps[0])}; their times are left out"
         )
-    if np.any(step <= 0.0):
-        found.append(f"{int(np.sum(step <= 0.0))} time stamps do not grow")
+    backwards = int(np.sum(np.diff(stamps) <= 0.0))
+    if backwards:
+        found.append(f"{backwards} time stamps do not grow")
     return tuple(found)

@@ -91,7 +91,7 @@ def probe(path: Path) -> ClipInfo:
     """Read what a film declares: size, rates, frame count, tags."""
     with opened(path) as (container, stream):
         context = stream.codec_context
-        rate = stream.average_rate or stream.guessed_rate
+        rate = _nominal_rate(stream)
         return ClipInfo(
             path=path,
             width=int(context.width),
@@ -103,6 +103,14 @@ def probe(path: Path) -> ClipInfo:
             pixel_format=str(context.pix_fmt),
             time_base=Fraction(stream.time_base),
         )
+
+
+def _nominal_rate(stream: Any) -> Any:
+    """Return the rate of a stream; the average is misled by missing frames, the nominal one by odd time bases."""
+    average, nominal = stream.average_rate, stream.base_rate
+    if average and nominal and 1.0 <= float(nominal / average) < 1.2:
+        return nominal
+    return average or stream.guessed_rate
 
 
 def file_sha256(path: Path) -> str:

@@ -9,6 +9,7 @@ from typing import Any, Self
 
 import av
 import numpy as np
+import numpy.typing as npt
 
 from gyrotrack.video.clock import stamp_warnings
 from gyrotrack.video.container import ClipInfo, opened, probe
@@ -80,7 +81,7 @@ class Reader:
                 else:
                     self._bad_packets += 1
 
-    def pts_seconds(self) -> np.ndarray[Any, np.dtype[np.float64]]:
+    def pts_seconds(self) -> npt.NDArray[np.float64]:
         """Return the time stamps of the frames so far in s, NaN where a frame has none."""
         base = float(self.info.time_base)
         return np.array([np.nan if p is None else p * base for p in self.pts], dtype=np.float64)
@@ -99,7 +100,14 @@ class Reader:
             found.append(f"{self._bad_packets} damaged packets were skipped")
         if self._corrupt:
             found.append(f"{self._corrupt} frames are marked as damaged by the decoder")
-        return (*found, *stamp_warnings(self.pts_seconds(), self.info.container_fps))
+        return (*found, *stamp_warnings(self.pts_seconds()))
+
+
+def read_stamps(path: Path) -> npt.NDArray[np.float64]:
+    """Return the time stamps of a film's packets in s, sorted, without decoding anything."""
+    with opened(path) as (container, stream):
+        stamps = [packet.pts for packet in _packets(container, stream) if packet.pts is not None]
+        return np.sort(np.array(stamps, dtype=np.float64)) * float(stream.time_base)
 
 
 def keyframes(path: Path, count: int) -> list[Frame]:

@@ -25,15 +25,15 @@ def foreign():
 
 @pytest.fixture(scope="session")
 def draw(foreign, tmp_path_factory):
-    """Draw a film once a session: draw(casing=..., frames=...) -> (path, film)."""
+    """Draw a film once a session: draw(casing=..., frames=...) -> (path, film); name edited ones by `key`."""
     folder = tmp_path_factory.mktemp("films")
     done = {}
 
-    def make(suffix=".mp4", key=None, **settings):
+    def make(suffix=".mp4", key=None, edit=None, **settings):
         film = dataclasses.replace(foreign.Film(), **settings)
         name = key or hashlib.sha256(repr(sorted(settings.items())).encode()).hexdigest()[:16]
         if name not in done:
-            done[name] = (foreign.render(film, folder / f"{name}{suffix}"), film)
+            done[name] = (foreign.render(film, folder / f"{name}{suffix}", edit), film)
         return done[name]
 
     return make

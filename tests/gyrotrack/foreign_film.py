@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 
 Angle = Callable[[np.ndarray], np.ndarray]
+Edit = Callable[[int, np.ndarray], np.ndarray | None]
 
 
 @dataclass(frozen=True)
@@ -70,8 +71,11 @@ class Film:
 _TABLES = {"grey": (150, 150, 150), "white": (225, 225, 222), "wood": (170, 125, 80), "dark": (40, 42, 45)}
 
 
-def render(film: Film, path: Path) -> Path:
-    """Write the film; the true angles are `film.casing(film.time)` and `film.rotor(film.time)`."""
+def render(film: Film, path: Path, edit: Edit | None = None) -> Path:
+    """Write the film; the true angles are `film.casing(film.time)` and `film.rotor(film.time)`.
+
+    `edit(k, picture)` may change frame k before the noise is added; a frame for which it gives None is left out.
+    """
     cv2.setNumThreads(1)
     rng = np.random.default_rng(film.seed)
     table = _table(film, rng)
@@ -87,6 +91,10 @@ def render(film: Film, path: Path) -> Path:
             container.metadata["com.android.capture.fps"] = str(film.tag)
         for k, t in enumerate(film.time):
             picture = _exposed(film, table, float(t))
+            if edit is not None:
+                picture = edit(k, picture)
+                if picture is None:
+                    continue
             picture = picture * light * (1.0 + film.flicker * np.sin(2 * np.pi * 100.0 * t + 0.3))
             picture = picture + film.noise * rng.standard_normal(picture.shape, dtype=np.float32)
             frame = av.VideoFrame.from_ndarray(np.clip(picture, 0, 255).astype(np.uint8), format="rgb24")

@@ -210,6 +210,61 @@ def test_an_unknown_capture_rate_is_refused_before_tracking(draw):
         extract(path)
 
 
+def test_turns_are_counted_through_a_long_blackout(draw):
+    def black(k, picture):
+        return 0 * picture + 20 if 50 <= k < 110 else picture
+
+    path, film = draw(
+        key="black", edit=black, **{**SMALL, "frames": 160, "casing": _linear(70.0), "rotor_papers": False}
+    )
+    recording = extract(path)
+    track = recording.bodies["casing"]
+    assert len(track.time) == 100
+    assert np.abs(_error(track, film.casing)).max() < 0.03  # a slipped turn would be 6.28
+    assert (recording.markers["red"].status[50:110] == STATUS["lost"]).all()
+
+
+def test_frames_missing_in_the_file_are_missing_in_time(draw):
+    def dropped(k, picture):
+        return None if k in (40, 41, 90) else picture
+
+    path, film = draw(
+        key="dropped", edit=dropped, **{**SMALL, "casing": _linear(70.0), "rotor_papers": False}
+    )
+    recording = extract(path)
+    track = recording.bodies["casing"]
+    np.testing.assert_array_equal(recording.frame_index, np.delete(np.arange(120), [40, 41, 90]))
+    np.testing.assert_allclose(recording.time, recording.frame_index / film.fps)
+    assert len(track.time) == 117
+    assert np.abs(_error(track, film.casing)).max() < 0.03
+    assert any("3 missing frames" in text for text in recording.warnings)
+
+
+def test_a_marker_that_leaves_the_picture_is_flagged(draw):
+    path, film = draw(**{**SMALL, "centre": (230.0, 119.5), "casing": _linear(70.0), "rotor_papers": False})
+    red = extract(path).markers["red"]
+    angle = -film.casing(film.time)
+    right = 230.0 + 0.86 * 105.0 * np.cos(angle)  # where its far end is
+    assert (red.status[right > 322] == STATUS["out_of_frame"]).all()
+    assert (red.status[right < 312] == STATUS["ok"]).mean() > 0.95
+
+
+def test_more_than_half_a_turn_a_frame_is_told_from_the_casings_sense(draw):
+    path, film = draw(
+        **{**SMALL, "fps": 1000.0, "exposure": 2e-5, "casing": _linear(90.0), "rotor": _linear(4000.0)}
+    )
+    recording = extract(path)
+    track = recording.bodies["rotor"]
+    assert np.abs(_error(track, film.rotor)).max() < 0.05
+    assert any("half a turn" in text for text in recording.warnings)
+
+
+def test_a_few_frames_are_too_few(draw):
+    path, _ = draw(**{**SMALL, "frames": 3, "rotor_papers": False})
+    with pytest.raises(VideoError, match="only 3 frames"):
+        extract(path)
+
+
 def test_a_mount_angle_in_the_profile_fixes_the_zero(casing_clip):
     path, _ = casing_clip
     marker = {"name": "red", "colour": "red", "body": "casing"}

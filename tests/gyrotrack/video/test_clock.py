@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gyrotrack.errors import VideoError
-from gyrotrack.video import ClipInfo, capture_rate, stamp_warnings
+from gyrotrack.video import ClipInfo, capture_rate, frame_numbers, stamp_warnings
 
 INFO = ClipInfo(Path("a.mp4"), 640, 360, 260.0, 100, None, "h264", "yuv420p", Fraction(1, 90000))
 
@@ -42,16 +42,31 @@ def test_impossible_rates_are_refused(fps):
 
 
 def test_even_stamps_are_silent():
-    assert stamp_warnings(np.arange(100) / 260.0, 260.0) == ()
+    assert stamp_warnings(np.arange(100) / 260.0) == ()
+    np.testing.assert_array_equal(frame_numbers(np.arange(100) / 260.0), np.arange(100))
 
 
 def test_a_millisecond_clock_is_no_gap():
     stamps = np.round(np.arange(2000) / 260.0, 3)  # steps of 3 and 4 ms
-    assert stamp_warnings(stamps, 260.0) == ()
+    assert stamp_warnings(stamps) == ()
+    np.testing.assert_array_equal(frame_numbers(stamps), np.arange(2000))
 
 
-def test_missing_frames_are_counted():
+def test_missing_frames_are_counted_and_their_numbers_left_out():
     index = np.delete(np.arange(200), [50, 51, 120])
-    (text,) = stamp_warnings(index / 260.0, 260.0)
+    (text,) = stamp_warnings(index / 260.0)
     assert "3 missing frames at 2 places" in text
     assert "after frame 49" in text
+    np.testing.assert_array_equal(frame_numbers(index / 260.0), index)
+
+
+def test_stamps_without_a_rhythm_are_not_believed():
+    stamps = np.cumsum(np.random.default_rng(0).uniform(1e-3, 9e-3, 300))
+    np.testing.assert_array_equal(frame_numbers(stamps), np.arange(300))
+
+
+def test_frames_without_stamps_are_told():
+    stamps = np.arange(50) / 260.0
+    stamps[7] = np.nan
+    assert "no time stamp" in stamp_warnings(stamps)[0]
+    np.testing.assert_array_equal(frame_numbers(stamps), np.arange(50))
