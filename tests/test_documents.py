@@ -1,13 +1,16 @@
 """Pages that are made from the program must be as the program would make them now."""
 
 import importlib.util
+import re
 from pathlib import Path
 
 import h5py
 import pytest
 
 from fitting.effects import LIBRARY
+from fitting.errors import FittingError
 from gyrotrack.cli import app
+from gyrotrack.errors import GyrotrackError
 
 DOCS = Path(__file__).parents[1] / "docs"
 
@@ -57,3 +60,33 @@ def test_the_tables_of_the_format_are_those_of_a_real_file(tmp_path):
         ):
             assert name in file.attrs
             assert f"{name}" in text
+
+
+def _all_below(root):
+    return [root, *(deeper for child in root.__subclasses__() for deeper in _all_below(child))]
+
+
+def test_troubleshooting_leaves_no_class_of_errors_out():
+    text = (DOCS / "troubleshooting.md").read_text(encoding="utf-8")
+    headings = "\n".join(line for line in text.splitlines() if line.startswith("## "))
+    for error in (*_all_below(GyrotrackError)[1:], *_all_below(FittingError)[1:]):
+        assert f"`{error.code}`" in headings, error
+
+
+def test_troubleshooting_quotes_what_the_program_says():
+    """Each message in the first column of a table stands in the code (N and ... stand for anything)."""
+    root = DOCS.parent
+    code = "\n".join(
+        p.read_text(encoding="utf-8") for d in ("gyrotrack", "fitting") for p in (root / d).rglob("*.py")
+    )
+    code = re.sub(r'"\s*\n\s*f?"', "", code)  # strings that go on in the next line
+    code = re.sub(r"\{[^{}]*\}", "...", code)
+    quoted = 0
+    for row in (DOCS / "troubleshooting.md").read_text(encoding="utf-8").splitlines():
+        cell = row.split("|")[1].strip() if row.startswith("| ") else ""
+        if cell in {"", "you read"}:
+            continue
+        for piece in re.split(r";|\.\.\.|\bN\b|\bM\b|:", cell):
+            assert piece.strip() in code, piece
+            quoted += 1
+    assert quoted > 50
