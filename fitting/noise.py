@@ -17,7 +17,9 @@ event (a kink, a jump) and is left out.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,14 +30,15 @@ from fitting.simulation.linear import LinearMotion
 Array = NDArray[np.float64]
 
 _CELLS_PER_ROW = 2.5
-_STRETCHES = 10
+_STRETCHES = 6
 _SLOW_TORQUES = 4
-_TIMES = (1 / 800, 1 / 200, 1 / 60)
+_TIMES = (1 / 800, 1 / 400, 1 / 200, 1 / 100, 1 / 50)
 _LEVELS = np.concatenate([[0.0], np.geomspace(0.03, 3e5, 57)])
 # twice the logarithm of a likelihood ratio that pure angle noise hardly ever reaches
 _SIGNIFICANT = 8.0
 _OUTLIER = 14.0
 _MAX_OUTLIERS = 3
+_FEWEST = 5
 
 
 @dataclass(frozen=True)
@@ -85,6 +88,35 @@ class TorqueNoise:
     time: float
 
 
+class LevelCurve(NamedTuple):
+    """Levels of a random torque [N m] and the log-likelihood of each, the first level being none."""
+
+    levels: Array
+    likelihood: Array
+
+
+def estimate_noise(responses: Sequence[TorqueResponse], residuals: Sequence[Array]) -> list[TorqueNoise]:
+    """Estimate the random torque of some cases: a level each, and one correlation time for all.
+
+    Parameters
+    ----------
+    responses : sequence of TorqueResponse
+        One a case.
+    residuals : sequence of ndarray
+        Their rows: measured minus the path about which the response is linearised.
+    """
+    span = float(np.mean([r.edges[-1] - r.edges[0] for r in responses]))
+    times = [span * share for share in _TIMES]
+    curves = [r.likelihoods(x, times) for r, x in zip(responses, residuals, strict=True)]
+    best = int(np.argmax([sum(float(c[i].likelihood.max()) for c in curves) for i in range(len(times))]))
+    found = []
+    for curve in (c[best] for c in curves):
+        gain = 2 * float(curve.likelihood.max() - curve.likelihood[0])
+        level = float(curve.levels[int(np.argmax(curve.likelihood))])
+        found.append(TorqueNoise(level if gain > _SIGNIFICANT else 0.0, times[best]))
+    return found
+
+
 class TorqueResponse:
     """How the smooth rows of a case answer to a random torque on the casing and in the bearing.
 
@@ -118,7 +150,7 @@ class TorqueResponse:
     @property
     def default_time(self) -> float:
         """The middle one of the correlation times that are tried [s]."""
-        return float((self.edges[-1] - self.edges[0]) * _TIMES[1])
+        return float((self.edges[-1] - self.edges[0]) * _TIMES[2])
 
     def covariance(self, time: float) -> Array:
         """Return the covariance K of the smooth rows for torques of rms 1 N m."""
@@ -137,25 +169,27 @@ class TorqueResponse:
         values, vectors = np.linalg.eigh(self.covariance(noise.time))
         return Whitener(vectors, np.maximum(values, 0.0), noise.rms)
 
-    def estimate(self, residual: Array) -> TorqueNoise:
-        """Estimate level and correlation time.
+    def likelihoods(self, residual: Array, times: Sequence[float]) -> list[LevelCurve]:
+        """Return the restricted likelihood of each level for each correlation time, outliers left out.
 
         Parameters
         ----------
         residual : ndarray
             Rows: measured minus the path about which the response is linearised.
+        times : sequence of float
+            Correlation times [s].
         """
-        span = self.edges[-1] - self.edges[0]
-        best, best_value = TorqueNoise(0.0, span * _TIMES[1]), -np.inf
-        for share in _TIMES:
-            covariance = self.covariance(span * share)
-            unit = 1 / np.sqrt(np.median(np.diag(covariance)) + 1e-300)
-            levels = _LEVELS * unit
-            table = np.array([_likelihoods(s, residual, covariance, levels) for s in self._stretches()])
-            place, value, empty = _combine(table)
-            if value > best_value and 2 * (value - empty) > _SIGNIFICANT:
-                best, best_value = TorqueNoise(float(levels[place]), float(span * share)), value
-        return best
+        stretches = self._stretches()
+        tables, units = [], []
+        for time in times:
+            covariance = self.covariance(time)
+            units.append(float(1 / np.sqrt(np.median(np.diag(covariance)) + 1e-300)))
+            tables.append(
+                np.array([_likelihoods(s, residual, covariance, _LEVELS * units[-1]) for s in stretches])
+            )
+        # one choice of stretches for all correlation times, or their likelihoods could not be compared
+        kept = np.all([_ordinary(table) for table in tables], axis=0)
+        return [LevelCurve(_LEVELS * u, t[kept].sum(axis=0)) for u, t in zip(units, tables, strict=True)]
 
     def _stretches(self) -> list[tuple[Array, Array]]:
         """Return the rows of each stretch and the columns that are free in it."""
@@ -177,8 +211,10 @@ class TorqueResponse:
         return stretches
 
 
-def remaining_level(whitener: Whitener, residual: Array, free: Array, least: float) -> float:
-    """Return the level of random torque that a model leaves, by restricted maximum likelihood.
+def remaining_level(whitener: Whitener, residual: Array, free: Array, least: float) -> tuple[float, float]:
+    """Return the level of random torque that a model leaves, and twice the log-likelihood it gains over `least`.
+
+    The likelihood is restricted: what is free is integrated out.
 
     Parameters
     ----------
@@ -198,7 +234,9 @@ def remaining_level(whitener: Whitener, residual: Array, free: Array, least: flo
     values = np.concatenate([whitener.values, np.zeros(len(residual) - m)])
     unit = 1 / np.sqrt(np.median(whitener.values[whitener.values > 0]) + 1e-300)
     levels = np.concatenate([[least], (_LEVELS * unit)[_LEVELS * unit > least]])
-    return float(levels[int(np.argmin([_deviance(rotated, 1 + s**2 * values) for s in levels]))])
+    deviances = [_deviance(rotated, 1 + s**2 * values) for s in levels]
+    best = int(np.argmin(deviances))
+    return float(levels[best]), deviances[0] - deviances[best]
 
 
 def _deviance(rotated: Array, variance: Array) -> float:
@@ -220,28 +258,23 @@ def _likelihoods(stretch: tuple[Array, Array], residual: Array, covariance: Arra
     return np.asarray(-0.5 * (np.log(variance) + seen**2 / variance).sum(axis=1))
 
 
-def _combine(table: Array) -> tuple[int, float, float]:
-    """Return the best level, its log-likelihood and that of no torque, outliers left out."""
+def _ordinary(table: Array) -> NDArray[np.bool_]:
+    """Return which stretches (rows) are about as noisy as the others; levels are the columns."""
     kept = np.ones(len(table), dtype=bool)
+    number = np.arange(len(table))
     for _ in range(_MAX_OUTLIERS):
-        place = int(np.argmax(table[kept].sum(axis=0)))
+        if kept.sum() <= _FEWEST:
+            break
+        without = [int(np.argmax(table[kept & (number != i)].sum(axis=0))) for i in number]
         # a stretch in which the level of the others is far too small
-        without = [
-            int(np.argmax(table[kept & (np.arange(len(table)) != i)].sum(axis=0))) for i in range(len(table))
-        ]
-        excess = np.array(
-            [
-                2 * (row.max() - row[w]) if int(np.argmax(row)) > w else 0.0
-                for row, w in zip(table, without, strict=True)
-            ]
-        )
+        excess = np.array([
+            2 * (row.max() - row[w]) if int(np.argmax(row)) > w else 0.0 for row, w in zip(table, without, strict=True)
+        ])  # fmt: skip
         excess[~kept] = 0.0
-        if excess.max() < _OUTLIER or kept.sum() <= 5:
+        if excess.max() < _OUTLIER:
             break
         kept[int(np.argmax(excess))] = False
-    total = table[kept].sum(axis=0)
-    place = int(np.argmax(total))
-    return place, float(total[place]), float(total[0])
+    return kept
 
 
 def _impulses(data: CaseData, motion: LinearMotion, cells: Array, direction: Array) -> Array:

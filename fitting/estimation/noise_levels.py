@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.estimation.problem import Problem
-from fitting.noise import TorqueNoise, TorqueResponse, Whitener, remaining_level
+from fitting.noise import TorqueNoise, TorqueResponse, Whitener, estimate_noise, remaining_level
 
 Array = NDArray[np.float64]
 
@@ -29,6 +29,8 @@ class Noise:
         torque explains, and what the fitted model leaves.
     time : float
         Its correlation time [s].
+    excess : float
+        Twice the log-likelihood by which `level` beats `pure`.
     whitener : Whitener
         At `level`.
     """
@@ -38,6 +40,7 @@ class Noise:
     level: float
     time: float
     whitener: Whitener = field(repr=False)
+    excess: float = 0.0
 
 
 def first_noise(problem: Problem, theta: Array) -> tuple[Noise, ...]:
@@ -59,12 +62,15 @@ def first_noise(problem: Problem, theta: Array) -> tuple[Noise, ...]:
 
 def measure_noise(problem: Problem, theta: Array) -> tuple[Noise, ...]:
     """Measure the pure noise of each case about a fitted model, and what the model leaves."""
-    found = []
-    for data, p in zip(problem.data, problem.predict(theta), strict=True):
-        response = TorqueResponse(data, p.motion)
-        pure = response.estimate(data.z - p.rows)
-        whitener = response.whitener(pure)
-        found.append(Noise(data.casing.scale, pure.rms, pure.rms, pure.time, whitener))
+    predictions = problem.predict(theta)
+    responses = [TorqueResponse(d, p.motion) for d, p in zip(problem.data, predictions, strict=True)]
+    residuals = [d.z - p.rows for d, p in zip(problem.data, predictions, strict=True)]
+    found = [
+        Noise(d.casing.scale, pure.rms, pure.rms, pure.time, response.whitener(pure))
+        for d, response, pure in zip(
+            problem.data, responses, estimate_noise(responses, residuals), strict=True
+        )
+    ]
     return refine_level(problem, theta, found)
 
 
@@ -74,6 +80,6 @@ def refine_level(problem: Problem, theta: Array, noise: Sequence[Noise]) -> tupl
     moving = ~problem.layout.at_bound(theta)
     for data, p, n in zip(problem.data, problem.predict(theta), noise, strict=True):
         columns = np.concatenate([p.jacobian[:, moving], data.nuisance], axis=1)
-        level = remaining_level(n.whitener, data.z - p.rows, columns, n.pure)
-        found.append(Noise(n.scale, n.pure, level, n.time, n.whitener.at(level)))
+        level, excess = remaining_level(n.whitener, data.z - p.rows, columns, n.pure)
+        found.append(Noise(n.scale, n.pure, level, n.time, n.whitener.at(level), excess))
     return tuple(found)
