@@ -1,0 +1,120 @@
+"""What a model predicts for a case, and every derivative of it, against the oracle and against differences."""
+
+import numpy as np
+import pytest
+import twobody
+from cases import data, fitted
+
+from fitting.effects import REDUCED
+from fitting.estimation.case_model import CaseModel
+from fitting.estimation.layout import Layout
+from fitting.estimation.start import measured_speeds, start_values
+from fitting.model import Model
+
+EXTRA = {
+    "touchpoint.step": {"k": 2e-6, "t0": 88.37},
+    "touchpoint.stribeck": {"k": 8e-6, "w": 15.0},
+    "bearing.heating": {"k": 2e-3, "tau_T": 40.0},
+    "bearing.drift": {"k": 1e-4},
+    "casing.precession": {"k": 2e-6, "m": 300.0, "phi": 0.6},
+    "casing.unbalance": {"k": 5e-6, "phi": 0.9},
+    "casing.asymmetry": {"k": 5e-6, "phi": -0.4},
+    "camera.clock": {"eps": 1e-4},
+    "camera.offset": {"dt": 1e-4},
+    "camera.centre": {"eps": 2e-3, "phi": 0.3},
+    "camera.tilt": {"eps": 2e-3, "phi": 1.3},
+    "camera.shutter": {"k": 1e-5, "phi": 2.0},
+}
+
+
+def model_of(name, quantity="angle"):
+    measured = data(seed=0, quantity=quantity)
+    layout = Layout.of(Model.of((*REDUCED, name)), [measured.record])
+    values = twobody.truth() | {f"{name}.{k}": v for k, v in EXTRA[name].items()}
+    return CaseModel(measured, layout, 0), layout, np.array([values[n] for n in layout.names])
+
+
+@pytest.mark.parametrize("quantity", ["angle", "omega"])
+@pytest.mark.parametrize("name", EXTRA)
+def test_derivatives_match_differences(name, quantity):
+    case, layout, theta = model_of(name, quantity)
+    found = case.predict(theta)
+    for i, key in enumerate(layout.names):
+        if key == "touchpoint.step.t0" and quantity == "omega":
+            continue  # a sample may fall between the two moments
+        share = 1e-5 if "precession" in name else 1e-4
+        step = np.zeros(len(theta))
+        step[i] = {"phi": 1e-3, "t0": 1e-3, "g": 1e-5}.get(key.rpartition(".")[2], share * abs(theta[i]))
+        more, less = (case.predict(theta + s).rows for s in (step, -step))
+        slope = (more - less) / (2 * step[i])
+        size = np.abs(slope).max()
+        # what follows an angle is computed about the motion at hand, and its own derivative by others left out
+        within = 2e-2 if layout.model.rippling or layout.model.measurement else 2e-4
+        assert np.abs(found.jacobian[:, i] - slope).max() < within * size + 1e-6, key
+
+
+def test_true_parameters_leave_noise_alone():
+    """Rows of the true model against the data: chi-square of 734 rows, nothing adjusted but the nuisances."""
+    measured = data(seed=0)
+    layout = Layout.of(Model.of(REDUCED), [measured.record])
+    values = twobody.truth()
+    rows = CaseModel(measured, layout, 0).predict(np.array([values[n] for n in layout.names])).rows
+    free = measured.nuisance
+    residual = measured.z - rows
+    basis = np.linalg.svd(free / np.maximum(np.linalg.norm(free, axis=0), 1e-300), full_matrices=False)[0]
+    residual = residual - basis @ (basis.T @ residual)
+    assert np.sum(residual**2) / len(residual) == pytest.approx(1.0, abs=0.15)
+
+
+def test_rippling_torque_moves_the_rows_as_the_oracle_says():
+    """Difference of two simulated casings, one with gravity on an unbalance, against the column of the model."""
+
+    def gravity(t, wr, wc, pr, pc):
+        return 2e-6 * np.sin(pc - 0.9)
+
+    cameras = twobody.Cameras(span=40.0, windows=(5.0, 20.0, 35.0))
+    from fitting.case_data import CaseData
+    from fitting.record import make_record
+
+    calm, shaken = (
+        twobody.simulate(span=40.0, step=0.002, hidden=h)
+        for h in (twobody.Hidden(), twobody.Hidden(casing=gravity))
+    )
+    measured = CaseData.of(make_record(**twobody.film(calm, seed=3, cameras=cameras)))
+    layout = Layout.of(Model.of((*REDUCED, "casing.unbalance")), [measured.record])
+    values = twobody.truth() | {"casing.unbalance.k": 0.0, "casing.unbalance.phi": 0.9}
+    theta = np.array([values[n] for n in layout.names])
+    column = CaseModel(measured, layout, 0).predict(theta).jacobian[:, layout.index["casing.unbalance.k"]]
+    times = measured.record.casing.time
+    difference = (shaken.at(times, 1)[0] - calm.at(times, 1)[0])[:, None] / 2e-6
+    expected = measured.casing_rows(difference)[:, 0]
+    casing = measured.slices["casing"]
+    assert np.abs(column[casing] - expected[casing]).max() < 0.03 * np.abs(expected[casing]).max()
+    harmonic = measured.slices["harmonic"]
+    assert np.abs(column[harmonic] - expected[harmonic]).max() < 0.03 * np.abs(expected[harmonic]).max()
+
+
+@pytest.mark.parametrize("quantity", ["angle", "omega"])
+def test_rough_speeds_are_near_the_true_ones(quantity):
+    times, speeds = measured_speeds(data(seed=0, quantity=quantity).record)
+    motion = twobody.simulate(seed=0)
+    assert np.abs(speeds[:, 1] - motion.at(times, 1)[1])[2:-2].max() < 2.0
+    inside = (times > 5) & (times < 153)
+    assert np.abs(speeds[:, 0] / motion.at(times, 0)[1] - 1)[inside].max() < 0.01
+
+
+def test_starts_without_a_guess_are_of_the_right_size():
+    problem = fitted(seed=0).problem
+    theta = dict(zip(problem.layout.names, start_values(problem.layout, problem.reference), strict=True))
+    true = twobody.truth()
+    for key in ("rotor.air.quadratic.a2", "casing.air.linear.b2"):
+        assert 0.3 < theta[key] / true[key] < 3
+    reference = problem.reference
+
+    def torque(v):
+        return v["bearing.linear.d"] * reference + v["bearing.power.f"] * reference ** v["bearing.power.g"]
+
+    assert torque(theta) == pytest.approx(torque(true), rel=0.2)
+    assert theta["initial.omega_r@case1"] == pytest.approx(900, rel=0.02)
+    assert theta["initial.omega_c@case1"] == pytest.approx(5, abs=10)  # the mean of the first second
+    assert all(np.isfinite(list(theta.values())))
