@@ -17,10 +17,10 @@ _HEAD = """# Command line
 
 This page is made from the help of the commands themselves by `docs/make_command_line.py`; a test compares the two.
 
-Results go to stdout, progress and messages to stderr. `--json` prints one JSON document on stdout and nothing else; an
-error is then `{"error": {"code", "message", "hint"}}`. Exit codes: 0 done, 1 the input or the data is at fault, 2 the
-command was not written right, 3 done but not to be trusted, 130 interrupted. `--debug`, anywhere, shows the
-traceback of a bug.
+Results go to stdout, progress and messages to stderr. With `--json`, stdout carries a single JSON document, which for
+an error is `{"error": {"code", "message", "hint"}}`. Exit codes: 0 done; 1 something is wrong with a file or its data;
+2 the command was not written right; 3 it ran to the end, but do not rely on the outcome; 130 interrupted. `--debug`,
+anywhere, shows the traceback of a bug.
 """
 
 

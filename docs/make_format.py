@@ -13,7 +13,7 @@ BEGIN, END = "<!-- made by docs/make_format.py: begin -->\n", "<!-- made by docs
 _GROUPS = (
     ("`/frame`: the clip, frame by frame", layout.FRAME),
     ("`/marker/<name>`: one marker", layout.MARKER),
-    ("`/body/casing`, `/body/rotor`: the markers of one body combined", layout.BODY),
+    ("`/body/<name>`: casing or rotor, from all its markers", layout.BODY),
     ("`/casing` of a case", layout.SERIES),
     ("`/rotor` of a case: all windows together", layout.WINDOWED),
     ("`/rotor_generated` of a case, only if one was asked for", layout.GENERATED),
