@@ -94,17 +94,17 @@ class Model:
     @cached_property
     def smooth(self) -> Model:
         """The physical effects that do not depend on an angle."""
-        return Model(tuple(e for e in self.effects if e.kind == "physical" and not e.depends_on_angle))
+        return Model(tuple(e for e in self.effects if e.moves and not e.depends_on_angle))
 
     @cached_property
     def rippling(self) -> tuple[Effect, ...]:
         """The physical effects that follow an angle."""
-        return tuple(e for e in self.effects if e.kind == "physical" and e.depends_on_angle)
+        return tuple(e for e in self.effects if e.moves and e.depends_on_angle)
 
     @cached_property
     def measurement(self) -> tuple[Effect, ...]:
-        """The measurement effects."""
-        return tuple(e for e in self.effects if e.kind == "measurement")
+        """What the cameras add to the angles."""
+        return tuple(e for e in self.effects if not e.moves)
 
     def equations(self) -> tuple[str, ...]:
         """Return the equations of motion as LaTeX, one line a body."""
@@ -143,7 +143,7 @@ class Dynamics:
     """
 
     def __init__(self, model: Model, *, angles: bool = False) -> None:
-        physical = [e for e in model.effects if e.kind == "physical"]
+        physical = [e for e in model.effects if e.moves]
         own = [(e, e.state) for e in physical if e.state is not None]
         self.states = (
             "omega_r",
@@ -180,7 +180,7 @@ class Dynamics:
         return places
 
     def _rates(self, physical: list[Effect]) -> list[Expr]:
-        laws: dict[str, list[Expr]] = {"rotor": [], "casing": [], "bearing": [], "factor": []}
+        laws: dict[str, list[Expr]] = {"rotor": [], "casing": [], "bearing": [], "factor": [], "inertia": []}
         difference = {"delta": sub(sym("omega_r"), sym("omega_c"))}
         own: list[Expr] = []
         for e in physical:
@@ -198,6 +198,8 @@ class Dynamics:
         inverse_rotor, inverse_casing = (div(ONE, sym(k)) for k in (INERTIA_ROTOR, INERTIA_CASING))
         rotor = mul(total([neg(tau), *laws["rotor"]]), inverse_rotor)
         casing = mul(total([tau, *laws["casing"]]), inverse_casing)
+        for factor in laws["inertia"]:
+            casing = mul(casing, factor)
         self.bearing_torque = tau
         return [rotor, casing, *own]
 

@@ -19,6 +19,7 @@ from fitting.effects.effect import Parameter
 from fitting.estimation import Fit
 from fitting.estimation.case_model import CaseModel, Prediction
 from fitting.expression import Tape, derivative
+from fitting.model import INERTIA_CASING
 from fitting.noise import TorqueResponse
 from fitting.simulation import Sampler
 
@@ -63,10 +64,13 @@ class CaseColumns:
             self._known | self.case.dynamics.constants | self.numbers
         )
         self._known["tau"] = np.asarray(tau[0]) * np.ones(len(y))
+        rates = self.case.dynamics.rates(self.response.centres, y, self.numbers)
+        # the whole torque on a body is its inertia times its acceleration
+        self._whole = {"factor": self._known["tau"], "inertia": self.numbers[INERTIA_CASING] * rates[:, 1]}
 
     def trials(self, effect: Effect, choices: list[dict[str, float]] | None = None) -> list[Trial]:
         """Return the columns of a candidate for every choice of its shape constants, or for the choices given."""
-        if effect.kind == "measurement" or effect.depends_on_angle:
+        if not effect.moves or effect.depends_on_angle:
             sine, cosine = self.case.unit_columns(
                 effect, self.prediction.path, self.prediction.sensitivity, self.numbers
             )
@@ -118,10 +122,10 @@ class CaseColumns:
         if effect.state is not None:
             values[effect.state.symbol] = self._state(effect, shape)
         amplitude = next(p.symbol for p in effect.parameters if p.role == "amplitude")
-        if effect.joint == "factor":
+        if effect.joint in self._whole:
             values[amplitude] = 0.0
             slope = Tape([derivative(effect.expression, amplitude)])(values)[0]
-            law = [values["tau"] * np.asarray(slope)]
+            law = [self._whole[effect.joint] * np.asarray(slope)]
         else:
             values[amplitude] = 1.0
             tape, phase = Tape([effect.expression]), _phase(effect)
@@ -132,7 +136,7 @@ class CaseColumns:
         unit = np.stack([v * np.ones(len(self.response.centres)) for v in law], axis=1)
         if effect.breakpoint:
             self._part_of_cell(effect, values, unit)
-        on_rotor = {"rotor": 1.0, "casing": 0.0}.get(effect.joint, -1.0)
+        on_rotor = {"rotor": 1.0, "casing": 0.0, "inertia": 0.0}.get(effect.joint, -1.0)
         on_casing = {"rotor": 0.0, "casing": 1.0}.get(effect.joint, 1.0)
         return on_rotor * unit, on_casing * unit
 

@@ -1,4 +1,4 @@
-"""What the cameras do to the angles: artefacts, never physics."""
+"""What the cameras do to the angles, and what was measured wrongly before: artefacts, never physics."""
 
 from __future__ import annotations
 
@@ -62,5 +62,22 @@ CAMERA = (
         signature="a ripple once a turn that grows with the speed",
         confused_with=("camera.centre",),
         source="rolling shutter: the lag depends on where the marker stands",
+    ),
+)
+
+SETUP = (
+    Effect(
+        "setup.inertia",
+        "inertia",
+        "1/(1 + eps)",
+        (
+            Parameter(
+                "eps", "1", lower=-0.3, upper=0.3, meaning="share by which the casing's inertia is too small"
+            ),
+        ),
+        kind="measurement",
+        signature="rotor and casing disagree on the torque between them, all the time by the same share",
+        confused_with=("touchpoint.load", "bearing.heating"),
+        source="only ratios of torque to inertia are seen; the bearing's torque is seen on both bodies",
     ),
 )

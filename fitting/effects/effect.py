@@ -11,7 +11,7 @@ from fitting.errors import EffectError
 from fitting.expression import Expr, parse, symbols
 from fitting.expression.dimension import Dimension, dimension, format_unit, parse_unit
 
-Joint = Literal["rotor", "casing", "bearing", "factor", "camera.casing", "camera.rotor"]
+Joint = Literal["rotor", "casing", "bearing", "factor", "inertia", "camera.casing", "camera.rotor"]
 Kind = Literal["physical", "measurement"]
 Role = Literal["amplitude", "shape", "phase", "fixed"]
 
@@ -34,6 +34,7 @@ _RESULT: dict[str, str] = {
     "casing": "N m",
     "bearing": "N m",
     "factor": "1",
+    "inertia": "1",
     "camera.casing": "1",
     "camera.rotor": "1",
 }
@@ -91,8 +92,9 @@ class Effect:
 
     The law is written once as a formula. With joint ``rotor`` or ``casing`` it is the torque on that
     body; with ``bearing`` the torque +tau on the casing and -tau on the rotor; with ``factor`` it
-    multiplies the whole bearing torque; with ``camera.casing`` or ``camera.rotor`` it is an angle
-    added to what that camera measures (psi and omega are then those of the body filmed).
+    multiplies the whole bearing torque, with ``inertia`` the casing's acceleration; with
+    ``camera.casing`` or ``camera.rotor`` it is an angle added to what that camera measures (psi and
+    omega are then those of the body filmed).
 
     Parameters
     ----------
@@ -149,6 +151,11 @@ class Effect:
     def free(self) -> tuple[Parameter, ...]:
         """The parameters that a fit may move."""
         return tuple(p for p in self.parameters if p.role != "fixed")
+
+    @property
+    def moves(self) -> bool:
+        """Whether it has a part in the motion, and not only in what a camera sees."""
+        return not self.joint.startswith("camera.")
 
     @cached_property
     def depends_on_angle(self) -> bool:

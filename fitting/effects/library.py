@@ -7,13 +7,13 @@ from types import MappingProxyType
 
 from fitting.effects.air import AIR
 from fitting.effects.bearing import BEARING
-from fitting.effects.camera import CAMERA
+from fitting.effects.camera import CAMERA, SETUP
 from fitting.effects.casing import CASING
 from fitting.effects.effect import Effect
 from fitting.effects.touchpoint import TOUCHPOINT
 from fitting.errors import EffectError
 
-LIBRARY = MappingProxyType({e.name: e for e in (*AIR, *BEARING, *TOUCHPOINT, *CASING, *CAMERA)})
+LIBRARY = MappingProxyType({e.name: e for e in (*AIR, *BEARING, *TOUCHPOINT, *CASING, *CAMERA, *SETUP)})
 
 LINEAR = ("rotor.air.quadratic", "touchpoint.constant", "casing.air.linear", "bearing.linear")
 REDUCED = (*LINEAR, "bearing.power")

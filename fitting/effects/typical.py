@@ -65,6 +65,9 @@ def typical_values(
         "omega": speeds["omega_c"],
         "tau": _BUDGET,
     }
+    if effect.joint == "inertia":
+        values[amplitude] = share
+        return {f"{effect.name}.{k}": v for k, v in values.items()}
     if effect.joint == "factor":
         # at full share the whole bearing torque changes by `share`, over the run or in the heat of friction
         heat = _BUDGET * at["delta"] * values.get("tau_T", duration) if effect.state else duration

@@ -114,7 +114,7 @@ class CaseModel:
             values |= {p.symbol: 1.0 for p in effect.parameters if p.role == "amplitude"}
             values |= {p.symbol: phi for p in effect.parameters if p.role == "phase"}
             columns.append(values)
-        if effect.kind == "measurement":
+        if not effect.moves:
             rows = [self._camera(effect, path, v) for v in columns]
         else:
             rows = self._ripple(effect, path, sensitivity, columns)

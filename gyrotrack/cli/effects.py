@@ -67,6 +67,7 @@ def _document(e: Effect) -> dict[str, Any]:
 def _where(e: Effect) -> str:
     return {
         "factor": "bearing, factor",
+        "inertia": "casing, factor",
         "camera.casing": "casing camera",
         "camera.rotor": "rotor camera",
     }.get(e.joint, e.joint)
