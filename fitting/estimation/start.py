@@ -14,6 +14,7 @@ import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
+from fitting.errors import EstimationError
 from fitting.estimation.layout import START_CASING, START_ROTOR, Layout
 from fitting.model import INERTIA_CASING, INERTIA_ROTOR, Dynamics
 from fitting.record import Record, Samples
@@ -115,7 +116,14 @@ def _regress(layout: Layout, case: int, times: Array, speeds: Array, theta: Arra
         _, _, b = dynamics.linearised(times, state, numbers)
     columns = np.array([dynamics.parameters.index(k) for k in linear])
     weight = np.array([numbers[INERTIA_ROTOR], numbers[INERTIA_CASING]])
-    rates = np.nan_to_num(b[:, :2][:, :, columns])
+    rates = b[:, :2][:, :, columns]
+    wild = ~np.isfinite(rates).all(axis=(0, 1))
+    if wild.any():
+        name = linear[int(np.flatnonzero(wild)[0])].rpartition(".")[0]
+        raise EstimationError(
+            f"the law of {name[:80]!r} has no finite value at the measured speeds",
+            "look for a division by zero or a huge exponent",
+        )
     middle = 0.5 * (rates[1:] + rates[:-1]) * np.diff(times)[:, None, None]
     integrals = np.concatenate([np.zeros((1, 2, len(linear))), np.cumsum(middle, axis=0)])
     blocks = [

@@ -341,7 +341,6 @@ class TestRefusals:
         assert len(said.error["message"]) < 300
         assert not (tmp_path / "owned").exists()
 
-    @pytest.mark.xfail(reason="the regression for start values meets infinities: told as a bug", strict=True)
     @pytest.mark.parametrize("law", ["k*9**9**9**9**9", "k*exp(omega_r*omega_r)", "k/(omega_c - omega_c)"])
     def test_a_law_without_a_finite_value(self, gyrotrack, case, law):
         said = gyrotrack("fit", case("plain"), "--add", f"casing: {law}", "--json")
