@@ -123,7 +123,7 @@ class BodyWatch:
         if casing is None:
             return everything
         known = np.isfinite(casing)[:, None]
-        return np.where(known, open_columns(self._cover, 2)[self._relative(watch, look, casing)], everything)
+        return np.where(known, open_columns(self._cover, 1)[self._relative(watch, look, casing)], everything)
 
     def _relative(self, watch: MarkerWatch, look: Look, casing: Floats) -> npt.NDArray[np.int64]:
         """Columns of the cover map (fixed on the casing) for the samples of the windows."""

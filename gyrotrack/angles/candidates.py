@@ -56,9 +56,9 @@ def plausible(seen: Sightings) -> Mask:
     return np.asarray(known & (seen.misfit < max(typical + 6.0 * scatter, LARGEST_MISFIT)))
 
 
-def candidate(seen: Sightings, angle: Floats, mount: float) -> Candidate:
+def candidate(seen: Sightings, angle: Floats, good: Mask, mount: float) -> Candidate:
     """Make a candidate from sightings and their corrected angle."""
-    return Candidate(angle, plausible(seen), seen.open, seen.weakness / _usual_weakness(seen), mount)
+    return Candidate(angle, good, seen.open, seen.weakness / _usual_weakness(seen), mount)
 
 
 def _usual_weakness(seen: Sightings) -> float:

@@ -66,8 +66,8 @@ class MarkerWatch:
         x = np.abs(np.arange(-self.half, self.half + 1)) * step
         if self._across is None:
             return np.asarray(x < 1.15 * self.paper.half_width + 2.0 * step)
-        foot = float(x[self._across > 0.04].max(initial=self.paper.half_width))
-        return np.asarray(x <= foot + 2.0 * step)
+        foot = float(x[self._across > 0.12].max(initial=self.paper.half_width))
+        return np.asarray(x <= foot + step)
 
     def template(self, count: int) -> Floats:
         """Return the profile across that is expected, on the samples of the window."""

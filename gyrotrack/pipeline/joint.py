@@ -7,14 +7,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack.angles.candidates import candidate, plausible
+from gyrotrack.angles.candidates import plausible
 from gyrotrack.angles.joining import BodyAngles, MarkerAngles, join
 from gyrotrack.angles.sense import find_sense, net_turn, unfold
 from gyrotrack.angles.sightings import spread_out
 from gyrotrack.geometry.centre import CentrePath, smooth_path
-from gyrotrack.geometry.scene import Paper, Scene
-from gyrotrack.geometry.tilt import NO_FLATTENING, Flattening, fit_flattening
+from gyrotrack.geometry.refining import refine_centre
+from gyrotrack.geometry.scene import Scene
+from gyrotrack.geometry.tilt import NO_FLATTENING, Flattening
 from gyrotrack.geometry.wander import wandering_centre
+from gyrotrack.pipeline.views import View, view
 from gyrotrack.pipeline.watch import BodySightings, Watched
 from gyrotrack.profile import Profile
 from gyrotrack.video import frame_numbers
@@ -24,6 +26,8 @@ Integers = npt.NDArray[np.int64]
 
 PLACE_ERROR = 0.12
 """Error in px by place in the picture (light, compression) where a body turns too little to show it."""
+_FAR = 0.05
+"""Share of the orbit's radius that a centre must move before it is taken to move at all."""
 
 
 @dataclass(frozen=True)
@@ -82,15 +86,18 @@ def _with_gaps(seen: Watched, index: Integers) -> Watched:
 
 
 def _join_even(seen: Watched, scene: Scene, profile: Profile, fps: float) -> Joint:
-    centre = _centre(seen, scene, profile)
+    views = {name: view(scene.of(name), body.markers, seen.size) for name, body in seen.bodies.items()}
+    centre, flattening = _slant(_centre(seen, scene, profile), views, profile, marked=seen.disc is not None)
     bodies: dict[str, BodyAngles] = {}
-    flattening: dict[str, Flattening] = {}
     warnings: list[str] = []
-    for name, sights in seen.bodies.items():
+    for name, look in views.items():
         casing = bodies["casing"].angle if "casing" in bodies else None
-        found, flat = _joined(sights, centre, profile, scene.of(name), casing, seen.size, fps)
+        candidates = look.candidates(centre, flattening[name])
+        found = join(seen.bodies[name].coarse, candidates, fps, casing, floor=PLACE_ERROR / look.radius)
+        # The markers share the centre: its error does not show in their scatter and does not average out.
+        found = replace(found, sigma=np.hypot(found.sigma, np.nan_to_num(centre.sigma) / look.radius))
         if _credible(found):
-            bodies[name], flattening[name] = found, flat
+            bodies[name] = found
         else:
             warnings.append(f"the {name}'s markers cannot be followed; it is left out")
     sense = find_sense({name: net_turn(body.angle) for name, body in bodies.items()}, profile.sense)
@@ -103,10 +110,8 @@ def _join_even(seen: Watched, scene: Scene, profile: Profile, fps: float) -> Joi
             )
     for name, body in bodies.items():
         bodies[name] = _zeroed(body, profile, sense)
-    return Joint(centre, bodies, flattening, sense, tuple(warnings))
-
-
-_FAR = 0.05
+    slants = {name: flattening[name] for name in bodies}
+    return Joint(centre, bodies, slants, sense, tuple(warnings))
 
 
 def _centre(seen: Watched, scene: Scene, profile: Profile) -> CentrePath:
@@ -120,44 +125,23 @@ def _centre(seen: Watched, scene: Scene, profile: Profile) -> CentrePath:
     if profile.wander is False:
         return still
     moving = wandering_centre(place, good, first)
-    # a path of a few hundredths of the radius is no better known than a centre that stays
     reach = float(np.ptp(moving.centre, axis=0).max())
     radius = float(np.nanmedian(np.hypot(*(place[good] - still.centre[good]).T)))
     return moving if profile.wander or reach > _FAR * radius else still
 
 
-def _joined(
-    sights: BodySightings,
-    centre: CentrePath,
-    profile: Profile,
-    papers: tuple[Paper, ...],
-    casing: Floats | None,
-    size: tuple[int, int],
-    fps: float,
-) -> tuple[BodyAngles, Flattening]:
-    up = np.array([1.0, -1.0])
-    inside = {
-        p.name: ~sights.markers[p.name].outside(p.inner, p.outer, 0.7 * p.half_width, size) for p in papers
-    }
-    whole = {m: plausible(s) & s.open & inside[m] for m, s in sights.markers.items()}
-    place = {m: (s.position(whole[m]) - centre.centre) * up for m, s in sights.markers.items()}
-    flat = NO_FLATTENING
-    if profile.tilt_correction:
-        flat = fit_flattening({m: v[whole[m] & np.isfinite(v).all(axis=1)] for m, v in place.items()})
-    candidates = {}
-    for p in papers:
-        looks = candidate(sights.markers[p.name], _direction(flat, p.name, place[p.name]), p.mount)
-        candidates[p.name] = replace(looks, good=looks.good & inside[p.name])
-    radius = float(np.mean([p.radius for p in papers]))
-    joined = join(sights.coarse, candidates, fps, casing, floor=PLACE_ERROR / radius)
-    # The markers share the centre: its error does not show in their scatter and does not average out.
-    shared = np.nan_to_num(centre.sigma) / radius
-    return replace(joined, sigma=np.hypot(joined.sigma, shared)), flat
-
-
-def _direction(flat: Flattening, name: str, place: Floats) -> Floats:
-    level = flat.level(name, place)
-    return np.asarray(np.arctan2(level[:, 1], level[:, 0]))
+def _slant(
+    centre: CentrePath, views: dict[str, View], profile: Profile, *, marked: bool
+) -> tuple[CentrePath, dict[str, Flattening]]:
+    """Find the slant of the view on each body's orbits; a marked centre is then corrected by the markers' radii."""
+    if not profile.tilt_correction:
+        return centre, dict.fromkeys(views, NO_FLATTENING)
+    flat = {name: look.flattening(centre.centre) for name, look in views.items()}
+    if not marked:
+        return centre, flat
+    radii = [r for name, look in views.items() for r in look.radii(centre.centre, flat[name])]
+    better = refine_centre(centre, radii)
+    return better, {name: look.flattening(better.centre) for name, look in views.items()}
 
 
 def _zeroed(body: BodyAngles, profile: Profile, sense: int) -> BodyAngles:

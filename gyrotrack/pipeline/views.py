@@ -1,0 +1,85 @@
+"""One body as the camera sees it: which sightings can be trusted, and where its markers are about a centre."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack.angles.candidates import Candidate, candidate, plausible
+from gyrotrack.angles.sightings import Sightings
+from gyrotrack.geometry.centre import CentrePath
+from gyrotrack.geometry.refining import Radii
+from gyrotrack.geometry.scene import Paper
+from gyrotrack.geometry.tilt import Flattening, fit_flattening
+
+Floats = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+# The corners of a paper reach as far as 0.7 of its smeared half width when it is not smeared.
+_CORNER = 0.7
+
+
+@dataclass(frozen=True)
+class View:
+    """The sightings of a body's markers.
+
+    Attributes
+    ----------
+    papers : tuple of Paper
+        The markers.
+    sightings : dict of Sightings
+        By name.
+    inside, whole : dict of ndarray of bool, shape (n,)
+        Where a marker lies in the picture, and where it also is open and looks as it should.
+    """
+
+    papers: tuple[Paper, ...]
+    sightings: dict[str, Sightings]
+    inside: dict[str, Mask]
+    whole: dict[str, Mask]
+
+    @property
+    def radius(self) -> float:
+        """Mean radius of the markers in px."""
+        return float(np.mean([p.radius for p in self.papers]))
+
+    def place(self, name: str, centre: Floats) -> Floats:
+        """Return where a marker is relative to the centre, (n, 2) in px, y up."""
+        away = self.sightings[name].position(self.whole[name]) - centre
+        return np.asarray(away * np.array([1.0, -1.0]))
+
+    def flattening(self, centre: Floats) -> Flattening:
+        """Fit tilt and offsets to the orbits of the markers."""
+        places = {p.name: self.place(p.name, centre) for p in self.papers}
+        return fit_flattening({m: v[self.whole[m] & np.isfinite(v).all(axis=1)] for m, v in places.items()})
+
+    def radii(self, centre: Floats, flat: Flattening) -> list[Radii]:
+        """Return by how much each marker's radius is too large in each frame."""
+        found = []
+        for paper in self.papers:
+            v = flat.level(paper.name, self.place(paper.name, centre))
+            radius = np.where(self.whole[paper.name], np.hypot(v[:, 0], v[:, 1]), np.nan)
+            usual = float(np.nanmedian(radius)) if np.isfinite(radius).any() else np.nan
+            found.append(Radii(np.arctan2(v[:, 1], v[:, 0]), radius - usual))
+        return found
+
+    def candidates(self, centre: CentrePath, flat: Flattening) -> dict[str, Candidate]:
+        """Return the markers' angles as seen from straight above, and how far to trust them."""
+        found = {}
+        for paper in self.papers:
+            v = flat.level(paper.name, self.place(paper.name, centre.centre))
+            angle = np.asarray(np.arctan2(v[:, 1], v[:, 0]))
+            good = plausible(self.sightings[paper.name]) & self.inside[paper.name]
+            found[paper.name] = candidate(self.sightings[paper.name], angle, good, paper.mount)
+        return found
+
+
+def view(papers: tuple[Paper, ...], sightings: dict[str, Sightings], size: tuple[int, int]) -> View:
+    """Look at the sightings of a body's markers in a picture of (width, height) px."""
+    inside = {
+        p.name: ~sightings[p.name].outside(p.inner, p.outer, _CORNER * p.half_width, size) for p in papers
+    }
+    whole = {m: plausible(sightings[m]) & sightings[m].open & inside[m] for m in inside}
+    return View(papers, sightings, inside, whole)
