@@ -103,6 +103,8 @@ TABLE = {
         {"k": "s", "phi": "rad"},
     ),
 }
+# beyond the table: not a law of a body, but a factor of the casing's acceleration
+BEYOND = {"setup.inertia": ("inertia", lambda v: 1 / (1 + v["eps"]) + 0 * v["t"], {"eps": "1"})}
 EFFECTS = pytest.mark.parametrize("effect", LIBRARY.values(), ids=LIBRARY)
 
 
@@ -147,7 +149,7 @@ def test_models_of_the_paper():
 
 @EFFECTS
 def test_law_is_the_one_of_the_table(effect):
-    joint, by_hand, units = TABLE[effect.name]
+    joint, by_hand, units = (TABLE | BEYOND)[effect.name]
     assert effect.joint == joint
     assert {p.symbol for p in effect.parameters} == set(units)
     for p in effect.parameters:
@@ -160,7 +162,7 @@ def test_law_is_the_one_of_the_table(effect):
 @EFFECTS
 def test_declaration_is_sound(effect):
     effect.check()
-    assert effect.kind == ("measurement" if effect.name.startswith("camera.") else "physical")
+    assert effect.kind == ("measurement" if effect.name.startswith(("camera.", "setup.")) else "physical")
     assert effect.signature
     assert effect.source
     assert set(effect.confused_with) <= set(LIBRARY) - {effect.name}
@@ -274,7 +276,7 @@ def test_derivatives_match_differences(effect):
 @EFFECTS
 def test_dynamics_with_the_effect_has_right_derivatives(effect):
     """All of them at once, by states and by parameters, through the sum, the products and the own state."""
-    if effect.kind == "measurement":
+    if effect.name.startswith("camera."):
         assert Dynamics(Model((effect,))).parameters == ()
         return
     others = [find(n) for n in REDUCED if n != effect.name]

@@ -6,31 +6,34 @@ import twobody
 from cases import fitted
 
 from fitting.estimation.energy import energy_balance
+from fitting.estimation.problem import Projection
 from fitting.estimation.validation import _casing_folds, _error, _rotor_folds
 
 
-def parts(result):
+def parts(result, level):
+    """Return the case, its noise, its prediction, and what a fit can adjust in well determined directions."""
     problem = result.problem
-    data, project, p = problem.data[0], problem.projections[0], result.predictions[0]
-    jacobian = project(p.jacobian)
-    size = np.linalg.norm(jacobian, axis=0)
-    used = np.concatenate([project.basis, np.linalg.qr(jacobian[:, size > 0] / size[size > 0])[0]], axis=1)
-    residual = project(p.rows - data.z)
-    residual = residual - used @ (used.T @ residual)
-    return data, project, p, used, residual
+    data, p = problem.data[0], result.predictions[0]
+    project = Projection(data, result.noise[0].whitener.at(level))
+    columns = project.whitener(np.concatenate([data.nuisance, p.jacobian], axis=1))
+    size = np.linalg.norm(columns, axis=0)
+    u, s, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
+    used = u[:, s > 1e-4]
+    residual = project.whitener(p.rows - data.z)
+    return data, project, used, residual - used @ (used.T @ residual)
 
 
-@pytest.mark.parametrize("ou", [0.0, 1e-7])
+# a random torque of 1e-9 N m already correlates the rows; more would be beyond the digits of this plain algebra
+@pytest.mark.parametrize("level", [0.0, 1e-9])
 @pytest.mark.parametrize("body", ["casing", "rotor"])
-def test_held_out_error_is_that_of_a_fit_without_the_fold(ou, body):
+def test_held_out_error_is_that_of_a_fit_without_the_fold(level, body):
     """Least squares on the other rows, prediction of the fold with its covariance, all in the open."""
-    result = fitted(seed=1, ou=ou)
-    data, project, p, used, residual = parts(result)
+    data, project, used, residual = parts(fitted(seed=1, ou=1e-7), level)
     n = len(data.z)
     root = project.whitener(np.eye(n))  # C^-1/2
     back = np.linalg.inv(root)
     covariance, columns = back @ back, back @ used  # the same columns, orthonormal once they are whitened
-    y = p.rows - data.z
+    y = back @ residual  # what the columns explain has no part in it: start angles of 1e5 rad are gone
     folds = _casing_folds(data) if body == "casing" else _rotor_folds(data)
     for fold in folds[1:3]:
         rest = np.setdiff1d(np.arange(n), fold)
@@ -38,7 +41,7 @@ def test_held_out_error_is_that_of_a_fit_without_the_fold(ou, body):
         x = columns[rest]
         known, directions = np.linalg.eigh(x.T @ inverse @ x)
         # what only the fold determines (the phase of its window) is left wide open
-        normal = (directions / np.maximum(known, 1e-12)) @ directions.T
+        normal = (directions / np.maximum(known, 1e-13)) @ directions.T
         beta = normal @ (x.T @ (inverse @ y[rest]))
         gain = covariance[np.ix_(fold, rest)] @ inverse
         error = y[fold] - columns[fold] @ beta - gain @ (y[rest] - x @ beta)
@@ -46,12 +49,11 @@ def test_held_out_error_is_that_of_a_fit_without_the_fold(ou, body):
         variance = covariance[np.ix_(fold, fold)] - gain @ covariance[np.ix_(rest, fold)]
         values, vectors = np.linalg.eigh(variance + spread @ normal @ spread.T)
         seen = vectors.T @ error
-        keep = values < 1e9
+        keep = values < 1e10
         assert (body == "rotor") <= (~keep).sum() <= 2
         expected = float(np.sum(seen[keep] ** 2 / values[keep]))
         found = _error(project, used, project.whitener(residual), fold)
-        # one direction of each is hardly determined: a single squared normal number hangs on the rounding
-        assert found == pytest.approx(expected, rel=0.03)
+        assert found == pytest.approx(expected, rel=2e-3)
 
 
 def test_held_out_error_is_one_where_the_model_is_right_and_more_where_not():
