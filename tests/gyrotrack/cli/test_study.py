@@ -16,19 +16,20 @@ from gyrotrack.cli import app
 DRAG = 5e-10  # of the case `drag`
 
 
-class TestDiagnose:
-    @pytest.fixture(scope="class")
-    def found(self, studied):
-        """The diagnosis of the first rung of the case with a hidden drag."""
-        with (
-            contextlib.redirect_stdout(io.StringIO()) as out,
-            contextlib.redirect_stderr(io.StringIO()) as err,
-        ):
-            code = app.run(["diagnose", str(studied / "drag.h5"), "--from", "f1", "--json"])
-        assert code == 0
-        assert err.getvalue() == ""
-        return json.loads(out.getvalue())
+@pytest.fixture(scope="module")
+def found(studied):
+    """The diagnosis of the first rung of the case with a hidden drag."""
+    with (
+        contextlib.redirect_stdout(io.StringIO()) as out,
+        contextlib.redirect_stderr(io.StringIO()) as err,
+    ):
+        code = app.run(["diagnose", str(studied / "drag.h5"), "--from", "f1", "--json"])
+    assert code == 0
+    assert err.getvalue() == ""
+    return json.loads(out.getvalue())
 
+
+class TestDiagnose:
     def test_a_hidden_effect_comes_first(self, found):
         assert {"fit_id", "verdict", "sentence", "failures", "candidates", "next_experiment"} <= set(found)
         assert found["fit_id"] == "f1"
