@@ -58,13 +58,13 @@ def command(
     ]
     names = ["--label", str(study["label"]), "--surface", str(study["surface"])]
     _run(out, ["sync", *casing, *rotors, "-o", case, *inertias, *names, "--force"])
-    document = _study(out, case, output)
+    document = _study(out, case, output, folder / study["clip"][-1]["file"])
     document["seconds"] = perf_counter() - began
     out.result(document)
     out.show(f"\n{document['seconds']:.0f} s in all. The report: {document['report']}")
 
 
-def _study(out: Output, case: Path, output: Path) -> dict[str, Any]:
+def _study(out: Output, case: Path, output: Path, film: Path) -> dict[str, Any]:
     """Fit, diagnose, improve and report; return what the program says of it."""
     from fitting.discovery import diagnose, improve
     from fitting.effects import REDUCED
@@ -74,7 +74,7 @@ def _study(out: Output, case: Path, output: Path) -> dict[str, Any]:
     from fitting.summary import diagnosis_document, fit_document, ladder_verdict
     from gyrotrack.cli.study import open_study
     from gyrotrack.dataset import read_case
-    from gyrotrack.report import write_report
+    from gyrotrack.report import story_picture, write_report
 
     ledger = Ledger.beside(case).path
     ledger.unlink(missing_ok=True)  # the demo begins anew each time
@@ -103,14 +103,24 @@ def _study(out: Output, case: Path, output: Path) -> dict[str, Any]:
         provenance={"command": "gyrotrack demo"},
         force=True,
     )
+    picture = story_picture(rungs, diagnosis, output / "story.png", frame=_frame(film), force=True)
     return {
         "case": case,
         "report": report,
+        "picture": picture,
         "diagnosis": diagnosis_document(diagnosis, first.fit_id),
         "ladder": steps,
         "final": fit_document(rungs[-1].fit, parent),
         "verdict": ladder_verdict(rungs),
     }
+
+
+def _frame(film: Path) -> Any:
+    """Return the first frame of a film as red, green, blue."""
+    import av
+
+    with av.open(str(film)) as container:
+        return next(container.decode(video=0)).to_ndarray(format="rgb24")
 
 
 def _find(clips: Path | None) -> Path:
