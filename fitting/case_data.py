@@ -38,7 +38,10 @@ class CaseData:
         casing = compress(record.casing, degree=CASING_DEGREE, harmonics=angle)
         rotor = tuple(
             compress(
-                w, degree=ROTOR_DEGREE, harmonics=False, blocks=max(1, round((w.time[-1] - w.time[0]) / 3.0))
+                w,
+                degree=min(ROTOR_DEGREE, (len(w) - 1) // 2),
+                harmonics=False,
+                blocks=max(1, round((w.time[-1] - w.time[0]) / 3.0)),
             )
             for w in record.rotor
         )

@@ -143,7 +143,7 @@ class _Block:
 def _block(samples: Samples, where: slice, degree: int, *, harmonics: bool) -> _Block:
     t, y, sigma = samples.time[where], samples.value[where], samples.sigma[where]
     k = degree + 1
-    middle, half = 0.5 * (t[0] + t[-1]), 0.5 * (t[-1] - t[0])
+    middle, half = 0.5 * (t[0] + t[-1]), max(0.5 * (t[-1] - t[0]), 1e-9)
     extra = min(_NOISE_ROWS, max(0, len(t) - k - HARMONICS - 6))
     powers = chebyshev.chebvander((t - middle) / half, degree + extra)
     waves = _independent_harmonics(y, powers[:, :k]) if harmonics else np.zeros((len(t), 0))

@@ -22,6 +22,8 @@ Quantity = Literal["angle", "omega"]
 FORMAT = "gyrotrack"
 MAJOR = 1
 _MAX_SAMPLES = 50_000_000
+# an angle tells a speed only over several samples; a measured speed tells it at once
+_FEWEST: dict[str, int] = {"angle": 8, "omega": 1}
 
 
 @dataclass(frozen=True)
@@ -173,10 +175,11 @@ def make_record(
     runs = [_clean(*casing, what="casing"), *(_clean(*r, what="rotor") for r in rotor)]
     if len(runs[0]) < 60:
         raise RecordError(f"{label}: the casing has {len(runs[0])} usable samples; at least 60 are needed")
-    windows = tuple(r for r in runs[1:] if len(r) >= 12)
+    windows = tuple(r for r in runs[1:] if len(r) >= _FEWEST[quantity])
     if not windows:
         raise RecordError(
-            f"{label}: no rotor window with at least 12 usable samples", "give at least one rotor clip"
+            f"{label}: no rotor window with at least {_FEWEST[quantity]} usable samples",
+            "give at least one rotor clip",
         )
     return Record(label, I_rotor, I_casing, runs[0], windows, quantity, surface, source, tracked)
 

@@ -40,7 +40,8 @@ def _local(samples: Samples, count: int, is_angle: bool) -> Array:  # noqa: FBT0
     for piece in np.array_split(np.arange(len(samples)), max(1, count)):
         t = samples.time[piece]
         middle = float(t.mean())
-        c = polynomial.polyfit(t - middle, samples.value[piece], 2 if is_angle else 1)
+        degree = min(2 if is_angle else 1, len(t) - 1)
+        c = np.append(polynomial.polyfit(t - middle, samples.value[piece], degree), [np.nan, np.nan])
         rows.append([middle, *((c[1], 2 * c[2]) if is_angle else (c[0], c[1]))])
     return np.array(rows)
 
@@ -50,6 +51,8 @@ def _rotor_curve(windows: Array, times: Array) -> Array:
 
     windows = windows[np.argsort(windows[:, 0])]
     t, speed, slope = windows.T
+    between = np.gradient(speed, t) if len(t) > 1 else np.zeros(1)
+    slope = np.where(np.isfinite(slope), slope, between)
     if len(t) == 1:
         curve = speed[0] + slope[0] * (times - t[0])
     else:
