@@ -51,7 +51,7 @@ def test_a_missing_effect_does_not_pass_for_noise(hidden, seed):
     assert result.verdict == "misfit"
 
 
-@pytest.mark.parametrize("hidden", ["step", "drag"])
+@pytest.mark.parametrize("hidden", ["step", pytest.param("drag", marks=pytest.mark.slow)])
 def test_noise_under_a_missing_effect_is_still_the_noise(hidden):
     (noise,) = fitted(seed=1, ou=1e-7, hidden=hidden).noise
     assert 1e-7 / 1.6 < strength(noise) < 1.6e-7
