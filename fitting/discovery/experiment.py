@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 
 _POINTS = 240
 _SIGMA = 1e-3
+# sigma below which an experiment is not worth its while
+_CLEAR = 5.0
 
 
 def _options(omega_r: float, omega_c: float) -> dict[str, tuple[float, float, float]]:
@@ -76,8 +78,11 @@ def next_experiment(fit: Fit, rivals: Sequence[Candidate]) -> str:
         size, names = min(separations)
         if size > best_size:
             best, best_size, pair = text, size, names
-    if not best:
-        return ""
+    if best_size < _CLEAR:
+        return (
+            f"No run of this gyroscope with other start speeds or of other length would tell {fits[0][0]} from "
+            f"{fits[1][0]}: change what only one of them depends on (the air's pressure, the surface, the oil)."
+        )
     return f"To tell {pair[0]} from {pair[1]}: {best} would part them by {best_size:.0f} sigma."
 
 
