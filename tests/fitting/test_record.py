@@ -227,7 +227,7 @@ def test_too_few_samples(tmp_path):
     path = write_case(tmp_path / "case.h5")
     with h5py.File(path, "r+") as file:
         file["rotor/angle"][:] = np.nan
-    assert "no rotor window with at least 12 usable samples" in refusal(path)
+    assert "no rotor window with at least 8 usable samples" in refusal(path)
 
 
 def arrays(n=100):
@@ -269,6 +269,12 @@ def test_times_that_go_back_are_refused(what):
 
 
 def test_windows_too_short_to_use_are_left_out():
-    assert len(made(rotor=[arrays(11), arrays(12), arrays(30)]).rotor) == 2
+    assert len(made(rotor=[arrays(7), arrays(8), arrays(30)]).rotor) == 2
     with pytest.raises(RecordError, match="no rotor window"):
-        made(rotor=[arrays(11)])
+        made(rotor=[arrays(7)])
+
+
+def test_a_single_measured_speed_is_a_window():
+    assert len(made(rotor=[arrays(1), arrays(30)], quantity="omega").rotor) == 2
+    with pytest.raises(RecordError, match="no rotor window"):
+        made(rotor=[arrays(0)], quantity="omega")

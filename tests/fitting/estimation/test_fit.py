@@ -96,6 +96,18 @@ def test_measured_speeds_do_as_well_as_angles(seed):
     assert result.noise[0].pure < 2e-8
 
 
+def test_a_few_single_speeds_of_the_rotor_will_do():
+    """A stroboscope instead of a camera: twelve speeds of the rotor, one at a time."""
+    raw = twobody.film(twobody.simulate(), cameras=twobody.Cameras(quantity="omega", sigma=0.05))
+    motion, rng = twobody.simulate(), np.random.default_rng(4)
+    times = np.linspace(3, 190, 12)
+    speeds = motion.at(times, 0)[1] + 0.05 * rng.standard_normal(12)
+    raw["rotor"] = [(times[i : i + 1], speeds[i : i + 1], np.array([0.05])) for i in range(12)]
+    result = fit(Model.of(REDUCED), [make_record(**raw)])
+    assert result.verdict == "adequate"
+    assert max(map(abs, pulls(result, TRUTH).values())) < 4
+
+
 def case(par, seed, label, start=(900.0, 5.0), hidden=None, ou=0.0):
     motion = twobody.simulate({**twobody.PAPER, **par}, start=start, seed=seed, hidden=hidden, ou=ou)
     return CaseData.of(make_record(**twobody.film(motion, seed=seed, label=label)))
