@@ -27,6 +27,7 @@ _JOINTS = {
     "bearing": "Between rotor and casing",
     "factor": "Factors of the bearing torque",
     "casing": "On the casing",
+    "inertia": "Of the experimenter (measurement): a factor of the casing's acceleration",
     "camera.rotor": "Of the rotor's camera (measurement)",
     "camera.casing": "Of the casing's camera (measurement)",
 }
@@ -35,6 +36,9 @@ _JOINTS = {
 def page() -> str:
     """Return the page as it should be."""
     parts = [_HEAD]
+    unnamed = {e.joint for e in LIBRARY.values()} - set(_JOINTS)
+    if unnamed:
+        raise LookupError(f"give these joints a title: {sorted(unnamed)}")
     for joint, title in _JOINTS.items():
         parts.append(f"## {title}\n")
         parts.append("| name | law | parameters | seen as | looks like |\n|---|---|---|---|---|")
