@@ -36,6 +36,9 @@ _CLEARLY = 14.0
 _ENOUGH = 1e-5
 _ENOUGH_TO_RANK = 3e-3
 
+# a bound counts as the truth when the best value lies so many standard errors beyond it
+_SURELY = 3.0
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -224,7 +227,7 @@ def summarise(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, conve
     chi2 = float(r @ r)
     rows = len(r) - sum(p.basis.shape[1] for p in problem.projections)
     at_bound = layout.at_bound(theta)
-    covariance = _covariance(j, ~at_bound)
+    covariance = _covariance(j, ~_surely_at_bound(layout, at_bound, r, j))
     free = int((~at_bound).sum())
     # a model that fails has errors of its own beside the noise's
     covariance *= max(1.0, chi2 / max(1, rows - free))
@@ -270,6 +273,20 @@ def summarise(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, conve
 
 def _unit(layout: Layout, name: str) -> str:
     return layout.parameter(name).unit
+
+
+def _surely_at_bound(layout: Layout, at_bound: NDArray[np.bool_], r: Array, j: Array) -> NDArray[np.bool_]:
+    """Return which variables are known to be what their bound says.
+
+    A friction whose best value is far below zero is nothing. One that is hardly below, or an exponent on the
+    edge of what is tried, is not known to be there: the errors of all that goes with it must leave it free.
+    """
+    dead = np.linalg.norm(j, axis=0) == 0
+    covariance = _covariance(j, ~dead)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        beyond = np.abs(covariance @ (j.T @ r)) / np.sqrt(np.diag(covariance))
+    physical = np.array([layout.is_physical_bound(name) for name in layout.names])
+    return np.asarray(dead | (at_bound & physical & (np.nan_to_num(beyond) > _SURELY)))
 
 
 def _covariance(j: Array, free: NDArray[np.bool_]) -> Array:

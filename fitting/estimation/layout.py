@@ -126,6 +126,10 @@ class Layout:
         near = 1e-9 * np.maximum(np.abs(theta), 1e-30)
         return np.asarray((theta - lower <= near) | (upper - theta <= near))
 
+    def is_physical_bound(self, name: str) -> bool:
+        """Return whether nature sets the bounds of a variable (friction takes energy), not habit or a range."""
+        return self.parameter(name).role == "amplitude" and name not in self.ranges
+
     def valleys(self, reference: float) -> tuple[Valley, ...]:
         """Return the pairs of a linear and a power law of the bearing that need straight coordinates."""
         keys = ("bearing.linear.d", "bearing.power.f", "bearing.power.g")

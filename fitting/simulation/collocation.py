@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 NODES = 10
 _TOLERANCE = 1e-10
 _MAX_NEWTON = 25
+_UNBOUNDED = "the equations of motion have no bounded solution for these numbers"
+_HINT = "if the casing comes to rest within the record, leave out what follows: friction then has no law here"
 _MAX_INTERVALS = 40_000
 
 
@@ -200,7 +202,7 @@ def _newton(dynamics: Dynamics, numbers: Mapping[str, float], start: Array, mesh
             # Newton squares the error: what is left after a step this small is rounding
             if size < 1e-9:
                 return replace(first, mesh=mesh, y=y, edges=edges)
-    raise SimulationError("the equations of motion have no bounded solution for these numbers")
+    raise SimulationError(_UNBOUNDED, _HINT)
 
 
 class Propagator:
@@ -265,7 +267,7 @@ def _explicit(dynamics: Dynamics, numbers: Mapping[str, float], start: Array, me
             k4 = dynamics.rates(t + h, state + h * k3, numbers)
             y[i + 1] = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
     if not np.isfinite(y).all():
-        raise SimulationError("the equations of motion have no bounded solution for these numbers")
+        raise SimulationError(_UNBOUNDED, _HINT)
     blocks = y[:-1].reshape(len(mesh.edges) - 1, -1, len(start))
     edges = np.concatenate([blocks[:, 0], y[-1:]])
     return Path(mesh, blocks[:, 1:].copy(), edges, dynamics.states)

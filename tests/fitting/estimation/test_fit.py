@@ -282,6 +282,28 @@ def test_a_range_that_excludes_the_truth_is_kept_and_marked():
     assert result.deviance > fitted(seed=0).deviance + 4
 
 
+@pytest.mark.parametrize(
+    "seed", [2, *(pytest.param(s, marks=pytest.mark.slow) for s in (0, 1, 3, 4, 5, 6, 7))]
+)
+def test_errors_stay_true_when_a_neighbour_lies_on_its_bound(seed):
+    """A strong random torque drives d, f or g to an edge. With it held, f would be known 20 times too well."""
+    result = fitted(seed=seed, ou=1e-6, ou_time=3.0)
+    found = {k: z for k, z in pulls(result, TRUTH).items() if not result.estimates[k].at_bound}
+    assert max(map(abs, found.values())) < 4, found
+    if seed == 2:
+        assert result.estimates["bearing.linear.d"].at_bound
+
+
+def test_nine_parameters_of_one_recording_are_not_known():
+    """The general model fits as well, and must admit that d, f and g are hundreds of times less certain."""
+    general, reduced = fit(Model.of(GENERAL), [data(seed=0)]), fitted(seed=0)
+    assert general.verdict == "adequate"
+    assert general.chi2 == pytest.approx(reduced.chi2, abs=6)
+    for key in ("bearing.linear.d", "bearing.power.f", "bearing.power.g"):
+        assert general.estimates[key].stderr > 30 * reduced.estimates[key].stderr
+        assert abs(general.estimates[key].value - TRUTH[key]) < 4 * general.estimates[key].stderr
+
+
 def test_bic_counts_parameters_and_effective_samples():
     result = fitted(seed=0)
     assert result.bic == pytest.approx(result.deviance + 8 * np.log(result.n_eff))
