@@ -74,7 +74,9 @@ def minimise(
     try:
         r, j = problem(x)
     except SimulationError as fault:
-        raise EstimationError(f"the model cannot be computed at its start values: {fault.message}") from None
+        raise EstimationError(
+            f"the model cannot be computed at its start values: {fault.message}", fault.hint
+        ) from None
     cost = float(r @ r)
     damping, growth = 1e-3, 2.0
     scale = np.linalg.norm(j, axis=0)

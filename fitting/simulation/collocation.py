@@ -218,9 +218,7 @@ class Propagator:
         try:
             self._inverse = np.linalg.inv(g)
         except np.linalg.LinAlgError:
-            raise SimulationError(
-                "the equations of motion have no bounded solution for these numbers"
-            ) from None
+            raise SimulationError(_UNBOUNDED, _HINT) from None
         unit = np.tile(np.eye(n), (k, 1))
         self.transfer: Array = (self._inverse @ unit).reshape(intervals, k, n, n)
         self._step = np.eye(n) + mesh.half[..., None] * np.einsum(

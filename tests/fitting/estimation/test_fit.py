@@ -7,7 +7,7 @@ from cases import data, fitted, pulls
 
 from fitting.case_data import CaseData
 from fitting.effects import GENERAL, LINEAR, REDUCED
-from fitting.errors import EffectError, EstimationError
+from fitting.errors import EffectError, EstimationError, FittingError
 from fitting.estimation import fit
 from fitting.model import Model
 from fitting.record import make_record
@@ -308,6 +308,14 @@ def test_bic_counts_parameters_and_effective_samples():
     result = fitted(seed=0)
     assert result.bic == pytest.approx(result.deviance + 8 * np.log(result.n_eff))
     assert result.n_eff == pytest.approx(61_000, rel=0.1)
+
+
+def test_a_casing_that_stands_still_is_an_error_that_says_what_to_do():
+    """Dry friction holds the casing for the last minute of this record."""
+    stuck = case({"b1": 1.2e-4}, 51, "case1")
+    with pytest.raises(FittingError) as caught:
+        fit(Model.of(REDUCED), [stuck])
+    assert "comes to rest" in caught.value.hint
 
 
 def test_cases_need_labels_of_their_own():
