@@ -125,16 +125,29 @@ def test_killed_at_any_moment_the_file_is_sound_or_absent(tmp_path):
     path = tmp_path / "r.h5"
     script = _WRITER.format(tests=str(Path(__file__).parent))
     sound = 0
+    once = _time_of_one_write(
+        script, path
+    )  # a busy machine writes slowly: kill through two writes, whatever they take
     for k in range(40):
         path.unlink(missing_ok=True)
         with subprocess.Popen([sys.executable, "-c", script, str(path)], stdout=subprocess.PIPE) as process:
             process.stdout.readline()
-            time.sleep(0.01 * k)
+            time.sleep(2 * once * k / 40)
             process.send_signal(signal.SIGKILL)
         if path.exists():
             read_recording(path)
             sound += 1
     assert sound > 5
+
+
+def _time_of_one_write(script, path):
+    with subprocess.Popen([sys.executable, "-c", script, str(path)], stdout=subprocess.PIPE) as process:
+        process.stdout.readline()
+        start = time.monotonic()
+        while not path.exists() and time.monotonic() - start < 60:
+            time.sleep(0.01)
+        process.send_signal(signal.SIGKILL)
+    return time.monotonic() - start
 
 
 def test_bytes_changed_on_the_disk_are_noticed(tmp_path, recording):
