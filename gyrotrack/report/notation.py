@@ -52,7 +52,7 @@ def short(value: float, digits: int = 3) -> str:
         mantissa, _, exponent = f"{value:.{places}e}".partition("e")
         text = f"{mantissa} × 10{raised(int(exponent))}"
     else:
-        text = f"{value:#.{digits}g}".rstrip(".") if 0 < abs(value) < 1000 else f"{value:.0f}"
+        text = f"{value:#.{digits}g}".rstrip(".") if 0 < abs(value) < 10.0**digits else f"{value:.0f}"
     return text.replace("-", "−", 1) if text.startswith("-") else text
 
 

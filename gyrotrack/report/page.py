@@ -151,11 +151,12 @@ def _found(content: Content) -> str:
     """Return the parameters of what was added."""
     from gyrotrack.report.tables import named
 
-    texts = [
-        named(key, e)
-        for key, e in content.final.estimates.items()
-        if key.partition("@")[0].rpartition(".")[0] in content.added
-    ]
+    found: dict[str, list[str]] = {}
+    for key, e in content.final.estimates.items():
+        effect = key.partition("@")[0].rpartition(".")[0]
+        if effect in content.added:
+            found.setdefault(effect, []).append(named(key, e))
+    texts = [f"{effect}: {', '.join(values)}" for effect, values in found.items()]
     return f"Found: {'; '.join(texts)}." if texts else ""
 
 

@@ -15,8 +15,8 @@ from gyrotrack.errors import OutputError
 from gyrotrack.report.content import Content, gather
 from gyrotrack.report.figures.misfit import both_panel
 from gyrotrack.report.figures.motion import casing_panel
-from gyrotrack.report.figures.style import AFTER, BEFORE, SKY, canvas, legend, look, panel, plain
-from gyrotrack.report.notation import short
+from gyrotrack.report.figures.style import AFTER, BEFORE, SKY, canvas, look, panel, plain
+from gyrotrack.report.notation import scaled, short
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -70,13 +70,13 @@ def _draw(content: Content, frame: NDArray[np.uint8] | None, kind: str) -> bytes
         figure = canvas(15.0, 4.4)
         left, middle, right = figure.subplots(1, 3, width_ratios=[1, 1.15, 0.85])
         casing_panel(left, view)
-        legend(left)
+        left.legend(loc="lower right" if frame is not None else "best")
         panel(left, "1", "measured and fitted")
         if frame is not None:
             _inset(left, frame)
         both_panel(middle, view)
         middle.set_xlabel("time [s]")
-        legend(middle)
+        middle.legend(loc="best")
         panel(middle, "2", "what the model leaves")
         _fall(right, content)
         stream = io.BytesIO()
@@ -100,8 +100,12 @@ def _fall(ax: Axes, content: Content) -> None:
         "held-out error [noise]": (np.array([s.held_out for s in steps]), 1.0),
         "rms error of the casing [rad/s]": (np.array([s.rmse for s in steps]), content.rmse_floor),
     }
+    if steps[-1].torque_left > 0:
+        kinds["torque that remains [N m]"] = (np.array([s.torque_left for s in steps]), steps[-1].torque_pure)
     title = max(kinds, key=lambda k: kinds[k][0][0] / max(kinds[k][0][-1], 1e-300))
     values, best = kinds[title]
+    factor, prefix = (1.0, "") if "[noise]" in title else scaled(float(values.max()))
+    values, best, title = factor * values, factor * best, title.replace("[", f"[{prefix}")
     colours = [BEFORE, *[SKY] * (len(steps) - 2), AFTER] if len(steps) > 1 else [BEFORE]
     ax.bar(np.arange(len(steps)), values, color=colours, width=0.6)
     if values.max() > _WIDE * min(best, float(values.min())):
@@ -124,5 +128,5 @@ def _fall(ax: Axes, content: Content) -> None:
     ax.set_xlim(-0.6, len(steps) - 0.4)
     ax.grid(visible=False, axis="x")
     ax.set_ylabel(title)
-    legend(ax)
+    ax.legend(loc="best")
     panel(ax, "3", "the error falls" if len(steps) > 1 else "the error")

@@ -67,7 +67,7 @@ def _bars(ax: Axes, steps: tuple[Step, ...], title: str, unit: str, name: str, b
         scaled(float(sizes.max())) if name in {"rmse", "torque_left", "energy_drift"} else (1.0, "")
     )
     values, sizes, best = factor * values, factor * sizes, None if best is None else factor * best
-    left = _axis(ax, sizes, best)
+    left = _axis(ax, sizes, best, may_be_wide=name != "delta_bic")
     colours = [BEFORE, *[SKY] * (len(steps) - 2), AFTER] if len(steps) > 1 else [BEFORE]
     ax.barh(np.arange(len(steps)), np.maximum(sizes - left, 0.0), left=left, color=colours, height=0.62)
     if best is not None:
@@ -85,13 +85,15 @@ def _bars(ax: Axes, steps: tuple[Step, ...], title: str, unit: str, name: str, b
     ax.spines["left"].set_color(GREY)
 
 
-def _axis(ax: Axes, sizes: np.ndarray[tuple[int], np.dtype[np.float64]], best: float | None) -> float:
+def _axis(
+    ax: Axes, sizes: np.ndarray[tuple[int], np.dtype[np.float64]], best: float | None, *, may_be_wide: bool
+) -> float:
     """Choose a linear or a logarithmic axis with room for the numbers; return where bars begin."""
     from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
     known = [*sizes[sizes > 0].tolist(), *([best] if best is not None else [])]
     top, bottom = (max(known), min(known)) if known else (1.0, 1.0)
-    if top < 8 * bottom or len(known) < 2:
+    if not may_be_wide or top < 8 * bottom or len(known) < 2:
         ax.set_xlim(0, 1.5 * top)
         ax.xaxis.set_major_locator(MaxNLocator(4))
         return 0.0
@@ -108,11 +110,9 @@ def _caption(content: Content) -> str:
     noise = max(s.torque_pure for s in content.steps)
     floor = f" The data themselves hold a random torque of {short(noise, 2)} N m rms." if noise > 0 else ""
     return (
-        "Every rung is one fit; wide ranges are drawn on a logarithmic scale. The dashed line is as good "
-        "as can be: "
-        f"what the noise alone would leave.{floor} The rms error is that of the speed smoothed as in the "
-        "paper; the energy drift "
-        "too has a floor, the noise of that speed."
+        "Every rung is one fit; wide ranges are drawn on a logarithmic scale. The dashed line is as good as can "
+        f"be: what the noise alone would leave.{floor} The rms error is that of the speed smoothed as in the "
+        "paper, its dashed line what the noise of the angles makes of it; the energy drift has such a floor too."
     )
 
 

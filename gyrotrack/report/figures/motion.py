@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gyrotrack.report.case_view import CaseView
 from gyrotrack.report.figures.style import AFTER, BEFORE, WIDTH, Picture, canvas, legend, look, picture, zero
@@ -88,6 +89,7 @@ def rotor_picture(view: CaseView, name: str) -> Picture:
     down = -(-len(shown) // across)
     largest = max(float(np.abs(m.rotor_misfit[i].value).max()) for m in view.models for i in shown)
     factor, prefix = scaled(largest)
+    limits = _limits(view, shown, factor)
     with look():
         figure = canvas(WIDTH, 4.3 * down)
         axes = figure.subplots(2 * down, across, squeeze=False, height_ratios=[1.15, 1] * down, sharey=False)
@@ -96,7 +98,7 @@ def rotor_picture(view: CaseView, name: str) -> Picture:
         for place, i in enumerate(shown):
             row, column = divmod(place, across)
             _window(axes[2 * row, column], axes[2 * row + 1, column], view, int(i), factor)
-            axes[2 * row + 1, column].sharey(axes[1, 0])
+            axes[2 * row + 1, column].set_ylim(*limits)
             if column == 0:
                 axes[2 * row, 0].set_ylabel(r"$\omega_r$ [rad/s]")
                 axes[2 * row + 1, 0].set_ylabel(f"misfit [{prefix}rad/s]")
@@ -117,6 +119,15 @@ def rotor_picture(view: CaseView, name: str) -> Picture:
             "the noise"
             + (f", from the final model by {short(ratio[-1])} times (rms)." if len(ratio) > 1 else " (rms)."),
         )
+
+
+def _limits(view: CaseView, shown: NDArray[np.intp], factor: float) -> tuple[float, float]:
+    """Return limits that hold the misfits of all windows shown and the band."""
+    values = [factor * m.rotor_misfit[i].value for m in view.models for i in shown]
+    values += [2.2 * s * factor * view.models[-1].rotor_misfit[i].sigma for i in shown for s in (-1, 1)]
+    low, high = float(np.min(np.concatenate(values))), float(np.max(np.concatenate(values)))
+    room = 0.06 * (high - low)
+    return low - room, high + room
 
 
 def _window(top: Axes, bottom: Axes, view: CaseView, index: int, factor: float) -> None:

@@ -37,7 +37,8 @@ def correlation_picture(content: Content, name: str = "correlation") -> Picture 
     names, matrix = correlations(content.final)
     if len(names) < 2:
         return None
-    labels = [symbol(n, [v.label for v in content.cases]) for n in names]
+    labels = _labels(names, [v.label for v in content.cases])
+    turned = 45 if any(" " in text for text in labels) else 0
     with look({"axes.grid": False}):
         size = min(7.5, 1.6 + 0.5 * len(names))
         figure = canvas(size + 0.9, size)
@@ -46,7 +47,7 @@ def correlation_picture(content: Content, name: str = "correlation") -> Picture 
         image = ax.pcolormesh(matrix, cmap=colours, vmin=-1, vmax=1)
         ax.set_aspect("equal")
         ax.invert_yaxis()
-        ax.set_xticks(np.arange(len(names)) + 0.5, labels)
+        ax.set_xticks(np.arange(len(names)) + 0.5, labels, rotation=turned)
         ax.set_yticks(np.arange(len(names)) + 0.5, labels)
         ax.tick_params(length=0, labelsize=12 if len(names) < 14 else 8)
         ax.spines[:].set_visible(False)
@@ -62,6 +63,17 @@ def correlation_picture(content: Content, name: str = "correlation") -> Picture 
             bar.solids.set_rasterized(False)
         bar.outline.set_visible(False)
         return picture(name, figure, _correlation_caption(), _strongest(names, matrix))
+
+
+def _labels(names: list[str], cases: list[str]) -> list[str]:
+    """Return the symbols; where two effects have the same, with the name of the effect."""
+    symbols = [symbol(n, cases) for n in names]
+    return [
+        f"{s} {plain(n.partition('@')[0].rpartition('.')[0].rpartition('.')[2], 12)}"
+        if symbols.count(s) > 1
+        else s
+        for n, s in zip(names, symbols, strict=True)
+    ]
 
 
 def _two_digits(value: float) -> str:

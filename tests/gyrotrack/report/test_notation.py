@@ -45,6 +45,11 @@ def test_short_numbers(value, text):
     assert short(value) == text
 
 
+def test_large_numbers_keep_all_their_places():
+    assert short(199.4, 2) == "199"
+    assert short(2000.0) == "2000"
+
+
 def test_what_is_no_number_is_a_dash():
     assert short(math.nan) == "–"
 
