@@ -110,9 +110,10 @@ def _caption(content: Content) -> str:
     noise = max(s.torque_pure for s in content.steps)
     floor = f" The data themselves hold a random torque of {short(noise, 2)} N m rms." if noise > 0 else ""
     return (
-        "Every rung is one fit; wide ranges are drawn on a logarithmic scale. The dashed line is as good as can "
-        f"be: what the noise alone would leave.{floor} The rms error is that of the speed smoothed as in the "
-        "paper, its dashed line what the noise of the angles makes of it; the energy drift has such a floor too."
+        "Every rung is one fit; wide ranges are drawn on a logarithmic scale. The dashed line is as good as "
+        f"can be: what the noise alone would leave.{floor} The rms error is that of the speed smoothed as in "
+        "the paper, its dashed line what the noise of the angles makes of it; the energy drift has such a floor "
+        "too."
     )
 
 

@@ -11,9 +11,10 @@ from gyrotrack.errors import OutputError
 from gyrotrack.report import write_report
 
 HOSTILE = "<script>alert(1)</script> $\\frac{$ & \"quoted\" 'single' \u202e\U0001f300"
-_TAGS = """html head meta title style body header main footer section nav ul li a h1 h2 h3 p strong span br sub
-code div figure figcaption table caption thead tbody
-tr th td dl dt dd svg g path use defs clippath rect pattern"""
+_TAGS = """
+html head meta title style body header main footer section nav ul li a h1 h2 h3 p strong span br sub code div
+figure figcaption table caption thead tbody tr th td dl dt dd svg g path use defs clippath rect pattern
+"""
 
 
 class _Page(HTMLParser):
