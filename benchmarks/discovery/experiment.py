@@ -59,7 +59,7 @@ def hidden_effects(x: float, span: float, rng: np.random.Generator) -> dict[str,
     t0 = rng.uniform(0.25, 0.75) * span
     phi = rng.uniform(0, 2 * np.pi)
     w = rng.uniform(4, 20)
-    tau_T = rng.uniform(0.1, 0.5) * span
+    tau_T = rng.uniform(20, 100)  # one bearing: the same in every recording
     m = rng.uniform(200, 900)
     # the bearing's torque is about 1.9e-4 N m at the start and 5e-5 in the tail
     return {
@@ -72,7 +72,7 @@ def hidden_effects(x: float, span: float, rng: np.random.Generator) -> dict[str,
         "bearing.quadratic": Hidden(bearing=lambda t, wr, wc: x * ((wr - wc) / D) ** 2),
         "bearing.load": Hidden(bearing=lambda t, wr, wc: x * (wr / OMEGA_R) ** 2),
         "bearing.load_viscous": Hidden(bearing=lambda t, wr, wc: x * (wr - wc) / D * (wr / OMEGA_R) ** 2),
-        "bearing.drift": Hidden(factor=lambda t: 1 + x / 1.0e-4 * t / span),
+        "bearing.drift": Hidden(factor=lambda t: 1 + x / 1.0e-4 * t / 200),
         "bearing.heating": Hidden(heating=(x / 1.9e-4 / (0.05 * tau_T), tau_T)),
         "touchpoint.stribeck": Hidden(casing=lambda t, wr, wc, psi: -x * np.exp(-abs(wc) / w)),
         "touchpoint.drift": Hidden(casing=lambda t, wr, wc, psi: -x * t / span),
