@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from fitting.effects import Effect, find, read_effects, resolve
 from fitting.effects.effect import Parameter
 from fitting.errors import EffectError
-from fitting.expression import Expr, Tape, derivative, latex, symbols
+from fitting.expression import Expr, Tape, derivative, latex
 from fitting.expression.nodes import ONE, ZERO, div, mul, neg, sub, substitute, sym, total
 
 Array = NDArray[np.float64]
@@ -241,11 +241,6 @@ class Dynamics:
         for i, j, k in self._sensitivity_at:
             b[..., i, j] = outputs[k]
         return f, a, b
-
-
-def parameter_symbols(model: Model) -> set[str]:
-    """Return all symbols that the laws of a model contain (for checks)."""
-    return set().union(*(symbols(e.expression) for e in model.effects)) if model.effects else set()
 
 
 def read_model(path: Path, own: Iterable[Effect] = ()) -> Model:

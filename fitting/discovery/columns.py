@@ -89,16 +89,6 @@ class CaseColumns:
         width = torques[0][0].shape[1]
         return [Trial(c, rows[:, i * width : (i + 1) * width]) for i, c in enumerate(choices)]
 
-    def torque(self, effect: Effect, values: dict[str, float]) -> tuple[Array, Array]:
-        """Return the torque of a smooth effect on rotor and casing at the cell centres [N m]."""
-        amplitude = next(p.symbol for p in effect.parameters if p.role == "amplitude")
-        phase = _phase(effect)
-        rotor, casing = self._torque(effect, values)
-        if phase:
-            turn = np.array([np.cos(values[phase]), np.sin(values[phase])])
-            return values[amplitude] * rotor @ turn, values[amplitude] * casing @ turn
-        return values[amplitude] * rotor[:, 0], values[amplitude] * casing[:, 0]
-
     def _grid(self, effect: Effect, p: Parameter) -> Array:
         first, last = self.case.data.record.span
         if effect.state is not None and _phase(effect):

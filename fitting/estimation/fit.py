@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from fitting.case_data import CaseData
 from fitting.errors import EstimationError
 from fitting.estimation.case_model import Prediction
+from fitting.estimation.covariance import covariance_of, surely_at_bound
 from fitting.estimation.layout import Layout
 from fitting.estimation.levenberg import Minimum, minimise
 from fitting.estimation.metrics import CaseMetrics, case_metrics
@@ -35,9 +36,6 @@ _CLEARLY = 14.0
 # a chi-square this near to its minimum moves no parameter by a hundredth of its error
 _ENOUGH = 1e-5
 _ENOUGH_TO_RANK = 3e-3
-
-# a bound counts as the truth when the best value lies so many standard errors beyond it
-_SURELY = 3.0
 
 
 @dataclass(frozen=True)
@@ -227,7 +225,7 @@ def summarise(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, conve
     chi2 = float(r @ r)
     rows = len(r) - sum(p.basis.shape[1] for p in problem.projections)
     at_bound = layout.at_bound(theta)
-    covariance = _covariance(j, ~_surely_at_bound(layout, at_bound, r, j))
+    covariance = covariance_of(j, ~surely_at_bound(layout, at_bound, r, j))
     free = int((~at_bound).sum())
     # a model that fails has errors of its own beside the noise's
     covariance *= max(1.0, chi2 / max(1, rows - free))
@@ -273,35 +271,3 @@ def summarise(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, conve
 
 def _unit(layout: Layout, name: str) -> str:
     return layout.parameter(name).unit
-
-
-def _surely_at_bound(layout: Layout, at_bound: NDArray[np.bool_], r: Array, j: Array) -> NDArray[np.bool_]:
-    """Return which variables are known to be what their bound says.
-
-    A friction whose best value is far below zero is nothing. One that is hardly below, or an exponent on the
-    edge of what is tried, is not known to be there: the errors of all that goes with it must leave it free.
-    """
-    dead = np.linalg.norm(j, axis=0) == 0
-    covariance = _covariance(j, ~dead)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        beyond = np.abs(covariance @ (j.T @ r)) / np.sqrt(np.diag(covariance))
-    physical = np.array([layout.is_physical_bound(name) for name in layout.names])
-    return np.asarray(dead | (at_bound & physical & (np.nan_to_num(beyond) > _SURELY)))
-
-
-def _covariance(j: Array, free: NDArray[np.bool_]) -> Array:
-    n = j.shape[1]
-    covariance = np.zeros((n, n))
-    size = np.linalg.norm(j, axis=0)
-    size[size == 0] = np.inf
-    scaled = (j / size)[:, free]
-    _, s, vt = np.linalg.svd(scaled, full_matrices=False)
-    # directions that the data does not determine keep a huge, honest variance
-    inner = (vt.T / np.maximum(s, 1e-12 * s.max(initial=1.0)) ** 2) @ vt
-    # a parameter that moves nothing has no error to speak of: it is not determined at all
-    unknown = ~np.isfinite(size[free])
-    scale = np.where(unknown, 1.0, size[free])
-    inner = inner / np.outer(scale, scale)
-    inner[unknown, unknown] = np.inf
-    covariance[np.ix_(free, free)] = inner
-    return covariance

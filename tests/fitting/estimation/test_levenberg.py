@@ -6,7 +6,7 @@ from nist import PROBLEMS
 from scipy.optimize import lsq_linear
 
 from fitting.errors import EstimationError, SimulationError
-from fitting.estimation.fit import _covariance
+from fitting.estimation.covariance import covariance_of
 from fitting.estimation.levenberg import minimise
 from fitting.expression import Tape, derivative, parse
 
@@ -51,7 +51,7 @@ def test_certified_values_and_errors(name, start):
     np.testing.assert_allclose(minimum.x, certified.values, rtol=2e-6)
     dof = len(certified.x) - len(certified.values)
     assert minimum.cost == pytest.approx(dof, rel=1e-8)
-    errors = np.sqrt(np.diag(_covariance(minimum.jacobian, np.ones(len(minimum.x), dtype=bool))))
+    errors = np.sqrt(np.diag(covariance_of(minimum.jacobian, np.ones(len(minimum.x), dtype=bool))))
     np.testing.assert_allclose(errors, certified.errors, rtol=1e-5)
 
 
@@ -129,8 +129,8 @@ def test_too_few_iterations_are_admitted():
 
 def test_undetermined_directions_have_huge_errors_not_small_ones():
     j = np.array([[1.0, 1.0], [2.0, 2.0], [3.0, 3.0]])
-    errors = np.sqrt(np.diag(_covariance(j, np.ones(2, dtype=bool))))
+    errors = np.sqrt(np.diag(covariance_of(j, np.ones(2, dtype=bool))))
     assert errors.min() > 1e8
-    held = _covariance(j, np.array([True, False]))
+    held = covariance_of(j, np.array([True, False]))
     assert held[0, 0] == pytest.approx(1 / 14)
     assert held[1, 1] == 0
