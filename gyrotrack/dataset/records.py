@@ -123,6 +123,12 @@ class Recording:
     warnings: tuple[str, ...] = ()
     extra: dict[str, Any] = field(default_factory=dict)
 
+    def to_dataframe(self, table: str = "motion") -> Any:
+        """Return the table "motion", "markers" or "frames" as a pandas DataFrame (see `gyrotrack.exporting`)."""
+        from gyrotrack.exporting import to_dataframe
+
+        return to_dataframe(self, table)
+
 
 @dataclass(frozen=True)
 class Series:
@@ -201,3 +207,9 @@ class Case:
     quantity: str = "angle"
     warnings: tuple[str, ...] = ()
     extra: dict[str, Any] = field(default_factory=dict)
+
+    def to_dataframe(self, table: str = "motion") -> Any:
+        """Return the table "motion", "markers" or "frames" as a pandas DataFrame (see `gyrotrack.exporting`)."""
+        from gyrotrack.exporting import to_dataframe
+
+        return to_dataframe(self, table)
