@@ -19,6 +19,7 @@ from fitting.compression import CASING_DEGREE, ROTOR_DEGREE, Compressed, compres
 from fitting.record import Record, Samples
 from fitting.simulation import Path, Sampler
 from fitting.simulation.sensitivity import angles
+from fitting.smoothing import speeds
 
 Array = NDArray[np.float64]
 
@@ -73,6 +74,16 @@ class CaseData:
             "harmonic": slice(b, len(self.z)),
             "smooth": slice(0, b),
         }
+
+    @cached_property
+    def speeds(self) -> dict[str, tuple[Array, Array]]:
+        """Times and smoothed angular velocities of each body, as the paper has them, for figures of merit."""
+        record = self.record
+        found = {}
+        for body, runs in (("casing", (record.casing,)), ("rotor", record.rotor)):
+            parts = [speeds(run, record.quantity) for run in runs]
+            found[body] = np.concatenate([t for t, _ in parts]), np.concatenate([v for _, v in parts])
+        return found
 
     @property
     def n_effective(self) -> float:

@@ -19,6 +19,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -30,6 +32,7 @@ from fitting.simulation.linear import LinearMotion
 Array = NDArray[np.float64]
 
 _CELLS_PER_ROW = 2.5
+_RUNS = 8
 _STRETCHES = 6
 _SLOW_TORQUES = 4
 _TIMES = (1 / 800, 1 / 400, 1 / 200, 1 / 100, 1 / 50)
@@ -154,15 +157,32 @@ class TorqueResponse:
 
     def covariance(self, time: float) -> Array:
         """Return the covariance K of the smooth rows for torques of rms 1 N m."""
-        from scipy.signal import lfilter
-
         decay = float(np.exp(-(self.edges[1] - self.edges[0]) / time))
         total = np.zeros((self._smooth.stop, self._smooth.stop))
-        for w in (self.casing, self.casing - self.rotor):
-            forward = lfilter([1.0], [1.0, -decay], w, axis=1)
-            backward = lfilter([1.0], [1.0, -decay], w[:, ::-1], axis=1)[:, ::-1]
-            total += (forward + backward - w) @ w.T
-        return 0.5 * (total + total.T)
+        order, starts, responses = self._by_time
+        for w in responses:
+            # R = U' + U - 1 with the upper triangle U_kl = decay^(l-k): one recursion, from the last cell back
+            later = _decaying_sums(w, decay) - 0.5 * w
+            for first, run in starts:
+                total[first:, first:] += later[run, first:].T @ w[run, first:]
+        place = np.argsort(order)
+        return np.asarray(total + total.T)[np.ix_(place, place)]
+
+    @cached_property
+    def _by_time(self) -> tuple[NDArray[np.intp], list[tuple[int, slice]], list[Array]]:
+        """Return the rows in the order in which torques reach them, runs of cells, and both responses.
+
+        No torque moves what was seen before it: a run of cells touches the rows from its `first` on only.
+        """
+        responses = [self.casing.T, (self.casing - self.rotor).T]
+        touched = np.any([w != 0 for w in responses], axis=0)
+        last = np.where(touched.any(axis=0), len(touched) - np.argmax(touched[::-1], axis=0), 0)
+        order = np.argsort(last, kind="stable")
+        edges = np.linspace(0, len(touched), _RUNS + 1).astype(int)
+        starts = [
+            (int(np.searchsorted(last[order], a, side="right")), slice(a, b)) for a, b in pairwise(edges)
+        ]
+        return order, starts, [np.ascontiguousarray(w[:, order]) for w in responses]
 
     def whitener(self, noise: TorqueNoise) -> Whitener:
         """Return what whitens rows with this noise."""
@@ -298,3 +318,11 @@ def _impulses(data: CaseData, motion: LinearMotion, cells: Array, direction: Arr
         answer[np.arange(len(times)), cell] = direction[state] * (0.5 * since**2 if data.is_angle else since)
         parts.append(answer)
     return data.rows(parts[0], parts[1:])
+
+
+def _decaying_sums(w: Array, decay: float) -> Array:
+    """Return the sums over l >= k of decay^(l-k) w_l, one row a cell."""
+    sums = w.copy()
+    for k in range(len(sums) - 2, -1, -1):
+        sums[k] += decay * sums[k + 1]
+    return sums

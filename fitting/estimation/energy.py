@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from fitting.estimation.case_model import CaseModel
 from fitting.model import INERTIA_CASING, INERTIA_ROTOR
 from fitting.simulation import Path, Sampler
-from fitting.smoothing import speeds
 
 Array = NDArray[np.float64]
 
@@ -49,8 +48,7 @@ def energy_balance(case: CaseModel, theta: Array, path: Path) -> EnergyBalance:
     -------
     EnergyBalance
     """
-    record = case.data.record
-    time, omega = speeds(record.casing, record.quantity)
+    time, omega = case.data.speeds["casing"]
     t = np.linspace(time[0], time[-1], min(_POINTS, len(time)))
     state = Sampler(path.mesh, t).value(path.y)
     state[:, 1] = np.interp(t, time, omega)

@@ -12,11 +12,11 @@ from fitting.estimation.case_model import CaseModel, Prediction
 from fitting.estimation.energy import energy_balance
 from fitting.estimation.problem import Projection
 from fitting.estimation.validation import held_out
-from fitting.record import Samples
 from fitting.simulation import Path, Sampler
-from fitting.smoothing import speeds
 
 Array = NDArray[np.float64]
+
+_SPEED = {"casing": "omega_c", "rotor": "omega_r"}
 
 
 @dataclass(frozen=True)
@@ -61,8 +61,8 @@ def case_metrics(case: CaseModel, project: Projection, prediction: Prediction, t
         "rotor": (chi2["rotor"] + sum(w.rest for w in data.rotor), sum(w.n_effective for w in data.rotor)),
     }
     bodies = {}
-    for body, state, runs in (("casing", 1, (data.casing.samples,)), ("rotor", 0, data.record.rotor)):
-        r2, rmse = _speed_quality(data, prediction.path, state, runs)
+    for body in _SPEED:
+        r2, rmse = _speed_quality(data, prediction.path, body)
         total, count = quality[body]
         bodies[body] = BodyMetrics(r2, rmse, total / max(1.0, count), outside[body])
     rows = max(1, len(data.z) - project.basis.shape[1])
@@ -75,13 +75,8 @@ def case_metrics(case: CaseModel, project: Projection, prediction: Prediction, t
     )
 
 
-def _speed_quality(data: CaseData, path: Path, state: int, runs: tuple[Samples, ...]) -> tuple[float, float]:
-    measured, expected = [], []
-    for samples in runs:
-        t, omega = speeds(samples, data.record.quantity)
-        measured.append(omega)
-        expected.append(Sampler(path.mesh, t).value(path.y[..., state]))
-    y, model = np.concatenate(measured), np.concatenate(expected)
-    error = y - model
+def _speed_quality(data: CaseData, path: Path, body: str) -> tuple[float, float]:
+    t, y = data.speeds[body]
+    error = y - Sampler(path.mesh, t).value(path.y[..., path.states.index(_SPEED[body])])
     spread = float(np.sum((y - y.mean()) ** 2))
     return 1 - float(error @ error) / spread if spread > 0 else 0.0, float(np.sqrt(np.mean(error**2)))

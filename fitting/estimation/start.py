@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from fitting.errors import EstimationError
 from fitting.estimation.layout import START_CASING, START_ROTOR, Layout
+from fitting.estimation.levenberg import minimise
 from fitting.model import INERTIA_CASING, INERTIA_ROTOR, Dynamics
 from fitting.record import Record, Samples
 
@@ -47,8 +48,6 @@ def _local(samples: Samples, count: int, is_angle: bool) -> Array:  # noqa: FBT0
 
 
 def _rotor_curve(windows: Array, times: Array) -> Array:
-    from scipy.interpolate import CubicHermiteSpline
-
     windows = windows[np.argsort(windows[:, 0])]
     t, speed, slope = windows.T
     between = np.gradient(speed, t) if len(t) > 1 else np.zeros(1)
@@ -56,11 +55,20 @@ def _rotor_curve(windows: Array, times: Array) -> Array:
     if len(t) == 1:
         curve = speed[0] + slope[0] * (times - t[0])
     else:
-        inside = CubicHermiteSpline(t, speed, slope)
         clipped = np.clip(times, t[0], t[-1])
         edge = np.where(times < t[0], slope[0], slope[-1])
-        curve = inside(clipped) + edge * (times - clipped)
+        curve = _hermite(t, speed, slope, clipped) + edge * (times - clipped)
     return np.asarray(np.maximum(curve, 0.05 * np.abs(speed).min()))
+
+
+def _hermite(t: Array, value: Array, slope: Array, times: Array) -> Array:
+    """Return the cubics through values and slopes, at times within."""
+    i = np.clip(np.searchsorted(t, times, side="right") - 1, 0, len(t) - 2)
+    h = t[i + 1] - t[i]
+    u = (times - t[i]) / h
+    rise = value[i + 1] - value[i]
+    first, last = slope[i] * h - rise, rise - slope[i + 1] * h
+    return np.asarray(value[i] + u * rise + u * (1 - u) * (first * (1 - u) + last * u))
 
 
 def start_values(layout: Layout, reference: float) -> Array:
@@ -102,8 +110,6 @@ def _resting(layout: Layout, name: str) -> float:
 
 
 def _regress(layout: Layout, case: int, times: Array, speeds: Array, theta: Array) -> tuple[list[str], Array]:
-    from scipy.optimize import lsq_linear
-
     dynamics = Dynamics(layout.model.smooth)
     numbers = layout.numbers(theta, case)
     state = np.concatenate([speeds, np.zeros((len(times), len(dynamics.states) - 2))], axis=1)
@@ -138,8 +144,11 @@ def _regress(layout: Layout, case: int, times: Array, speeds: Array, theta: Arra
     size[size == 0] = 1.0
     lower = np.array([*(layout.model.parameters[k].lower for k in linear), -np.inf, -np.inf])
     upper = np.array([*(layout.model.parameters[k].upper for k in linear), np.inf, np.inf])
-    solution = lsq_linear(design / size, target / np.linalg.norm(target), (lower, upper)).x
-    values = solution / size * np.linalg.norm(target)
+    unit, aim = design / size, target / np.linalg.norm(target)
+    solution = minimise(
+        lambda x: (unit @ x - aim, unit), np.zeros(len(size)), lower, upper, tolerance=1e-10, absolute=1e-14
+    )
+    values = solution.x / size * np.linalg.norm(target)
     return linear, values[: len(linear)]
 
 

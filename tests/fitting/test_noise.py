@@ -95,6 +95,17 @@ def test_response_to_a_torque_in_all_cells_is_that_of_a_constant_torque(response
     np.testing.assert_allclose(found, expected, atol=2e-4 * np.abs(expected).max())
 
 
+def test_covariance_is_the_sum_over_pairs_of_cells(response):
+    """W R W' in full, with the exponential correlation written out."""
+    time = response.default_time
+    since = np.abs(response.centres[:, None] - response.centres)
+    correlation = np.exp(-since / time)
+    full = sum(w @ correlation @ w.T for w in (response.casing, response.casing - response.rotor))
+    found = response.covariance(time)
+    np.testing.assert_allclose(found, full, atol=1e-10 * np.abs(full).max())
+    np.testing.assert_array_equal(found, found.T)
+
+
 def test_covariance_is_what_random_torques_do(response):
     """Draw Ornstein-Uhlenbeck torques in the cells and compare the variance of the rows with the formula."""
     rng = np.random.default_rng(3)

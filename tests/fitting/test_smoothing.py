@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
+from scipy.ndimage import median_filter
 
 from fitting.record import Samples
-from fitting.smoothing import speeds
+from fitting.smoothing import running_median, speeds
 
 
 def run(n=2000, rate=260.0, noise=0.0, omega=40.0, fall=-2.0):
@@ -48,3 +49,9 @@ def test_short_runs_keep_most_of_their_points(n):
     t, found = speeds(samples, "angle")
     assert len(t) == len(found) == n - 2 * min(50, n // 10)
     np.testing.assert_allclose(found[2:-2], np.interp(t, samples.time, omega)[2:-2], atol=0.2)
+
+
+@pytest.mark.parametrize("n, width", [(5, 3), (60, 51), (3000, 51), (1025, 7)])
+def test_running_median_is_scipys(n, width):
+    value = np.random.default_rng(n).standard_normal(n)
+    np.testing.assert_array_equal(running_median(value, width), median_filter(value, width, mode="nearest"))
