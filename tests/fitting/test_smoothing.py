@@ -51,7 +51,7 @@ def test_short_runs_keep_most_of_their_points(n):
     np.testing.assert_allclose(found[2:-2], np.interp(t, samples.time, omega)[2:-2], atol=0.2)
 
 
-@pytest.mark.parametrize("n, width", [(5, 3), (60, 51), (3000, 51), (1025, 7)])
+@pytest.mark.parametrize(("n", "width"), [(5, 3), (60, 51), (3000, 51), (1025, 7)])
 def test_running_median_is_scipys(n, width):
     value = np.random.default_rng(n).standard_normal(n)
     np.testing.assert_array_equal(running_median(value, width), median_filter(value, width, mode="nearest"))
