@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from fitting.compression import CASING_DEGREE, ROTOR_DEGREE, Compressed, compress
 from fitting.record import Record, Samples
+from fitting.rough_speeds import rough_speeds
 from fitting.simulation import Path, Sampler
 from fitting.simulation.sensitivity import angles
 from fitting.smoothing import speeds
@@ -74,6 +75,11 @@ class CaseData:
             "harmonic": slice(b, len(self.z)),
             "smooth": slice(0, b),
         }
+
+    @cached_property
+    def rough_speeds(self) -> tuple[Array, Array]:
+        """Times and rough speeds of rotor and casing, (times, 2)."""
+        return rough_speeds(self.record)
 
     @cached_property
     def speeds(self) -> dict[str, tuple[Array, Array]]:

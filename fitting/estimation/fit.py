@@ -21,7 +21,7 @@ from fitting.estimation.covariance import covariance_of, surely_at_bound
 from fitting.estimation.layout import Layout
 from fitting.estimation.levenberg import Minimum, minimise
 from fitting.estimation.metrics import CaseMetrics, case_metrics
-from fitting.estimation.noise_levels import Noise, first_noise, measure_noise, refine_level
+from fitting.estimation.noise_levels import Noise, cautious, first_noise, measure_noise, refine_level
 from fitting.estimation.problem import Problem, Projection
 from fitting.estimation.start import start_values
 from fitting.model import Model
@@ -151,6 +151,11 @@ def fit(
         problem.set_noise([n.whitener for n in noise])
         _, theta = _minimise(problem, theta, quick=quick)
         noise = measure_noise(problem, theta)
+    elif not set(layout.names) <= set(start or ()):
+        # far from the minimum a model fails by far more than the noise, and a valley seen so sharply is hard to follow
+        problem.set_noise(cautious(problem, theta, noise))
+        _, theta = _minimise(problem, theta, quick=quick)
+        noise = refine_level(problem, theta, noise)
     problem.set_noise([n.whitener for n in noise])
     minimum, theta = _minimise(problem, theta, quick=quick)
     noise = tuple(refine_level(problem, theta, noise))
@@ -162,7 +167,10 @@ def fit(
 def _start(layout: Layout, problem: Problem, given: Mapping[str, float] | None) -> Array:
     known = dict(given or {})
     if not set(layout.names) <= set(known):
-        guessed = dict(zip(layout.names, start_values(layout, problem.reference).tolist(), strict=True))
+        rough = [d.rough_speeds for d in problem.data]
+        guessed = dict(
+            zip(layout.names, start_values(layout, problem.reference, rough).tolist(), strict=True)
+        )
         known = guessed | {k: v for k, v in known.items() if k in guessed}
     return np.array([known[n] for n in layout.names])
 

@@ -46,18 +46,28 @@ class Noise:
 def first_noise(problem: Problem, theta: Array) -> tuple[Noise, ...]:
     """Return a cautious noise to begin with: a hundredth of the bearing's torque."""
     found = []
-    for case, p in zip(problem.cases, problem.predict(theta), strict=True):
-        data = case.data
-        response = TorqueResponse(data, p.motion)
-        rates = np.abs(
-            case.dynamics.rates(p.path.mesh.times, p.path.y, problem.layout.numbers(theta, case.case))
-        )
-        level = _FIRST_LEVEL * data.record.I_rotor * float(np.median(rates[..., 0]))
+    predictions = problem.predict(theta)
+    for case, p, level in zip(problem.cases, predictions, _first_levels(problem, theta), strict=True):
+        response = TorqueResponse(case.data, p.motion)
         time = response.default_time
-        found.append(
-            Noise(data.casing.scale, level, level, time, response.whitener(TorqueNoise(level, time)))
-        )
+        whitener = response.whitener(TorqueNoise(level, time))
+        found.append(Noise(case.data.casing.scale, level, level, time, whitener))
     return tuple(found)
+
+
+def cautious(problem: Problem, theta: Array, noise: Sequence[Noise]) -> list[Whitener]:
+    """Return a known noise raised to the level of `first_noise`, for a search that begins far away."""
+    levels = _first_levels(problem, theta)
+    return [n.whitener.at(max(n.level, level)) for n, level in zip(noise, levels, strict=True)]
+
+
+def _first_levels(problem: Problem, theta: Array) -> list[float]:
+    levels = []
+    for case, p in zip(problem.cases, problem.predict(theta), strict=True):
+        numbers = problem.layout.numbers(theta, case.case)
+        rates = np.abs(case.dynamics.rates(p.path.mesh.times, p.path.y, numbers))
+        levels.append(_FIRST_LEVEL * case.data.record.I_rotor * float(np.median(rates[..., 0])))
+    return levels
 
 
 def measure_noise(problem: Problem, theta: Array) -> tuple[Noise, ...]:

@@ -11,7 +11,6 @@ from fitting.case_data import CaseData
 from fitting.estimation.case_model import CaseModel, Prediction
 from fitting.estimation.coordinates import from_physical, to_physical
 from fitting.estimation.layout import Layout
-from fitting.estimation.start import measured_speeds
 from fitting.noise import WHITE, Whitener
 
 Array = NDArray[np.float64]
@@ -94,6 +93,6 @@ def reference_speed(data: Sequence[CaseData]) -> float:
     """Return a typical speed of the bearing in these cases [rad/s]."""
     typical = []
     for d in data:
-        _, speeds = measured_speeds(d.record)
+        _, speeds = d.rough_speeds
         typical.append(np.median(np.abs(speeds[:, 0] - speeds[:, 1])))
     return float(max(np.mean(typical), 1e-3))

@@ -1,90 +1,44 @@
 """Start values that need no guess from the user: linear regression on the integrated equations.
 
-The laws are linear in their strengths gamma_k, so along the measured speeds
+The laws are linear in their strengths gamma_k, so along the rough speeds
 
     I_c [omega_c(t) - omega_c(0)] = sum_k gamma_k integral_0^t law_k dt,
 
-and the same for the rotor at its windows: a linear least-squares problem with bounds. Between its windows
-the rotor's speed is interpolated with the measured slopes.
+and the same for the rotor: a linear least-squares problem with bounds.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
-from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
 from fitting.errors import EstimationError
 from fitting.estimation.layout import START_CASING, START_ROTOR, Layout
 from fitting.estimation.levenberg import minimise
 from fitting.model import INERTIA_CASING, INERTIA_ROTOR, Dynamics
-from fitting.record import Record, Samples
 
 Array = NDArray[np.float64]
 
-_POINTS = 160
 _FIRST_SHARE = 0.1
 
 
-def measured_speeds(record: Record, points: int = _POINTS) -> tuple[Array, Array]:
-    """Return times and rough speeds of rotor and casing (points, 2) from local straight lines."""
-    casing = _local(record.casing, min(points, len(record.casing) // 12), record.quantity == "angle")
-    windows = np.array([_local(w, 1, record.quantity == "angle")[0] for w in record.rotor])
-    times = np.linspace(*record.span, points)
-    omega_c = np.interp(times, casing[:, 0], casing[:, 1])
-    return times, np.stack([_rotor_curve(windows, times), omega_c], axis=1)
-
-
-def _local(samples: Samples, count: int, is_angle: bool) -> Array:  # noqa: FBT001
-    """Return (time, speed, slope) of a run cut in equal pieces."""
-    rows = []
-    for piece in np.array_split(np.arange(len(samples)), max(1, count)):
-        t = samples.time[piece]
-        middle = float(t.mean())
-        degree = min(2 if is_angle else 1, len(t) - 1)
-        c = np.append(polynomial.polyfit(t - middle, samples.value[piece], degree), [np.nan, np.nan])
-        rows.append([middle, *((c[1], 2 * c[2]) if is_angle else (c[0], c[1]))])
-    return np.array(rows)
-
-
-def _rotor_curve(windows: Array, times: Array) -> Array:
-    windows = windows[np.argsort(windows[:, 0])]
-    t, speed, slope = windows.T
-    between = np.gradient(speed, t) if len(t) > 1 else np.zeros(1)
-    slope = np.where(np.isfinite(slope), slope, between)
-    if len(t) == 1:
-        curve = speed[0] + slope[0] * (times - t[0])
-    else:
-        clipped = np.clip(times, t[0], t[-1])
-        edge = np.where(times < t[0], slope[0], slope[-1])
-        curve = _hermite(t, speed, slope, clipped) + edge * (times - clipped)
-    return np.asarray(np.maximum(curve, 0.05 * np.abs(speed).min()))
-
-
-def _hermite(t: Array, value: Array, slope: Array, times: Array) -> Array:
-    """Return the cubics through values and slopes, at times within."""
-    i = np.clip(np.searchsorted(t, times, side="right") - 1, 0, len(t) - 2)
-    h = t[i + 1] - t[i]
-    u = (times - t[i]) / h
-    rise = value[i + 1] - value[i]
-    first, last = slope[i] * h - rise, rise - slope[i + 1] * h
-    return np.asarray(value[i] + u * rise + u * (1 - u) * (first * (1 - u) + last * u))
-
-
-def start_values(layout: Layout, reference: float) -> Array:
+def start_values(layout: Layout, reference: float, rough: Sequence[tuple[Array, Array]]) -> Array:
     """Return start values of all variables.
 
     Parameters
     ----------
     layout : Layout
         The variables.
+    rough : sequence of (times, speeds)
+        Of each case, as `fitting.rough_speeds` gives them.
     reference : float
         Speed difference [rad/s] at which a power law starts with a tenth of the linear law's torque.
     """
     theta = np.array([_resting(layout, name) for name in layout.names])
     found: dict[int, list[float]] = {}
-    for case, record in enumerate(layout.records):
-        times, speeds = measured_speeds(record)
+    for case, (times, speeds) in enumerate(rough):
         keys, values = _regress(layout, case, times, speeds, theta)
         for key, value in zip(keys, values, strict=True):
             found.setdefault(int(layout.places(case, [key])[0]), []).append(value)

@@ -8,7 +8,7 @@ from cases import data, fitted
 from fitting.effects import REDUCED
 from fitting.estimation.case_model import CaseModel
 from fitting.estimation.layout import Layout
-from fitting.estimation.start import measured_speeds, start_values
+from fitting.estimation.start import start_values
 from fitting.model import Model
 
 EXTRA = {
@@ -96,7 +96,7 @@ def test_rippling_torque_moves_the_rows_as_the_oracle_says():
 
 @pytest.mark.parametrize("quantity", ["angle", "omega"])
 def test_rough_speeds_are_near_the_true_ones(quantity):
-    times, speeds = measured_speeds(data(seed=0, quantity=quantity).record)
+    times, speeds = data(seed=0, quantity=quantity).rough_speeds
     motion = twobody.simulate(seed=0)
     assert np.abs(speeds[:, 1] - motion.at(times, 1)[1])[2:-2].max() < 2.0
     inside = (times > 5) & (times < 153)
@@ -105,7 +105,13 @@ def test_rough_speeds_are_near_the_true_ones(quantity):
 
 def test_starts_without_a_guess_are_of_the_right_size():
     problem = fitted(seed=0).problem
-    theta = dict(zip(problem.layout.names, start_values(problem.layout, problem.reference), strict=True))
+    theta = dict(
+        zip(
+            problem.layout.names,
+            start_values(problem.layout, problem.reference, [problem.data[0].rough_speeds]),
+            strict=True,
+        )
+    )
     true = twobody.truth()
     for key in ("rotor.air.quadratic.a2", "casing.air.linear.b2"):
         assert 0.3 < theta[key] / true[key] < 3

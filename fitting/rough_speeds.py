@@ -1,0 +1,61 @@
+"""Rough speeds of both bodies, from local straight lines: enough for start values and typical sizes.
+
+Between its windows the rotor's speed is interpolated with the slopes measured in them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.polynomial import polynomial
+from numpy.typing import NDArray
+
+from fitting.record import Record, Samples
+
+Array = NDArray[np.float64]
+
+_POINTS = 160
+
+
+def rough_speeds(record: Record, points: int = _POINTS) -> tuple[Array, Array]:
+    """Return times and speeds of rotor and casing (points, 2) from local straight lines."""
+    casing = _local(record.casing, min(points, len(record.casing) // 12), record.quantity == "angle")
+    windows = np.array([_local(w, 1, record.quantity == "angle")[0] for w in record.rotor])
+    times = np.linspace(*record.span, points)
+    omega_c = np.interp(times, casing[:, 0], casing[:, 1])
+    return times, np.stack([_rotor_curve(windows, times), omega_c], axis=1)
+
+
+def _local(samples: Samples, count: int, is_angle: bool) -> Array:  # noqa: FBT001
+    """Return (time, speed, slope) of a run cut in equal pieces."""
+    rows = []
+    for piece in np.array_split(np.arange(len(samples)), max(1, count)):
+        t = samples.time[piece]
+        middle = float(t.mean())
+        degree = min(2 if is_angle else 1, len(t) - 1)
+        c = np.append(polynomial.polyfit(t - middle, samples.value[piece], degree), [np.nan, np.nan])
+        rows.append([middle, *((c[1], 2 * c[2]) if is_angle else (c[0], c[1]))])
+    return np.array(rows)
+
+
+def _rotor_curve(windows: Array, times: Array) -> Array:
+    windows = windows[np.argsort(windows[:, 0])]
+    t, speed, slope = windows.T
+    between = np.gradient(speed, t) if len(t) > 1 else np.zeros(1)
+    slope = np.where(np.isfinite(slope), slope, between)
+    if len(t) == 1:
+        curve = speed[0] + slope[0] * (times - t[0])
+    else:
+        clipped = np.clip(times, t[0], t[-1])
+        edge = np.where(times < t[0], slope[0], slope[-1])
+        curve = _hermite(t, speed, slope, clipped) + edge * (times - clipped)
+    return np.asarray(np.maximum(curve, 0.05 * np.abs(speed).min()))
+
+
+def _hermite(t: Array, value: Array, slope: Array, times: Array) -> Array:
+    """Return the cubics through values and slopes, at times within."""
+    i = np.clip(np.searchsorted(t, times, side="right") - 1, 0, len(t) - 2)
+    h = t[i + 1] - t[i]
+    u = (times - t[i]) / h
+    rise = value[i + 1] - value[i]
+    first, last = slope[i] * h - rise, rise - slope[i + 1] * h
+    return np.asarray(value[i] + u * rise + u * (1 - u) * (first * (1 - u) + last * u))
