@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import StrEnum
+from math import isfinite
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,7 +16,9 @@ from gyrotrack.cli.options import Force, Json, OptionalOutputFile, Quiet
 from gyrotrack.cli.output import Output
 
 if TYPE_CHECKING:
+    from gyrotrack.dataset.journal import Journal
     from gyrotrack.dataset.records import Recording
+    from gyrotrack.profile import Profile
 
 
 class Body(StrEnum):
@@ -46,49 +50,138 @@ def command(
             "--overlay", metavar="FILE", help="Also draw what was found: a film (.mp4) or a sheet (.png)."
         ),
     ] = None,
+    contact_sheet: Annotated[
+        Path | None,
+        typer.Option(
+            "--contact-sheet",
+            metavar="FILE.png",
+            help="Also draw twelve frames with corners, angle, status, sigma.",
+        ),
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with a run that was killed; start, if there is none.")
+    ] = False,
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Track the markers in a film and write the angles of casing and rotor, with uncertainties.
 
+    What is measured on the way is kept beside the output (OUT.h5.unfinished) until that is written.
+
     Example: gyrotrack extract rotor_1.mp4 --capture-fps 1000 -o rotor_1.h5
     """
-    from gyrotrack import pipeline
-    from gyrotrack.dataset import write_recording
     from gyrotrack.dataset.writing import refuse_existing
+    from gyrotrack.pipeline.contact_sheet import check_contact_sheet, write_contact_sheet
     from gyrotrack.pipeline.overlay import check_overlay, write_overlay
     from gyrotrack.profile import PAPER, load
 
     out = Output(as_json=as_json, quiet=quiet)
     target = output if output is not None else video.with_suffix(".h5")
-    refuse_existing(target, force=force)
+    chosen = load(profile) if profile is not None else PAPER
+    task = _Task(video, target, chosen, capture_fps, body.value if body else None)
+    done = task.earlier() if resume and not force else None
+    if done is None:
+        refuse_existing(target, force=force)
     if overlay is not None:
         check_overlay(overlay, force=force)
-    chosen = load(profile) if profile is not None else PAPER
-    with out.progress(f"tracking {video.name}") as progress:
-        start = perf_counter()
-        recording = pipeline.extract(
-            video, chosen, capture_fps=capture_fps, body=body.value if body else None, progress=progress
-        )
-        elapsed = perf_counter() - start
-    settings = {
-        "video": video, "capture_fps": capture_fps, "body": body, "profile": chosen.model_dump(mode="json"),
-    }  # fmt: skip
-    write_recording(target, recording, command=command_line(), settings=settings, force=force)
-    if overlay is not None:
-        with out.progress(f"drawing {overlay.name}") as progress:
-            write_overlay(overlay, video, recording, force=force, progress=progress)
+    if contact_sheet is not None:
+        check_contact_sheet(contact_sheet, force=force)
+    if done is None:
+        recording, fps = task.run(out, resume=resume, force=force)
+    else:
+        out.note(f"{target} is complete already")
+        recording, fps = done, float("nan")
     for warning in recording.warnings:
         out.warn(warning)
-    document = _document(target, recording, elapsed)
+    document = _document(target, recording, fps)
     if overlay is not None:
+        with out.progress(f"drawing {overlay.name}", "frames") as progress:
+            write_overlay(overlay, video, recording, force=force, progress=progress)
         document["overlay"] = overlay
+    if contact_sheet is not None:
+        write_contact_sheet(contact_sheet, video, recording, force=force)
+        document["contact_sheet"] = contact_sheet
     out.result(document)
     out.show(_lines(document))
 
 
-def _document(target: Path, recording: Recording, elapsed: float) -> dict[str, Any]:
+@dataclass(frozen=True)
+class _Task:
+    """One film, and what is wanted of it."""
+
+    video: Path
+    target: Path
+    profile: Profile
+    capture_fps: float | None
+    body: str | None
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What shaped the result, as the file keeps it."""
+        return {
+            "video": self.video,
+            "capture_fps": self.capture_fps,
+            "body": self.body,
+            "profile": self.profile.model_dump(mode="json"),
+        }
+
+    def earlier(self) -> Recording | None:
+        """Return the output if it is there already, of this film and these settings."""
+        from gyrotrack.dataset import read_recording, read_settings
+        from gyrotrack.dataset.journal import Journal
+        from gyrotrack.errors import DatasetError
+        from gyrotrack.video import file_sha256, probe
+
+        probe(self.video)
+        try:
+            same = {**read_settings(self.target), "video": None} == {**self.settings, "video": None}
+            recording = read_recording(self.target) if same else None
+        except DatasetError:
+            return None
+        if recording is None or recording.source_sha256 != file_sha256(self.video):
+            return None
+        with Journal(self.target, {}) as journal:  # of a run that was killed just after it wrote the output
+            journal.discard()
+        return recording
+
+    def run(self, out: Output, *, resume: bool, force: bool) -> tuple[Recording, float]:
+        """Track the film and write the output; return it, and the frames done in a second."""
+        from gyrotrack import pipeline
+        from gyrotrack.dataset import write_recording
+        from gyrotrack.dataset.journal import Journal
+
+        facts = pipeline.run_facts(self.video, self.profile, self.body)
+        with Journal(self.target, facts, resume=resume) as journal:
+            taken = pipeline.frames_kept(journal)
+            if resume:
+                out.note(_resumed(journal, taken))
+            start = perf_counter()
+            with out.progress(f"tracking {self.video.name}", "frames") as progress:
+                recording = pipeline.extract(
+                    self.video,
+                    self.profile,
+                    capture_fps=self.capture_fps,
+                    body=self.body,
+                    progress=progress,
+                    journal=journal,
+                )
+            fps = (recording.frames_decoded - taken) / max(perf_counter() - start, 1e-9)
+            command, settings = command_line(), self.settings
+            write_recording(self.target, recording, command=command, settings=settings, force=force)
+            journal.discard()
+        return recording, fps
+
+
+def _resumed(journal: Journal, taken: int) -> str:
+    if taken:
+        return f"going on after frame {taken - 1}"
+    if journal.other:
+        return f"{journal.path.name} was of another film, profile or version; starting from the first frame"
+    return "no unfinished run is there; starting from the first frame"
+
+
+def _document(target: Path, recording: Recording, fps: float) -> dict[str, Any]:
     import numpy as np
 
     from gyrotrack.dataset.records import STATUS
@@ -106,7 +199,7 @@ def _document(target: Path, recording: Recording, elapsed: float) -> dict[str, A
         },
         "sense": recording.sense,
         "capture_fps": recording.capture_fps,
-        "fps": recording.frames_decoded / max(elapsed, 1e-9),
+        "fps": fps,
         "warnings": list(recording.warnings),
     }
 
@@ -122,7 +215,6 @@ def _lines(document: dict[str, Any]) -> str:
         f"{name}: {part['samples']} angles, median uncertainty {1e3 * part['median_sigma']:.2g} mrad"
         for name, part in document["body"].items()
     ]
-    lines.append(
-        f"{document['frames']} frames at {document['fps']:.0f} frames/s; written: {document['output']}"
-    )
+    pace = f" at {document['fps']:.0f} frames/s" if isfinite(document["fps"]) else ""
+    lines.append(f"{document['frames']} frames{pace}; written: {document['output']}")
     return "\n".join(lines)

@@ -63,18 +63,28 @@ class Output:
         _say(f"warning: {text}", style="yellow")
 
     @contextmanager
-    def progress(self, label: str) -> Iterator[Progress]:
-        """Yield a callback (done, total) that draws a bar, or does nothing when nobody watches."""
+    def progress(self, label: str, unit: str = "") -> Iterator[Progress]:
+        """Yield a callback (done, total) that draws a bar, or does nothing when nobody watches.
+
+        With a `unit` the bar also says how many of them are done in a second.
+        """
         if self.as_json or self.quiet or not _watched():
             yield _ignore
             return
         from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
         from rich.progress import Progress as Bars
 
-        columns = (TextColumn(label), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        with Bars(*columns, console=_console(sys.stderr), transient=True) as bars:
-            task = bars.add_task(label, total=None)
-            yield lambda done, total: bars.update(task, completed=done, total=total)
+        left = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+        right = (TextColumn("{task.fields[pace]}"), TimeRemainingColumn())
+        with Bars(*left, *right, console=_console(sys.stderr), transient=True) as bars:
+            task = bars.add_task(label, total=None, pace="")
+
+            def update(done: int, total: int | None) -> None:
+                speed = bars.tasks[0].speed
+                pace = f"{speed:.0f} {unit}/s" if unit and speed else ""
+                bars.update(task, completed=done, total=total, pace=pace)
+
+            yield update
 
 
 def _ignore(done: int, total: int | None) -> None:

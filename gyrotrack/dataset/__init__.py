@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from gyrotrack.dataset.case import write_case
-from gyrotrack.dataset.reading import read_case, read_kind, read_recording
+from gyrotrack.dataset.reading import read_case, read_kind, read_recording, read_settings
 from gyrotrack.dataset.recording import write_recording
 from gyrotrack.dataset.records import (
     STATUS,
@@ -28,6 +28,7 @@ __all__ = [
     "read_case",
     "read_kind",
     "read_recording",
+    "read_settings",
     "write_case",
     "write_recording",
 ]

@@ -15,7 +15,7 @@ import h5py
 
 from gyrotrack.dataset import layout
 from gyrotrack.dataset.case import load_case
-from gyrotrack.dataset.recording import load_recording
+from gyrotrack.dataset.recording import load_json, load_recording
 from gyrotrack.dataset.records import Case, Recording
 from gyrotrack.dataset.tables import attribute
 from gyrotrack.errors import DatasetError
@@ -34,6 +34,18 @@ def read_kind(path: Path) -> str:
     """
     with open_dataset(path) as file:
         return attribute(file, "kind", str)  # type: ignore[no-any-return]
+
+
+def read_settings(path: Path) -> dict[str, Any]:
+    """Return what shaped the content of a file, as it was asked for.
+
+    Raises
+    ------
+    DatasetError
+        As for `read_kind`.
+    """
+    with open_dataset(path) as file:
+        return dict(load_json(file, "settings", {}))
 
 
 def read_recording(path: Path) -> Recording:

@@ -7,7 +7,6 @@ none, and never half a file; HDF5 itself never writes to the disk (it cannot sur
 
 from __future__ import annotations
 
-import errno
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -16,12 +15,8 @@ from typing import Any, BinaryIO
 
 import h5py
 
+from gyrotrack.dataset.locking import busy, is_at, lock, refusal, remove
 from gyrotrack.errors import OutputError
-
-try:
-    import fcntl
-except ImportError:  # Windows: an open file cannot be removed there, which serves the same purpose
-    fcntl = None  # type: ignore[assignment]
 
 LIBVER = ("v110", "v110")  # metadata carry checksums from this layout on
 
@@ -57,17 +52,17 @@ def new_file(path: Path, *, force: bool = False) -> Iterator[BinaryIO]:
     part = path.with_name(path.name + ".part")
     try:
         with _open_part(part) as stream:
-            _lock(stream, part)
+            lock(stream, part)
             try:
                 yield stream
                 stream.flush()
                 os.fsync(stream.fileno())
                 refuse_existing(path, force=force)
             except BaseException:
-                _remove(part, stream)
+                remove(part, stream)
                 raise
-            if not _is_at(part, stream):
-                raise _busy(part)
+            if not is_at(part, stream):
+                raise busy(part)
         part.replace(path)
     except OSError as error:
         raise _refusal(path, error) from error
@@ -93,58 +88,22 @@ def _open_part(part: Path) -> BinaryIO:
         return part.open("xb")
 
 
-def _lock(stream: BinaryIO, part: Path) -> None:
-    if fcntl is not None:
-        try:
-            fcntl.flock(stream.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise _busy(part) from error
-        except OSError:  # a file system without locks
-            return
-
-
 def _clear_if_abandoned(part: Path) -> None:
     """Remove a temporary file that nobody writes any more; refuse if somebody does."""
     try:
         with part.open("rb") as stream:
-            _lock(stream, part)
-            _remove(part, stream)
+            lock(stream, part)
+            remove(part, stream)
     except FileNotFoundError:  # published or removed a moment ago
         return
     except PermissionError as error:
-        raise _busy(part) from error
-
-
-def _busy(part: Path) -> OutputError:
-    return OutputError(
-        f"{part} is being written by another process.", "Wait until it is done, or write to another name."
-    )
-
-
-def _is_at(part: Path, stream: BinaryIO) -> bool:
-    """Tell whether `part` still names the file that `stream` writes."""
-    try:
-        return part.stat().st_ino == os.fstat(stream.fileno()).st_ino
-    except FileNotFoundError:
-        return False
-
-
-def _remove(part: Path, stream: BinaryIO) -> None:
-    """Remove `part` if it is the file behind `stream`, not another process's that took its place."""
-    with suppress(OSError):
-        if _is_at(part, stream):
-            part.unlink()
+        raise busy(part) from error
 
 
 def _refusal(path: Path, error: OSError) -> OutputError:
     if isinstance(error, FileExistsError):
-        return _busy(path.with_name(path.name + ".part"))
-    if error.errno in {errno.ENOSPC, errno.EDQUOT}:
-        return OutputError(
-            f"{path} cannot be written: the disk is full.", "Make room, or write somewhere else."
-        )
-    reason = error.strerror or str(error)
-    return OutputError(f"{path} cannot be written: {reason}.", "Check the folder and its permissions.")
+        return busy(path.with_name(path.name + ".part"))
+    return refusal(path, error)
 
 
 def _sync_folder(folder: Path) -> None:

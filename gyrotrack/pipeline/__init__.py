@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
-from gyrotrack.pipeline.extraction import extract
+from gyrotrack.pipeline.extraction import extract, run_facts
+from gyrotrack.pipeline.notes import frames_kept
 
-__all__ = ["extract"]
+__all__ = ["extract", "frames_kept", "run_facts"]

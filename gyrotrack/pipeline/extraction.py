@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from gyrotrack import __version__
+from gyrotrack.dataset.journal import Journal
 from gyrotrack.dataset.records import STATUS, Recording
 from gyrotrack.errors import TrackingError, UsageError
 from gyrotrack.geometry.acquisition import acquire
@@ -14,6 +16,7 @@ from gyrotrack.geometry.samples import take_samples
 from gyrotrack.geometry.scene import Scene
 from gyrotrack.pipeline.assembly import body_track, marker_track
 from gyrotrack.pipeline.joint import Joint, join_bodies
+from gyrotrack.pipeline.notes import Notes
 from gyrotrack.pipeline.watch import Progress, watch
 from gyrotrack.profile import PAPER, Profile
 from gyrotrack.video import capture_rate, file_sha256, frame_numbers, probe
@@ -29,6 +32,7 @@ def extract(
     body: str | None = None,
     threads: int = 2,
     progress: Progress | None = None,
+    journal: Journal | None = None,
 ) -> Recording:
     """Track the markers in a film.
 
@@ -48,6 +52,8 @@ def extract(
         Threads of the decoder.
     progress : callable, optional
         Called with (frames done, frames declared or None).
+    journal : Journal, optional
+        Keeps what was measured on the way, and lets a run go on that was killed; made with `run_facts`.
 
     Raises
     ------
@@ -73,7 +79,7 @@ def extract(
     if body == "casing":
         profile = _only_casing(profile)
     scene = acquire(samples, profile, str(video))
-    seen = watch(video, scene, samples, threads, progress)
+    seen = watch(video, scene, samples, threads, progress, Notes(journal))
     joint = join_bodies(seen, scene, profile, rate.fps)
     _check_bodies(joint, body, video)
     index = frame_numbers(seen.pts_time)
@@ -95,7 +101,7 @@ def extract(
     }
     return Recording(
         source=video.name,
-        source_sha256=file_sha256(video),
+        source_sha256=str(journal.facts["film"]) if journal else file_sha256(video),
         width=samples.size[0],
         height=samples.size[1],
         capture_fps=rate.fps,
@@ -114,6 +120,17 @@ def extract(
         warnings=(*rate.warnings, *seen.warnings, *scene.warnings, *joint.warnings, *_odd_frames(markers)),
         extra=_extra(scene, joint, rate.source),
     )
+
+
+def run_facts(video: Path, profile: Profile, body: str | None) -> dict[str, Any]:
+    """Return by what a run is known again: the film's content, what was asked for, and the program."""
+    probe(video)
+    return {
+        "film": file_sha256(video),
+        "profile": profile.model_dump(mode="json"),
+        "body": body,
+        "version": __version__,
+    }
 
 
 def _only_casing(profile: Profile) -> Profile:

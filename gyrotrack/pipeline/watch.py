@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,8 @@ from gyrotrack.angles.sightings import Sightings
 from gyrotrack.geometry.disc import DiscWindow
 from gyrotrack.geometry.samples import Samples
 from gyrotrack.geometry.scene import Scene
-from gyrotrack.video import Reader, frame_numbers, read_stamps
+from gyrotrack.pipeline.notes import Notes, Rows
+from gyrotrack.video import Frame, Reader, frame_numbers, read_stamps
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -59,6 +60,8 @@ class Watched:
 
 
 class _Pass:
+    """Everything that is watched; its attributes are all that a later process needs to go on."""
+
     def __init__(self, scene: Scene, samples: Samples) -> None:
         keep_out = 1.25 * scene.disc.radius + 1.0 if scene.disc else 0.0
         self.bodies = {
@@ -66,23 +69,33 @@ class _Pass:
         }
         self.disc = DiscWindow(scene.disc, BATCH) if scene.disc else None
         self.centre = scene.centre
-        self.size = samples.size
         self.filled = 0
-        self._parts: dict[str, list[tuple[Floats, dict[str, Sightings]]]] = {b: [] for b in self.bodies}
-        self._centres: list[Floats] = []
 
-    def digest(self, advance: Integers) -> None:
-        if not self.filled:
-            return
+    def take(self, frame: Frame) -> None:
+        if self.filled == 0 and self.disc is not None:
+            self.disc.aim(self.centre, frame)
+        for body in self.bodies.values():
+            body.take(frame, self.filled)
+        if self.disc is not None:
+            self.disc.take(frame, self.filled)
+        self.filled += 1
+
+    def digest(self, advance: Integers) -> Rows:
+        """Measure the frames taken since the last time; one row a frame of every quantity."""
+        rows: Rows = {}
         casing: Floats | None = None
         for name, body in self.bodies.items():
-            self._parts[name].append(body.digest(self.filled, advance, casing))
+            coarse, markers = body.digest(self.filled, advance, casing)
+            rows[f"{name}/coarse"] = coarse
+            for marker, seen in markers.items():
+                rows |= {f"{name}/{marker}/{f.name}": getattr(seen, f.name) for f in fields(Sightings)}
             if name == "casing":
-                casing = self._parts[name][-1][0]
+                casing = coarse
         if self.disc is not None:
-            self._centres.append(self.disc.centres(self.filled))
-            self._move(self._centres[-1])
+            rows["disc"] = self.disc.centres(self.filled)
+            self._move(rows["disc"])
         self.filled = 0
+        return rows
 
     def _move(self, centres: Floats) -> None:
         recent = centres[np.isfinite(centres).all(axis=1)][-32:]
@@ -93,14 +106,6 @@ class _Pass:
             self.centre = (float(x), float(y))
             for body in self.bodies.values():
                 body.aim(self.centre)
-
-    def result(self, reader: Reader) -> Watched:
-        bodies = {}
-        for name, parts in self._parts.items():
-            markers = {m: Sightings.joined([part[1][m] for part in parts]) for m in parts[0][1]}
-            bodies[name] = BodySightings(np.concatenate([part[0] for part in parts]), markers)
-        disc = np.concatenate(self._centres) if self._centres else None
-        return Watched(bodies, disc, reader.pts_seconds(), reader.warnings, self.size)
 
 
 class _Advance:
@@ -119,25 +124,52 @@ class _Advance:
         return np.asarray(self._next[np.clip(place, 0, len(self._next) - 1)], dtype=np.int64)
 
 
-def watch(path: Path, scene: Scene, samples: Samples, threads: int, progress: Progress | None) -> Watched:
-    """Read a film once, from its first frame to its last, and measure everything in it."""
+def watch(
+    path: Path,
+    scene: Scene,
+    samples: Samples,
+    threads: int,
+    progress: Progress | None,
+    notes: Notes | None = None,
+) -> Watched:
+    """Read a film once, from its first frame to its last, and measure everything in it.
+
+    Parameters
+    ----------
+    notes : Notes, optional
+        Keeps what was measured, and goes on with what an earlier process has put there; memory, if not given.
+    """
     work = _Pass(scene, samples)
-    clock = _Advance(read_stamps(path))
+    notes = notes or Notes()
+    stamps = read_stamps(path)
+    clock = _Advance(stamps)
     with Reader(path, threads) as reader:
-        total = reader.info.frames_declared or None
-        for frame in reader:
-            if work.filled == 0 and work.disc is not None:
-                work.disc.aim(work.centre, frame)
-            for body in work.bodies.values():
-                body.take(frame, work.filled)
-            if work.disc is not None:
-                work.disc.take(frame, work.filled)
-            work.filled += 1
+        total = max(reader.info.frames_declared, len(stamps)) or None
+        frames = notes.take_up(work, reader)
+        if progress is not None and reader.decoded:
+            progress(reader.decoded, total)
+        for frame in frames:
+            work.take(frame)
             if work.filled == BATCH:
-                work.digest(clock.steps(reader.pts_seconds()[-work.filled :]))
+                notes.add(work.digest(clock.steps(reader.pts_seconds(BATCH))), work, reader, frame)
                 if progress is not None:
                     progress(reader.decoded, total)
-        work.digest(clock.steps(reader.pts_seconds()[-work.filled :]))
+        if work.filled:
+            rows = work.digest(clock.steps(reader.pts_seconds(work.filled)))
+            notes.add(rows, work, reader, frame, end=True)
         if progress is not None:
             progress(reader.decoded, total)
-        return work.result(reader)
+        return _watched(scene, samples, reader, notes.rows(reader.decoded))
+
+
+def _watched(scene: Scene, samples: Samples, reader: Reader, rows: Rows) -> Watched:
+    bodies = {}
+    for name in scene.bodies:
+        markers = {
+            paper.name: Sightings(
+                **{f.name: rows.pop(f"{name}/{paper.name}/{f.name}") for f in fields(Sightings)}
+            )
+            for paper in scene.of(name)
+        }
+        bodies[name] = BodySightings(rows.pop(f"{name}/coarse"), markers)
+    return Watched(bodies, rows.get("disc"), reader.pts_seconds(), reader.warnings, samples.size)

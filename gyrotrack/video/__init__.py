@@ -9,17 +9,20 @@ from __future__ import annotations
 
 from gyrotrack.video.clock import CaptureRate, capture_rate, frame_numbers, stamp_warnings
 from gyrotrack.video.container import ClipInfo, file_sha256, probe
+from gyrotrack.video.picking import frames_at
 from gyrotrack.video.planes import Frame
-from gyrotrack.video.reader import Reader, keyframes, read_stamps
+from gyrotrack.video.reader import Mark, Reader, keyframes, read_stamps
 
 __all__ = [
     "CaptureRate",
     "ClipInfo",
     "Frame",
+    "Mark",
     "Reader",
     "capture_rate",
     "file_sha256",
     "frame_numbers",
+    "frames_at",
     "keyframes",
     "probe",
     "read_stamps",

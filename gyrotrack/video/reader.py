@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import zlib
+from array import array
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -14,6 +17,31 @@ import numpy.typing as npt
 from gyrotrack.video.clock import stamp_warnings
 from gyrotrack.video.container import ClipInfo, opened, probe
 from gyrotrack.video.planes import Frame, Orientation, orientation_of, planes_of
+
+_NO_STAMP = -(1 << 63)
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A place in a film to which another reader can go: what was decoded up to it, and its last frame.
+
+    Attributes
+    ----------
+    decoded : int
+        Frames up to here.
+    pts : int or None
+        Time stamp of the last one.
+    check : int
+        CRC-32 of its luma, by which the place is known again.
+    bad_packets, corrupt : int
+        What was damaged up to here.
+    """
+
+    decoded: int
+    pts: int | None
+    check: int
+    bad_packets: int
+    corrupt: int
 
 
 class Reader:
@@ -36,33 +64,100 @@ class Reader:
         self.info: ClipInfo = probe(path)
         self.orientation = Orientation()
         self.decoded = 0
-        self.pts: list[int | None] = []
+        self._threads = threads
+        self._pts = array("q")
         self._bad_packets = 0
         self._corrupt = 0
-        self._manager = opened(path, threads)
+        self._size: tuple[int, int] | None = None
+        self._open: Any = None
 
     def __enter__(self) -> Self:
-        self._container, self._stream = self._manager.__enter__()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._manager.__exit__(kind, value, trace)
+        self._close()
+
+    def _close(self) -> None:
+        if self._open is not None:
+            self._open.__exit__(None, None, None)
+            self._open = None
 
     def __iter__(self) -> Iterator[Frame]:
-        for raw in self._decode():
-            if self.decoded == 0:
+        return self._frames(0)
+
+    def _frames(self, first_packet: int) -> Iterator[Frame]:
+        for raw in self._decode(first_packet):
+            if self._size is None:
+                self._size = (raw.width, raw.height)
                 self.orientation = orientation_of(raw)
+            if (raw.width, raw.height) != self._size:
+                self._bad_packets += 1
+                continue
             frame = planes_of(raw, self.decoded, self.orientation)
             self.decoded += 1
-            self.pts.append(frame.pts)
+            self._pts.append(_NO_STAMP if frame.pts is None else frame.pts)
             self._corrupt += frame.corrupt
             yield frame
 
-    def _decode(self) -> Iterator[Any]:
-        packets = self._container.demux(self._stream)
-        size: tuple[int, int] | None = None
+    def mark(self, last: Frame) -> Mark:
+        """Return the place after the frame that was given last."""
+        return Mark(self.decoded, last.pts, _check(last), self._bad_packets, self._corrupt)
+
+    def after(self, mark: Mark, stamps: Sequence[int]) -> Iterator[Frame] | None:
+        """Go to a mark and give the frames behind it; None if the film does not hold that place any more.
+
+        Parameters
+        ----------
+        mark : Mark
+            Made by another reader of the same film.
+        stamps : sequence of int
+            The time stamps of the frames up to there, as `stamps` gives them.
+
+        Notes
+        -----
+        Frames are decoded anew from the last key frame before the mark. If its last frame does not come out of
+        that as it was, they are decoded anew from the first one.
+        """
+        for first_packet in dict.fromkeys((self._key_before(mark.pts), 0)):
+            self.rewind()
+            frames = self._frames(first_packet)
+            for frame in frames:
+                here = frame.pts == mark.pts if first_packet else self.decoded == mark.decoded
+                if not here:
+                    continue
+                if _check(frame) != mark.check or frame.pts != mark.pts:
+                    break
+                self.decoded, self._bad_packets, self._corrupt = mark.decoded, mark.bad_packets, mark.corrupt
+                self._pts = array("q", stamps)
+                return frames
+        return None
+
+    def rewind(self) -> None:
+        """Go back to before the first frame."""
+        self._close()
+        self.decoded, self._bad_packets, self._corrupt, self._size = 0, 0, 0, None
+        self._pts = array("q")
+
+    def _key_before(self, pts: int | None) -> int:
+        """Return the number of the last key packet that is shown at or before a time stamp; 0 if unknown."""
+        if pts is None:
+            return 0
+        found = 0
+        with opened(self.info.path) as (container, stream):
+            for n, packet in enumerate(_packets(container, stream)):
+                if packet.is_keyframe and packet.pts is not None and packet.pts <= pts:
+                    found = n
+        return found
+
+    def _decode(self, first_packet: int) -> Iterator[Any]:
+        self._open = opened(self.info.path, self._threads)
+        container, stream = self._open.__enter__()
+        packets = container.demux(stream)
+        if first_packet:
+            for _ in zip(range(first_packet), packets_of(packets), strict=False):
+                pass
         while True:
             try:
                 packet = next(packets, None)
@@ -74,17 +169,17 @@ class Reader:
                 if self._bad_packets > 100 + 2 * max(self.info.frames_declared, self.decoded):
                     return
                 continue
-            for frame in frames:
-                size = size or (frame.width, frame.height)
-                if (frame.width, frame.height) == size:
-                    yield frame
-                else:
-                    self._bad_packets += 1
+            yield from frames
 
-    def pts_seconds(self) -> npt.NDArray[np.float64]:
-        """Return the time stamps of the frames so far in s, NaN where a frame has none."""
-        base = float(self.info.time_base)
-        return np.array([np.nan if p is None else p * base for p in self.pts], dtype=np.float64)
+    @property
+    def stamps(self) -> npt.NDArray[np.int64]:
+        """Time stamps of the frames so far in units of the time base, the least integer where there is none."""
+        return np.array(self._pts, dtype=np.int64)
+
+    def pts_seconds(self, last: int | None = None) -> npt.NDArray[np.float64]:
+        """Return the time stamps of the `last` frames (all so far) in s, NaN where a frame has none."""
+        stamps = np.array(self._pts if last is None else self._pts[-last:] if last else (), dtype=np.int64)
+        return np.where(stamps == _NO_STAMP, np.nan, stamps * float(self.info.time_base))
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -130,8 +225,16 @@ def keyframes(path: Path, count: int) -> list[Frame]:
     return found
 
 
+def _check(frame: Frame) -> int:
+    return zlib.crc32(frame.y.tobytes())
+
+
 def _packets(container: Any, stream: Any) -> Iterator[Any]:
-    packets = container.demux(stream)
+    return packets_of(container.demux(stream))
+
+
+def packets_of(packets: Any) -> Iterator[Any]:
+    """Give the packets of a demultiplexer up to its end, or to where the file is broken."""
     while True:
         try:
             packet = next(packets, None)
