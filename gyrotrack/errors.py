@@ -5,6 +5,7 @@
     GyrotrackError                 code, message, hint; exit code 1
     ├── VideoError                 "video":   a film that cannot be read, or not as asked
     ├── ProfileError               "profile": a profile that is not valid
+    ├── ConfigurationError         "configuration": a manifest, study or settings file that is not valid
     ├── TrackingError              "tracking": no markers, no centre, no angle
     ├── DatasetError               "dataset": an HDF5 or CSV file that is not ours or not sound
     ├── SyncError                  "sync":    clips that do not belong together
@@ -47,6 +48,12 @@ class ProfileError(GyrotrackError):
     """A marker profile that is not valid."""
 
     code = "profile"
+
+
+class ConfigurationError(GyrotrackError):
+    """A manifest, a study or a file of settings that is not valid."""
+
+    code = "configuration"
 
 
 class TrackingError(GyrotrackError):

@@ -20,12 +20,13 @@ TOML file::
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from gyrotrack.configuration import read_document
+from gyrotrack.configuration.document import check
 from gyrotrack.errors import ProfileError
 
 Colour = Literal["red", "orange", "yellow", "green", "cyan", "blue", "magenta", "white"]
@@ -106,30 +107,14 @@ def load(path: Path) -> Profile:
     Raises
     ------
     ProfileError
-        Naming the file and every key that is wrong.
+        Naming the file and every key that is wrong, with its line.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError as error:
-        raise ProfileError(f"there is no profile {path}", "check the path") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise ProfileError(f"{path} cannot be read as a text file", "give a profile in TOML") from error
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ProfileError(
-            f"{path} is not valid TOML: {error}", "see the example in the documentation"
-        ) from error
-    return parse(data, str(path))
+    return read_document(path, Profile, what="profile", error=ProfileError)
 
 
 def parse(data: dict[str, Any], where: str) -> Profile:
     """Check a profile's content; `where` names its origin in messages."""
-    try:
-        return Profile.model_validate(data)
-    except ValidationError as error:
-        faults = "; ".join(f"{_place(fault['loc'])}: {_plain(fault['msg'])}" for fault in error.errors())
-        raise ProfileError(f"{where}: {faults}", "correct these keys") from error
+    return check(data, Profile, what="profile", where=where, error=ProfileError)
 
 
 def to_toml(profile: Profile) -> str:
@@ -155,13 +140,3 @@ def to_toml(profile: Profile) -> str:
 
 def _escaped(text: str) -> str:
     return text.replace("\\", "\\\\").replace('"', '\\"')
-
-
-def _place(location: tuple[int | str, ...]) -> str:
-    parts = [f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in location]
-    return "".join(parts).lstrip(".") or "profile"
-
-
-def _plain(message: str) -> str:
-    text = message.removeprefix("Value error, ")
-    return text[0].lower() + text[1:]

@@ -29,6 +29,7 @@ COMMANDS = (
     Entry("extract", "gyrotrack.cli.extract", _DATA, "Track a film: from frames to angles and their errors."),
     Entry("import", "gyrotrack.cli.importing", _DATA, "Make a case from tables of angles or speeds (CSV)."),
     Entry("sync", "gyrotrack.cli.sync", _DATA, "Put the clips of one experiment on one clock."),
+    Entry("batch", "gyrotrack.cli.batch", _DATA, "Track, fit and report many cases, unattended."),
     Entry("export", "gyrotrack.cli.export", _DATA, "Hand the data on as CSV, Parquet or netCDF."),
     Entry("info", "gyrotrack.cli.info", _DATA, "Say what a file holds, and whether it is sound."),
     Entry(

@@ -16,6 +16,8 @@ from dataclasses import asdict, dataclass, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gyrotrack.cli.printable import printable
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -46,7 +48,7 @@ class Output:
         if not self.as_json:
             console = _console(sys.stdout)
             for item in renderables:
-                console.print(item)
+                console.print(printable(item) if isinstance(item, str) else item)
 
     def note(self, text: str) -> None:
         """Say something on the way."""
@@ -102,6 +104,7 @@ def _console(stream: Any) -> Console:
 
 
 def _say(text: str, style: str | None = None) -> None:
+    text = printable(text)
     if _watched():
         _console(sys.stderr).print(text, style=style)
     else:

@@ -1,0 +1,140 @@
+"""`gyrotrack batch`: many films and cases, unattended."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from enum import StrEnum
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from gyrotrack.cli.command_line import command_line
+from gyrotrack.cli.options import Json, Quiet, Verbose
+from gyrotrack.cli.output import DONE, FAULT, NOT_TRUSTED, Output
+
+if TYPE_CHECKING:
+    from gyrotrack.batch.experiment import Experiment
+    from gyrotrack.batch.run import Run
+    from gyrotrack.batch.steps import Outcome, Step
+    from gyrotrack.batch.workers import Workers
+
+
+class Until(StrEnum):
+    """The last step."""
+
+    extract = "extract"
+    sync = "sync"
+    fit = "fit"
+    diagnose = "diagnose"
+    report = "report"
+
+
+def command(
+    source: Annotated[
+        Path, typer.Argument(metavar="MANIFEST|DIR", help="A manifest (TOML or CSV), or a folder of films.")
+    ],
+    *,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the results.")
+    ] = Path("gyrotrack_batch"),
+    workers: Annotated[
+        int | None, typer.Option("--workers", metavar="N", min=1, help="Processes; one a core, if not given.")
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option("--scheduler", metavar="ADDRESS", help="Run on the Dask cluster of this scheduler."),
+    ] = None,
+    until: Annotated[Until, typer.Option("--until", help="The last step.")] = Until.report,
+    model: Annotated[str, typer.Option("--model", metavar="M", help="The model to fit.")] = "reduced",
+    improve: Annotated[bool, typer.Option("--improve", help="Also add effects, as `improve` does.")] = False,
+    casing_fps: Annotated[
+        float | None,
+        typer.Option("--casing-fps", metavar="N", help="Capture rate of the casing's films in a folder."),
+    ] = None,
+    rotor_fps: Annotated[
+        float | None, typer.Option("--rotor-fps", metavar="N", help="Capture rate of the rotor's films.")
+    ] = None,
+    timeout: Annotated[
+        float, typer.Option("--timeout", metavar="S", min=1.0, help="Seconds that one step may take.")
+    ] = 7200.0,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")
+    ] = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> int:
+    """Track, synchronise, fit, diagnose and report every case of a manifest or a folder.
+
+    What was done before, with the same films and settings, is kept. A film that fails stops no other. In a
+    folder, casing*.mp4 and rotor*.mp4 are a case, NAME_casing.mp4 and NAME_rotor*.mp4 the case NAME, and
+    other films are only tracked.
+
+    Example: gyrotrack batch films/ -o results --casing-fps 260 --rotor-fps 1000
+    """
+    from gyrotrack.batch.folder import read_folder
+    from gyrotrack.batch.journal import Journal
+    from gyrotrack.batch.lock import held
+    from gyrotrack.batch.manifest import read_manifest
+    from gyrotrack.batch.run import Run
+    from gyrotrack.batch.steps import Wishes, plan
+    from gyrotrack.batch.summary import lines, summarise, write_summary
+    from gyrotrack.batch.workers import ClusterWorkers, LocalWorkers, cores
+
+    out = Output(as_json=as_json, quiet=quiet, verbose=verbose)
+    began = perf_counter()
+    cases = (
+        read_folder(source, casing_fps=casing_fps, rotor_fps=rotor_fps, skip=output)
+        if source.is_dir()
+        else read_manifest(source)
+    )
+    steps = plan(cases, output, Wishes(until.value, model, improve))
+    if dry_run:
+        return _say_plan(out, cases, steps, Run(steps, output, Journal(output / "batch.jsonl")))
+    with held(output):
+        journal = Journal(output / "batch.jsonl")
+        place: Workers = ClusterWorkers(scheduler) if scheduler else LocalWorkers(workers or cores())
+
+        def tell(step: Step, outcome: Outcome) -> None:
+            if outcome.state == "failed":
+                out.note(f"failed: {step.name}: {outcome.document.get('error', {}).get('message', '')}")
+            elif outcome.state == "done":
+                out.detail(f"{step.name}: {outcome.seconds:.1f} s")
+
+        try:
+            with out.progress("working") as progress:
+                run = Run(steps, output, journal, timeout=timeout, tell=tell, progress=progress)
+                ended = run.work(place)
+        finally:
+            place.close()
+        rows = summarise(cases, steps, ended)
+        facts = {
+            "command": command_line(),
+            "steps": {state: sum(o.state == state for o in ended.values()) for state in _STATES},
+            "seconds": round(perf_counter() - began, 3),
+        }
+        written = write_summary(output, rows, facts)
+    out.result({"output": output, **facts, "cases": [asdict(r) for r in rows], "summary": written})
+    counts = ", ".join(f"{n} {state}" for state, n in facts["steps"].items() if n)  # type: ignore[attr-defined]
+    out.show("\n".join([*lines(rows), "", f"{counts} of {len(steps)} steps, {facts['seconds']:.0f} s"]))
+    out.show(f"written: {', '.join(str(p) for p in written)}")
+    if any(row.state != "done" for row in rows):
+        return FAULT
+    return DONE if all(row.trusted for row in rows) else NOT_TRUSTED
+
+
+_STATES = ("done", "kept", "failed", "blocked")
+
+
+def _say_plan(out: Output, cases: tuple[Experiment, ...], steps: tuple[Step, ...], run: Run) -> int:
+    fate = run.look()
+    out.result({
+        "cases": [{"label": e.label, "films": [str(c.file) for c in e.clips]} for e in cases],
+        "steps": [{"name": s.name, "output": s.output, "state": fate[s.name]} for s in steps],
+    })  # fmt: skip
+    told = [f"{fate[s.name]:<7}{s.name}" for s in steps]
+    kept = sum(state == "kept" for state in fate.values())
+    out.show("\n".join([*told, "", f"{len(cases)} cases, {len(steps)} steps, {kept} kept; nothing was run"]))
+    return DONE
