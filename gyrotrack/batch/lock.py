@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
-from gyrotrack.dataset.writing import _lock
+from gyrotrack.dataset.locking import lock
 from gyrotrack.errors import OutputError
 
 
@@ -21,7 +21,7 @@ def held(results: Path) -> Iterator[None]:
         Another batch is at work there, the folder cannot be made, or it holds something else.
     """
     with _opened(results) as stream:
-        _lock(stream, results)
+        lock(stream, results)
         yield
 
 

@@ -121,7 +121,7 @@ def _of(e: Experiment, folder: Path, wishes: Wishes) -> list[Step]:
 
 
 def _extract(e: Experiment, clip: Clip, output: Path) -> Step:
-    words = [str(clip.file), "-o", str(output), "--force"]
+    words = [str(clip.file), "-o", str(output), "--force", "--resume"]
     if clip.capture_fps is not None:
         words += ["--capture-fps", f"{clip.capture_fps:g}"]
     if clip.profile is not None:
