@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,9 +20,15 @@ if TYPE_CHECKING:
 def command(
     cases: CaseFiles,
     *,
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="The page to write.")] = Path(
-        "report.html"
-    ),
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="FILE", help="The report to write: .html or .pdf.")
+    ] = Path("report.html"),
+    films: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--films", metavar="DIR", help="Where the films lie; beside the case and here, if not given."
+        ),
+    ] = None,
     effects: EffectsFile = None,
     start: From = None,
     ledger: LedgerFile = None,
@@ -29,7 +36,9 @@ def command(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write a report of the latest fit and the rungs that led to it: one HTML file, no network.
+    """Write a report of the latest fit and the rungs that led to it: one HTML file or a PDF, no network.
+
+    Frames of the films are shown where the films are found.
 
     Example: gyrotrack report case1.h5 -o report.html
     """
@@ -47,9 +56,22 @@ def command(
         diagnosis = diagnose(rungs[0].fit, own_effects(effects))
         recordings = [read_case(case) for case in cases]
         where = {"command": command_line(), "ledger": str(study.ledger.path)}
-        write_report(output, rungs, diagnosis, recordings=recordings, provenance=where, force=force)
+        write_report(
+            output,
+            rungs,
+            diagnosis,
+            recordings=recordings,
+            films=folders(cases, films),
+            provenance=where,
+            force=force,
+        )
     out.result({"output": output, "fits": [r.change or "base" for r in rungs], "verdict": diagnosis.verdict})
     out.show(f"written: {output}")
+
+
+def folders(cases: Sequence[Path], given: Sequence[Path] | None) -> list[Path]:
+    """Return the folders in which films are looked for."""
+    return list(given) if given else list(dict.fromkeys([*(c.parent for c in cases), Path()]))
 
 
 def _rungs(study: Study, start: str | None) -> list[Rung]:

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrotrack.report.residuals import Misfit, misfits
-from gyrotrack.report.thinning import thin
 
 if TYPE_CHECKING:
     from fitting.diagnosis import Failure, ResidualTorque
@@ -22,7 +21,7 @@ Array = NDArray[np.float64]
 _MODEL_POINTS = 800
 _WINDOW_POINTS = 60
 _ENERGY_PIECES = 50
-_MOST_POINTS = 1600
+_SUGGESTED = 3
 
 
 @dataclass(frozen=True)
@@ -41,6 +40,21 @@ class Energy:
     exact: Curve
     mean: Curve
     drift: float
+
+
+@dataclass(frozen=True)
+class Supplied:
+    """Torque on each body that a model has and the base lacks [N m], along its own motion; `name` says which."""
+
+    name: str
+    time: Array
+    omega_c: Array
+    rotor: Array
+    casing: Array
+
+    def on(self, body: str) -> Array:
+        """Return the torque on one body."""
+        return self.rotor if body == "rotor" else self.casing
 
 
 @dataclass(frozen=True)
@@ -73,11 +87,13 @@ class CaseView:
     Attributes
     ----------
     casing, rotor : Curve, tuple of Curve
-        Measured speed, smoothed as in the paper and thinned out [rad/s].
+        Measured speed, smoothed as in the paper [rad/s].
     models : tuple of Seen
         The base and, if anything was added, the final model.
-    supplied : dict or None
-        Torque on each body that the final model has and the base lacks, with time and omega_c.
+    supplied : Supplied or None
+        Torque on each body that the final model has and the base lacks.
+    suggested : tuple of Supplied
+        The same for the best other candidates, each refitted.
     energy : tuple of Energy
         The balance of each rung.
     failures : tuple of Failure
@@ -90,7 +106,8 @@ class CaseView:
     casing: Curve
     rotor: tuple[Curve, ...]
     models: tuple[Seen, ...]
-    supplied: dict[str, Array] | None
+    supplied: Supplied | None
+    suggested: tuple[Supplied, ...]
     energy: tuple[Energy, ...]
     failures: tuple[Failure, ...]
 
@@ -126,14 +143,14 @@ def case_view(
         casing=_measured(*speeds(record.casing, record.quantity)),
         rotor=tuple(_measured(*speeds(w, record.quantity)) for w in record.rotor),
         models=tuple(_seen(f, t, index) for f, t in zip(fits, torques, strict=True)),
-        supplied=_supplied(base, final, index) if len(fits) > 1 else None,
+        supplied=_supplied("final model", base, final, index) if len(fits) > 1 else None,
+        suggested=_suggested(base, final, diagnosis, index),
         energy=tuple(_energy(r.fit, index) for r in rungs),
         failures=tuple(f for f in (diagnosis.failures if diagnosis else ()) if f.label == record.label),
     )
 
 
 def _measured(time: Array, omega: Array) -> Curve:
-    time, omega = thin(time, omega, _MOST_POINTS)
     return Curve(time, omega, np.zeros_like(omega))
 
 
@@ -168,24 +185,38 @@ def _modelled(fit: Fit, index: int, state: int, time: Array) -> Curve:
     return Curve(time, sampler.value(prediction.path.y[..., state]), np.sqrt(np.maximum(variance, 0.0)))
 
 
-def _supplied(base: Fit, final: Fit, index: int) -> dict[str, Array] | None:
-    """Return the torque that the final model has and the base lacks, along the final motion [N m]."""
+def _suggested(base: Fit, final: Fit, diagnosis: Diagnosis | None, index: int) -> tuple[Supplied, ...]:
+    """Return the torques of the best candidates that were refitted and are not in the final model."""
+    found = [
+        _supplied(c.effect.name, base, c.fit, index)
+        for c in (diagnosis.candidates if diagnosis is not None else ())
+        if c.fit is not None
+        and c.physical
+        and c.significant
+        and not c.effect.depends_on_angle
+        and c.effect.name not in final.model.names
+    ]
+    return tuple(s for s in found if s is not None)[:_SUGGESTED]
+
+
+def _supplied(name: str, base: Fit, other: Fit, index: int) -> Supplied | None:
+    """Return the torque that another model has and the base lacks, along the other's motion."""
     from fitting.simulation import Sampler
 
-    old, new = base.problem.cases[index], final.problem.cases[index]
-    path = final.predictions[index].path
-    if set(final.model.smooth.names) <= set(base.model.smooth.names):
+    old, new = base.problem.cases[index], other.problem.cases[index]
+    path = other.predictions[index].path
+    if set(other.model.smooth.names) <= set(base.model.smooth.names):
         return None
     if not set(old.dynamics.states) <= set(path.states):
         return None
     time = np.linspace(path.mesh.edges[0], path.mesh.edges[-1], _MODEL_POINTS)
     state = Sampler(path.mesh, time).value(path.y)
     inertia = np.array([new.data.record.I_rotor, new.data.record.I_casing])
-    gained = new.dynamics.rates(time, state, final.problem.layout.numbers(final.theta, index))[:, :2]
+    gained = new.dynamics.rates(time, state, other.problem.layout.numbers(other.theta, index))[:, :2]
     seen = state[:, [path.states.index(s) for s in old.dynamics.states]]
     had = old.dynamics.rates(time, seen, base.problem.layout.numbers(base.theta, index))[:, :2]
     torque = (gained - had) * inertia
-    return {"time": time, "omega_c": state[:, 1], "rotor": torque[:, 0], "casing": torque[:, 1]}
+    return Supplied(name, time, state[:, 1].copy(), torque[:, 0].copy(), torque[:, 1].copy())
 
 
 def _energy(fit: Fit, index: int) -> Energy:

@@ -1,4 +1,4 @@
-"""One HTML file that needs nothing else: no script, no network, every name escaped."""
+"""One HTML file that needs nothing else: no network, no script but its own, every name escaped."""
 
 from __future__ import annotations
 
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from fitting.discovery import Diagnosis, Rung
     from fitting.estimation import Fit
     from gyrotrack.dataset import Case
+    from gyrotrack.report.frames import Sheet
+    from gyrotrack.report.tracks import Tracks
 
 _LIBRARIES = ("numpy", "scipy", "h5py", "matplotlib", "av", "opencv-contrib-python-headless")
 _VERDICTS = {
@@ -40,6 +42,8 @@ class Section:
     misfit: tuple[Picture, ...]
     torque: Picture
     energy: Picture
+    tracking: tuple[Picture, ...]
+    sheets: tuple[Sheet, ...]
 
 
 @dataclass(frozen=True)
@@ -56,6 +60,7 @@ def write_report(
     diagnosis: Diagnosis | None,
     *,
     recordings: Sequence[Case] = (),
+    films: Sequence[Path] = (),
     provenance: Mapping[str, str] | None = None,
     force: bool = False,
 ) -> Path:
@@ -64,13 +69,15 @@ def write_report(
     Parameters
     ----------
     path : Path
-        The HTML file to write; it appears whole or not at all.
+        The file to write, ``.pdf`` or else HTML; it appears whole or not at all.
     rungs : sequence of Rung
         The ladder, base first; one rung is enough.
     diagnosis : Diagnosis or None
         That of the first rung.
     recordings : sequence of Case
         The cases as `gyrotrack.dataset.read_case` gives them, for the tracking behind the fits.
+    films : sequence of Path
+        Folders where the films of the recordings may lie; frames of those found are shown.
     provenance : mapping of str to str, optional
         More lines on where this comes from, such as ``command`` and ``date``.
     force : bool
@@ -88,49 +95,82 @@ def write_report(
     """
     path = Path(path)
     refuse_existing(path, force=force)
-    page = render(gather(rungs, diagnosis), recordings, provenance or {})
-    with new_file(path, force=force) as stream:
+    content = gather(rungs, diagnosis)
+    parts = report_parts(content, recordings, films, provenance or {})
+    if path.suffix.lower() == ".pdf":
+        from gyrotrack.report.pdf import pdf
+
+        document = pdf(parts)
+    else:
         # names of files may hold bytes that are no text
-        stream.write(page.encode("utf-8", "replace"))
+        document = render(parts).encode("utf-8", "replace")
+    with new_file(path, force=force) as stream:
+        stream.write(document)
     return path
 
 
-def render(content: Content, recordings: Sequence[Case], provenance: Mapping[str, str]) -> str:
+def render(parts: Mapping[str, Any]) -> str:
     """Return the page."""
     from jinja2 import Environment, StrictUndefined
 
-    from gyrotrack.report import tables
-    from gyrotrack.report.figures.candidates import candidates_picture
-    from gyrotrack.report.figures.ladder import ladder_picture
-    from gyrotrack.report.figures.numbers import correlation_picture
+    from gyrotrack import charts
 
     folder = resources.files("gyrotrack.report")
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     template = environment.from_string(folder.joinpath("page.html.jinja").read_text("utf-8"))
-    clips = [row for case in recordings for row in tables.clip_rows(case.recordings, case.placements)]
+    scripts = (charts.script(), folder.joinpath("page.js").read_text("utf-8"))
     return template.render(
-        content=content,
-        style=folder.joinpath("page.css").read_text("utf-8"),
-        title=", ".join(v.label for v in content.cases),
-        verdict=_VERDICTS[content.verdict],
-        sentence=typeset(content.sentence),
-        outcome=outcome(content),
-        failures=_failures(content),
-        ladder=ladder_picture(content),
-        sections=[_section(content, v, i) for i, v in enumerate(content.cases)],
-        candidates=candidates_picture(content.candidates),
-        candidate_rows=tables.candidate_rows(content.candidates),
-        parameters=tables.parameter_rows(content),
-        correlation=correlation_picture(content),
-        base_equations=_equations(content.base, "base"),
-        final_equations=_equations(content.final, "final") if content.improved else [],
-        added=_added(content),
-        whiteness=[(label, short(p, 2)) for label, p in content.whiteness],
-        clips=clips,
-        provenance=_provenance(content, provenance),
+        **parts,
+        style=folder.joinpath("page.css").read_text("utf-8") + charts.style(),
+        scripts=scripts,
+        policy=charts.content_policy(scripts),
+        data=charts.as_data([charts.board_document(b) for b in parts["boards"]]),
     )
+
+
+def report_parts(
+    content: Content, recordings: Sequence[Case], films: Sequence[Path], provenance: Mapping[str, str]
+) -> dict[str, Any]:
+    """Return everything that stands in a report, ready to be laid out."""
+    from gyrotrack.report import tables
+    from gyrotrack.report.boards import case_board
+    from gyrotrack.report.figures.candidates import candidates_picture
+    from gyrotrack.report.figures.ladder import ladder_picture
+    from gyrotrack.report.figures.numbers import correlation_picture
+    from gyrotrack.report.plausibility import plausibility_rows
+    from gyrotrack.report.tracks import tracks_of
+
+    clips = [row for case in recordings for row in tables.clip_rows(case.recordings, case.placements)]
+    by_label = {case.label: case for case in recordings}
+    tracks = {label: tracks_of(case) for label, case in by_label.items()}
+    steps = tuple(s.change for s in content.steps)
+    return {
+        "content": content,
+        "title": ", ".join(v.label for v in content.cases),
+        "verdict": _VERDICTS[content.verdict],
+        "sentence": typeset(content.sentence),
+        "outcome": outcome(content),
+        "failures": _failures(content),
+        "ladder": ladder_picture(content),
+        "sections": [
+            _section(content, v, i, by_label.get(v.label), tracks.get(v.label), films)
+            for i, v in enumerate(content.cases)
+        ],
+        "boards": [case_board(v, tracks.get(v.label), steps) for v in content.cases],
+        "candidates": candidates_picture(content.candidates),
+        "candidate_rows": tables.candidate_rows(content.candidates),
+        "parameters": tables.parameter_rows(content),
+        "plausibility": plausibility_rows(content.final),
+        "correlation": correlation_picture(content),
+        "base_equations": _equations(content.base, "base"),
+        "final_equations": _equations(content.final, "final") if content.improved else [],
+        "added": _added(content),
+        "whiteness": [(label, short(p, 2)) for label, p in content.whiteness],
+        "clips": clips,
+        "provenance": _provenance(content, provenance),
+    }
 
 
 def outcome(content: Content) -> str:
@@ -168,13 +208,22 @@ def _failures(content: Content) -> list[str]:
     ]
 
 
-def _section(content: Content, view: CaseView, index: int) -> Section:
+def _section(
+    content: Content,
+    view: CaseView,
+    index: int,
+    case: Case | None,
+    tracks: Tracks | None,
+    films: Sequence[Path],
+) -> Section:
     from gyrotrack.report.figures.misfit import misfit_picture
     from gyrotrack.report.figures.motion import casing_picture, rotor_picture
     from gyrotrack.report.figures.numbers import energy_picture
     from gyrotrack.report.figures.torque import torque_picture
+    from gyrotrack.report.frames import contact_sheets
 
     changes = tuple(s.change for s in content.steps)
+    stretches = [(f.t_start, f.t_stop) for f in view.failures]
     return Section(
         heading=view.label if len(content.cases) > 1 else "",
         surface=view.surface,
@@ -182,6 +231,20 @@ def _section(content: Content, view: CaseView, index: int) -> Section:
         motion=(casing_picture(view, f"casing{index}"), rotor_picture(view, f"rotor{index}")),
         torque=torque_picture(view, f"torque{index}"),
         energy=energy_picture(view, changes, f"energy{index}"),
+        tracking=_tracking(view, tracks, index),
+        sheets=tuple(contact_sheets(case, films, stretches)) if case is not None and films else (),
+    )
+
+
+def _tracking(view: CaseView, tracks: Tracks | None, index: int) -> tuple[Picture, ...]:
+    from gyrotrack.report.figures.tracking import centre_picture, sigma_picture, sync_picture
+
+    if tracks is None:
+        return ()
+    return (
+        sigma_picture(tracks, view, f"sigma{index}"),
+        centre_picture(tracks, view, f"centre{index}"),
+        sync_picture(tracks, f"sync{index}"),
     )
 
 

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gyrotrack.report.case_view import CaseView
+from gyrotrack.report.figures.failing import failing
 from gyrotrack.report.figures.style import (
     AFTER,
     BEFORE,
-    FAILING,
     WIDTH,
     Picture,
     canvas,
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 def misfit_picture(view: CaseView, name: str) -> Picture:
     """Draw measured minus modelled speed of the casing, for the base and for the final model."""
-    before, after = view.models[0].casing_misfit, view.models[-1].casing_misfit
+    after = view.models[-1].casing_misfit
     both = len(view.models) > 1
     with look():
         figure = canvas(WIDTH, 5.6 if both else 3.3)
@@ -45,22 +45,14 @@ def misfit_picture(view: CaseView, name: str) -> Picture:
             panel(axes[1], "b", "after alone, magnified")
             legend(axes[1])
         axes[-1].set_xlabel("time [s]")
-        return picture(name, figure, _caption(view), _finding(before, after if both else None))
+        return picture(name, figure, _caption(view), misfit_finding(view))
 
 
 def both_panel(ax: Axes, view: CaseView) -> None:
     """Draw the misfit of all models in the same axes, with the stretches where the base fails."""
     largest = max(float(np.abs(m.casing_misfit.value).max()) for m in view.models)
     factor, prefix = scaled(largest)
-    for i, failure in enumerate(f for f in view.failures if f.body == "casing"):
-        ax.axvspan(
-            failure.t_start,
-            failure.t_stop,
-            color=FAILING,
-            alpha=0.3,
-            linewidth=0,
-            label="base model fails" if i == 0 else None,
-        )
+    failing(ax, view, "casing")
     last = view.models[-1].casing_misfit
     _band(ax, last, factor)
     for seen, colour, marker, label in zip(
@@ -119,7 +111,10 @@ def _caption(view: CaseView) -> str:
     )
 
 
-def _finding(before: Misfit, after: Misfit | None) -> str:
+def misfit_finding(view: CaseView) -> str:
+    """Return how far the models miss the casing's speed."""
+    before = view.models[0].casing_misfit
+    after = view.models[-1].casing_misfit if len(view.models) > 1 else None
     worst = int(np.argmax(np.abs(before.value)))
     text = (
         f"The base model misses the casing's speed by up to {short(abs(float(before.value[worst])))} rad/s, "

@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrotrack.report.case_view import CaseView
+from gyrotrack.report.figures.failing import failing
 from gyrotrack.report.figures.style import AFTER, BEFORE, WIDTH, Picture, canvas, legend, look, picture, zero
 from gyrotrack.report.notation import scaled, short
+from gyrotrack.report.thinning import thin
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
 MEASURED = "#c9c9c9"
 _MOST_WINDOWS = 8
 _ACROSS = 4
+_MOST_POINTS = 1200
 
 
 def casing_picture(view: CaseView, name: str) -> Picture:
@@ -26,6 +29,7 @@ def casing_picture(view: CaseView, name: str) -> Picture:
     with look():
         figure = canvas(WIDTH, 3.7)
         ax = figure.subplots()
+        failing(ax, view, "casing")
         casing_panel(ax, view)
         for i, window in enumerate(view.rotor):
             ax.axvspan(
@@ -44,12 +48,13 @@ def casing_picture(view: CaseView, name: str) -> Picture:
             "rad/s. "
             "At this scale all models look right; the misfit is seen above."
         )
-        return picture(name, figure, caption, _finding(view))
+        return picture(name, figure, caption, motion_finding(view))
 
 
 def casing_panel(ax: Axes, view: CaseView) -> None:
     """Draw the measured speed of the casing and that of the models."""
-    ax.plot(view.casing.time, view.casing.value, color=MEASURED, linewidth=5.0, label="measured")
+    drawn = thin(view.casing.time, view.casing.value, _MOST_POINTS)
+    ax.plot(*drawn, color=MEASURED, linewidth=5.0, label="measured")
     _models(ax, [m.casing for m in view.models])
     ax.set_xlabel("time [s]")
     ax.set_ylabel(r"$\omega_c$ [rad/s]")
@@ -70,7 +75,8 @@ def _models(ax: Axes, curves: list[Curve]) -> None:
         ax.plot(curve.time, curve.value, color=colour, linestyle=dashes, linewidth=1.3, label=label)
 
 
-def _finding(view: CaseView) -> str:
+def motion_finding(view: CaseView) -> str:
+    """Return what the casing does."""
     peak = int(np.argmax(np.abs(view.casing.value)))
     return (
         f"The casing's speed is {short(float(view.casing.value[0]))} rad/s at first, "
@@ -104,10 +110,6 @@ def rotor_picture(view: CaseView, name: str) -> Picture:
                 axes[2 * row + 1, 0].set_ylabel(f"misfit [{prefix}rad/s]")
         handles, names = axes[0, 0].get_legend_handles_labels()
         figure.legend(handles, names, loc="outside upper right", ncols=3)
-        ratio = [
-            float(np.sqrt(np.mean(np.concatenate([(m.value / m.sigma) ** 2 for m in s.rotor_misfit]))))
-            for s in view.models
-        ]
         more = f" {len(shown)} of {count} windows are shown." if len(shown) < count else ""
         return picture(
             name,
@@ -115,10 +117,23 @@ def rotor_picture(view: CaseView, name: str) -> Picture:
             "Angular velocity of the rotor in its windows, and measured minus modelled below, in fifths "
             "of a window. Band: two standard deviations of "
             f"what noise makes.{more}",
-            f"In {count} windows the rotor's speed differs from the base model by {short(ratio[0])} times "
-            "the noise"
-            + (f", from the final model by {short(ratio[-1])} times (rms)." if len(ratio) > 1 else " (rms)."),
+            rotor_finding(view),
         )
+
+
+def rotor_finding(view: CaseView) -> str:
+    """Return how far the models miss the rotor's speed."""
+    ratio = [
+        float(np.sqrt(np.mean(np.concatenate([(m.value / m.sigma) ** 2 for m in s.rotor_misfit]))))
+        for s in view.models
+    ]
+    text = (
+        f"In {len(view.rotor)} windows the rotor's speed differs from the base model by {short(ratio[0])} "
+        "times the noise"
+    )
+    return text + (
+        f", from the final model by {short(ratio[-1])} times (rms)." if len(ratio) > 1 else " (rms)."
+    )
 
 
 def _limits(view: CaseView, shown: NDArray[np.intp], factor: float) -> tuple[float, float]:
@@ -134,7 +149,8 @@ def _window(top: Axes, bottom: Axes, view: CaseView, index: int, factor: float) 
     for ax in (top, bottom):
         ax.set_visible(True)
     window = view.rotor[index]
-    top.plot(window.time, window.value, color=MEASURED, linewidth=2.5, label="measured")
+    drawn = thin(window.time, window.value, _MOST_POINTS // _ACROSS)
+    top.plot(*drawn, color=MEASURED, linewidth=2.5, label="measured")
     _models(top, [m.rotor[index] for m in view.models])
     top.set_title(f"window {index + 1}", fontweight="normal")
     top.set_xticklabels([])
@@ -146,5 +162,7 @@ def _window(top: Axes, bottom: Axes, view: CaseView, index: int, factor: float) 
         m = seen.rotor_misfit[index]
         bottom.plot(m.time, factor * m.value, color=colour, marker=marker, markersize=4, linewidth=1)
     zero(bottom)
+    for ax in (top, bottom):
+        failing(ax, view, "rotor", (window.time[0], window.time[-1]))
     bottom.set_xlabel("time [s]")
     bottom.set_xlim(top.get_xlim())

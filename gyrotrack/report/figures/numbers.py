@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from gyrotrack.report.case_view import CaseView
 from gyrotrack.report.content import Content, correlations
+from gyrotrack.report.figures.failing import failing
 from gyrotrack.report.figures.mathematics import symbol
 from gyrotrack.report.figures.style import (
     AFTER,
@@ -25,9 +26,11 @@ from gyrotrack.report.figures.style import (
     zero,
 )
 from gyrotrack.report.notation import POWERS, scaled, short
+from gyrotrack.report.thinning import thin
 
 Array = NDArray[np.float64]
 _STRONG = 0.95
+_MOST_POINTS = 1200
 
 
 def correlation_picture(content: Content, name: str = "correlation") -> Picture | None:
@@ -109,27 +112,30 @@ def energy_picture(view: CaseView, steps: tuple[str, ...], name: str) -> Picture
         figure = canvas(WIDTH, 3.2)
         ax = figure.subplots()
         for curve, step, colour in zip(view.energy, steps, colours, strict=False):
-            ax.plot(curve.exact.time, factor * curve.exact.value, color=colour, linewidth=0.4, alpha=0.4)
-            ax.plot(
-                curve.mean.time, factor * curve.mean.value, color=colour, linewidth=1.8, label=plain(step)
-            )
+            exact, mean = (thin(c.time, factor * c.value, _MOST_POINTS) for c in (curve.exact, curve.mean))
+            ax.plot(*exact, color=colour, linewidth=0.4, alpha=0.4)
+            ax.plot(*mean, color=colour, linewidth=1.8, label=plain(step))
+        failing(ax, view, "casing")
         zero(ax)
         ax.set_xlabel("time [s]")
         ax.set_ylabel(f"relative drift [{exponent}]")
         ax.margins(x=0.01)
         legend(ax)
         panel(ax, "", "kinetic energy + all losses, relative to the start")
-        drifts = [c.drift for c in view.energy]
         return picture(
             name,
             figure,
             "Kinetic energy plus everything that friction has taken must stay what it was. The casing's "
             "measured speed enters, so that a model that misses a torque drifts; "
             "the pale jitter is the noise of the measured speed, the line its running mean.",
-            f"The balance drifts by at most {short(drifts[0], 2)} with the base model"
-            + (
-                f" and {short(drifts[-1], 2)} with the final model, relative."
-                if len(drifts) > 1
-                else ", relative."
-            ),
+            energy_finding(view),
         )
+
+
+def energy_finding(view: CaseView) -> str:
+    """Return how far the balance drifts."""
+    drifts = [c.drift for c in view.energy]
+    text = f"The balance drifts by at most {short(drifts[0], 2)} with the base model"
+    if len(drifts) > 1:
+        text += f" and {short(drifts[-1], 2)} with the final model"
+    return f"{text}, relative."

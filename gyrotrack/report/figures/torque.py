@@ -2,24 +2,41 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gyrotrack.report.case_view import CaseView
-from gyrotrack.report.figures.style import AFTER, BEFORE, WIDTH, Picture, canvas, look, panel, picture, zero
+from gyrotrack.report.figures.failing import failing
+from gyrotrack.report.figures.style import (
+    AFTER,
+    BEFORE,
+    GREEN,
+    ORANGE,
+    PURPLE,
+    WIDTH,
+    Picture,
+    canvas,
+    look,
+    panel,
+    picture,
+    plain,
+    zero,
+)
 from gyrotrack.report.notation import scaled, short
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from fitting.diagnosis import ResidualTorque
+    from gyrotrack.report.case_view import Supplied
 
 Array = NDArray[np.float64]
 # how many times the smallest standard deviation still counts as known
 _TOLD = 3.0
 _BODIES = ("casing", "rotor")
+_OTHERS = (GREEN, PURPLE, ORANGE)
 
 
 def torque_picture(view: CaseView, name: str) -> Picture:
@@ -37,6 +54,7 @@ def torque_picture(view: CaseView, name: str) -> Picture:
                 _against_time(axes[row, 0], curve, factor, colour, label)
                 _against_speed(axes[row, 1], curve, factor, colour)
             _law(axes[row], view, body, factor)
+            failing(axes[row, 0], view, body)
             axes[row, 0].set_ylabel(f"torque on the {body} [{prefix}N m]", fontsize=10)
             panel(axes[row, 0], "ac"[row], f"{body}, against time")
             panel(axes[row, 1], "bd"[row], f"{body}, against the casing's speed")
@@ -44,9 +62,18 @@ def torque_picture(view: CaseView, name: str) -> Picture:
             axes[row, 0].set_ylim(low, high)
         axes[1, 0].set_xlabel("time [s]")
         axes[1, 1].set_xlabel(r"$\omega_c$ [rad/s]")
-        handles, names = axes[0, 0].get_legend_handles_labels()
+        handles, names = _entries(axes[:, 0])
         figure.legend(handles, names, loc="outside upper right", ncols=3)
         return picture(name, figure, _caption(view), torque_finding(view))
+
+
+def _entries(axes: NDArray[np.object_]) -> tuple[list[Any], list[str]]:
+    """Return each entry of the legends once."""
+    found: dict[str, Any] = {}
+    for ax in axes:
+        handles, names = ax.get_legend_handles_labels()
+        found |= {n: h for h, n in zip(handles, names, strict=True) if n not in found}
+    return list(found.values()), list(found)
 
 
 def _against_time(ax: Axes, curve: ResidualTorque, factor: float, colour: str, label: str) -> None:
@@ -81,18 +108,18 @@ def known(curve: ResidualTorque) -> tuple[Array, Array]:
 
 
 def _law(axes: NDArray[np.object_], view: CaseView, body: str, factor: float) -> None:
-    if view.supplied is None:
-        return
-    s = view.supplied
-    axes[0].plot(
-        s["time"],
-        factor * s[body],
-        color="black",
-        linewidth=1,
-        linestyle=":",
-        label="final model's torque − base model's",
-    )
-    axes[1].plot(s["omega_c"], factor * s[body], color="black", linewidth=1, linestyle=":")
+    """Draw the torque of the final model over the base's, and those of other candidates."""
+    looks: list[tuple[str, Any, float, Supplied]] = []
+    if view.supplied is not None:
+        looks.append(("black", ":", 1.5, view.supplied))
+    looks += [(c, (0, (4, 1.5)), 1.0, s) for c, s in zip(_OTHERS, view.suggested, strict=False)]
+    for colour, dashes, width, s in looks:
+        torque = factor * s.on(body)
+        if not torque.any():
+            continue
+        name = "final model's torque − base model's" if s is view.supplied else plain(s.name)
+        axes[0].plot(s.time, torque, color=colour, linewidth=width, linestyle=dashes, label=name)
+        axes[1].plot(s.omega_c, torque, color=colour, linewidth=width, linestyle=dashes)
 
 
 def _limits(view: CaseView, body: str, factor: float) -> tuple[float, float]:
@@ -117,6 +144,8 @@ def _caption(view: CaseView) -> str:
             " Dotted: the torque that the final model has more than the base; where both agree the law "
             "that was added is what was missing."
         )
+    if view.suggested:
+        text += " Dashed and thin: what other candidates would supply, each after a refit of its own."
     return text
 
 

@@ -1,0 +1,175 @@
+"""The tracking behind a case: how well the angles are known, how the centre moves, where the clips lie in time."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gyrotrack.report.figures.failing import failing
+from gyrotrack.report.figures.style import (
+    BLUE,
+    GREEN,
+    ORANGE,
+    PURPLE,
+    SKY,
+    VERMILLION,
+    WIDTH,
+    Picture,
+    canvas,
+    legend,
+    look,
+    panel,
+    picture,
+    plain,
+    zero,
+)
+from gyrotrack.report.notation import short
+from gyrotrack.report.thinning import thin
+from gyrotrack.report.tracks import Centre, Sigma, Span, Tracks
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from gyrotrack.report.case_view import CaseView
+
+COLOURS = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY)
+_MOST_POINTS = 800
+_MOST_CLIPS = 12
+
+
+def sigma_picture(tracks: Tracks, view: CaseView, name: str) -> Picture:
+    """Draw the standard deviation of the angles over time."""
+    bodies = sorted({s.body for s in tracks.sigmas})
+    with look():
+        figure = canvas(WIDTH, 3.2)
+        ax = figure.subplots()
+        failing(ax, view, "casing")
+        for body, colour, style in zip(bodies, COLOURS, ("-", "--"), strict=False):
+            for i, s in enumerate(x for x in tracks.sigmas if x.body == body):
+                time, value = thin(s.time, 1e3 * s.value, _MOST_POINTS)
+                label = body if i == 0 else None
+                ax.plot(time, value, color=colour, linewidth=0.7, linestyle=style, label=label)
+        ax.set_yscale("log")
+        ax.set_xlabel("time [s]")
+        ax.set_ylabel(r"$\sigma$ of the angle [mrad]")
+        ax.margins(x=0.01)
+        legend(ax)
+        return picture(name, figure, _sigma_caption(), sigma_finding(tracks.sigmas))
+
+
+def _sigma_caption() -> str:
+    return (
+        "One standard deviation of each angle as tracking gives it, from how far its markers agree and how "
+        "sharp they are; the smallest and the largest in each bin are drawn."
+    )
+
+
+def sigma_finding(sigmas: tuple[Sigma, ...]) -> str:
+    """Return how well the angles are known."""
+    parts = []
+    for body in sorted({s.body for s in sigmas}):
+        medians = [1e3 * s.median for s in sigmas if s.body == body and np.isfinite(s.median)]
+        if medians:
+            low, high = short(min(medians), 2), short(max(medians), 2)
+            parts.append(f"the {body}'s angle to {low if low == high else f'{low} to {high}'} mrad")
+    return f"A frame gives {' and '.join(parts)} (median of each clip)." if parts else "No sigma is known."
+
+
+def centre_picture(tracks: Tracks, view: CaseView, name: str) -> Picture:
+    """Draw how the centre moves: against time, and in the plane."""
+    with look():
+        figure = canvas(WIDTH, 3.4)
+        left, right = figure.subplots(1, 2, width_ratios=[2.2, 1])
+        failing(left, view, "casing")
+        for centre, colour in zip(tracks.centres[:_MOST_CLIPS], COLOURS * 2, strict=False):
+            label = plain(centre.clip, 20)
+            for axis, dashes in ((0, "-"), (1, ":")):
+                drawn = thin(centre.time, centre.place[:, axis], _MOST_POINTS)
+                left.plot(
+                    *drawn, color=colour, linestyle=dashes, linewidth=0.8, label=None if axis else label
+                )
+            few = centre.place[:: max(1, len(centre.place) // _MOST_POINTS)]
+            right.plot(few[:, 0], few[:, 1], color=colour, linewidth=0.5, alpha=0.8)
+        zero(left)
+        left.set_xlabel("time [s]")
+        left.set_ylabel("x (full), y (dotted) [px]")
+        left.margins(x=0.01)
+        legend(left, ncols=3)
+        right.set_aspect("equal", "datalim")
+        right.set_xlabel("x [px]")
+        right.set_ylabel("y [px]")
+        panel(right, "", "in the picture")
+        return picture(
+            name,
+            figure,
+            "The centre of the gyroscope in each clip against its median place: the small circular motion of "
+            "the paper, which tracking follows and takes out of the angles.",
+            centre_finding(tracks.centres),
+        )
+
+
+def centre_finding(centres: tuple[Centre, ...]) -> str:
+    """Return how far the centre strays."""
+    worst = max(centres, key=lambda c: np.nan_to_num(c.rms))
+    return f"The centre strays by {short(worst.rms, 2)} px rms at most, in {worst.clip}."
+
+
+def sync_picture(tracks: Tracks, name: str) -> Picture:
+    """Draw where the clips lie on the clock of the case, and how well that is known."""
+    spans = tracks.spans[:_MOST_CLIPS]
+    with look():
+        figure = canvas(WIDTH, 0.9 + 0.42 * len(spans))
+        ax = figure.subplots()
+        for i, s in enumerate(spans):
+            colour = VERMILLION if s.ambiguous else BLUE
+            ax.barh(
+                i,
+                max(s.stop - s.start, 1e-9),
+                left=s.start,
+                height=0.55,
+                color=colour,
+                hatch="////" if s.ambiguous else "",
+                edgecolor="white",
+            )
+        room = (max(s.stop for s in spans) - min(s.start for s in spans)) or 1.0
+        ax.set_xlim(min(s.start for s in spans) - 0.02 * room, max(s.stop for s in spans) + 0.34 * room)
+        _notes(ax, spans)
+        ax.set_yticks(range(len(spans)), [plain(s.clip, 24) for s in spans])
+        ax.invert_yaxis()
+        ax.set_xlabel("time [s]")
+        ax.grid(visible=False, axis="y")
+        return picture(name, figure, _sync_caption(spans), sync_finding(tracks.spans))
+
+
+def _notes(ax: Axes, spans: tuple[Span, ...]) -> None:
+    for i, s in enumerate(spans):
+        text = "reference clock" if s.sigma == 0 else f"start ± {short(1e3 * s.sigma, 2)} ms"
+        ax.annotate(
+            text + ("  AMBIGUOUS" if s.ambiguous else ""),
+            (s.stop, i),
+            xytext=(5, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=9.5,
+        )
+
+
+def _sync_caption(spans: tuple[Span, ...]) -> str:
+    methods = "; ".join(dict.fromkeys(s.method for s in spans if s.sigma > 0))
+    return (
+        "When each clip was taken on the clock of the casing's camera, with one standard deviation of its "
+        "start; hatched: another start cannot be excluded." + (f" Method: {methods}." if methods else "")
+    )
+
+
+def sync_finding(spans: tuple[Span, ...]) -> str:
+    """Return how well the clips are placed."""
+    doubtful = [s.clip for s in spans if s.ambiguous]
+    known = [s.sigma for s in spans if s.sigma > 0]
+    text = f"{len(spans)} clips on one clock"
+    if known:
+        text += f", their starts known to {short(1e3 * max(known), 2)} ms or better"
+    if doubtful:
+        return f"{text}; ambiguous: {', '.join(doubtful)}."
+    return f"{text}; no start is ambiguous."
