@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from gyrotrack.pipeline import extract
-from gyrotrack.pipeline.film import Film, find_film
 from gyrotrack.pipeline.drawing import colour_picture
+from gyrotrack.pipeline.film import Film, find_film
 from gyrotrack.video import Reader
 
 CLIP = Path(__file__).parents[3] / "sample_clips" / "rotor_1.mp4"
