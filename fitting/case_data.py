@@ -158,13 +158,17 @@ class CaseData:
 
     def _mend_kinks(self, path: Path, nodes: Array | None, rows: Array) -> Array:
         # a block with a kink inside is no polynomial: project it sample by sample
-        for time in path.kinks:
-            for i, (where, operator) in enumerate(self.casing.operators):
-                t = self.casing.samples.time[where]
-                if t[0] < time < t[-1]:
-                    k = self.casing.lift.shape[1]
-                    seen = self._seen(Sampler(path.mesh, t), path, 1, nodes)
-                    rows[i * k : (i + 1) * k] = operator[:k] @ seen
+        if not path.kinks:
+            return rows
+        first = 0
+        for state, run in ((1, self.casing), *((0, w) for w in self.rotor)):
+            k = run.lift.shape[1]
+            for i, (where, operator) in enumerate(run.operators):
+                t = run.samples.time[where]
+                if any(t[0] < time < t[-1] for time in path.kinks):
+                    seen = self._seen(Sampler(path.mesh, t), path, state, nodes)
+                    rows[first + i * k : first + (i + 1) * k] = operator[:k] @ seen
+            first += len(run.z)
         return rows
 
 

@@ -18,18 +18,21 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fitting.effects import Effect, find, read_effects, resolve
 from fitting.effects.effect import Parameter
 from fitting.errors import EffectError
 from fitting.expression import Expr, Tape, derivative, latex
-from fitting.expression.nodes import ONE, ZERO, div, mul, neg, sub, substitute, sym, total
+from fitting.expression.nodes import ONE, ZERO, call, div, mul, neg, sub, substitute, sym, symbols, total
 
 Array = NDArray[np.float64]
 
 INERTIA_ROTOR = "inertia.rotor"
 INERTIA_CASING = "inertia.casing"
+# the sense in which the casing turns: +1, -1, or 0 while friction holds it
+SENSE = "sense"
+_CASING = 1
 
 
 @dataclass(frozen=True)
@@ -140,6 +143,8 @@ class Dynamics:
         ``omega_r, omega_c``, then states of effects, then the angles if asked for.
     parameters : tuple of str
         Keys of the parameters whose derivatives are given.
+    dry : bool
+        Whether a torque jumps where the casing stops: then rates are given for one sense of its motion.
     """
 
     def __init__(self, model: Model, *, angles: bool = False) -> None:
@@ -157,7 +162,8 @@ class Dynamics:
         self.constants = {
             k: v for k, v in model.constants.items() if k.rpartition(".")[0] in {e.name for e in physical}
         }
-        rates = self._rates(physical)
+        rates = [_in_one_sense(rate) for rate in self._rates(physical)]
+        self.dry = any(SENSE in symbols(rate) for rate in rates)
         if angles:
             rates += [sym("omega_r"), sym("omega_c")]
         outputs = list(rates)
@@ -209,7 +215,12 @@ class Dynamics:
             values[name] = y[..., i]
         return values
 
-    def rates(self, t: Array, y: Array, numbers: Mapping[str, float]) -> Array:
+    def _sense(self, y: Array, sense: ArrayLike | None) -> Array:
+        return np.asarray(np.sign(y[..., _CASING]) if sense is None else sense, dtype=np.float64)
+
+    def rates(
+        self, t: Array, y: Array, numbers: Mapping[str, float], sense: ArrayLike | None = None
+    ) -> Array:
         """Return dy/dt, shaped like y.
 
         Parameters
@@ -220,16 +231,24 @@ class Dynamics:
             States at these times.
         numbers : mapping of str to float
             Parameters by key, and both inertias.
+        sense : array_like, optional
+            +1 or -1 where the casing turns that way, 0 where friction holds it; from y, if not given.
         """
-        outputs = self._rates_tape(self._values(t, y, numbers))
+        sense = self._sense(y, sense)
+        outputs = self._rates_tape(self._values(t, y, numbers) | {SENSE: sense})
         f = np.empty(y.shape)
         for i, value in enumerate(outputs):
             f[..., i] = value
+        if self.dry:
+            f[..., _CASING] *= np.abs(sense)
         return f
 
-    def linearised(self, t: Array, y: Array, numbers: Mapping[str, float]) -> tuple[Array, Array, Array]:
+    def linearised(
+        self, t: Array, y: Array, numbers: Mapping[str, float], sense: ArrayLike | None = None
+    ) -> tuple[Array, Array, Array]:
         """Return dy/dt, its derivative by the states (..., n, n) and by the parameters (..., n, p)."""
-        outputs = self._tape(self._values(t, y, numbers))
+        sense = self._sense(y, sense)
+        outputs = self._tape(self._values(t, y, numbers) | {SENSE: sense})
         n = len(self.states)
         f = np.empty(y.shape)
         for i in range(n):
@@ -240,7 +259,21 @@ class Dynamics:
         b = np.zeros((*y.shape, len(self.parameters)))
         for i, j, k in self._sensitivity_at:
             b[..., i, j] = outputs[k]
+        if self.dry and not sense.all():
+            turning = np.abs(sense)
+            f[..., _CASING] *= turning
+            a[..., _CASING, :] *= turning[..., None]
+            b[..., _CASING, :] *= turning[..., None]
         return f, a, b
+
+
+def _in_one_sense(rate: Expr) -> Expr:
+    """Return a rate with sign(omega_c) as a number given beside the state, so that it is smooth through rest."""
+    if rate == call("sign", sym("omega_c")):
+        return sym(SENSE)
+    if rate.op in {"num", "sym"}:
+        return rate
+    return Expr(rate.op, tuple(_in_one_sense(a) for a in rate.args))
 
 
 def read_model(path: Path, own: Iterable[Effect] = ()) -> Model:

@@ -7,13 +7,15 @@ On an interval of length h that starts with y0, the states at the K Gauss nodes 
 with the Lagrange polynomials L_j of the nodes: an implicit Runge-Kutta method of order 2K
 (E. Hairer, G. Wanner, Solving ODEs II, IV.5). Newton's method treats all intervals together; the
 linear systems of the intervals are solved in one batch and chained by their transfer matrices. An
-interval whose Legendre coefficients have not decayed is halved.
+interval whose Legendre coefficients have not decayed is halved. Here the casing turns in one sense, or rests;
+`motion` puts such stretches together.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from copy import copy
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -29,8 +31,7 @@ Array = NDArray[np.float64]
 NODES = 10
 _TOLERANCE = 1e-10
 _MAX_NEWTON = 25
-_UNBOUNDED = "the equations of motion have no bounded solution for these numbers"
-_HINT = "if the casing comes to rest within the record, leave out what follows: friction then has no law here"
+UNBOUNDED = "the equations of motion have no bounded solution for these numbers"
 _MAX_INTERVALS = 40_000
 
 
@@ -78,6 +79,12 @@ class Mesh:
         edges = np.linspace(start, stop, intervals + 1)
         return cls(edges).with_breakpoints(breakpoints)
 
+    def between(self, start: float, stop: float) -> Mesh:
+        """Return the mesh cut to start and end at these times."""
+        close = 1e-9 * (stop - start)
+        inside = self.edges[(self.edges > start + close) & (self.edges < stop - close)]
+        return Mesh(np.concatenate([[start], inside, [stop]]))
+
     def with_breakpoints(self, breakpoints: Sequence[float]) -> Mesh:
         """Return the mesh with an edge at each breakpoint that lies inside."""
         inside = [b for b in breakpoints if self.edges[0] < b < self.edges[-1]]
@@ -86,13 +93,31 @@ class Mesh:
 
 @dataclass(frozen=True)
 class Path:
-    """A solution: states at the nodes (intervals, nodes, states) and at the edges (intervals + 1, states)."""
+    """A solution.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        Its intervals.
+    y, edges : ndarray, shapes (intervals, nodes, states) and (intervals + 1, states)
+        States at the nodes and at the edges.
+    states : tuple of str
+        Their names.
+    sense : ndarray, shape (intervals,)
+        The casing's sense of motion: +1 or -1; 0 while friction holds it.
+    kinks : tuple of float
+        Times at which a torque jumps [s].
+    jumps : dict of int to ndarray
+        How a small deviation changes at the edges at which the casing stops or turns back.
+    """
 
     mesh: Mesh
     y: Array
     edges: Array
     states: tuple[str, ...]
+    sense: Array
     kinks: tuple[float, ...] = ()
+    jumps: dict[int, Array] = field(default_factory=dict)
 
     def angle(self, state: str) -> tuple[Array, Array]:
         """Return the integral of a speed: at the start of each interval, and the speed at the nodes."""
@@ -131,14 +156,10 @@ class Sampler:
         return np.asarray(starts[self.index] + np.einsum("tk,tk...->t...", self._integral, nodes[self.index]))
 
 
-def solve(
-    dynamics: Dynamics,
-    numbers: Mapping[str, float],
-    start: Array,
-    mesh: Mesh,
-    guess: Path | None = None,
+def glide(
+    dynamics: Dynamics, numbers: Mapping[str, float], first: Path, *, refined: bool = True
 ) -> Path:
-    """Integrate the equations of motion.
+    """Solve the equations of motion for one sense of the casing's motion, from a guess near enough.
 
     Parameters
     ----------
@@ -146,47 +167,38 @@ def solve(
         The equations.
     numbers : mapping of str to float
         Parameters by key, and both inertias [kg m2].
-    start : ndarray, shape (states,)
-        State at the first edge.
-    mesh : Mesh
-        Intervals to begin with; they are halved where needed, and cut at the model's breakpoints.
-    guess : Path, optional
-        A solution for numbers near these.
-
-    Returns
-    -------
-    Path
-        Exact to about 1e-9 of the largest value of each state.
+    first : Path
+        The guess; its mesh is where the search begins, its first edge the start.
+    refined : bool
+        Halve intervals until the solution is resolved; otherwise leave the mesh as it is.
 
     Raises
     ------
     SimulationError
         If Newton's method does not converge or the states leave the finite numbers.
     """
-    kinks = tuple(numbers[k] for k in dynamics.breakpoints if mesh.edges[0] < numbers[k] < mesh.edges[-1])
-    mesh = mesh.with_breakpoints(kinks)
-    first = _transfer(guess, mesh, start) if guess is not None else _explicit(dynamics, numbers, start, mesh)
     for _ in range(40):
-        path = _newton(dynamics, numbers, start, mesh, first)
+        path = _newton(dynamics, numbers, first)
         rough = _unresolved(path)
-        if not rough.any():
-            return replace(path, kinks=kinks)
-        if len(mesh.edges) + rough.sum() > _MAX_INTERVALS:
+        if not refined or not rough.any():
+            return path
+        edges = path.mesh.edges
+        if len(edges) + rough.sum() > _MAX_INTERVALS:
             break
-        middle = 0.5 * (mesh.edges[1:] + mesh.edges[:-1])[rough]
-        mesh = Mesh(np.sort(np.concatenate([mesh.edges, middle])))
-        first = _transfer(path, mesh, start)
+        middle = 0.5 * (edges[1:] + edges[:-1])[rough]
+        mesh = Mesh(np.sort(np.concatenate([edges, middle])))
+        first = transfer(path, mesh, path.edges[0], path.sense[0])
     raise SimulationError("the equations of motion change too sharply to be integrated")
 
 
-def _newton(dynamics: Dynamics, numbers: Mapping[str, float], start: Array, mesh: Mesh, first: Path) -> Path:
+def _newton(dynamics: Dynamics, numbers: Mapping[str, float], first: Path) -> Path:
+    mesh, sense = first.mesh, first.sense[:, None]
     times, half = mesh.times, mesh.half
     y, edges = first.y.copy(), first.edges.copy()
-    edges[0] = start
     gauss = rule()
     with np.errstate(all="ignore"):
         for _ in range(_MAX_NEWTON):
-            f, a, _ = dynamics.linearised(times, y, numbers)
+            f, a, _ = dynamics.linearised(times, y, numbers, sense)
             node_defect = edges[:-1, None] + half[..., None] * np.einsum("kj,ijn->ikn", gauss.s, f) - y
             edge_defect = edges[:-1] + half * np.einsum("j,ijn->in", gauss.w, f) - edges[1:]
             shape = Propagator(mesh, a)
@@ -201,16 +213,26 @@ def _newton(dynamics: Dynamics, numbers: Mapping[str, float], start: Array, mesh
                 break
             # Newton squares the error: what is left after a step this small is rounding
             if size < 1e-9:
-                return replace(first, mesh=mesh, y=y, edges=edges)
-    raise SimulationError(_UNBOUNDED, _HINT)
+                return replace(first, y=y, edges=edges)
+    raise SimulationError(UNBOUNDED)
 
 
 class Propagator:
-    """The linearised equations d(dy)/dt = A dy + b on a mesh, factored once for any right-hand sides."""
+    """The linearised equations d(dy)/dt = A dy + b on a mesh, factored once for any right-hand sides.
 
-    def __init__(self, mesh: Mesh, a: Array) -> None:
+    Parameters
+    ----------
+    mesh : Mesh
+        The intervals.
+    a : ndarray, shape (intervals, nodes, n, n)
+        A at the nodes.
+    jumps : mapping of int to ndarray, optional
+        Matrices by which a deviation changes at some edges: there the torque jumps with the state.
+    """
+
+    def __init__(self, mesh: Mesh, a: Array, jumps: Mapping[int, Array] | None = None) -> None:
         intervals, k, n = a.shape[:3]
-        self._half, self._a = mesh.half, a
+        self._half, self._a, self._jumps = mesh.half, a, jumps or {}
         s = rule().s
         # G[(k,n),(j,m)] = delta - h/2 S_kj A_j[n,m]
         g = -np.einsum("i,kj,ijnm->iknjm", mesh.half[:, 0], s, a).reshape(intervals, k * n, k * n)
@@ -218,12 +240,22 @@ class Propagator:
         try:
             self._inverse = np.linalg.inv(g)
         except np.linalg.LinAlgError:
-            raise SimulationError(_UNBOUNDED, _HINT) from None
+            raise SimulationError(UNBOUNDED) from None
         unit = np.tile(np.eye(n), (k, 1))
         self.transfer: Array = (self._inverse @ unit).reshape(intervals, k, n, n)
         self._step = np.eye(n) + mesh.half[..., None] * np.einsum(
             "j,ijnm,ijmq->inq", rule().w, a, self.transfer
         )
+
+    def remembering(self, share: float) -> Propagator:
+        """Return the same equations with jumps that keep a share of what they would wipe out."""
+        if not self._jumps:
+            return self
+        other = copy(self)
+        other._jumps = {  # noqa: SLF001
+            i: m + share * np.diag((np.diag(m) == 0).astype(float)) for i, m in self._jumps.items()
+        }
+        return other
 
     def nodes(self, defect: Array) -> Array:
         """Return the response at the nodes to right-hand sides (intervals, nodes, n, columns), edges held."""
@@ -239,36 +271,52 @@ class Propagator:
             out[0] = first
         for i in range(gain.shape[0]):
             out[i + 1] = self._step[i] @ out[i] + gain[i]
+            if i + 1 in self._jumps:
+                out[i + 1] = self._jumps[i + 1] @ out[i + 1]
         return out
 
 
-def _transfer(guess: Path, mesh: Mesh, start: Array) -> Path:
+def transfer(guess: Path, mesh: Mesh, start: Array, sense: float) -> Path:
+    """Return a known path on another mesh, as a guess for one that starts elsewhere."""
     sampler = Sampler(guess.mesh, mesh.times.ravel())
     y = sampler.value(guess.y).reshape(*mesh.times.shape, -1)
     edges = Sampler(guess.mesh, mesh.edges).value(guess.y)
     edges[0] = start
-    return Path(mesh, y, edges, guess.states)
+    return Path(mesh, y, edges, guess.states, np.full(len(y), sense))
 
 
-def _explicit(dynamics: Dynamics, numbers: Mapping[str, float], start: Array, mesh: Mesh) -> Path:
-    """Return a rough solution by classical Runge-Kutta steps: a first guess for Newton's method."""
-    times = np.concatenate([mesh.edges[:-1, None], mesh.times], axis=1).ravel()
-    times = np.append(times, mesh.edges[-1])
+def march(
+    dynamics: Dynamics, numbers: Mapping[str, float], start: Array, mesh: Mesh, sense: float
+) -> Path:
+    """Return a rough solution by classical Runge-Kutta steps: a first guess for Newton's method.
+
+    It ends with the interval in which the casing comes to rest.
+    """
+    times = np.concatenate([mesh.edges[:-1, None], mesh.times], axis=1)
+    width = times.shape[1]
+    times = np.append(times.ravel(), mesh.edges[-1])
     y = np.empty((len(times), len(start)))
     y[0] = start
+    last = len(times) - 1
     with np.errstate(all="ignore"):
         for i, h in enumerate(np.diff(times)):
             t, state = times[i], y[i]
-            k1 = dynamics.rates(t, state, numbers)
-            k2 = dynamics.rates(t + h / 2, state + h / 2 * k1, numbers)
-            k3 = dynamics.rates(t + h / 2, state + h / 2 * k2, numbers)
-            k4 = dynamics.rates(t + h, state + h * k3, numbers)
+            k1 = dynamics.rates(t, state, numbers, sense)
+            k2 = dynamics.rates(t + h / 2, state + h / 2 * k1, numbers, sense)
+            k3 = dynamics.rates(t + h / 2, state + h / 2 * k2, numbers, sense)
+            k4 = dynamics.rates(t + h, state + h * k3, numbers, sense)
             y[i + 1] = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+            if dynamics.dry and sense * y[i + 1, 1] < 0:
+                last = min(last, width * (i // width + 1))
+            if i + 1 == last:
+                break
+    y = y[: last + 1]
     if not np.isfinite(y).all():
-        raise SimulationError(_UNBOUNDED, _HINT)
-    blocks = y[:-1].reshape(len(mesh.edges) - 1, -1, len(start))
+        raise SimulationError(UNBOUNDED)
+    blocks = y[:-1].reshape(-1, width, len(start))
     edges = np.concatenate([blocks[:, 0], y[-1:]])
-    return Path(mesh, blocks[:, 1:].copy(), edges, dynamics.states)
+    mesh = Mesh(mesh.edges[: len(blocks) + 1])
+    return Path(mesh, blocks[:, 1:].copy(), edges, dynamics.states, np.full(len(blocks), sense))
 
 
 def _unresolved(path: Path) -> NDArray[np.bool_]:

@@ -5,7 +5,8 @@ With the fundamental matrix Phi(t) of the linearised speeds, a torque u(t) along
     d omega(t) = Phi(t) integral Phi^-1(s) b u(s) ds,
     d psi(t)   = integral [Psi(t) - Psi(s)] Phi^-1(s) b u(s) ds,    Psi = integral of Phi,
 
-which needs only running sums over the times at which u is known, however fast u varies.
+which needs only running sums over the times at which u is known, however fast u varies. A casing that comes
+to rest forgets what moved it; so that Phi keeps its inverse, it is taken to remember a millionth.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from numpy.typing import NDArray
 from fitting.simulation.collocation import Path, Propagator, Sampler, rule
 
 Array = NDArray[np.float64]
+
+_MEMORY = 1e-6
 
 
 class LinearMotion:
@@ -31,8 +34,11 @@ class LinearMotion:
 
     def __init__(self, path: Path, propagator: Propagator) -> None:
         n = len(path.states)
+        self._sense = path.sense
         zero = np.zeros((*path.y.shape, 2))
-        edges = propagator.chain(zero, np.zeros((path.y.shape[0], n, 2)), np.eye(n)[:, :2])
+        edges = propagator.remembering(_MEMORY).chain(
+            zero, np.zeros((path.y.shape[0], n, 2)), np.eye(n)[:, :2]
+        )
         self._mesh = path.mesh
         self._nodes = np.einsum("iknm,imq->iknq", propagator.transfer, edges[:-1])[:, :, :2]
         steps = path.mesh.half[..., None] * np.einsum("k,iknm->inm", rule().w, self._nodes)
@@ -48,11 +54,12 @@ class LinearMotion:
 
     def kicks(self, times: Array, direction: Array) -> Array:
         """Return Phi^-1(s) b, shape (times, 2); b holds the rates that a unit torque gives [rad s-2]."""
-        return np.asarray(
-            np.linalg.solve(self.fundamental(times), np.broadcast_to(direction[:, None], (len(times), 2, 1)))[
-                ..., 0
-            ]
-        )
+        pushes = np.stack([np.full(len(times), direction[0]), direction[1] * self.moving(times)], axis=1)
+        return np.asarray(np.linalg.solve(self.fundamental(times), pushes[..., None])[..., 0])
+
+    def moving(self, times: Array) -> Array:
+        """Return 1 where the casing answers to a torque, 0 where friction holds it."""
+        return np.abs(self._sense[Sampler(self._mesh, times).index])
 
     def driven(self, times: Array, torque: Array, direction: Array, state: int) -> tuple[Array, Array]:
         """Return d omega and d psi of one body at sample times, for a torque between them.

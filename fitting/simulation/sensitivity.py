@@ -32,8 +32,8 @@ class Sensitivity:
 
 def sensitivities(dynamics: Dynamics, numbers: Mapping[str, float], path: Path) -> Sensitivity:
     """Return the derivatives of a solution by parameters and by the two start speeds."""
-    _, a, b = dynamics.linearised(path.mesh.times, path.y, numbers)
-    propagator = Propagator(path.mesh, a)
+    _, a, b = dynamics.linearised(path.mesh.times, path.y, numbers, path.sense[:, None])
+    propagator = Propagator(path.mesh, a, path.jumps)
     n, p = len(dynamics.states), len(dynamics.parameters)
     forcing = np.concatenate([b, np.zeros((*b.shape[:3], 2))], axis=3)
     first = np.zeros((n, p + 2))
@@ -44,8 +44,14 @@ def sensitivities(dynamics: Dynamics, numbers: Mapping[str, float], path: Path) 
 
 
 def respond(path: Path, propagator: Propagator, forcing: Array) -> tuple[Array, Array]:
-    """Return the response (nodes, edges) of the states to extra rates (intervals, nodes, n, columns)."""
+    """Return the response (nodes, edges) of the states to extra rates (intervals, nodes, n, columns).
+
+    While friction holds the casing, what pushes it has no effect.
+    """
     first = np.zeros(forcing.shape[2:])
+    if not path.sense.all():
+        forcing = forcing.copy()
+        forcing[path.sense == 0, :, 1] = 0.0
     return _march(path, propagator, forcing, first, {})
 
 
@@ -71,8 +77,8 @@ def _kicks(dynamics: Dynamics, numbers: Mapping[str, float], path: Path, columns
         if not 0 < i < len(path.mesh.edges) - 1 or path.mesh.edges[i] != time:
             continue
         y = path.edges[i]
-        before = dynamics.rates(np.nextafter(time, -np.inf), y, numbers)
-        after = dynamics.rates(np.asarray(time), y, numbers)
+        before = dynamics.rates(np.nextafter(time, -np.inf), y, numbers, path.sense[i - 1])
+        after = dynamics.rates(np.asarray(time), y, numbers, path.sense[i])
         kick = np.zeros((len(y), columns))
         kick[:, dynamics.parameters.index(key)] = before - after
         kicks[i - 1] = kicks.get(i - 1, 0.0) + kick

@@ -1,0 +1,239 @@
+"""The motion of both bodies, through the moments at which the casing stops, is held by friction, or moves on.
+
+Dry friction jumps where the casing's speed passes zero. Between such moments the casing turns in one sense, or
+rests, and the equations are smooth; the moments themselves are found as roots. The casing comes to rest if
+friction would push it back from either sense (A. F. Filippov, Differential Equations with Discontinuous
+Righthand Sides, 1988), and moves on when the other torques overcome friction. A deviation dy of the state just
+before a jump of the rates from f- to f+, on the surface omega_c = 0, is afterwards
+
+    dy+ = dy- - (f- - f+) dy-_c / f-_c        (the saltation matrix).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.errors import SimulationError
+from fitting.model import Dynamics
+from fitting.simulation.collocation import UNBOUNDED, Mesh, Path, Sampler, glide, march, transfer
+
+Array = NDArray[np.float64]
+
+_CASING = 1
+_MAX_EVENTS = 2000
+# a speed so small beside the largest one is rounding, not the other sense
+_NOTHING = 1e-10
+_STOPPED = 1e-11
+
+
+def solve(
+    dynamics: Dynamics,
+    numbers: Mapping[str, float],
+    start: Array,
+    mesh: Mesh,
+    guess: Path | None = None,
+) -> Path:
+    """Integrate the equations of motion.
+
+    Parameters
+    ----------
+    dynamics : Dynamics
+        The equations.
+    numbers : mapping of str to float
+        Parameters by key, and both inertias [kg m2].
+    start : ndarray, shape (states,)
+        State at the first edge.
+    mesh : Mesh
+        Intervals to begin with; they are halved where needed, and cut at the model's breakpoints
+        and where the casing stops, turns back or moves on.
+    guess : Path, optional
+        A solution for numbers near these.
+
+    Returns
+    -------
+    Path
+        Exact to about 1e-9 of the largest value of each state.
+
+    Raises
+    ------
+    SimulationError
+        If Newton's method does not converge or the states leave the finite numbers.
+    """
+    breaks = tuple(numbers[k] for k in dynamics.breakpoints if mesh.edges[0] < numbers[k] < mesh.edges[-1])
+    mesh = mesh.with_breakpoints(breaks)
+    run = _Run(dynamics, numbers, breaks)
+    pieces: list[Path] = []
+    jumps: list[Array] = []
+    y, time = np.asarray(start, dtype=np.float64), float(mesh.edges[0])
+    sense = run.sense_after(time, y, float(np.sign(y[_CASING])))
+    for _ in range(_MAX_EVENTS):
+        rest = mesh.between(time, float(mesh.edges[-1]))
+        piece = run.held(y, rest, guess) if sense == 0 else run.turning(y, rest, sense, guess)
+        pieces.append(piece)
+        time = float(piece.mesh.edges[-1])
+        if time >= mesh.edges[-1]:
+            return _joined(pieces, jumps, breaks)
+        y = piece.edges[-1].copy()
+        if abs(y[_CASING]) > _NOTHING * np.abs(piece.y[..., _CASING]).max():
+            jumps.append(np.eye(len(y)))
+            continue
+        y[_CASING] = 0.0
+        following = run.sense_after(time, y, sense) if sense else run.freed(time, y)
+        jumps.append(run.saltation(time, y, sense, following))
+        sense = following
+    raise SimulationError("the casing stops and starts too often to be followed")
+
+
+@dataclass(frozen=True)
+class _Run:
+    """One integration: equations, numbers, and the times at which a law jumps."""
+
+    dynamics: Dynamics
+    numbers: Mapping[str, float]
+    breaks: Sequence[float]
+
+    def push(self, time: Array | float, y: Array, sense: float) -> Array:
+        """Return the casing's acceleration if it moved in this sense."""
+        with np.errstate(all="ignore"):
+            return np.asarray(
+                self.dynamics.rates(np.asarray(time), y, self.numbers, np.full(y.shape[:-1], sense))[..., _CASING]
+            )
+
+    def sense_after(self, time: float, y: Array, sense: float) -> float:
+        """Return the sense of motion from a moment on; at rest, whether friction holds the casing."""
+        if not self.dynamics.dry:
+            return 1.0
+        if y[_CASING] != 0:
+            return sense
+        onward, back = self.push(time, y, sense or 1.0), self.push(time, y, -(sense or 1.0))
+        if sense == 0 and onward > 0:
+            return 1.0
+        return -(sense or 1.0) if back * -(sense or 1.0) > 0 else 0.0
+
+    def freed(self, time: float, y: Array) -> float:
+        """Return the sense in which a casing moves on that friction no longer holds."""
+        return 1.0 if self.push(time, y, 1.0) > -self.push(time, y, -1.0) else -1.0
+
+    def saltation(self, time: float, y: Array, before: float, after: float) -> Array:
+        """Return what a deviation of the state is multiplied by."""
+        matrix = np.eye(len(y))
+        if before != 0:
+            t = np.asarray(time)
+            first, then = (self.dynamics.rates(t, y, self.numbers, s) for s in (before, after))
+            matrix[:, _CASING] -= (first - then) / first[_CASING]
+        return matrix
+
+    def turning(self, start: Array, mesh: Mesh, sense: float, guess: Path | None) -> Path:
+        """Return the path until the casing comes to rest, or to the end of the mesh."""
+        path = self._rough(start, mesh, sense, guess)
+        if not self.dynamics.dry:
+            return glide(self.dynamics, self.numbers, path)
+        stop = _first_crossing(path)
+        if stop is None:
+            path = glide(self.dynamics, self.numbers, path)
+            stop = _first_crossing(path)
+            if stop is None:
+                return path
+        return self._until_rest(path, mesh, stop)
+
+    def _rough(self, start: Array, mesh: Mesh, sense: float, guess: Path | None) -> Path:
+        if guess is not None:
+            try:
+                first = transfer(guess, mesh, start, sense)
+                return glide(self.dynamics, self.numbers, first, refined=False)
+            except SimulationError:
+                pass
+        first = march(self.dynamics, self.numbers, start, mesh, sense)
+        return glide(self.dynamics, self.numbers, first, refined=False)
+
+    def _until_rest(self, path: Path, mesh: Mesh, stop: float) -> Path:
+        sense, first = float(path.sense[0]), float(mesh.edges[0])
+        for _ in range(40):
+            part = Mesh(path.mesh.edges[:-1]).between(first, stop)
+            path = glide(self.dynamics, self.numbers, transfer(path, part, path.edges[0], sense))
+            y = path.edges[-1]
+            earlier = _first_crossing(path)
+            if earlier is not None and earlier < stop - 1e-6 * (stop - first):
+                stop = earlier
+                continue
+            rate = float(self.dynamics.rates(np.asarray(stop), y, self.numbers, sense)[_CASING])
+            move = -float(y[_CASING]) / rate if rate else np.inf
+            if not np.isfinite(move):
+                break
+            if abs(y[_CASING]) <= _STOPPED * np.abs(path.y[..., _CASING]).max() or abs(move) < 1e-13 * stop:
+                return path
+            if stop + move > mesh.edges[-1]:
+                # it only nearly comes to rest
+                return glide(self.dynamics, self.numbers, transfer(path, mesh, path.edges[0], sense))
+            stop = max(stop + move, first + 0.5 * (stop - first))
+        raise SimulationError(UNBOUNDED)
+
+    def held(self, start: Array, mesh: Mesh, guess: Path | None) -> Path:
+        """Return the path until friction no longer holds the casing, or to the end of the mesh."""
+        path = self._rough(start, mesh, 0.0, None if guess is None else _at_rest(guess))
+        path = glide(self.dynamics, self.numbers, path)
+        time = self._release(path)
+        if time is None:
+            return path
+        part = path.mesh.between(float(mesh.edges[0]), time)
+        return glide(self.dynamics, self.numbers, transfer(path, part, path.edges[0], 0.0))
+
+    def _release(self, path: Path) -> float | None:
+        from scipy.optimize import brentq
+
+        edges = path.mesh.edges
+        times = np.sort(np.concatenate([path.mesh.times.ravel(), edges[1:], np.nextafter(edges[1:], -np.inf)]))
+        y = Sampler(path.mesh, times).value(path.y)
+        excess = np.maximum(self.push(times, y, 1.0), -self.push(times, y, -1.0))
+        free = np.flatnonzero(excess > 0)
+        if not len(free):
+            return None
+        i = int(free[0])
+
+        def overcome(t: float) -> float:
+            state = Sampler(path.mesh, np.array([t])).value(path.y)
+            return float(np.maximum(self.push(np.array([t]), state, 1.0), -self.push(np.array([t]), state, -1.0))[0])
+
+        begin = times[i - 1] if i else edges[0]
+        time = float(brentq(overcome, begin, times[i], xtol=1e-12)) if overcome(begin) < 0 else begin
+        near = [b for b in self.breaks if abs(b - time) < 1e-9 * edges[-1]]
+        return near[0] if near else time
+
+
+def _at_rest(path: Path) -> Path:
+    y, edges = path.y.copy(), path.edges.copy()
+    y[..., _CASING] = edges[:, _CASING] = 0.0
+    return replace(path, y=y, edges=edges)
+
+
+def _first_crossing(path: Path) -> float | None:
+    """Return the time at which the casing first turns against the sense of the path, nearly."""
+    times = np.concatenate([path.mesh.times, path.mesh.edges[1:, None]], axis=1).ravel()
+    speed = np.concatenate([path.y[..., _CASING], path.edges[1:, None, _CASING]], axis=1).ravel() * path.sense[0]
+    against = np.flatnonzero(speed < -_NOTHING * np.abs(speed).max())
+    if not len(against):
+        return None
+    i = int(against[0])
+    before, t = (speed[i - 1], times[i - 1]) if i else (abs(path.edges[0, _CASING]), path.mesh.edges[0])
+    share = max(before, 0.0) / (max(before, 0.0) - speed[i])
+    return float(t + share * (times[i] - t))
+
+
+def _joined(pieces: list[Path], jumps: list[Array], breaks: tuple[float, ...]) -> Path:
+    if len(pieces) == 1:
+        return replace(pieces[0], kinks=breaks)
+    ends = np.cumsum([len(p.y) for p in pieces])[:-1]
+    events = tuple(float(p.mesh.edges[-1]) for p in pieces[:-1])
+    return Path(
+        Mesh(np.concatenate([pieces[0].mesh.edges, *(p.mesh.edges[1:] for p in pieces[1:])])),
+        np.concatenate([p.y for p in pieces]),
+        np.concatenate([pieces[0].edges, *(p.edges[1:] for p in pieces[1:])]),
+        pieces[0].states,
+        np.concatenate([p.sense for p in pieces]),
+        tuple(sorted({*breaks, *events})),
+        dict(zip(ends.tolist(), jumps, strict=True)),
+    )
