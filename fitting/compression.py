@@ -170,11 +170,11 @@ def _independent_harmonics(y: Array, polynomials: Array) -> Array:
     """Return cos y, sin y, cos 2y, sin 2y, with zeros for those that are nearly polynomials here.
 
     In less than a turn a harmonic says nothing of its own; what is left of it beside the polynomials would
-    be the noise of y itself, which must not be taken for a signal.
+    be the noise of y itself, which must not be taken for a signal. Of a casing at rest nothing else is left.
     """
     waves = np.stack([np.cos(y), np.sin(y), np.cos(2 * y), np.sin(2 * y)], axis=1)
     r = np.abs(np.diag(np.linalg.qr(np.concatenate([polynomials, waves], axis=1), mode="r")))
-    keep = r[polynomials.shape[1] :] > _MIN_INDEPENDENCE * np.linalg.norm(waves, axis=0)
+    keep = r[polynomials.shape[1] :] > _MIN_INDEPENDENCE * np.sqrt(len(y) / 2)
     return np.asarray(np.where(keep, waves, 0.0))
 
 

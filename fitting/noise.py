@@ -42,6 +42,7 @@ _SIGNIFICANT = 8.0
 _OUTLIER = 14.0
 _MAX_OUTLIERS = 3
 _FEWEST = 5
+_ROUNDING = 1e-20
 
 
 @dataclass(frozen=True)
@@ -252,7 +253,9 @@ def remaining_level(whitener: Whitener, residual: Array, free: Array, least: flo
     columns = np.concatenate([free[:, size > 0] / size[size > 0], residual[:, None]], axis=1)
     rotated = np.concatenate([whitener.vectors.T @ columns[:m], columns[m:]])
     values = np.concatenate([whitener.values, np.zeros(len(residual) - m)])
-    unit = 1 / np.sqrt(np.median(whitener.values[whitener.values > 0]) + 1e-300)
+    # rows of a casing that is held answer to no torque
+    answering = whitener.values > _ROUNDING * whitener.values.max(initial=0.0)
+    unit = 1 / np.sqrt(np.median(whitener.values[answering]) + 1e-300) if answering.any() else 0.0
     levels = np.concatenate([[least], (_LEVELS * unit)[_LEVELS * unit > least]])
     deviances = [_deviance(rotated, 1 + s**2 * values) for s in levels]
     best = int(np.argmin(deviances))

@@ -48,7 +48,9 @@ def _rotor_curve(windows: Array, times: Array) -> Array:
         clipped = np.clip(times, t[0], t[-1])
         edge = np.where(times < t[0], slope[0], slope[-1])
         curve = _hermite(t, speed, slope, clipped) + edge * (times - clipped)
-    return np.asarray(np.maximum(curve, 0.05 * np.abs(speed).min()))
+    # the rotor keeps its sense
+    sense = 1.0 if speed.mean() >= 0 else -1.0
+    return np.asarray(sense * np.maximum(sense * curve, 0.05 * np.abs(speed).min()))
 
 
 def _hermite(t: Array, value: Array, slope: Array, times: Array) -> Array:

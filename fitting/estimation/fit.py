@@ -151,6 +151,7 @@ def fit(
         problem.set_noise([n.whitener for n in noise])
         _, theta = _minimise(problem, theta, quick=quick)
         noise = measure_noise(problem, theta)
+        theta, noise = _tight(problem, theta, noise)
     elif not set(layout.names) <= set(start or ()):
         # far from the minimum a model fails by far more than the noise, and a valley seen so sharply is hard to follow
         problem.set_noise(cautious(problem, theta, noise))
@@ -162,6 +163,27 @@ def fit(
     problem.set_noise([n.whitener for n in noise])
     minimum, theta = _minimise(problem, theta, quick=quick)
     return summarise(problem, theta, noise, converged=minimum.converged)
+
+
+def _tight(problem: Problem, theta: Array, noise: tuple[Noise, ...]) -> tuple[Array, tuple[Noise, ...]]:
+    """Return variables and noise, found anew with no more noise than the data has, if that describes it better.
+
+    What noise does to a casing that is held is told from the fitted path. About a path that stops at a wrong time it
+    may hold the fit there.
+    """
+    held = any((p.path.sense == 0).any() for p in problem.predict(theta))
+    if not held or all(n.level <= n.pure for n in noise):
+        return theta, noise
+    problem.set_noise([n.whitener.at(n.pure) for n in noise])
+    _, other = _minimise(problem, theta)
+    ends = [(theta, noise), (other, measure_noise(problem, other))]
+    return min(ends, key=lambda end: _deviance(problem, *end))
+
+
+def _deviance(problem: Problem, theta: Array, noise: Sequence[Noise]) -> float:
+    problem.set_noise([n.whitener for n in noise])
+    r, _ = problem.residuals(problem.predict(theta))
+    return float(r @ r) + sum(n.whitener.log_determinant for n in noise)
 
 
 def _start(layout: Layout, problem: Problem, given: Mapping[str, float] | None) -> Array:

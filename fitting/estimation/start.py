@@ -22,6 +22,8 @@ from fitting.model import INERTIA_CASING, INERTIA_ROTOR, Dynamics
 Array = NDArray[np.float64]
 
 _FIRST_SHARE = 0.1
+# a casing slower than this share of its largest speed is taken to stand still, for start values
+_AT_REST = 0.01
 
 
 def start_values(layout: Layout, reference: float, rough: Sequence[tuple[Array, Array]]) -> Array:
@@ -89,10 +91,13 @@ def _regress(layout: Layout, case: int, times: Array, speeds: Array, theta: Arra
         )
     middle = 0.5 * (rates[1:] + rates[:-1]) * np.diff(times)[:, None, None]
     integrals = np.concatenate([np.zeros((1, 2, len(linear))), np.cumsum(middle, axis=0)])
+    # while friction holds the casing its torque is what it has to be, and says nothing
+    seen = [np.ones(len(times), dtype=bool), _turning(speeds[:, 1])]
     blocks = [
-        np.concatenate([integrals[:, i], _start_column(len(times), i)], axis=1) * weight[i] for i in (0, 1)
+        np.concatenate([integrals[:, i], _start_column(len(times), i)], axis=1)[seen[i]] * weight[i]
+        for i in (0, 1)
     ]
-    target = np.concatenate([speeds[:, 0] * weight[0], speeds[:, 1] * weight[1]])
+    target = np.concatenate([speeds[seen[i], i] * weight[i] for i in (0, 1)])
     design = np.concatenate(blocks)
     size = np.linalg.norm(design, axis=0)
     size[size == 0] = 1.0
@@ -104,6 +109,18 @@ def _regress(layout: Layout, case: int, times: Array, speeds: Array, theta: Arra
     )
     values = solution.x / size * np.linalg.norm(target)
     return linear, values[: len(linear)]
+
+
+def _turning(omega_c: Array) -> NDArray[np.bool_]:
+    """Return the longest stretch in which the casing does not rest."""
+    slow = np.abs(omega_c) < _AT_REST * np.abs(omega_c).max(initial=0.0)
+    ends = np.flatnonzero(np.diff(np.concatenate([[True], slow, [True]]).astype(int)))
+    if not len(ends):
+        return np.ones(len(omega_c), dtype=bool)
+    start, stop = max(zip(ends[::2], ends[1::2], strict=True), key=lambda pair: pair[1] - pair[0])
+    inside = np.zeros(len(omega_c), dtype=bool)
+    inside[start:stop] = True
+    return inside
 
 
 def _start_column(n: int, body: int) -> Array:

@@ -156,9 +156,7 @@ class Sampler:
         return np.asarray(starts[self.index] + np.einsum("tk,tk...->t...", self._integral, nodes[self.index]))
 
 
-def glide(
-    dynamics: Dynamics, numbers: Mapping[str, float], first: Path, *, refined: bool = True
-) -> Path:
+def glide(dynamics: Dynamics, numbers: Mapping[str, float], first: Path, *, refined: bool = True) -> Path:
     """Solve the equations of motion for one sense of the casing's motion, from a guess near enough.
 
     Parameters
@@ -285,9 +283,7 @@ def transfer(guess: Path, mesh: Mesh, start: Array, sense: float) -> Path:
     return Path(mesh, y, edges, guess.states, np.full(len(y), sense))
 
 
-def march(
-    dynamics: Dynamics, numbers: Mapping[str, float], start: Array, mesh: Mesh, sense: float
-) -> Path:
+def march(dynamics: Dynamics, numbers: Mapping[str, float], start: Array, mesh: Mesh, sense: float) -> Path:
     """Return a rough solution by classical Runge-Kutta steps: a first guess for Newton's method.
 
     It ends with the interval in which the casing comes to rest.

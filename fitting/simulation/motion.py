@@ -100,7 +100,9 @@ class _Run:
         """Return the casing's acceleration if it moved in this sense."""
         with np.errstate(all="ignore"):
             return np.asarray(
-                self.dynamics.rates(np.asarray(time), y, self.numbers, np.full(y.shape[:-1], sense))[..., _CASING]
+                self.dynamics.rates(np.asarray(time), y, self.numbers, np.full(y.shape[:-1], sense))[
+                    ..., _CASING
+                ]
             )
 
     def sense_after(self, time: float, y: Array, sense: float) -> float:
@@ -183,20 +185,24 @@ class _Run:
         return glide(self.dynamics, self.numbers, transfer(path, part, path.edges[0], 0.0))
 
     def _release(self, path: Path) -> float | None:
-        from scipy.optimize import brentq
-
         edges = path.mesh.edges
-        times = np.sort(np.concatenate([path.mesh.times.ravel(), edges[1:], np.nextafter(edges[1:], -np.inf)]))
+        times = np.sort(
+            np.concatenate([path.mesh.times.ravel(), edges[1:], np.nextafter(edges[1:], -np.inf)])
+        )
         y = Sampler(path.mesh, times).value(path.y)
         excess = np.maximum(self.push(times, y, 1.0), -self.push(times, y, -1.0))
         free = np.flatnonzero(excess > 0)
         if not len(free):
             return None
+        from scipy.optimize import brentq
+
         i = int(free[0])
 
         def overcome(t: float) -> float:
             state = Sampler(path.mesh, np.array([t])).value(path.y)
-            return float(np.maximum(self.push(np.array([t]), state, 1.0), -self.push(np.array([t]), state, -1.0))[0])
+            return float(
+                np.maximum(self.push(np.array([t]), state, 1.0), -self.push(np.array([t]), state, -1.0))[0]
+            )
 
         begin = times[i - 1] if i else edges[0]
         time = float(brentq(overcome, begin, times[i], xtol=1e-12)) if overcome(begin) < 0 else begin
@@ -213,7 +219,9 @@ def _at_rest(path: Path) -> Path:
 def _first_crossing(path: Path) -> float | None:
     """Return the time at which the casing first turns against the sense of the path, nearly."""
     times = np.concatenate([path.mesh.times, path.mesh.edges[1:, None]], axis=1).ravel()
-    speed = np.concatenate([path.y[..., _CASING], path.edges[1:, None, _CASING]], axis=1).ravel() * path.sense[0]
+    speed = (
+        np.concatenate([path.y[..., _CASING], path.edges[1:, None, _CASING]], axis=1).ravel() * path.sense[0]
+    )
     against = np.flatnonzero(speed < -_NOTHING * np.abs(speed).max())
     if not len(against):
         return None

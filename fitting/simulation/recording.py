@@ -72,7 +72,7 @@ def simulate_path(
     Raises
     ------
     SimulationError
-        If the motion has no bounded solution, or the casing comes to rest.
+        If the motion has no bounded solution.
     """
     angles = bool(model.rippling)
     dynamics = Dynamics(model, angles=angles)
@@ -81,13 +81,8 @@ def simulate_path(
     )
     smooth = Dynamics(model.smooth)
     path = solve(smooth, numbers, first[: len(smooth.states)], Mesh.uniform(0.0, experiment.duration, 12))
-    speed = path.y[..., 1]
-    if (speed * np.sign(experiment.omega_casing) <= 0).any():
-        raise SimulationError(
-            "the casing comes to rest within the recording", "record for a shorter time or take less friction"
-        )
     if angles:
-        turns = float(np.abs(path.angle("omega_c")[0][-1])) / (2 * np.pi)
+        turns = float(np.ptp(path.angle("omega_c")[0])) / (2 * np.pi)
         path = solve(
             dynamics, numbers, first, Mesh.uniform(0.0, experiment.duration, int(20 + turns / _PER_TURN))
         )

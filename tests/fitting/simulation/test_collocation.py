@@ -146,11 +146,3 @@ def test_motion_without_bound_is_an_error_and_no_crash():
     p = PAPER | {"casing.air.quadratic.k": -1e-5}
     with pytest.raises(SimulationError):
         path_of(p)
-
-
-def test_a_casing_that_comes_to_rest_is_an_error_and_no_crash():
-    """Dry friction stops the casing within the record: then sign(omega_c) has no solution of this kind."""
-    p = PAPER | {"touchpoint.constant.b1": 2e-4}
-    with pytest.raises(SimulationError) as caught:
-        path_of(p)
-    assert caught.value.message
