@@ -25,6 +25,11 @@ class Child:
     def __init__(self) -> None:
         self._process: subprocess.Popen[str] | None = None
 
+    @property
+    def pid(self) -> int | None:
+        """The process's number, while there is one."""
+        return self._process.pid if self._process is not None else None
+
     def run(self, words: Sequence[str], timeout: float | None = None) -> dict[str, Any]:
         """Run one command.
 

@@ -1,0 +1,162 @@
+"""kill -9 at random moments of extract, sync, fit and batch: nothing half-written, nothing lost, and it goes on.
+
+    python benchmarks/robustness/kill.py --work /tmp/robust --count 50
+
+`--count` moments for each of the four. An earlier output is there each time; after each kill every output must
+be either the earlier one, byte for byte, or a new one that is sound; then the same command must complete.
+"""
+
+import argparse
+import hashlib
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+from common import ROOT, ensure, films, gyrotrack, report
+
+from gyrotrack.dataset.inspection import inspect_file
+
+
+def sound(path):
+    """Tell whether a file of ours can be read to its last byte."""
+    if path.suffix == ".h5":
+        return not inspect_file(path, verify=True).problems
+    if path.suffix == ".json":
+        return bool(json.loads(path.read_text()))
+    return path.name.endswith((".lock", ".jsonl", ".unfinished", ".csv", ".html"))
+
+
+def states(folder):
+    """Return the hash of each output; what is on its way (``.part``, ``.unfinished``) is no output."""
+    return {
+        p: hashlib.sha256(p.read_bytes()).hexdigest()
+        for p in sorted(folder.rglob("*"))
+        if p.is_file() and not p.name.endswith((".part", ".unfinished", ".lock"))
+    }
+
+
+def begin(words):
+    """Start a command, in a process group of its own."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "gyrotrack", *map(str, words)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        cwd=ROOT,
+        start_new_session=True,
+    )
+
+
+def finish(words):
+    """Run a command to its end; return its exit code."""
+    return begin(words).wait()
+
+
+def trial(verb, words, folder, moment, rung_count):
+    """Kill once; return what became of the outputs, and what was wrong."""
+    before = states(folder)
+    process = begin(words)
+    try:
+        process.wait(timeout=moment)
+        landed = "ended before"
+    except subprocess.TimeoutExpired:
+        os.kill(process.pid, signal.SIGKILL)
+        process.wait()
+        landed = "killed"
+    time.sleep(0.1 if verb == "batch" else 0.0)  # its workers end with it
+    wrong = []
+    after = states(folder)
+    for path, old in before.items():
+        if path not in after:
+            wrong.append(f"{path.name} was lost")
+        elif after[path] != old and not sound(path):
+            wrong.append(f"{path.name} is not sound")
+    wrong += [f"{p.name} is not sound" for p in after if p not in before and not sound(p)]
+    if verb == "fit":
+        count = rung_count(folder)
+        if count < rung_count.before:
+            wrong.append("an earlier fit was lost")
+    code = finish(words)
+    if code not in {0, 3}:
+        wrong.append(f"the next run ended with {code}")
+    wrong += [f"{p.name} is not sound after the next run" for p in states(folder) if not sound(p)]
+    left = [p.name for p in folder.rglob("*") if p.name.endswith((".part", ".unfinished"))]
+    wrong += [f"{name} was left behind" for name in left]
+    return landed, wrong
+
+
+def rungs(folder):
+    """Return how many fits the ledger holds."""
+    return len(json.loads((folder / "run.fits.json").read_text())["fits"])
+
+
+def main():
+    """Run and report."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--work", type=Path, required=True)
+    parser.add_argument("--count", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=1)
+    asked = parser.parse_args()
+    began = time.monotonic()
+    clips = films(asked.work)
+    chance = random.Random(asked.seed)  # noqa: S311 - moments, not secrets
+    place = asked.work / "kill"
+    shutil.rmtree(place, ignore_errors=True)
+    jobs = {}
+    for verb in ("extract", "sync", "fit", "batch"):
+        (place / verb).mkdir(parents=True)
+    sources = place / "sources"
+    sources.mkdir()
+    for name, fps in (("casing", "260"), ("rotor_1", "500")):
+        code, said = gyrotrack(
+            "extract", clips / f"{name}.mp4", "--capture-fps", fps, "-o", sources / f"{name}.h5"
+        )
+        ensure(code == 0, str(said))
+    shutil.copy(sources / "rotor_1.h5", place / "extract" / "r.h5")
+    film = clips / "rotor_1.mp4"
+    jobs["extract"] = [
+        "extract",
+        film,
+        "--capture-fps",
+        "500",
+        "-o",
+        place / "extract/r.h5",
+        "--force",
+        "--resume",
+    ]
+    both = [sources / "casing.h5", sources / "rotor_1.h5"]
+    jobs["sync"] = ["sync", *both, "-o", place / "sync/c.h5", "--force"]
+    shutil.copy(asked.work / "run.h5", place / "fit" / "run.h5")
+    jobs["fit"] = ["fit", place / "fit/run.h5", "--model", "reduced"]
+    few = place / "few"
+    few.mkdir()
+    shutil.copy(film, few / "a_500fps.mp4")
+    shutil.copy(clips / "rotor_2.mp4", few / "b_500fps.mp4")
+    jobs["batch"] = ["batch", few, "-o", place / "batch", "--until", "extract", "--workers", "2"]
+    counts, bad, took = {}, [], {}
+    for verb, words in jobs.items():
+        start = time.monotonic()
+        ensure(finish(words) == 0, verb)
+        took[verb] = time.monotonic() - start
+        landed = Counter()
+        for number in range(asked.count):
+            folder = place / verb
+            if verb == "batch":  # something to do each time, and something done before
+                (folder / "b_500fps" / "b_500fps.h5").unlink()
+            rungs.before = rungs(folder) if verb == "fit" else 0
+            how, wrong = trial(verb, words, folder, chance.uniform(0.0, took[verb]), rungs)
+            landed[how] += 1
+            bad += [(verb, number, w) for w in wrong]
+        counts[verb] = dict(landed)
+    killed = sum(c.get("killed", 0) for c in counts.values())
+    report("kill -9", began, kills=killed, moments=counts, failures=len(bad), first_failures=bad[:10])
+
+
+if __name__ == "__main__":
+    main()

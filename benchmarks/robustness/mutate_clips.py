@@ -1,0 +1,99 @@
+"""Mutated films through `extract`: no crash, no hang, no memory, each a sentence or a sound result.
+
+python benchmarks/robustness/mutate_clips.py --work /tmp/robust --count 1000
+"""
+
+import argparse
+import importlib.util
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+from common import ROOT, report
+from mutations import mutate
+
+from gyrotrack.batch.child import Child
+from gyrotrack.dataset.inspection import inspect_file
+
+LIMIT_S = 30.0
+LIMIT_MB = 1000.0
+
+
+def base_films(work):
+    """Films of 60 frames in four containers and three codecs, by the tests' own renderer."""
+    spec = importlib.util.spec_from_file_location("foreign_film", ROOT / "tests/gyrotrack/foreign_film.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["foreign_film"] = module
+    spec.loader.exec_module(module)
+    work.mkdir(parents=True, exist_ok=True)
+    made = []
+    for suffix in (".mp4", ".mkv", ".mov", ".avi"):
+        path = work / f"base{suffix}"
+        if not path.exists():
+            film = module.Film(
+                width=240,
+                height=180,
+                radius=80.0,
+                frames=60,
+                casing=lambda t: 60.0 * t,
+                rotor=lambda t: 300.0 * t,
+            )
+            module.render(film, path)
+        made.append(path)
+    return made
+
+
+def peak_mb(child):
+    """Return the largest resident memory that a worker had so far."""
+    status = Path(f"/proc/{child.pid}/status").read_text()
+    return float(status.split("VmHWM:")[1].split()[0]) / 1000
+
+
+def main():
+    """Run and report."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--work", type=Path, required=True)
+    parser.add_argument("--count", type=int, default=1000)
+    asked = parser.parse_args()
+    began = time.monotonic()
+    bases = [(p.suffix, p.read_bytes()) for p in base_films(asked.work)]
+    outcomes, bad, slowest, largest, child = Counter(), [], 0.0, 0.0, Child()
+    for seed in range(asked.count):
+        suffix, content = bases[(seed // 5) % len(bases)]
+        kind, data = mutate(content, seed)
+        film, output = asked.work / f"mutated{suffix}", asked.work / "mutated.h5"
+        film.write_bytes(data)
+        output.unlink(missing_ok=True)
+        start = time.monotonic()
+        answer = child.run(["extract", str(film), "--capture-fps", "260", "-o", str(output)], LIMIT_S)
+        slowest = max(slowest, time.monotonic() - start)
+        error = answer["document"].get("error")
+        if error is None:
+            problems = inspect_file(output, verify=True).problems
+            outcomes["sound result" if not problems else "unsound result"] += 1
+            if problems:
+                bad.append((seed, suffix, kind, problems[0]))
+        else:
+            outcomes[f"sentence ({error['code']})"] += 1
+            if error["code"] in {"crash", "timeout", "bug"} or output.exists():
+                bad.append((seed, suffix, kind, error["message"]))
+        if child.pid is not None:
+            largest = max(largest, peak_mb(child))
+            if largest > LIMIT_MB or seed % 100 == 99:
+                child.close()
+    child.close()
+    report(
+        "mutated clips",
+        began,
+        count=asked.count,
+        outcomes=dict(outcomes),
+        failures=len(bad),
+        first_failures=bad[:10],
+        slowest_s=round(slowest, 2),
+        peak_mb=round(largest),
+    )
+
+
+if __name__ == "__main__":
+    main()
