@@ -22,6 +22,8 @@ Quantity = Literal["angle", "omega"]
 FORMAT = "gyrotrack"
 MAJOR = 1
 _MAX_SAMPLES = 50_000_000
+# deflate cannot do better than 1032 : 1; chunks are padded
+_INFLATION, _SLACK = 1100, 2**22
 # an angle tells a speed only over several samples; a measured speed tells it at once
 _FEWEST: dict[str, int] = {"angle": 8, "omega": 1}
 
@@ -223,8 +225,12 @@ def _column(path: Path, file: Any, group: str, name: str) -> Array:
         raise RecordError(f"{path}: {group}/{name} holds no real numbers")
     if data.size != file[f"{group}/time"].size:
         raise RecordError(f"{path}: {group}/{name} and {group}/time have different lengths")
-    if data.size > _MAX_SAMPLES:
+    if data.size > _MAX_SAMPLES or data.nbytes > data.id.get_storage_size() * _INFLATION + _SLACK:
         raise RecordError(f"{path}: {group}/{name} claims {data.size} samples")
+    plist = data.id.get_create_plist()
+    filters = {plist.get_filter(i)[0] for i in range(plist.get_nfilters())}
+    if not filters <= {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}:
+        raise RecordError(f"{path}: {group}/{name} is packed in an unknown way", "write it with gzip")
     return np.asarray(data[()], dtype=float)
 
 

@@ -22,8 +22,9 @@ from gyrotrack.cli.options import (
     Verbose,
 )
 from gyrotrack.cli.output import Output
+from gyrotrack.errors import UsageError
 
-_TABLE = "Table with a header: t,angle[,sigma] or t,omega[,sigma]"
+_TABLE = "Table with a header, t,angle[,sigma] or t,omega[,sigma], or points"
 
 
 def command(
@@ -33,6 +34,38 @@ def command(
         list[Path], typer.Option("--rotor", metavar="CSV", help="The same; give it once per window.")
     ],
     output: OutputFile,
+    columns: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--column", metavar="OURS=THEIRS", help="What a column means: t=Zeit, 'angle=phi [deg]'."
+        ),
+    ] = None,
+    marker: Annotated[
+        str | None, typer.Option("--marker", metavar="NAME", help="The point to follow, in files of points.")
+    ] = None,
+    centre: Annotated[
+        str | None,
+        typer.Option(
+            "--centre", metavar="C", help="What it goes about: a point, a place as 320,240, or orbit."
+        ),
+    ] = None,
+    likelihood: Annotated[
+        float,
+        typer.Option("--likelihood", metavar="P", help="Leave out points that are less sure than this."),
+    ] = 0.6,
+    casing_fps: Annotated[
+        float | None,
+        typer.Option("--casing-fps", metavar="N", help="Rate of points that are counted by frame."),
+    ] = None,
+    rotor_fps: Annotated[
+        float | None, typer.Option("--rotor-fps", metavar="N", help="The same of the rotor's.")
+    ] = None,
+    rotor_start: Annotated[
+        list[float] | None,
+        typer.Option(
+            "--rotor-start", metavar="T", help="When a rotor file of points starts [s]; once per file."
+        ),
+    ] = None,
     label: Label = None,
     surface: Surface = "",
     inertia_rotor: InertiaRotor = I_ROTOR,
@@ -42,19 +75,28 @@ def command(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Make a case from tables of angles or speeds (CSV).
+    """Make a case from tables of angles or speeds (CSV), or from points that another program followed.
 
     Times in s, all on one clock; angles in rad, wrapped or not. Other units are taken if the header names
-    them, as in `angle [deg]`. Without a sigma column the noise is estimated from the scatter.
+    them, as in `angle [deg]`. Without a sigma column the noise is estimated from the scatter. Points are
+    read from OSP Tracker (text), DeepLabCut and SLEAP (CSV or HDF5).
 
     Example: gyrotrack import --casing casing.csv --rotor r1.csv --rotor r2.csv -o case1.h5
     """
     from gyrotrack.dataset import write_case
     from gyrotrack.dataset.writing import refuse_existing
-    from gyrotrack.importing import import_case, summary
+    from gyrotrack.importing import Wanted, import_case, read_names, summary
 
     out = Output(as_json=as_json, quiet=quiet, verbose=verbose)
     refuse_existing(output, force=force)
+    starts = rotor_start or [0.0] * len(rotor)
+    if len(starts) != len(rotor):
+        raise UsageError(
+            f"There are {len(rotor)} files of the rotor but {len(starts)} starts.",
+            "Give --rotor-start once per file.",
+        )
+    points = [Wanted(marker, centre, casing_fps, 0.0, likelihood)]
+    points += [Wanted(marker, centre, rotor_fps, start, likelihood) for start in starts]
     case = import_case(
         casing,
         rotor,
@@ -62,6 +104,8 @@ def command(
         surface=surface,
         I_rotor=inertia_rotor,
         I_casing=inertia_casing,
+        names=read_names(columns or ()),
+        wanted=points,
     )
     settings = {"casing": casing, "rotor": rotor, **case.extra}
     write_case(output, case, command=command_line(), settings=settings, force=force)

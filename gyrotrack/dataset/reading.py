@@ -15,6 +15,7 @@ import h5py
 
 from gyrotrack.dataset import layout
 from gyrotrack.dataset.case import load_case
+from gyrotrack.dataset.guard import guarded
 from gyrotrack.dataset.recording import load_json, load_recording
 from gyrotrack.dataset.records import Case, Recording
 from gyrotrack.dataset.tables import attribute
@@ -91,6 +92,7 @@ def open_dataset(path: Path, kind: str | None = None) -> Iterator[Any]:
     try:
         with file:
             _check_root(file, path, kind)
+            guarded(file)
             yield file
     except (OSError, RuntimeError, KeyError, ValueError, UnicodeError, MemoryError) as error:
         raise DatasetError(f"{path} is damaged: {_first_line(error)}.", _MAKE_AGAIN) from error

@@ -13,14 +13,11 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack.dataset.guard import check_bytes, own_member, place
 from gyrotrack.dataset.layout import ATTRIBUTE_UNITS, LENGTH_ONLY, Field, Table
 from gyrotrack.errors import DatasetError
 
 CHUNK = 8192  # values along the first dimension: 64 kB a column, whole short clips in one chunk
-MAX_VALUES = 2**28
-MAX_INFLATION = 1100  # deflate cannot do better than 1032 : 1
-SLACK = 2**22  # bytes that a small dataset may claim beyond that (chunks are padded)
-KNOWN_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
 DIMENSION_WITHOUT_VALUES = "This is a netCDF dimension but not a netCDF variable."
 
 
@@ -92,15 +89,11 @@ def read_table(group: Any, table: Table) -> dict[str, npt.NDArray[Any]]:
 
 
 def child(group: Any, name: str) -> Any:
-    """Return a direct member of `group`, refusing links that lead out of the file or to another name."""
+    """Return a direct member of `group`; it must be there, and be no link to elsewhere."""
     link = group.get(name, getlink=True) if name in group.keys() else None  # noqa: SIM118 - `in group` follows links
     if link is None:
         raise DatasetError(f"{place(group)} lacks '{name}'.", "The file is not complete; make it again.")
-    if not isinstance(link, h5py.HardLink):
-        raise DatasetError(
-            f"{place(group)} holds '{name}' as a link to somewhere else.", "Such links are not followed."
-        )
-    return group[name]
+    return own_member(group, name)
 
 
 def child_group(group: Any, name: str) -> Any:
@@ -115,26 +108,11 @@ def check_storage(dataset: Any) -> None:
     """Refuse a dataset whose bytes lie in another file, or that claims more than its bytes can hold."""
     if not isinstance(dataset, h5py.Dataset):
         raise DatasetError(f"{place(dataset)} is not a dataset.", "The file is not in this layout.")
-    if dataset.is_virtual or dataset.external:
-        raise DatasetError(f"{place(dataset)} takes its numbers from another file.", "That is not followed.")
     if dataset.shape is None or dataset.dtype.kind not in "iuf" or dataset.dtype.itemsize > 16:
         raise DatasetError(
             f"{place(dataset)} does not hold plain numbers.", "The file is not in this layout."
         )
-    plist = dataset.id.get_create_plist()
-    filters = {plist.get_filter(i)[0] for i in range(plist.get_nfilters())}
-    if not filters <= KNOWN_FILTERS:
-        raise DatasetError(
-            f"{place(dataset)} is packed in an unknown way.", "Write it with gzip or unpacked."
-        )
-    claimed = int(np.prod([int(n) for n in dataset.shape], dtype=object)) * dataset.dtype.itemsize
-    stored = int(dataset.id.get_storage_size())
-    chunk = int(np.prod(dataset.chunks or (0,), dtype=object)) * dataset.dtype.itemsize
-    if claimed > 8 * MAX_VALUES or max(claimed, chunk) > stored * MAX_INFLATION + SLACK:
-        raise DatasetError(
-            f"{place(dataset)} claims {claimed:,} bytes but holds {stored:,}.",
-            "The file is damaged or forged.",
-        )
+    check_bytes(dataset)
 
 
 def _check_shape(dataset: Any, f: Field, length: int | None) -> None:
@@ -200,8 +178,3 @@ def _as_kind(value: Any, kind: type[Any]) -> Any:
 
 
 _KIND_WORDS: dict[type[Any], str] = {int: "whole number", float: "number", str: "text"}
-
-
-def place(item: Any) -> str:
-    """Name the file and the place in it, for a message."""
-    return f"{item.file.filename}:{item.name}"

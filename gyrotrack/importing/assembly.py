@@ -13,6 +13,8 @@ import numpy.typing as npt
 from gyrotrack.angles import angular_velocity
 from gyrotrack.dataset.records import Case, Floats, Series
 from gyrotrack.errors import DatasetError, UsageError
+from gyrotrack.importing.header import Names
+from gyrotrack.importing.points import Wanted
 from gyrotrack.importing.scatter import scatter
 from gyrotrack.importing.table import Table, read_table
 from gyrotrack.importing.unwrapping import TURN, is_wrapped, pieces, unwrap
@@ -41,6 +43,8 @@ def import_case(
     surface: str = "",
     I_rotor: float = I_ROTOR,
     I_casing: float = I_CASING,
+    names: Names | None = None,
+    wanted: Sequence[Wanted] = (),
 ) -> Case:
     """Read tables of one experiment, all on one clock, and make a case of them.
 
@@ -54,6 +58,10 @@ def import_case(
         Name of the case, and what the casing turned on.
     I_rotor, I_casing : float
         Moments of inertia [kg m2]; the paper's by default.
+    names : mapping, optional
+        What the columns of the tables mean, as `header.read_names` makes it.
+    wanted : sequence of Wanted, optional
+        How points become an angle: of the casing, then of each rotor table.
 
     Returns
     -------
@@ -72,7 +80,8 @@ def import_case(
         raise UsageError("A moment of inertia must be positive.", "Give it in kg m2, such as 5.54e-5.")
     if not rotors:
         raise UsageError("There is no table of the rotor.", "Give one with --rotor.")
-    tables = [read_table(path) for path in (casing, *rotors)]
+    paths = (casing, *rotors)
+    tables = [read_table(p, names, w) for p, w in zip(paths, wanted or [Wanted()] * len(paths), strict=True)]
     quantity = _common_quantity(tables)
     notes = [note for table in tables for note in table.notes]
     body, *wheels = (_pieces_of(table, notes) for table in tables)

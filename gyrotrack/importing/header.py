@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from gyrotrack.errors import DatasetError
+from gyrotrack.errors import DatasetError, UsageError
 
 EXPECTED = "The header must be `t,angle`, `t,angle,sigma`, `t,omega` or `t,omega,sigma`."
 
@@ -25,6 +26,10 @@ _UNITS = {
 _UNITS["omega"] |= {"deg/s": math.pi / 180, "°/s": math.pi / 180, "rads^-1": 1.0, "rev/s": 2 * math.pi}
 
 
+Names = Mapping[str, tuple[str, str | None]]
+"""Which of our columns a header of the file means, and its unit if the header does not tell it."""
+
+
 @dataclass(frozen=True)
 class Header:
     """What the header says: the columns, the factors to SI units, and the quantity that was measured."""
@@ -38,7 +43,29 @@ class Header:
     notes: tuple[str, ...]
 
 
-def read_header(path: Path, number: int, text: str) -> Header:
+def read_names(given: Iterable[str]) -> Names:
+    """Understand wishes such as ``t=Zeit`` or ``angle=phi [deg]``: our column, and theirs with its unit.
+
+    Raises
+    ------
+    UsageError
+        One is not of this form, or names no column of ours.
+    """
+    names: dict[str, tuple[str, str | None]] = {}
+    for wish in given:
+        ours, equals, theirs = (part.strip() for part in wish.partition("="))
+        if not equals or ours not in _NAMES or not theirs:
+            raise UsageError(
+                f"{wish[:60]!r} is no column.", f"Write for example t=Zeit; ours are {', '.join(_NAMES)}."
+            )
+        bare = re.fullmatch(r"(.+?)\s*\[([^\[\]]*)\]", theirs)
+        names[theirs.casefold()] = (ours, None)
+        if bare is not None:
+            names.setdefault(bare[1].casefold(), (ours, re.sub(r"[\s*·]", "", bare[2])))
+    return names
+
+
+def read_header(path: Path, number: int, text: str, named: Names | None = None) -> Header:
     """Understand the header, line `number` of the file.
 
     Raises
@@ -54,7 +81,7 @@ def read_header(path: Path, number: int, text: str) -> Header:
     units: dict[str, str] = {}
     strange = []
     for position, name in enumerate(names):
-        known, unit = _identify(name)
+        known, unit = _identify(name, named or {})
         if known is None:
             strange.append(name)
         elif known in columns:
@@ -74,8 +101,16 @@ def read_header(path: Path, number: int, text: str) -> Header:
     return Header(number, delimiter, len(names), columns, scales, quantity, notes)
 
 
-def _identify(name: str) -> tuple[str | None, str]:
-    """Split ``t [s]``, ``t (s)`` or ``t / s`` and return our name for the column and its unit."""
+def _identify(name: str, named: Names) -> tuple[str | None, str]:
+    """Split ``t [s]``, ``t (s)`` or ``t / s`` and return our name for the column and its unit.
+
+    Where the user has said what columns mean, only those count.
+    """
+    if named:
+        told = named.get(name.casefold())
+        if told is None:
+            return None, ""
+        return told[0], told[1] if told[1] is not None else _identify(name, {})[1]
     match = re.fullmatch(r"([^\[\](){}/]+?)\s*(?:[\[({]\s*(.*?)\s*[\])}]|/\s*(.*))?", name)
     word, unit = (match[1], match[2] or match[3] or "") if match else (name, "")
     word = word.strip().lower().replace(" ", "_")

@@ -16,10 +16,13 @@ import numpy.typing as npt
 
 from gyrotrack.dataset.records import Floats, Integers
 from gyrotrack.errors import DatasetError
-from gyrotrack.importing.header import EXPECTED, Header, is_number, read_header
+from gyrotrack.importing.header import EXPECTED, Header, Names, is_number, read_header
+from gyrotrack.importing.point_files import read_point_file
+from gyrotrack.importing.point_tables import read_point_table
+from gyrotrack.importing.points import Points, Wanted, angle_of
+from gyrotrack.importing.text import content_lines, read_bytes
 
 FEWEST = 8
-MOST_BYTES = 2**30
 
 _MISSING = {"", "nan", "na", "n/a", "-", "none", "null"}
 
@@ -52,59 +55,62 @@ class Table:
     notes: tuple[str, ...]
 
 
-def read_table(path: Path) -> Table:
-    """Read one table.
+def read_table(path: Path, names: Names | None = None, wanted: Wanted | None = None) -> Table:
+    """Read one table of angles or speeds, or of points that another program followed.
+
+    Parameters
+    ----------
+    path : Path
+        CSV or the like; or points, as text of OSP Tracker, or as CSV or HDF5 of DeepLabCut or SLEAP.
+    names : mapping, optional
+        Headers of the file that mean one of our columns, as `header.read_names` makes it.
+    wanted : Wanted, optional
+        How points become an angle.
 
     Raises
     ------
     DatasetError
         The file is missing, no table, or a line in it is wrong; the message names file and line.
+    UsageError
+        The points' marker, centre or rate is not known.
     """
     path = Path(path)
-    content = _read_bytes(path)
-    lines = _content_lines(path, content)
+    content = read_bytes(path)
+    sha256 = hashlib.sha256(content).hexdigest()
+    if content.startswith(b"\x89HDF"):
+        return _from_points(read_point_file(path, sha256), wanted or Wanted())
+    lines = content_lines(path, content)
     if not lines:
         raise DatasetError(f"{path} is empty.", EXPECTED)
-    header = read_header(path, *lines[0])
+    points = read_point_table(path, sha256, lines) if not names else None
+    if points is not None:
+        return _from_points(points, wanted or Wanted())
+    header = read_header(path, *lines[0], names or {})
     rows = [_read_row(path, number, text, header) for number, text in lines[1:]]
     if not rows:
         raise DatasetError(f"{path} has a header but no rows.", "Write the samples below the header.")
     cells = np.array(rows, dtype=float)
     numbers = np.array([number for number, _ in lines[1:]], dtype=np.int64)
-    return _checked(path, hashlib.sha256(content).hexdigest(), header, cells, numbers)
+    return _checked(path, sha256, header, cells, numbers)
 
 
-def _read_bytes(path: Path) -> bytes:
-    try:
-        if path.stat().st_size > MOST_BYTES:
-            raise DatasetError(
-                f"{path} is larger than a table of angles can be.", "Check the name of the file."
-            )
-        content = path.read_bytes()
-    except FileNotFoundError as error:
-        raise DatasetError(f"{path} does not exist.", "Check the name.") from error
-    except OSError as error:
-        raise DatasetError(
-            f"{path} cannot be read: {error.strerror}.", "Give the name of a CSV file."
-        ) from error
-    return content
-
-
-def _content_lines(path: Path, content: bytes) -> list[tuple[int, str]]:
-    """Return the lines that are neither blank nor comments, each with its number."""
-    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
-        text = content.decode("utf-16", errors="replace")
-    elif b"\0" in content:
-        raise DatasetError(
-            f"{path} is not a table of text.", "Give a CSV file; films go through `gyrotrack extract`."
-        )
-    else:
-        try:
-            text = content.decode("utf-8-sig")
-        except UnicodeDecodeError:
-            text = content.decode("latin-1")
-    lines = enumerate(text.splitlines(), start=1)
-    return [(number, line) for number, line in lines if line.strip() and not line.lstrip().startswith("#")]
+def _from_points(points: Points, wanted: Wanted) -> Table:
+    found = angle_of(points, wanted)
+    seen = np.isfinite(found.angle) & np.isfinite(found.time)
+    if (np.diff(found.time[seen]) <= 0).any():
+        raise DatasetError(f"{points.path}: the times do not grow from row to row.", "Sort the rows by time.")
+    lost = int((~seen).sum())
+    notes = (f"{points.path.name}: {lost} frames without the marker were left out",) if lost else ()
+    return Table(
+        path=points.path,
+        sha256=points.sha256,
+        quantity="angle",
+        time=found.time[seen],
+        value=found.angle[seen],
+        sigma=None,
+        line=np.flatnonzero(seen),
+        notes=(*found.notes, *notes),
+    )
 
 
 def _read_row(path: Path, number: int, text: str, header: Header) -> list[float]:

@@ -1,0 +1,89 @@
+"""Points in HDF5 files: SLEAP's analysis files, and DeepLabCut's tables as pandas writes them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from gyrotrack.dataset.guard import guarded
+from gyrotrack.dataset.tables import check_storage, load
+from gyrotrack.errors import DatasetError
+from gyrotrack.importing.listed_names import listed_names
+from gyrotrack.importing.points import Points
+
+_FOREIGN = "SLEAP's analysis files and DeepLabCut's tables are read; a case is made with `gyrotrack sync`."
+
+
+def read_point_file(path: Path, sha256: str) -> Points:
+    """Read points from an HDF5 file that another program wrote.
+
+    Raises
+    ------
+    DatasetError
+        It is none of the two, is damaged, or leads out of itself.
+    """
+    try:
+        with h5py.File(path, "r", locking=False) as file:
+            guarded(file)
+            if {"tracks", "node_names"} <= set(file.keys()):
+                return _sleap(path, sha256, file)
+            table = file.get("df_with_missing/table")
+            if isinstance(table, h5py.Dataset):
+                return _deeplabcut(path, sha256, table)
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError, IndexError) as error:
+        raise DatasetError(f"{path} cannot be read as points: {str(error)[:100]}.", _FOREIGN) from error
+    raise DatasetError(f"{path} is an HDF5 file, but holds no points of a kind that is known.", _FOREIGN)
+
+
+def _sleap(path: Path, sha256: str, file: Any) -> Points:
+    tracks, names = file["tracks"], file["node_names"]
+    check_storage(tracks)
+    if tracks.ndim != 4 or tracks.shape[1] != 2 or tracks.shape[2] != names.shape[0] or names.shape[0] > 1000:
+        raise DatasetError(
+            f"{path}: 'tracks' has the shape {tracks.shape}, not (1, 2, points, frames).", _FOREIGN
+        )
+    if tracks.shape[0] != 1:
+        raise DatasetError(
+            f"{path} holds {tracks.shape[0]} tracked instances.",
+            "Export one instance; a body is one of them.",
+        )
+    points = [n.decode("utf-8", "replace") if isinstance(n, bytes) else str(n) for n in names[()].tolist()]
+    values = np.asarray(load(tracks)[0], dtype=float)
+    sure: dict[str, Any] = {}
+    if "point_scores" in file and file["point_scores"].shape == (1, len(points), tracks.shape[3]):
+        check_storage(file["point_scores"])
+        scores = np.asarray(load(file["point_scores"])[0], dtype=float)
+        sure = dict(zip(points, scores, strict=True))
+    places = {name: values[:, i].T.copy() for i, name in enumerate(points)}
+    frames = np.arange(tracks.shape[3], dtype=float)
+    return Points(path, sha256, frames, places, sure, y_down=True, counted=True)
+
+
+def _deeplabcut(path: Path, sha256: str, table: Any) -> Points:
+    fields = set(table.dtype.names or ())
+    blocks = sorted(n for n in fields if n.startswith("values_block_"))
+    if table.ndim != 1 or "index" not in fields or blocks != ["values_block_0"]:
+        raise DatasetError(f"{path}: the table is not as DeepLabCut writes it.", "Export it as CSV.")
+    if table.nbytes > 2**31 or table.nbytes > table.id.get_storage_size() * 1100 + 2**22:
+        raise DatasetError(f"{path} claims {table.nbytes:,} bytes.", "The file is damaged or forged.")
+    names = listed_names(bytes(np.asarray(table.attrs["values_block_0_kind"])[()]))
+    rows = table[()]
+    values = np.asarray(rows["values_block_0"], dtype=float)
+    if values.ndim != 2 or len(names) != values.shape[1]:
+        raise DatasetError(f"{path}: {len(names)} names for {values.shape[1:]} columns.", "Export it as CSV.")
+    points: dict[str, dict[str, Any]] = {}
+    for i, name in enumerate(names):
+        points.setdefault(".".join(name[1:-1]), {})[name[-1]] = values[:, i]
+    whole = {n: p for n, p in points.items() if {"x", "y"} <= set(p)}
+    return Points(
+        path,
+        sha256,
+        np.asarray(rows["index"], dtype=float),
+        {n: np.stack([p["x"], p["y"]], axis=1) for n, p in whole.items()},
+        {n: p["likelihood"] for n, p in whole.items() if "likelihood" in p},
+        y_down=True,
+        counted=True,
+    )
