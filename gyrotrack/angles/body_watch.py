@@ -1,4 +1,8 @@
-"""One body: followed coarsely through its markers together, then each marker measured."""
+"""One body: followed coarsely through its markers together, then each marker measured.
+
+Where the body will be is predicted, and only the neighbourhood of each marker is looked at. When the prediction
+is not sure enough, or its markers are not where it says, the whole rings are searched.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +12,14 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack.angles.following import LONGEST_COAST, Motion, find_lock, follow
-from gyrotrack.angles.marker_watch import LAYERS, Look, MarkerWatch
+from gyrotrack.angles.look import LAYERS, Look
+from gyrotrack.angles.marker_watch import MarkerWatch
+from gyrotrack.angles.prediction import Prediction
 from gyrotrack.angles.sightings import Sightings
 from gyrotrack.angles.surroundings import AngleMap, open_columns
-from gyrotrack.geometry.channel import Channel
 from gyrotrack.geometry.samples import Samples
 from gyrotrack.geometry.scene import Paper
+from gyrotrack.geometry.strip import Strip, common_columns
 from gyrotrack.segmentation.ring import boxed
 from gyrotrack.video.planes import Frame
 
@@ -23,6 +29,10 @@ Mask = npt.NDArray[np.bool_]
 
 SEEN = 0.4
 """Share of one marker's height that the score of a direction must reach."""
+MARGIN = 0.05
+"""By how much in rad a marker may lie beside its prediction."""
+SURE = 3.0
+"""Standard deviations of a prediction that must fit into the margin."""
 _COVER_COLUMNS = 360
 
 
@@ -36,7 +46,7 @@ class BodyWatch:
     papers : tuple of Paper
         Its markers, at least one of them coloured.
     samples, centre, keep_out, capacity
-        See `Channel`.
+        See `Strip`.
     """
 
     def __init__(
@@ -49,37 +59,94 @@ class BodyWatch:
         capacity: int,
     ) -> None:
         self.name = name
-        coloured = tuple(p for p in papers if p.colour != "white")
-        white = tuple(p for p in papers if p.colour == "white")
-        groups = [group for group in (coloured, white) if group]
-        self._channels = [Channel(group, samples, centre, keep_out, capacity) for group in groups]
-        self.markers = {p.name: MarkerWatch(p, channel) for channel in self._channels for p in channel.papers}
-        self._main = self._channels[0]
+        columns = common_columns(papers, centre)
+        strips = {p.name: Strip(p, samples, centre, keep_out, columns, MARGIN, capacity) for p in papers}
+        self.markers = {p.name: MarkerWatch(p, strips[p.name]) for p in papers}
+        self._coloured = [strip for strip in strips.values() if not strip.white]
+        self._step = self._coloured[0].ring.step
+        self._coarse = np.full(capacity, np.nan)
+        self._frame = 0
         self._motion: Motion | None = None
+        self._missed: int | None = None
+        self._prediction = Prediction()
         self._fresh = True
         self._cover = AngleMap(LAYERS, _COVER_COLUMNS)
 
     def aim(self, centre: tuple[float, float]) -> None:
         """Put all rings about a centre."""
-        for channel in self._channels:
-            channel.aim(centre)
+        for watch in self.markers.values():
+            watch.strip.aim(centre)
 
-    def take(self, frame: Frame, place: int) -> None:
-        """Unroll one frame."""
-        for channel in self._channels:
-            channel.take(frame, place)
+    def take(self, frames: list[Frame], place: int, advance: Integers) -> None:
+        """Follow the body through some consecutive frames and cut its markers out, from `place` of the batch on.
 
-    def digest(
-        self, count: int, advance: Integers, casing: Floats | None
-    ) -> tuple[Floats, dict[str, Sightings]]:
-        """Follow the body through the first `count` frames of the buffer and measure its markers.
+        `advance` (n,) counts the camera's frames from each frame to the next.
+        """
+        number = self._frame + np.concatenate([[0], np.cumsum(advance)])
+        found = self._predicted(frames, place, number[:-1])
+        if found is None:
+            self._motion = self._motion_at(self._frame) or self._motion
+            coarse = self._follow(self._searched(frames), advance)
+            self._cut(frames, place, coarse)
+            found = self._refined(coarse, place)
+            if np.isnan(coarse).any():
+                self._prediction.forget()
+        else:
+            self._missed = int(np.argmax(found[1][::-1]))
+        self._prediction.note(number[:-1], *found)
+        self._frame = int(number[-1])
+        self._coarse[place : place + len(frames)] = found[0]
+
+    def _predicted(self, frames: list[Frame], place: int, number: Integers) -> tuple[Floats, Mask] | None:
+        """Look where the body should be; None if that is not sure, or if it is not there."""
+        prediction = self._prediction.at(number)
+        if prediction is None or SURE * prediction[1] > MARGIN:
+            return None
+        self._cut(frames, place, prediction[0])
+        angle, seen = self._refined(prediction[0], place)
+        return (angle, seen) if seen.mean() > 0.5 else None
+
+    def _motion_at(self, number: int) -> Motion | None:
+        """Return the predicted motion at a frame in terms of `following`, when predictions were used so far."""
+        ahead = self._prediction.at(np.array([number, number + 1])) if self._missed is not None else None
+        if ahead is None or self._missed is None:
+            return None
+        missed, self._missed = self._missed, None
+        return Motion(float(ahead[0][0]), float(ahead[0][1] - ahead[0][0]), missed)
+
+    def _cut(self, frames: list[Frame], place: int, coarse: Floats) -> None:
+        for watch in self.markers.values():
+            take, mount = watch.strip.take, watch.paper.mount
+            for k, (frame, angle) in enumerate(zip(frames, np.nan_to_num(coarse).tolist(), strict=True)):
+                take(frame, place + k, angle + mount)
+
+    def _refined(self, coarse: Floats, place: int) -> tuple[Floats, Mask]:
+        """Improve coarse angles by all coloured markers together: (n,) [rad], and where any of them is seen.
+
+        A marker that is partly hidden stands out less, and counts with the eighth power of that.
+        """
+        count, reach = len(coarse), self._coloured[0].slack
+        total, weight = np.zeros(count), np.full(count, 1e-9)
+        frame = np.arange(count)
+        for strip in self._coloured:
+            height = strip.near(np.nan_to_num(coarse) + strip.paper.mount, place, reach)
+            top = np.argmax(height, axis=1)
+            inner = np.clip(top, 1, 2 * reach - 1)
+            left, middle, right = (height[frame, inner + k] for k in (-1, 0, 1))
+            bend = np.minimum(left - 2.0 * middle + right, -1e-9)
+            off = inner - reach + np.clip(0.5 * (left - right) / bend, -0.5, 0.5)
+            own = np.where((middle > SEEN) & (inner == top), np.minimum(middle, 1.2) ** 8, 0.0)
+            total, weight = total + own * off, weight + own
+        seen = (weight > 1e-6) & np.isfinite(coarse)
+        return np.where(seen, coarse + total / weight * self._step, coarse), seen
+
+    def digest(self, count: int, casing: Floats | None) -> tuple[Floats, dict[str, Sightings]]:
+        """Measure the markers in the first `count` frames of the batch.
 
         Parameters
         ----------
         count : int
-            Frames in the buffer.
-        advance : ndarray of int, shape (count,)
-            Frames of the camera from each frame to the next; more than 1 where frames are missing.
+            Frames in the batch.
         casing : ndarray, shape (count,), or None
             Angle as seen of the other body, whose bar may hide markers [rad].
 
@@ -88,11 +155,11 @@ class BodyWatch:
         coarse, sightings
             Unwrapped coarse angle (count,) [rad], NaN where the body is lost; the markers.
         """
-        coarse = self._follow(self._joint_score(count), advance)
+        coarse = self._coarse[:count].copy()
         looks = {name: watch.look(coarse + watch.paper.mount) for name, watch in self.markers.items()}
         if casing is not None:
             for name, look in looks.items():
-                if not self.markers[name].channel.white:
+                if not self.markers[name].strip.white:
                     self._learn_cover(self.markers[name], look, casing)
         if self._fresh:  # the first batch is measured twice: once to learn from, once to give
             self._fresh = False
@@ -101,42 +168,38 @@ class BodyWatch:
 
     def _measured(self, looks: dict[str, Look], casing: Floats | None) -> dict[str, Sightings]:
         return {
-            name: self.markers[name].measure(look, self._open(self.markers[name], look, casing))
-            for name, look in looks.items()
+            name: self.markers[name].measure(look, self._open(look, casing)) for name, look in looks.items()
         }
 
     def _learn_cover(self, watch: MarkerWatch, look: Look, casing: Floats) -> None:
-        known = look.known & np.isfinite(casing)
-        if not known.any():
-            return
-        template = watch.template(look.column.shape[1])
-        x = np.arange(len(template))[None, :] - look.fraction[known, None]
-        expected = np.interp(x, np.arange(len(template)), template)
-        core = expected > 0.7
-        column = self._relative(watch, look, casing)[known]
+        expected = watch.expected(look)
+        known = (look.known & np.isfinite(casing))[:, None]
+        core = np.where(known & (expected > 0.7), expected, 0.0)
+        column = self._relative(look, casing)
         for layer in range(look.layers.shape[1]):
-            value = np.clip(look.layers[known, layer], -0.2, 1.5)
-            self._cover.learn(layer, column[core], expected[core], value[core])
+            self._cover.learn(layer, column, core, np.clip(look.layers[:, layer], -0.2, 1.5))
 
-    def _open(self, watch: MarkerWatch, look: Look, casing: Floats | None) -> Mask:
-        everything = np.ones(look.column.shape, dtype=np.bool_)
+    def _open(self, look: Look, casing: Floats | None) -> Mask:
+        everything = np.ones(look.raw.shape, dtype=np.bool_)
         if casing is None:
             return everything
         known = np.isfinite(casing)[:, None]
-        return np.where(known, open_columns(self._cover, 1)[self._relative(watch, look, casing)], everything)
+        return np.where(known, open_columns(self._cover, 1)[self._relative(look, casing)], everything)
 
-    def _relative(self, watch: MarkerWatch, look: Look, casing: Floats) -> npt.NDArray[np.int64]:
+    def _relative(self, look: Look, casing: Floats) -> Integers:
         """Columns of the cover map (fixed on the casing) for the samples of the windows."""
-        angle = look.column * watch.channel.ring.step - np.nan_to_num(casing)[:, None]
-        return np.rint(angle * _COVER_COLUMNS / (2.0 * np.pi)).astype(np.int64) % _COVER_COLUMNS
+        scale = _COVER_COLUMNS / (2.0 * np.pi)
+        first = look.first * self._step * scale - np.nan_to_num(casing) * scale
+        column = first[:, None] + np.arange(look.raw.shape[1]) * (self._step * scale)
+        return np.rint(column).astype(np.int64) % _COVER_COLUMNS
 
-    def _joint_score(self, count: int) -> Floats:
-        step = self._main.ring.step
-        total = np.zeros((count, self._main.ring.columns))
-        for paper in self._main.papers:
-            half = max(int(paper.half_width / step), 1)
-            around = np.clip(self._main.around(paper, count), -0.2, 1.3)
-            total += np.roll(boxed(around, half), -round(paper.mount / step), axis=1)
+    def _searched(self, frames: list[Frame]) -> Floats:
+        """Return the joint score of all directions, (n, columns)."""
+        total = np.zeros((len(frames), self._coloured[0].ring.columns))
+        for strip in self._coloured:
+            around = np.clip(np.stack([strip.whole(frame) for frame in frames]), -0.2, 1.3)
+            half = max(int(strip.paper.half_width / self._step), 1)
+            total += np.roll(boxed(around, half), -round(strip.paper.mount / self._step), axis=1)
         return total
 
     def _follow(self, score: Floats, advance: Integers) -> Floats:

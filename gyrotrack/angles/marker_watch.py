@@ -5,46 +5,51 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack.angles.look import Look
 from gyrotrack.angles.matching import Match, flat_top, match, mean_profile
 from gyrotrack.angles.sightings import Sightings
 from gyrotrack.angles.surroundings import AngleMap, even_light, unlit
-from gyrotrack.geometry.channel import Channel
 from gyrotrack.geometry.corners import near_corners
 from gyrotrack.geometry.scene import Paper
+from gyrotrack.geometry.strip import Strip
 
 Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
-LAYERS = 3
-"""Parts of the radius in which a marker can be hidden by itself."""
+MOST_SHAPES = 96
+"""Frames of a batch from which the template is learnt."""
 
 
 class MarkerWatch:
     """The templates of a marker and the light on its ring, carried from batch to batch."""
 
-    def __init__(self, paper: Paper, channel: Channel) -> None:
+    def __init__(self, paper: Paper, strip: Strip) -> None:
         self.paper = paper
-        self.channel = channel
-        step = channel.ring.step
-        # Paper and smear of equal width make a triangle twice as wide at its foot as at half its height.
-        self.half = int(np.ceil((2.0 * paper.half_width + max(0.06, 4.0 * step)) / step))
+        self.strip = strip
         self._across: Floats | None = None
         self._along: Floats | None = None
-        self._light = AngleMap(1, channel.ring.columns)
+        self._light = AngleMap(1, strip.ring.columns)
 
     def look(self, coarse: Floats) -> Look:
-        """Cut the windows about the coarse angles (rad, NaN: not followed) out of the buffer."""
-        return Look(self, coarse)
+        """Take the windows about the coarse angles (rad, NaN: not followed) out of the buffer."""
+        return Look(self.strip, coarse)
+
+    def expected(self, look: Look) -> Floats:
+        """Return the profile across that is expected where the marker is expected, (n, m)."""
+        template = self.template(look.raw.shape[1])
+        place = np.arange(len(template))[None, :] - look.fraction[:, None]
+        return np.asarray(np.interp(place.ravel(), np.arange(len(template)), template).reshape(place.shape))
 
     def measure(self, look: Look, open_: Mask) -> Sightings:
         """Measure the marker; `open_` (n, columns of the window) tells which samples nothing hides."""
-        open_ = open_ & ~unlit(self._light)[look.column]
-        whole = (open_ | ~self._matters()).all(axis=1) & look.known
+        dark = unlit(self._light)
+        if dark.any():
+            open_ = open_ & (look.here(dark) == 0)
+        whole = (open_ | ~self._matters(look)).all(axis=1) & look.known
         found = self._matched_across(look, open_, whole)
         along = self._matched_along(look, found, whole)
         radius, angle = self._corners(look, found, whole)
-        ring = self.channel.ring
+        ring = self.strip.ring
         hide = np.where(look.known, 0.0, np.nan)
         spacing = float(ring.radii[1] - ring.radii[0])
         return Sightings(
@@ -60,52 +65,52 @@ class MarkerWatch:
             centre=np.tile(np.array(ring.centre), (len(hide), 1)),
         )
 
-    def _matters(self) -> Mask:
-        """Return the samples of the window in which the marker itself may show."""
-        step = self.channel.ring.step
-        x = np.abs(np.arange(-self.half, self.half + 1)) * step
-        if self._across is None:
-            return np.asarray(x < 1.15 * self.paper.half_width + 2.0 * step)
-        foot = float(x[self._across > 0.12].max(initial=self.paper.half_width))
-        return np.asarray(x <= foot + step)
+    def _matters(self, look: Look) -> Mask:
+        """Return the samples of the windows in which the marker itself may show, (n, m)."""
+        step, half = self.strip.ring.step, self.strip.half
+        x = np.abs(np.arange(-half, half + 1)) * step
+        reach = 1.15 * self.paper.half_width + 2.0 * step
+        if self._across is not None:
+            reach = float(x[self._across > 0.12].max(initial=self.paper.half_width)) + step
+        place = np.arange(-half, half + 1)[None, :] - look.fraction[:, None]
+        return np.asarray(np.abs(place) * step <= reach)
 
     def template(self, count: int) -> Floats:
         """Return the profile across that is expected, on the samples of the window."""
         if self._across is None:
-            return flat_top(self.paper.half_width / self.channel.ring.step, count)
+            return flat_top(self.paper.half_width / self.strip.ring.step, count)
         return self._across
 
     def _matched_across(self, look: Look, open_: Mask, whole: Mask) -> Match:
         rounds = 3 if self._across is None else 1
+        reach = round(self.paper.half_width / self.strip.ring.step)
         found = match(look.profile, self.template(look.profile.shape[1]), look.fraction, open_)
         for _ in range(rounds):
             good = _good(found, whole, look.known)
-            better = mean_profile(look.profile, found, good, open_, symmetric=True)
+            few = _some(good, MOST_SHAPES)
+            better = mean_profile(look.profile, found, few, open_, symmetric=True)
             if better is not None and np.isfinite(better).all():
                 self._across = better if self._across is None or rounds > 1 else 0.5 * (self._across + better)
             if good.any():
                 self._learn_light(look, found, good, open_)
-                look.apply_light(even_light(self._light, self.channel.ring.columns))
+                look.apply_light(even_light(self._light, reach))
             found = match(look.profile, self.template(look.profile.shape[1]), found.shift, open_)
         return found
 
     def _learn_light(self, look: Look, found: Match, good: Mask, open_: Mask) -> None:
-        x = np.arange(look.profile.shape[1])[None, :] - found.shift[good, None]
-        template = self.template(look.profile.shape[1])
-        expected = np.interp(x.ravel(), np.arange(len(template)), template)
-        value = (look.raw[good] - found.offset[good, None]).ravel()
-        core = (expected > 0.4) & open_[good].ravel()
-        self._light.learn(0, look.column[good].ravel()[core], expected[core], value[core])
+        expected = np.where((found.expected > 0.4) & open_ & good[:, None], found.expected, 0.0)
+        column = look.column(self.strip.ring.columns)
+        self._light.learn(0, column, expected, look.raw - found.offset[:, None])
 
     def _matched_along(self, look: Look, found: Match, whole: Mask) -> Match:
-        columns = np.arange(look.window.shape[2]) - self.half
-        reach = max(0.5 * self.paper.half_width / self.channel.ring.step, 1.0)
+        columns = np.arange(look.window.shape[2]) - self.strip.half
+        reach = max(0.5 * self.paper.half_width / self.strip.ring.step, 1.0)
         weight = np.clip(reach + 0.5 - np.abs(columns[None, :] - found.shift[:, None]), 0.0, 1.0)
-        profile = np.einsum("nrc,nc->nr", look.window, weight) / weight.sum(axis=1)[:, None]
+        profile = look.along(weight / weight.sum(axis=1)[:, None])
         nothing, everything = np.zeros(len(profile)), np.ones(profile.shape, dtype=np.bool_)
         if self._along is not None:
             return match(profile, self._along, nothing, everything)
-        radii = self.channel.ring.radii
+        radii = self.strip.ring.radii
         spacing = float(radii[1] - radii[0])
         template = flat_top(0.5 * (self.paper.outer - self.paper.inner) / spacing, len(radii))
         template = np.interp(radii - self.paper.radius + float(radii.mean()), radii, template)
@@ -119,16 +124,15 @@ class MarkerWatch:
         return along
 
     def _corners(self, look: Look, found: Match, whole: Mask) -> tuple[Floats, Floats]:
-        ring = self.channel.ring
+        ring = self.strip.ring
         radius, angle = np.full((2, len(whole), 2), np.nan)
-        if whole.any():
-            gain = np.where(np.abs(found.gain) > 1e-3, found.gain, np.nan)[whole, None, None]
-            shaped = (look.window[whole] - found.offset[whole, None, None]) / gain
-            angles = np.asarray(np.arange(-self.half, self.half + 1) * ring.step, dtype=np.float64)
-            shaped = np.nan_to_num(shaped)
+        use = whole & (found.gain > 0.1)
+        if use.any():
+            shaped = look.shaped(use, found.gain[use], found.offset[use])
+            angles: Floats = np.arange(-self.strip.half, self.strip.half + 1.0) * ring.step
             r, phi = near_corners(shaped, ring.radii, angles, self.paper.inner, self.paper.outer)
-            likely = self._likely(r, phi, found.shift[whole] * ring.step)
-            radius[whole], angle[whole] = np.where(likely, r, np.nan), np.where(likely, phi, np.nan)
+            likely = self._likely(r, phi, found.shift[use] * ring.step)
+            radius[use], angle[use] = np.where(likely, r, np.nan), np.where(likely, phi, np.nan)
         return radius, angle
 
     def _likely(self, radius: Floats, angle: Floats, fine: Floats) -> Mask:
@@ -144,45 +148,12 @@ class MarkerWatch:
         return np.asarray(likely[:, None])
 
 
-class Look:
-    """The windows about one marker in a batch, raw and under even light.
-
-    Attributes
-    ----------
-    known : ndarray of bool, shape (n,)
-        Frames in which the body was followed.
-    start, fraction : ndarray, shape (n,)
-        Column in the middle of the window, and where between columns the marker is expected.
-    column : ndarray of int, shape (n, m)
-        Columns of the ring in the window.
-    window : ndarray, shape (n, rows, m)
-        Scores.
-    raw, profile : ndarray, shape (n, m)
-        Mean over the rows of the paper, as seen and under even light.
-    layers : ndarray, shape (n, layers, m)
-        The same for parts of the radius, as seen.
-    """
-
-    def __init__(self, watch: MarkerWatch, coarse: Floats) -> None:
-        ring = watch.channel.ring
-        self.known = np.isfinite(coarse)
-        place = np.where(self.known, coarse, 0.0) / ring.step
-        self.start = np.rint(place).astype(np.int64)
-        self.fraction = place - self.start
-        self.window = watch.channel.window(watch.paper, self.start, watch.half)
-        self.column = (self.start[:, None] + np.arange(-watch.half, watch.half + 1)) % ring.columns
-        rows = watch.channel.rows(watch.paper)
-        parts = np.array_split(rows, min(LAYERS, len(rows)))
-        self.layers = np.stack([self.window[:, part].mean(axis=1) for part in parts], axis=1)
-        self.raw = self.window[:, rows].mean(axis=1)
-        self.profile = self.raw
-        self._uneven = self.window
-
-    def apply_light(self, light: Floats) -> None:
-        """Divide by the relative brightness of every column of the ring."""
-        here = light[self.column]
-        self.profile = self.raw / here
-        self.window = self._uneven / here[:, None, :]
+def _some(use: Mask, most: int) -> Mask:
+    """Keep at most about so many of the frames in use, spread evenly."""
+    chosen = np.flatnonzero(use)
+    few = np.zeros(len(use), dtype=np.bool_)
+    few[chosen[:: max(len(chosen) // most, 1)]] = True
+    return few
 
 
 def _good(found: Match, whole: Mask, known: Mask) -> Mask:

@@ -18,8 +18,8 @@ Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 ROUNDS = 8
-CONVERGED = 0.01
-"""Step in samples below which a fit of the displacement is done."""
+FINENESS = 8
+"""Displacements a sample at which the template is tabulated; in between the fit is linear."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,8 @@ class Match:
     weakness : ndarray, shape (n,)
         How much larger the uncertainty of d is than with all samples open and a gain of 1 (from the
         curvature of the fit); inf where d cannot be found.
+    expected : ndarray, shape (n, m)
+        T(x - d).
     """
 
     shift: Floats
@@ -44,6 +46,7 @@ class Match:
     offset: Floats
     misfit: Floats
     weakness: Floats
+    expected: Floats
 
 
 def match(profile: Floats, template: Floats, start: Floats, seen: Mask) -> Match:
@@ -60,39 +63,72 @@ def match(profile: Floats, template: Floats, start: Floats, seen: Mask) -> Match
     seen : ndarray of bool, shape (n, m)
         Samples that nothing hides.
     """
-    slope = np.gradient(template)
     weight = seen.astype(np.float64)
-    shift = np.array(start, dtype=np.float64)
+    whole = bool(seen.all())
     limit, stride = 0.3 * len(template), 0.08 * len(template)
+    table = _Table(template, limit)
+    shift = np.clip(np.asarray(start, dtype=np.float64), -limit, limit)
     for _ in range(ROUNDS):
-        basis = np.stack([_moved(template, shift), np.ones_like(profile), _moved(slope, shift)], axis=2)
-        normal, solution = _solve(basis, profile, weight)
-        gain = solution[:, 0]
-        step = -solution[:, 2] / np.where(np.abs(gain) > 1e-3, gain, np.inf)
-        shift = np.clip(shift + np.clip(step, -stride, stride), -limit, limit)
-        if np.percentile(np.abs(step), 99) < CONVERGED:
+        place = table.place(shift)
+        curve, slope = table.curve[place], table.slope[place]
+        normal = table.normal[:, place] if whole else _moments(weight, curve, slope)
+        right = _right(profile if whole else weight * profile, curve, slope)
+        solution, spread = _solved(normal, right)
+        gain = solution[0]
+        off = -solution[2] / np.where(np.abs(gain) > 1e-3, gain, np.inf)
+        shift = np.clip(table.shift[place] + np.clip(off, -stride, stride), -limit, limit)
+        if np.percentile(np.abs(table.shift[place] - shift), 98) <= 0.75 / FINENESS:
             break
-    left = profile - (basis @ solution[:, :, None])[:, :, 0]
+    expected = curve - (shift - table.shift[place])[:, None] * slope
+    squares = np.einsum("nm,nm->n", profile if whole else weight * profile, profile)
+    left = np.maximum(squares - (solution * right).sum(axis=0), 0.0)
     count = np.maximum(weight.sum(axis=1), 1.0)
-    misfit = np.sqrt((weight * left**2).sum(axis=1) / count) / np.maximum(np.abs(gain), 1e-3)
-    return Match(shift, gain, solution[:, 1], misfit, _weakness(normal, gain, template, slope))
+    misfit = np.sqrt(left / count) / np.maximum(np.abs(gain), 1e-3)
+    ratio = np.sqrt(np.maximum(spread, 0.0) / table.best) / np.maximum(np.abs(gain), 1e-3)
+    return Match(shift, gain, solution[1], misfit, np.where(np.isfinite(ratio), ratio, np.inf), expected)
 
 
-def _solve(basis: Floats, value: Floats, weight: Floats) -> tuple[Floats, Floats]:
-    weighted = basis * weight[:, :, None]
-    normal = weighted.transpose(0, 2, 1) @ basis
-    right = weighted.transpose(0, 2, 1) @ value[:, :, None]
-    ridge = 1e-9 * (1.0 + normal.trace(axis1=1, axis2=2))[:, None, None] * np.eye(3)
-    return normal, np.linalg.solve(normal + ridge, right)[:, :, 0]
+class _Table:
+    """A template and its slope at many displacements, and the normal equations that go with them."""
+
+    def __init__(self, template: Floats, limit: float) -> None:
+        self._most = int(np.ceil(limit * FINENESS))
+        self.shift = np.arange(-self._most, self._most + 1) / FINENESS
+        self.curve, self.slope = _moved(template, self.shift), _moved(np.gradient(template), self.shift)
+        self.normal = _moments(np.ones_like(self.curve), self.curve, self.slope)
+        self.best = float(_solved(self.normal[:, self._most :][:, :1], np.zeros((3, 1)))[1][0])
+
+    def place(self, shift: Floats) -> npt.NDArray[np.int64]:
+        """Return the rows of the table that are nearest to displacements."""
+        return np.rint(shift * FINENESS).astype(np.int64) + self._most
 
 
-def _weakness(normal: Floats, gain: Floats, template: Floats, slope: Floats) -> Floats:
-    full = np.stack([template, np.ones_like(template), slope], axis=1)
-    best = np.linalg.inv(full.T @ full + 1e-9 * np.eye(3))[2, 2]
-    ridge = 1e-9 * (1.0 + normal.trace(axis1=1, axis2=2))[:, None, None] * np.eye(3)
-    here = np.linalg.inv(normal + ridge)[:, 2, 2]
-    ratio = np.sqrt(np.maximum(here, 0.0) / best) / np.maximum(np.abs(gain), 1e-3)
-    return np.where(np.isfinite(ratio), ratio, np.inf)
+def _moments(weight: Floats, curve: Floats, slope: Floats) -> Floats:
+    """Return the upper triangle of the normal equations of (curve, 1, slope): cc, c1, cs, 11, 1s, ss."""
+    a, b = weight * curve, weight * slope
+    dot = "nm,nm->n"
+    return np.stack([
+        np.einsum(dot, a, curve), a.sum(axis=1), np.einsum(dot, a, slope),
+        weight.sum(axis=1), b.sum(axis=1), np.einsum(dot, b, slope),
+    ])  # fmt: skip
+
+
+def _right(weighted: Floats, curve: Floats, slope: Floats) -> Floats:
+    dot = "nm,nm->n"
+    return np.stack([np.einsum(dot, weighted, curve), weighted.sum(axis=1), np.einsum(dot, weighted, slope)])
+
+
+def _solved(normal: Floats, right: Floats) -> tuple[Floats, Floats]:
+    """Solve symmetric 3 x 3 systems by their cofactors; also the last diagonal entry of each inverse."""
+    a, b, c, d, e, f = normal
+    ridge = 1e-9 * (1.0 + a + d + f)
+    a, d, f = a + ridge, d + ridge, f + ridge
+    aa, bb, cc = d * f - e * e, c * e - b * f, b * e - c * d
+    dd, ee, ff = a * f - c * c, b * c - a * e, a * d - b * b
+    determinant = a * aa + b * bb + c * cc
+    x, y, z = right
+    solution = np.stack([aa * x + bb * y + cc * z, bb * x + dd * y + ee * z, cc * x + ee * y + ff * z])
+    return solution / determinant, ff / determinant
 
 
 def _moved(curve: Floats, shift: Floats) -> Floats:
@@ -107,16 +143,19 @@ def shifted(profile: Floats, shift: Floats) -> Floats:
     count = profile.shape[-1]
     whole = np.floor(shift)
     t = (shift - whole)[:, None]
-    index = np.arange(count)[None, :] + whole.astype(np.int64)[:, None]
+    reach = int(np.abs(whole).max(initial=0.0)) + 2
+    padded = np.pad(profile, ((0, 0), (reach, reach)), mode="edge").astype(np.float64)
+    index = np.arange(len(padded)) * padded.shape[1] + whole.astype(np.int64) + reach
+    flat, place = padded.ravel(), index[:, None] + np.arange(count)
     weights = (
         0.5 * t * (t * (2.0 - t) - 1.0),
         0.5 * (t * t * (3.0 * t - 5.0) + 2.0),
         0.5 * t * (t * (4.0 - 3.0 * t) + 1.0),
         0.5 * t * t * (t - 1.0),
     )
-    out = np.zeros(profile.shape)
+    out = np.zeros(place.shape)
     for k, weight in enumerate(weights):
-        out += weight * np.take_along_axis(profile, np.clip(index + (k - 1), 0, count - 1), axis=1)
+        out += weight * flat.take(place + (k - 1))
     return out
 
 

@@ -30,10 +30,11 @@ class AngleMap:
         self._bottom = np.zeros((layers, columns))
 
     def learn(self, layer: int, column: Integers, expected: Floats, value: Floats) -> None:
-        """Add passages: flat arrays of column, height expected, height seen above the background."""
-        inside = column % self.columns
-        self._top[layer] += np.bincount(inside, expected * value, self.columns)
-        self._bottom[layer] += np.bincount(inside, expected**2, self.columns)
+        """Add passages: arrays of column, height expected (0: do not use), height seen above the background."""
+        inside = column.ravel() % self.columns
+        weighted = expected * value
+        self._top[layer] += np.bincount(inside, weighted.ravel(), self.columns)
+        self._bottom[layer] += np.bincount(inside, (expected**2).ravel(), self.columns)
 
     def heights(self, blur: int, prior: float = 0.0) -> Floats:
         """Return the heights relative to their upper middle (layers, columns); NaN where nothing has passed.
@@ -59,9 +60,18 @@ HIDDEN = 0.55
 """Relative height below which a marker counts as hidden."""
 
 
-def even_light(light: AngleMap, columns: int) -> Floats:
-    """Return the relative brightness at each column, 1 where nothing is known; between 0.4 and 2.5."""
-    height = light.heights(max(columns // 128, 1), prior=4.0)[0]
+def even_light(light: AngleMap, reach: int) -> Floats:
+    """Return the relative brightness at each column, 1 where nothing is known; between 0.55 and 2.
+
+    Parameters
+    ----------
+    reach : int
+        Half the width of a marker in columns. Light is not resolved more finely: where a marker comes back to
+        the same few places turn after turn, an error of its displacement looks like a slope of the light under
+        it, and would confirm itself.
+    """
+    columns = light.columns
+    height = light.heights(max(reach, 1), prior=4.0)[0]
     known = np.isfinite(height)
     if not known.any():
         return np.ones(columns)

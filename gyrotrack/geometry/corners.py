@@ -1,8 +1,8 @@
 """The two corners of a marker nearest to the centre, from its fitted edges.
 
 In the unrolled ring a paper has two upright edges and a near edge that is almost level. Each edge is where
-the score crosses half of the marker's height; lines are fitted through these crossings over several rows and
-columns, and the corners are where they meet. Half way is between the marker and what lies beyond that edge:
+the score crosses half of the marker's height; lines are fitted through these crossings in several bands of rows
+and columns, and the corners are where they meet. Half way is between the marker and what lies beyond that edge:
 a bar in a colour of its own under the marker is not as dark as the rest.
 """
 
@@ -12,10 +12,14 @@ import numpy as np
 import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
+Windows = npt.NDArray[np.float32] | Floats
+
+SIDE_BANDS, NEAR_BANDS = 4, 5
+"""Bands into which the rows of a side, and the columns of the near edge, are gathered."""
 
 
 def near_corners(
-    window: Floats, radii: Floats, angles: Floats, inner: float, outer: float
+    window: Windows, radii: Floats, angles: Floats, inner: float, outer: float
 ) -> tuple[Floats, Floats]:
     """Find the near corners in a batch of windows about a marker.
 
@@ -51,7 +55,7 @@ def near_corners(
 
 
 def _side_edges(
-    window: Floats, radii: Floats, angles: Floats, inner: float, outer: float
+    window: Windows, radii: Floats, angles: Floats, inner: float, outer: float
 ) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
     """Fit angle = base + lean (r - inner) to each side over the nearer part of the paper."""
     length = outer - inner
@@ -62,16 +66,17 @@ def _side_edges(
         )
     if len(rows) == 0:
         rows = np.array([int(np.argmin(np.abs(radii - 0.5 * (inner + outer))))])
-    part = window[:, rows, :]
+    mixing = _bands(rows, len(radii), SIDE_BANDS)
+    part = np.matmul(mixing.astype(window.dtype), window).astype(np.float64)
     middle = part.shape[2] // 2
-    r = radii[rows] - inner
+    r = mixing @ radii - inner
     right = _crossing(_from_beyond(part[:, :, middle:]), angles[middle:])
     left = _crossing(_from_beyond(part[:, :, middle::-1]), angles[middle::-1])
     return _lines(left, r), _lines(right, r)
 
 
 def _near_edge(
-    window: Floats, radii: Floats, angles: Floats, half: Floats, middle: Floats
+    window: Windows, radii: Floats, angles: Floats, half: Floats, middle: Floats
 ) -> tuple[Floats, Floats, Floats]:
     """Fit r = c0 + c1 phi + c2 phi^2 to the near edge within 0.8 of the half width."""
     typical, centre = float(np.nanmedian(half)), float(np.nanmedian(middle))
@@ -81,14 +86,14 @@ def _near_edge(
     nothing = np.full(len(window), np.nan)
     if len(columns) < 3:
         columns = np.arange(len(angles) // 2 - 1, len(angles) // 2 + 2)
-    core = np.mean(window[:, :, columns], axis=2)
-    top = int(np.argmax(np.median(core, axis=0)))
+    mixing = _bands(columns, len(angles), NEAR_BANDS)
+    across = np.matmul(window, mixing.T.astype(window.dtype)).astype(np.float64)
+    top = int(np.argmax(np.median(across.mean(axis=2), axis=0)))
     if top < 1:
         return nothing, nothing, nothing
-    inward = window[:, top::-1, :][:, :, columns].transpose(0, 2, 1)
-    edge = _crossing(_from_beyond(inward), radii[top::-1])
-    phi = angles[columns]
-    degree = 2 if len(columns) >= 5 else 0
+    edge = _crossing(_from_beyond(across[:, top::-1].transpose(0, 2, 1)), radii[top::-1])
+    phi = mixing @ angles
+    degree = 2 if len(phi) >= 5 else 0
     known = np.isfinite(edge)
     seen = known.mean(axis=1) > 0.6
     mean = np.where(known, edge, 0.0).sum(axis=1, keepdims=True) / np.maximum(
@@ -100,6 +105,15 @@ def _near_edge(
     coefficient[:, : degree + 1] = np.where(seen[:, None], edge, np.nan) @ solve.T
     coefficient[~seen] = np.nan
     return coefficient[:, 0], coefficient[:, 1], coefficient[:, 2]
+
+
+def _bands(chosen: npt.NDArray[np.integer], size: int, most: int) -> Floats:
+    """Return weights (bands, size) that average neighbouring rows or columns in at most so many bands."""
+    parts = np.array_split(chosen, min(most, len(chosen)))
+    mixing = np.zeros((len(parts), size))
+    for line, part in zip(mixing, parts, strict=True):
+        line[part] = 1.0 / len(part)
+    return mixing
 
 
 def _from_beyond(values: Floats) -> Floats:

@@ -19,6 +19,7 @@ from gyrotrack.pipeline.joint import Joint, join_bodies
 from gyrotrack.pipeline.notes import Notes
 from gyrotrack.pipeline.watch import Progress, watch
 from gyrotrack.profile import PAPER, Profile
+from gyrotrack.segmentation.single_thread import single_threaded
 from gyrotrack.video import capture_rate, file_sha256, frame_numbers, probe
 
 BODIES = (None, "casing", "rotor", "both")
@@ -78,8 +79,9 @@ def extract(
     samples = take_samples(video)
     if body == "casing":
         profile = _only_casing(profile)
-    scene = acquire(samples, profile, str(video))
-    seen = watch(video, scene, samples, threads, progress, Notes(journal))
+    with single_threaded():
+        scene = acquire(samples, profile, str(video))
+        seen = watch(video, scene, samples, threads, progress, Notes(journal))
     joint = join_bodies(seen, scene, profile, rate.fps)
     _check_bodies(joint, body, video)
     index = frame_numbers(seen.pts_time)

@@ -19,8 +19,8 @@ from gyrotrack.angles.following import Motion
 from gyrotrack.segmentation.ring import Ring
 
 _RECORDS = {kind.__name__: kind for kind in (Motion, Ring)}
-BUFFERS = frozenset({"_strips", "_pixels"})
-"""Attributes that hold the frames of the batch at hand, which mean nothing between batches."""
+BUFFERS = frozenset({"windows", "starts", "held", "_grid", "_score", "_coarse", "_pixels"})
+"""Attributes that hold the batch at hand, which means nothing between batches, or follow from others."""
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,9 @@ Integers = npt.NDArray[np.int64]
 Progress = Callable[[int, int | None], None]
 
 BATCH = 128
+HOLD = 16
+"""Frames that are kept at a time, so that a body that is not where it was predicted can be searched in them."""
+HELD_BYTES = 64_000_000
 _MOVE = 0.6
 """Distance in px from the rings' centre to the disc's beyond which the rings are moved."""
 
@@ -71,21 +74,32 @@ class _Pass:
         self.centre = scene.centre
         self.filled = 0
 
-    def take(self, frame: Frame) -> None:
-        if self.filled == 0 and self.disc is not None:
-            self.disc.aim(self.centre, frame)
-        for body in self.bodies.values():
-            body.take(frame, self.filled)
-        if self.disc is not None:
-            self.disc.take(frame, self.filled)
-        self.filled += 1
+        self.held: list[Frame] = []
+        self.hold = int(np.clip(HELD_BYTES // (1.5 * samples.frames[0].y.size), 8, HOLD))
 
-    def digest(self, advance: Integers) -> Rows:
+    @property
+    def full(self) -> bool:
+        """Whether enough frames are held to take them in."""
+        return len(self.held) == min(self.hold, BATCH - self.filled)
+
+    def take(self, advance: Integers) -> None:
+        """Take in the frames that are held; `advance` (n,) counts the camera's frames from each to the next."""
+        if self.filled == 0 and self.disc is not None:
+            self.disc.aim(self.centre, self.held[0])
+        for body in self.bodies.values():
+            body.take(self.held, self.filled, advance)
+        if self.disc is not None:
+            for k, frame in enumerate(self.held, start=self.filled):
+                self.disc.take(frame, k)
+        self.filled += len(self.held)
+        self.held.clear()
+
+    def digest(self) -> Rows:
         """Measure the frames taken since the last time; one row a frame of every quantity."""
         rows: Rows = {}
         casing: Floats | None = None
         for name, body in self.bodies.items():
-            coarse, markers = body.digest(self.filled, advance, casing)
+            coarse, markers = body.digest(self.filled, casing)
             rows[f"{name}/coarse"] = coarse
             for marker, seen in markers.items():
                 rows |= {f"{name}/{marker}/{f.name}": getattr(seen, f.name) for f in fields(Sightings)}
@@ -149,14 +163,17 @@ def watch(
         if progress is not None and reader.decoded:
             progress(reader.decoded, total)
         for frame in frames:
-            work.take(frame)
+            work.held.append(frame)
+            if work.full:
+                work.take(clock.steps(reader.pts_seconds(len(work.held))))
             if work.filled == BATCH:
-                notes.add(work.digest(clock.steps(reader.pts_seconds(BATCH))), work, reader, frame)
+                notes.add(work.digest(), work, reader, frame)
                 if progress is not None:
                     progress(reader.decoded, total)
+        if work.held:
+            work.take(clock.steps(reader.pts_seconds(len(work.held))))
         if work.filled:
-            rows = work.digest(clock.steps(reader.pts_seconds(work.filled)))
-            notes.add(rows, work, reader, frame, end=True)
+            notes.add(work.digest(), work, reader, frame, end=True)
         if progress is not None:
             progress(reader.decoded, total)
         return _watched(scene, samples, reader, notes.rows(reader.decoded))

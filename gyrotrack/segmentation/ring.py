@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from gyrotrack.video.planes import Plane
 
-Maps = tuple[npt.NDArray[np.int16], npt.NDArray[np.uint16]]
+Maps = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
 
 CHROMA_SHIFT = (0.0, 0.5)
 """Where the first chroma sample lies in luma px (x, y): on the left column, between two rows."""
@@ -56,28 +56,29 @@ class Ring:
         """Return the same grid about another centre."""
         return Ring(centre, self.inner, self.outer, self.rows, self.columns)
 
-    def _points(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        angle = np.arange(self.columns) * self.step
-        radius = self.radii[:, None]
-        return self.centre[0] + radius * np.cos(angle), self.centre[1] - radius * np.sin(angle)
-
     @cached_property
     def chroma_maps(self) -> Maps:
-        """Fixed-point maps for `cv2.remap` of a half-resolution plane."""
-        x, y = self._points()
-        return _fixed((x - CHROMA_SHIFT[0]) / 2.0, (y - CHROMA_SHIFT[1]) / 2.0)
+        """Maps for `cv2.remap` of a half-resolution plane."""
+        return self.maps(chroma=True)
 
     @cached_property
     def luma_maps(self) -> Maps:
-        """Fixed-point maps for `cv2.remap` of the full-resolution plane."""
-        return _fixed(*self._points())
+        """Maps for `cv2.remap` of the full-resolution plane."""
+        return self.maps(chroma=False)
+
+    def maps(self, *, chroma: bool, beyond: int = 0) -> Maps:
+        """Return the (x, y) in px of a plane of every point; `beyond` columns more than a full turn."""
+        angle = np.arange(self.columns + beyond) * self.step
+        radius = self.radii[:, None]
+        x, y = self.centre[0] + radius * np.cos(angle), self.centre[1] - radius * np.sin(angle)
+        if chroma:
+            x, y = (x - CHROMA_SHIFT[0]) / 2.0, (y - CHROMA_SHIFT[1]) / 2.0
+        return x.astype(np.float32), y.astype(np.float32)
 
 
-def ring_for(
-    centre: tuple[float, float], inner: float, outer: float, pixel: float, most_columns: int = 1024
-) -> Ring:
-    """Lay a grid with about one sample per `pixel` (in luma px: 2 for chroma, 1 for luma)."""
-    columns = int(np.clip(2 ** np.ceil(np.log2(np.pi * (inner + outer) / pixel)), 128, most_columns))
+def ring_for(centre: tuple[float, float], inner: float, outer: float, pixel: float) -> Ring:
+    """Lay a grid with a little more than a sample per `pixel` (in luma px: 2 for chroma, 1 for luma)."""
+    columns = int(np.clip(np.ceil(1.4 * np.pi * (inner + outer) / pixel), 128, 1024))
     rows = int(np.clip(np.ceil((outer - inner) / pixel) + 1, 6, 32))
     return Ring(centre, inner, outer, rows, columns)
 
@@ -94,8 +95,3 @@ def boxed(profile: npt.NDArray[np.floating[Any]], half: int) -> npt.NDArray[np.f
     padded = np.concatenate([profile[:, -half:], profile, profile[:, :half]], axis=1).astype(np.float64)
     total = np.cumsum(np.pad(padded, ((0, 0), (1, 0))), axis=1)
     return np.asarray((total[:, width:] - total[:, :-width]) / width)
-
-
-def _fixed(x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]) -> Maps:
-    first, second = cv2.convertMaps(x.astype(np.float32), y.astype(np.float32), cv2.CV_16SC2)
-    return np.asarray(first, dtype=np.int16), np.asarray(second, dtype=np.uint16)

@@ -219,7 +219,7 @@ def test_turns_are_counted_through_a_long_blackout(draw):
     )
     recording = extract(path)
     track = recording.bodies["casing"]
-    assert len(track.time) == 100
+    assert 96 <= len(track.time) <= 100  # a few frames pass before the body is found again
     assert np.abs(_error(track, film.casing)).max() < 0.03  # a slipped turn would be 6.28
     assert (recording.markers["red"].status[50:110] == STATUS["lost"]).all()
 
