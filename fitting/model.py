@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -78,6 +78,32 @@ class Model:
         if name not in self.names:
             raise EffectError(f"{name!r} is not in the model", "it has: " + ", ".join(self.names))
         return Model(tuple(e for e in self.effects if e.name != name))
+
+    def with_fixed(self, values: Mapping[str, float]) -> Model:
+        """Return the model with some parameters held at values instead of fitted.
+
+        Parameters
+        ----------
+        values : mapping of str to float
+            By key (``bearing.power.g``), or by symbol where only one parameter has it (``g``).
+
+        Raises
+        ------
+        EffectError
+            If a name is no parameter of the model, names several, or its value is not finite.
+        """
+        held: dict[str, float] = {}
+        for name, value in values.items():
+            keys = [k for k in self.free if k == name or k.rpartition(".")[2] == name]
+            if len(keys) != 1:
+                what = "several parameters" if keys else "no parameter that could be fitted"
+                raise EffectError(f"{name[:60]!r} is {what} of the model", "it has: " + ", ".join(self.free))
+            if not np.isfinite(value):
+                raise EffectError(
+                    f"{name[:60]} cannot be held at {value}", "give a finite number, in SI units"
+                )
+            held[keys[0]] = float(value)
+        return Model(tuple(_holding(e, held) for e in self.effects))
 
     @cached_property
     def parameters(self) -> dict[str, Parameter]:
@@ -274,6 +300,17 @@ def _in_one_sense(rate: Expr) -> Expr:
     if rate.op in {"num", "sym"}:
         return rate
     return Expr(rate.op, tuple(_in_one_sense(a) for a in rate.args))
+
+
+def _holding(effect: Effect, held: Mapping[str, float]) -> Effect:
+    keys = {p.symbol: f"{effect.name}.{p.symbol}" for p in effect.parameters}
+    if not any(k in held for k in keys.values()):
+        return effect
+    parameters = (
+        replace(p, role="fixed", start=held[keys[p.symbol]]) if keys[p.symbol] in held else p
+        for p in effect.parameters
+    )
+    return replace(effect, parameters=tuple(parameters))
 
 
 def read_model(path: Path, own: Iterable[Effect] = ()) -> Model:

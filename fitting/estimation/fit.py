@@ -155,7 +155,7 @@ def fit(
     elif not set(layout.names) <= set(start or ()):
         # far from the minimum a model fails by far more than the noise, and a valley seen so sharply is hard to follow
         problem.set_noise(cautious(problem, theta, noise))
-        _, theta = _minimise(problem, theta, quick=quick)
+        _, theta = _minimise(problem, theta, quick=True)
         noise = refine_level(problem, theta, noise)
     problem.set_noise([n.whitener for n in noise])
     minimum, theta = _minimise(problem, theta, quick=quick)
@@ -198,6 +198,7 @@ def _start(layout: Layout, problem: Problem, given: Mapping[str, float] | None) 
 
 
 def _minimise(problem: Problem, theta: Array, *, quick: bool = False) -> tuple[Minimum, Array]:
+    enough, tries = (_ENOUGH_TO_RANK, 40) if quick else (_ENOUGH, 200)
     lower, upper = problem.straight_bounds()
     follows_angle = bool(problem.layout.model.rippling or problem.layout.model.measurement)
     for _ in range(2 if follows_angle else 1):
@@ -208,22 +209,27 @@ def _minimise(problem: Problem, theta: Array, *, quick: bool = False) -> tuple[M
             problem.straight(theta),
             lower,
             upper,
-            absolute=_ENOUGH_TO_RANK if quick else _ENOUGH,
-            max_iterations=40 if quick else 200,
+            absolute=enough,
+            max_iterations=tries,
         )
         theta = problem.physical(minimum.x)
     # the box around d and f is none in straight variables: whether they kept to it is seen afterwards
     lower, upper = problem.layout.bounds()
-    outside = [i for v in problem.valleys for i in (v.d, v.f) if not lower[i] <= theta[i] <= upper[i]]
-    return _on_the_edge(problem, theta) if outside else (minimum, theta)
+    for v in problem.valleys:
+        places = [i for i in (v.d, v.f) if i is not None]
+        if np.any(theta[places] < lower[places]) or np.any(theta[places] > upper[places]):
+            return _on_the_edge(problem, theta, enough, tries)
+    return minimum, theta
 
 
-def _on_the_edge(problem: Problem, theta: Array) -> tuple[Minimum, Array]:
+def _on_the_edge(problem: Problem, theta: Array, enough: float, tries: int) -> tuple[Minimum, Array]:
     """Return the best fit with d and f within their bounds when the free one breaks them.
 
     One of the two then lies on a bound: every bound is tried, with the torque at the reference speed kept.
     """
     (v,) = problem.valleys
+    if v.d is None:
+        return _within(problem, theta, enough, tries)
     valleys, problem.valleys = problem.valleys, ()
     d, f, g, reference = theta[v.d], theta[v.f], theta[v.g], v.reference
     torque = max(d * reference + f * reference**g, 1e-12)
@@ -240,10 +246,22 @@ def _on_the_edge(problem: Problem, theta: Array) -> tuple[Minimum, Array]:
                 begin[held] = low[held] = high[held] = bound
                 begin[other] = max(torque - bound * unit[held], 0.0) / unit[other]
                 begin[v.g] = power
-                ends.append(minimise(problem, begin, low, high, absolute=_ENOUGH))
+                ends.append(minimise(problem, begin, low, high, absolute=enough, max_iterations=tries))
     finally:
         problem.valleys = valleys
     best = min(ends, key=lambda m: m.cost)
+    return best, best.x
+
+
+def _within(problem: Problem, theta: Array, enough: float, tries: int) -> tuple[Minimum, Array]:
+    """Return the best fit of a lone power law with f within its range, in f itself."""
+    valleys, problem.valleys = problem.valleys, ()
+    try:
+        lower, upper = problem.layout.bounds()
+        start = np.clip(theta, lower, upper)
+        best = minimise(problem, start, lower, upper, absolute=enough, max_iterations=tries)
+    finally:
+        problem.valleys = valleys
     return best, best.x
 
 

@@ -131,11 +131,10 @@ class Layout:
         return self.parameter(name).role == "amplitude" and name not in self.ranges
 
     def valleys(self, reference: float) -> tuple[Valley, ...]:
-        """Return the pairs of a linear and a power law of the bearing that need straight coordinates."""
-        keys = ("bearing.linear.d", "bearing.power.f", "bearing.power.g")
-        if not all(k in self.index for k in keys):
+        """Return the power laws of the bearing that need straight coordinates."""
+        d, f, g = (self.index.get(k) for k in ("bearing.linear.d", "bearing.power.f", "bearing.power.g"))
+        if f is None or g is None or (d is None and "bearing.linear.d" in self.model.free):
             return ()
-        d, f, g = (self.index[k] for k in keys)
         return (Valley(d, f, g, reference),)
 
 

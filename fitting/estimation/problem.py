@@ -82,10 +82,13 @@ class Problem:
         return to_physical(u, self.valleys)[0]
 
     def straight_bounds(self) -> tuple[Array, Array]:
-        """Return the bounds of the straight variables: d and f may leave theirs on the way."""
+        """Return the bounds of the straight variables: d and f may leave theirs on the way, a lone f only upwards."""
         lower, upper = self.layout.bounds()
         for v in self.valleys:
-            lower[[v.d, v.f]], upper[[v.d, v.f]] = -np.inf, np.inf
+            if v.d is not None:
+                lower[[v.d, v.f]], upper[[v.d, v.f]] = -np.inf, np.inf
+            else:
+                lower[v.f], upper[v.f] = 0.0 if lower[v.f] >= 0 else -np.inf, np.inf
         return lower, upper
 
 

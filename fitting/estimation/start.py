@@ -48,7 +48,7 @@ def start_values(layout: Layout, reference: float, rough: Sequence[tuple[Array, 
         theta[i], theta[j] = speeds[0]
     for place, several in found.items():
         theta[place] = float(np.mean(several))
-    if all(k in layout.index for k in ("bearing.linear.d", "bearing.power.f")):
+    if all(k in layout.index for k in ("bearing.linear.d", "bearing.power.f", "bearing.power.g")):
         d, f, g = (theta[layout.index[f"bearing.{k}"]] for k in ("linear.d", "power.f", "power.g"))
         torque = max(d * reference, 1e-9)
         if f <= 0:
@@ -69,16 +69,18 @@ def _regress(layout: Layout, case: int, times: Array, speeds: Array, theta: Arra
     dynamics = Dynamics(layout.model.smooth)
     numbers = layout.numbers(theta, case)
     state = np.concatenate([speeds, np.zeros((len(times), len(dynamics.states) - 2))], axis=1)
+    # linear in its strength, but hardly to be told from the linear law while its power is free
+    curved = ("bearing.heating.", *(("bearing.power.",) if "bearing.power.g" in dynamics.parameters else ()))
     linear = [
         k
         for k in dynamics.parameters
-        if layout.model.parameters[k].role == "amplitude"
-        and not k.startswith(("bearing.power.", "bearing.heating."))
+        if layout.model.parameters[k].role == "amplitude" and not k.startswith(curved)
     ] or [k for k in dynamics.parameters if layout.model.parameters[k].role == "amplitude"]
-    if "bearing.linear.d" not in linear and "bearing.power.f" in dynamics.parameters:
+    if not {"bearing.linear.d", "bearing.power.f"} & {*linear} and "bearing.power.f" in dynamics.parameters:
         linear.append("bearing.power.f")
     with np.errstate(all="ignore"):
-        _, _, b = dynamics.linearised(times, state, numbers)
+        # without the strengths that are sought: what parameters held at a value do
+        still, _, b = dynamics.linearised(times, state, numbers | dict.fromkeys(linear, 0.0))
     columns = np.array([dynamics.parameters.index(k) for k in linear])
     weight = np.array([numbers[INERTIA_ROTOR], numbers[INERTIA_CASING]])
     rates = b[:, :2][:, :, columns]
@@ -89,15 +91,15 @@ def _regress(layout: Layout, case: int, times: Array, speeds: Array, theta: Arra
             f"the law of {name[:80]!r} has no finite value at the measured speeds",
             "look for a division by zero or a huge exponent",
         )
-    middle = 0.5 * (rates[1:] + rates[:-1]) * np.diff(times)[:, None, None]
-    integrals = np.concatenate([np.zeros((1, 2, len(linear))), np.cumsum(middle, axis=0)])
+    integrals = _integral(times, rates)
+    held = _integral(times, still[:, :2])
     # while friction holds the casing its torque is what it has to be, and says nothing
     seen = [np.ones(len(times), dtype=bool), _turning(speeds[:, 1])]
     blocks = [
         np.concatenate([integrals[:, i], _start_column(len(times), i)], axis=1)[seen[i]] * weight[i]
         for i in (0, 1)
     ]
-    target = np.concatenate([speeds[seen[i], i] * weight[i] for i in (0, 1)])
+    target = np.concatenate([(speeds[:, i] - held[:, i])[seen[i]] * weight[i] for i in (0, 1)])
     design = np.concatenate(blocks)
     size = np.linalg.norm(design, axis=0)
     size[size == 0] = 1.0
@@ -121,6 +123,12 @@ def _turning(omega_c: Array) -> NDArray[np.bool_]:
     inside = np.zeros(len(omega_c), dtype=bool)
     inside[start:stop] = True
     return inside
+
+
+def _integral(times: Array, rates: Array) -> Array:
+    steps = np.diff(times).reshape(-1, *[1] * (rates.ndim - 1))
+    middle = 0.5 * (rates[1:] + rates[:-1]) * steps
+    return np.concatenate([np.zeros((1, *rates.shape[1:])), np.cumsum(middle, axis=0)])
 
 
 def _start_column(n: int, body: int) -> Array:

@@ -38,6 +38,7 @@ COMMANDS = (
         _PHYSICS,
         "Fit a model: parameters, errors, how well it describes the data.",
     ),
+    Entry("scan", "gyrotrack.cli.scan", _PHYSICS, "Fit every combination of the paper's terms: its tables."),
     Entry(
         "diagnose", "gyrotrack.cli.diagnose", _PHYSICS, "Say where the fit fails and which effect is missing."
     ),

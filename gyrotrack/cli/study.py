@@ -66,12 +66,18 @@ class Study:
 
 def open_study(cases: Sequence[Path], ledger: Path | None) -> Study:
     """Read cases and their ledger."""
-    from fitting.case_data import CaseData
     from fitting.ledger import Ledger
+
+    data = read_cases(cases)
+    return Study(data, Ledger(ledger) if ledger is not None else Ledger.beside(Path(cases[0])))
+
+
+def read_cases(cases: Sequence[Path]) -> tuple[CaseData, ...]:
+    """Read cases and project them."""
+    from fitting.case_data import CaseData
     from fitting.record import read_record
 
-    data = tuple(CaseData.of(read_record(path)) for path in cases)
-    return Study(data, Ledger(ledger) if ledger is not None else Ledger.beside(Path(cases[0])))
+    return tuple(CaseData.of(read_record(path)) for path in cases)
 
 
 def own_effects(path: Path | None) -> list[Effect]:

@@ -41,6 +41,23 @@ def test_slopes_match_differences(g):
         np.testing.assert_allclose(slope[:, i], rise, rtol=1e-5, atol=1e-9 * np.abs(slope[:, i]).max())
 
 
+ALONE = (Valley(None, 3, 2, 400.0),)
+
+
+@given(st.floats(1e-10, 1e-6), st.floats(0.3, 1.4))
+def test_a_power_law_alone_there_and_back(f, g):
+    theta = np.array([7.0, 1.0, g, f, -3.0])
+    u = from_physical(theta, ALONE)
+    assert u[3] == pytest.approx(f * 400.0**g)
+    back, slope = to_physical(u, ALONE)
+    np.testing.assert_allclose(back, theta, rtol=1e-12)
+    for i in (2, 3):
+        step = np.zeros(5)
+        step[i] = 1e-6 * u[i]
+        rise = (to_physical(u + step, ALONE)[0] - to_physical(u - step, ALONE)[0]) / (2 * step[i])
+        np.testing.assert_allclose(slope[:, i], rise, rtol=1e-5)
+
+
 def test_without_a_valley_nothing_changes():
     theta = np.array([1.0, 2.0])
     np.testing.assert_array_equal(from_physical(theta, ()), theta)

@@ -1,0 +1,43 @@
+"""`gyrotrack scan` as a user runs it."""
+
+import csv
+
+import pytest
+
+from gyrotrack.cli import app
+
+
+@pytest.fixture(scope="module")
+def scanned(simulated, tmp_path_factory, request):
+    """One run on one case, with all outputs."""
+    folder = tmp_path_factory.mktemp("scan")
+    outputs = ["--csv", str(folder / "s.csv"), "--latex", str(folder / "s.tex")]
+    with pytest.MonkeyPatch.context() as patch:
+        said = []
+        patch.setattr("gyrotrack.cli.output.print_json", said.append)
+        code = app.run(["scan", str(simulated / "plain.h5"), *outputs, "--json", "-q"])
+    (document,) = said
+    return code, document, folder
+
+
+def test_tables_files_and_document(scanned):
+    code, document, folder = scanned
+    assert code == 0
+    assert [len(t["rows"]) for t in document["tables"]] == [5, 15]
+    assert [m["name"] for m in document["models"]] == ["reduced", "general"]
+    assert len(list(csv.reader((folder / "s.csv").read_text().splitlines()))) == 1 + 20 + 2
+    assert (folder / "s.tex").read_text().startswith("% made by gyrotrack scan")
+
+
+def test_nothing_is_kept_and_nothing_replaced(scanned, simulated, gyrotrack):
+    folder = scanned[2]
+    assert not list(simulated.glob("*.fits.json"))
+    said = gyrotrack("scan", simulated / "plain.h5", "--csv", folder / "s.csv", "--json")
+    assert said.code == 1
+    assert "exists" in said.error["message"]
+
+
+def test_two_names_for_one_case_are_refused(simulated, gyrotrack):
+    said = gyrotrack("scan", simulated / "plain.h5", simulated / "plain.h5")
+    assert said.code == 1
+    assert "different labels" in said.err
