@@ -8,7 +8,7 @@ thousand sigma somewhere is not torn there; its chi-square and held-out error ar
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,10 +19,11 @@ from fitting.errors import EstimationError
 from fitting.estimation.case_model import Prediction
 from fitting.estimation.covariance import covariance_of, surely_at_bound
 from fitting.estimation.layout import Layout
-from fitting.estimation.levenberg import Minimum, minimise
 from fitting.estimation.metrics import CaseMetrics, case_metrics
 from fitting.estimation.noise_levels import Noise, cautious, first_noise, measure_noise, refine_level
 from fitting.estimation.problem import Problem, Projection
+from fitting.estimation.search import search, search_widely
+from fitting.estimation.shapes import start_shapes, unknown_shapes
 from fitting.estimation.start import start_values
 from fitting.model import Model
 from fitting.record import Record
@@ -33,9 +34,7 @@ Array = NDArray[np.float64]
 _MISFIT = 1.4
 # twice a log-likelihood ratio, for one more number, that noise hardly ever reaches
 _CLEARLY = 14.0
-# a chi-square this near to its minimum moves no parameter by a hundredth of its error
-_ENOUGH = 1e-5
-_ENOUGH_TO_RANK = 3e-3
+_OTHER_POWERS = (0.7, 1.35)
 
 
 @dataclass(frozen=True)
@@ -149,20 +148,30 @@ def fit(
     if noise is None:
         noise = first_noise(problem, theta)
         problem.set_noise([n.whitener for n in noise])
-        _, theta = _minimise(problem, theta, quick=quick)
+        theta = _shaped(problem, theta, start)
+        theta = search_widely(problem, theta, _elsewhere(layout, problem, theta, start), quick=quick)
         noise = measure_noise(problem, theta)
         theta, noise = _tight(problem, theta, noise)
     elif not set(layout.names) <= set(start or ()):
         # far from the minimum a model fails by far more than the noise, and a valley seen so sharply is hard to follow
         problem.set_noise(cautious(problem, theta, noise))
-        _, theta = _minimise(problem, theta, quick=True)
+        theta = _shaped(problem, theta, start)
+        _, theta = search(problem, theta, quick=True)
         noise = refine_level(problem, theta, noise)
     problem.set_noise([n.whitener for n in noise])
-    minimum, theta = _minimise(problem, theta, quick=quick)
+    minimum, theta = search(problem, theta, quick=quick)
     noise = tuple(refine_level(problem, theta, noise))
     problem.set_noise([n.whitener for n in noise])
-    minimum, theta = _minimise(problem, theta, quick=quick)
+    minimum, theta = search(problem, theta, quick=quick)
     return summarise(problem, theta, noise, converged=minimum.converged)
+
+
+def _shaped(problem: Problem, theta: Array, given: Mapping[str, float] | None) -> Array:
+    unknown = unknown_shapes(problem.layout, given)
+    if not unknown:
+        return theta
+    names = {n for n in problem.layout.names if not n.startswith(tuple(f"{e.name}." for e in unknown))}
+    return start_shapes(problem, theta, unknown, fitted=names <= set(given or ()))
 
 
 def _tight(problem: Problem, theta: Array, noise: tuple[Noise, ...]) -> tuple[Array, tuple[Noise, ...]]:
@@ -175,7 +184,7 @@ def _tight(problem: Problem, theta: Array, noise: tuple[Noise, ...]) -> tuple[Ar
     if not held or all(n.level <= n.pure for n in noise):
         return theta, noise
     problem.set_noise([n.whitener.at(n.pure) for n in noise])
-    _, other = _minimise(problem, theta)
+    _, other = search(problem, theta)
     ends = [(theta, noise), (other, measure_noise(problem, other))]
     return min(ends, key=lambda end: _deviance(problem, *end))
 
@@ -184,6 +193,21 @@ def _deviance(problem: Problem, theta: Array, noise: Sequence[Noise]) -> float:
     problem.set_noise([n.whitener for n in noise])
     r, _ = problem.residuals(problem.predict(theta))
     return float(r @ r) + sum(n.whitener.log_determinant for n in noise)
+
+
+def _elsewhere(
+    layout: Layout, problem: Problem, theta: Array, given: Mapping[str, float] | None
+) -> Iterator[Array]:
+    """Yield other starts: the program's own if one was given, and other exponents of the bearing's power law."""
+    own = _start(layout, problem, None) if given else theta
+    if given:
+        yield own
+    for g in _OTHER_POWERS:
+        begin = own.copy()
+        for v in problem.valleys:
+            begin = problem.physical(np.where(np.arange(len(own)) == v.g, g, problem.straight(begin)))
+        if problem.valleys:
+            yield begin
 
 
 def _start(layout: Layout, problem: Problem, given: Mapping[str, float] | None) -> Array:
@@ -195,74 +219,6 @@ def _start(layout: Layout, problem: Problem, given: Mapping[str, float] | None) 
         )
         known = guessed | {k: v for k, v in known.items() if k in guessed}
     return np.array([known[n] for n in layout.names])
-
-
-def _minimise(problem: Problem, theta: Array, *, quick: bool = False) -> tuple[Minimum, Array]:
-    enough, tries = (_ENOUGH_TO_RANK, 40) if quick else (_ENOUGH, 200)
-    lower, upper = problem.straight_bounds()
-    follows_angle = bool(problem.layout.model.rippling or problem.layout.model.measurement)
-    for _ in range(2 if follows_angle else 1):
-        for case in problem.cases:
-            case.forget_columns()
-        minimum = minimise(
-            problem,
-            problem.straight(theta),
-            lower,
-            upper,
-            absolute=enough,
-            max_iterations=tries,
-        )
-        theta = problem.physical(minimum.x)
-    # the box around d and f is none in straight variables: whether they kept to it is seen afterwards
-    lower, upper = problem.layout.bounds()
-    for v in problem.valleys:
-        places = [i for i in (v.d, v.f) if i is not None]
-        if np.any(theta[places] < lower[places]) or np.any(theta[places] > upper[places]):
-            return _on_the_edge(problem, theta, enough, tries)
-    return minimum, theta
-
-
-def _on_the_edge(problem: Problem, theta: Array, enough: float, tries: int) -> tuple[Minimum, Array]:
-    """Return the best fit with d and f within their bounds when the free one breaks them.
-
-    One of the two then lies on a bound: every bound is tried, with the torque at the reference speed kept.
-    """
-    (v,) = problem.valleys
-    if v.d is None:
-        return _within(problem, theta, enough, tries)
-    valleys, problem.valleys = problem.valleys, ()
-    d, f, g, reference = theta[v.d], theta[v.f], theta[v.g], v.reference
-    torque = max(d * reference + f * reference**g, 1e-12)
-    lower, upper = problem.layout.bounds()
-    # the power of one law that has this torque and this slope at the reference speed
-    alike = float(np.clip((d * reference + g * f * reference**g) / torque, lower[v.g], upper[v.g]))
-    ends = []
-    try:
-        for held, other in ((v.d, v.f), (v.f, v.d)):
-            power = alike if held == v.d else g
-            unit = {v.d: reference, v.f: reference**power}
-            for bound in {float(b[held]) for b in (lower, upper) if np.isfinite(b[held])}:
-                begin, low, high = theta.copy(), lower.copy(), upper.copy()
-                begin[held] = low[held] = high[held] = bound
-                begin[other] = max(torque - bound * unit[held], 0.0) / unit[other]
-                begin[v.g] = power
-                ends.append(minimise(problem, begin, low, high, absolute=enough, max_iterations=tries))
-    finally:
-        problem.valleys = valleys
-    best = min(ends, key=lambda m: m.cost)
-    return best, best.x
-
-
-def _within(problem: Problem, theta: Array, enough: float, tries: int) -> tuple[Minimum, Array]:
-    """Return the best fit of a lone power law with f within its range, in f itself."""
-    valleys, problem.valleys = problem.valleys, ()
-    try:
-        lower, upper = problem.layout.bounds()
-        start = np.clip(theta, lower, upper)
-        best = minimise(problem, start, lower, upper, absolute=enough, max_iterations=tries)
-    finally:
-        problem.valleys = valleys
-    return best, best.x
 
 
 def summarise(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, converged: bool) -> Fit:

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from fitting.effects.effect import Parameter
 from fitting.errors import EffectError
-from fitting.estimation.coordinates import Valley
 from fitting.model import INERTIA_CASING, INERTIA_ROTOR, Model
 from fitting.record import Record
 
@@ -129,13 +128,6 @@ class Layout:
     def is_physical_bound(self, name: str) -> bool:
         """Return whether nature sets the bounds of a variable (friction takes energy), not habit or a range."""
         return self.parameter(name).role == "amplitude" and name not in self.ranges
-
-    def valleys(self, reference: float) -> tuple[Valley, ...]:
-        """Return the power laws of the bearing that need straight coordinates."""
-        d, f, g = (self.index.get(k) for k in ("bearing.linear.d", "bearing.power.f", "bearing.power.g"))
-        if f is None or g is None or (d is None and "bearing.linear.d" in self.model.free):
-            return ()
-        return (Valley(d, f, g, reference),)
 
 
 def _covers(name: str, key: str) -> bool:

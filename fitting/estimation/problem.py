@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fitting.case_data import CaseData
 from fitting.estimation.case_model import CaseModel, Prediction
-from fitting.estimation.coordinates import from_physical, to_physical
+from fitting.estimation.coordinates import find_valleys, from_physical, to_physical
 from fitting.estimation.layout import Layout
 from fitting.noise import WHITE, Whitener
 
@@ -48,7 +48,7 @@ class Problem:
         self.cases = [CaseModel(d, layout, i) for i, d in enumerate(data)]
         self.projections = [Projection(d, WHITE) for d in data]
         self.reference = reference_speed(self.data)
-        self.valleys = layout.valleys(self.reference)
+        self.valleys = find_valleys(layout, [d.rough_speeds for d in data])
 
     def set_noise(self, whiteners: Sequence[Whitener]) -> None:
         """Weigh the rows by this noise from now on."""
@@ -81,9 +81,9 @@ class Problem:
         """Return the physical variables of straight ones."""
         return to_physical(u, self.valleys)[0]
 
-    def straight_bounds(self) -> tuple[Array, Array]:
+    def straight_bounds(self, lower: Array, upper: Array) -> tuple[Array, Array]:
         """Return the bounds of the straight variables: d and f may leave theirs on the way, a lone f only upwards."""
-        lower, upper = self.layout.bounds()
+        lower, upper = lower.copy(), upper.copy()
         for v in self.valleys:
             if v.d is not None:
                 lower[[v.d, v.f]], upper[[v.d, v.f]] = -np.inf, np.inf

@@ -48,12 +48,13 @@ def start_values(layout: Layout, reference: float, rough: Sequence[tuple[Array, 
         theta[i], theta[j] = speeds[0]
     for place, several in found.items():
         theta[place] = float(np.mean(several))
-    if all(k in layout.index for k in ("bearing.linear.d", "bearing.power.f", "bearing.power.g")):
-        d, f, g = (theta[layout.index[f"bearing.{k}"]] for k in ("linear.d", "power.f", "power.g"))
-        torque = max(d * reference, 1e-9)
-        if f <= 0:
-            theta[layout.index["bearing.power.f"]] = _FIRST_SHARE * torque / reference**g
-            theta[layout.index["bearing.linear.d"]] = (1 - _FIRST_SHARE) * torque / reference
+    pair = ("bearing.linear.d", "bearing.power.f", "bearing.power.g")
+    if all(k in layout.model.free for k in pair):
+        places = [layout.places(i, pair) for i in range(len(rough))]
+        for d, f, g in [p for p in places if theta[p[1]] <= 0]:
+            torque = max(theta[d] * reference, 1e-9)
+            theta[f] = _FIRST_SHARE * torque / reference ** theta[g]
+            theta[d] = (1 - _FIRST_SHARE) * torque / reference
     return theta
 
 

@@ -1,11 +1,17 @@
 import numpy as np
 import pytest
+from cases import data
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from fitting.estimation.coordinates import Valley, from_physical, to_physical
+from fitting.effects import REDUCED, resolve
+from fitting.estimation.coordinates import Valley, find_valleys, from_physical, to_physical
+from fitting.estimation.layout import Layout
+from fitting.model import Model
+from fitting.record import Record
 
 VALLEYS = (Valley(1, 3, 2, 400.0),)
+SQUARE = (Valley(1, 3, 2, 90.0, 2.0),)
 
 
 @given(st.floats(1e-9, 1e-6), st.floats(1e-10, 1e-6), st.floats(0.3, 1.4))
@@ -30,14 +36,15 @@ def test_torque_is_the_one_of_the_formula(g, curvature, at_reference, speed):
     )
 
 
-@pytest.mark.parametrize("g", [0.3, 0.7, 0.99, 1.01, 1.2, 1.4])
-def test_slopes_match_differences(g):
+@pytest.mark.parametrize("valleys", [VALLEYS, SQUARE])
+@pytest.mark.parametrize("g", [0.3, 0.7, 0.99, 1.01, 1.2, 1.4, 1.97])
+def test_slopes_match_differences(g, valleys):
     u = np.array([2.0, 1e-4, g, 2e-5, 5.0])
-    _, slope = to_physical(u, VALLEYS)
+    _, slope = to_physical(u, valleys)
     for i in range(5):
         step = np.zeros(5)
         step[i] = 1e-6 * max(abs(u[i]), 1e-4)
-        rise = (to_physical(u + step, VALLEYS)[0] - to_physical(u - step, VALLEYS)[0]) / (2 * step[i])
+        rise = (to_physical(u + step, valleys)[0] - to_physical(u - step, valleys)[0]) / (2 * step[i])
         np.testing.assert_allclose(slope[:, i], rise, rtol=1e-5, atol=1e-9 * np.abs(slope[:, i]).max())
 
 
@@ -64,3 +71,61 @@ def test_without_a_valley_nothing_changes():
     same, slope = to_physical(theta, ())
     np.testing.assert_array_equal(same, theta)
     np.testing.assert_array_equal(slope, np.eye(2))
+
+
+def layout_of(*laws, per_case=(), cases=1):
+    one = data(seed=0).record
+    records = [Record(f"case{i}", 5e-5, 2e-5, one.casing, one.rotor) for i in range(cases)]
+    model = Model.of(REDUCED)
+    for law in laws:
+        model = model.with_effect(resolve(law))
+    return Layout.of(model, records, per_case=per_case)
+
+
+def found(layout):
+    rough = [data(seed=0).rough_speeds] * len(layout.records)
+    names = layout.names
+    return {(names[v.d], names[v.f], names[v.g]): v for v in find_valleys(layout, rough)}
+
+
+BEARING = ("bearing.linear.d", "bearing.power.f", "bearing.power.g")
+
+
+def test_the_bearings_pair_is_found_with_a_typical_speed():
+    (v,) = found(layout_of()).values()
+    _, speeds = data(seed=0).rough_speeds
+    assert found(layout_of()).keys() == {BEARING}
+    assert v.order == 1.0
+    assert v.reference == pytest.approx(np.median(speeds[:, 0] - speeds[:, 1]))
+
+
+@pytest.mark.parametrize(
+    ("law", "partner", "order"),
+    [
+        ("casing: -k*abs(omega_c)**n*sign(omega_c)", "casing.air.linear.b2", 1.0),
+        ("casing: -k*omega_c*abs(omega_c)**n", "casing.air.linear.b2", 0.0),
+        ("rotor: -k*abs(omega_r)**n*sign(omega_r)", "rotor.air.quadratic.a2", 2.0),
+    ],
+)
+def test_a_users_power_law_is_paired_with_the_law_that_it_may_become(law, partner, order):
+    pairs = found(layout_of(law))
+    (mine,) = [(k, v) for k, v in pairs.items() if k != BEARING]
+    assert mine[0] == (partner, f"{law}.k", f"{law}.n")
+    assert mine[1].order == order
+
+
+@pytest.mark.parametrize(
+    "law", ["casing: -k*omega_c**3", "casing: -k*exp(-abs(omega_c)/w)", "casing: k*tanh(n*omega_r)*omega_c"]
+)
+def test_other_laws_have_no_pair(law):
+    assert found(layout_of(law)).keys() == {BEARING}
+
+
+def test_pairs_of_each_case():
+    assert found(layout_of(per_case=["g"], cases=2)) == {}
+    assert found(layout_of(per_case=["f", "g"], cases=2)) == {}
+    linear = found(layout_of(per_case=["d"], cases=2))
+    assert [k[0] for k in linear] == ["bearing.linear.d@case0", "bearing.linear.d@case1"]
+    assert {k[1:] for k in linear} == {BEARING[1:]}
+    whole = found(layout_of(per_case=["d", "f", "g"], cases=2))
+    assert [k for v in whole for k in v] == [f"{k}@case{i}" for i in (0, 1) for k in BEARING]

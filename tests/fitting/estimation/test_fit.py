@@ -1,5 +1,7 @@
 """The whole way from angles to parameters, on data whose truth is known and made without `fitting`."""
 
+import itertools
+
 import numpy as np
 import pytest
 import reference
@@ -7,7 +9,7 @@ import twobody
 from cases import data, fitted, pulls
 
 from fitting.case_data import CaseData
-from fitting.effects import GENERAL, LINEAR, REDUCED
+from fitting.effects import GENERAL, LINEAR, REDUCED, resolve
 from fitting.errors import EffectError, EstimationError
 from fitting.estimation import fit
 from fitting.model import Model
@@ -189,6 +191,71 @@ def test_an_added_effect_is_recovered(name):
     assert max(map(abs, found.values())) < 4.5, found
     strength = result.estimates[f"{name}.k"]
     assert abs(strength.value) > 5 * strength.stderr
+
+
+POWER = "casing: -k*abs(omega_c)**n*sign(omega_c)"
+
+
+@pytest.mark.parametrize(
+    ("n", "k", "after"),
+    [
+        (1.7, 4e-9, True),
+        *(
+            pytest.param(n, k, a, marks=pytest.mark.slow)
+            for n, k in ((0.6, 2e-6), (3.0, 1e-12))
+            for a in (0, 1)
+        ),
+    ],
+)
+def test_a_free_power_of_a_users_law_is_found(n, k, after):
+    """The law starts at n = 1, where it is the linear drag that the model has already."""
+    measured = case(
+        {}, 33, "case1", hidden=twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -k * abs(wc) ** n)
+    )
+    start = {a: e.value for a, e in fit(Model.of(REDUCED), [measured]).estimates.items()} if after else None
+    result = fit(Model.of(REDUCED).with_effect(resolve(POWER)), [measured], start=start)
+    assert result.verdict == "adequate"
+    true = TRUTH | {f"{POWER}.k": k, f"{POWER}.n": n}
+    assert max(map(abs, pulls(result, true).values())) < 4
+    assert result.estimates[f"{POWER}.n"].stderr < 1e-3
+
+
+@pytest.mark.parametrize("free", [["d"], pytest.param(["d", "f", "g"], marks=pytest.mark.slow)])
+def test_a_bearing_of_its_own_in_each_case(free):
+    """Two bearings: the straight variables are those of each."""
+    other = {"d": 1.3e-7, "f": 1.0e-8, "g": 1.34} if len(free) > 1 else {"d": 1.4e-7}
+    both = [case({}, 21, "glass"), case(other, 22, "steel", start=(850.0, 9.0))]
+    result = fit(Model.of(REDUCED), both, per_case=free)
+    assert len(result.problem.valleys) == 2
+    assert result.verdict == "adequate"
+    true = {twobody.KEYS[k]: v for k, v in twobody.PAPER.items() if k not in free}
+    for k in free:
+        true |= {f"{twobody.KEYS[k]}@glass": twobody.PAPER[k], f"{twobody.KEYS[k]}@steel": other[k]}
+    found = pulls(result, true)
+    assert set(true) - set(found) == {"touchpoint.constant.b1", "casing.air.linear.b2"}
+    assert max(map(abs, found.values())) < 4
+
+
+@pytest.mark.slow
+def test_every_corner_of_a_factor_of_two_ends_in_the_same_minimum():
+    """A sixteenth of what benchmarks/fitting/convergence.py does, on the rough surface where the casing may stop."""
+    par = {"b1": 2.4e-5, "b2": 8.1e-7}
+    motion = twobody.simulate({**twobody.PAPER, **par}, (740.0, 12.0), 160.0)
+    cameras = twobody.Cameras(span=160.0, windows=(4.0, 56.0, 120.0))
+    measured = CaseData.of(make_record(**twobody.film(motion, cameras=cameras)))
+    base = fit(Model.of(REDUCED), [measured])
+    true = twobody.truth({**twobody.PAPER, **par}, (740.0, 12.0))
+    names = [n for n in true if not n.startswith("initial.")]
+    corners = list(itertools.product((0.5, 2.0), repeat=len(names)))
+    # among them those from which the casing stops within seconds: friction doubled, drive halved
+    for corner in [*corners[24:27:2], *corners[48:59:8], *corners[::11]]:
+        start = {n: true[n] * f for n, f in zip(names, corner, strict=True)}
+        start["bearing.power.g"] = min(start["bearing.power.g"], 1.4)
+        again = fit(Model.of(REDUCED), [measured], start=start)
+        assert again.verdict == "adequate", corner
+        assert again.deviance == pytest.approx(base.deviance, abs=0.01), corner
+        for name, e in base.estimates.items():
+            assert abs(again.estimates[name].value - e.value) < 0.05 * e.stderr, (corner, name)
 
 
 def test_a_ripple_of_the_casing_is_recovered():

@@ -53,7 +53,6 @@ def test_sharing_by_prefix_effect_key_or_symbol(records, share):
 def test_freeing_per_case(records):
     names = Layout.of(Model.of(LINEAR), records, per_case=["bearing.linear"]).names
     assert {"bearing.linear.d@glass", "bearing.linear.d@steel"} <= set(names)
-    assert Layout.of(Model.of(REDUCED), records, per_case=["g"]).valleys(400.0) == ()
 
 
 def test_each_case_gets_its_own_numbers(records):
