@@ -15,6 +15,7 @@ TOML file::
     name = "tape"
     colour = "green"            # red, orange, yellow, green, cyan, blue, magenta, white
     body = "rotor"              # casing or rotor
+    hue = 231.5                 # optional, degrees in the (U, V) plane: the exact shade
     mount_angle = 0.0           # optional, rad: fixes the body's zero; else that is the first marker
 """
 
@@ -41,6 +42,7 @@ class MarkerProfile(BaseModel):
     name: str = Field(min_length=1, max_length=40, pattern=r"^[A-Za-z0-9_\-]+$")
     colour: Colour
     body: Body
+    hue: float | None = Field(default=None, ge=0.0, lt=360.0)
     mount_angle: float | None = None
 
 
@@ -57,6 +59,7 @@ class Profile(BaseModel):
     marker: tuple[MarkerProfile, ...] = Field(min_length=1)
     centre: Literal["circle", "orbit"] = "circle"
     circle_colour: Colour = "red"
+    circle_hue: float | None = Field(default=None, ge=0.0, lt=360.0)
     capture_fps: float | None = Field(default=None, gt=0.0, lt=1.0e7)
     sense: Literal[-1, 1] | None = None
     wander: bool | None = None
@@ -117,11 +120,16 @@ def parse(data: dict[str, Any], where: str) -> Profile:
     return check(data, Profile, what="profile", where=where, error=ProfileError)
 
 
+_WORDS = {"name", "colour", "body"}
+
+
 def to_toml(profile: Profile) -> str:
     """Write a profile as TOML text that `load` reads back to the same profile."""
     lines = [f'name = "{_escaped(profile.name)}"', f'centre = "{profile.centre}"']
     if profile.circle_colour != "red":
         lines.append(f'circle_colour = "{profile.circle_colour}"')
+    if profile.circle_hue is not None:
+        lines.append(f"circle_hue = {profile.circle_hue!r}")
     if profile.capture_fps is not None:
         lines.append(f"capture_fps = {profile.capture_fps!r}")
     if profile.sense is not None:
@@ -132,7 +140,9 @@ def to_toml(profile: Profile) -> str:
         lines.append("tilt_correction = false")
     for marker in profile.marker:
         lines += ["", "[[marker]]"]
-        lines += [f'{key} = "{value}"' for key, value in marker.model_dump(exclude={"mount_angle"}).items()]
+        lines += [f'{key} = "{value}"' for key, value in marker.model_dump(include=_WORDS).items()]
+        if marker.hue is not None:
+            lines.append(f"hue = {marker.hue!r}")
         if marker.mount_angle is not None:
             lines.append(f"mount_angle = {marker.mount_angle!r}")
     return "\n".join(lines) + "\n"

@@ -26,6 +26,7 @@ _PHYSICS = "From data to physics"
 _ORACLE = "Known answers"
 
 COMMANDS = (
+    Entry("profile", "gyrotrack.cli.profile", _DATA, "Find the markers of a film and write them down."),
     Entry("extract", "gyrotrack.cli.extract", _DATA, "Track a film: from frames to angles and their errors."),
     Entry("import", "gyrotrack.cli.importing", _DATA, "Make a case from tables of angles or speeds (CSV)."),
     Entry("sync", "gyrotrack.cli.sync", _DATA, "Put the clips of one experiment on one clock."),

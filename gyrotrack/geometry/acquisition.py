@@ -32,7 +32,8 @@ def acquire(samples: Samples, profile: Profile, where: str) -> Scene:
         If no marker of the profile can be found.
     """
     orbit = _find_orbit(samples, profile)
-    disc = _find_disc(samples, profile, orbit) if profile.centre == "circle" else None
+    circle = chroma_direction(profile.circle_colour, profile.circle_hue)
+    disc = find_disc(samples, circle, orbit) if profile.centre == "circle" else None
     if disc is None and orbit is None:
         raise TrackingError(
             f"no markers found in {where}: nothing in the profile's colours turns about a centre",
@@ -57,9 +58,8 @@ def _find_orbit(samples: Samples, profile: Profile) -> Orbit | None:
     still = np.median(chroma, axis=1).astype(np.float32)
     points: list[tuple[float, float]] = []
     group: list[int] = []
-    colours = sorted({m.colour for m in profile.marker if m.colour != "white"})
-    for label, colour in enumerate(colours):
-        direction = chroma_direction(colour)
+    colours = {chroma_direction(m.colour, m.hue): m.colour for m in profile.marker if m.colour != "white"}
+    for label, direction in enumerate(sorted(colours, key=colours.__getitem__)):
         scores = [hue_score(u - still[0], v - still[1], direction) for u, v in zip(*chroma, strict=True)]
         for blobs in _blobs_in(scores, most=2):
             points += [samples.to_luma(b.x, b.y) for b in blobs]
@@ -77,10 +77,10 @@ def _blobs_in(scores: list[npt.NDArray[np.float32]], most: int) -> list[list[Blo
     return [find_blobs(score, threshold, most) for score in scores]
 
 
-def _find_disc(samples: Samples, profile: Profile, orbit: Orbit | None) -> Disc | None:
+def find_disc(samples: Samples, direction: tuple[float, float], orbit: Orbit | None) -> Disc | None:
+    """Find a disc whose chroma lies in a direction (U, V), well inside the orbit; None where there is none."""
     still = np.median(samples.chroma, axis=1).astype(np.float32)
     neutral = [_neutral(plane, samples, orbit) for plane in still]
-    direction = chroma_direction(profile.circle_colour)
     score = hue_score(still[0] - neutral[0], still[1] - neutral[1], direction)
     if orbit is not None:
         score = score * _near(score.shape, samples, orbit)

@@ -47,7 +47,7 @@ def find_coloured(strips: Strips, ring: Ring, marker: MarkerProfile) -> Sighting
 
 
 def _sight(difference: Strips, ring: Ring, marker: MarkerProfile) -> Sighting | None:
-    score = hue_score(difference[0], difference[1], chroma_direction(marker.colour))
+    score = hue_score(difference[0], difference[1], chroma_direction(marker.colour, marker.hue))
     extent = Extent(np.ones(ring.rows, dtype=np.bool_), ring.inner, ring.outer, 0.15, 0)
     for _ in range(3):
         half = int(max(extent.half_width / ring.step, 1))

@@ -38,14 +38,14 @@ def find_papers(
     radius : float or None
         The largest orbit that was seen, in px.
     """
-    ring = _search_ring(samples, centre, disc, radius)
+    ring = search_ring(samples, centre, disc, radius)
     strips = samples.strips(ring).astype(np.float32)
     sightings = {
         marker.name: seen
         for marker in profile.marker
         if marker.colour != "white"
         and (seen := find_coloured(strips, ring, marker)) is not None
-        and _is_paper(seen.paper)
+        and is_paper(seen.paper)
     }
     sightings = _placed(_strong(sightings), profile)
     papers = {name: seen.paper for name, seen in sightings.items()}
@@ -53,12 +53,12 @@ def find_papers(
         others = [seen for seen in sightings.values() if seen.paper.body == marker.body]
         if marker.colour == "white" and others:
             paper = find_white(samples, ring, marker, others)
-            if paper is not None and _is_paper(paper):
+            if paper is not None and is_paper(paper):
                 papers[marker.name] = paper
     return {marker.name: papers[marker.name] for marker in profile.marker if marker.name in papers}
 
 
-def _search_ring(
+def search_ring(
     samples: Samples, centre: tuple[float, float], disc: Disc | None, radius: float | None
 ) -> Ring:
     """Lay a ring that holds all markers: from the disc to beyond the largest orbit, in the picture."""
@@ -73,7 +73,7 @@ def _search_ring(
     return Ring(centre, inner, outer, rows, 512)
 
 
-def _is_paper(paper: Paper) -> bool:
+def is_paper(paper: Paper) -> bool:
     """Tell whether what was found is large enough, and not smeared too far to be followed."""
     width = 2.0 * np.tan(min(paper.half_width, 1.4)) * paper.radius
     return bool(paper.half_width <= WIDEST and min(width, paper.outer - paper.inner) >= LEAST_SIZE)
@@ -86,16 +86,22 @@ def _strong(sightings: dict[str, Sighting]) -> dict[str, Sighting]:
 
 
 def _placed(sightings: dict[str, Sighting], profile: Profile) -> dict[str, Sighting]:
-    """Measure where the markers sit relative to the first one of their body."""
-    placed = {}
+    found: dict[str, Sighting] = {}
     for body in ("casing", "rotor"):
         names = [marker.name for marker in profile.of(body) if marker.name in sightings]
-        for name in names:
-            first, seen = sightings[names[0]], sightings[name]
-            both = first.clear & seen.clear
-            apart = (seen.angle - first.angle)[both if both.sum() >= 3 else slice(None)]
-            placed[name] = replace(seen, paper=replace(seen.paper, mount=_circular_mode(apart)))
-    return placed
+        found |= dict(zip(names, placed([sightings[name] for name in names]), strict=True))
+    return found
+
+
+def placed(sightings: list[Sighting]) -> list[Sighting]:
+    """Measure where the markers of one body sit relative to the first one of them."""
+    found = []
+    for seen in sightings:
+        first = sightings[0]
+        both = first.clear & seen.clear
+        apart = (seen.angle - first.angle)[both if both.sum() >= 3 else slice(None)]
+        found.append(replace(seen, paper=replace(seen.paper, mount=_circular_mode(apart))))
+    return found
 
 
 def _circular_mode(angle: Floats) -> float:

@@ -7,12 +7,16 @@ a sector of +-45 degrees about its direction: "red" takes in dark red and orange
 
 from __future__ import annotations
 
+from typing import Literal, get_args
+
 import numpy as np
 import numpy.typing as npt
 
 Floats = npt.NDArray[np.float32]
 
-_HUE_DEGREES = {
+Hue = Literal["red", "orange", "yellow", "green", "cyan", "blue", "magenta"]
+
+_HUE_DEGREES: dict[str, float] = {
     "red": 108.0,
     "orange": 138.0,
     "yellow": 171.0,
@@ -23,12 +27,25 @@ _HUE_DEGREES = {
 }
 
 
-def chroma_direction(colour: str) -> tuple[float, float]:
-    """Return the unit vector (U, V) of a named colour; white has none and gives (0, 0)."""
+def chroma_direction(colour: str, hue: float | None = None) -> tuple[float, float]:
+    """Return the unit vector (U, V) of a named colour, or of its exact `hue` in degrees if that is given.
+
+    White has none and gives (0, 0).
+    """
     if colour == "white":
         return (0.0, 0.0)
-    hue = np.deg2rad(_HUE_DEGREES[colour])
-    return (float(np.cos(hue)), float(np.sin(hue)))
+    angle = np.deg2rad(_HUE_DEGREES[colour] if hue is None else hue)
+    return (float(np.cos(angle)), float(np.sin(angle)))
+
+
+def nearest_colour(hue: float) -> Hue:
+    """Return the name whose direction in the chroma plane is nearest to a hue in degrees."""
+
+    def apart(name: str) -> float:
+        return abs((hue - _HUE_DEGREES[name] + 180.0) % 360.0 - 180.0)
+
+    names: tuple[Hue, ...] = get_args(Hue)
+    return min(names, key=apart)
 
 
 def hue_score(du: npt.ArrayLike, dv: npt.ArrayLike, direction: tuple[float, float]) -> Floats:

@@ -200,9 +200,14 @@ class Reader:
 
 def read_stamps(path: Path) -> npt.NDArray[np.float64]:
     """Return the time stamps of a film's packets in s, sorted, without decoding anything."""
+    return np.asarray(read_raw_stamps(path) * float(probe(path).time_base), dtype=np.float64)
+
+
+def read_raw_stamps(path: Path) -> npt.NDArray[np.int64]:
+    """Return the time stamps of a film's packets in units of the time base, sorted."""
     with opened(path) as (container, stream):
         stamps = [packet.pts for packet in _packets(container, stream) if packet.pts is not None]
-        return np.sort(np.array(stamps, dtype=np.float64)) * float(stream.time_base)
+    return np.sort(np.array(stamps, dtype=np.int64))
 
 
 def keyframes(path: Path, count: int) -> list[Frame]:
