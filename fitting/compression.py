@@ -26,6 +26,9 @@ HARMONICS = 4
 _NOISE_ROWS = 14
 _BLOCKS = 60
 _MIN_SAMPLES = 60
+_SPEED_RATIO = 1.6
+_SLOWEST = 1.0  # rad/s: below it a turn is longer than any block
+_MOST_CUTS = 12
 _CLIP = 3.0
 _CLIPPED_VARIANCE = 0.9733  # of a standard normal variable cut off at 3
 _MIN_INDEPENDENCE = 0.2
@@ -102,6 +105,8 @@ def compress(samples: Samples, *, degree: int, harmonics: bool, blocks: int = _B
     """
     count = max(1, min(blocks, len(samples) // _MIN_SAMPLES))
     edges = np.linspace(0, len(samples), count + 1).astype(int)
+    if harmonics:
+        edges = _cut_where_slow(samples, edges)
     parts = [_block(samples, slice(a, b), degree, harmonics=harmonics) for a, b in pairwise(edges)]
     slow = np.concatenate([p.noise for p in parts])
     rest, dof = sum(p.rest for p in parts), sum(p.rest_dof for p in parts)
@@ -127,6 +132,34 @@ def compress(samples: Samples, *, degree: int, harmonics: bool, blocks: int = _B
         n_effective=len(samples) / correlation,
         samples=samples,
     )
+
+
+def _cut_where_slow(samples: Samples, edges: NDArray[np.int_]) -> NDArray[np.int_]:
+    """Cut blocks in which the speed grows or falls many times over.
+
+    A torque that follows the angle moves it by an amplitude that falls as 1 / speed^2: nearly all that can be
+    learned about it stands in the few turns in which the casing is slowest, a small part of a block.
+    """
+    cuts = [0]
+    for end in edges[1:]:
+        begin = cuts[-1]
+        here = np.arange(begin, end - _MIN_SAMPLES + 1, _MIN_SAMPLES)
+        turned = samples.value[here + _MIN_SAMPLES - 1] - samples.value[here]
+        speed = np.maximum(
+            np.abs(turned) / (samples.time[here + _MIN_SAMPLES - 1] - samples.time[here]), _SLOWEST
+        )
+        first = 0
+        for i in range(1, len(here)):
+            ratio = speed[i] / speed[first]
+            if (
+                len(cuts) - 1 < _MOST_CUTS + _BLOCKS
+                and max(ratio, 1 / ratio) > _SPEED_RATIO
+                and end - here[i] >= _MIN_SAMPLES
+            ):
+                cuts.append(int(here[i]))
+                first = i
+        cuts.append(int(end))
+    return np.array(cuts)
 
 
 @dataclass(frozen=True)

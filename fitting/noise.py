@@ -35,7 +35,10 @@ _CELLS_PER_ROW = 2.5
 _RUNS = 8
 _STRETCHES = 6
 _SLOW_TORQUES = 4
-_TIMES = (1 / 800, 1 / 400, 1 / 200, 1 / 100, 1 / 50)
+_TIMES = (1 / 800, 1 / 400, 1 / 200, 1 / 100, 1 / 50, 1 / 20)
+_TIMES_BETWEEN = 81
+# standard deviations by which the correlation time is taken longer than its best value
+_CAUTION = 0.5
 _LEVELS = np.concatenate([[0.0], np.geomspace(0.03, 3e5, 57)])
 # twice the logarithm of a likelihood ratio that pure angle noise hardly ever reaches
 _SIGNIFICANT = 8.0
@@ -112,13 +115,34 @@ def estimate_noise(responses: Sequence[TorqueResponse], residuals: Sequence[Arra
     span = float(np.mean([r.edges[-1] - r.edges[0] for r in responses]))
     times = [span * share for share in _TIMES]
     curves = [r.likelihoods(x, times) for r, x in zip(responses, residuals, strict=True)]
-    best = int(np.argmax([sum(float(c[i].likelihood.max()) for c in curves) for i in range(len(times))]))
+    total = [sum(float(c[i].likelihood.max()) for c in curves) for i in range(len(times))]
+    time = _cautious_time(times, total)
+    nearest = int(np.argmin(np.abs(np.log(np.array(times) / time))))
     found = []
-    for curve in (c[best] for c in curves):
-        gain = 2 * float(curve.likelihood.max() - curve.likelihood[0])
-        level = float(curve.levels[int(np.argmax(curve.likelihood))])
-        found.append(TorqueNoise(level if gain > _SIGNIFICANT else 0.0, times[best]))
+    for response, residual, curve in zip(responses, residuals, curves, strict=True):
+        (chosen,) = response.likelihoods(residual, [time]) if times[nearest] != time else (curve[nearest],)
+        gain = 2 * float(chosen.likelihood.max() - chosen.likelihood[0])
+        level = float(chosen.levels[int(np.argmax(chosen.likelihood))])
+        found.append(TorqueNoise(level if gain > _SIGNIFICANT else 0.0, time))
     return found
+
+
+def _cautious_time(times: Sequence[float], likelihood: Sequence[float]) -> float:
+    """Return the correlation time: the mean of its logarithm under the likelihood, and half its spread more.
+
+    What lasts longer than a few seconds is told by its fast tail only: any longer time fits as well then,
+    and stands for far more of the slow torque that a missing effect would be mistaken for.
+    """
+    from scipy.interpolate import PchipInterpolator
+
+    x = np.log(np.array(times))
+    fine = np.linspace(x[0], x[-1], _TIMES_BETWEEN)
+    curve = np.asarray(PchipInterpolator(x, np.array(likelihood))(fine))
+    weight = np.exp(curve - curve.max())
+    weight /= weight.sum()
+    mean = float(weight @ fine)
+    spread = float(np.sqrt(weight @ (fine - mean) ** 2))
+    return float(np.exp(min(mean + _CAUTION * spread, x[-1])))
 
 
 class TorqueResponse:

@@ -51,6 +51,7 @@ class Hidden:
     centre: float = 0.0
     clock: float = 0.0
     inertia: float = 1.0
+    ripples: bool = False
     truth: dict = field(default_factory=dict)
 
 
@@ -78,8 +79,8 @@ def hidden_effects(x: float, span: float, rng: np.random.Generator) -> dict[str,
         "touchpoint.drift": Hidden(casing=lambda t, wr, wc, psi: -x * t / span),
         "touchpoint.load": Hidden(casing=lambda t, wr, wc, psi: -x * (wr / OMEGA_R) ** 2),
         "touchpoint.step": Hidden(casing=lambda t, wr, wc, psi: -x * (t > t0), truth={"t0": t0}),
-        "casing.unbalance": Hidden(casing=lambda t, wr, wc, psi: x * np.sin(psi - phi)),
-        "casing.asymmetry": Hidden(casing=lambda t, wr, wc, psi: x * np.sin(2 * psi - phi)),
+        "casing.unbalance": Hidden(casing=lambda t, wr, wc, psi: x * np.sin(psi - phi), ripples=True),
+        "casing.asymmetry": Hidden(casing=lambda t, wr, wc, psi: x * np.sin(2 * psi - phi), ripples=True),
         "casing.precession": Hidden(casing=None, truth={"m": m, "phi": phi, "x": x}),
     }
 
@@ -135,7 +136,8 @@ def record(
         start + np.arange(3000) / 1000 for start in np.array([0.02, 0.35, 0.78]) * span + rng.uniform(0, 3, 3)
     ]
     every = np.unique(np.concatenate([time, *windows]))
-    longest = 0.1 if torque_noise else (0.02 if hidden.truth.get("t0") else 1.0)
+    # a torque that follows the angle is felt only by steps that are short against a turn at 160 rad/s
+    longest = 0.005 if hidden.ripples else 0.02 if hidden.truth.get("t0") else 0.1 if torque_noise else 1.0
     solution = solve_ivp(
         rates,
         (0, span),

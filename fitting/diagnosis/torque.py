@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.case_data import CaseData
 from fitting.estimation import Fit
 from fitting.noise import TorqueNoise, TorqueResponse, remaining_level
 
@@ -70,12 +71,23 @@ def _case(fit: Fit, index: int) -> list[ResidualTorque]:
         learned = level**4 * np.einsum("ic,ij,jc->c", shaped[body], gain, shaped[body], optimize=True)
         # rounding sets a floor where the data says almost everything
         sigma = np.sqrt(np.maximum(level**2 - learned, (_FLOOR * level) ** 2))
+        seen_at = _seen(response.centres, data, body)
         curves.append(
             ResidualTorque(
-                data.record.label, body, response.centres, mean, sigma, y[:, 0].copy(), y[:, 1].copy()
+                data.record.label,
+                body,
+                *(v[seen_at] for v in (response.centres, mean, sigma, y[:, 0], y[:, 1])),
             )
         )
     return curves
+
+
+def _seen(times: Array, data: CaseData, body: str) -> NDArray[np.bool_]:
+    """Return when a body was filmed; the rotor between its windows counts, before and after them does not."""
+    runs = (data.casing,) if body == "casing" else data.rotor
+    first = min(float(r.samples.time[0]) for r in runs)
+    last = max(float(r.samples.time[-1]) for r in runs)
+    return np.asarray((times >= first) & (times <= last))
 
 
 def _smear(w: Array, response: TorqueResponse, time: float) -> Array:

@@ -8,7 +8,7 @@ experiment with the largest separation of the worst pair is recommended.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,14 +68,12 @@ def next_experiment(fit: Fit, rivals: Sequence[Candidate]) -> str:
     for text, (rotor, casing, factor) in _options(*start).items():
         span = (first, first + factor * (last - first))
         try:
-            separations = [
-                (_separation(a, b, np.array([rotor, casing]), span), (x, y))
-                for i, (x, a) in enumerate(fits)
-                for y, b in fits[i + 1 :]
-            ]
+            runs = [(name, _run(f, np.array([rotor, casing]), span)) for name, f in fits]
         except SimulationError:
             continue
-        size, names = min(separations)
+        size, names = min(
+            (_separation(a, b), (x, y)) for i, (x, a) in enumerate(runs) for y, b in runs[i + 1 :]
+        )
         if size > best_size:
             best, best_size, pair = text, size, names
     if best_size < _CLEAR:
@@ -86,31 +84,32 @@ def next_experiment(fit: Fit, rivals: Sequence[Candidate]) -> str:
     return f"To tell {pair[0]} from {pair[1]}: {best} would part them by {best_size:.0f} sigma."
 
 
-def _separation(a: Fit, b: Fit, start: Array, span: tuple[float, float]) -> float:
-    """Return how many sigma the predictions of b lie from all that a can mimic in a new run."""
+class _Run(NamedTuple):
+    """The casing's angle in a run, what the free parameters can do to it, and the noise of each point."""
+
+    angle: Array
+    free: Array
+    sigma: float
+
+
+def _separation(a: _Run, b: _Run) -> float:
+    """Return how many sigma the prediction of b lies from all that a can mimic in a new run."""
+    difference = b.angle - a.angle
+    left = difference - a.free @ (a.free.T @ difference)
+    return float(np.linalg.norm(left) / a.sigma)
+
+
+def _run(fit: Fit, start: Array, span: tuple[float, float]) -> _Run:
     t = np.linspace(*span, _POINTS)
-    angle_a, free = _angles(a, start, span, t, with_free=True)
-    angle_b, _ = _angles(b, start, span, t, with_free=False)
-    per_point = _SIGMA / np.sqrt(a.problem.data[0].n_effective / _POINTS)
-    columns = np.concatenate([free, np.ones((len(t), 1)), (t - t[0])[:, None]], axis=1)
-    columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    # the present data holds the parameters already: they move in the new run only within their errors
-    difference = angle_b - angle_a
-    q = np.linalg.qr(columns)[0]
-    left = difference - q @ (q.T @ difference)
-    return float(np.linalg.norm(left) / per_point)
-
-
-def _angles(
-    fit: Fit, start: Array, span: tuple[float, float], t: Array, *, with_free: bool
-) -> tuple[Array, Array]:
     case = fit.problem.cases[0]
     numbers = fit.problem.layout.numbers(fit.theta, 0)
-    y0 = np.array([*start, *case.dynamics.start])
-    path = solve(case.dynamics, numbers, y0, Mesh.uniform(*span, 12))
+    path = solve(case.dynamics, numbers, np.array([*start, *case.dynamics.start]), Mesh.uniform(*span, 12))
     sampler = Sampler(path.mesh, t)
-    angle = sampler.integral(*path.angle("omega_c"))
-    if not with_free:
-        return angle, np.zeros((len(t), 0))
     nodes = sensitivities(case.dynamics, numbers, path).nodes
-    return angle, angles(sampler, path, 1, nodes)
+    # the start angle and the start speed of the new run are free as well
+    columns = np.concatenate(
+        [angles(sampler, path, 1, nodes), np.ones((len(t), 1)), (t - t[0])[:, None]], axis=1
+    )
+    columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    sigma = _SIGMA / np.sqrt(fit.problem.data[0].n_effective / _POINTS)
+    return _Run(sampler.integral(*path.angle("omega_c")), np.linalg.qr(columns)[0], sigma)

@@ -13,6 +13,7 @@ from fitting.discovery.improve import Rung, best, improve
 from fitting.discovery.ranking import ALWAYS_FREE, Candidate, rank
 from fitting.effects import Effect
 from fitting.estimation import Fit
+from fitting.notation import rounded
 
 _FOLLOW_UP = 2
 
@@ -135,4 +136,5 @@ def _strength(c: Candidate) -> str:
     found = [e for k, e in c.estimates.items() if k.partition("@")[0].endswith(f".{amplitude.symbol}")]
     if not found:
         return ""
-    return f" with {amplitude.symbol} = ({found[0].value:.4g} +- {found[0].stderr:.1g}) {found[0].unit}"
+    values = ", ".join(rounded(e.value, e.stderr, e.unit) for e in found)
+    return f" with {amplitude.symbol} = {values}"

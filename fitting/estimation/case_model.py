@@ -160,7 +160,7 @@ class CaseModel:
         known["delta"] = known["omega_r"] - known["omega_c"]
         # the measured angle is closer to the truth than that of a model that may fail
         known["psi_c"] = (
-            np.interp(inner, t, record.casing.value)
+            np.interp(inner, t, self.data.quiet_angle)
             if self.data.is_angle
             else sampler.integral(*path.angle("omega_c"))
         )
@@ -172,6 +172,18 @@ class CaseModel:
         on_casing = {"rotor": 0.0, "casing": 1.0, "bearing": 1.0}[effect.joint]
         direction = np.array([on_rotor / record.I_rotor, on_casing / record.I_casing])
         motion = LinearMotion(path, sensitivity.propagator)
-        speed, angle = motion.driven(t, torque.reshape(len(half), _GAUSS, -1), direction, 1)
+        pushes = torque.reshape(len(half), _GAUSS, -1)
+        speed, angle = motion.driven(t, pushes, direction, 1)
         rows = self.data.casing_rows(angle if self.data.is_angle else speed)
+        rows += self._rotor_rows(t, *motion.driven(t, pushes, direction, 0))
         return [rows[:, i] for i in range(rows.shape[1])]
+
+    def _rotor_rows(self, t: Array, speed: Array, angle: Array) -> Array:
+        from scipy.interpolate import CubicHermiteSpline
+
+        # the bearing passes on what is slow; the ripple itself moves the rotor by less than can be seen
+        seen = CubicHermiteSpline(t, angle, speed)
+        if not self.data.is_angle:
+            seen = seen.derivative()
+        windows = [seen(np.clip(w.node_times, t[0], t[-1])) for w in self.data.rotor]
+        return self.data.rows(np.zeros((len(self.data.casing.node_times), angle.shape[1])), windows)

@@ -35,6 +35,8 @@ _MISFIT = 1.4
 # twice a log-likelihood ratio, for one more number, that noise hardly ever reaches
 _CLEARLY = 14.0
 _OTHER_POWERS = (0.7, 1.35)
+# the pure level, found from what is fast, tells that of what is slow to about this factor
+_MORE = 1.5
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,8 @@ class Fit:
         Figures of merit of each case.
     chi2, rows, n_eff, deviance, bic : float
         Chi-square over the rows a model can reach and their number; effective number of samples;
-        minus twice the log-likelihood (up to a constant of the data); deviance + p ln n_eff.
+        minus twice the log-likelihood (up to a constant of the data); deviance + p ln rows: only the
+        rows can tell one model from another, all other combinations of the samples are noise to both.
     verdict : str
         "adequate", "misfit" or "not converged".
     """
@@ -240,7 +243,9 @@ def summarise(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, conve
     )
     n_eff = sum(d.n_effective for d in problem.data)
     deviance = chi2 + sum(n.whitener.log_determinant for n in noise)
-    left = any(n.excess > _CLEARLY for n in noise) or any(c.misfit > _MISFIT for c in cases)
+    left = any(n.excess > _CLEARLY and n.level > _MORE * n.pure for n in noise) or any(
+        c.misfit > _MISFIT for c in cases
+    )
     verdict = "not converged" if not converged else "misfit" if left else "adequate"
     errors = np.sqrt(np.diag(covariance))
     estimates = {
@@ -263,7 +268,7 @@ def summarise(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, conve
         rows,
         n_eff,
         deviance,
-        deviance + len(theta) * float(np.log(n_eff)),
+        deviance + len(theta) * float(np.log(rows)),
         verdict,
         covariance,
         theta,

@@ -16,7 +16,8 @@ _CANDIDATES = 8
 
 def fit_tables(fit: Fit, fit_id: str) -> list[str]:
     """Return a fit as lines: verdict first, then how well it describes the data, then parameters."""
-    from fitting.summary import not_determined, rounded
+    from fitting.notation import rounded
+    from fitting.summary import not_determined
 
     lines = [f"fit {fit_id}: {_verdict(fit)}", ""]
     lines.append(f"{'':<12}{'R2':>10}{'rmse [rad/s]':>14}{'chi2/n':>12}{'held out':>11}")

@@ -57,8 +57,20 @@ def test_difference_of_two_models_is_kept(motion, record, share, body, key):
 def test_a_few_hundred_numbers_remain(record):
     compressed = compress(record.casing, degree=CASING_DEGREE, harmonics=True)
     assert len(record.casing) == 52_000
-    assert len(compressed.z) == 480
-    assert len(compressed.harmonic) == 240
+    blocks = len(compressed.lift)
+    assert 60 < blocks <= 72
+    assert (len(compressed.z), len(compressed.harmonic)) == (8 * blocks, 4 * blocks)
+
+
+def test_blocks_are_short_where_the_casing_is_slow(record):
+    """What follows the angle moves it by 1 / omega^2: in a block the speed must not change many times over."""
+    compressed = compress(record.casing, degree=CASING_DEGREE, harmonics=True)
+    for where, _ in compressed.operators:
+        t, psi = record.casing.time[where], record.casing.value[where]
+        third = len(t) // 3
+        begin = (psi[third] - psi[0]) / (t[third] - t[0])
+        end = (psi[-1] - psi[-third - 1]) / (t[-1] - t[-third - 1])
+        assert max(begin, end) / min(begin, end) < 2.0
 
 
 def test_what_is_left_is_white_and_of_unit_size(motion, record):

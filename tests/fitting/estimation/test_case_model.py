@@ -80,7 +80,7 @@ def test_rippling_torque_moves_the_rows_as_the_oracle_says():
         twobody.simulate(span=40.0, step=0.002, hidden=h)
         for h in (twobody.Hidden(), twobody.Hidden(casing=gravity))
     )
-    measured = CaseData.of(make_record(**twobody.film(calm, seed=3, cameras=cameras)))
+    measured = CaseData.of(make_record(**twobody.film(shaken, seed=3, cameras=cameras)))
     layout = Layout.of(Model.of((*REDUCED, "casing.unbalance")), [measured.record])
     values = twobody.truth() | {"casing.unbalance.k": 0.0, "casing.unbalance.phi": 0.9}
     theta = np.array([values[n] for n in layout.names])
@@ -88,10 +88,15 @@ def test_rippling_torque_moves_the_rows_as_the_oracle_says():
     times = measured.record.casing.time
     difference = (shaken.at(times, 1)[0] - calm.at(times, 1)[0])[:, None] / 2e-6
     expected = measured.casing_rows(difference)[:, 0]
-    casing = measured.slices["casing"]
-    assert np.abs(column[casing] - expected[casing]).max() < 0.03 * np.abs(expected[casing]).max()
-    harmonic = measured.slices["harmonic"]
-    assert np.abs(column[harmonic] - expected[harmonic]).max() < 0.03 * np.abs(expected[harmonic]).max()
+    windows = [(shaken.at(w.node_times, 0)[0] - calm.at(w.node_times, 0)[0]) / 2e-6 for w in measured.rotor]
+    expected += measured.rows(np.zeros(len(measured.casing.node_times)), windows)
+    # the noise of the angle that the law is given, 1e-3, and the oracle's own grid leave this
+    free = np.linalg.qr(measured.nuisance)[0]
+    left = column - expected
+    left, expected = (v - free @ (free.T @ v) for v in (left, expected))
+    for part, share in (("casing", 0.01), ("harmonic", 0.01), ("rotor", 0.01)):
+        where = measured.slices[part]
+        assert np.linalg.norm(left[where]) < share * np.linalg.norm(expected[where]), part
 
 
 @pytest.mark.parametrize("quantity", ["angle", "omega"])
