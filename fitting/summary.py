@@ -6,10 +6,12 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from fitting.diagnosis import ResidualTorque
 from fitting.discovery import Candidate, Diagnosis, Rung
 from fitting.estimation import Estimate, Fit
 
 _UNDETERMINED = 1.0
+_CURVE_POINTS = 200
 
 
 def fit_document(fit: Fit, fit_id: str) -> dict[str, Any]:
@@ -82,6 +84,32 @@ def diagnosis_document(d: Diagnosis, fit_id: str) -> dict[str, Any]:
         "candidates": [_candidate(c) for c in d.candidates],
         "next_experiment": d.next_experiment,
         "whiteness": [{"label": w.label, "p_value": w.p_value} for w in d.whiteness],
+        "energy_drift": {c.label: c.energy_drift for c in d.fit.cases},
+        "residual_torque": [_curve(t) for t in d.torques],
+        "residual_ripple": [
+            {
+                "label": r.label,
+                "angle": r.angle.tolist(),
+                "torque_Nm": r.torque.tolist(),
+                "sigma_Nm": r.sigma.tolist(),
+            }
+            for r in d.ripples
+        ],
+    }
+
+
+def _curve(torque: ResidualTorque) -> dict[str, Any]:
+    """Return a residual torque with what it can be drawn against."""
+    step = max(1, len(torque.time) // _CURVE_POINTS)
+    return {
+        "label": torque.label,
+        "body": torque.body,
+        "time": torque.time[::step].tolist(),
+        "omega_r": torque.omega_r[::step].tolist(),
+        "omega_c": torque.omega_c[::step].tolist(),
+        "delta": (torque.omega_r - torque.omega_c)[::step].tolist(),
+        "torque_Nm": torque.torque[::step].tolist(),
+        "sigma_Nm": torque.sigma[::step].tolist(),
     }
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.diagnosis.ripple import Ripple
 from fitting.diagnosis.torque import ResidualTorque
 from fitting.estimation import Fit
 from fitting.simulation import Sampler
@@ -17,6 +19,7 @@ Array = NDArray[np.float64]
 
 _BAND = 1.96
 _CLEAR = 4.0
+_TURNS = {1: "once a turn", 2: "twice a turn"}
 _SHORTEST = 1 / 100
 _MOST = 6
 
@@ -32,15 +35,15 @@ class Failure:
     t_start, t_stop : float
         When [s].
     kind : str
-        "loses torque" or "gains torque" against the model; "ripple" for a ripple with the angle.
+        "loses torque" or "gains torque" against the model; "ripple" for a torque that follows the angle.
     where : str
-        In words: in the rise, near the peak, in the tail, with the speed.
+        In words: in the rise, near the peak, in the tail; once or twice a turn.
     size_sigma : float
         Largest distance from zero in standard deviations.
     residual_rad_s : float
-        Largest misfit of the speed in the stretch, with its sign.
+        Largest misfit of the speed in the stretch, with its sign; of a ripple, where the casing is slowest.
     residual_torque_Nm : float
-        Mean torque that the model lacks.
+        Mean torque that the model lacks; amplitude of a ripple.
     omega_c : tuple of float
         The casing's lowest and highest speed in the stretch [rad/s].
     """
@@ -57,6 +60,11 @@ class Failure:
     omega_c: tuple[float, float]
 
     def __str__(self) -> str:
+        if self.kind == "ripple":
+            return (
+                f"{self.where} the casing feels a torque of {self.residual_torque_Nm:.2g} N m that the model "
+                f"does not have ({self.size_sigma:.0f} sigma)"
+            )
         verb = "loses" if self.residual_torque_Nm < 0 else "gains"
         return (
             f"from {self.t_start:.1f} s to {self.t_stop:.1f} s, {self.where}, the {self.body} {verb} "
@@ -64,20 +72,41 @@ class Failure:
         )
 
 
-def find_failures(fit: Fit, curves: list[ResidualTorque]) -> list[Failure]:
-    """Return the stretches in which a model fails, worst first.
+def find_failures(fit: Fit, curves: Sequence[ResidualTorque], waves: Sequence[Ripple] = ()) -> list[Failure]:
+    """Return the stretches in which a model fails, and what follows the angle, worst first.
 
     Parameters
     ----------
     fit : Fit
         The fitted model.
-    curves : list of ResidualTorque
+    curves : sequence of ResidualTorque
         Its residual torques.
+    waves : sequence of Ripple
+        What it leaves against the angle.
     """
-    if fit.verdict == "adequate":
-        return []
     found = [f for curve in curves for f in _stretches(fit, curve)]
+    found += [f for wave in waves for n in _TURNS for f in _ripple(fit, wave, n)]
     return sorted(found, key=lambda f: -f.size_sigma)[:_MOST]
+
+
+def _ripple(fit: Fit, wave: Ripple, n: int) -> list[Failure]:
+    amplitude, size = wave.size(n)
+    if size < _CLEAR:
+        return []
+    index = fit.labels.index(wave.label)
+    record, path = fit.problem.data[index].record, fit.predictions[index].path
+    t = record.casing.time
+    speed = np.abs(Sampler(path.mesh, t).value(path.y[..., 1]))
+    # the speed swings by torque / (inertia n omega), most where the casing is slowest but still turns
+    slowest = max(float(speed.min()), float(np.sqrt(amplitude / record.I_casing)), 1e-3)
+    swing = amplitude / (record.I_casing * n * slowest)
+    span = float(t[0]), float(t[-1])
+    return [
+        Failure(
+            wave.label, "casing", *span, "ripple", _TURNS[n], size, swing, amplitude,
+            (float(speed.min()), float(speed.max())),
+        )
+    ]  # fmt: skip
 
 
 def _stretches(fit: Fit, curve: ResidualTorque) -> list[Failure]:

@@ -15,7 +15,7 @@ _MAX_STEPS = 5
 # an effect whose strength is nearer to zero than this many standard errors is taken back
 _NEEDED = 3.3
 # BIC must fall by this much: "positive" evidence after R. Kass, A. Raftery, J. Am. Stat. Assoc. 90, 773 (1995)
-_EVIDENCE = 3.0
+_EVIDENCE = 2.0
 # tracking has artefacts of its own once and twice a turn: physics there needs "very strong" evidence
 _EVIDENCE_ANGLE = 10.0
 

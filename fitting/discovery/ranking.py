@@ -25,7 +25,7 @@ from fitting.estimation.layout import PER_CASE
 Array = NDArray[np.float64]
 
 # family-wise probability of naming anything in empty data
-FAMILY_LEVEL = 0.02
+FAMILY_LEVEL = 0.03
 # two refitted candidates nearer than this in BIC are not told apart
 CLASS_WIDTH = 10.0
 _REFITTED_SHARE = 0.1

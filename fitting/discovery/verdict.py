@@ -7,9 +7,18 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fitting.diagnosis import Failure, ResidualTorque, Whiteness, find_failures, residual_torques, whiteness
+from fitting.diagnosis import (
+    Failure,
+    ResidualTorque,
+    Ripple,
+    Whiteness,
+    find_failures,
+    residual_torques,
+    ripples,
+    whiteness,
+)
 from fitting.discovery.experiment import next_experiment
-from fitting.discovery.improve import Rung, best, improve
+from fitting.discovery.improve import Rung, best, improve, polished
 from fitting.discovery.ranking import ALWAYS_FREE, Candidate, rank
 from fitting.effects import Effect
 from fitting.estimation import Fit
@@ -36,6 +45,10 @@ class Diagnosis:
         What to measure to tell the rivals apart; empty if there are none.
     torques : tuple of ResidualTorque
         The torque that is missing, as curves with bands.
+    ripples : tuple of Ripple
+        What is missing against the angle of the casing, with bands.
+    whiteness : tuple of Whiteness
+        Whether what is left is independent.
     """
 
     fit: Fit
@@ -45,6 +58,7 @@ class Diagnosis:
     candidates: tuple[Candidate, ...]
     next_experiment: str
     torques: tuple[ResidualTorque, ...] = field(repr=False)
+    ripples: tuple[Ripple, ...] = field(repr=False)
     whiteness: tuple[Whiteness, ...] = field(repr=False)
 
 
@@ -65,15 +79,17 @@ def diagnose(fit: Fit, extra: Sequence[Effect] = ()) -> Diagnosis:
     candidates = rank(fit, extra)
     chosen = best(candidates)
     after: list[Rung] = []
-    if chosen is not None and chosen.fit is not None and chosen.fit.verdict != "adequate":
-        after = improve(fit, extra, max_steps=1 + _FOLLOW_UP, first=candidates)
-    end = after[-1].fit if after else chosen.fit if chosen is not None else fit
-    torques = residual_torques(fit)
-    failures = find_failures(fit, torques)
-    if chosen is None:
-        verdict = "adequate" if fit.verdict == "adequate" else "unexplained"
-    else:
-        verdict = "missing_effect" if end is not None and end.verdict == "adequate" else "unexplained"
+    end = fit
+    if chosen is not None and chosen.fit is not None:
+        # a quick refit may have stopped short of the minimum
+        end = chosen.fit if chosen.fit.verdict != "not converged" else polished(chosen.fit)
+        if end.verdict == "misfit":
+            after = improve(fit, extra, max_steps=1 + _FOLLOW_UP, first=candidates)
+            end = after[-1].fit
+    explained = "adequate" if chosen is None else "missing_effect"
+    verdict = "unexplained" if end.verdict == "misfit" else explained
+    torques, waves = residual_torques(fit), ripples(fit)
+    failures = find_failures(fit, torques, waves) if verdict != "adequate" else []
     sentence = _sentence(fit, verdict, chosen, after, failures, candidates)
     rivals = [c for c in candidates if chosen and c.effect.name in chosen.indistinguishable_from]
     return Diagnosis(
@@ -84,6 +100,7 @@ def diagnose(fit: Fit, extra: Sequence[Effect] = ()) -> Diagnosis:
         tuple(candidates),
         next_experiment(fit, [chosen, *rivals] if chosen else []),
         tuple(torques),
+        tuple(waves),
         tuple(whiteness(fit)),
     )
 
@@ -122,7 +139,9 @@ def _sentence(
                 "With it " + ", ".join(r.change.lstrip("+") for r in after[2:]) + " is found as well."
             )
     for c in candidates:
-        if c.effect.name in ALWAYS_FREE and c.significant:
+        # what a torque that follows the angle leaves unexplained looks like a camera's fault as well
+        rippling = chosen is not None and chosen.effect.depends_on_angle
+        if c.effect.name in ALWAYS_FREE and c.significant and not rippling:
             size = float(np.hypot(*c.screened.gamma[:2]))
             unit = next(p.unit for p in c.effect.parameters if p.role == "amplitude")
             parts.append(f"The camera adds {c.effect.name} of {size:.2g} {unit}, which every fit takes out.")
