@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 
 from fitting.case_data import CAMERA_COLUMNS
 from fitting.discovery.columns import CaseColumns, Trial
-from fitting.discovery.stage import Level, Stage, block_diagonal
+from fitting.discovery.stage import Level, Stage
 from fitting.effects import Effect
 from fitting.estimation import Fit
+from fitting.estimation.lack import block_diagonal
 from fitting.estimation.layout import PER_CASE
 
 Array = NDArray[np.float64]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fitting.case_data import CAMERA_COLUMNS
 from fitting.estimation import Fit
+from fitting.estimation.lack import block_diagonal
 from fitting.noise import Whitener
 
 Array = NDArray[np.float64]
@@ -93,14 +94,3 @@ def _orthonormal(columns: Array) -> Array:
     size = np.linalg.norm(columns, axis=0)
     u, s, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
     return np.asarray(u[:, s > 1e-10 * s[0]])
-
-
-def block_diagonal(parts: Sequence[Array]) -> Array:
-    """Return a block-diagonal matrix of these parts."""
-    rows, columns = sum(len(p) for p in parts), sum(p.shape[1] for p in parts)
-    out = np.zeros((rows, columns))
-    i = j = 0
-    for p in parts:
-        out[i : i + len(p), j : j + p.shape[1]] = p
-        i, j = i + len(p), j + p.shape[1]
-    return out

@@ -24,7 +24,8 @@ from fitting.effects import Effect
 from fitting.estimation import Fit
 from fitting.notation import rounded
 
-_FOLLOW_UP = 2
+# a second effect may be hidden beside the first; a story of three is told as unexplained
+_FOLLOW_UP = 1
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from fitting.case_data import CaseData
 from fitting.errors import EstimationError
 from fitting.estimation.case_model import Prediction
 from fitting.estimation.covariance import covariance_of, surely_at_bound
+from fitting.estimation.lack import LackOfFit, lack_of_fit
 from fitting.estimation.layout import Layout
 from fitting.estimation.metrics import CaseMetrics, case_metrics
 from fitting.estimation.noise_levels import Noise, cautious, first_noise, measure_noise, refine_level
@@ -32,11 +33,9 @@ Array = NDArray[np.float64]
 
 # chi2 per reachable row above which the model is said to miss something (2000 rows: 1.0 +- 0.03)
 _MISFIT = 1.4
-# twice a log-likelihood ratio, for one more number, that noise hardly ever reaches
-_CLEARLY = 14.0
+# probability of the slow torque that a model leaves, if that is noise, below which it is said to miss something
+_IMPROBABLE = 1e-5
 _OTHER_POWERS = (0.7, 1.35)
-# the pure level, found from what is fast, tells that of what is slow to about this factor
-_MORE = 1.5
 
 
 @dataclass(frozen=True)
@@ -65,6 +64,8 @@ class Fit:
         Chi-square over the rows a model can reach and their number; effective number of samples;
         minus twice the log-likelihood (up to a constant of the data); deviance + p ln rows: only the
         rows can tell one model from another, all other combinations of the samples are noise to both.
+    lack : LackOfFit
+        What slow torques would still take away, against what noise alone would give them.
     verdict : str
         "adequate", "misfit" or "not converged".
     """
@@ -78,6 +79,7 @@ class Fit:
     n_eff: float
     deviance: float
     bic: float
+    lack: LackOfFit
     verdict: str
     covariance: Array = field(repr=False)
     theta: Array = field(repr=False)
@@ -243,9 +245,8 @@ def summarise(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, conve
     )
     n_eff = sum(d.n_effective for d in problem.data)
     deviance = chi2 + sum(n.whitener.log_determinant for n in noise)
-    left = any(n.excess > _CLEARLY and n.level > _MORE * n.pure for n in noise) or any(
-        c.misfit > _MISFIT for c in cases
-    )
+    lack = lack_of_fit(problem, predictions, noise)
+    left = lack.p_value < _IMPROBABLE or any(c.misfit > _MISFIT for c in cases)
     verdict = "not converged" if not converged else "misfit" if left else "adequate"
     errors = np.sqrt(np.diag(covariance))
     estimates = {
@@ -269,6 +270,7 @@ def summarise(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, conve
         n_eff,
         deviance,
         deviance + len(theta) * float(np.log(rows)),
+        lack,
         verdict,
         covariance,
         theta,
