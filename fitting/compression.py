@@ -27,7 +27,7 @@ _NOISE_ROWS = 14
 _BLOCKS = 60
 _MIN_SAMPLES = 60
 _SPEED_RATIO = 1.6
-_SLOWEST = 1.0  # rad/s: below it a turn is longer than any block
+_AT_REST = 0.5  # rad/s
 _MOST_CUTS = 12
 _CLIP = 3.0
 _CLIPPED_VARIANCE = 0.9733  # of a standard normal variable cut off at 3
@@ -138,28 +138,26 @@ def _cut_where_slow(samples: Samples, edges: NDArray[np.int_]) -> NDArray[np.int
     """Cut blocks in which the speed grows or falls many times over.
 
     A torque that follows the angle moves it by an amplitude that falls as 1 / speed^2: nearly all that can be
-    learned about it stands in the few turns in which the casing is slowest, a small part of a block.
+    learned about it stands in the few turns in which the casing is slowest, a small part of a block. A record in
+    which the casing comes to rest keeps its blocks: there the speed falls without end, and no turn is left.
     """
-    cuts = [0]
-    for end in edges[1:]:
-        begin = cuts[-1]
-        here = np.arange(begin, end - _MIN_SAMPLES + 1, _MIN_SAMPLES)
-        turned = samples.value[here + _MIN_SAMPLES - 1] - samples.value[here]
-        speed = np.maximum(
-            np.abs(turned) / (samples.time[here + _MIN_SAMPLES - 1] - samples.time[here]), _SLOWEST
-        )
-        first = 0
-        for i in range(1, len(here)):
+    pieces = np.arange(0, len(samples) - _MIN_SAMPLES + 1, _MIN_SAMPLES)
+    last = pieces + _MIN_SAMPLES - 1
+    turned = samples.value[last] - samples.value[pieces]
+    speed = np.abs(turned / (samples.time[last] - samples.time[pieces]))
+    if len(pieces) == 0 or speed.min() < _AT_REST:
+        return edges
+    cuts = list(edges)
+    for begin, end in pairwise(edges):
+        inside = np.flatnonzero((pieces >= begin) & (last < end))
+        first = inside[0] if len(inside) else 0
+        for i in inside[1:]:
             ratio = speed[i] / speed[first]
-            if (
-                len(cuts) - 1 < _MOST_CUTS + _BLOCKS
-                and max(ratio, 1 / ratio) > _SPEED_RATIO
-                and end - here[i] >= _MIN_SAMPLES
-            ):
-                cuts.append(int(here[i]))
+            if max(ratio, 1 / ratio) > _SPEED_RATIO and pieces[i] - begin >= _MIN_SAMPLES:
+                cuts.append(pieces[i])
                 first = i
-        cuts.append(int(end))
-    return np.array(cuts)
+    worth = sorted(set(cuts) - set(edges), key=lambda i: speed[i // _MIN_SAMPLES])[:_MOST_CUTS]
+    return np.array(sorted({*edges, *worth}))
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,8 @@ _CAUTION = 0.5
 _LEVELS = np.concatenate([[0.0], np.geomspace(0.03, 3e5, 57)])
 # twice the logarithm of a likelihood ratio that pure angle noise hardly ever reaches
 _SIGNIFICANT = 8.0
+# a casing at rest answers to no torque
+_FELT = 1e-12
 _OUTLIER = 14.0
 _MAX_OUTLIERS = 3
 _FEWEST = 5
@@ -114,13 +116,13 @@ def estimate_noise(responses: Sequence[TorqueResponse], residuals: Sequence[Arra
     """
     span = float(np.mean([r.edges[-1] - r.edges[0] for r in responses]))
     times = [span * share for share in _TIMES]
-    curves = [r.likelihoods(x, times) for r, x in zip(responses, residuals, strict=True)]
+    searched = [r.likelihoods(x, times) for r, x in zip(responses, residuals, strict=True)]
+    curves = [c for c, _ in searched]
     total = [sum(float(c[i].likelihood.max()) for c in curves) for i in range(len(times))]
     time = _cautious_time(times, total)
-    nearest = int(np.argmin(np.abs(np.log(np.array(times) / time))))
     found = []
-    for response, residual, curve in zip(responses, residuals, curves, strict=True):
-        (chosen,) = response.likelihoods(residual, [time]) if times[nearest] != time else (curve[nearest],)
+    for response, residual, (_, kept) in zip(responses, residuals, searched, strict=True):
+        (chosen,), _ = response.likelihoods(residual, [time], kept)
         gain = 2 * float(chosen.likelihood.max() - chosen.likelihood[0])
         level = float(chosen.levels[int(np.argmax(chosen.likelihood))])
         found.append(TorqueNoise(level if gain > _SIGNIFICANT else 0.0, time))
@@ -214,8 +216,10 @@ class TorqueResponse:
         values, vectors = np.linalg.eigh(self.covariance(noise.time))
         return Whitener(vectors, np.maximum(values, 0.0), noise.rms)
 
-    def likelihoods(self, residual: Array, times: Sequence[float]) -> list[LevelCurve]:
-        """Return the restricted likelihood of each level for each correlation time, outliers left out.
+    def likelihoods(
+        self, residual: Array, times: Sequence[float], kept: NDArray[np.bool_] | None = None
+    ) -> tuple[list[LevelCurve], NDArray[np.bool_]]:
+        """Return the restricted likelihood of each level for each correlation time, and the stretches behind it.
 
         Parameters
         ----------
@@ -223,18 +227,22 @@ class TorqueResponse:
             Rows: measured minus the path about which the response is linearised.
         times : sequence of float
             Correlation times [s].
+        kept : ndarray of bool, optional
+            Which stretches count; without it those that are no outliers.
         """
         stretches = self._stretches()
         tables, units = [], []
         for time in times:
             covariance = self.covariance(time)
-            units.append(float(1 / np.sqrt(np.median(np.diag(covariance)) + 1e-300)))
+            units.append(_unit_level(np.diag(covariance)))
             tables.append(
                 np.array([_likelihoods(s, residual, covariance, _LEVELS * units[-1]) for s in stretches])
             )
         # one choice of stretches for all correlation times, or their likelihoods could not be compared
-        kept = np.all([_ordinary(table) for table in tables], axis=0)
-        return [LevelCurve(_LEVELS * u, t[kept].sum(axis=0)) for u, t in zip(units, tables, strict=True)]
+        if kept is None:
+            kept = np.all([_ordinary(table) for table in tables], axis=0)
+        curves = [LevelCurve(_LEVELS * u, t[kept].sum(axis=0)) for u, t in zip(units, tables, strict=True)]
+        return curves, kept
 
     def _stretches(self) -> list[tuple[Array, Array]]:
         """Return the rows of each stretch and the columns that are free in it."""
@@ -254,6 +262,12 @@ class TorqueResponse:
             first += len(t)
             stretches.append((rows, window.at_nodes(np.stack([np.ones_like(t), t, t**2], axis=1))))
         return stretches
+
+
+def _unit_level(variances: Array) -> float:
+    """Return the level of torque that is as large as the noise of the angles in half of the rows that feel it."""
+    felt = variances[variances > _FELT * variances.max(initial=0.0)]
+    return float(1 / np.sqrt(np.median(felt) + 1e-300)) if len(felt) else 1.0
 
 
 def remaining_level(whitener: Whitener, residual: Array, free: Array, least: float) -> tuple[float, float]:

@@ -188,9 +188,12 @@ def _tight(problem: Problem, theta: Array, noise: tuple[Noise, ...]) -> tuple[Ar
     held = any((p.path.sense == 0).any() for p in problem.predict(theta))
     if not held or all(n.level <= n.pure for n in noise):
         return theta, noise
-    problem.set_noise([n.whitener.at(n.pure) for n in noise])
-    _, other = search(problem, theta)
-    ends = [(theta, noise), (other, measure_noise(problem, other))]
+    ends = [(theta, noise)]
+    # the pure level was found about a wrong path too: with none at all the angles alone have a say
+    for share in (1.0, 0.0):
+        problem.set_noise([n.whitener.at(share * n.pure) for n in noise])
+        _, other = search(problem, theta)
+        ends.append((other, measure_noise(problem, other)))
     return min(ends, key=lambda end: _deviance(problem, *end))
 
 

@@ -372,9 +372,9 @@ def test_nine_parameters_of_one_recording_are_not_known():
         assert abs(general.estimates[key].value - TRUTH[key]) < 4 * general.estimates[key].stderr
 
 
-def test_bic_counts_parameters_and_effective_samples():
+def test_bic_counts_parameters_and_rows():
     result = fitted(seed=0)
-    assert result.bic == pytest.approx(result.deviance + 8 * np.log(result.n_eff))
+    assert result.bic == pytest.approx(result.deviance + 8 * np.log(result.rows))
     assert result.n_eff == pytest.approx(61_000, rel=0.1)
 
 
