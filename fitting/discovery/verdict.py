@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from fitting.discovery.improve import Rung, best, improve
 from fitting.discovery.ranking import ALWAYS_FREE, Candidate, rank
 from fitting.effects import Effect
 from fitting.estimation import Fit
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _FOLLOW_UP = 2
 
@@ -45,6 +49,17 @@ class Diagnosis:
     next_experiment: str
     torques: tuple[ResidualTorque, ...] = field(repr=False)
     whiteness: tuple[Whiteness, ...] = field(repr=False)
+
+    def plot(self) -> Figure:
+        """Draw the torque that is missing with its band, where the model fails, and the candidates (matplotlib)."""
+        from fitting.display.plots import plot_diagnosis
+
+        return plot_diagnosis(self)
+
+    def _repr_html_(self) -> str:
+        from fitting.display.html import diagnosis_html
+
+        return diagnosis_html(self)
 
 
 def diagnose(fit: Fit, extra: Sequence[Effect] = ()) -> Diagnosis:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,9 @@ from fitting.estimation.shapes import start_shapes, unknown_shapes
 from fitting.estimation.start import start_values
 from fitting.model import Model
 from fitting.record import Record
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -89,6 +93,17 @@ class Fit:
             c.casing.reduced_chi2 * d.casing.n_effective
             for c, d in zip(self.cases, self.problem.data, strict=True)
         ) / sum(d.casing.n_effective for d in self.problem.data)
+
+    def plot(self) -> Figure:
+        """Draw speeds measured and modelled, and what the model leaves, with bands of 2 sigma (matplotlib)."""
+        from fitting.display.plots import plot_fit
+
+        return plot_fit(self)
+
+    def _repr_html_(self) -> str:
+        from fitting.display.html import fit_html
+
+        return fit_html(self)
 
     @property
     def torque_noise(self) -> float:

@@ -17,7 +17,7 @@ from gyrotrack.report.figures.style import AFTER, BEFORE, GREEN, ORANGE, PURPLE,
 from gyrotrack.report.figures.torque import known, torque_finding
 from gyrotrack.report.figures.tracking import COLOURS, centre_finding, sigma_finding
 from gyrotrack.report.notation import scaled
-from gyrotrack.report.residuals import Misfit
+from fitting.diagnosis.misfit import Misfit
 from gyrotrack.report.tracks import Tracks
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from fitting.estimation import fit
 from fitting.model import Model
 from fitting.simulation import Sampler
 from gyrotrack.report.floor import smoothing_floor
-from gyrotrack.report.residuals import misfits
+from fitting.diagnosis.misfit import misfits
 
 
 def _mean_difference(path, other, state, misfit):
