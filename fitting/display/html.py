@@ -35,7 +35,9 @@ def fit_html(fit: Fit) -> str:
         for name, e in fit.estimates.items()
     ]
     return _block(
-        _headline(fit.verdict, f"{', '.join(fit.labels)}; BIC {fit.bic:.1f}, effective samples {fit.n_eff:.0f}"),
+        _headline(
+            fit.verdict, f"{', '.join(fit.labels)}; BIC {fit.bic:.1f}, effective samples {fit.n_eff:.0f}"
+        ),
         _table("figures of merit", ("case", "body", "R²", "rms [rad/s]", "χ²/n", "held out [noise]"), merits),
         _table("parameters", ("parameter", "value", ""), numbers),
     )
@@ -67,8 +69,8 @@ def diagnosis_html(d: Diagnosis) -> str:
     ]
     parts = [_headline(d.verdict, d.sentence)]
     if failures:
-        head = ("case", "body", "time [s]", "torque [N m]", "speed [rad/s]", "σ")
-        parts.append(_table("where it fails", head, failures))
+        where = ("case", "body", "time [s]", "torque [N m]", "speed [rad/s]", "σ")
+        parts.append(_table("where it fails", where, failures))
     if candidates:
         head = ("effect", "score", "ΔBIC", "p", "same class")
         parts.append(_table("what would mend it", head, candidates))

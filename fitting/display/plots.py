@@ -55,9 +55,8 @@ def plot_diagnosis(d: Diagnosis) -> Figure:
     labels = list(dict.fromkeys(t.label for t in d.torques))
     shown = [c for c in d.candidates if c.score > 0][:_MOST]
     figure = _figure(9.0, 2.6 * len(labels) + 0.35 * len(shown) + 1.2)
-    axes = figure.subplots(
-        len(labels) + bool(shown), 1, squeeze=False, height_ratios=[2.6] * len(labels) + [0.35 * len(shown) + 0.7] * bool(shown)
-    )[:, 0]  # fmt: skip
+    heights = [2.6] * len(labels) + ([0.35 * len(shown) + 0.7] if shown else [])
+    axes = figure.subplots(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
     for ax, label in zip(axes, labels, strict=False):
         _torques(ax, [t for t in d.torques if t.label == label])
         for f in d.failures:
@@ -75,7 +74,8 @@ def plot_ladder(rungs: Sequence[Rung]) -> Figure:
     figure = _figure(8.0, 1.6 + 0.4 * len(rungs))
     left, right = figure.subplots(1, 2, sharey=True)
     names = [_plain(r.change or "base") for r in rungs]
-    for ax, name, title in ((left, "rmse", "rms error of the casing [rad/s]"), (right, "held_out", "held-out error [noise]")):  # fmt: skip
+    errors = (("rmse", "rms error of the casing [rad/s]"), ("held_out", "held-out error [noise]"))
+    for ax, (name, title) in zip((left, right), errors, strict=True):
         values = [np.sqrt(np.mean([getattr(c.casing, name) ** 2 for c in r.fit.cases])) for r in rungs]
         ax.barh(range(len(rungs)), values, color=[VERMILLION, *[BLUE] * (len(rungs) - 1)])
         for i, v in enumerate(values):

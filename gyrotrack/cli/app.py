@@ -46,6 +46,7 @@ COMMANDS = (
     Entry("improve", "gyrotrack.cli.improve", _PHYSICS, "Add effects until what is left is noise."),
     Entry("ladder", "gyrotrack.cli.ladder", _PHYSICS, "List the fits so far and watch the error fall."),
     Entry("report", "gyrotrack.cli.report", _PHYSICS, "Write the study as one page."),
+    Entry("figures", "gyrotrack.cli.figures", _PHYSICS, "Draw the paper's figures and tables of a study."),
     Entry("view", "gyrotrack.cli.view", _PHYSICS, "Look at a case in the browser and try effects on it."),
     Entry("effects", "gyrotrack.cli.effects", _PHYSICS, "Show the library of effects."),
     Entry("demo", "gyrotrack.cli.demo", _ORACLE, "Run the whole story on the sample clips."),

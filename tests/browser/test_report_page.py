@@ -25,6 +25,7 @@ def visit(report, chromium, request):
     found.close([""])
 
 
+@pytest.mark.slow
 def test_it_shows_what_it_is_about_and_fits_the_window(visit):
     assert visit.locator("h1").inner_text() == HOSTILE
     assert "A missing effect was found" in visit.locator(".verdict").inner_text()
@@ -34,16 +35,19 @@ def test_it_shows_what_it_is_about_and_fits_the_window(visit):
     assert visit.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
 
 
+@pytest.mark.slow
 def test_axe_finds_nothing(visit):
     assert accessibility(visit) == []
 
 
+@pytest.mark.slow
 def test_marked_stretches_zoom_all_plots(visit):
     shown = visit.locator(".shown").inner_text()
     visit.locator(".board .mark").first.click()
     assert visit.locator(".shown").inner_text() != shown
 
 
+@pytest.mark.slow
 def test_it_prints_without_what_needs_a_screen(visit):
     visit.emulate_media(media="print")
     assert visit.locator(".board").first.is_hidden()
