@@ -61,9 +61,7 @@ def test_notebooks_show_tables_with_names_as_text(story):
         (ladder, ("+casing.air.quadratic", "ΔBIC", "base")),
     ):
         seen = _Seen(thing._repr_html_())
-        assert seen.tags <= set(
-            ["div", "p", "b", "br", "table", "caption", "thead", "tbody", "tr", "th", "td"]
-        )
+        assert seen.tags <= {"div", "p", "b", "br", "table", "caption", "thead", "tbody", "tr", "th", "td"}
         assert all(w in seen.text for w in words)
 
 
