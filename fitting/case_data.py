@@ -88,7 +88,8 @@ class CaseData:
         found = {}
         for body, runs in (("casing", (record.casing,)), ("rotor", record.rotor)):
             parts = [speeds(run, record.quantity) for run in runs]
-            found[body] = np.concatenate([t for t, _ in parts]), np.concatenate([v for _, v in parts])
+            if parts:
+                found[body] = np.concatenate([t for t, _ in parts]), np.concatenate([v for _, v in parts])
         return found
 
     @property
@@ -142,11 +143,13 @@ class CaseData:
         """
         a = len(self.casing.node_times)
         values = []
-        for state, times in ((1, self.node_times[:a]), (0, self.node_times[a:])):
+        for state, times in ((1, self.node_times[:a]), (0, self.node_times[a:]))[
+            : 1 if self.record.single else 2
+        ]:
             sampler = Sampler(path.mesh, times)
             values.append(self._seen(sampler, path, state, nodes))
         ends = np.cumsum([len(w.node_times) for w in self.rotor])[:-1]
-        rows = self.rows(values[0], np.split(values[1], ends))
+        rows = self.rows(values[0], [] if self.record.single else np.split(values[1], ends))
         return self._mend_kinks(path, nodes, rows)
 
     def _seen(self, sampler: Sampler, path: Path, state: int, nodes: Array | None) -> Array:

@@ -105,6 +105,11 @@ class Model:
             held[keys[0]] = float(value)
         return Model(tuple(_holding(e, held) for e in self.effects))
 
+    @property
+    def alone(self) -> Model:
+        """The part of it that a body without a partner has."""
+        return Model(tuple(e for e in self.effects if e.alone))
+
     @cached_property
     def parameters(self) -> dict[str, Parameter]:
         """Every parameter by its key ``<effect>.<symbol>``."""

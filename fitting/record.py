@@ -80,6 +80,11 @@ class Record:
             object.__setattr__(self, "digest", _digest(self))
 
     @property
+    def single(self) -> bool:
+        """Whether it is the record of one body alone, which stands in the casing's place."""
+        return not self.rotor
+
+    @property
     def span(self) -> tuple[float, float]:
         """The first and the last time of any sample [s]."""
         ends = [(s.time[0], s.time[-1]) for s in (self.casing, *self.rotor)]
@@ -138,7 +143,10 @@ def _read(path: Path, file: Any) -> Record:
     quantity: Quantity = "omega" if _text(attributes.get("quantity", "angle")) == "omega" else "angle"
     key = ("omega", "omega_sigma") if quantity == "omega" else ("angle", "sigma")
     casing = _series(path, file, "casing", key)
-    rotor, window = _series(path, file, "rotor", key), _column(path, file, "rotor", "window")
+    single = _text(attributes.get("bodies")) == "one"
+    rotor = (
+        [] if single else _windows(_series(path, file, "rotor", key), _column(path, file, "rotor", "window"))
+    )
     inertias = [float(np.asarray(attributes[k])) for k in ("I_rotor", "I_casing")]
     if not all(np.isfinite(i) and i > 0 for i in inertias):
         raise RecordError(f"{path}: the moments of inertia {inertias} are not positive")
@@ -148,7 +156,8 @@ def _read(path: Path, file: Any) -> Record:
         I_rotor=inertias[0],
         I_casing=inertias[1],
         casing=casing,
-        rotor=_windows(rotor, window),
+        rotor=rotor,
+        single=single,
         quantity=quantity,
         source=str(path),
         tracked=_text(file["casing"].attrs.get("sigma_source")) == "measured",
@@ -166,8 +175,11 @@ def make_record(
     quantity: Quantity = "angle",
     source: str = "",
     tracked: bool = False,
+    single: bool = False,
 ) -> Record:
     """Make a record from arrays of (time, value, sigma); samples that are not finite are left out.
+
+    With `single` there is one body only: it stands in the casing's place, and nothing is known of a rotor.
 
     Raises
     ------
@@ -178,7 +190,7 @@ def make_record(
     if len(runs[0]) < 60:
         raise RecordError(f"{label}: the casing has {len(runs[0])} usable samples; at least 60 are needed")
     windows = tuple(r for r in runs[1:] if len(r) >= _FEWEST[quantity])
-    if not windows:
+    if not windows and not single:
         raise RecordError(
             f"{label}: no rotor window with at least {_FEWEST[quantity]} usable samples",
             "give at least one rotor clip",

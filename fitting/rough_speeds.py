@@ -22,7 +22,8 @@ def rough_speeds(record: Record, points: int = _POINTS) -> tuple[Array, Array]:
     windows = np.array([_local(w, 1, record.quantity == "angle")[0] for w in record.rotor])
     times = np.linspace(*record.span, points)
     omega_c = np.interp(times, casing[:, 0], casing[:, 1])
-    return times, np.stack([_rotor_curve(windows, times), omega_c], axis=1)
+    omega_r = np.zeros(points) if record.single else _rotor_curve(windows, times)
+    return times, np.stack([omega_r, omega_c], axis=1)
 
 
 def _local(samples: Samples, count: int, is_angle: bool) -> Array:  # noqa: FBT001

@@ -19,7 +19,7 @@ from fitting.case_data import CaseData
 from fitting.errors import EstimationError
 from fitting.estimation.case_model import Prediction
 from fitting.estimation.covariance import covariance_of, surely_at_bound
-from fitting.estimation.layout import Layout
+from fitting.estimation.layout import START_ROTOR, Layout
 from fitting.estimation.metrics import CaseMetrics, case_metrics
 from fitting.estimation.noise_levels import Noise, cautious, first_noise, measure_noise, refine_level
 from fitting.estimation.problem import Problem, Projection
@@ -157,6 +157,7 @@ def fit(
         raise EstimationError(
             "the cases of a joint fit need different labels", "give them with --label when making a case"
         )
+    _check_bodies(model, data)
     layout = Layout.of(model, [d.record for d in data], share, per_case, ranges)
     problem = Problem(layout, data)
     theta = _start(layout, problem, start)
@@ -225,6 +226,20 @@ def _elsewhere(
             yield begin
 
 
+def _check_bodies(model: Model, data: Sequence[CaseData]) -> None:
+    single = [d.record.single for d in data]
+    if any(single) != all(single):
+        raise EstimationError(
+            "one body alone and a rotor in its casing cannot be fitted together", "fit them one by one"
+        )
+    foreign = [e.name for e in model.effects if not e.alone] if all(single) else []
+    if foreign:
+        raise EstimationError(
+            f"{foreign[0]} speaks of a rotor, which this record of one body does not have",
+            "its laws are those that act on the casing alone: `gyrotrack effects` lists them",
+        )
+
+
 def _start(layout: Layout, problem: Problem, given: Mapping[str, float] | None) -> Array:
     known = dict(given or {})
     if not set(layout.names) <= set(known):
@@ -266,6 +281,7 @@ def summarise(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, conve
             bool(at_bound[i]),
         )
         for i, name in enumerate(layout.names)
+        if not (layout.records[0].single and name.startswith(START_ROTOR))
     }
     for key, value in layout.model.constants.items():
         estimates[key] = Estimate(value, float("nan"), layout.parameter(key).unit, at_bound=False)

@@ -62,6 +62,9 @@ def case_metrics(case: CaseModel, project: Projection, prediction: Prediction, t
     }
     bodies = {}
     for body in _SPEED:
+        if body not in data.speeds:
+            bodies[body] = BodyMetrics(*[float("nan")] * 4)
+            continue
         r2, rmse = _speed_quality(data, prediction.path, body)
         total, count = quality[body]
         bodies[body] = BodyMetrics(r2, rmse, total / max(1.0, count), outside[body])

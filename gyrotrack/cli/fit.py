@@ -110,16 +110,15 @@ class _Wish:
         """Fit and keep the result."""
         from fitting.effects import REDUCED
         from fitting.estimation import fit
-        from fitting.model import Model
 
         follows = self.model is None and (self.add or self.drop or start)
         entry = study.entry(start) if follows else None
         base = (
             entry.model
             if entry is not None
-            else Model.of(REDUCED)
+            else study.model(REDUCED)
             if self.model is None
-            else self._named(self.model)
+            else self._named(self.model, study)
         )
         wanted = changed(base, self.add, self.drop, self.own)
         ranges = _paper_ranges(study, self.share, self.per_case) if self.model == "general" else {}
@@ -141,12 +140,12 @@ class _Wish:
         )
         return found, kept.fit_id
 
-    def _named(self, name: str) -> Model:
+    def _named(self, name: str, study: Study) -> Model:
         from fitting.effects import GENERAL, LINEAR, REDUCED
-        from fitting.model import Model, read_model
+        from fitting.model import read_model
 
         if name in _NAMED:
-            return Model.of({"reduced": REDUCED, "general": GENERAL, "linear": LINEAR}[name])
+            return study.model({"reduced": REDUCED, "general": GENERAL, "linear": LINEAR}[name])
         path = Path(name)
         if not path.is_file():
             raise UsageError(
@@ -160,9 +159,8 @@ def _paper_ranges(
 ) -> dict[str, tuple[float, float]]:
     from fitting.effects import REDUCED
     from fitting.estimation import fit
-    from fitting.model import Model
 
-    reduced = fit(Model.of(REDUCED), study.data, share=share, per_case=per_case)
+    reduced = fit(study.model(REDUCED), study.data, share=share, per_case=per_case)
     ranges = {}
     for name, estimate in reduced.estimates.items():
         width = (_SHARE_A | _SHARE_B).get(name.partition("@")[0])

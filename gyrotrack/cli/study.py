@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -51,16 +51,22 @@ class Study:
         entries = self.ledger.of(self.data)
         return entries[-1] if entries else None
 
+    def model(self, names: Iterable[str]) -> Model:
+        """Return the model of these effects, or the part of it that one body alone has if there is but one."""
+        from fitting.model import Model
+
+        whole = Model.of(names)
+        return whole.alone if self.data[0].record.single else whole
+
     def base(self, fit_id: str | None) -> tuple[Fit, str]:
         """Return the fit to start from and its name; without any the reduced model is fitted and kept."""
         from fitting.effects import REDUCED
         from fitting.estimation import fit
-        from fitting.model import Model
 
         entry = self.entry(fit_id)
         if entry is not None:
             return entry.refit(self.data), entry.fit_id
-        found = fit(Model.of(REDUCED), self.data)
+        found = fit(self.model(REDUCED), self.data)
         return found, self.ledger.add(found).fit_id
 
 

@@ -22,6 +22,8 @@ def fit_tables(fit: Fit, fit_id: str) -> list[str]:
     lines.append(f"{'':<12}{'R2':>10}{'rmse [rad/s]':>14}{'chi2/n':>12}{'held out':>11}")
     for case in fit.cases:
         for name, body in (("casing", case.casing), ("rotor", case.rotor)):
+            if math.isnan(body.rmse):  # a body that this record does not have
+                continue
             title = f"{case.label[:5]} {name}" if len(fit.cases) > 1 else name
             lines.append(
                 f"{title:<12}{body.r2:>10.6f}{body.rmse:>14.4g}{body.reduced_chi2:>12.4g}{body.held_out:>11.4g}"

@@ -52,10 +52,9 @@ def case_board(
         _speed(view, names),
         _misfit(view, "casing", names),
         _normalised(view, names),
-        _rotor(view, names),
-        _misfit(view, "rotor", names),
+        *((_rotor(view, names), _misfit(view, "rotor", names)) if view.rotor else ()),
         _torque(view, "casing", names),
-        _torque(view, "rotor", names),
+        *((_torque(view, "rotor", names),) if view.rotor else ()),
         _energy(view, steps),
     ]
     if tracks is not None:
