@@ -55,12 +55,20 @@ def pull(found, name, truth):
 @pytest.mark.parametrize("quantity", ["omega", "angle"])
 def test_parameters_and_errors(quantity):
     pulls = []
-    for seed in range(3):
+    for seed in range(2):
         found = fit(BASE, [wheel(quantity=quantity, seed=seed)])
         assert found.verdict == "adequate"
         pulls += [pull(found, "touchpoint.constant.b1", DRY), pull(found, "casing.air.linear.b2", LINEAR)]
     assert np.abs(pulls).max() < 4
-    assert 0.3 < np.sqrt(np.mean(np.square(pulls))) < 1.8
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("quantity", ["omega", "angle"])
+def test_the_errors_are_those_of_many_wheels(quantity):
+    fits = [fit(BASE, [wheel(quantity=quantity, seed=seed)]) for seed in range(100, 124)]
+    pulls = [pull(f, "casing.air.linear.b2", LINEAR) for f in fits]
+    # the rms of 24 unit normals has a spread of 0.14
+    assert 0.55 < np.sqrt(np.mean(np.square(pulls))) < 1.45
 
 
 def test_what_is_missing_is_found():
