@@ -124,7 +124,7 @@ def _options(entry: Entry) -> dict[str, tuple[str, Any]]:
             # in this form of annotation typer takes the first name for a default
             names = (marks[0].default, *(marks[0].param_decls or ()))
             words = [w for w in names if isinstance(w, str) and w.startswith("--")]
-            key = (words[0] if words else f"--{name}").lstrip("-").replace("-", "_")
+            key = (words[0] if words else f"--{name}").partition("/")[0].lstrip("-").replace("-", "_")
             found[name] = (key, typing.get_args(hint)[0])
     return found
 
