@@ -10,7 +10,8 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
@@ -120,25 +121,28 @@ class Ledger:
         per_case: Sequence[str] = (),
         ranges: dict[str, tuple[float, float]] | None = None,
     ) -> Entry:
-        """Append a fit and write the file, whole or not at all."""
-        fit_id = f"f{1 + max((int(e.fit_id[1:]) for e in self.entries), default=0)}"
-        document = fit_document(found, fit_id) | {
-            "parent": parent,
-            "added": added,
-            "rung": rung_document(found, fit_id, added, previous),
-            "digests": [d.record.digest for d in found.problem.data],
-            "sources": [d.record.source for d in found.problem.data],
-            "own_effects": [asdict(e) for e in found.model.effects if LIBRARY.get(e.name) != e],
-            "share": list(share),
-            "per_case": list(per_case),
-            "ranges": {k: list(v) for k, v in (ranges or {}).items()},
-            "created": datetime.now(UTC).isoformat(timespec="seconds"),
-            "software_version": _version(),
-        }
-        entry = Entry(_plain(document))
-        self.entries.append(entry)
-        self._write()
-        return entry
+        """Append a fit and write the file, whole or not at all; what others added meanwhile is kept."""
+        with _alone(self.path.parent):
+            if self.path.exists():
+                self.entries = _read(self.path)
+            fit_id = f"f{1 + max((int(e.fit_id[1:]) for e in self.entries), default=0)}"
+            document = fit_document(found, fit_id) | {
+                "parent": parent,
+                "added": added,
+                "rung": rung_document(found, fit_id, added, previous),
+                "digests": [d.record.digest for d in found.problem.data],
+                "sources": [d.record.source for d in found.problem.data],
+                "own_effects": [asdict(e) for e in found.model.effects if LIBRARY.get(e.name) != e],
+                "share": list(share),
+                "per_case": list(per_case),
+                "ranges": {k: list(v) for k, v in (ranges or {}).items()},
+                "created": datetime.now(UTC).isoformat(timespec="seconds"),
+                "software_version": _version(),
+            }
+            entry = Entry(_plain(document))
+            self.entries.append(entry)
+            self._write()
+            return entry
 
     def _write(self) -> None:
         document = {"format": FORMAT, "version": VERSION, "fits": [e.document for e in self.entries]}
@@ -150,10 +154,29 @@ class Ledger:
                 os.fsync(stream.fileno())
             part.replace(self.path)
         except OSError as fault:
-            part.unlink(missing_ok=True)
+            with suppress(OSError):  # on a read-only disk not even that is allowed
+                part.unlink(missing_ok=True)
             raise LedgerError(
                 f"{self.path} cannot be written: {fault.strerror}", "choose another with --ledger"
             ) from None
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Keep other processes from adding to ledgers in a folder while the block runs, where the system can."""
+    try:
+        import fcntl
+
+        handle = os.open(folder, os.O_RDONLY)
+    except (ImportError, OSError):  # no locks here; two fits at the same moment may then overtake each other
+        yield
+        return
+    try:
+        with suppress(OSError):
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
 
 
 def _read(path: Path) -> list[Entry]:

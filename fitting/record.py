@@ -237,7 +237,9 @@ def _column(path: Path, file: Any, group: str, name: str) -> Array:
         raise RecordError(f"{path}: {group}/{name} holds no real numbers")
     if data.size != file[f"{group}/time"].size:
         raise RecordError(f"{path}: {group}/{name} and {group}/time have different lengths")
-    if data.size > _MAX_SAMPLES or data.nbytes > data.id.get_storage_size() * _INFLATION + _SLACK:
+    chunk = int(np.prod(data.chunks or (0,), dtype=object)) * data.dtype.itemsize
+    held = data.id.get_storage_size()
+    if data.size > _MAX_SAMPLES or max(data.nbytes, chunk) > held * _INFLATION + _SLACK:
         raise RecordError(f"{path}: {group}/{name} claims {data.size} samples")
     plist = data.id.get_create_plist()
     filters = {plist.get_filter(i)[0] for i in range(plist.get_nfilters())}
