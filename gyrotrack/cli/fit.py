@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,6 +17,7 @@ from gyrotrack.errors import UsageError
 if TYPE_CHECKING:
     from fitting.effects import Effect
     from fitting.estimation import Fit
+    from fitting.estimation.profile import Interval
     from fitting.model import Model
 
 _NAMED = ("reduced", "general", "linear")
@@ -49,6 +50,14 @@ def command(
     per_case: Annotated[
         list[str] | None, typer.Option("--per-case", metavar="P", help="A value for each case.")
     ] = None,
+    profile: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--profile",
+            metavar="P",
+            help="95 % interval of a parameter by its profile likelihood; 'weak' for all that are weakly known.",
+        ),
+    ] = None,
     start: From = None,
     ledger: LedgerFile = None,
     as_json: Json = False,
@@ -78,17 +87,39 @@ def command(
         with out.progress("fitting") as progress:
             progress(0, None)
             found, fit_id = wish.fit(study, start)
-        documents.append(_document(found, fit_id))
+            intervals = _intervals(found, profile or ())
+        documents.append(_document(found, fit_id, intervals))
         trusted &= found.verdict != "not converged"
-        out.show(*fit_tables(found, fit_id))
+        out.show(*fit_tables(found, fit_id, intervals))
     out.result(documents[0] if len(documents) == 1 else {"fits": documents})
     return DONE if trusted else NOT_TRUSTED
 
 
-def _document(found: Fit, fit_id: str) -> dict[str, Any]:
-    from fitting.summary import fit_document
+def _document(found: Fit, fit_id: str, intervals: Mapping[str, Interval]) -> dict[str, Any]:
+    from fitting.summary import fit_document, interval_document
 
-    return fit_document(found, fit_id)
+    document = fit_document(found, fit_id)
+    for name, interval in intervals.items():
+        document["parameters"][name]["interval"] = interval_document(interval)
+    return document
+
+
+def _intervals(found: Fit, wanted: Sequence[str]) -> dict[str, Interval]:
+    from fitting.estimation.profile import profile, weakly_determined
+
+    names: list[str] = []
+    for word in wanted:
+        if word == "weak":
+            names += weakly_determined(found)
+            continue
+        # a symbol, or a key without its case, stands for all that it fits
+        keys = [k for k in found.problem.layout.names if word in {k, k.partition("@")[0], _symbol(k)}]
+        names += keys or [word]
+    return {name: profile(found, name) for name in dict.fromkeys(names)}
+
+
+def _symbol(name: str) -> str:
+    return name.partition("@")[0].rpartition(".")[2]
 
 
 class _Wish:

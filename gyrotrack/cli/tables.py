@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fitting.discovery import Diagnosis
     from fitting.estimation import Fit
+    from fitting.estimation.profile import Interval
 
 _BAR = 24
 _CANDIDATES = 8
 
 
-def fit_tables(fit: Fit, fit_id: str) -> list[str]:
+def fit_tables(fit: Fit, fit_id: str, intervals: Mapping[str, Interval] | None = None) -> list[str]:
     """Return a fit as lines: verdict first, then how well it describes the data, then parameters."""
-    from fitting.summary import not_determined, rounded
+    from fitting.summary import not_determined, not_determined_together, rounded
 
     lines = [f"fit {fit_id}: {_verdict(fit)}", ""]
     lines.append(f"{'':<12}{'R2':>10}{'rmse [rad/s]':>14}{'chi2/n':>12}{'held out':>11}")
@@ -40,8 +41,24 @@ def fit_tables(fit: Fit, fit_id: str) -> list[str]:
         lines.append(f"  {name:<32}{value}{note}" if len(name) < 32 else f"  {name}\n  {'':<32}{value}{note}")
     weak = not_determined(fit)
     if weak:
-        lines += ["", f"not determined by this data: {', '.join(weak)}"]
+        lines += ["", *_wrapped(f"not determined by this data: {', '.join(weak)}")]
+    for direction in not_determined_together(fit):
+        parts = ", ".join(f"{n} by {100 * w:+.0f} %" for n, w in direction.items())
+        lines += _wrapped(f"not determined together: {parts}")
+    if intervals:
+        lines += ["", "95 % intervals by profile likelihood:"]
+        lines += [f"  {n:<32}{_interval(i, fit.estimates[n].unit)}" for n, i in intervals.items()]
     return ["\n".join(lines)]
+
+
+def _interval(i: Interval, unit: str) -> str:
+    lower = "no limit below" if i.lower_open else f"{i.lower:.4g}"
+    upper = "no limit above" if i.upper_open else f"{i.upper:.4g}"
+    if i.lower_open and not i.upper_open:
+        return f"below {upper} {unit}"
+    if i.upper_open and not i.lower_open:
+        return f"above {lower} {unit}"
+    return f"{lower} to {upper} {unit}" if not i.lower_open else "no limit on either side"
 
 
 def _verdict(fit: Fit) -> str:
