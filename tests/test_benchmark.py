@@ -191,7 +191,8 @@ def test_the_oracle_sees_the_difference_that_the_effect_makes():
         difference += [p - q for p, q in zip(made.rotor, without.rotor, strict=True)]
         whole = np.linalg.norm(np.concatenate(difference)) / experiment.SIGMA
         seen = oracle.reach(name, [world])
-        assert seen.whole == pytest.approx(whole, rel=0.01), name
+        # rows are in units of the noise that was measured, which is right to a few hundredths
+        assert seen.whole == pytest.approx(whole, rel=0.03), name
         assert seen.beside_rival <= seen.beside_base <= seen.whole
 
 
