@@ -93,7 +93,11 @@ def known(r):
         return line(r, [], "adequate")
     if name.startswith("rotor."):
         return line(r, ["casing.air.laminar", name])
-    parameters = [["x.k@case1", 1.0, 0.1, 1.05], ["x.k@case2", 1.0, 0.1, 1.5], ["x.t0", 3.0, 1.0, 3.0]]
+    parameters = [
+        ["x.k@case1", 1.0, 0.1, 1.05, -0.5],
+        ["x.k@case2", 1.0, 0.1, 1.5, -5.0],
+        ["x.t0", 3.0, 1.0, 3.0, 0.0],
+    ]
     good = {"chi2": [1.0, 1.05], "held": [1.0, 1.2], "parameters": parameters}
     return line(r, ["bearing.load" if name == "casing.windage" else name], added=good)
 

@@ -32,8 +32,8 @@ def answer(run: Planned) -> dict[str, Any]:
     dict
         ``named``: the effects that the answer names, the first one first, empty for "adequate".
         ``ranked``: the best candidates as [name, kind, score, delta_bic, p, refitted].
-        ``added``: the parameters of the first as [name, value, stderr, truth or None], its refit's ``chi2``
-        and ``held`` for each casing, and ``verdict``.
+        ``added``: the parameters of the first as [name, value, stderr, truth, (value - truth) / stderr], and its
+        refit's ``chi2`` and ``held`` for each casing, and ``verdict``.
         ``sigma``: the size of each hidden effect: whole, beside the base, and beside base and nearest ``rival``.
         ``seconds``: of CPU, for the fit and for the answer.
         For two effects ``rungs`` and, as ``named``, the effects of the last rung that the base has not.
@@ -102,7 +102,9 @@ def _added(chosen: Candidate, run: Planned) -> dict[str, Any]:
         # a parameter that all cases share has the truth of the first
         i = int(label.removeprefix("case")) - 1 if label else 0
         truth = worlds[i].truth.get(name.rsplit(".", 1)[1]) if worlds else None
-        rows.append([key, e.value, e.stderr, truth])
+        # told before the numbers are shortened: a strength may be known to more than four digits
+        pull = (e.value - truth) / e.stderr if truth is not None and e.stderr else None
+        rows.append([key, e.value, e.stderr, truth, pull])
     refit = {} if chosen.fit is None else quality(chosen.fit) | {"verdict": chosen.fit.verdict}
     return {"name": chosen.effect.name, "parameters": rows, **refit}
 

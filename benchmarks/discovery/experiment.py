@@ -15,11 +15,24 @@ BUDGET = 1.33e-4  # N m, the torque that 2e-6 N m are 1.5 % of
 SIGMA = 1e-3  # rad, noise of an angle
 NOISE_TIME = 1.0  # s, correlation time of the random torque
 CASING_RATE, ROTOR_RATE, WINDOW = 260, 1000, 3.0
-_PAPER = {"a2": 9.97e-11, "d": 1.57e-7, "f": 1.26e-8, "g": 1.32}
+_PAPER = {"a2": 9.97e-11, "d": 1.57e-7, "f": 1.26e-8, "g": 1.32, "I_rotor": I_ROTOR, "I_casing": I_CASING}
 CASES: tuple[dict[str, Any], ...] = (
     {**_PAPER, "b1": 2.88e-6, "b2": 8.28e-7, "start": (900.0, 5.0), "span": 200.0},
     {**_PAPER, "b1": 2.4e-5, "b2": 8.1e-7, "start": (740.0, 12.0), "span": 160.0},
 )
+# a light, fast gyroscope whose whole run fits into a film of half a minute
+LIGHT: dict[str, Any] = {
+    "a2": 3.2e-11,
+    "d": 7e-8,
+    "f": 9.5e-7,
+    "g": 0.62,
+    "I_rotor": 4.2e-6,
+    "I_casing": 1.6e-6,
+    "b1": 6e-6,
+    "b2": 3.6e-7,
+    "start": (540.0, 4.0),
+    "span": 30.0,
+}
 # a casing slower than this [rad/s] is about to stop: the recording ends
 _SLOWEST = 3.0
 _STEP = 0.02  # s
@@ -121,8 +134,8 @@ def record(
     return {
         "casing": (made.time, seen + _noise(len(psi), rng), np.full(len(psi), SIGMA)),
         "rotor": rotor,
-        "I_rotor": I_ROTOR,
-        "I_casing": I_CASING,
+        "I_rotor": case["I_rotor"],
+        "I_casing": case["I_casing"],
         "label": label,
     }
 
@@ -194,6 +207,7 @@ def equations(
     a2, b1, b2, d, f, g = (case[k] for k in ("a2", "b1", "b2", "d", "f", "g"))
     step, on_case, between = torques
     last, warm = len(on_case) - 2, len(hidden.heating)
+    inertias = case["I_rotor"], case["I_casing"] * (1 + hidden.inertia)
 
     def rates(t: float, state: Sequence[float]) -> list[float]:
         wr, wc, _, psi, *more = state
@@ -213,7 +227,7 @@ def equations(
         for (k, _, phi), turn in zip(hidden.chirp, more[warm:], strict=True):
             on_casing += k * math.cos(turn + phi)
         on_rotor = -tau - a2 * wr * wr + sum(law(t, wr, wc, psi) for law in hidden.rotor)
-        return [on_rotor / I_ROTOR, on_casing / (I_CASING * (1 + hidden.inertia)), wr, wc, *extra]
+        return [on_rotor / inertias[0], on_casing / inertias[1], wr, wc, *extra]
 
     return rates
 

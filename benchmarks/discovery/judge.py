@@ -119,9 +119,9 @@ def pulls(line: Line, *, shapes: bool = False) -> list[float]:
         return []
     strength = {"k", "a1", "a2", "b1", "b2", "c", "d", "e", "f", "eps", "dt"}
     return [
-        (value - truth) / error
-        for name, value, error, truth in added["parameters"]
-        if truth is not None and error and (name.partition("@")[0].rsplit(".", 1)[1] in strength) != shapes
+        float(pull)
+        for name, *_, pull in added["parameters"]
+        if pull is not None and (name.partition("@")[0].rsplit(".", 1)[1] in strength) != shapes
     ]
 
 
