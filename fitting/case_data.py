@@ -24,6 +24,8 @@ from fitting.smoothing import speeds
 
 Array = NDArray[np.float64]
 
+_GENERATED_BLOCKS = 20
+
 
 @dataclass(frozen=True)
 class CaseData:
@@ -43,7 +45,10 @@ class CaseData:
                 w,
                 degree=min(ROTOR_DEGREE, (len(w) - 1) // 2),
                 harmonics=False,
-                blocks=max(1, round((w.time[-1] - w.time[0]) / 3.0)),
+                blocks=_GENERATED_BLOCKS
+                if record.generated
+                else max(1, round((w.time[-1] - w.time[0]) / 3.0)),
+                noisy=not record.generated,
             )
             for w in record.rotor
         )

@@ -224,7 +224,8 @@ class TorqueResponse:
             free = (self.data.casing.lift[part] @ powers).reshape(len(rows), -1)
             stretches.append((rows, np.concatenate([free, self.data.nuisance[rows]], axis=1)))
         first = len(self.data.casing.z)
-        for window in self.data.rotor:
+        # a generated curve has no noise
+        for window in () if self.data.record.generated else self.data.rotor:
             t = window.node_times - window.node_times.mean()
             rows = first + np.arange(len(t))
             first += len(t)

@@ -60,6 +60,8 @@ class Record:
         The file, for provenance.
     tracked : bool
         The angles come from film, with tracking's own artefacts once and twice a turn.
+    generated : bool
+        The rotor is a curve that was generated, not measured (see `fitting.paper_data`).
     digest : str
         SHA-256 of the numbers.
     """
@@ -73,6 +75,7 @@ class Record:
     surface: str = ""
     source: str = ""
     tracked: bool = False
+    generated: bool = False
     digest: str = field(default="")
 
     def __post_init__(self) -> None:
@@ -195,7 +198,9 @@ def make_record(
             f"{label}: no rotor window with at least {_FEWEST[quantity]} usable samples",
             "give at least one rotor clip",
         )
-    return Record(label, I_rotor, I_casing, runs[0], windows, quantity, surface, source, tracked)
+    return Record(
+        label, I_rotor, I_casing, runs[0], windows, quantity, surface=surface, source=source, tracked=tracked
+    )
 
 
 def _clean(time: Array, value: Array, sigma: Array, *, what: str) -> Samples:

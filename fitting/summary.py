@@ -14,31 +14,21 @@ import numpy as np
 
 from fitting.discovery import Candidate, Diagnosis, Rung
 from fitting.estimation import Estimate, Fit
+from fitting.estimation.account import not_determined
 from fitting.estimation.covariance import loose_directions
 from fitting.estimation.profile import LEVEL, Interval
+from fitting.rounding import rounded
 
-_UNDETERMINED = 1.0
-
-
-def rounded(value: float, error: float, unit: str = "") -> str:
-    """Return ``(7.16 +- 0.04) x 10^-7 N m s``.
-
-    The error keeps two digits if they lie between 10 and 29, else one; the value is rounded to the same place.
-    """
-    if not math.isfinite(value):
-        return "not a number"
-    tail = f" {unit}" if unit and unit != "1" else ""
-    if not math.isfinite(error) or error <= 0:
-        return f"{value:.4g}{tail}"
-    leading = math.floor(math.log10(error))
-    digits = -leading + (1 if error / 10.0**leading < 2.95 else 0)
-    exponent = math.floor(math.log10(max(abs(value), error)))
-    if -3 < exponent < 5:
-        places = max(0, digits)
-        return f"{round(value, digits):.{places}f} +- {round(error, digits):.{places}f}{tail}"
-    places = max(0, digits + exponent)
-    scale = 10.0**exponent
-    return f"({value / scale:.{places}f} +- {error / scale:.{places}f}) x 10^{exponent}{tail}"
+__all__ = [
+    "diagnosis_document",
+    "fit_document",
+    "interval_document",
+    "ladder_verdict",
+    "not_determined",
+    "not_determined_together",
+    "rounded",
+    "rung_document",
+]
 
 
 def fit_document(fit: Fit, fit_id: str) -> dict[str, Any]:
@@ -64,20 +54,9 @@ def fit_document(fit: Fit, fit_id: str) -> dict[str, Any]:
         "bic": fit.bic,
         "verdict": fit.verdict,
         "equations": list(fit.model.equations()),
-        "not_determined": not_determined(fit),
+        "not_determined": not_determined(fit.estimates),
         "not_determined_together": not_determined_together(fit),
     }
-
-
-def not_determined(fit: Fit) -> list[str]:
-    """Return the parameters whose error is larger than their value: the data does not hold them."""
-    return [
-        k
-        for k, e in fit.estimates.items()
-        if not k.startswith("initial.")
-        and math.isfinite(e.stderr)
-        and e.stderr > _UNDETERMINED * abs(e.value)
-    ]
 
 
 def not_determined_together(fit: Fit) -> list[dict[str, float]]:

@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 
 from fitting.case_data import CaseData
 from fitting.errors import EstimationError
+from fitting.estimation.account import Account
 from fitting.estimation.case_model import Prediction
 from fitting.estimation.covariance import covariance_of, surely_at_bound
+from fitting.estimation.energy import EnergyBalance, energy_balance
 from fitting.estimation.layout import START_ROTOR, Layout
 from fitting.estimation.metrics import CaseMetrics, case_metrics
 from fitting.estimation.noise_levels import Noise, cautious, first_noise, measure_noise, refine_level
@@ -51,8 +53,8 @@ class Estimate:
     at_bound: bool
 
 
-@dataclass(frozen=True)
-class Fit:
+@dataclass(frozen=True, repr=False)
+class Fit(Account):
     """A fitted model.
 
     Attributes
@@ -104,6 +106,19 @@ class Fit:
         from fitting.display.html import fit_html
 
         return fit_html(self)
+
+    def energy(self, label: str | None = None) -> EnergyBalance:
+        """Return the energy balance of a case (the first, if not named): kinetic energy plus losses, as a curve.
+
+        Raises
+        ------
+        EstimationError
+            If there is no case of this label.
+        """
+        if label is not None and label not in self.labels:
+            raise EstimationError(f"there is no case {label[:40]!r}", "it has: " + ", ".join(self.labels))
+        i = 0 if label is None else self.labels.index(label)
+        return energy_balance(self.problem.cases[i], self.theta, self.predictions[i].path)
 
     @property
     def torque_noise(self) -> float:

@@ -30,6 +30,16 @@ LedgerFile = Annotated[
 EffectsFile = Annotated[
     Path | None, typer.Option("--effects", metavar="FILE", help="Effects of your own, in TOML.")
 ]
+DataKind = Annotated[
+    str | None,
+    typer.Option("--data", metavar="D", help="angle or velocity (smoothed as in the paper): what is fitted."),
+]
+RotorKind = Annotated[
+    str,
+    typer.Option(
+        "--rotor", metavar="R", help="windows as measured, or generated: the paper's curve through them."
+    ),
+]
 
 
 @dataclass(frozen=True)
@@ -70,20 +80,36 @@ class Study:
         return found, self.ledger.add(found).fit_id
 
 
-def open_study(cases: Sequence[Path], ledger: Path | None) -> Study:
+def open_study(
+    cases: Sequence[Path], ledger: Path | None, *, data: str | None = None, rotor: str = "windows"
+) -> Study:
     """Read cases and their ledger."""
     from fitting.ledger import Ledger
 
-    data = read_cases(cases)
-    return Study(data, Ledger(ledger) if ledger is not None else Ledger.beside(Path(cases[0])))
+    read = read_cases(cases, data=data, rotor=rotor)
+    return Study(read, Ledger(ledger) if ledger is not None else Ledger.beside(Path(cases[0])))
 
 
-def read_cases(cases: Sequence[Path]) -> tuple[CaseData, ...]:
-    """Read cases and project them."""
+def read_cases(
+    cases: Sequence[Path], *, data: str | None = None, rotor: str = "windows"
+) -> tuple[CaseData, ...]:
+    """Read cases and project them: what was measured, or the paper's velocities and generated rotor curve."""
     from fitting.case_data import CaseData
     from fitting.record import read_record
 
-    return tuple(CaseData.of(read_record(path)) for path in cases)
+    _known("--data", data or "angle", ("angle", "velocity"))
+    _known("--rotor", rotor, ("windows", "generated"))
+    records = [read_record(path) for path in cases]
+    if data is not None or rotor != "windows":
+        from fitting.paper_data import prepared
+
+        records = [prepared(r, data, rotor) for r in records]
+    return tuple(CaseData.of(r) for r in records)
+
+
+def _known(option: str, word: str, words: tuple[str, ...]) -> None:
+    if word not in words:
+        raise UsageError(f"{option} {word[:40]!r} is not known.", f"It is one of: {', '.join(words)}.")
 
 
 def own_effects(path: Path | None) -> list[Effect]:
