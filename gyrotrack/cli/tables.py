@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from fitting.discovery import Diagnosis
     from fitting.estimation import Fit
+    from fitting.estimation.prediction import Predicted
     from fitting.estimation.profile import Interval
 
 _BAR = 24
