@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 
 _PIECES = 480
 _MIN_PIECE = 12
+_GENERATED_BLOCKS = 20
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,10 @@ class CaseData:
                 w,
                 degree=min(ROTOR_DEGREE, (len(w) - 1) // 2),
                 harmonics=False,
-                blocks=max(1, round((w.time[-1] - w.time[0]) / 3.0)),
+                blocks=_GENERATED_BLOCKS
+                if record.generated
+                else max(1, round((w.time[-1] - w.time[0]) / 3.0)),
+                noisy=not record.generated,
             )
             for w in record.rotor
         )
@@ -108,7 +112,8 @@ class CaseData:
         found = {}
         for body, runs in (("casing", (record.casing,)), ("rotor", record.rotor)):
             parts = [speeds(run, record.quantity) for run in runs]
-            found[body] = np.concatenate([t for t, _ in parts]), np.concatenate([v for _, v in parts])
+            if parts:
+                found[body] = np.concatenate([t for t, _ in parts]), np.concatenate([v for _, v in parts])
         return found
 
     @property
@@ -162,11 +167,13 @@ class CaseData:
         """
         a = len(self.casing.node_times)
         values = []
-        for state, times in ((1, self.node_times[:a]), (0, self.node_times[a:])):
+        for state, times in ((1, self.node_times[:a]), (0, self.node_times[a:]))[
+            : 1 if self.record.single else 2
+        ]:
             sampler = Sampler(path.mesh, times)
             values.append(self._seen(sampler, path, state, nodes))
         ends = np.cumsum([len(w.node_times) for w in self.rotor])[:-1]
-        rows = self.rows(values[0], np.split(values[1], ends))
+        rows = self.rows(values[0], [] if self.record.single else np.split(values[1], ends))
         return self._mend_kinks(path, nodes, rows)
 
     def _seen(self, sampler: Sampler, path: Path, state: int, nodes: Array | None) -> Array:

@@ -84,7 +84,9 @@ class Compressed:
         return polynomial, harmonic
 
 
-def compress(samples: Samples, *, degree: int, harmonics: bool, blocks: int = _BLOCKS) -> Compressed:
+def compress(
+    samples: Samples, *, degree: int, harmonics: bool, blocks: int = _BLOCKS, noisy: bool = True
+) -> Compressed:
     """Project the samples of a series block by block.
 
     Parameters
@@ -97,6 +99,8 @@ def compress(samples: Samples, *, degree: int, harmonics: bool, blocks: int = _B
         Whether to keep the first two harmonics of the measured angle as rows of their own.
     blocks : int
         At most so many blocks.
+    noisy : bool
+        Whether the samples have a noise that can be measured; otherwise their sigma is taken as it is.
 
     Returns
     -------
@@ -114,6 +118,8 @@ def compress(samples: Samples, *, degree: int, harmonics: bool, blocks: int = _B
     variance = _robust_variance(slow) if len(slow) >= 20 else fast
     scale = float(np.sqrt(variance)) if variance > 0 else 1.0
     correlation = max(1.0, variance / fast) if fast > 0 else 1.0
+    if not noisy:
+        scale, correlation, fast = 1.0, 1.0, 1.0
     k = degree + 1
     spread = np.full(parts[0].rows.shape[0], scale)
     if harmonics:

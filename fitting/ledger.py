@@ -10,7 +10,8 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
@@ -19,9 +20,10 @@ from typing import Any
 
 from fitting.case_data import CaseData
 from fitting.effects import LIBRARY, Effect
-from fitting.effects.effect import Parameter
+from fitting.effects.effect import Parameter, State
 from fitting.errors import LedgerError
-from fitting.estimation import Fit, fit
+from fitting.estimation import Fit
+from fitting.estimation.robust import robust_fit
 from fitting.model import Model
 from fitting.summary import fit_document, rung_document
 
@@ -48,16 +50,17 @@ class Entry:
     @property
     def model(self) -> Model:
         """The model that was fitted."""
-        own = {e["name"]: _effect(e) for e in self.document.get("own_effects", [])}
+        own = {e["name"]: effect_of(e) for e in self.document.get("own_effects", [])}
         return Model(tuple(own[n] if n in own else LIBRARY[n] for n in self.document["model"]))
 
     def refit(self, data: Sequence[CaseData]) -> Fit:
         """Return the fit of this rung, made anew from its own parameters."""
         start = {k: float(v["value"]) for k, v in self.document["parameters"].items()}
         ranges = {k: (float(a), float(b)) for k, (a, b) in self.document.get("ranges", {}).items()}
-        return fit(
+        return robust_fit(
             self.model,
             data,
+            self.document.get("loss", "linear"),
             share=self.document.get("share", ()),
             per_case=self.document.get("per_case", ()),
             start=start,
@@ -119,26 +122,33 @@ class Ledger:
         share: Sequence[str] = (),
         per_case: Sequence[str] = (),
         ranges: dict[str, tuple[float, float]] | None = None,
+        loss: str = "linear",
     ) -> Entry:
-        """Append a fit and write the file, whole or not at all."""
-        fit_id = f"f{1 + max((int(e.fit_id[1:]) for e in self.entries), default=0)}"
-        document = fit_document(found, fit_id) | {
-            "parent": parent,
-            "added": added,
-            "rung": rung_document(found, fit_id, added, previous),
-            "digests": [d.record.digest for d in found.problem.data],
-            "sources": [d.record.source for d in found.problem.data],
-            "own_effects": [asdict(e) for e in found.model.effects if LIBRARY.get(e.name) != e],
-            "share": list(share),
-            "per_case": list(per_case),
-            "ranges": {k: list(v) for k, v in (ranges or {}).items()},
-            "created": datetime.now(UTC).isoformat(timespec="seconds"),
-            "software_version": _version(),
-        }
-        entry = Entry(_plain(document))
-        self.entries.append(entry)
-        self._write()
-        return entry
+        """Append a fit and write the file, whole or not at all; what others added meanwhile is kept."""
+        with _alone(self.path.parent):
+            if self.path.exists():
+                self.entries = _read(self.path)
+            fit_id = f"f{1 + max((int(e.fit_id[1:]) for e in self.entries), default=0)}"
+            document = fit_document(found, fit_id) | {
+                "parent": parent,
+                "added": added,
+                "rung": rung_document(found, fit_id, added, previous),
+                "digests": [d.record.digest for d in found.problem.data],
+                "sources": [d.record.source for d in found.problem.data],
+                "own_effects": [asdict(e) for e in found.model.effects if LIBRARY.get(e.name) != e],
+                "share": list(share),
+                "per_case": list(per_case),
+                "ranges": {k: list(v) for k, v in (ranges or {}).items()},
+                "loss": loss,
+                "data": found.problem.data[0].record.quantity,
+                "rotor": "generated" if found.problem.data[0].record.generated else "windows",
+                "created": datetime.now(UTC).isoformat(timespec="seconds"),
+                "software_version": _version(),
+            }
+            entry = Entry(plain(document))
+            self.entries.append(entry)
+            self._write()
+            return entry
 
     def _write(self) -> None:
         document = {"format": FORMAT, "version": VERSION, "fits": [e.document for e in self.entries]}
@@ -150,10 +160,29 @@ class Ledger:
                 os.fsync(stream.fileno())
             part.replace(self.path)
         except OSError as fault:
-            part.unlink(missing_ok=True)
+            with suppress(OSError):  # on a read-only disk not even that is allowed
+                part.unlink(missing_ok=True)
             raise LedgerError(
                 f"{self.path} cannot be written: {fault.strerror}", "choose another with --ledger"
             ) from None
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Keep other processes from adding to ledgers in a folder while the block runs, where the system can."""
+    try:
+        import fcntl
+
+        handle = os.open(folder, os.O_RDONLY)
+    except (ImportError, OSError):  # no locks here; two fits at the same moment may then overtake each other
+        yield
+        return
+    try:
+        with suppress(OSError):
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
 
 
 def _read(path: Path) -> list[Entry]:
@@ -176,11 +205,13 @@ def _read(path: Path) -> list[Entry]:
     return entries
 
 
-def _effect(stored: dict[str, Any]) -> Effect:
+def effect_of(stored: dict[str, Any]) -> Effect:
+    """Return an effect from its fields."""
     fields = dict(stored)
     fields["parameters"] = tuple(_parameter(p) for p in fields["parameters"])
     fields["confused_with"] = tuple(fields.get("confused_with", ()))
-    fields["state"] = None
+    state = fields.get("state")
+    fields["state"] = State(**state) if state else None
     return Effect(**fields)
 
 
@@ -193,13 +224,14 @@ def _number(value: Any) -> Any:
     return {"inf": math.inf, "-inf": -math.inf}.get(value, value) if isinstance(value, str) else value
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """Return what JSON can hold: nan becomes None, infinities become words."""
     if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
+        return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
+        return [plain(v) for v in value]
     if hasattr(value, "tolist"):
-        return _plain(value.tolist())
+        return plain(value.tolist())
     if isinstance(value, float) and not math.isfinite(value):
         return None if math.isnan(value) else ("inf" if value > 0 else "-inf")
     return value

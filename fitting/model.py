@@ -20,13 +20,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fitting.effects import Effect, find, read_effects, resolve
+from fitting.effects import GENERAL, LINEAR, REDUCED, Effect, find, read_effects, resolve
 from fitting.effects.effect import Parameter
 from fitting.errors import EffectError
 from fitting.expression import Expr, Tape, derivative, latex
 from fitting.expression.nodes import ONE, ZERO, call, div, mul, neg, sub, substitute, sym, symbols, total
 
 Array = NDArray[np.float64]
+
+NAMED = {"reduced": REDUCED, "general": GENERAL, "linear": LINEAR}
 
 INERTIA_ROTOR = "inertia.rotor"
 INERTIA_CASING = "inertia.casing"
@@ -54,9 +56,35 @@ class Model:
             raise EffectError(f"the effect {twice!r} is in the model twice")
 
     @classmethod
-    def of(cls, names: Iterable[str]) -> Model:
-        """Return the model of these effects of the library."""
+    def of(cls, names: str | Iterable[str]) -> Model:
+        """Return the model of these effects of the library, or one of the paper's by its name.
+
+        Parameters
+        ----------
+        names : str or iterable of str
+            "reduced", "general" or "linear"; or names of effects.
+
+        Raises
+        ------
+        EffectError
+            If a name is not known.
+        """
+        if isinstance(names, str):
+            if names not in NAMED:
+                raise EffectError(f"there is no model named {names[:60]!r}", "models: " + ", ".join(NAMED))
+            names = NAMED[names]
         return cls(tuple(find(n) for n in names))
+
+    def __add__(self, effect: Effect | str) -> Model:
+        """Return the model with one more effect: by name, as a law (``"casing: -k*omega_c**3"``), or an `Effect`."""
+        return self.with_effect(resolve(effect) if isinstance(effect, str) else effect)
+
+    def __sub__(self, name: str) -> Model:
+        """Return the model without the effect of this name."""
+        return self.without(name)
+
+    def __str__(self) -> str:
+        return " + ".join(self.names)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -104,6 +132,11 @@ class Model:
                 )
             held[keys[0]] = float(value)
         return Model(tuple(_holding(e, held) for e in self.effects))
+
+    @property
+    def alone(self) -> Model:
+        """The part of it that a body without a partner has."""
+        return Model(tuple(e for e in self.effects if e.alone))
 
     @cached_property
     def parameters(self) -> dict[str, Parameter]:

@@ -124,7 +124,7 @@ def estimate_noise(responses: Sequence[TorqueResponse], residuals: Sequence[Arra
     for response, residual, (_, kept) in zip(responses, residuals, searched, strict=True):
         (chosen,), _ = response.likelihoods(residual, [time], kept)
         gain = 2 * float(chosen.likelihood.max() - chosen.likelihood[0])
-        level = float(chosen.levels[int(np.argmax(chosen.likelihood))])
+        level = _peak(chosen.levels, chosen.likelihood)
         found.append(TorqueNoise(level if gain > _SIGNIFICANT else 0.0, time))
     return found
 
@@ -256,7 +256,8 @@ class TorqueResponse:
             free = (self.data.casing.lift[part] @ powers).reshape(len(rows), -1)
             stretches.append((rows, np.concatenate([free, self.data.nuisance[rows]], axis=1)))
         first = len(self.data.casing.z)
-        for window in self.data.rotor:
+        # a generated curve has no noise
+        for window in () if self.data.record.generated else self.data.rotor:
             t = window.node_times - window.node_times.mean()
             rows = first + np.arange(len(t))
             first += len(t)
@@ -297,7 +298,21 @@ def remaining_level(whitener: Whitener, residual: Array, free: Array, least: flo
     levels = np.concatenate([[least], (_LEVELS * unit)[_LEVELS * unit > least]])
     deviances = [_deviance(rotated, 1 + s**2 * values) for s in levels]
     best = int(np.argmin(deviances))
-    return float(levels[best]), deviances[0] - deviances[best]
+    return _peak(levels, -np.array(deviances)), deviances[0] - deviances[best]
+
+
+def _peak(levels: Array, likelihood: Array) -> float:
+    """Return the level of the highest likelihood, between the levels of the grid by a parabola in its logarithm."""
+    i = int(np.argmax(likelihood))
+    if not 1 <= i < len(levels) - 1 or levels[i - 1] <= 0:
+        return float(levels[i])
+    x = np.log(levels[i - 1 : i + 2])
+    (a, b), y = x[[0, 2]] - x[1], likelihood[i - 1 : i + 2] - likelihood[i]
+    # of the parabola through three points, the middle one highest
+    bend = (y[0] / a - y[2] / b) / (a - b)
+    if not bend < 0:
+        return float(levels[i])
+    return float(np.exp(x[1] + np.clip(-(y[0] / a - bend * a) / (2 * bend), a, b)))
 
 
 def _deviance(rotated: Array, variance: Array) -> float:

@@ -60,6 +60,8 @@ class Record:
         The file, for provenance.
     tracked : bool
         The angles come from film, with tracking's own artefacts once and twice a turn.
+    generated : bool
+        The rotor is a curve that was generated, not measured (see `fitting.paper_data`).
     digest : str
         SHA-256 of the numbers.
     """
@@ -73,11 +75,17 @@ class Record:
     surface: str = ""
     source: str = ""
     tracked: bool = False
+    generated: bool = False
     digest: str = field(default="")
 
     def __post_init__(self) -> None:
         if not self.digest:
             object.__setattr__(self, "digest", _digest(self))
+
+    @property
+    def single(self) -> bool:
+        """Whether it is the record of one body alone, which stands in the casing's place."""
+        return not self.rotor
 
     @property
     def span(self) -> tuple[float, float]:
@@ -138,7 +146,10 @@ def _read(path: Path, file: Any) -> Record:
     quantity: Quantity = "omega" if _text(attributes.get("quantity", "angle")) == "omega" else "angle"
     key = ("omega", "omega_sigma") if quantity == "omega" else ("angle", "sigma")
     casing = _series(path, file, "casing", key)
-    rotor, window = _series(path, file, "rotor", key), _column(path, file, "rotor", "window")
+    single = _text(attributes.get("bodies")) == "one"
+    rotor = (
+        [] if single else _windows(_series(path, file, "rotor", key), _column(path, file, "rotor", "window"))
+    )
     inertias = [float(np.asarray(attributes[k])) for k in ("I_rotor", "I_casing")]
     if not all(np.isfinite(i) and i > 0 for i in inertias):
         raise RecordError(f"{path}: the moments of inertia {inertias} are not positive")
@@ -148,7 +159,8 @@ def _read(path: Path, file: Any) -> Record:
         I_rotor=inertias[0],
         I_casing=inertias[1],
         casing=casing,
-        rotor=_windows(rotor, window),
+        rotor=rotor,
+        single=single,
         quantity=quantity,
         source=str(path),
         tracked=_text(file["casing"].attrs.get("sigma_source")) == "measured",
@@ -166,8 +178,11 @@ def make_record(
     quantity: Quantity = "angle",
     source: str = "",
     tracked: bool = False,
+    single: bool = False,
 ) -> Record:
     """Make a record from arrays of (time, value, sigma); samples that are not finite are left out.
+
+    With `single` there is one body only: it stands in the casing's place, and nothing is known of a rotor.
 
     Raises
     ------
@@ -178,12 +193,14 @@ def make_record(
     if len(runs[0]) < 60:
         raise RecordError(f"{label}: the casing has {len(runs[0])} usable samples; at least 60 are needed")
     windows = tuple(r for r in runs[1:] if len(r) >= _FEWEST[quantity])
-    if not windows:
+    if not windows and not single:
         raise RecordError(
             f"{label}: no rotor window with at least {_FEWEST[quantity]} usable samples",
             "give at least one rotor clip",
         )
-    return Record(label, I_rotor, I_casing, runs[0], windows, quantity, surface, source, tracked)
+    return Record(
+        label, I_rotor, I_casing, runs[0], windows, quantity, surface=surface, source=source, tracked=tracked
+    )
 
 
 def _clean(time: Array, value: Array, sigma: Array, *, what: str) -> Samples:
@@ -225,7 +242,9 @@ def _column(path: Path, file: Any, group: str, name: str) -> Array:
         raise RecordError(f"{path}: {group}/{name} holds no real numbers")
     if data.size != file[f"{group}/time"].size:
         raise RecordError(f"{path}: {group}/{name} and {group}/time have different lengths")
-    if data.size > _MAX_SAMPLES or data.nbytes > data.id.get_storage_size() * _INFLATION + _SLACK:
+    chunk = int(np.prod(data.chunks or (0,), dtype=object)) * data.dtype.itemsize
+    held = data.id.get_storage_size()
+    if data.size > _MAX_SAMPLES or max(data.nbytes, chunk) > held * _INFLATION + _SLACK:
         raise RecordError(f"{path}: {group}/{name} claims {data.size} samples")
     plist = data.id.get_create_plist()
     filters = {plist.get_filter(i)[0] for i in range(plist.get_nfilters())}

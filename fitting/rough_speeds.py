@@ -22,7 +22,8 @@ def rough_speeds(record: Record, points: int = _POINTS) -> tuple[Array, Array]:
     windows = np.array([_local(w, 1, record.quantity == "angle")[0] for w in record.rotor])
     times = np.linspace(*record.span, points)
     omega_c = np.interp(times, casing[:, 0], casing[:, 1])
-    return times, np.stack([_rotor_curve(windows, times), omega_c], axis=1)
+    omega_r = np.zeros(points) if record.single else _rotor_curve(windows, times)
+    return times, np.stack([omega_r, omega_c], axis=1)
 
 
 def _local(samples: Samples, count: int, is_angle: bool) -> Array:  # noqa: FBT001
@@ -47,13 +48,13 @@ def _rotor_curve(windows: Array, times: Array) -> Array:
     else:
         clipped = np.clip(times, t[0], t[-1])
         edge = np.where(times < t[0], slope[0], slope[-1])
-        curve = _hermite(t, speed, slope, clipped) + edge * (times - clipped)
+        curve = hermite(t, speed, slope, clipped) + edge * (times - clipped)
     # the rotor keeps its sense
     sense = 1.0 if speed.mean() >= 0 else -1.0
     return np.asarray(sense * np.maximum(sense * curve, 0.05 * np.abs(speed).min()))
 
 
-def _hermite(t: Array, value: Array, slope: Array, times: Array) -> Array:
+def hermite(t: Array, value: Array, slope: Array, times: Array) -> Array:
     """Return the cubics through values and slopes, at times within."""
     i = np.clip(np.searchsorted(t, times, side="right") - 1, 0, len(t) - 2)
     h = t[i + 1] - t[i]

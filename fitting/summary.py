@@ -4,13 +4,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
+
+import numpy as np
 
 from fitting.diagnosis import ResidualTorque
 from fitting.discovery import Candidate, Diagnosis, Rung
 from fitting.estimation import Estimate, Fit
+from fitting.estimation.account import not_determined
+from fitting.estimation.covariance import loose_directions
+from fitting.estimation.profile import LEVEL, Interval
+from fitting.rounding import rounded
 
-_UNDETERMINED = 1.0
+__all__ = [
+    "diagnosis_document",
+    "fit_document",
+    "interval_document",
+    "ladder_verdict",
+    "not_determined",
+    "not_determined_together",
+    "rounded",
+    "rung_document",
+]
+
 _CURVE_POINTS = 200
 
 
@@ -37,19 +54,21 @@ def fit_document(fit: Fit, fit_id: str) -> dict[str, Any]:
         "bic": fit.bic,
         "verdict": fit.verdict,
         "equations": list(fit.model.equations()),
-        "not_determined": not_determined(fit),
+        "not_determined": not_determined(fit.estimates),
+        "not_determined_together": not_determined_together(fit),
     }
 
 
-def not_determined(fit: Fit) -> list[str]:
-    """Return the parameters whose error is larger than their value: the data does not hold them."""
-    return [
-        k
-        for k, e in fit.estimates.items()
-        if not k.startswith("initial.")
-        and math.isfinite(e.stderr)
-        and e.stderr > _UNDETERMINED * abs(e.value)
-    ]
+def not_determined_together(fit: Fit) -> list[dict[str, float]]:
+    """Return combinations of parameters that the data does not hold: relative changes by name, the largest 1."""
+    kept = [i for i, n in enumerate(fit.problem.layout.names) if not n.startswith("initial.")]
+    names = [fit.problem.layout.names[i] for i in kept]
+    return loose_directions(names, fit.theta[kept], fit.covariance[np.ix_(kept, kept)])
+
+
+def interval_document(interval: Interval) -> dict[str, Any]:
+    """Return a 95 % interval as plain numbers."""
+    return {"level": LEVEL, **asdict(interval)}
 
 
 def _estimate(e: Estimate) -> dict[str, Any]:

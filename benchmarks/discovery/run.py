@@ -1,115 +1,92 @@
 """How often the missing effect is found, and how often one is named where nothing is missing.
 
-    python benchmarks/discovery/run.py --seeds 3 --strength 0.01 --cases 2 --noise 1e-7 -o results.jsonl
+    python benchmarks/discovery/run.py --seeds 10 --jobs 2 --limit-seconds 3600
+    python benchmarks/discovery/table.py
 
-Each line of the output is one hidden effect; `table.py` turns lines into the table.
+Each line of the output is one run; a run that has its line is not run again, so that the plan can be stopped at
+any time and taken up later. `--parts` and `--only` choose among the runs. A finished plan is kept compressed:
+`gzip -9 benchmarks/discovery/results.jsonl`; both spellings are read.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import time
+from collections.abc import Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from functools import partial
+from itertools import islice
 from pathlib import Path
+from typing import Any
 
-for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
-    os.environ.setdefault(name, "1")
+for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+    os.environ.setdefault(variable, "1")
 
-import numpy as np
-from experiment import BUDGET, CASES, Hidden, hidden_effects, outside, record
-
-from fitting.discovery import diagnose
-from fitting.effects import REDUCED
-from fitting.estimation import fit
-from fitting.model import Model
-from fitting.record import make_record
-
-EQUAL = {
-    "casing.windage": {"bearing.load"},
-    "bearing.load": {"casing.windage"},
-}
+from answer import answer
+from lines import RESULTS, append, read_lines
+from plan import PARTS, Planned, plan
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0])
-    parser.add_argument("--strength", type=float, default=0.01)
-    parser.add_argument("--cases", type=int, default=1)
-    parser.add_argument("--noise", type=float, default=0.0)
-    parser.add_argument("--only", nargs="*", default=[])
-    parser.add_argument("--kind", choices=["library", "outside", "nothing"], default="library")
-    parser.add_argument("-o", "--output", type=Path, default=Path("discovery.jsonl"))
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=10, help="how many seeds (10)")
+    parser.add_argument("--first-seed", type=int, default=0, help="leave out the seeds before this one (0)")
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS)
+    parser.add_argument("--only", nargs="+", default=[], help="words that must all stand in the key of a run")
+    parser.add_argument("--jobs", type=int, default=1, help="processes (1)")
+    parser.add_argument(
+        "--limit-seconds", type=float, default=float("inf"), help="begin no run after this time"
+    )
+    parser.add_argument(
+        "--again", action="store_true", help="run also what has its line; the newest line counts"
+    )
+    parser.add_argument("--list", action="store_true", help="only print the keys of what would run")
+    parser.add_argument("-o", "--output", type=Path, default=RESULTS)
     options = parser.parse_args()
-    for seed in options.seeds:
-        for name in names(options):
-            line = one(name, seed, options)
-            with options.output.open("a") as stream:
-                stream.write(json.dumps(line) + "\n")
-            print(
-                line["hidden"],
-                seed,
-                line["verdict"],
-                line["first"],
-                line["class"],
-                f"{line['seconds']:.1f} s",
-                flush=True,
-            )
-
-
-def names(options) -> list[str]:
-    rng = np.random.default_rng(0)
-    if options.kind == "nothing":
-        return ["nothing", "nothing, centre offset", "wrong inertia"]
-    table = hidden_effects(1.0, 200.0, rng) if options.kind == "library" else outside(1.0, 200.0, rng)
-    return [n for n in table if not options.only or n in options.only]
-
-
-def one(name: str, seed: int, options) -> dict:
-    records = []
-    for i, case in enumerate(CASES[: options.cases]):
-        rng = np.random.default_rng([seed, sum(map(ord, name))])
-        x = options.strength * BUDGET
-        if options.kind == "nothing":
-            hidden = Hidden(
-                centre=2e-3 if "centre" in name else 0.0, inertia=1.03 if "inertia" in name else 1.0
-            )
-        else:
-            hidden = (hidden_effects if options.kind == "library" else outside)(x, case["span"], rng)[name]
-        rng = np.random.default_rng([seed, i, sum(map(ord, name))])
-        records.append(
-            make_record(**record(case, hidden, torque_noise=options.noise, rng=rng, label=f"case{i + 1}"))
-        )
-    began = time.perf_counter()
-    base = fit(Model.of(REDUCED), records)
-    found = diagnose(base)
-    seconds = time.perf_counter() - began
-    physical = [
-        c for c in found.candidates if c.effect.name not in ("camera.centre", "camera.tilt", "camera.shutter")
+    done = (
+        set()
+        if options.again
+        else {line["key"] for line in read_lines(options.output) if "error" not in line}
+    )
+    runs = [
+        r
+        for r in plan(options.seeds, tuple(options.parts))
+        if r.key not in done
+        and r.seed_of_plan >= options.first_seed
+        and all(w in r.key for w in options.only)
     ]
-    first = physical[0]
-    named = [first.effect.name, *first.indistinguishable_from] if found.verdict != "adequate" else []
-    after = first.fit.cases[0] if first.fit is not None else None
-    return {
-        "hidden": name,
-        "seed": seed,
-        "strength": options.strength,
-        "cases": options.cases,
-        "noise": options.noise,
-        "verdict": found.verdict,
-        "first": first.effect.name,
-        "kind": first.effect.kind,
-        "class": named,
-        "score": first.score,
-        "delta_bic": first.delta_bic,
-        "p": first.p_value,
-        "right_first": first.effect.name == name or first.effect.name in EQUAL.get(name, set()),
-        "right_named": name in named,
-        "reduced_chi2_after": after.casing.reduced_chi2 if after else None,
-        "held_out_after": after.casing.held_out if after else None,
-        "top": [(c.effect.name, round(c.score, 1), round(c.delta_bic, 1)) for c in physical[:5]],
-        "seconds": seconds,
-    }
+    if options.list:
+        print(*(r.key for r in runs), sep="\n")
+        return
+    began = time.monotonic()
+    for i, line in enumerate(work(runs, options.jobs, options.limit_seconds), 1):
+        append(options.output, line)
+        said = line.get("error") or f"{line['verdict']}: {', '.join(line['named'][:4]) or '-'}"
+        print(f"{i}/{len(runs)} {time.monotonic() - began:6.0f} s  {line['key']}  {said}", flush=True)
+
+
+def work(
+    runs: Iterable[Planned], jobs: int, limit: float, ask: Any = answer, pool: Any = ProcessPoolExecutor
+) -> Iterator[dict[str, Any]]:
+    """Yield a line for each run, in the order in which they end; begin none after `limit` seconds."""
+    end = time.monotonic() + limit
+    left = iter(runs)
+    with pool(jobs) as workers:
+        waiting = {workers.submit(partial(guarded, ask), r) for r in islice(left, jobs)}
+        while waiting:
+            ended, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+            if time.monotonic() < end:
+                waiting |= {workers.submit(partial(guarded, ask), r) for r in islice(left, len(ended))}
+            yield from (f.result() for f in ended)
+
+
+def guarded(ask: Any, run: Planned) -> dict[str, Any]:
+    """Return the line of a run; one that fails says so in its line, and is tried again the next time."""
+    try:
+        return dict(ask(run))
+    except Exception as fault:  # whatever went wrong belongs into the table
+        return {"key": run.key, "error": f"{type(fault).__name__}: {fault}"}
 
 
 if __name__ == "__main__":

@@ -55,11 +55,18 @@ def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--work", type=Path, required=True)
     parser.add_argument("--count", type=int, default=1000)
+    parser.add_argument(
+        "--minutes", type=float, default=1e9, help="stop early; the count tells how far it came"
+    )
     asked = parser.parse_args()
     began = time.monotonic()
     bases = [(p.suffix, p.read_bytes()) for p in base_films(asked.work)]
     outcomes, bad, slowest, largest, child = Counter(), [], 0.0, 0.0, Child()
+    done = 0
     for seed in range(asked.count):
+        if time.monotonic() - began > 60 * asked.minutes:
+            break
+        done += 1
         suffix, content = bases[(seed // 5) % len(bases)]
         kind, data = mutate(content, seed)
         film, output = asked.work / f"mutated{suffix}", asked.work / "mutated.h5"
@@ -86,7 +93,7 @@ def main():
     report(
         "mutated clips",
         began,
-        count=asked.count,
+        count=done,
         outcomes=dict(outcomes),
         failures=len(bad),
         first_failures=bad[:10],

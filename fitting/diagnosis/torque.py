@@ -66,7 +66,7 @@ def _case(fit: Fit, index: int) -> list[ResidualTorque]:
     seen = gain @ residual[smooth]
     y = Sampler(prediction.path.mesh, response.centres).value(prediction.path.y)
     curves = []
-    for body in ("casing", "rotor"):
+    for body in ("casing",) if data.record.single else ("casing", "rotor"):
         mean = level**2 * shaped[body].T @ seen
         learned = level**4 * np.einsum("ic,ij,jc->c", shaped[body], gain, shaped[body], optimize=True)
         # rounding sets a floor where the data says almost everything

@@ -1,7 +1,7 @@
 """Which effect is missing: score every candidate, refit the best, say what cannot be told apart, go on."""
 
-from fitting.discovery.improve import Rung, improve
+from fitting.discovery.improve import Ladder, Rung, improve
 from fitting.discovery.ranking import Candidate, rank
 from fitting.discovery.verdict import Diagnosis, diagnose
 
-__all__ = ["Candidate", "Diagnosis", "Rung", "diagnose", "improve", "rank"]
+__all__ = ["Candidate", "Diagnosis", "Ladder", "Rung", "diagnose", "improve", "rank"]

@@ -61,6 +61,8 @@ def next_experiment(fit: Fit, rivals: Sequence[Candidate]) -> str:
     fits = [(c.effect.name, c.fit) for c in rivals if c.fit is not None and not c.effect.depends_on_angle]
     if len(fits) < 2:
         return ""
+    if fit.problem.data[0].record.single:
+        return ""  # the options below are those of a rotor in its casing
     label = fit.labels[0]
     start = [fit.estimates[f"initial.omega_{b}@{label}"].value for b in ("r", "c")]
     first, last = fit.problem.data[0].record.span

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fitting.discovery.ranking import ALWAYS_FREE, Candidate, rank
 from fitting.effects import Effect
 from fitting.estimation import Fit, fit
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _MAX_STEPS = 5
 # an effect whose strength is nearer to zero than this many standard errors is taken back
@@ -29,6 +33,21 @@ class Rung:
     candidates: tuple[Candidate, ...]
 
 
+class Ladder(list[Rung]):
+    """The rungs of `improve`, the base first; a notebook shows them as a table."""
+
+    def plot(self) -> Figure:
+        """Draw how the error falls from rung to rung (matplotlib)."""
+        from fitting.display.plots import plot_ladder
+
+        return plot_ladder(self)
+
+    def _repr_html_(self) -> str:
+        from fitting.display.html import ladder_html
+
+        return ladder_html(self)
+
+
 def improve(
     base: Fit,
     extra: Sequence[Effect] = (),
@@ -36,7 +55,7 @@ def improve(
     max_steps: int = _MAX_STEPS,
     progress: Callable[[int, int | None], None] | None = None,
     first: Sequence[Candidate] | None = None,
-) -> list[Rung]:
+) -> Ladder:
     """Go on adding the best effect while one is significant, then drop what is not needed.
 
     Parameters
@@ -54,10 +73,10 @@ def improve(
 
     Returns
     -------
-    list of Rung
-        The base first, the final model last.
+    Ladder
+        A list of rungs, the base first, the final model last.
     """
-    rungs = [Rung("", base, tuple(first) if first is not None else tuple(rank(base, extra)))]
+    rungs = Ladder([Rung("", base, tuple(first) if first is not None else tuple(rank(base, extra)))])
     for step in range(max_steps):
         chosen = best(rungs[-1].candidates)
         if chosen is None or chosen.fit is None:

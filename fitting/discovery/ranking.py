@@ -115,6 +115,8 @@ def rank(base: Fit, extra: Sequence[Effect] = (), *, refit: bool = True) -> list
 
 
 def _fits_in(effect: Effect, base: Fit) -> bool:
+    if base.problem.data[0].record.single and not effect.alone:
+        return False
     if not effect.moves:
         return base.problem.data[0].is_angle
     return not (effect.joint == "factor" and not any(e.joint == "bearing" for e in base.model.effects))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,7 +23,10 @@ from fitting.discovery.improve import Rung, best, improve, polished
 from fitting.discovery.ranking import ALWAYS_FREE, Candidate, rank
 from fitting.effects import Effect
 from fitting.estimation import Fit
-from fitting.notation import rounded
+from fitting.rounding import rounded
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # a second effect may be hidden beside the first; a story of three is told as unexplained
 _FOLLOW_UP = 1
@@ -61,6 +65,17 @@ class Diagnosis:
     torques: tuple[ResidualTorque, ...] = field(repr=False)
     ripples: tuple[Ripple, ...] = field(repr=False)
     whiteness: tuple[Whiteness, ...] = field(repr=False)
+
+    def plot(self) -> Figure:
+        """Draw the torque that is missing with its band, where the model fails, and the candidates (matplotlib)."""
+        from fitting.display.plots import plot_diagnosis
+
+        return plot_diagnosis(self)
+
+    def _repr_html_(self) -> str:
+        from fitting.display.html import diagnosis_html
+
+        return diagnosis_html(self)
 
 
 def diagnose(fit: Fit, extra: Sequence[Effect] = ()) -> Diagnosis:

@@ -158,6 +158,12 @@ class Effect:
         return not self.joint.startswith("camera.")
 
     @cached_property
+    def alone(self) -> bool:
+        """Whether a body without a partner can have it: it acts on the casing and speaks of nothing but that."""
+        names = symbols(self.expression) | (symbols(self.rate) if self.rate is not None else set())
+        return self.joint in {"casing", "camera.casing"} and not names & {"omega_r", "psi_r", "delta", "tau"}
+
+    @cached_property
     def depends_on_angle(self) -> bool:
         """Whether the law follows the angle, so that it ripples once or more a turn."""
         names = symbols(self.expression)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +13,7 @@ Array = NDArray[np.float64]
 
 # a bound counts as the truth when the best value lies so many standard errors beyond it
 _SURELY = 3.0
+_MATTERS = 0.2
 
 
 def surely_at_bound(layout: Layout, at_bound: NDArray[np.bool_], r: Array, j: Array) -> NDArray[np.bool_]:
@@ -25,6 +28,37 @@ def surely_at_bound(layout: Layout, at_bound: NDArray[np.bool_], r: Array, j: Ar
         beyond = np.abs(covariance @ (j.T @ r)) / np.sqrt(np.diag(covariance))
     physical = np.array([layout.is_physical_bound(name) for name in layout.names])
     return np.asarray(dead | (at_bound & physical & (np.nan_to_num(beyond) > _SURELY)))
+
+
+def loose_directions(names: Sequence[str], theta: Array, covariance: Array) -> list[dict[str, float]]:
+    """Return combinations of parameters that the data does not hold although each alone may seem to matter.
+
+    Parameters
+    ----------
+    names : sequence of str
+        The variables that are looked at.
+    theta, covariance : ndarray, shapes (n,) and (n, n)
+        Their values and covariance.
+
+    Returns
+    -------
+    list of dict
+        By name the relative changes, the largest +1, that together cost less than one standard error;
+        changes under a fifth of the largest are left out, and directions of one parameter too.
+    """
+    error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    kept = np.flatnonzero((theta != 0) & np.isfinite(error) & (error > 0))
+    if not len(kept):
+        return []
+    relative = covariance[np.ix_(kept, kept)] / np.outer(theta[kept], theta[kept])
+    values, vectors = np.linalg.eigh(relative)
+    directions = []
+    for i in np.flatnonzero(values > 1.0)[::-1]:
+        weights = vectors[:, i] / vectors[np.argmax(np.abs(vectors[:, i])), i]
+        chosen = {names[kept[k]]: float(w) for k, w in enumerate(weights) if abs(w) > _MATTERS}
+        if len(chosen) > 1:
+            directions.append(chosen)
+    return directions
 
 
 def covariance_of(j: Array, free: NDArray[np.bool_]) -> Array:

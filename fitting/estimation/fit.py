@@ -10,16 +10,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting.case_data import CaseData
 from fitting.errors import EstimationError
+from fitting.estimation.account import Account
 from fitting.estimation.case_model import Prediction
 from fitting.estimation.covariance import covariance_of, surely_at_bound
+from fitting.estimation.energy import EnergyBalance, energy_balance
 from fitting.estimation.lack import LackOfFit, lack_of_fit
-from fitting.estimation.layout import Layout
+from fitting.estimation.layout import START_ROTOR, Layout
 from fitting.estimation.metrics import CaseMetrics, case_metrics
 from fitting.estimation.noise_levels import Noise, cautious, first_noise, measure_noise, refine_level
 from fitting.estimation.problem import Problem, Projection
@@ -28,6 +31,9 @@ from fitting.estimation.shapes import start_shapes, unknown_shapes
 from fitting.estimation.start import start_values
 from fitting.model import Model
 from fitting.record import Record
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -48,8 +54,8 @@ class Estimate:
     at_bound: bool
 
 
-@dataclass(frozen=True)
-class Fit:
+@dataclass(frozen=True, repr=False)
+class Fit(Account):
     """A fitted model.
 
     Attributes
@@ -94,6 +100,30 @@ class Fit:
             c.casing.reduced_chi2 * d.casing.n_effective
             for c, d in zip(self.cases, self.problem.data, strict=True)
         ) / sum(d.casing.n_effective for d in self.problem.data)
+
+    def plot(self) -> Figure:
+        """Draw speeds measured and modelled, and what the model leaves, with bands of 2 sigma (matplotlib)."""
+        from fitting.display.plots import plot_fit
+
+        return plot_fit(self)
+
+    def _repr_html_(self) -> str:
+        from fitting.display.html import fit_html
+
+        return fit_html(self)
+
+    def energy(self, label: str | None = None) -> EnergyBalance:
+        """Return the energy balance of a case (the first, if not named): kinetic energy plus losses, as a curve.
+
+        Raises
+        ------
+        EstimationError
+            If there is no case of this label.
+        """
+        if label is not None and label not in self.labels:
+            raise EstimationError(f"there is no case {label[:40]!r}", "it has: " + ", ".join(self.labels))
+        i = 0 if label is None else self.labels.index(label)
+        return energy_balance(self.problem.cases[i], self.theta, self.predictions[i].path)
 
     @property
     def torque_noise(self) -> float:
@@ -147,6 +177,7 @@ def fit(
         raise EstimationError(
             "the cases of a joint fit need different labels", "give them with --label when making a case"
         )
+    _check_bodies(model, data)
     layout = Layout.of(model, [d.record for d in data], share, per_case, ranges)
     problem = Problem(layout, data)
     theta = _start(layout, problem, start)
@@ -218,6 +249,20 @@ def _elsewhere(
             yield begin
 
 
+def _check_bodies(model: Model, data: Sequence[CaseData]) -> None:
+    single = [d.record.single for d in data]
+    if any(single) != all(single):
+        raise EstimationError(
+            "one body alone and a rotor in its casing cannot be fitted together", "fit them one by one"
+        )
+    foreign = [e.name for e in model.effects if not e.alone] if all(single) else []
+    if foreign:
+        raise EstimationError(
+            f"{foreign[0]} speaks of a rotor, which this record of one body does not have",
+            "its laws are those that act on the casing alone: `gyrotrack effects` lists them",
+        )
+
+
 def _start(layout: Layout, problem: Problem, given: Mapping[str, float] | None) -> Array:
     known = dict(given or {})
     if not set(layout.names) <= set(known):
@@ -260,6 +305,7 @@ def summarise(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, conve
             bool(at_bound[i]),
         )
         for i, name in enumerate(layout.names)
+        if not (layout.records[0].single and name.startswith(START_ROTOR))
     }
     for key, value in layout.model.constants.items():
         estimates[key] = Estimate(value, float("nan"), layout.parameter(key).unit, at_bound=False)

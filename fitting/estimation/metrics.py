@@ -62,9 +62,15 @@ def case_metrics(case: CaseModel, project: Projection, prediction: Prediction, t
     }
     bodies = {}
     for body in _SPEED:
+        if body not in data.speeds:
+            bodies[body] = BodyMetrics(*[float("nan")] * 4)
+            continue
         r2, rmse = _speed_quality(data, prediction.path, body)
         total, count = quality[body]
-        bodies[body] = BodyMetrics(r2, rmse, total / max(1.0, count), outside[body])
+        reduced = total / max(1.0, count)
+        if body == "rotor" and data.record.generated:  # no noise to measure against
+            reduced = outside[body] = float("nan")
+        bodies[body] = BodyMetrics(r2, rmse, reduced, outside[body])
     rows = max(1, len(data.z) - project.basis.shape[1])
     return CaseMetrics(
         data.record.label,

@@ -106,6 +106,7 @@ def run_once(words: Sequence[str], timeout: float | None = None) -> dict[str, An
 
 def _start() -> subprocess.Popen[str]:
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONUTF8": "1"}
+    environment["GYROTRACK_CONFIG"] = "none"  # settings are among the words, wherever the process runs
     return subprocess.Popen(  # noqa: S603 - our own program, no shell
         [sys.executable, "-m", WORKER],
         stdin=subprocess.PIPE,

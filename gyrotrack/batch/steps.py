@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,8 @@ class Wishes:
     ----------
     until : str
         The last verb.
+    extra : mapping
+        Further options of each verb, from a file of settings; what a manifest says goes before them.
     model : str
         The model to fit.
     improve : bool
@@ -28,6 +30,7 @@ class Wishes:
     """
 
     until: str = "report"
+    extra: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     model: str = "reduced"
     improve: bool = False
 
@@ -85,7 +88,8 @@ class Outcome:
 
 def plan(experiments: Sequence[Experiment], results: Path, wishes: Wishes) -> tuple[Step, ...]:
     """Return all steps, each after those that it needs."""
-    return tuple(step for e in experiments for step in _of(e, results.resolve() / e.folder, wishes))
+    steps = (step for e in experiments for step in _of(e, results.resolve() / e.folder, wishes))
+    return tuple(replace(s, words=(*s.words[:1], *wishes.extra.get(s.verb, ()), *s.words[1:])) for s in steps)
 
 
 def _of(e: Experiment, folder: Path, wishes: Wishes) -> list[Step]:

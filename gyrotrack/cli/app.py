@@ -11,15 +11,17 @@ import sys
 import traceback
 import warnings
 from collections.abc import Sequence
+from contextvars import ContextVar
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from typer.main import get_command
 
-from gyrotrack import __version__
 from gyrotrack.cli.command_line import running
 from gyrotrack.cli.lazy import Entry, lazy_group
 from gyrotrack.cli.output import DONE, FAULT, INTERRUPTED, USAGE, report_error
+from gyrotrack.cli.settings import Settings, find, read
 
 _DATA = "From films to data"
 _PHYSICS = "From data to physics"
@@ -31,6 +33,7 @@ COMMANDS = (
     Entry("import", "gyrotrack.cli.importing", _DATA, "Make a case from tables of angles or speeds (CSV)."),
     Entry("sync", "gyrotrack.cli.sync", _DATA, "Put the clips of one experiment on one clock."),
     Entry("batch", "gyrotrack.cli.batch", _DATA, "Track, fit and report many cases, unattended."),
+    Entry("config", "gyrotrack.cli.config", _DATA, "Show the settings that hold, and where from."),
     Entry("export", "gyrotrack.cli.export", _DATA, "Hand the data on as CSV, Parquet or netCDF."),
     Entry("info", "gyrotrack.cli.info", _DATA, "Say what a file holds, and whether it is sound."),
     Entry(
@@ -46,6 +49,8 @@ COMMANDS = (
     Entry("improve", "gyrotrack.cli.improve", _PHYSICS, "Add effects until what is left is noise."),
     Entry("ladder", "gyrotrack.cli.ladder", _PHYSICS, "List the fits so far and watch the error fall."),
     Entry("report", "gyrotrack.cli.report", _PHYSICS, "Write the study as one page."),
+    Entry("figures", "gyrotrack.cli.figures", _PHYSICS, "Draw the paper's figures and tables of a study."),
+    Entry("view", "gyrotrack.cli.view", _PHYSICS, "Look at a case in the browser and try effects on it."),
     Entry("effects", "gyrotrack.cli.effects", _PHYSICS, "Show the library of effects."),
     Entry("demo", "gyrotrack.cli.demo", _ORACLE, "Run the whole story on the sample clips."),
     Entry("simulate", "gyrotrack.cli.simulate", _ORACLE, "Make data or film with chosen effects."),
@@ -63,7 +68,9 @@ app = typer.Typer(
 
 def _print_version(asked: bool) -> None:  # noqa: FBT001 - the signature of an option's callback
     if asked:
-        typer.echo(f"gyrotrack {__version__}")
+        from gyrotrack.versions import versions
+
+        typer.echo("\n".join(f"{name} {number}" for name, number in versions().items()))
         raise typer.Exit(DONE)
 
 
@@ -71,8 +78,11 @@ def _print_version(asked: bool) -> None:  # noqa: FBT001 - the signature of an o
 def root(
     *,
     _version: Annotated[
-        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the versions.")
     ] = False,
+    _config: Annotated[
+        Path | None, typer.Option("--config", metavar="FILE", help="Settings; see `gyrotrack config`.")
+    ] = None,
     _debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of a bug.")] = False,
 ) -> None:
     """From films of a spinning gyroscope to the physics that its model is missing."""
@@ -96,7 +106,7 @@ def run(arguments: Sequence[str]) -> int:
         with warnings.catch_warnings(), running(arguments):
             if not debug:
                 warnings.simplefilter("ignore")
-            code = get_command(app)(args=args, prog_name="gyrotrack", standalone_mode=False)
+            code = _with_settings(args)
             sys.stdout.flush()
     except KeyboardInterrupt:
         report_error("interrupted", "Interrupted.", "", as_json=as_json)
@@ -111,6 +121,39 @@ def run(arguments: Sequence[str]) -> int:
     if code == INTERRUPTED:  # typer turns a KeyboardInterrupt into this code
         report_error("interrupted", "Interrupted.", "", as_json=as_json)
     return code if isinstance(code, int) else DONE
+
+
+_SETTINGS: ContextVar[Settings] = ContextVar("settings")
+
+
+def settings_in_use() -> Settings:
+    """Return the settings of the file that holds for the command that runs."""
+    return _SETTINGS.get()
+
+
+def _with_settings(args: list[str]) -> Any:
+    """Run the command with the settings of a file, if there is one, as its defaults."""
+    path = find(_asked_settings(args))
+    settings = read(path, COMMANDS) if path is not None else Settings()
+    token = _SETTINGS.set(settings)
+    try:
+        return get_command(app)(
+            args=args, prog_name="gyrotrack", standalone_mode=False, default_map=settings.values
+        )
+    finally:
+        _SETTINGS.reset(token)
+
+
+def _asked_settings(args: list[str]) -> Path | None:
+    """Return the value of ``--config``, which stands before the command."""
+    for i, word in enumerate(args):
+        if word == "--config" and i + 1 < len(args):
+            return Path(args[i + 1])
+        if word.startswith("--config="):
+            return Path(word.partition("=")[2])
+        if not word.startswith("-"):
+            return None
+    return None
 
 
 def _explain(error: Exception, *, as_json: bool) -> int:

@@ -90,7 +90,7 @@ def command(
         if source.is_dir()
         else read_manifest(source)
     )
-    steps = plan(cases, output, Wishes(until.value, model, improve))
+    steps = plan(cases, output, Wishes(until.value, _extra(), model, improve))
     if dry_run:
         return _say_plan(out, cases, steps, Run(steps, output, Journal(output / "batch.jsonl")))
     with held(output):
@@ -125,6 +125,20 @@ def command(
     return DONE if all(row.trusted for row in rows) else NOT_TRUSTED
 
 
+def _extra() -> dict[str, tuple[str, ...]]:
+    """Return what a file of settings says for the commands of the steps, as words."""
+    from gyrotrack.batch.steps import VERBS
+    from gyrotrack.cli.app import COMMANDS, settings_in_use
+    from gyrotrack.cli.settings import as_words
+
+    settings = settings_in_use()
+    return {e.name: as_words(settings, e, _OWN) for e in COMMANDS if e.name in VERBS and settings.values}
+
+
+_OWN = frozenset(
+    {"output", "force", "json", "quiet", "verbose", "ledger", "from", "label", "surface", "model"}
+    | {"overlay", "contact_sheet", "resume"}
+)
 _STATES = ("done", "kept", "failed", "blocked")
 
 

@@ -199,6 +199,8 @@ def _document(target: Path, recording: Recording, fps: float) -> dict[str, Any]:
         },
         "sense": recording.sense,
         "capture_fps": recording.capture_fps,
+        "capture_fps_from": recording.extra.get("capture_rate_from", ""),
+        "frames_declared": recording.frames_declared,
         "fps": fps,
         "warnings": list(recording.warnings),
     }
@@ -216,5 +218,9 @@ def _lines(document: dict[str, Any]) -> str:
         for name, part in document["body"].items()
     ]
     pace = f" at {document['fps']:.0f} frames/s" if isfinite(document["fps"]) else ""
+    source = {"asked for": "as asked for", "profile": "by the profile"}.get(
+        document["capture_fps_from"], f"by the {document['capture_fps_from']}"
+    )
+    lines.append(f"captured at {document['capture_fps']:g} fps, {source}")
     lines.append(f"{document['frames']} frames{pace}; written: {document['output']}")
     return "\n".join(lines)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,19 +10,29 @@ import typer
 
 from gyrotrack.cli.options import CaseFiles, Json, Quiet
 from gyrotrack.cli.output import DONE, NOT_TRUSTED, Output
-from gyrotrack.cli.study import EffectsFile, From, LedgerFile, Study, changed, open_study, own_effects
-from gyrotrack.cli.tables import fit_tables
+from gyrotrack.cli.study import (
+    DataKind,
+    EffectsFile,
+    From,
+    LedgerFile,
+    RotorKind,
+    Study,
+    changed,
+    open_study,
+    own_effects,
+)
+from gyrotrack.cli.tables import fit_tables, prediction_tables
 from gyrotrack.errors import UsageError
 
 if TYPE_CHECKING:
     from fitting.effects import Effect
     from fitting.estimation import Fit
+    from fitting.estimation.prediction import Predicted
+    from fitting.estimation.profile import Interval
     from fitting.model import Model
 
 _NAMED = ("reduced", "general", "linear")
-# the paper lets the general model move so far from the reduced fit
-_SHARE_A = {"rotor.air.quadratic.a2": 0.2, "casing.air.linear.b2": 0.2, "bearing.power.g": 0.2}
-_SHARE_B = {"bearing.linear.d": 0.5, "bearing.power.f": 0.5}
+_LOSSES = ("linear", "huber", "cauchy")
 
 
 def command(
@@ -49,6 +59,25 @@ def command(
     per_case: Annotated[
         list[str] | None, typer.Option("--per-case", metavar="P", help="A value for each case.")
     ] = None,
+    profile: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--profile",
+            metavar="P",
+            help="95 % interval of a parameter by its profile likelihood; 'weak' for all that are weakly known.",
+        ),
+    ] = None,
+    fix: Annotated[
+        list[str] | None, typer.Option("--fix", metavar="P=V", help="Hold a parameter at a value (SI units).")
+    ] = None,
+    data: DataKind = None,
+    rotor: RotorKind = "windows",
+    loss: Annotated[
+        str, typer.Option("--loss", metavar="L", help="linear, huber or cauchy: how much outliers count.")
+    ] = "linear",
+    hold_out: Annotated[
+        bool, typer.Option("--hold-out", help="Also predict each recording from a fit of the others.")
+    ] = False,
     start: From = None,
     ledger: LedgerFile = None,
     as_json: Json = False,
@@ -62,11 +91,15 @@ def command(
     """
     if (share or per_case) and not joint:
         raise UsageError("--share and --per-case speak of a joint fit.", "Add --joint.")
+    if hold_out and not joint:
+        raise UsageError("--hold-out speaks of a joint fit.", "Add --joint.")
+    if loss not in _LOSSES:
+        raise UsageError(f"There is no loss named {loss[:40]!r}.", f"Losses: {', '.join(_LOSSES)}.")
     out = Output(as_json=as_json, quiet=quiet)
     groups = [cases] if joint else [[case] for case in cases]
     documents, trusted = [], True
     for group in groups:
-        study = open_study(group, ledger)
+        study = open_study(group, ledger, data=data, rotor=rotor)
         wish = _Wish(
             model,
             tuple(add or ()),
@@ -74,21 +107,71 @@ def command(
             own_effects(effects),
             tuple(share or ()),
             tuple(per_case or ()),
+            _held(fix or ()),
+            loss,
         )
         with out.progress("fitting") as progress:
             progress(0, None)
             found, fit_id = wish.fit(study, start)
-        documents.append(_document(found, fit_id))
+            intervals = _intervals(found, profile or ())
+            predicted = _predicted(found) if hold_out else ()
+        document = _document(found, fit_id, intervals)
+        documents.append(document | ({"predicted": _plain(predicted)} if hold_out else {}))
         trusted &= found.verdict != "not converged"
-        out.show(*fit_tables(found, fit_id))
+        out.show(*fit_tables(found, fit_id, intervals), *prediction_tables(predicted))
     out.result(documents[0] if len(documents) == 1 else {"fits": documents})
     return DONE if trusted else NOT_TRUSTED
 
 
-def _document(found: Fit, fit_id: str) -> dict[str, Any]:
-    from fitting.summary import fit_document
+def _document(found: Fit, fit_id: str, intervals: Mapping[str, Interval]) -> dict[str, Any]:
+    from fitting.summary import fit_document, interval_document
 
-    return fit_document(found, fit_id)
+    document = fit_document(found, fit_id)
+    for name, interval in intervals.items():
+        document["parameters"][name]["interval"] = interval_document(interval)
+    return document
+
+
+def _intervals(found: Fit, wanted: Sequence[str]) -> dict[str, Interval]:
+    from fitting.estimation.profile import profile, weakly_determined
+
+    names: list[str] = []
+    for word in wanted:
+        if word == "weak":
+            names += weakly_determined(found)
+            continue
+        # a symbol, or a key without its case, stands for all that it fits
+        keys = [k for k in found.problem.layout.names if word in {k, k.partition("@")[0], _symbol(k)}]
+        names += keys or [word]
+    return {name: profile(found, name) for name in dict.fromkeys(names)}
+
+
+def _symbol(name: str) -> str:
+    return name.partition("@")[0].rpartition(".")[2]
+
+
+def _held(fix: Sequence[str]) -> dict[str, float]:
+    """Read ``bearing.power.g=0.7``."""
+    held = {}
+    for text in fix:
+        name, equals, value = text.partition("=")
+        try:
+            held[name.strip()] = float(value)
+        except ValueError:
+            equals = ""
+        if not equals:
+            raise UsageError(f"{text[:60]!r} holds no parameter.", "Write it as --fix bearing.power.g=0.7.")
+    return held
+
+
+def _predicted(found: Fit) -> Sequence[Predicted]:
+    from fitting.estimation.prediction import predict_recordings
+
+    return predict_recordings(found.model, found.problem.data, found.noise)
+
+
+def _plain(predicted: Sequence[Predicted]) -> list[dict[str, Any]]:
+    return [{k: getattr(p, k) for k in ("label", "casing", "rotor", "r2", "rmse")} for p in predicted]
 
 
 class _Wish:
@@ -102,34 +185,50 @@ class _Wish:
         own: Sequence[Effect],
         share: tuple[str, ...],
         per_case: tuple[str, ...],
+        held: dict[str, float],
+        loss: str,
     ) -> None:
+        self.held, self.loss = held, loss
         self.model, self.add, self.drop, self.own = model, add, drop, own
         self.share, self.per_case = share, per_case
 
     def fit(self, study: Study, start: str | None) -> tuple[Fit, str]:
         """Fit and keep the result."""
         from fitting.effects import REDUCED
-        from fitting.estimation import fit
-        from fitting.model import Model
+        from fitting.estimation.robust import robust_fit
 
         follows = self.model is None and (self.add or self.drop or start)
         entry = study.entry(start) if follows else None
         base = (
             entry.model
             if entry is not None
-            else Model.of(REDUCED)
+            else study.model(REDUCED)
             if self.model is None
-            else self._named(self.model)
+            else self._named(self.model, study)
         )
-        wanted = changed(base, self.add, self.drop, self.own)
+        wanted = changed(base, self.add, self.drop, self.own).with_fixed(self.held)
         ranges = _paper_ranges(study, self.share, self.per_case) if self.model == "general" else {}
         previous = entry.refit(study.data) if entry is not None else None
         if previous is None and self.add and self.model is None:
             previous, fit_id = study.base(None)
             entry = study.entry(fit_id)
         values = {k: e.value for k, e in previous.estimates.items()} if previous is not None else None
-        found = fit(wanted, study.data, share=self.share, per_case=self.per_case, start=values, ranges=ranges)
-        change = " ".join([*(f"+{a}" for a in self.add), *(f"-{d}" for d in self.drop)]) or (self.model or "")
+        found = robust_fit(
+            wanted,
+            study.data,
+            self.loss,
+            share=self.share,
+            per_case=self.per_case,
+            start=values,
+            ranges=ranges,
+        )
+        steps = [
+            *(f"+{a}" for a in self.add),
+            *(f"-{d}" for d in self.drop),
+            *(f"{k}={v:g}" for k, v in self.held.items()),
+            *([self.loss] if self.loss != "linear" else []),
+        ]
+        change = " ".join(steps) or (self.model or "")
         kept = study.ledger.add(
             found,
             parent=entry.fit_id if entry is not None else "",
@@ -138,15 +237,16 @@ class _Wish:
             share=self.share,
             per_case=self.per_case,
             ranges=ranges,
+            loss=self.loss,
         )
         return found, kept.fit_id
 
-    def _named(self, name: str) -> Model:
+    def _named(self, name: str, study: Study) -> Model:
         from fitting.effects import GENERAL, LINEAR, REDUCED
-        from fitting.model import Model, read_model
+        from fitting.model import read_model
 
         if name in _NAMED:
-            return Model.of({"reduced": REDUCED, "general": GENERAL, "linear": LINEAR}[name])
+            return study.model({"reduced": REDUCED, "general": GENERAL, "linear": LINEAR}[name])
         path = Path(name)
         if not path.is_file():
             raise UsageError(
@@ -160,12 +260,7 @@ def _paper_ranges(
 ) -> dict[str, tuple[float, float]]:
     from fitting.effects import REDUCED
     from fitting.estimation import fit
-    from fitting.model import Model
+    from fitting.scanning import paper_ranges
 
-    reduced = fit(Model.of(REDUCED), study.data, share=share, per_case=per_case)
-    ranges = {}
-    for name, estimate in reduced.estimates.items():
-        width = (_SHARE_A | _SHARE_B).get(name.partition("@")[0])
-        if width is not None and estimate.value > 0:
-            ranges[name] = ((1 - width) * estimate.value, (1 + width) * estimate.value)
-    return ranges
+    reduced = fit(study.model(REDUCED), study.data, share=share, per_case=per_case)
+    return paper_ranges([reduced], reduced.labels)

@@ -29,10 +29,17 @@ _TABLE = "Table with a header, t,angle[,sigma] or t,omega[,sigma], or points"
 
 def command(
     *,
-    casing: Annotated[Path, typer.Option("--casing", metavar="CSV", help=f"{_TABLE}.")],
+    casing: Annotated[Path | None, typer.Option("--casing", metavar="CSV", help=f"{_TABLE}.")] = None,
     rotor: Annotated[
-        list[Path], typer.Option("--rotor", metavar="CSV", help="The same; give it once per window.")
-    ],
+        list[Path] | None, typer.Option("--rotor", metavar="CSV", help="The same; give it once per window.")
+    ] = None,
+    body: Annotated[
+        Path | None,
+        typer.Option("--body", metavar="CSV", help="One body that spins down by itself, in place of both."),
+    ] = None,
+    inertia: Annotated[
+        float | None, typer.Option("--inertia", metavar="X", help="Its moment of inertia [kg m2].")
+    ] = None,
     output: OutputFile,
     columns: Annotated[
         list[str] | None,
@@ -79,16 +86,18 @@ def command(
 
     Times in s, all on one clock; angles in rad, wrapped or not. Other units are taken if the header names
     them, as in `angle [deg]`. Without a sigma column the noise is estimated from the scatter. Points are
-    read from OSP Tracker (text), DeepLabCut and SLEAP (CSV or HDF5).
+    read from OSP Tracker (text), DeepLabCut and SLEAP (CSV or HDF5). With --body the case is a plain
+    spin-down: the body stands in the casing's place, and the effects that need a rotor are left out.
 
     Example: gyrotrack import --casing casing.csv --rotor r1.csv --rotor r2.csv -o case1.h5
     """
     from gyrotrack.dataset import write_case
     from gyrotrack.dataset.writing import refuse_existing
-    from gyrotrack.importing import Wanted, import_case, read_names, summary
+    from gyrotrack.importing import Wanted, import_body, import_case, read_names, summary
 
     out = Output(as_json=as_json, quiet=quiet, verbose=verbose)
     refuse_existing(output, force=force)
+    rotor = rotor or []
     starts = rotor_start or [0.0] * len(rotor)
     if len(starts) != len(rotor):
         raise UsageError(
@@ -97,17 +106,25 @@ def command(
         )
     points = [Wanted(marker, centre, casing_fps, 0.0, likelihood)]
     points += [Wanted(marker, centre, rotor_fps, start, likelihood) for start in starts]
-    case = import_case(
-        casing,
-        rotor,
-        label=label if label is not None else output.stem,
-        surface=surface,
-        I_rotor=inertia_rotor,
-        I_casing=inertia_casing,
-        names=read_names(columns or ()),
-        wanted=points,
-    )
-    settings = {"casing": casing, "rotor": rotor, **case.extra}
+    names, title = read_names(columns or ()), output.stem if label is None else label
+    if body is not None and inertia is not None and casing is None and not rotor:
+        case = import_body(body, inertia, label=title, surface=surface, names=names, wanted=points[0])
+    elif casing is not None and body is None and inertia is None:
+        case = import_case(
+            casing,
+            rotor,
+            label=title,
+            surface=surface,
+            I_rotor=inertia_rotor,
+            I_casing=inertia_casing,
+            names=names,
+            wanted=points,
+        )
+    else:
+        raise UsageError(
+            "A case is made of --casing and --rotor, or of --body and --inertia.", "Give one of these pairs."
+        )
+    settings = {"casing": casing, "rotor": rotor, "body": body, "inertia": inertia, **case.extra}
     write_case(output, case, command=command_line(), settings=settings, force=force)
     for warning in case.warnings:
         out.warn(warning)
@@ -123,7 +140,7 @@ def _lines(document: dict[str, Any]) -> str:
     unit = "rad" if casing["quantity"] == "angle" else "rad/s"
     heading = f"sigma [{unit}]"
     lines = [f"{'':<10}{'samples':>9}{'time [s]':>22}{'speed [rad/s]':>20}{heading:>16}"]
-    lines.append(_line("casing", casing))
+    lines.append(_line("casing" if windows else "body", casing))
     lines += [_line(f"rotor {window['window']}", window) for window in windows]
     return "\n".join([*lines, f"written: {document['output']}"])
 

@@ -77,11 +77,11 @@ def _case_lines(holds: dict[str, Any]) -> list[str]:
     surface = f", on {holds['surface']}" if holds["surface"] else ""
     lines = [
         f"label    {holds['label'] or '-'}{surface}",
-        f"inertia  rotor {holds['I_rotor']:.4g}, casing {holds['I_casing']:.4g} kg m2",
+        f"inertia  {_inertia(holds)} kg m2",
         f"measured {'angles' if holds['quantity'] == 'angle' else 'angular velocities'}",
         "",
         _HEADER,
-        _motion_line("casing", holds["casing"]),
+        _motion_line("casing" if holds["bodies"] == "two" else "body", holds["casing"]),
     ]
     lines += [_motion_line(f"rotor {w['window']}", w) for w in holds["rotor"]["windows"]]
     for name, clip in holds["recordings"].items():
@@ -90,6 +90,12 @@ def _case_lines(holds: dict[str, Any]) -> list[str]:
             lines.append(_placement_line(clip["placement"]))
         lines += _recording_lines(clip)
     return lines
+
+
+def _inertia(holds: dict[str, Any]) -> str:
+    if holds["bodies"] == "one":
+        return f"{holds['I_casing']:.4g}"
+    return f"rotor {holds['I_rotor']:.4g}, casing {holds['I_casing']:.4g}"
 
 
 def _placement_line(p: dict[str, Any]) -> str:

@@ -4,20 +4,26 @@ from __future__ import annotations
 
 from gyrotrack.cli.options import CaseFiles, Json, Quiet
 from gyrotrack.cli.output import Output
-from gyrotrack.cli.study import LedgerFile, open_study
+from gyrotrack.cli.study import DataKind, LedgerFile, RotorKind, open_study
 from gyrotrack.cli.tables import ladder_tables
 from gyrotrack.errors import DatasetError
 
 
 def command(
-    cases: CaseFiles, *, ledger: LedgerFile = None, as_json: Json = False, quiet: Quiet = False
+    cases: CaseFiles,
+    *,
+    data: DataKind = None,
+    rotor: RotorKind = "windows",
+    ledger: LedgerFile = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
     """List the fits of these cases so far: a bar a rung.
 
     Example: gyrotrack ladder case1.h5
     """
     out = Output(as_json=as_json, quiet=quiet)
-    study = open_study(cases, ledger)
+    study = open_study(cases, ledger, data=data, rotor=rotor)
     entries = study.ledger.of(study.data)
     if not entries:
         raise DatasetError("There is no fit of these cases yet.", "Make one with `gyrotrack fit`.")

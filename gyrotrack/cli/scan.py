@@ -9,7 +9,7 @@ import typer
 
 from gyrotrack.cli.options import CaseFiles, Force, Json, Quiet
 from gyrotrack.cli.output import DONE, NOT_TRUSTED, Output
-from gyrotrack.cli.study import read_cases
+from gyrotrack.cli.study import DataKind, RotorKind, read_cases
 
 
 def command(
@@ -21,6 +21,8 @@ def command(
     latex: Annotated[
         Path | None, typer.Option("--latex", metavar="FILE", help="Write the tables as LaTeX (booktabs).")
     ] = None,
+    data: DataKind = None,
+    rotor: RotorKind = "windows",
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -43,13 +45,14 @@ def command(
     targets = {path: make for path, make in ((csv, scan_csv), (latex, scan_latex)) if path is not None}
     for path in targets:
         refuse_existing(path, force=force)
-    data = read_cases(cases)
+    read = read_cases(cases, data=data, rotor=rotor)
     with out.progress("fitting") as progress:
-        found = scan(data, progress=progress)
+        found = scan(read, progress=progress)
     for path, make in targets.items():
         with new_file(path, force=force) as stream:
             stream.write(make(found).encode("utf-8"))
-    out.result(scan_document(found) | {"outputs": list(targets)})
+    settings = {"data": data or read[0].record.quantity, "rotor": rotor}
+    out.result(scan_document(found) | settings | {"outputs": list(targets)})
     out.show("\n".join(scan_lines(found)))
     for path in targets:
         out.show(f"written: {path}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -30,6 +30,16 @@ LedgerFile = Annotated[
 EffectsFile = Annotated[
     Path | None, typer.Option("--effects", metavar="FILE", help="Effects of your own, in TOML.")
 ]
+DataKind = Annotated[
+    str | None,
+    typer.Option("--data", metavar="D", help="angle or velocity (smoothed as in the paper): what is fitted."),
+]
+RotorKind = Annotated[
+    str,
+    typer.Option(
+        "--rotor", metavar="R", help="windows as measured, or generated: the paper's curve through them."
+    ),
+]
 
 
 @dataclass(frozen=True)
@@ -51,33 +61,55 @@ class Study:
         entries = self.ledger.of(self.data)
         return entries[-1] if entries else None
 
+    def model(self, names: Iterable[str]) -> Model:
+        """Return the model of these effects, or the part of it that one body alone has if there is but one."""
+        from fitting.model import Model
+
+        whole = Model.of(names)
+        return whole.alone if self.data[0].record.single else whole
+
     def base(self, fit_id: str | None) -> tuple[Fit, str]:
         """Return the fit to start from and its name; without any the reduced model is fitted and kept."""
         from fitting.effects import REDUCED
         from fitting.estimation import fit
-        from fitting.model import Model
 
         entry = self.entry(fit_id)
         if entry is not None:
             return entry.refit(self.data), entry.fit_id
-        found = fit(Model.of(REDUCED), self.data)
+        found = fit(self.model(REDUCED), self.data)
         return found, self.ledger.add(found).fit_id
 
 
-def open_study(cases: Sequence[Path], ledger: Path | None) -> Study:
+def open_study(
+    cases: Sequence[Path], ledger: Path | None, *, data: str | None = None, rotor: str = "windows"
+) -> Study:
     """Read cases and their ledger."""
     from fitting.ledger import Ledger
 
-    data = read_cases(cases)
-    return Study(data, Ledger(ledger) if ledger is not None else Ledger.beside(Path(cases[0])))
+    read = read_cases(cases, data=data, rotor=rotor)
+    return Study(read, Ledger(ledger) if ledger is not None else Ledger.beside(Path(cases[0])))
 
 
-def read_cases(cases: Sequence[Path]) -> tuple[CaseData, ...]:
-    """Read cases and project them."""
+def read_cases(
+    cases: Sequence[Path], *, data: str | None = None, rotor: str = "windows"
+) -> tuple[CaseData, ...]:
+    """Read cases and project them: what was measured, or the paper's velocities and generated rotor curve."""
     from fitting.case_data import CaseData
     from fitting.record import read_record
 
-    return tuple(CaseData.of(read_record(path)) for path in cases)
+    _known("--data", data or "angle", ("angle", "velocity"))
+    _known("--rotor", rotor, ("windows", "generated"))
+    records = [read_record(path) for path in cases]
+    if data is not None or rotor != "windows":
+        from fitting.paper_data import prepared
+
+        records = [prepared(r, data, rotor) for r in records]
+    return tuple(CaseData.of(r) for r in records)
+
+
+def _known(option: str, word: str, words: tuple[str, ...]) -> None:
+    if word not in words:
+        raise UsageError(f"{option} {word[:40]!r} is not known.", f"It is one of: {', '.join(words)}.")
 
 
 def own_effects(path: Path | None) -> list[Effect]:

@@ -87,6 +87,7 @@ def _clip(path: Path, match: Match) -> dict[str, Any]:
         "rate_sigma": match.rate_sigma,
         "angle_offset": match.start.angle % TURN,
         "angle_offset_sigma": match.angle_sigma,
+        "covariance": match.covariance,
         "ambiguous": match.ambiguous,
         "rivals": match.rivals,
         "misfit_rad": match.misfit,

@@ -3,52 +3,54 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fitting.discovery import Diagnosis
     from fitting.estimation import Fit
+    from fitting.estimation.prediction import Predicted
+    from fitting.estimation.profile import Interval
 
 _BAR = 24
 _CANDIDATES = 8
 
 
-def fit_tables(fit: Fit, fit_id: str) -> list[str]:
+def fit_tables(fit: Fit, fit_id: str, intervals: Mapping[str, Interval] | None = None) -> list[str]:
     """Return a fit as lines: verdict first, then how well it describes the data, then parameters."""
-    from fitting.notation import rounded
-    from fitting.summary import not_determined
+    from fitting.estimation.account import WORDS, account_lines
+    from fitting.summary import not_determined_together
 
-    lines = [f"fit {fit_id}: {_verdict(fit)}", ""]
-    lines.append(f"{'':<12}{'R2':>10}{'rmse [rad/s]':>14}{'chi2/n':>12}{'held out':>11}")
-    for case in fit.cases:
-        for name, body in (("casing", case.casing), ("rotor", case.rotor)):
-            title = f"{case.label[:5]} {name}" if len(fit.cases) > 1 else name
-            lines.append(
-                f"{title:<12}{body.r2:>10.6f}{body.rmse:>14.4g}{body.reduced_chi2:>12.4g}{body.held_out:>11.4g}"
-            )
-    lines.append(
-        f"energy drift {max(c.energy_drift for c in fit.cases):.2g}, "
-        f"effective samples {fit.n_eff:.0f}, BIC {fit.bic:.1f}"
-    )
-    left = ", ".join(f"{n.level:.2g}" for n in fit.noise)
-    lines += [f"random torque that this model leaves: {left} N m rms", ""]
-    for name, e in fit.estimates.items():
-        note = " (on its bound)" if e.at_bound else ""
-        value = rounded(e.value, e.stderr, e.unit)
-        lines.append(f"  {name:<32}{value}{note}" if len(name) < 32 else f"  {name}\n  {'':<32}{value}{note}")
-    weak = not_determined(fit)
-    if weak:
-        lines += ["", f"not determined by this data: {', '.join(weak)}"]
+    lines = [f"fit {fit_id}: {WORDS[fit.verdict]}", "", *account_lines(fit)]
+    for direction in not_determined_together(fit):
+        parts = ", ".join(f"{n} by {100 * w:+.0f} %" for n, w in direction.items())
+        lines += _wrapped(f"not determined together: {parts}")
+    if intervals:
+        lines += ["", "95 % intervals by profile likelihood:"]
+        lines += [f"  {n:<32}{_interval(i, fit.estimates[n].unit)}" for n, i in intervals.items()]
     return ["\n".join(lines)]
 
 
-def _verdict(fit: Fit) -> str:
-    return {
-        "adequate": "adequate; what the model leaves is noise",
-        "misfit": "the model misses something; `gyrotrack diagnose` says where",
-        "not converged": "not converged; do not trust these numbers",
-    }[fit.verdict]
+def _interval(i: Interval, unit: str) -> str:
+    lower = "no limit below" if i.lower_open else f"{i.lower:.4g}"
+    upper = "no limit above" if i.upper_open else f"{i.upper:.4g}"
+    if i.lower_open and not i.upper_open:
+        return f"below {upper} {unit}"
+    if i.upper_open and not i.lower_open:
+        return f"above {lower} {unit}"
+    return f"{lower} to {upper} {unit}" if not i.lower_open else "no limit on either side"
+
+
+def prediction_tables(predicted: Sequence[Predicted]) -> list[str]:
+    """Return the recordings as predicted from the others: errors over the noise, and of the casing's speed."""
+    if not predicted:
+        return []
+    lines = ["", "each recording predicted from a fit of the others (touch point and start free):"]
+    lines.append(f"{'':<12}{'casing':>10}{'rotor':>10}{'R2 casing':>12}{'rmse [rad/s]':>14}")
+    lines += [
+        f"{p.label[:11]:<12}{p.casing:>10.4g}{p.rotor:>10.4g}{p.r2:>12.6f}{p.rmse:>14.4g}" for p in predicted
+    ]
+    return ["\n".join(lines)]
 
 
 def diagnosis_tables(d: Diagnosis, fit_id: str) -> list[str]:

@@ -26,7 +26,10 @@ def write_case(
     with new_hdf5(Path(path), force=force) as file:
         stamp(file, layout.CASE, command=command, settings=settings)
         write_attributes(file, {"I_rotor": case.I_rotor, "I_casing": case.I_casing})
-        write_attributes(file, {"label": case.label, "surface": case.surface, "quantity": case.quantity})
+        write_attributes(
+            file,
+            {"label": case.label, "surface": case.surface, "quantity": case.quantity, "bodies": case.bodies},
+        )
         write_attributes(file, {"warnings": to_json(case.warnings), "extra": to_json(case.extra)})
         file.attrs["default"] = "casing"
         _fill_series(file.create_group("casing"), case.casing, case.quantity)
@@ -76,6 +79,7 @@ def load_case(file: Any) -> Case:
         placements=placements,
         rotor_generated=_load_generated(file),
         quantity=attribute(file, "quantity", str, "angle"),
+        bodies=attribute(file, "bodies", str, "two"),
         warnings=tuple(load_json(file, "warnings", [])),
         extra=dict(load_json(file, "extra", {})),
     )

@@ -102,7 +102,8 @@ def describe_recording(recording: Recording) -> dict[str, Any]:
 def describe_case(case: Case) -> dict[str, Any]:
     """Return the label, inertias, series, windows and clips of a case in numbers."""
     out: dict[str, Any] = {
-        name: getattr(case, name) for name in ("label", "surface", "I_rotor", "I_casing", "quantity")
+        name: getattr(case, name)
+        for name in ("label", "surface", "I_rotor", "I_casing", "quantity", "bodies")
     }
     out["casing"] = {**describe_motion(case.casing), "sigma_source": case.casing.sigma_source}
     windows = (
@@ -172,7 +173,7 @@ def _case_problems(case: Case) -> list[str]:
     windows = (
         case.rotor.window if case.rotor.window is not None else np.zeros(len(case.rotor.time), dtype=int)
     )
-    if not len(case.rotor.time):
+    if not len(case.rotor.time) and case.bodies != "one":
         found.append("the rotor has no samples")
     for k in np.unique(windows):
         r = case.rotor

@@ -1,4 +1,4 @@
-"""Where a file comes from: layout, version of the software, time, command line, settings."""
+"""Where a file comes from: layout, version of the software, time, command line, settings, libraries."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from gyrotrack import __version__
 from gyrotrack.dataset import layout
+from gyrotrack.versions import versions
 
 
 def stamp(file: Any, kind: str, *, command: str, settings: Mapping[str, Any]) -> None:
@@ -23,6 +24,7 @@ def stamp(file: Any, kind: str, *, command: str, settings: Mapping[str, Any]) ->
     file.attrs["created"] = datetime.now(UTC).isoformat(timespec="seconds")
     file.attrs["command"] = command
     file.attrs["settings"] = to_json(settings)
+    file.attrs["environment"] = to_json(versions())
 
 
 def to_json(value: Any) -> str:

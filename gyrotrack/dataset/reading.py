@@ -124,6 +124,10 @@ def _check_root(file: Any, path: Path, kind: str | None) -> None:
     major = version.partition(".")[0]
     if not major.isdecimal():
         raise DatasetError(f"{path} has no valid format version ({version!r}).", _MAKE_AGAIN)
+    if int(major) < 1:
+        raise DatasetError(
+            f"{path} has the layout {version}, from before the first that is read (1.0).", _MAKE_AGAIN
+        )
     if int(major) > int(layout.FORMAT_VERSION.partition(".")[0]):
         raise DatasetError(
             f"{path} has the layout {version}, newer than {layout.FORMAT_VERSION} that this program knows.",

@@ -192,7 +192,8 @@ class Case:
     """One experiment on one clock.
 
     `I_rotor` and `I_casing` are moments of inertia [kg m2]; `quantity` is what was measured, "angle" or
-    "omega" (then the angle is its integral).
+    "omega" (then the angle is its integral). With `bodies` "one" a single body stands in the casing's place, and the
+    rotor's series is empty.
     """
 
     I_rotor: float
@@ -207,6 +208,7 @@ class Case:
     quantity: str = "angle"
     warnings: tuple[str, ...] = ()
     extra: dict[str, Any] = field(default_factory=dict)
+    bodies: str = "two"
 
     def to_dataframe(self, table: str = "motion") -> Any:
         """Return the table "motion", "markers" or "frames" as a pandas DataFrame (see `gyrotrack.exporting`)."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -31,17 +32,46 @@ class Sighting:
     clear: npt.NDArray[np.bool_]
 
 
-def find_coloured(strips: Strips, ring: Ring, marker: MarkerProfile) -> Sighting | None:
-    """Find a coloured paper in strips of chroma, (2, n, rows, columns).
+class Rings:
+    """Unrolled chroma of the samples, and how it differs from what usually lies there.
+
+    Parameters
+    ----------
+    strips : ndarray of uint8, shape (2, n, rows, columns)
+        Chroma of each sample.
+    ring : Ring
+        Where they were unrolled.
+    """
+
+    def __init__(self, strips: npt.NDArray[np.uint8], ring: Ring) -> None:
+        self.strips, self.ring = strips, ring
+
+    @cached_property
+    def usual(self) -> Strips:
+        """Median of the samples at every place, (2, rows, columns)."""
+        return np.asarray(np.median(self.strips, axis=1), dtype=np.float32)
+
+    @cached_property
+    def unusual(self) -> Strips:
+        """Difference of each sample from it."""
+        return np.asarray(self.strips - self.usual[:, None], dtype=np.float32)
+
+    @cached_property
+    def uneven(self) -> Strips:
+        """Difference from the median round each ring, where something stands too long over one place."""
+        ground = np.asarray(np.median(self.strips, axis=3, keepdims=True), dtype=np.float32)
+        return np.asarray(self.strips - ground, dtype=np.float32)
+
+
+def find_coloured(rings: Rings, marker: MarkerProfile) -> Sighting | None:
+    """Find a coloured paper in rings about the centre.
 
     The background is the median of the samples at every place; where the paper stood too long over one place,
     the median round each ring instead.
     """
-    difference = strips - np.median(strips, axis=1, keepdims=True)
-    seen = _sight(difference, ring, marker)
+    seen = _sight(rings.unusual, rings.ring, marker)
     if seen is None or seen.paper.stay > LONGEST_STAY:
-        difference = strips - np.median(strips, axis=3, keepdims=True)
-        standing = _sight(difference, ring, marker)
+        standing = _sight(rings.uneven, rings.ring, marker)
         seen = standing if standing is not None else seen
     return seen
 

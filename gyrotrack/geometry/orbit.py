@@ -113,8 +113,10 @@ def covered_angle(angle: Floats) -> float:
 def _agreeing(points: Floats, group: Integers, centre: Floats) -> npt.NDArray[np.bool_]:
     radius = np.hypot(points[:, 0] - centre[0], points[:, 1] - centre[1])
     inlier = np.zeros(len(points), dtype=np.bool_)
-    for label in np.unique(group):
+    for label in range(int(group.max()) + 1):
         mine = group == label
+        if not mine.any():
+            continue
         typical = _mode(radius[mine])
         agree = mine & (np.abs(radius - typical) < max(1.5, 0.05 * typical)) & (typical > 6.0)
         if agree.any() and covered_angle(_angles(points[agree], centre)) > 0.5:
@@ -138,4 +140,5 @@ def _mode(values: Floats) -> float:
     half = (len(order) + 1) // 2
     widths = order[half - 1 :] - order[: len(order) - half + 1]
     start = int(np.argmin(widths))
-    return float(np.median(order[start : start + half]))
+    core = order[start : start + half]  # in order: its median needs no sorting
+    return float(0.5 * (core[(half - 1) // 2] + core[half // 2]))

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack.geometry.coloured import Sighting, find_coloured
+from gyrotrack.geometry.coloured import Rings, Sighting, find_coloured
 from gyrotrack.geometry.samples import Samples
 from gyrotrack.geometry.scene import Disc, Paper
 from gyrotrack.geometry.white import find_white
@@ -39,12 +39,12 @@ def find_papers(
         The largest orbit that was seen, in px.
     """
     ring = search_ring(samples, centre, disc, radius)
-    strips = samples.strips(ring).astype(np.float32)
+    rings = Rings(samples.strips(ring), ring)
     sightings = {
         marker.name: seen
         for marker in profile.marker
         if marker.colour != "white"
-        and (seen := find_coloured(strips, ring, marker)) is not None
+        and (seen := find_coloured(rings, marker)) is not None
         and is_paper(seen.paper)
     }
     sightings = _placed(_strong(sightings), profile)

@@ -106,6 +106,66 @@ def import_case(
     )
 
 
+def import_body(
+    table: Path,
+    inertia: float,
+    *,
+    label: str = "",
+    surface: str = "",
+    names: Names | None = None,
+    wanted: Wanted | None = None,
+) -> Case:
+    """Make a case of one body that spins down by itself: a wheel, or a bearing on a rig.
+
+    Parameters
+    ----------
+    table : Path
+        Its angles or speeds, as for `import_case`.
+    inertia : float
+        Its moment of inertia [kg m2].
+
+    Returns
+    -------
+    Case
+        With the body in the casing's place, `bodies` "one" and an empty rotor.
+
+    Raises
+    ------
+    DatasetError, UsageError
+        As for `import_case`.
+    """
+    if not inertia > 0:
+        raise UsageError("A moment of inertia must be positive.", "Give it in kg m2, such as 5.54e-5.")
+    read = read_table(table, names, wanted)
+    notes = list(read.notes)
+    parts = _pieces_of(read, notes)
+    sense = 1 if sum(p.angle[-1] - p.angle[0] for p in parts) >= 0 else -1
+    if sense < 0:
+        notes.append("the body turns in the negative sense: all signs were reversed (sense -1)")
+    body = replace(_series(parts, sense), window=None, sigma_source=_origin([read]))
+    return Case(
+        I_rotor=inertia,
+        I_casing=inertia,
+        label=label,
+        surface=surface,
+        casing=body,
+        rotor=_nothing(),
+        quantity=read.quantity,
+        bodies="one",
+        warnings=tuple(notes),
+        extra={
+            "sources": [{"file": str(read.path), "sha256": read.sha256, "samples": len(read.time)}],
+            "sense": sense,
+            "smoothing_width": SMOOTHING if read.quantity == "angle" else 1,
+        },
+    )
+
+
+def _nothing() -> Series:
+    none, whole = np.zeros(0), np.zeros(0, dtype=np.int64)
+    return Series(none, none, none, none, none, whole, window=whole, sigma_source="given")
+
+
 def summary(case: Case) -> dict[str, Any]:
     """Return what was imported in numbers: samples, times and sigmas of the casing and of each window."""
     windows = (

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from gyrotrack.geometry.acquisition import find_disc
-from gyrotrack.geometry.coloured import LONGEST_STAY, Sighting, find_coloured
+from gyrotrack.geometry.coloured import LONGEST_STAY, Rings, Sighting, find_coloured
 from gyrotrack.geometry.orbit import Orbit, common_centre
 from gyrotrack.geometry.papers import is_paper, search_ring
 from gyrotrack.geometry.samples import Samples
@@ -18,8 +17,6 @@ from gyrotrack.proposal.hues import MovingColour, direction_of
 from gyrotrack.segmentation.blobs import Blob, find_blobs
 from gyrotrack.segmentation.colour import Hue, nearest_colour
 from gyrotrack.segmentation.ring import Ring
-
-Strips = npt.NDArray[np.float32]
 
 TRIALS = 1500
 """Triples of points tried for a centre; more than for a known profile, as most colours may be chance."""
@@ -116,20 +113,20 @@ def find_candidates(
     """Look for a paper of each moving hue in rings about the centre; also return the rings."""
     centre = disc.centre if disc is not None else orbit.centre
     ring = search_ring(samples, centre, disc, max(orbit.radii.values()))
-    strips = samples.strips(ring).astype(np.float32)
+    rings = Rings(samples.strips(ring), ring)
     found = []
     for hue in moving.hues:
-        one = _candidate(strips, ring, float(np.rad2deg(hue) % 360.0))
+        one = _candidate(rings, float(np.rad2deg(hue) % 360.0))
         if one is None:
             continue
-        other = _candidate(_without(strips, ring, one.sighting), ring, one.hue)
+        other = _candidate(_without(rings, one.sighting), one.hue)
         found.append(replace(one, twin=other is not None and _alike(one, other)))
     return ring, found
 
 
-def _candidate(strips: Strips, ring: Ring, hue: float) -> Candidate | None:
+def _candidate(rings: Rings, hue: float) -> Candidate | None:
     marker = MarkerProfile(name="x", colour=nearest_colour(hue), body="rotor", hue=hue)
-    seen = find_coloured(strips, ring, marker)
+    seen = find_coloured(rings, marker)
     if seen is None or not is_paper(seen.paper):
         return None
     return Candidate(_hue(seen.paper.contrast), seen)
@@ -141,12 +138,13 @@ def _alike(one: Candidate, other: Candidate) -> bool:
     return share > _TWIN and abs((one.hue - other.hue + 180.0) % 360.0 - 180.0) < _SAME_HUE
 
 
-def _without(strips: Strips, ring: Ring, seen: Sighting) -> Strips:
-    """Return the strips with what usually lies there in the place of a marker."""
-    usual = np.median(strips, axis=1)
+def _without(rings: Rings, seen: Sighting) -> Rings:
+    """Return the rings with what usually lies there in the place of a marker."""
+    usual = rings.usual
     if seen.paper.stay > LONGEST_STAY:  # the median shows the marker itself
         usual = np.broadcast_to(np.median(usual, axis=2, keepdims=True), usual.shape)
-    column = np.arange(ring.columns) * ring.step
+    column = np.arange(rings.ring.columns) * rings.ring.step
     apart = np.abs(np.angle(np.exp(1j * (column[None, :] - seen.angle[:, None]))))
     here = apart < 1.8 * seen.paper.half_width + 0.05
-    return np.asarray(np.where(here[None, :, None, :], usual[:, None], strips))
+    plain = np.rint(usual).astype(np.uint8)
+    return Rings(np.where(here[None, :, None, :], plain[:, None], rings.strips), rings.ring)

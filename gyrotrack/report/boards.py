@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.diagnosis.misfit import Misfit
 from gyrotrack.charts import Board, Chart, Mark, Trace
 from gyrotrack.report.case_view import CaseView, Curve
 from gyrotrack.report.figures.misfit import misfit_finding
@@ -17,7 +18,6 @@ from gyrotrack.report.figures.style import AFTER, BEFORE, GREEN, ORANGE, PURPLE,
 from gyrotrack.report.figures.torque import known, torque_finding
 from gyrotrack.report.figures.tracking import COLOURS, centre_finding, sigma_finding
 from gyrotrack.report.notation import scaled
-from gyrotrack.report.residuals import Misfit
 from gyrotrack.report.tracks import Tracks
 
 if TYPE_CHECKING:
@@ -26,12 +26,15 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _GREY, _NOISE = "#a9abb1", "#8c8e94"
-_LOOKS = ((BEFORE, "base model", ()), (AFTER, "final model", (6.0, 3.0)))
+_LOOKS = ((BEFORE, ()), (AFTER, (6.0, 3.0)))
+NAMES = ("base model", "final model")
 _OTHERS = (GREEN, PURPLE, ORANGE)
 _BETWEEN = (GREEN, PURPLE, SKY, "#555555")
 
 
-def case_board(view: CaseView, tracks: Tracks | None, steps: Sequence[str]) -> Board:
+def case_board(
+    view: CaseView, tracks: Tracks | None, steps: Sequence[str], *, names: Sequence[str] = NAMES
+) -> Board:
     """Return the charts of one case.
 
     Parameters
@@ -42,15 +45,16 @@ def case_board(view: CaseView, tracks: Tracks | None, steps: Sequence[str]) -> B
         What tracking made of its clips.
     steps : sequence of str
         What each rung of the ladder is called.
+    names : sequence of str
+        What the first and the last model are called.
     """
     charts = [
-        _speed(view),
-        _misfit(view, "casing"),
-        _normalised(view),
-        _rotor(view),
-        _misfit(view, "rotor"),
-        _torque(view, "casing"),
-        _torque(view, "rotor"),
+        _speed(view, names),
+        _misfit(view, "casing", names),
+        _normalised(view, names),
+        *((_rotor(view, names), _misfit(view, "rotor", names)) if view.rotor else ()),
+        _torque(view, "casing", names),
+        *((_torque(view, "rotor", names),) if view.rotor else ()),
         _energy(view, steps),
     ]
     if tracks is not None:
@@ -79,16 +83,16 @@ def windows(
     return Trace(label, time, value, colour, sigma if np.nansum(sigma) > 0 else None, "line", width, dash)
 
 
-def _speed(view: CaseView) -> Chart:
+def _speed(view: CaseView, names: Sequence[str]) -> Chart:
     traces = [Trace("measured", view.casing.time, view.casing.value, _GREY, width=3.0)]
-    for m, (colour, label, dash) in zip(view.models, _LOOKS, strict=False):
+    for m, label, (colour, dash) in zip(view.models, names, _LOOKS, strict=False):
         traces.append(Trace(label, m.casing.time, m.casing.value, colour, m.casing.sigma, dash=dash))
     return Chart("speed", "Speed of the casing", "rad/s", tuple(traces), motion_finding(view))
 
 
-def _rotor(view: CaseView) -> Chart:
+def _rotor(view: CaseView, names: Sequence[str]) -> Chart:
     traces = [windows("measured", view.rotor, _GREY, width=3.0, dash=())]
-    for m, (colour, label, dash) in zip(view.models, _LOOKS, strict=False):
+    for m, label, (colour, dash) in zip(view.models, names, _LOOKS, strict=False):
         traces.append(windows(label, m.rotor, colour, width=1.5, dash=dash))
     return Chart("rotor", "Speed of the rotor in its windows", "rad/s", tuple(traces), rotor_finding(view))
 
@@ -103,21 +107,21 @@ def misfit_traces(misfits: Sequence[Misfit], factor: float, colour: str, label: 
     return [band, Trace(label, time, value, colour, kind="points", width=1.2)]
 
 
-def _misfit(view: CaseView, body: str) -> Chart:
+def _misfit(view: CaseView, body: str, names: Sequence[str]) -> Chart:
     groups = [(m.casing_misfit,) if body == "casing" else m.rotor_misfit for m in view.models]
     largest = max(float(np.abs(m.value).max()) for g in groups for m in g)
     factor, prefix = scaled(largest)
     traces: list[Trace] = []
-    for g, (colour, label, _) in zip(groups, _LOOKS, strict=False):
+    for g, label, (colour, _) in zip(groups, names, _LOOKS, strict=False):
         found = misfit_traces(g, factor, colour, label)
         traces = [found[0], *traces[1:], found[1]]
     finding = misfit_finding(view) if body == "casing" else rotor_finding(view)
     return Chart(f"misfit-{body}", f"Measured minus model, {body}", f"{prefix}rad/s", tuple(traces), finding)
 
 
-def _normalised(view: CaseView) -> Chart:
+def _normalised(view: CaseView, names: Sequence[str]) -> Chart:
     traces: list[Trace] = []
-    for m, (colour, label, _) in zip(view.models, _LOOKS, strict=False):
+    for m, label, (colour, _) in zip(view.models, names, _LOOKS, strict=False):
         x = m.casing_misfit
         z = np.where(x.sigma > 0, x.value / np.where(x.sigma > 0, x.sigma, 1.0), np.nan)
         if not traces:
@@ -129,16 +133,18 @@ def _normalised(view: CaseView) -> Chart:
     )
 
 
-def _torque(view: CaseView, body: str) -> Chart:
+def _torque(view: CaseView, body: str, names: Sequence[str]) -> Chart:
     largest = max(float(np.abs(m.torques[body].torque).max()) for m in view.models)
     factor, prefix = scaled(largest)
     traces = []
-    for m, (colour, label, _) in zip(view.models, _LOOKS, strict=False):
+    for m, label, (colour, _) in zip(view.models, names, _LOOKS, strict=False):
         torque, sigma = known(m.torques[body])
         traces.append(Trace(label, m.torques[body].time, factor * torque, colour, factor * sigma))
     if view.supplied is not None and view.supplied.on(body).any():
         s = view.supplied
-        traces.append(Trace("final − base", s.time, factor * s.on(body), "#000000", dash=(2.0, 2.0)))
+        traces.append(
+            Trace(f"{names[-1]} − {names[0]}", s.time, factor * s.on(body), "#000000", dash=(2.0, 2.0))
+        )
     for s, colour in zip(view.suggested, _OTHERS, strict=False):
         if s.on(body).any():
             traces.append(Trace(s.name, s.time, factor * s.on(body), colour, width=1.2, dash=(6.0, 2.0)))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrotrack.report.residuals import Misfit, misfits
+from fitting.diagnosis.misfit import Misfit, misfits
 
 if TYPE_CHECKING:
     from fitting.diagnosis import Failure, ResidualTorque
@@ -169,20 +169,10 @@ def _seen(fit: Fit, torques: Sequence[ResidualTorque], index: int) -> Seen:
     )
 
 
-def _modelled(fit: Fit, index: int, state: int, time: Array) -> Curve:
-    """Return a modelled speed with the standard deviation that the parameters' covariance gives it."""
-    from fitting.estimation.layout import START_CASING, START_ROTOR
-    from fitting.simulation import Sampler
+def _modelled(fit: Fit, index: int, body: int, time: Array) -> Curve:
+    from fitting.diagnosis.modelled import modelled_speed
 
-    prediction, case = fit.predictions[index], fit.problem.cases[index]
-    sampler = Sampler(prediction.path.mesh, time)
-    places = fit.problem.layout.places(index, (*case.dynamics.parameters, START_ROTOR, START_CASING))
-    slope = sampler.value(prediction.sensitivity.nodes[:, :, state])
-    covariance = fit.covariance[np.ix_(places, places)]
-    # a parameter that moves nothing has no finite variance and does not matter here
-    covariance = np.where(np.isfinite(covariance), covariance, 0.0)
-    variance = np.einsum("tp,pq,tq->t", slope, covariance, slope)
-    return Curve(time, sampler.value(prediction.path.y[..., state]), np.sqrt(np.maximum(variance, 0.0)))
+    return Curve(time, *modelled_speed(fit, index, body, time))
 
 
 def _suggested(base: Fit, final: Fit, diagnosis: Diagnosis | None, index: int) -> tuple[Supplied, ...]:

@@ -37,7 +37,7 @@ def typeset(text: str) -> str:
 
 def measured(value: float, error: float, unit: str) -> str:
     """Return a value with its error, rounded together."""
-    from fitting.notation import rounded
+    from fitting.rounding import rounded
 
     text = typeset(rounded(value, error, "" if unit == "1" else unit))
     return text.replace("-", "−", 1) if text.startswith(("-", "(-")) else text

@@ -228,7 +228,10 @@ def _section(
         heading=view.label if len(content.cases) > 1 else "",
         surface=view.surface,
         misfit=(misfit_picture(view, f"misfit{index}"),),
-        motion=(casing_picture(view, f"casing{index}"), rotor_picture(view, f"rotor{index}")),
+        motion=(
+            casing_picture(view, f"casing{index}"),
+            *((rotor_picture(view, f"rotor{index}"),) if view.rotor else ()),
+        ),
         torque=torque_picture(view, f"torque{index}"),
         energy=energy_picture(view, changes, f"energy{index}"),
         tracking=_tracking(view, tracks, index),
@@ -285,6 +288,9 @@ def _provenance(content: Content, given: Mapping[str, str]) -> list[tuple[str, s
 
 def _samples(data: CaseData) -> str:
     r = data.record
+    if r.single:
+        facts = f"one body {len(r.casing)}; {data.n_effective:.0f} effective; I {short(r.I_casing, 4)} kg m²"
+        return f"{facts}; measured: {r.quantity}"
     rotor = f"rotor {sum(len(w) for w in r.rotor)} in {len(r.rotor)} windows"
     inertia = f"I_rotor {short(r.I_rotor, 4)}, I_casing {short(r.I_casing, 4)} kg m²"
     seen = f"casing {len(r.casing)}, {rotor}; {data.n_effective:.0f} effective"

@@ -83,7 +83,7 @@ def parameter_rows(content: Content) -> list[ParameterRow]:
     """Return the parameters of the final model, with what the base had for them."""
     from fitting.summary import not_determined
 
-    weak = set(not_determined(content.final))
+    weak = set(not_determined(content.final.estimates))
     rows = []
     for name, e in content.final.estimates.items():
         key, _, label = name.partition("@")

@@ -59,3 +59,21 @@ def hue_score(du: npt.ArrayLike, dv: npt.ArrayLike, direction: tuple[float, floa
     across = direction[0] * v - direction[1] * u
     score: Floats = np.maximum(along - np.abs(across), np.float32(0.0))
     return score
+
+
+# below this length of the chroma vector (of 255) a colour has no hue to speak of
+_LEAST_CHROMA = 14.0
+_BRIGHT = 110.0
+
+
+def colour_name(red: float, green: float, blue: float) -> str:
+    """Return the name whose hue is nearest to a colour (0 to 255 each): white for bright grey, empty for dark.
+
+    U and V are those of ITU-R BT.601.
+    """
+    luma = 0.299 * red + 0.587 * green + 0.114 * blue
+    u, v = 0.564 * (blue - luma), 0.713 * (red - luma)
+    if np.hypot(u, v) < _LEAST_CHROMA:
+        return "white" if luma >= _BRIGHT else ""
+    hue = np.degrees(np.arctan2(v, u))
+    return min(_HUE_DEGREES, key=lambda name: abs((hue - _HUE_DEGREES[name] + 180.0) % 360.0 - 180.0))

@@ -12,7 +12,7 @@ import numpy as np
 from gyrotrack.dataset.records import BodyTrack, Case, Placement, Recording, Series
 from gyrotrack.errors import SyncError, UsageError
 from gyrotrack.sync.curves import casing_curve
-from gyrotrack.sync.decision import UNCERTAIN, Match, match_clips
+from gyrotrack.sync.decision import UNCERTAIN, Match, Rival, match_clips
 from gyrotrack.sync.matching import TURN
 
 Progress = Callable[[int, int | None], None]
@@ -83,6 +83,7 @@ def synchronise(
         recordings={"casing": casing, **{ids[k]: rotors[k] for k in order}},
         placements={"casing": still, **{ids[k]: _placement(ids[k], matches[k]) for k in order}},
         warnings=tuple(_doubts(matches, wheels, order)),
+        extra={"sync_covariance": {ids[k]: matches[k].covariance.tolist() for k in order}},
     )
     return Synchronised(case, tuple(matches))
 
@@ -146,13 +147,18 @@ def _placement(name: str, match: Match) -> Placement:
     )
 
 
+def _told(rival: Rival) -> str:
+    turn = " (one turn of the casing away)" if rival.kind == "turn" else ""
+    return f"{rival.offset:.3f} s{turn}"
+
+
 def _doubts(matches: Sequence[Match], wheels: Sequence[BodyTrack], order: Sequence[int]) -> list[str]:
     """Say which starts are uncertain, and what contradicts itself."""
     found = []
     for match in matches:
         rivals = [rival for rival in match.rivals if rival.delta_chi2 < 25]
         if rivals:
-            others = ", ".join(f"{rival.offset:.3f} s" for rival in rivals[:3])
+            others = ", ".join(_told(rival) for rival in rivals[:3])
             found.append(f"{match.name}: it may as well start at {others} as at {match.start.offset:.3f} s")
         elif match.offset_sigma > UNCERTAIN:
             found.append(

@@ -15,6 +15,7 @@ from itertools import product
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
+from gyrotrack.dataset.records import Floats
 from gyrotrack.sync.curves import Curve
 from gyrotrack.sync.matching import TURN, Pair, Solution, Start, solve
 from gyrotrack.sync.preparing import NEAR, RIVAL, Prepared, prepare
@@ -39,7 +40,11 @@ class Rival:
 
 @dataclass(frozen=True)
 class Match:
-    """Where one clip lies, with 1-sigma uncertainties."""
+    """Where one clip lies, with 1-sigma uncertainties.
+
+    `covariance` (3, 3) is that of (offset [s], rate [1], angle [rad]): near the casing's peak speed a later start looks
+    like another direction, and the first and the last go together.
+    """
 
     name: str
     start: Start
@@ -51,6 +56,7 @@ class Match:
     rejected: int
     common_rate: bool
     common_direction: bool
+    covariance: Floats
 
     @property
     def ambiguous(self) -> bool:
@@ -138,6 +144,7 @@ def _match_camera(prepared: list[Prepared]) -> list[Match]:
                 rejected=p.rejected,
                 common_rate=common,
                 common_direction=turns[k] is not None,
+                covariance=locked.covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3],
             )
         )
     return matches

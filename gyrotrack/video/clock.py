@@ -73,7 +73,8 @@ def frame_numbers(pts: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
     -----
     The period is the median spacing. A step counts as a gap only beyond 1.5 periods and 1.1 ms more than one,
     because containers with a 1 ms clock jitter by a part of a period. Films whose stamps are not evenly spaced
-    otherwise (one step in ten is no whole number of periods) are numbered without gaps.
+    otherwise (one step in ten is no whole number of periods), or that do not grow (one step in a hundred; AVI knows
+    only when a frame is decoded, not when it is shown), are numbered without gaps.
     """
     plain = np.arange(len(pts), dtype=np.int64)
     step = np.diff(pts)
@@ -82,7 +83,7 @@ def frame_numbers(pts: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
         return plain
     ratio = step / period
     uneven = np.abs(ratio - np.rint(ratio)) * period > np.maximum(0.2 * period, 1.1e-3)
-    if uneven.mean() > 0.1:
+    if uneven.mean() > 0.1 or (step <= 0.0).mean() > 0.01:
         return plain
     gap = (step > 1.5 * period) & (step > period + 1.1e-3)
     advance = np.where(gap, np.rint(ratio), 1.0).astype(np.int64)
@@ -106,5 +107,6 @@ def stamp_warnings(pts: npt.NDArray[np.float64]) -> tuple[str, ...]:
         )
     backwards = int(np.sum(np.diff(stamps) <= 0.0))
     if backwards:
-        found.append(f"{backwards} time stamps do not grow")
+        counted = "; times count decoded frames" if backwards > 0.01 * (len(stamps) - 1) else ""
+        found.append(f"{backwards} time stamps do not grow{counted}")
     return tuple(found)

@@ -69,3 +69,20 @@ def test_effects_with_the_same_symbol_do_not_mix():
     one = {f"{twins[0]}.k": 1.0}
     alone = Dynamics(Model.of(twins[:1])).rates(np.ones(1), y[:, :2], numbers | one)
     assert dynamics.rates(np.ones(1), y, numbers | one)[0, 1] == alone[0, 1] != 0
+
+
+def test_held_parameters_are_constants():
+    model = Model.of(REDUCED).with_fixed({"g": 0.7, "touchpoint.constant.b1": 3e-6})
+    assert model.constants == {"bearing.power.g": 0.7, "touchpoint.constant.b1": 3e-6}
+    assert not {"bearing.power.g", "touchpoint.constant.b1"} & set(model.free)
+    assert Model.of(REDUCED).with_fixed({}) == Model.of(REDUCED)
+
+
+@pytest.mark.parametrize(
+    ("held", "message"),
+    [({"q": 1.0}, "no parameter"), ({"g": float("nan")}, "cannot be held"), ({"k": 1.0}, "several")],
+)
+def test_what_cannot_be_held(held, message):
+    model = Model.of((*REDUCED, "casing.air.quadratic", "casing.windage"))
+    with pytest.raises(EffectError, match=message):
+        model.with_fixed(held)

@@ -25,7 +25,7 @@ from gyrotrack.report.notation import scaled, short
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from gyrotrack.report.residuals import Misfit
+    from fitting.diagnosis.misfit import Misfit
 
 
 def misfit_picture(view: CaseView, name: str) -> Picture:

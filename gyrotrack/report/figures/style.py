@@ -98,6 +98,9 @@ def canvas(width: float, height: float) -> Figure:
 
 def picture(name: str, figure: Figure, caption: str, finding: str) -> Picture:
     """Return a figure as markup for the page."""
+    # places are found once, not again for each pass of drawing
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")
     return Picture(name, markup(figure, name, finding), caption, finding)
 
 

@@ -43,10 +43,11 @@ def torque_picture(view: CaseView, name: str) -> Picture:
     """Draw the missing torque on each body for the base and the final model."""
     largest = max(float(np.abs(t.torque).max()) for m in view.models for t in m.torques.values())
     factor, prefix = scaled(largest)
+    bodies = [b for b in _BODIES if b in view.models[0].torques]  # a record of one body knows no rotor
     with look():
-        figure = canvas(WIDTH, 5.8)
-        axes = figure.subplots(2, 2, sharey="row", sharex="col")
-        for row, body in enumerate(_BODIES):
+        figure = canvas(WIDTH, 2.9 * len(bodies))
+        axes = figure.subplots(len(bodies), 2, sharey="row", sharex="col", squeeze=False)
+        for row, body in enumerate(bodies):
             for seen, colour, label in zip(
                 view.models, (BEFORE, AFTER), ("base model", "final model"), strict=False
             ):
@@ -60,8 +61,8 @@ def torque_picture(view: CaseView, name: str) -> Picture:
             panel(axes[row, 1], "bd"[row], f"{body}, against the casing's speed")
             low, high = _limits(view, body, factor)
             axes[row, 0].set_ylim(low, high)
-        axes[1, 0].set_xlabel("time [s]")
-        axes[1, 1].set_xlabel(r"$\omega_c$ [rad/s]")
+        axes[-1, 0].set_xlabel("time [s]")
+        axes[-1, 1].set_xlabel(r"$\omega_c$ [rad/s]")
         handles, names = _entries(axes[:, 0])
         figure.legend(handles, names, loc="outside upper right", ncols=3)
         return picture(name, figure, _caption(view), torque_finding(view))

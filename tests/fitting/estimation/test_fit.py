@@ -291,6 +291,32 @@ def test_a_slow_clock_of_the_rotor_camera_is_recovered():
     assert clock.stderr < 1e-4
 
 
+@pytest.mark.parametrize(
+    "held",
+    [{"bearing.power.g": 1.32}, {"bearing.linear.d": 1.57e-7}, {"f": 1.26e-8, "b1": 2.88e-6}],
+    ids=["g", "d", "f and b1"],
+)
+def test_parameters_held_at_the_truth_leave_the_others_better_known(held):
+    base = fitted(seed=0)
+    result = fit(Model.of(REDUCED).with_fixed(held), [data(seed=0)])
+    assert result.verdict == "adequate"
+    assert base.chi2 <= result.chi2 + 0.01 < base.chi2 + 12
+    assert result.bic < base.bic
+    constants = result.model.constants
+    assert len(constants) == len(held)
+    for key, e in result.estimates.items():
+        if key in constants:
+            assert e.value == constants[key]
+            assert np.isnan(e.stderr)
+        else:
+            assert e.stderr < 1.02 * base.estimates[key].stderr
+            assert abs(e.value - TRUTH[key]) < 4 * e.stderr
+
+
+def test_a_parameter_held_far_off_is_a_misfit():
+    assert fit(Model.of(REDUCED).with_fixed({"g": 0.7}), [data(seed=0)]).verdict == "misfit"
+
+
 def test_a_missing_torque_is_a_misfit_and_its_size_is_told():
     result = fitted(seed=0, hidden="step")
     assert result.verdict == "misfit"

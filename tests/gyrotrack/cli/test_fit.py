@@ -354,3 +354,51 @@ class TestRefusals:
         assert said.code == 1
         assert "mine.toml, effect 1" in said.err
         assert "eval" in said.err
+
+
+class TestOptionsOfTheData:
+    """What is fitted, how outliers count, what is held: the same words as in the library."""
+
+    def test_a_held_parameter_stays_and_is_remembered(self, gyrotrack, case):
+        path = case("plain")
+        held = gyrotrack("fit", path, "--fix", "bearing.power.g=1.32", "--json")
+        assert held.code == 0
+        assert held.json["parameters"]["bearing.power.g"] == {
+            "value": 1.32,
+            "stderr": None,
+            "unit": "1",
+            "at_bound": False,
+        }
+        rungs = gyrotrack("ladder", path, "--json").json["ladder"]
+        assert rungs[-1]["added"] == "bearing.power.g=1.32"
+        after = gyrotrack("fit", path, "--add", "casing.air.quadratic", "--json").json
+        assert after["parameters"]["bearing.power.g"]["value"] == 1.32
+
+    def test_velocities_have_a_ladder_of_their_own(self, gyrotrack, case):
+        path = case("plain")
+        found = gyrotrack("fit", path, "--data", "velocity", "--json").json
+        assert found["cases"][0]["casing"]["r2"] > 0.999
+        assert gyrotrack("ladder", path).code == 1
+        assert len(gyrotrack("ladder", path, "--data", "velocity", "--json").json["ladder"]) == 1
+
+    @pytest.mark.parametrize(
+        ("words", "match"),
+        [
+            (["--fix", "g"], "holds no parameter"),
+            (["--fix", "q=1"], "no parameter that could be fitted"),
+            (["--loss", "l1"], "no loss named"),
+            (["--data", "speed"], "is not known"),
+            (["--data", "angle", "--rotor", "generated"], "one of velocities"),
+            (["--hold-out"], "speaks of a joint fit"),
+        ],
+    )
+    def test_what_cannot_be_asked(self, gyrotrack, case, words, match):
+        said = gyrotrack("fit", case("plain"), *words, "--json")
+        assert said.code in {1, 2}
+        assert match in said.error["message"]
+
+    def test_recordings_predicted_from_each_other(self, gyrotrack, case):
+        said = gyrotrack("fit", case("plain"), case("other"), "--joint", "--hold-out", "--json")
+        assert [p["label"] for p in said.json["predicted"]] == ["plain", "other"]
+        # 40 s of one run leave its parameters uncertain by more than the noise of the other
+        assert all(0.9 < p["casing"] < 30 and p["r2"] > 0.9999 for p in said.json["predicted"])

@@ -71,20 +71,22 @@ def test_the_papers_gyroscope_is_found_and_tracked_as_well(rotor_clip):
             {"orange": "casing", "magenta": "rotor", "cyan": "rotor", "white": "rotor"},
             "orange",
         ),
-        (
+        pytest.param(
             {"red": BLUE, "disc": BLUE, "blue": RED, "green": YELLOW, "white": None, "sense": 1},
             {"blue": "casing", "red": "rotor", "yellow": "rotor"},
             "blue",
+            marks=pytest.mark.slow,
         ),
         (
             {"table": "white", "glint": 0.9, "gradient": 0.35, "flicker": 0.08, "white": (245, 245, 240)},
             {"red": "casing", "blue": "rotor", "green": "rotor", "white": "rotor"},
             "red",
         ),
-        (
+        pytest.param(
             {"table": "dark", "disc": None},
             {"red": "casing", "blue": "rotor", "green": "rotor", "white": "rotor"},
             None,
+            marks=pytest.mark.slow,
         ),
     ],
     ids=["wood", "swapped", "white", "orbit"],
@@ -105,6 +107,7 @@ def test_two_markers_of_one_colour_are_told(draw):
     assert set(chosen(found)) == {"red"}
 
 
+@pytest.mark.slow
 def test_one_colour_on_both_bodies_is_told(draw):
     path, _ = draw(**{**FAST, "blue": RED})
     found = propose(path)
@@ -118,6 +121,7 @@ def test_a_casing_at_rest_is_known_by_the_disc(draw):
     assert any("stands still" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_one_body_alone_is_a_guess_and_called_so(draw):
     path, _ = draw(**{**FAST, "rotor_papers": False})
     found = propose(path)

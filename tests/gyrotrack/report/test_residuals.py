@@ -1,11 +1,11 @@
 import numpy as np
 
+from fitting.diagnosis.misfit import misfits
 from fitting.effects import REDUCED
 from fitting.estimation import fit
 from fitting.model import Model
 from fitting.simulation import Sampler
 from gyrotrack.report.floor import smoothing_floor
-from gyrotrack.report.residuals import misfits
 
 
 def _mean_difference(path, other, state, misfit):

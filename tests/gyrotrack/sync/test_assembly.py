@@ -115,6 +115,9 @@ class TestCommand:
             assert clip["ambiguous"] in {True, False}
             assert abs(clip["rate"] - 1 - 2e-5) < 5 * clip["rate_sigma"]
             assert 0 <= clip["angle_offset"] < 2 * np.pi
+            assert clip["covariance"][0][0] == pytest.approx(clip["offset_sigma_s"] ** 2)
+        kept = read_case(files / "case.h5").extra["sync_covariance"]
+        assert sorted(kept) == ["rotor_0", "rotor_1"]
         assert read_case(files / "case.h5").label == "case"
 
     def test_table(self, files, capsys):

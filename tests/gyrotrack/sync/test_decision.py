@@ -32,6 +32,17 @@ def test_three_clips_of_one_camera(motion, make_run):
     assert matches[2].offset_sigma < 2e-3
 
 
+def test_the_covariance_is_that_of_the_uncertainties_and_ties_start_to_direction(motion, make_run):
+    run = make_run(motion, np.random.default_rng(2))
+    for found in match(run.casing(), run.clips([5.0, 60.0])):
+        c = found.covariance
+        np.testing.assert_allclose(c, c.T, rtol=1e-6, atol=1e-18)
+        assert (np.linalg.eigvalsh(c / np.sqrt(np.outer(np.diag(c), np.diag(c)))) > -1e-9).all()
+        wanted = [found.offset_sigma, found.rate_sigma, found.angle_sigma]
+        np.testing.assert_allclose(np.sqrt(np.diag(c)), wanted)
+        assert abs(c[0, 2]) > 0.5 * np.sqrt(c[0, 0] * c[2, 2])
+
+
 def test_the_angle_offset_is_the_camera_s_direction(motion, make_run):
     run = make_run(motion, np.random.default_rng(2), 20.0)
     (found,) = match(run.casing(), run.clips([5.0], offset=1.0))

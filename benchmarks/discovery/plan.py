@@ -1,0 +1,117 @@
+"""Which runs there are, in the order in which they are worth having, and how each is made from its key alone."""
+
+from __future__ import annotations
+
+import itertools
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from experiment import BUDGET, CASES, Hidden, record, together
+from hidden import BASE, FAULTS, LIBRARY, OUTSIDE, Draw, Maker
+
+PARTS = ("library", "nothing", "fault", "outside", "pair")
+STRENGTHS = (0.01, 0.03, 0.003)
+NOISE = 1e-7  # N m
+CENTRE = (2e-3, 1.1)  # rad, phase: in every noisy recording
+_PAIRS_A_SEED = 12
+_EMPTY_A_SEED = 4
+_MAKERS: dict[str, Maker] = {**LIBRARY, **BASE, **OUTSIDE, **FAULTS}
+
+
+@dataclass(frozen=True)
+class Planned:
+    """One run: what is hidden, how strong, in how many recordings, with which random torque [N m]."""
+
+    part: str
+    hidden: tuple[str, ...]
+    strength: float
+    cases: int
+    noise: float
+    seed: int
+
+    @property
+    def key(self) -> str:
+        """Return the name of the run, from which all its random numbers come."""
+        what = " & ".join(self.hidden) or "nothing"
+        return f"{self.part}|{what}|{self.strength:g}|{self.cases}|{self.noise:g}|{self.seed}"
+
+    def worlds(self) -> list[Hidden]:
+        """Return what is hidden in each recording, with the camera's fault of a noisy one."""
+        camera = [Hidden(centre=CENTRE)] if self.noise else []
+        alone = [self.worlds_of(name) for name in self.hidden]
+        return [together([*camera, *(w[i] for w in alone)]) for i in range(self.cases)]
+
+    def worlds_of(self, name: str) -> list[Hidden]:
+        """Return one effect alone, in each recording."""
+        name_seed = zlib.crc32(name.encode())
+        found = []
+        for i, case in enumerate(CASES[: self.cases]):
+            shared = np.random.default_rng([self._seed, 0, name_seed])
+            own = np.random.default_rng([self._seed, 1, name_seed, i])
+            draw = Draw.of(case["span"], shared, own)
+            found.append(_MAKERS[name](self.strength * BUDGET, draw))
+        return found
+
+    @property
+    def seed_of_plan(self) -> int:
+        """Return the seed of the plan that the run belongs to: each has several empty runs."""
+        return self.seed // _EMPTY_A_SEED if self.part == "nothing" else self.seed
+
+    def records(self) -> list[dict[str, Any]]:
+        """Return the recordings, as `make_record` takes them."""
+        return [
+            record(
+                case,
+                world,
+                torque_noise=self.noise,
+                rng=np.random.default_rng([self._seed, 2, i]),
+                label=f"case{i + 1}",
+            )
+            for i, (case, world) in enumerate(zip(CASES, self.worlds(), strict=False))
+        ]
+
+    @property
+    def _seed(self) -> int:
+        return zlib.crc32(self.key.encode())
+
+
+def plan(seeds: int, parts: tuple[str, ...] = PARTS) -> list[Planned]:
+    """Return the plan: seed by seed, so that it can be stopped anywhere, and what the figures need first."""
+    runs = [r for part in PARTS if part in parts for s in range(seeds) for r in _PLANS[part](s)]
+    return sorted(
+        runs, key=lambda r: (r.seed_of_plan, -r.cases, STRENGTHS.index(r.strength), PARTS.index(r.part))
+    )
+
+
+def _library(seed: int) -> Iterator[Planned]:
+    for x, cases, noise, name in itertools.product(STRENGTHS, (2, 1), (0.0, NOISE), (*LIBRARY, *BASE)):
+        yield Planned("library", (name,), x, cases, noise, seed)
+
+
+def _nothing(seed: int) -> Iterator[Planned]:
+    for cases, noise, i in itertools.product((2, 1), (0.0, NOISE), range(_EMPTY_A_SEED)):
+        yield Planned("nothing", (), STRENGTHS[0], cases, noise, _EMPTY_A_SEED * seed + i)
+
+
+def _fault(seed: int) -> Iterator[Planned]:
+    for cases, noise, name in itertools.product((2, 1), (0.0, NOISE), FAULTS):
+        yield Planned("fault", (name,), STRENGTHS[0], cases, noise, seed)
+
+
+def _outside(seed: int) -> Iterator[Planned]:
+    for x, cases, noise, name in itertools.product(STRENGTHS[:2], (2, 1), (0.0, NOISE), OUTSIDE):
+        yield Planned("outside", (name,), x, cases, noise, seed)
+
+
+def _pair(seed: int) -> Iterator[Planned]:
+    names = sorted(set(LIBRARY) - {"external.constant"})
+    everything = list(itertools.combinations(names, 2))
+    lot = np.random.default_rng([seed, 77]).permutation(len(everything))[:_PAIRS_A_SEED]
+    for noise, i in itertools.product((0.0, NOISE), lot):
+        yield Planned("pair", everything[i], STRENGTHS[1], 2, noise, seed)
+
+
+_PLANS = {"library": _library, "nothing": _nothing, "fault": _fault, "outside": _outside, "pair": _pair}

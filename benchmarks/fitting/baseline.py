@@ -1,0 +1,92 @@
+"""The plain way: Radau at rtol 1e-8, finite differences, SciPy's least squares or lmfit, every sample a residual.
+
+Same data, same noise (white), same free phases, same well-scaled variables as the program's: torque T1 and curvature K
+at 400 rad/s in place of d and f.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.optimize import least_squares
+
+REFERENCE = 400.0
+# a2, b1, b2, T1, K, g, omega_r, omega_c
+SCALE = np.array([1e-10, 3e-6, 8e-7, 1e-4, 1e-5, 1.0, 900.0, 5.0])
+
+
+class Baseline:
+    """Residuals of the reduced model on one record."""
+
+    def __init__(self, record) -> None:
+        self.record = record
+        self.calls = 0
+        times = [record.casing.time, *(w.time for w in record.rotor)]
+        self.every, self.where = np.unique(np.concatenate(times), return_inverse=True)
+        self.ends = np.cumsum([len(t) for t in times])[:-1]
+
+    def integrate(self, x):
+        a2, b1, b2, t1, curvature, g, wr, wc = x * SCALE
+        g = g if abs(g - 1) > 3e-3 else 1 + 3e-3
+        i_r, i_c = self.record.I_rotor, self.record.I_casing
+
+        def rates(t, y):
+            d = (y[0] - y[1]) / REFERENCE
+            tau = t1 * d + curvature * (np.sign(d) * abs(d) ** g - d) / (g - 1)
+            return [
+                (-tau - a2 * y[0] * abs(y[0])) / i_r,
+                (tau - b1 * np.sign(y[1]) - b2 * y[1]) / i_c,
+                y[0],
+                y[1],
+            ]
+
+        span = self.every[0], self.every[-1]
+        solved = solve_ivp(
+            rates, span, [wr, wc, 0, 0], method="Radau", rtol=1e-8, atol=1e-8, t_eval=self.every
+        )
+        if not solved.success:
+            return None
+        return solved.y
+
+    def residuals(self, x):
+        self.calls += 1
+        y = self.integrate(np.asarray(x))
+        parts = []
+        for k, where in enumerate(np.split(self.where, self.ends)):
+            samples = self.record.casing if k == 0 else self.record.rotor[k - 1]
+            model = np.full(len(where), 1e6) if y is None else y[3 if k == 0 else 2][where]
+            r = (model - samples.value) / samples.sigma
+            # the phase of each run is free: its best value is the weighted mean
+            parts.append(r - r.mean())
+        return np.concatenate(parts)
+
+    def scipy(self, start):
+        """Return variables, chi2 and covariance by SciPy's trust-region least squares."""
+        found = least_squares(self.residuals, start, method="trf", x_scale="jac", ftol=1e-10, xtol=1e-10)
+        return (
+            found.x * SCALE,
+            2 * found.cost,
+            np.linalg.inv(found.jac.T @ found.jac) * np.outer(SCALE, SCALE),
+        )
+
+    def lmfit(self, start):
+        """Return variables and chi2 by lmfit's Levenberg-Marquardt, finite differences too."""
+        import lmfit
+
+        names = ["a2", "b1", "b2", "T1", "K", "g", "wr", "wc"]
+        par = lmfit.Parameters()
+        for name, value in zip(names, start, strict=True):
+            par.add(name, value=float(value))
+        found = lmfit.minimize(
+            lambda p: self.residuals([p[n].value for n in names]),
+            par,
+            method="leastsq",
+            ftol=1e-10,
+            xtol=1e-10,
+        )
+        return np.array([found.params[n].value for n in names]) * SCALE, float(found.chisqr)
+
+
+def straight(d: float, f: float, g: float) -> tuple[float, float]:
+    """Return T1 and K."""
+    return d * REFERENCE + f * REFERENCE**g, (g - 1) * f * REFERENCE**g

@@ -1,0 +1,139 @@
+"""Figures of fits, diagnoses and ladders: units on every axis, error bands, colours for every eye (Okabe and Ito)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.diagnosis.misfit import Misfit, misfits
+from fitting.diagnosis.modelled import CASING, ROTOR, modelled_speed
+from fitting.smoothing import speeds
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from fitting.diagnosis import ResidualTorque
+    from fitting.discovery import Candidate, Diagnosis, Rung
+    from fitting.estimation import Fit
+
+Array = NDArray[np.float64]
+
+BLUE, VERMILLION, GREEN, GREY, YELLOW = "#0072B2", "#D55E00", "#009E73", "#BBBBBB", "#F0E442"
+_POINTS = 600
+_MOST = 10
+
+
+def plot_fit(fit: Fit) -> Figure:
+    """Draw each case of a fit: speeds measured and modelled, and what the model leaves, with bands of 2 sigma."""
+    cases = len(fit.problem.data)
+    figure = _figure(4.2 * cases + 3.0, 8.0)
+    axes = figure.subplots(4, cases, squeeze=False, height_ratios=[1.3, 1, 1.3, 1])
+    for i, data in enumerate(fit.problem.data):
+        casing, rotor = misfits(fit, i)
+        record = data.record
+        _speed(axes[0, i], fit, i, CASING, [speeds(record.casing, record.quantity)])
+        _left(axes[1, i], [casing])
+        _speed(axes[2, i], fit, i, ROTOR, [speeds(w, record.quantity) for w in record.rotor])
+        _left(axes[3, i], rotor)
+        axes[0, i].set_title(_plain(record.label))
+        axes[0, i].set_ylabel(r"$\omega_c$ [rad/s]")
+        axes[1, i].set_ylabel(r"$\omega_c$: data $-$ model [rad/s]")
+        axes[2, i].set_ylabel(r"$\omega_r$ [rad/s]")
+        axes[3, i].set_ylabel(r"$\omega_r$: data $-$ model [rad/s]")
+        for ax in axes[:, i]:
+            ax.set_xlabel("time [s]")
+            ax.legend(fontsize="small", frameon=False)
+    return figure
+
+
+def plot_diagnosis(d: Diagnosis) -> Figure:
+    """Draw the torque that is missing on each body with its band, where it fails, and the candidates."""
+    labels = list(dict.fromkeys(t.label for t in d.torques))
+    shown = [c for c in d.candidates if c.score > 0][:_MOST]
+    figure = _figure(9.0, 2.6 * len(labels) + 0.35 * len(shown) + 1.2)
+    heights = [2.6] * len(labels) + ([0.35 * len(shown) + 0.7] if shown else [])
+    axes = figure.subplots(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
+    for ax, label in zip(axes, labels, strict=False):
+        _torques(ax, [t for t in d.torques if t.label == label])
+        for f in d.failures:
+            if f.label == label:
+                ax.axvspan(f.t_start, f.t_stop, color=YELLOW, alpha=0.25, linewidth=0, zorder=0)
+        ax.set_title(_plain(label) + ": torque that the model lacks; yellow where it fails")
+        ax.legend(fontsize="small", frameon=False)
+    if shown:
+        _candidates(axes[-1], shown)
+    return figure
+
+
+def plot_ladder(rungs: Sequence[Rung]) -> Figure:
+    """Draw how the casing's rms error and the held-out error fall from rung to rung."""
+    figure = _figure(8.0, 1.6 + 0.4 * len(rungs))
+    left, right = figure.subplots(1, 2, sharey=True)
+    names = [_plain(r.change or "base") for r in rungs]
+    errors = (("rmse", "rms error of the casing [rad/s]"), ("held_out", "held-out error [noise]"))
+    for ax, (name, title) in zip((left, right), errors, strict=True):
+        values = [np.sqrt(np.mean([getattr(c.casing, name) ** 2 for c in r.fit.cases])) for r in rungs]
+        ax.barh(range(len(rungs)), values, color=[VERMILLION, *[BLUE] * (len(rungs) - 1)])
+        for i, v in enumerate(values):
+            ax.annotate(f"{v:.3g}", (v, i), xytext=(3, 0), textcoords="offset points", va="center")
+        ax.set_xlim(0, 1.25 * max(values))
+        ax.set_xlabel(title)
+    left.set_yticks(range(len(rungs)), names)
+    left.invert_yaxis()
+    right.axvline(1.0, color="black", linestyle="--", linewidth=1)
+    return figure
+
+
+def _figure(width: float, height: float) -> Figure:
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def _speed(ax: Axes, fit: Fit, case: int, body: int, runs: Sequence[tuple[Array, Array]]) -> None:
+    for k, (time, omega) in enumerate(runs):
+        first = k == 0
+        ax.plot(time, omega, color=GREY, linewidth=3, label="measured" if first else None)
+        t = np.linspace(time[0], time[-1], _POINTS if len(runs) == 1 else _POINTS // 10)
+        value, sigma = modelled_speed(fit, case, body, t)
+        ax.fill_between(t, value - 2 * sigma, value + 2 * sigma, color=BLUE, alpha=0.3, linewidth=0)
+        ax.plot(t, value, color=BLUE, linewidth=1.2, label="model ± 2 σ" if first else None)
+
+
+def _left(ax: Axes, runs: Sequence[Misfit]) -> None:
+    for k, m in enumerate(runs):
+        band = "± 2 σ of noise" if k == 0 else None
+        ax.fill_between(m.time, -2 * m.sigma, 2 * m.sigma, color=GREY, alpha=0.6, linewidth=0, label=band)
+        ax.plot(m.time, m.value, color=VERMILLION, marker="o", markersize=2.5, linewidth=0.9)
+    ax.axhline(0, color="#777777", linewidth=0.8)
+
+
+def _torques(ax: Axes, curves: Sequence[ResidualTorque]) -> None:
+    for curve, colour in zip(curves, (VERMILLION, BLUE), strict=False):
+        known = curve.sigma <= 3 * curve.sigma.min()
+        torque = np.where(known, curve.torque, np.nan)
+        edges: dict[str, Any] = {"color": colour, "alpha": 0.25, "linewidth": 0}
+        ax.fill_between(curve.time, torque - 2 * curve.sigma, torque + 2 * curve.sigma, **edges)
+        ax.plot(curve.time, torque, color=colour, label=f"on the {curve.body} ± 2 σ")
+    ax.axhline(0, color="#777777", linewidth=0.8)
+    ax.set_xlabel("time [s]")
+    ax.set_ylabel("torque [N m]")
+
+
+def _candidates(ax: Axes, shown: Sequence[Candidate]) -> None:
+    colours = [BLUE if c.significant else GREY for c in shown]
+    hatches = ["" if c.physical else "////" for c in shown]
+    places = np.arange(len(shown))
+    ax.barh(places, np.sqrt([c.score for c in shown]), color=colours, hatch=hatches, edgecolor="white")
+    ax.set_yticks(places, [_plain(c.effect.name) for c in shown])
+    ax.invert_yaxis()
+    ax.set_xlabel(r"$\sqrt{\mathrm{score}}$ [standard deviations]; hatched: artefact, grey: not significant")
+
+
+def _plain(text: str) -> str:
+    """Return a name without mathematics and letters that the font lacks."""
+    return "".join(c if c.isprintable() and ord(c) < 0x2000 else "?" for c in text).replace("$", r"\$")

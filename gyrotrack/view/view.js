@@ -1,0 +1,277 @@
+"use strict";
+/* The workbench. Every text from the server becomes a text node; nothing is ever read as markup. */
+(() => {
+  const token = new URLSearchParams(location.search).get("token") || "";
+  const { Board, element, told } = Charts;
+  const at = (id) => document.getElementById(id);
+  const BODIES = ["rotor", "casing"];
+  const COLOURS = ["red", "orange", "yellow", "green", "cyan", "blue", "magenta", "white"];
+  let board = null, fixed = [], clips = [], clip = null, index = 0, playing = false, until = null, searches = 0,
+    free = new Set();
+
+  async function ask(path, body) {
+    const options = { headers: { "x-gyrotrack-token": token } };
+    if (body !== undefined) {
+      options.method = "POST";
+      options.body = JSON.stringify(body);
+    }
+    let answer;
+    try {
+      answer = await fetch(path, options);
+    } catch {
+      throw new Error("The program does not answer: it was ended, or is busy. Start gyrotrack view again.");
+    }
+    if (answer.headers.get("content-type")?.startsWith("image/")) return answer.blob();
+    if (!answer.headers.get("content-type")?.includes("json")) throw new Error(await answer.text());
+    const found = await answer.json();
+    if (found.error) throw new Error([found.error.message, found.error.hint].filter(Boolean).map(sentence).join(" "));
+    return found;
+  }
+
+  function sentence(text) {
+    const out = text.charAt(0).toUpperCase() + text.slice(1);
+    return /[.!?]$/.test(out) ? out : out + ".";
+  }
+
+  function complain(error) {
+    at("error").textContent = error ? error.message : "";
+    at("error").hidden = !error;
+  }
+
+  async function act(work) {
+    complain(null);
+    document.body.setAttribute("aria-busy", "true");
+    for (const b of document.querySelectorAll(".side button")) b.disabled = true;
+    try {
+      return await work();
+    } catch (error) {
+      complain(error);
+      return null;
+    } finally {
+      document.body.removeAttribute("aria-busy");
+      for (const b of document.querySelectorAll(".side button")) b.disabled = false;
+    }
+  }
+
+  function button(text, label, work) {
+    const out = element("button", { type: "button", "aria-label": label }, text);
+    out.addEventListener("click", work);
+    return out;
+  }
+
+  const VERDICTS = {
+    adequate: "adequate: what the model leaves is noise", misfit: "the model misses something",
+    "not converged": "not converged: do not trust these numbers",
+  };
+
+  function render(state) {
+    at("verdict").textContent = VERDICTS[state.verdict] || state.verdict;
+    at("verdict").className = state.verdict;
+    const charts = [...state.board.charts];
+    if (!board) {
+      fixed = charts.filter((c) => c.name === "sigma" || c.name === "centre");
+      board = new Board(at("board"), state.board, { click: (t) => seek(t), stretch: (a, b) => stretch(a, b) });
+    } else {
+      board.set({ ...state.board, charts: [...charts, ...fixed] });
+    }
+    at("effects").replaceChildren(...state.effects.map((e) => element("li", {},
+      element("strong", {}, e.name), element("span", { class: "law" }, `${e.joint}: ${e.law}`),
+      button("drop", `drop ${e.name}`, () => change({ drop: e.name })))));
+    at("parameters").replaceChildren(...state.parameters.map((p) => element("tr", {},
+      element("th", { scope: "row" }, p.name), element("td", {}, p.value + (p.at_bound ? " (on its bound)" : "")))));
+    const largest = Math.max(...state.ladder.map((r) => r.rmse_casing || 0));
+    at("ladder").replaceChildren(...state.ladder.map((r, i) => {
+      const bar = element("span", { class: "bar", "aria-hidden": "true" });
+      bar.style.width = `${Math.max(1, 100 * r.rmse_casing / largest)}%`;
+      const name = (r.parent >= 0 ? r.added : "start") + (r.fit_id ? ` (${r.fit_id})` : "");
+      return element("tr", i === state.current ? { class: "now" } : {},
+        element("th", { scope: "row" }, name, bar), element("td", {}, told(r.rmse_casing)),
+        element("td", {}, told(r.reduced_chi2)), element("td", {}, told(r.held_out)),
+        element("td", {}, i ? told(r.delta_bic) : "\u2013"),
+        element("td", {}, i === state.current ? "shown" : button("show", `show fit ${i + 1}`, () => go(i))));
+    }));
+  }
+
+  async function change(wish) {
+    const state = await act(() => ask("/api/change", wish));
+    if (!state) return false;
+    render(state);
+    search();
+    return true;
+  }
+
+  async function go(place) {
+    const state = await act(() => ask("/api/go", { place }));
+    if (state) { render(state); search(); }
+  }
+
+  async function search() {
+    const mine = ++searches;
+    at("searching").textContent = "Searching the library for what is missing \u2026";
+    at("ranking").replaceChildren();
+    at("sentence").textContent = "";
+    let found = null, trouble = null;
+    try { found = await ask("/api/rank", {}); } catch (error) { trouble = error; }
+    if (mine !== searches) return;
+    if (trouble || found.error) {
+      at("searching").textContent = trouble ? trouble.message : sentence(found.error.message);
+      return;
+    }
+    const shown = found.diagnosis.candidates.filter((c) => c.score > 0).slice(0, 12);
+    at("searching").textContent = shown.length ? "" : "No candidate scores.";
+    at("sentence").textContent = found.diagnosis.sentence;
+    at("ranking").replaceChildren(...shown.map((c) => element("tr", c.significant ? {} : { class: "pale" },
+      element("th", { scope: "row" }, c.effect + (c.kind === "measurement" ? " (artefact)" : "")),
+      element("td", {}, told(c.score)), element("td", {}, c.delta_bic === null ? "\u2013" : told(c.delta_bic)),
+      element("td", {}, c.p_value < 1e-30 ? "< 1e\u221230" : Number(c.p_value).toExponential(0).replace("-", "\u2212")),
+      element("td", {}, c.indistinguishable_from.join(", ") || "\u2013"),
+      element("td", {}, free.has(c.effect) ? "in every fit"
+        : button("add", `add ${c.effect}`, () => change({ add: c.effect }))))));
+  }
+
+  /* frames */
+
+  function choose(key) {
+    clip = clips.find((c) => c.key === key) || null;
+    if (!clip) return;
+    at("clip").value = key;
+    at("seek").max = clip.frames - 1;
+    show(Math.min(index, clip.frames - 1));
+  }
+
+  function timeOf(i) { return clip.start + (clip.stop - clip.start) * (clip.frames > 1 ? i / (clip.frames - 1) : 0); }
+
+  function frameAt(c, t) { return Math.round((t - c.start) / Math.max(1e-9, c.stop - c.start) * (c.frames - 1)); }
+
+  async function show(i) {
+    index = Math.min(Math.max(0, i), clip.frames - 1);
+    const wanted = index, key = clip.key;
+    at("seek").value = index;
+    at("where").textContent = `frame ${index}, ${timeOf(index).toFixed(3)} s`;
+    if (board) board.setCursor(timeOf(index));
+    try {
+      const overlay = at("overlay").checked ? 1 : 0;
+      const path = `/api/frame?clip=${encodeURIComponent(key)}&index=${wanted}&overlay=${overlay}`;
+      const picture = await createImageBitmap(await ask(path));
+      if (wanted !== index || key !== clip.key) return;
+      const canvas = at("frame");
+      canvas.width = picture.width;
+      canvas.height = picture.height;
+      canvas.getContext("2d").drawImage(picture, 0, 0);
+      canvas.setAttribute("aria-label", `frame ${index} of ${clip.source} at ${timeOf(index).toFixed(3)} s`);
+      canvas.dataset.shown = `${key}:${index}`;
+    } catch (error) {
+      playing = false;
+      complain(error);
+    }
+  }
+
+  function seek(t) {
+    const inside = clips.filter((c) => c.found && t >= c.start && t <= c.stop);
+    const best = inside.find((c) => clip && c.key === clip.key) || inside[0];
+    if (!best) return;
+    stop();
+    index = frameAt(best, t);
+    choose(best.key);
+  }
+
+  async function stretch(from, to) {
+    seek(Math.max(from, Math.min(...clips.map((c) => c.start))));
+    if (!clip || !clip.found) return;
+    play(frameAt(clip, to));
+  }
+
+  function stop() { playing = false; at("play").textContent = "Play"; }
+
+  async function play(end) {
+    until = Math.min(end, clip.frames - 1);
+    if (playing) return;
+    playing = true;
+    at("play").textContent = "Pause";
+    while (playing && index < until) {
+      const began = performance.now();
+      await show(index + 1);
+      await new Promise((done) => setTimeout(done, Math.max(0, 40 - (performance.now() - began))));
+    }
+    stop();
+  }
+
+  function pick(x, y) {
+    act(async () => {
+      const body = { clip: clip.key, index, x, y };
+      const found = await ask("/api/colour", body);
+      const swatch = element("span", { class: "swatch", "aria-hidden": "true" });
+      swatch.style.background = `rgb(${found.rgb.map(Number).join(",")})`;
+      const n = at("picked").children.length + 1;
+      const name = element("input", { type: "text", size: 8, "aria-label": `name of marker ${n}` });
+      name.value = found.colour || `marker${n}`;
+      const select = (label, values, value) => {
+        const out = element("select", { "aria-label": label }, ...values.map((v) => element("option", { value: v }, v)));
+        if (value) out.value = value;
+        return out;
+      };
+      const colour = select(`colour of marker ${n}`, COLOURS, found.colour);
+      const on = select(`body of marker ${n}`, BODIES);
+      const row = element("li", {}, swatch, name, colour, on);
+      row.append(button("remove", `remove marker ${n}`, () => row.remove()));
+      at("picked").append(row);
+    });
+  }
+
+  function profile() {
+    act(async () => {
+      const marker = [...at("picked").children].map((row) => {
+        const [colour, body] = row.querySelectorAll("select");
+        return { name: row.querySelector("input").value, colour: colour.value, body: body.value };
+      });
+      const found = await ask("/api/profile", { name: "picked", centre: at("centre").value, marker });
+      at("toml").textContent = found.toml;
+      at("toml").hidden = false;
+      if (at("download").href) URL.revokeObjectURL(at("download").href);
+      at("download").href = URL.createObjectURL(new Blob([found.toml], { type: "application/toml" }));
+      at("download").hidden = false;
+    });
+  }
+
+  async function start() {
+    const state = await act(() => ask("/api/state"));
+    if (!state) return;
+    at("library").replaceChildren(...state.library.map((e) => element("option", { value: e.name }, `${e.joint}: ${e.law}`)));
+    free = new Set(state.library.filter((e) => e.free).map((e) => e.name));
+    clips = state.clips;
+    render(state);
+    const found = clips.filter((c) => c.found);
+    at("nofilm").hidden = found.length > 0;
+    at("player").hidden = found.length === 0;
+    at("clip").replaceChildren(...found.map((c) => element("option", { value: c.key }, `${c.source} (${c.body})`)));
+    if (found.length) choose(found[0].key);
+    search();
+  }
+
+  at("form").addEventListener("submit", async (event) => {
+    event.preventDefault();
+    if (await change({ add: at("wish").value })) at("wish").value = "";
+  });
+  at("keep").addEventListener("click", async () => {
+    const state = await act(() => ask("/api/keep", {}));
+    if (state) render(state);
+  });
+  at("clip").addEventListener("change", () => { stop(); index = 0; choose(at("clip").value); });
+  at("seek").addEventListener("input", () => { stop(); show(Number(at("seek").value)); });
+  at("overlay").addEventListener("change", () => show(index));
+  at("play").addEventListener("click", () => { if (playing) stop(); else play(clip.frames - 1); });
+  at("frame").addEventListener("click", (event) => {
+    if (!at("picker").open || !clip) return;
+    const box = at("frame").getBoundingClientRect();
+    pick((event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height);
+  });
+  at("profile").addEventListener("click", profile);
+  at("quit").addEventListener("click", async () => {
+    stop();
+    searches++;
+    if (await act(() => ask("/api/quit", {}))) {
+      document.body.replaceChildren(element("main", {}, element("p", { id: "ended" }, "gyrotrack has ended. This page can be closed.")));
+    }
+  });
+  start();
+})();

@@ -1,0 +1,312 @@
+"""Ten visits to the workbench, as a person makes them."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from time import perf_counter, sleep
+
+import pytest
+
+from .conftest import HOSTILE, Visit, accessibility
+
+FOUND = "casing.air.quadratic"
+
+
+class Server:
+    def __init__(self, case, ledger):
+        words = ["view", str(case), "--ledger", str(ledger), "--no-browser", "--json"]
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "gyrotrack", *words],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        self.url = json.loads(self.process.stdout.readline())["url"]
+        self.host = self.url.split("/")[2]
+
+    def children(self):
+        """Return the processes that it started, by their parents in /proc."""
+        found = set()
+        for stat in Path("/proc").glob("[0-9]*/stat"):
+            try:
+                text = stat.read_text()
+            except OSError:
+                continue
+            if int(text.rpartition(")")[2].split()[1]) == self.process.pid:
+                found.add(int(stat.parent.name))
+        return found
+
+    def ended(self, children):
+        """Wait for the end and return the exit code; its children must be gone too."""
+        code = self.process.wait(20)
+        assert self.process.stderr.read() == ""
+        self.process.stdout.close()
+        self.process.stderr.close()
+        for _ in range(50):
+            left = [c for c in children if Path(f"/proc/{c}").exists()]
+            if not left:
+                return code
+            sleep(0.1)
+        pytest.fail(f"left behind: {left}")
+
+
+@pytest.fixture(scope="module")
+def server(case, tmp_path_factory, chromium):
+    found = Server(case, tmp_path_factory.mktemp("ledger") / "fits.json")
+    yield found
+    if found.process.poll() is None:
+        found.process.terminate()
+    found.process.communicate(timeout=20)
+
+
+@pytest.fixture
+def visit(server, chromium):
+    """A page of the workbench that stands at the first fit."""
+    found = Visit(chromium)
+    page = found.page
+    page.goto(server.url)
+    page.locator("#effects li").first.wait_for()
+    if page.locator("#ladder tr.now").locator("th").inner_text().split()[0] != "start":
+        page.get_by_role("button", name="show fit 1", exact=True).click()
+        page.locator("#ladder tr.now th", has_text="start").wait_for()
+    yield page
+    found.close([server.host, ""])  # pictures made in the page itself have no host
+
+
+def _rungs(page):
+    return page.locator("#ladder tr").count()
+
+
+def _rms(page):
+    return float(page.locator("#ladder tr.now td").first.inner_text())
+
+
+def _after(page, act):
+    """Do something that makes a new rung, wait until it is drawn, and return how long that took [s]."""
+    count = _rungs(page)
+    began = perf_counter()
+    act()
+    page.locator("#ladder tr").nth(count).wait_for()
+    return perf_counter() - began
+
+
+def _frame(page):
+    return int(page.get_attribute("#frame", "data-shown").partition(":")[2])
+
+
+def _shown(page, frame):
+    page.locator(f"#frame[data-shown='casing:{frame}']").wait_for()
+
+
+def test_opening_shows_the_case_and_its_name_as_text(visit, tmp_path):
+    assert visit.locator("h1").inner_text() == HOSTILE
+    assert visit.title() == f"gyrotrack: {HOSTILE}"
+    assert visit.locator("#board canvas").count() == 10
+    assert visit.locator("#effects li").count() == 5
+    assert "misses something" in visit.locator("#verdict").inner_text()
+    picture = tmp_path / "page.png"
+    visit.screenshot(path=picture, full_page=True)
+    assert picture.stat().st_size > 50_000
+
+
+@pytest.mark.slow
+def test_axe_finds_nothing(visit):
+    visit.locator("#ranking tr").first.wait_for(timeout=60_000)
+    for details in visit.locator("details").all():
+        details.locator("summary").click()
+    assert accessibility(visit) == []
+
+
+@pytest.mark.slow
+def test_a_click_adds_what_the_ranking_puts_first(visit):
+    before = _rms(visit)
+    add = visit.get_by_role("button", name=f"add {FOUND}", exact=True)
+    add.wait_for(timeout=60_000)
+    assert visit.locator("#ranking th").first.inner_text() == FOUND
+    assert FOUND in visit.locator("#sentence").inner_text()
+    assert _after(visit, add.click) < 20
+    assert _rms(visit) < 0.7 * before
+    assert "adequate" in visit.locator("#verdict").inner_text()
+    assert visit.locator("#board .mark").count() == 0
+    assert FOUND in visit.locator("#effects").inner_text()
+
+
+def test_a_typed_law_is_fitted(visit):
+    before = _rms(visit)
+    visit.fill("#wish", "casing: -k*omega_c**2")
+    _after(visit, lambda: visit.press("#wish", "Enter"))
+    assert _rms(visit) < before
+    assert "casing: -k*omega_c**2" in visit.locator("#effects").inner_text()
+    assert visit.input_value("#wish") == ""
+    visit.locator("summary", has_text="Parameters").click()
+    assert "N m s2" in visit.locator("#parameters").inner_text()
+
+
+def test_an_error_of_the_user_is_told_in_a_sentence(visit):
+    count = _rungs(visit)
+    for typed, told in (
+        ("casing: -k*omega_c**", "is not a formula"),
+        ("no.such.effect", "no.such.effect"),
+        ("bearing.linear", "in the model already"),
+        (HOSTILE, "script"),
+        ("", "Nothing was asked for"),
+    ):
+        visit.fill("#wish", typed)
+        visit.click("#add")
+        visit.locator("#error", has_text=told).wait_for()
+        assert visit.locator("#error").inner_text().endswith((".", "?"))
+        assert _rungs(visit) == count
+        assert visit.locator("#error *").count() == 0
+    # and it goes with the next thing that works
+    _after(visit, visit.get_by_role("button", name="drop bearing.power").click)
+    assert visit.locator("#error").is_hidden()
+
+
+@pytest.mark.slow
+def test_an_effect_is_dropped_and_taken_back(visit):
+    before = _rms(visit)
+    _after(visit, visit.get_by_role("button", name="drop rotor.air.quadratic").click)
+    assert visit.locator("#effects li").count() == 4
+    assert _rms(visit) > before
+    visit.get_by_role("button", name="show fit 1", exact=True).click()
+    visit.locator("#effects li").nth(4).wait_for()
+    assert _rms(visit) == before
+
+
+@pytest.mark.slow
+def test_a_click_on_the_residual_shows_the_frame_of_that_moment(visit):
+    canvas = visit.locator("#board canvas").nth(1)
+    box = canvas.bounding_box()
+    low, high = visit.evaluate("(() => { const s = document.querySelector('.shown').textContent;"
+                               "return s.match(/[\\d.]+/g).map(Number); })()")  # fmt: skip
+    # 0.25 s into the film, which begins 10 s into the run and has 260 frames a second
+    share = (10.25 - low) / (high - low)
+    canvas.click(position={"x": 66 + share * (box["width"] - 76), "y": box["height"] / 2})
+    visit.locator("#frame[data-shown]").wait_for()
+    visit.wait_for_timeout(300)
+    frame = _frame(visit)
+    # a pixel is 60 s / 700: some twenty frames
+    assert abs(frame - 65) < 40
+    assert f"frame {frame}," in visit.locator("#where").inner_text()
+
+
+@pytest.mark.slow
+def test_frames_play_and_the_overlay_goes(visit):
+    _shown(visit, 0)
+    visit.click("#play")
+    for _ in range(100):
+        visit.wait_for_timeout(50)
+        if _frame(visit) > 3:
+            break
+    visit.click("#play")
+    visit.wait_for_timeout(300)
+    at = _frame(visit)
+    assert 3 < at < 129
+    visit.wait_for_timeout(300)
+    assert _frame(visit) == at
+    drawn = visit.evaluate("document.getElementById('frame').toDataURL()")
+    visit.uncheck("#overlay")
+    visit.wait_for_timeout(600)
+    assert visit.evaluate("document.getElementById('frame').toDataURL()") != drawn
+    visit.focus("#seek")
+    visit.keyboard.press("End")
+    _shown(visit, 129)
+
+
+@pytest.mark.slow
+def test_picked_colours_make_a_profile_that_extract_reads(visit, tmp_path):
+    from gyrotrack.profile import load
+
+    _shown(visit, 0)
+    visit.locator("#picker summary").click()
+    visit.uncheck("#overlay")
+    visit.wait_for_timeout(500)
+    box = visit.locator("#frame").bounding_box()
+    # the red and the green paper of the first frame of the sample film
+    for x, y in ((0.56, 0.74), (0.60, 0.67)):
+        visit.locator("#frame").click(position={"x": x * box["width"], "y": y * box["height"]})
+        visit.wait_for_timeout(300)
+    rows = visit.locator("#picked li")
+    rows.nth(1).wait_for()
+    assert rows.nth(0).get_by_label("colour of marker 1").input_value() == "red"
+    rows.nth(0).get_by_label("body").select_option("casing")
+    rows.nth(1).get_by_label("colour").select_option("green")
+    rows.nth(1).get_by_label("name").fill("bad name!")
+    visit.click("#profile")
+    visit.locator("#error:not([hidden])").wait_for()
+    rows.nth(1).get_by_label("name").fill("green")
+    visit.click("#profile")
+    visit.locator("#toml:not([hidden])").wait_for()
+    with visit.expect_download() as saved:
+        visit.click("#download")
+    path = tmp_path / "profile.toml"
+    saved.value.save_as(path)
+    assert tomllib.loads(path.read_text())["marker"][0]["colour"] == "red"
+    assert [m.body for m in load(path).marker] == ["casing", "rotor"]
+
+
+@pytest.mark.slow
+def test_plots_zoom_together(visit):
+    canvas = visit.locator("#board canvas").nth(0)
+    canvas.scroll_into_view_if_needed()
+    box = canvas.bounding_box()
+    middle = box["y"] + box["height"] / 2
+    before = [visit.locator("#board canvas").nth(i).screenshot() for i in (0, 1, 7)]
+    visit.mouse.move(box["x"] + 200, middle)
+    visit.mouse.down()
+    visit.mouse.move(box["x"] + 400, middle, steps=5)
+    visit.mouse.up()
+    shown = visit.locator(".shown").inner_text()
+    assert "0 s to 60" not in shown
+    visit.wait_for_timeout(200)
+    after = [visit.locator("#board canvas").nth(i).screenshot() for i in (0, 1, 7)]
+    assert all(a != b for a, b in zip(before, after, strict=True))
+    visit.locator("#board .mark").first.click()
+    assert visit.locator(".shown").inner_text() != shown
+    visit.get_by_role("button", name="show the whole run").press("Enter")
+    assert "0 s to" in visit.locator(".shown").inner_text()
+
+
+@pytest.mark.slow
+def test_a_fit_is_kept_in_the_ledger_and_quitting_leaves_nothing_behind(case, chromium, tmp_path):
+    ledger = tmp_path / "fits.json"
+    server = Server(case, ledger)
+    found = Visit(chromium, width=800)
+    page = found.page
+    page.goto(server.url)
+    page.locator("#effects li").first.wait_for()
+    page.fill("#wish", FOUND)
+    _after(page, lambda: page.click("#add"))
+    page.click("#keep")
+    page.locator("#ladder tr.now", has_text="(f2)").wait_for()
+    fits = json.loads(ledger.read_text())["fits"]
+    assert [f["added"] for f in fits[1:]] == [f"+{FOUND}"]
+    assert fits[1]["parent"] == "f1"
+    value = fits[1]["parameters"][f"{FOUND}.k"]
+    assert abs(value["value"] - 3e-10) < 5 * value["stderr"]
+    children = server.children()
+    assert children  # the search for what is missing
+    page.click("#quit")
+    page.locator("#ended").wait_for()
+    assert server.ended(children) == 0
+    found.close([server.host, ""])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_while_it_searches(case, chromium, tmp_path, sign):
+    server = Server(case, tmp_path / "fits.json")
+    found = Visit(chromium)
+    found.page.goto(server.url)
+    found.page.locator("#effects li").first.wait_for()
+    for _ in range(100):
+        if children := server.children():
+            break
+        sleep(0.1)
+    found.context.close()
+    os.kill(server.process.pid, sign)
+    assert server.ended(children) == (0 if sign == signal.SIGINT else -sign)

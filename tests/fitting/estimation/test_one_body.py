@@ -1,0 +1,110 @@
+"""One body that spins down by itself, against an independent integration of its equation."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from fitting.discovery import diagnose, improve
+from fitting.effects import REDUCED, resolve
+from fitting.errors import EstimationError, RecordError
+from fitting.estimation import fit
+from fitting.model import Model
+from fitting.record import make_record
+
+INERTIA = 2e-3
+DRY, LINEAR, SQUARE = 2e-4, 3e-5, 4e-7
+TIME = np.arange(0, 60, 0.02)
+BASE = Model.of(REDUCED).alone
+
+
+def wheel(square=0.0, quantity="omega", seed=0, label="wheel"):
+    """I dw/dt = -b1 - b2 w - k w^2, by SciPy's Runge-Kutta, with white noise."""
+    solution = solve_ivp(
+        lambda _, w: -(DRY + LINEAR * w + square * w * np.abs(w)) / INERTIA,
+        (0, TIME[-1]),
+        [80.0],
+        rtol=1e-10,
+        atol=1e-10,
+        dense_output=True,
+    )
+    rng = np.random.default_rng(seed)
+    sigma = 0.05 if quantity == "omega" else 1e-3
+    if quantity == "omega":
+        value = solution.sol(TIME)[0]
+    else:  # Simpson's rule on steps of 0.02 s is exact far below the noise
+        fine = solution.sol(np.linspace(0, TIME[-1], 2 * len(TIME) - 1))[0]
+        steps = (fine[:-2:2] + 4 * fine[1:-1:2] + fine[2::2]) * 0.02 / 6
+        value = np.concatenate([[0.0], np.cumsum(steps)])
+    value = value + rng.normal(0, sigma, len(TIME))
+    return make_record(
+        casing=(TIME, value, np.full(len(TIME), sigma)),
+        rotor=[],
+        I_rotor=INERTIA,
+        I_casing=INERTIA,
+        quantity=quantity,
+        single=True,
+        label=label,
+    )
+
+
+def pull(found, name, truth):
+    e = found.estimates[name]
+    return (e.value - truth) / e.stderr
+
+
+@pytest.mark.parametrize("quantity", ["omega", "angle"])
+def test_parameters_and_errors(quantity):
+    pulls = []
+    for seed in range(2):
+        found = fit(BASE, [wheel(quantity=quantity, seed=seed)])
+        assert found.verdict == "adequate"
+        pulls += [pull(found, "touchpoint.constant.b1", DRY), pull(found, "casing.air.linear.b2", LINEAR)]
+    assert np.abs(pulls).max() < 4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("quantity", ["omega", "angle"])
+def test_the_errors_are_those_of_many_wheels(quantity):
+    fits = [fit(BASE, [wheel(quantity=quantity, seed=seed)]) for seed in range(100, 124)]
+    pulls = [pull(f, "casing.air.linear.b2", LINEAR) for f in fits]
+    # the rms of 24 unit normals has a spread of 0.14
+    assert 0.55 < np.sqrt(np.mean(np.square(pulls))) < 1.45
+
+
+def test_what_is_missing_is_found():
+    base = fit(BASE, [wheel(SQUARE)])
+    assert base.verdict == "misfit"
+    found = diagnose(base)
+    assert found.verdict == "missing_effect"
+    assert found.candidates[0].effect.name == "casing.air.quadratic"
+    assert all(c.effect.alone for c in found.candidates)
+    assert {f.body for f in found.failures} == {"casing"}
+    last = improve(base, first=found.candidates)[-1].fit
+    assert last.verdict == "adequate"
+    assert abs(pull(last, "casing.air.quadratic.k", SQUARE)) < 4
+    assert np.isnan(last.cases[0].rotor.rmse)
+    assert not any(name.startswith("initial.omega_r") for name in last.estimates)
+
+
+def test_a_law_of_ones_own():
+    found = fit(BASE.with_effect(resolve("casing: -k*omega_c*abs(omega_c)")), [wheel(SQUARE)])
+    (name,) = [n for n in found.estimates if n.endswith(".k")]
+    assert abs(pull(found, name, SQUARE)) < 4
+
+
+def test_what_needs_a_rotor_is_refused():
+    for model in (Model.of(REDUCED), BASE.with_effect(resolve("casing: -k*omega_r"))):
+        with pytest.raises(EstimationError, match="speaks of a rotor"):
+            fit(model, [wheel()])
+
+
+def test_two_wheels_together_but_no_wheel_with_a_gyroscope():
+    both = fit(BASE, [wheel(seed=1, label="a"), wheel(seed=2, label="b")])
+    assert abs(pull(both, "touchpoint.constant.b1@b", DRY)) < 4
+    w = wheel()
+    run = (w.casing.time, w.casing.value, w.casing.sigma)
+    gyroscope = make_record(casing=run, rotor=[run], I_rotor=1e-5, I_casing=1e-5, quantity="omega", label="g")
+    with pytest.raises(EstimationError, match="cannot be fitted together"):
+        fit(BASE, [w, gyroscope])
+    with pytest.raises(RecordError, match="no rotor window"):
+        make_record(casing=run, rotor=[], I_rotor=1e-5, I_casing=1e-5)

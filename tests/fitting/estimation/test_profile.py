@@ -1,0 +1,94 @@
+"""Profile likelihood: against the parabola where it is one, against fits by hand where it is not."""
+
+import numpy as np
+import pytest
+import twobody
+from cases import data, fitted
+from scipy.optimize import least_squares
+
+from fitting.effects import GENERAL, REDUCED
+from fitting.errors import EffectError
+from fitting.estimation import fit
+from fitting.estimation.covariance import loose_directions
+from fitting.estimation.profile import profile, weakly_determined
+from fitting.model import Model
+
+TRUTH = twobody.truth()
+
+
+@pytest.mark.parametrize("name", ["touchpoint.constant.b1", "initial.omega_c@case1"])
+def test_a_parabola_gives_the_standard_error(name):
+    result = fitted(seed=0, ou=1e-7)
+    e, interval = result.estimates[name], profile(result, name)
+    assert (e.value - interval.lower) / e.stderr == pytest.approx(1.96, abs=0.03)
+    assert (interval.upper - e.value) / e.stderr == pytest.approx(1.96, abs=0.03)
+    assert not interval.lower_open
+    assert not interval.upper_open
+
+
+def test_the_ends_are_where_the_deviance_has_risen():
+    """f is skewed by its power. With f held at either end, SciPy's least squares over all else ends 3.84 higher."""
+    result = fitted(seed=0, ou=1e-7)
+    interval = profile(result, "bearing.power.f")
+    problem = result.problem
+    place = problem.layout.index["bearing.power.f"]
+    others = np.arange(len(result.theta)) != place
+    for end in (interval.lower, interval.upper):
+        unit = np.abs(result.theta)
+
+        def residuals(x, end=end, unit=unit):
+            theta = np.full(len(result.theta), end)
+            theta[others] = x * unit[others]
+            r, j = problem.residuals(problem.predict(theta))
+            return r, (j * unit)[:, others]
+
+        # from where the straight valley leads, f being held
+        step = -result.covariance[:, place] / result.covariance[place, place] * (result.theta[place] - end)
+        begin = (result.theta + step)[others] / unit[others]
+        solved = least_squares(
+            lambda x: residuals(x)[0], begin, lambda x: residuals(x)[1], method="lm", xtol=1e-14, ftol=1e-12
+        )
+        assert 2 * solved.cost - result.chi2 == pytest.approx(3.84, abs=0.15)
+    e = result.estimates["bearing.power.f"]
+    assert interval.upper - e.value > 1.1 * (e.value - interval.lower)
+
+
+def test_a_friction_that_is_not_there_has_an_upper_limit():
+    result = fit(Model.of((*REDUCED, "casing.air.quadratic")), [data(seed=0)])
+    name = "casing.air.quadratic.k"
+    assert name in weakly_determined(result)
+    interval = profile(result, name)
+    assert interval.lower_open
+    assert interval.lower == 0
+    assert not interval.upper_open
+    # the torque that could hide at 160 rad/s is a part in a thousand of the drag there
+    assert 0 < interval.upper * 160**2 < 1e-3 * 8.28e-7 * 160
+
+
+def test_only_free_parameters_have_a_profile():
+    with pytest.raises(EffectError, match="no free parameter"):
+        profile(fitted(seed=0), "bearing.heating.C")
+
+
+def test_well_known_parameters_are_not_weak():
+    assert weakly_determined(fitted(seed=0)) == []
+
+
+@pytest.mark.slow
+def test_intervals_of_the_general_model_hold_the_truth():
+    result = fit(Model.of(GENERAL), [data(seed=0)])
+    for name in weakly_determined(result):
+        interval = profile(result, name)
+        assert interval.lower <= TRUTH.get(name, 0.0) <= interval.upper
+
+
+def test_what_is_not_determined_together_is_named():
+    """Two columns that are nearly one: their sum is known to 1 %, their difference is not."""
+    j = np.array([[100.0, 100.0, 0.0], [0.3, -0.3, 0.0], [0.0, 0.0, 50.0]])
+    theta = np.array([1.0, 1.0, 2.0])
+    (direction,) = loose_directions(["d", "f", "b"], theta, np.linalg.inv(j.T @ j))
+    assert set(direction) == {"d", "f"}
+    assert direction["d"] == pytest.approx(-direction["f"], rel=1e-6)
+    assert loose_directions(["d", "f", "b"], theta, 1e-6 * np.eye(3)) == []
+    # one that is known badly by itself is no combination
+    assert loose_directions(["d", "f", "b"], theta, np.diag([9.0, 1e-6, 1e-6])) == []

@@ -1,0 +1,38 @@
+"""Several processes add fits to one ledger at the same time: none is lost, none is mixed."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+
+WRITER = """
+import sys
+from pathlib import Path
+from fitting.ledger import Ledger
+import fitting.ledger as module
+
+class Found:
+    class problem: data = ()
+    class model: effects = ()
+
+module.fit_document = lambda found, fit_id: {"fit_id": fit_id, "model": [], "parameters": {}, "verdict": "x"}
+module.rung_document = lambda *a: {"by": sys.argv[2]}
+ledger = Ledger(Path(sys.argv[1]))
+for _ in range(15):
+    ledger.add(Found())
+"""
+
+
+def test_no_fit_is_lost(tmp_path):
+    path = tmp_path / "x.fits.json"
+    writers = [
+        subprocess.Popen([sys.executable, "-c", WRITER, str(path), name], cwd=ROOT)
+        for name in ("a", "b", "c")
+    ]
+    assert [w.wait() for w in writers] == [0, 0, 0]
+    fits = json.loads(path.read_text())["fits"]
+    assert [f["fit_id"] for f in fits] == [f"f{i + 1}" for i in range(45)]
+    assert sorted(f["rung"]["by"] for f in fits) == sorted("abc" * 15)
+    assert [p.name for p in tmp_path.iterdir()] == ["x.fits.json"]

@@ -1,0 +1,93 @@
+"""Velocities and the generated rotor curve, as the paper takes them."""
+
+import numpy as np
+import pytest
+import twobody
+
+from fitting.case_data import CaseData
+from fitting.effects import REDUCED
+from fitting.errors import RecordError
+from fitting.estimation import fit
+from fitting.model import Model
+from fitting.paper_data import _decay, as_velocities, prepared, with_generated_rotor
+from fitting.record import make_record
+
+
+@pytest.fixture(scope="module")
+def record():
+    return make_record(**twobody.film(twobody.simulate(seed=1), seed=1))
+
+
+def test_velocities_are_the_motions(record):
+    made = as_velocities(record)
+    assert made.quantity == "omega"
+    assert made.digest != record.digest
+    for samples, body in ((made.casing, 1), *((w, 0) for w in made.rotor)):
+        true = twobody.simulate(seed=1).at(samples.time, body)[1]
+        pull = (samples.value - true) / samples.sigma
+        # medians of correlated gradients: the sigma is a guide, the level is measured in the fit
+        assert np.abs(np.mean(pull)) < 0.1
+        assert 0.2 < np.std(pull) < 2
+    assert as_velocities(made) is made
+
+
+def test_the_papers_way_finds_the_parameters(record):
+    """Its errors are larger by far than those of angles, and hold the truth."""
+    found = fit(Model.of(REDUCED), [CaseData.of(prepared(record, "velocity"))])
+    angles = fit(Model.of(REDUCED), [CaseData.of(record)])
+    truth = twobody.truth()
+    for key in ("rotor.air.quadratic.a2", "casing.air.linear.b2"):
+        e = found.estimates[key]
+        assert e.value == pytest.approx(truth[key], rel=0.02)
+        assert abs(e.value - truth[key]) < 5 * e.stderr
+        assert e.stderr > 10 * angles.estimates[key].stderr
+    assert found.cases[0].casing.r2 > 0.9999
+
+
+def test_generated_curve_goes_through_its_windows(record):
+    made = with_generated_rotor(record)
+    (curve,) = made.rotor
+    assert made.generated
+    assert (curve.time[0], curve.time[-1]) == pytest.approx(as_velocities(record).span)
+    assert (np.diff(curve.value) < 0).all()
+    for window in as_velocities(record).rotor:
+        middle = float(window.time.mean())
+        seen = np.polyval(np.polyfit(window.time - middle, window.value, 1), 0.0)
+        assert np.interp(middle, curve.time, curve.value) == pytest.approx(seen, abs=0.2)
+
+
+def test_a_decay_of_the_curves_own_law_is_found():
+    grid = np.linspace(0, 200, 4001)
+    omega = np.empty(len(grid))
+    omega[0] = 900.0
+
+    def rate(x):
+        return -(0.2 + 1e-3 * x + 1.5e-6 * x**2)
+
+    for i, h in enumerate(np.diff(grid)):
+        half = omega[i] + 0.5 * h * rate(omega[i])
+        omega[i + 1] = omega[i] + h * rate(half)
+    times = np.array([6.5, 71.5, 151.5])
+    speed = np.interp(times, grid, omega)
+    found = _decay(np.stack([times, speed, rate(speed)], axis=1), grid[::10])
+    assert np.abs(found - omega[::10]).max() < 0.5
+
+
+def test_a_fit_with_a_generated_rotor_is_told_as_such(record):
+    found = fit(Model.of(REDUCED), [CaseData.of(prepared(record, "velocity", "generated"))])
+    (case,) = found.cases
+    assert np.isnan(case.rotor.reduced_chi2)
+    assert np.isnan(case.rotor.held_out)
+    assert case.rotor.r2 > 0.999
+    assert case.casing.r2 > 0.99
+    assert found.verdict == "misfit"
+
+
+def test_what_does_not_go_together_is_refused(record):
+    with pytest.raises(RecordError, match="one of velocities"):
+        prepared(record, "angle", "generated")
+    with pytest.raises(RecordError, match="no angles"):
+        prepared(as_velocities(record), "angle")
+    with pytest.raises(RecordError, match="not known"):
+        prepared(record, "speed")
+    assert prepared(record) is record

@@ -1,0 +1,50 @@
+"""A wheel from a table to a report: no command asks for its rotor."""
+
+import numpy as np
+import pytest
+
+
+@pytest.fixture
+def wheel(tmp_path):
+    """A table of a wheel that loses speed by dry and by quadratic friction, in turns a minute."""
+    t = np.arange(0, 30, 0.02)
+    a, b = np.sqrt(2e-4 * 4e-7), 2e-3  # I dw/dt = -c - k w^2: w = sqrt(c/k) tan(phi - sqrt(ck)/I t)
+    w = np.sqrt(2e-4 / 4e-7) * np.tan(np.arctan(60 / np.sqrt(2e-4 / 4e-7)) - a / b * t)
+    rng = np.random.default_rng(3)
+    path = tmp_path / "wheel.csv"
+    rows = zip(t, -(w + rng.normal(0, 0.03, len(t))) * 30 / np.pi, strict=True)
+    path.write_text("time [s];speed [rpm]\n" + "".join(f"{x:.3f};{y:.6f}\n" for x, y in rows))
+    return path
+
+
+def test_a_wheel(gyrotrack, wheel, tmp_path):
+    case = tmp_path / "wheel.h5"
+    said = gyrotrack("import", "--body", wheel, "--inertia", "2e-3", "-o", case, "--json")
+    assert said.code == 0
+    assert said.json["sense"] == -1
+    assert said.json["casing"]["omega_max"] == pytest.approx(60, rel=0.01)
+    said = gyrotrack("info", case, "--verify", "--json")
+    assert said.json["sound"]
+    assert said.json["bodies"] == "one"
+    assert gyrotrack("fit", case).code == 0
+    said = gyrotrack("improve", case, "--json")
+    assert said.json["verdict"] == "missing_effect"
+    k = said.json["final"]["parameters"]["casing.air.quadratic.k"]
+    assert abs(k["value"] - 4e-7) < 4 * k["stderr"]
+    assert said.json["final"]["cases"][0]["rotor"]["rmse"] is None
+    assert "rotor" not in gyrotrack("fit", case, "--add", "casing: -q*omega_c**3").out
+    assert gyrotrack("export", case, "-o", tmp_path / "w.csv", "--json").json["rows"] == 1500
+    assert gyrotrack("report", case, "-o", tmp_path / "w.html").code == 0
+    assert "one body 1500" in (tmp_path / "w.html").read_text()
+    said = gyrotrack("fit", case, "--add", "bearing.linear")
+    assert said.code == 1
+    assert "speaks of a rotor" in said.err
+
+
+@pytest.mark.parametrize(
+    "words", [[], ["--body", "w.csv"], ["--body", "w.csv", "--inertia", "1", "--rotor", "r.csv"]]
+)
+def test_half_of_what_is_needed(gyrotrack, tmp_path, words):
+    said = gyrotrack("import", *words, "-o", tmp_path / "c.h5")
+    assert said.code == 2
+    assert "--body and --inertia" in said.err

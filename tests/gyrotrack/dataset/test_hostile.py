@@ -1,0 +1,125 @@
+"""Files made to mislead: refused before anything of them is read, whatever reads them."""
+
+import time
+
+import h5py
+import numpy as np
+import pytest
+
+from fitting.errors import RecordError
+from fitting.record import read_record
+from gyrotrack.dataset import read_case, write_case
+from gyrotrack.dataset.inspection import inspect_file
+from gyrotrack.errors import DatasetError
+from gyrotrack.exporting import export_file
+
+SECRET = b"the secret of the neighbour's file " * 400
+
+
+@pytest.fixture
+def path(tmp_path, case):
+    (tmp_path / "secret.txt").write_bytes(SECRET)
+    with h5py.File(tmp_path / "other.h5", "w") as other:
+        other["x"] = np.full(400, 42.0)
+        other["group/x"] = np.full(400, 42.0)
+    return write_case(tmp_path / "case.h5", case, command="", settings={})
+
+
+def virtual(file, name):
+    layout = h5py.VirtualLayout(shape=(400,), dtype="f8")
+    layout[:] = h5py.VirtualSource("other.h5", "x", shape=(400,))
+    file.create_virtual_dataset(name, layout)
+
+
+ATTACKS = {
+    "external link": lambda f, n: f.__setitem__(n, h5py.ExternalLink("other.h5", "/x")),
+    "external link, absolute": lambda f, n: f.__setitem__(n, h5py.ExternalLink("/etc/passwd", "/")),
+    "external group": lambda f, n: f.__setitem__(n, h5py.ExternalLink("other.h5", "/group")),
+    "external link to itself": lambda f, n: f.__setitem__(n, h5py.ExternalLink("case.h5", "/")),
+    "soft link": lambda f, n: f.__setitem__(n, h5py.SoftLink("/casing/time")),
+    "soft link nowhere": lambda f, n: f.__setitem__(n, h5py.SoftLink("/nowhere/at/all")),
+    "soft loop": lambda f, n: f.__setitem__(n, h5py.SoftLink("/" + n)),
+    "external storage": lambda f, n: f.create_dataset(n, (400,), "f8", external=[("secret.txt", 0, 3200)]),
+    "external bytes": lambda f, n: f.create_dataset(n, (100,), "u1", external=[("/etc/passwd", 0, 100)]),
+    "virtual": virtual,
+    "plugin filter": lambda f, n: f.create_dataset(n, data=np.zeros(400), compression="lzf"),
+    "bomb of 8 TB": lambda f, n: f.create_dataset(n, (2**40,), "f8", chunks=(2**20,), compression="gzip"),
+    "bomb of 8 GB": lambda f, n: f.create_dataset(n, (2**30,), "f8", chunks=(2**20,)),
+    "huge chunk": lambda f, n: f.create_dataset(n, (400,), "f8", chunks=(2**28,), maxshape=(None,)),
+    "bomb of 4 GB": lambda f, n: f.create_dataset(n, (2**29,), "f8", chunks=(2**22,), compression="gzip"),
+}  # fmt: skip
+PLACES = ("casing/angle", "casing/mine", "notes", "a/b/c/d")
+
+
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("attack", ATTACKS)
+def test_nothing_from_outside_is_read_and_nothing_fills_the_memory(path, attack, place, tmp_path):
+    with h5py.File(path, "r+") as file:
+        if place in file:
+            del file[place]
+        ATTACKS[attack](file, place)
+    start = time.perf_counter()
+    for read in (read_case, inspect_file, lambda p: inspect_file(p, verify=True)):
+        with pytest.raises(DatasetError) as caught:
+            read(path)
+        assert "damaged: " not in caught.value.message  # refused by rule, not by an accident on the way
+    with pytest.raises(DatasetError):
+        export_file(path, tmp_path / "out.nc")
+    assert not (tmp_path / "out.nc").exists()
+    if place == "casing/angle":
+        with pytest.raises(RecordError):
+            read_record(path)
+    assert time.perf_counter() - start < 5
+
+
+def test_too_deep_and_too_many(path):
+    with h5py.File(path, "r+") as file:
+        file.create_group("/".join("abcdefghij" * 4))
+    with pytest.raises(DatasetError, match="too deep"):
+        read_case(path)
+    with h5py.File(path, "r+") as file:
+        del file["a"]
+        for i in range(20_001):
+            file.create_group(f"g/{i}")
+    with pytest.raises(DatasetError, match="too many"):
+        read_case(path)
+
+
+def test_a_loop_of_hard_links_ends(path):
+    with h5py.File(path, "r+") as file:
+        file["casing/again"] = file["/"]
+    read_case(path)
+
+
+@pytest.mark.parametrize(
+    ("version", "words"),
+    [
+        ("0.9", "before the first"),
+        ("2.0", "newer than"),
+        ("99", "newer than"),
+        ("-1", "no valid"),
+        ("1.9", None),
+    ],
+)
+def test_other_layouts_by_rule(path, version, words):
+    """A minor version adds and never changes: it is read. A major one is refused, older or newer."""
+    with h5py.File(path, "r+") as file:
+        file.attrs["format_version"] = version
+        file["casing/something_new"] = np.zeros(3)
+    if words is None:
+        read_case(path)
+    else:
+        with pytest.raises(DatasetError, match=words):
+            read_case(path)
+
+
+def test_a_name_is_shown_and_not_obeyed(path, capsys):
+    from gyrotrack.cli import app
+
+    with h5py.File(path, "r+") as file:
+        file.attrs["label"] = "\x1b]0;owned\x07\u202egnp.exe"
+        file.attrs["command"] = "rm -rf /\x1b[2J"
+    assert app.run(["info", str(path)]) == 0
+    out = capsys.readouterr().out
+    assert not {"\x1b", "\x07", "\u202e"} & set(out)
+    assert "\\x1b]0;owned" in out

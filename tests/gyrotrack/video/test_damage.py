@@ -1,0 +1,163 @@
+"""Films as cameras and copies leave them: containers, gaps, cut tails, damage; each frame carries its number."""
+
+import av
+import numpy as np
+import pytest
+
+from gyrotrack.errors import VideoError
+from gyrotrack.video import Reader, capture_rate, frame_numbers, frames_at, probe, read_raw_stamps
+
+BITS = 9
+
+
+def picture(k):
+    """Return a frame whose number stands in it as bars that survive compression."""
+    image = np.full((96, 160, 3), 90, dtype=np.uint8)
+    for bit in range(BITS):
+        image[40:60, 16 * bit + 8 : 16 * bit + 20] = 255 if k >> bit & 1 else 0
+    return image
+
+
+def number(frame):
+    return sum(1 << bit for bit in range(BITS) if frame.y[50, 16 * bit + 14] > 128)
+
+
+def film(
+    path, keep=range(150), rate=260, codec="libx264", fmt="yuv420p", metadata=None, movflags=None, gop=25
+):
+    options = {k: v for k, v in (("movflags", movflags),) if v}
+    with av.open(str(path), "w", options=options) as container:
+        container.metadata.update(metadata or {})
+        stream = container.add_stream(codec, rate=rate)
+        stream.width, stream.height, stream.pix_fmt = 160, 96, fmt
+        if codec == "libx264":
+            stream.options = {"g": str(gop), "bf": "2", "crf": "12", "sc_threshold": "0"}
+        for k in keep:
+            frame = av.VideoFrame.from_ndarray(picture(k), format="rgb24")
+            frame.pts = k
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    return path
+
+
+def read(path, threads=1):
+    with Reader(path, threads) as reader:
+        return [number(frame) for frame in reader], reader
+
+
+@pytest.mark.parametrize("name", ["a.mp4", "a.mov", "a.mkv", "a.avi"])
+def test_every_container_gives_every_frame_at_its_time(tmp_path, name):
+    numbers, reader = read(film(tmp_path / name))
+    assert numbers == list(range(150))
+    stamps = reader.pts_seconds()
+    np.testing.assert_array_equal(frame_numbers(stamps), np.arange(150))
+    if name == "a.avi":  # which says when a frame is decoded, not when it is shown
+        assert any("do not grow" in text for text in reader.warnings)
+    else:
+        assert reader.warnings == ()
+        step = 1e-3 if name == "a.mkv" else 1e-5
+        np.testing.assert_allclose(stamps - stamps[0], np.arange(150) / 260, atol=step)
+
+
+@pytest.mark.parametrize(
+    ("codec", "fmt"), [("libvpx-vp9", "yuv420p"), ("libx264", "yuv422p10le"), ("ffv1", "gray16le")]
+)
+def test_other_codecs_and_depths(tmp_path, codec, fmt):
+    numbers, reader = read(film(tmp_path / "a.mkv", range(20), codec=codec, fmt=fmt))
+    assert numbers == list(range(20))
+    assert reader.warnings == ()
+
+
+def test_a_variable_rate_keeps_the_cameras_grid(tmp_path):
+    rng = np.random.default_rng(1)
+    keep = np.sort(np.concatenate([[0, 1, 2, 3], 4 + rng.choice(295, 230, replace=False)]))
+    numbers, reader = read(film(tmp_path / "a.mp4", keep.tolist()))
+    assert numbers == keep.tolist()
+    np.testing.assert_array_equal(frame_numbers(reader.pts_seconds()), keep - keep[0])
+    (warning,) = reader.warnings
+    missing = keep[-1] + 1 - len(keep)
+    assert f"{missing} missing frames" in warning
+
+
+def test_slow_motion_is_timed_by_the_cameras_tag_and_never_by_the_container(tmp_path):
+    tag = {"com.android.capture.fps": "1000"}
+    tagged = probe(film(tmp_path / "t.mp4", range(30), 25, metadata=tag, movflags="use_metadata_tags"))
+    rate = capture_rate(tagged)
+    assert (rate.fps, rate.source) == (1000.0, "tag of the camera")
+    assert any("25 fps" in text for text in rate.warnings)
+    with pytest.raises(VideoError, match="does not say at what rate"):
+        capture_rate(probe(film(tmp_path / "p.mp4", range(30), 25)))
+    assert capture_rate(probe(film(tmp_path / "f.mp4", range(30), 260))).source == "container"
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
+def test_a_copy_that_stopped_early_gives_its_frames_and_says_so(tmp_path, share):
+    path = film(tmp_path / "a.mp4", movflags="faststart")
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(share * len(whole))])
+    numbers, reader = read(path)
+    assert reader.info.frames_declared == 150
+    assert reader.decoded == len(numbers) < 150
+    assert numbers == list(range(len(numbers)))
+    assert any(f"declares 150 frames and {len(numbers)}" in text for text in reader.warnings)
+
+
+def test_a_copy_without_its_index_is_refused(tmp_path):
+    path = film(tmp_path / "a.mp4")
+    whole = path.read_bytes()
+    path.write_bytes(whole[: whole.rfind(b"moov") - 4])
+    with pytest.raises(VideoError, match="not a film") as caught:
+        probe(path)
+    assert "index" in caught.value.hint
+
+
+def test_damage_in_the_middle_costs_no_frame_before_it_and_none_of_the_later_groups(tmp_path):
+    path = film(tmp_path / "a.mp4")
+    with av.open(str(path)) as container:
+        spots = [(p.pos, p.size, p.pts, p.is_keyframe) for p in container.demux(video=0) if p.size]
+    base = min(pts for _, _, pts, _ in spots)
+    tick = sorted(pts for _, _, pts, _ in spots)[1] - base
+    position, size = next((pos, size) for pos, size, pts, _ in spots if (pts - base) // tick == 60)
+    data = bytearray(path.read_bytes())
+    data[position : position + size] = b"\xa5" * size
+    path.write_bytes(bytes(data))
+    numbers, reader = read(path)
+    assert numbers[:50] == list(range(50))
+    assert numbers[-75:] == list(range(75, 150))  # the group after the damaged one, and all that follow
+    assert reader.warnings != () or len(numbers) == 150
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("name", ["a.mp4", "a.mkv", "a.avi"])
+def test_another_reader_goes_on_behind_a_mark(tmp_path, name, threads):
+    path = film(tmp_path / name)
+    for stop in (1, 24, 25, 26, 77, 149, 150):
+        with Reader(path, threads) as reader:
+            for frame in reader:
+                if reader.decoded == stop:
+                    mark, stamps = reader.mark(frame), reader.stamps.tolist()
+                    break
+        with Reader(path, threads) as other:
+            frames = other.after(mark, stamps)
+            assert [number(frame) for frame in frames] == list(range(stop, 150))
+            assert other.decoded == 150
+            np.testing.assert_array_equal(other.pts_seconds(), read(path)[1].pts_seconds())
+
+
+def test_a_mark_of_another_film_is_not_found(tmp_path):
+    path = film(tmp_path / "a.mp4")
+    with Reader(film(tmp_path / "b.mp4", range(200, 350))) as reader:
+        frame = next(iter(reader))
+        mark, stamps = reader.mark(frame), reader.stamps.tolist()
+    with Reader(path) as other:
+        assert other.after(mark, stamps) is None
+
+
+@pytest.mark.parametrize("name", ["a.mp4", "a.mkv"])
+def test_frames_are_picked_by_their_stamps(tmp_path, name):
+    path = film(tmp_path / name)
+    stamps = read_raw_stamps(path)
+    wanted = [0, 24, 25, 74, 76, 149]
+    found = frames_at(path, [int(stamps[k]) for k in wanted])
+    assert [number(found[int(stamps[k])]) for k in wanted] == wanted
+    assert frames_at(path, [-12345]) == {}

@@ -1,0 +1,103 @@
+"""Every route against every wrong combination of headers: only the page's own requests get through."""
+
+import asyncio
+import itertools
+
+import pytest
+
+from gyrotrack.view.guard import Guard
+
+TOKEN, PORT = "secret-token", 4711
+ROUTES = (
+    "/",
+    "/api/state",
+    "/api/change",
+    "/api/rank",
+    "/api/frame",
+    "/api/colour",
+    "/api/profile",
+    "/api/quit",
+)
+HOSTS = {
+    "127.0.0.1:4711": True,
+    "localhost:4711": True,
+    "LOCALHOST:4711": True,
+    "evil.example:4711": False,
+    "127.0.0.1": False,
+    "127.0.0.1:4712": False,
+    "localhost:4711.evil.example": False,
+    None: False,
+}
+ORIGINS = {
+    None: True,
+    "http://127.0.0.1:4711": True,
+    "http://localhost:4711": True,
+    "https://127.0.0.1:4711": False,
+    "http://evil.example": False,
+    "null": False,
+}
+TOKENS = {TOKEN: True, "": False, "wrong": False, None: False, TOKEN + "x": False}
+
+
+async def _behind(scope, receive, send):
+    await send({"type": "http.response.start", "status": 200, "headers": []})
+    await send({"type": "http.response.body", "body": b"let in"})
+
+
+def _ask(path, headers, *, method="GET", query=b"", kind="http"):
+    sent = []
+
+    async def send(message):
+        sent.append(message)
+
+    async def receive():
+        return {"type": "http.request", "body": b""}
+
+    scope = {
+        "type": kind,
+        "method": method,
+        "path": path,
+        "query_string": query,
+        "headers": [(k.encode(), v.encode()) for k, v in headers if v is not None],
+    }
+    asyncio.run(Guard(_behind, PORT, TOKEN)(scope, receive, send))
+    return sent
+
+
+@pytest.mark.parametrize("path", ROUTES)
+def test_only_the_right_combination_gets_through(path):
+    tried = 0
+    for (host, a), (origin, b), (token, c) in itertools.product(
+        HOSTS.items(), ORIGINS.items(), TOKENS.items()
+    ):
+        headers = [("host", host), ("origin", origin), ("x-gyrotrack-token", token)]
+        for method in ("GET", "POST"):
+            sent = _ask(path, headers, method=method)
+            assert (sent[0]["status"] == 200) is (a and b and c), (headers, method)
+            assert (sent[-1]["body"] == b"let in") is (a and b and c)
+            tried += 1
+    assert tried == 480
+
+
+def test_the_address_lets_the_page_in_and_nothing_else():
+    host = [("host", f"localhost:{PORT}")]
+    assert _ask("/", host, query=f"token={TOKEN}".encode())[0]["status"] == 200
+    assert _ask("/", host, query=b"token=wrong")[0]["status"] == 403
+    assert _ask("/", host, query=b"")[0]["status"] == 403
+    assert _ask("/", host, query=f"token={TOKEN}".encode(), method="POST")[0]["status"] == 403
+    assert _ask("/api/state", host, query=f"token={TOKEN}".encode())[0]["status"] == 403
+
+
+def test_two_hosts_and_sockets_are_refused():
+    twice = [("host", f"localhost:{PORT}"), ("host", "evil.example"), ("x-gyrotrack-token", TOKEN)]
+    assert _ask("/api/state", twice)[0]["status"] == 400
+    right = [("host", f"localhost:{PORT}"), ("x-gyrotrack-token", TOKEN)]
+    assert _ask("/api/state", right, kind="websocket") == [{"type": "websocket.close", "code": 1008}]
+
+
+def test_answers_may_not_be_framed_kept_or_guessed():
+    sent = _ask("/", [("host", f"localhost:{PORT}"), ("x-gyrotrack-token", TOKEN)])
+    headers = dict(sent[0]["headers"])
+    assert headers[b"x-frame-options"] == b"DENY"
+    assert headers[b"cache-control"] == b"no-store"
+    assert headers[b"x-content-type-options"] == b"nosniff"

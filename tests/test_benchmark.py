@@ -1,0 +1,219 @@
+"""The benchmark of discovery: physics against SciPy, oracle against differences, counting against known answers."""
+
+import json
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+HERE = Path(__file__).parents[1] / "benchmarks" / "discovery"
+if not HERE.is_dir():
+    pytest.skip("the benchmark is not part of a source package", allow_module_level=True)
+sys.path.insert(0, str(HERE))
+
+import experiment  # noqa: E402
+import hidden  # noqa: E402
+import judge  # noqa: E402
+import lines  # noqa: E402
+import plan  # noqa: E402
+import run  # noqa: E402
+import table  # noqa: E402
+
+LIBRARY_RUNS = [r for r in plan.plan(1, ("library",)) if r.strength == 0.01 and r.cases == 2]
+
+
+@pytest.mark.parametrize(
+    "name", ["bearing.heating", "touchpoint.step", "casing.asymmetry", "casing.precession", "bearing.drift"]
+)
+def test_the_integration_is_that_of_scipy(name):
+    drawn = np.random.default_rng(1)
+    case = experiment.CASES[1] | {"span": 4.0}
+    world = hidden.LIBRARY[name](4e-6, hidden.Draw.of(4.0, drawn, drawn))
+    torques = experiment.shake(4.0, 0.0, drawn)
+    motion = experiment.integrate(case, world, torques)
+    times = np.arange(0, 4, 0.0137)
+    y = [*case["start"], 0.0, 0.0] + [0.0] * (len(world.heating) + len(world.chirp))
+    rates = experiment.equations(case, world, torques)
+    exact = solve_ivp(rates, (0, 4), y, "DOP853", times, rtol=1e-12, atol=1e-12, max_step=0.01)
+    for body in (0, 1):
+        assert np.abs(motion.angle(times, body) - exact.y[2 + body]).max() < 1e-6
+
+
+def test_the_random_torque_has_its_size_and_its_memory():
+    step, casing, _ = experiment.shake(5e3, 1e-7, np.random.default_rng(3))
+    torque = np.array(casing)
+    lag = round(experiment.NOISE_TIME / step)
+    assert np.std(torque) == pytest.approx(1e-7, rel=0.07)
+    assert np.mean(torque[lag:] * torque[:-lag]) / np.var(torque) == pytest.approx(np.exp(-1), abs=0.05)
+
+
+def test_a_run_is_made_from_its_key_alone_and_no_two_are_alike():
+    everything = plan.plan(10)
+    assert len({r.key for r in everything}) == len(everything)
+    assert {n for r in everything for n in r.hidden} >= {*hidden.LIBRARY, *hidden.BASE, *hidden.OUTSIDE}
+    one, other = (
+        r for r in plan.plan(2, ("library",)) if r.key.startswith("library|touchpoint.step|0.01|1|0|")
+    )
+    again = plan.Planned("library", ("touchpoint.step",), 0.01, 1, 0.0, 0)
+    assert [w.truth for w in one.worlds()] == [w.truth for w in again.worlds()]
+    assert one.worlds()[0].truth["t0"] != other.worlds()[0].truth["t0"]
+    a, b = (r.records()[0]["casing"][1] for r in (one, again))
+    assert np.array_equal(a, b)
+
+
+def line(r, named, verdict="missing_effect", **more):
+    return {
+        "key": r.key,
+        "part": r.part,
+        "hidden": list(r.hidden),
+        "strength": r.strength,
+        "cases": r.cases,
+        "noise": r.noise,
+        "seed": r.seed,
+        "commit": "abc",
+        "date": "2026-01-01",
+        "verdict": verdict,
+        "named": named,
+        "kinds": ["physical"] * len(named),
+        "sigma": [[100.0, 50.0, 20.0]],
+        "seconds": [1.0, 2.0],
+        "added": None,
+        **more,
+    }
+
+
+def known(r):
+    """Answer wrongly for each effect of the bearing, by a class for the rotor's, and by the twin for windage."""
+    name = r.hidden[0]
+    if name.startswith("bearing."):
+        return line(r, [], "adequate")
+    if name.startswith("rotor."):
+        return line(r, ["casing.air.laminar", name])
+    parameters = [
+        ["x.k@case1", 1.0, 0.1, 1.05, -0.5],
+        ["x.k@case2", 1.0, 0.1, 1.5, -5.0],
+        ["x.t0", 3.0, 1.0, 3.0, 0.0],
+    ]
+    good = {"chi2": [1.0, 1.05], "held": [1.0, 1.2], "parameters": parameters}
+    return line(r, ["bearing.load" if name == "casing.windage" else name], added=good)
+
+
+def measured(text, start):
+    return next(row.split("|")[3].strip() for row in text.splitlines() if row.startswith(f"| {start}"))
+
+
+def test_known_answers_give_known_rates(tmp_path):
+    path = tmp_path / "lines.jsonl"
+    runs = [r for r in LIBRARY_RUNS if r.noise == 0]
+    for found in run.work(runs, 2, 60.0, known, ThreadPoolExecutor):
+        lines.append(path, found)
+    text = table.page(lines.read_lines(path), [], [])
+    names = [r.hidden[0] for r in runs if r.hidden[0] != "external.constant"]
+    bearing = sum(n.startswith("bearing.") for n in names)
+    rotor = sum(n.startswith("rotor.") for n in names)
+    first = len(names) - bearing - rotor
+    assert f"({first} of {len(names)};" in measured(text, "right first, two recordings, 1 %, no torque")
+    assert f"({len(names) - bearing} of {len(names) - bearing};" in measured(text, "in the class")
+    assert f"({first} of {first};" in measured(text, "after adding it: reduced chi2")
+    assert f"(0 of {first};" in measured(text, "after adding it: held-out")
+    # external.constant is right, too, and has a strength
+    assert f"({first + 1} of {2 * first + 2};" in measured(
+        text, "95 % intervals of the added effect's strength"
+    )
+    assert "1, 1, 1; 100 %; 50" in text
+
+
+def test_what_is_done_is_not_done_again_and_a_torn_line_is(tmp_path):
+    path = tmp_path / "lines.jsonl"
+    for r in LIBRARY_RUNS[:3]:
+        lines.append(path, known(r))
+    lines.append(path, {"key": LIBRARY_RUNS[3].key, "error": "ValueError: no"})
+    with path.open("a") as stream:
+        stream.write('{"key":"libr')
+    lines.append(path, known(LIBRARY_RUNS[4]))
+    done = {x["key"] for x in lines.read_lines(path) if "error" not in x}
+    assert done == {r.key for r in (*LIBRARY_RUNS[:3], LIBRARY_RUNS[4])}
+    assert run.guarded(lambda r: 1 / 0, LIBRARY_RUNS[0])["error"].startswith("ZeroDivisionError")
+
+
+def test_other_parts_are_counted(tmp_path):
+    def asked(part, **more):
+        return [line(r, **more) for r in plan.plan(1, (part,)) if r.cases == 2 and r.noise == 0]
+
+    pair = next(r for r in plan.plan(1, ("pair",)))
+    a, b = pair.hidden
+    sigma = {"sigma": [[9.0, 9.0, 9.0]] * 2}
+    empty = asked("nothing", named=[], verdict="adequate")
+    empty[0] |= {"verdict": "unexplained"}
+    faults = asked("fault", named=["casing.windage"])
+    faults[0] |= {"named": ["casing.windage", faults[0]["hidden"][0]]}
+    outside = asked("outside", named=["casing.windage"])
+    outside[0] |= {"named": ["casing.windage", "bearing.load"]}
+    outside[1] |= {"verdict": "unexplained"}
+    pairs = [
+        line(pair, [b, a], **sigma) | {"key": "1"},
+        line(pair, [a, "setup.inertia", b], **sigma) | {"key": "2"},
+        line(pair, [a], **sigma) | {"key": "3"},
+    ]
+    text = table.page([*empty, *faults, *outside, *pairs], [], [])
+    assert f"(1 of {len(empty)};" in measured(text, "false alarm, nothing hidden, no torque")
+    assert f"({len(faults) - 1} of {len(faults)};" in measured(text, "a fault of measuring sold")
+    assert f"(2 of {len(outside)};" in measured(text, "from outside the library")
+    assert "(1 of 3;" in measured(text, "two effects at once")
+
+
+def test_shares_have_their_intervals():
+    none = judge.Share([False] * 30)
+    assert none.interval == pytest.approx((0.0, 0.1157), abs=1e-4)
+    assert str(judge.Share([True, False, True, True])) == "75 % (3 of 4; 19-99 %)"
+
+
+@pytest.mark.slow
+def test_the_oracle_sees_the_difference_that_the_effect_makes():
+    """Whole size in sigma: angles with the effect minus angles without, over the noise, sample by sample."""
+    from oracle import Oracle
+
+    from fitting.effects import REDUCED
+    from fitting.estimation import fit
+    from fitting.model import Model
+    from fitting.record import make_record
+
+    case, rng = experiment.CASES[0], np.random.default_rng
+    drawn = hidden.Draw.of(case["span"], rng(1), rng(2))
+    plain = experiment.record(case, experiment.Hidden(), torque_noise=0, rng=rng(5), label="case1")
+    base = fit(Model.of(REDUCED), [make_record(**plain)])
+    oracle = Oracle(base, 0.0)
+    without = experiment.run(case, experiment.Hidden(), torque_noise=0, rng=rng(5))
+    for name in ("casing.air.quadratic", "touchpoint.step", "bearing.heating", "casing.precession"):
+        world = hidden.LIBRARY[name](1e-10, drawn)
+        made = experiment.run(case, world, torque_noise=0, rng=rng(5))
+        difference = [made.casing - without.casing]
+        difference += [p - q for p, q in zip(made.rotor, without.rotor, strict=True)]
+        whole = np.linalg.norm(np.concatenate(difference)) / experiment.SIGMA
+        seen = oracle.reach(name, [world])
+        # rows are in units of the noise that was measured, which is right to a few hundredths
+        assert seen.whole == pytest.approx(whole, rel=0.03), name
+        assert seen.beside_rival <= seen.beside_base <= seen.whole
+
+
+@pytest.mark.slow
+def test_the_command_runs_a_part_of_the_plan_once(tmp_path):
+    path = tmp_path / "lines.jsonl"
+    words = ["--seeds", "1", "--only", "library|casing.air.quadratic|0.03|1|0|", "-o", str(path)]
+    for printed in (1, 0):
+        done = subprocess.run(
+            [sys.executable, HERE / "run.py", *words], capture_output=True, text=True, check=True
+        )
+        assert len(done.stdout.splitlines()) == printed
+    (found,) = [json.loads(row) for row in path.read_text().splitlines()]
+    assert found["named"][0] == "casing.air.quadratic"
+    assert judge.right_first(found)
+    assert judge.in_reach(found)
+    assert judge.chi2_good(found)
+    assert judge.held_good(found)
+    (pull,) = judge.pulls(found)
+    assert abs(pull) < 4
