@@ -36,7 +36,6 @@ _RUNS = 8
 _STRETCHES = 6
 _SLOW_TORQUES = 4
 _TIMES = (1 / 800, 1 / 400, 1 / 200, 1 / 100, 1 / 50, 1 / 20)
-_TIMES_BETWEEN = 81
 # standard deviations by which the correlation time is taken longer than its best value
 _CAUTION = 0.5
 _LEVELS = np.concatenate([[0.0], np.geomspace(0.03, 3e5, 57)])
@@ -130,21 +129,19 @@ def estimate_noise(responses: Sequence[TorqueResponse], residuals: Sequence[Arra
 
 
 def _cautious_time(times: Sequence[float], likelihood: Sequence[float]) -> float:
-    """Return the correlation time: the mean of its logarithm under the likelihood, and half its spread more.
+    """Return the correlation time: the top of a parabola in its logarithm, and half its standard deviation more.
 
     What lasts longer than a few seconds is told by its fast tail only: any longer time fits as well then,
     and stands for far more of the slow torque that a missing effect would be mistaken for.
     """
-    from scipy.interpolate import PchipInterpolator
-
-    x = np.log(np.array(times))
-    fine = np.linspace(x[0], x[-1], _TIMES_BETWEEN)
-    curve = np.asarray(PchipInterpolator(x, np.array(likelihood))(fine))
-    weight = np.exp(curve - curve.max())
-    weight /= weight.sum()
-    mean = float(weight @ fine)
-    spread = float(np.sqrt(weight @ (fine - mean) ** 2))
-    return float(np.exp(min(mean + _CAUTION * spread, x[-1])))
+    x, y = np.log(np.array(times)), np.array(likelihood)
+    i = int(np.clip(np.argmax(y), 1, len(x) - 2))
+    near = slice(i - 1, i + 2)
+    bend, slope, _ = np.polyfit(x[near] - x[i], y[near], 2)
+    if bend >= 0:
+        return float(times[int(np.argmax(y))])
+    top, spread = -slope / (2 * bend), np.sqrt(-0.5 / bend)
+    return float(np.exp(np.clip(x[i] + top + _CAUTION * spread, x[0], x[-1])))
 
 
 class TorqueResponse:

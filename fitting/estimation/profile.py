@@ -25,7 +25,7 @@ LEVEL = 0.95
 _QUANTILE = 3.841459
 _NEAR = 0.02
 _STEPS = 20
-_PATIENCE = 60
+_PATIENCE = 300
 # a parameter is weakly known if its error is more than this share of it
 _WEAK = 0.3
 

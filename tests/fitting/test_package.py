@@ -219,13 +219,14 @@ def test_figures_of_merit_from_scratch():
     assert case.casing.r2 == pytest.approx(
         1 - np.sum(error**2) / np.sum((omega - omega.mean()) ** 2), rel=1e-12
     )
-    # angles: a constant start angle is free; once- and twice-a-turn artefacts take six more of 52,000
+    # angles: a constant start angle is free; once- and twice-a-turn artefacts take six more of 52,000. The level of
+    # the noise is that of its slow end, some 900 numbers, known to 2.4 %
     samples = found.problem.data[0].record.casing
     angle = Sampler(path.mesh, samples.time).integral(*path.angle("omega_c"))
     left = samples.value - angle
     scale = found.noise[0].scale * samples.sigma
     chi2 = np.sum(((left - left.mean()) / scale) ** 2) / len(left)
-    assert case.casing.reduced_chi2 == pytest.approx(chi2, rel=0.02)
+    assert case.casing.reduced_chi2 == pytest.approx(chi2, rel=0.06)
 
 
 def test_one_case_or_a_list():
