@@ -217,3 +217,15 @@ def test_the_command_runs_a_part_of_the_plan_once(tmp_path):
     assert judge.held_good(found)
     (pull,) = judge.pulls(found)
     assert abs(pull) < 4
+
+
+@pytest.mark.slow
+def test_the_score_is_what_the_oracle_foresaw():
+    """With random torque: the root of the score of the hidden effect has its size in sigma as mean, and spread 1."""
+    from answer import answer
+
+    found = answer(plan.Planned("library", ("casing.windage",), 0.03, 2, plan.NOISE, 0))
+    score = max(row[2] for row in found["ranked"] if row[0] in hidden.twins("casing.windage"))
+    assert found["sigma"][0][1] > 8
+    assert abs(np.sqrt(score) - found["sigma"][0][1]) < 4
+    assert found["base"]["level"] == pytest.approx(plan.NOISE, rel=0.5)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import time
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
@@ -31,7 +32,7 @@ def answer(run: Planned) -> dict[str, Any]:
     -------
     dict
         ``named``: the effects that the answer names, the first one first, empty for "adequate".
-        ``ranked``: the best candidates as [name, kind, score, delta_bic, p, refitted].
+        ``ranked``: the best candidates, and the hidden one, as [name, kind, score, delta_bic, p, refitted].
         ``added``: the parameters of the first as [name, value, stderr, truth, (value - truth) / stderr], and its
         refit's ``chi2`` and ``held`` for each casing, and ``verdict``.
         ``sigma``: the size of each hidden effect: whole, beside the base, and beside base and nearest ``rival``.
@@ -59,7 +60,7 @@ def answer(run: Planned) -> dict[str, Any]:
     began = time.process_time()
     if run.part == "pair":
         rungs = improve(base)
-        line |= _ladder(rungs, base_names)
+        line |= _ladder(rungs, base_names, run)
     else:
         line |= _answered(diagnose(base), run)
     return line | {"seconds": [*seconds, time.process_time() - began]}
@@ -84,9 +85,15 @@ def _answered(found: Diagnosis, run: Planned) -> dict[str, Any]:
         "verdict": found.verdict,
         "named": named,
         "kinds": [LIBRARY[n].kind for n in named],
-        "ranked": [_row(c) for c in found.candidates[:_KEPT]],
+        "ranked": _ranked(found.candidates, run),
         "added": _added(chosen, run) if chosen else None,
     }
+
+
+def _ranked(candidates: Sequence[Candidate], run: Planned) -> list[list[Any]]:
+    """Return the first candidates, and those that are right wherever they stand."""
+    right = frozenset().union(*(twins(h) for h in run.hidden))
+    return [_row(c) for i, c in enumerate(candidates) if i < _KEPT or c.effect.name in right]
 
 
 def _row(c: Candidate) -> list[Any]:
@@ -109,7 +116,7 @@ def _added(chosen: Candidate, run: Planned) -> dict[str, Any]:
     return {"name": chosen.effect.name, "parameters": rows, **refit}
 
 
-def _ladder(rungs: list[Rung], base_names: list[str]) -> dict[str, Any]:
+def _ladder(rungs: list[Rung], base_names: list[str], run: Planned) -> dict[str, Any]:
     final = [n for n in rungs[-1].fit.model.names if n not in base_names]
     if not final:
         verdict = "adequate" if rungs[-1].fit.verdict == "adequate" else "unexplained"
@@ -121,7 +128,7 @@ def _ladder(rungs: list[Rung], base_names: list[str]) -> dict[str, Any]:
         "kinds": [LIBRARY[n].kind for n in final],
         "added": None,
         "rungs": [{"change": r.change, **quality(r.fit), "bic": r.fit.bic - rungs[0].fit.bic} for r in rungs],
-        "ranked": [_row(c) for c in rungs[0].candidates[:_KEPT]],
+        "ranked": _ranked(rungs[0].candidates, run),
     }
 
 

@@ -1,7 +1,7 @@
 """The plain way: Radau at rtol 1e-8, finite differences, SciPy's least squares or lmfit, every sample a residual.
 
-Same data, same noise (white), same free phases, same well-scaled variables as the program's: torque T1 and curvature K
-at 400 rad/s in place of d and f.
+Same data, same noise (white), same free phases and camera artefacts, same well-scaled variables as the program's:
+torque T1 and curvature K at 400 rad/s in place of d and f.
 """
 
 from __future__ import annotations
@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
+
+from fitting.case_data import camera_columns
 
 REFERENCE = 400.0
 # a2, b1, b2, T1, K, g, omega_r, omega_c
@@ -24,6 +26,8 @@ class Baseline:
         times = [record.casing.time, *(w.time for w in record.rotor)]
         self.every, self.where = np.unique(np.concatenate(times), return_inverse=True)
         self.ends = np.cumsum([len(t) for t in times])[:-1]
+        ones = np.ones((len(record.casing), 1))
+        self.free = np.linalg.qr(np.concatenate([ones, camera_columns(record.casing)], axis=1))[0]
 
     def integrate(self, x):
         a2, b1, b2, t1, curvature, g, wr, wc = x * SCALE
@@ -56,18 +60,14 @@ class Baseline:
             samples = self.record.casing if k == 0 else self.record.rotor[k - 1]
             model = np.full(len(where), 1e6) if y is None else y[3 if k == 0 else 2][where]
             r = (model - samples.value) / samples.sigma
-            # the phase of each run is free: its best value is the weighted mean
-            parts.append(r - r.mean())
+            # the phase of each run is free, and so are the casing's camera artefacts
+            parts.append(r - (self.free @ (self.free.T @ r) if k == 0 else r.mean()))
         return np.concatenate(parts)
 
     def scipy(self, start):
-        """Return variables, chi2 and covariance by SciPy's trust-region least squares."""
-        found = least_squares(self.residuals, start, method="trf", x_scale="jac", ftol=1e-10, xtol=1e-10)
-        return (
-            found.x * SCALE,
-            2 * found.cost,
-            np.linalg.inv(found.jac.T @ found.jac) * np.outer(SCALE, SCALE),
-        )
+        """Return variables and chi2 by SciPy's trust-region least squares."""
+        found = least_squares(self.residuals, start, method="trf", diff_step=1e-6, ftol=1e-10, xtol=1e-10)
+        return found.x * SCALE, 2 * found.cost
 
     def lmfit(self, start):
         """Return variables and chi2 by lmfit's Levenberg-Marquardt, finite differences too."""
@@ -83,6 +83,7 @@ class Baseline:
             method="leastsq",
             ftol=1e-10,
             xtol=1e-10,
+            epsfcn=1e-12,
         )
         return np.array([found.params[n].value for n in names]) * SCALE, float(found.chisqr)
 

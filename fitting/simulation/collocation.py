@@ -156,7 +156,7 @@ class Sampler:
         return np.asarray(starts[self.index] + np.einsum("tk,tk...->t...", self._integral, nodes[self.index]))
 
 
-def glide(dynamics: Dynamics, numbers: Mapping[str, float], first: Path, *, refined: bool = True) -> Path:
+def glide(dynamics: Dynamics, numbers: Mapping[str, float], first: Path) -> Path:
     """Solve the equations of motion for one sense of the casing's motion, from a guess near enough.
 
     Parameters
@@ -167,29 +167,32 @@ def glide(dynamics: Dynamics, numbers: Mapping[str, float], first: Path, *, refi
         Parameters by key, and both inertias [kg m2].
     first : Path
         The guess; its mesh is where the search begins, its first edge the start.
-    refined : bool
-        Halve intervals until the solution is resolved; otherwise leave the mesh as it is.
 
     Raises
     ------
     SimulationError
         If Newton's method does not converge or the states leave the finite numbers.
     """
+    return refine(dynamics, numbers, settle(dynamics, numbers, first))
+
+
+def refine(dynamics: Dynamics, numbers: Mapping[str, float], path: Path) -> Path:
+    """Halve the intervals of a solution until it is resolved."""
     for _ in range(40):
-        path = _newton(dynamics, numbers, first)
         rough = _unresolved(path)
-        if not refined or not rough.any():
+        if not rough.any():
             return path
         edges = path.mesh.edges
         if len(edges) + rough.sum() > _MAX_INTERVALS:
             break
         middle = 0.5 * (edges[1:] + edges[:-1])[rough]
         mesh = Mesh(np.sort(np.concatenate([edges, middle])))
-        first = transfer(path, mesh, path.edges[0], path.sense[0])
+        path = settle(dynamics, numbers, transfer(path, mesh, path.edges[0], path.sense[0]))
     raise SimulationError("the equations of motion change too sharply to be integrated")
 
 
-def _newton(dynamics: Dynamics, numbers: Mapping[str, float], first: Path) -> Path:
+def settle(dynamics: Dynamics, numbers: Mapping[str, float], first: Path) -> Path:
+    """Solve the collocation equations on the mesh of a guess, by Newton's method."""
     mesh, sense = first.mesh, first.sense[:, None]
     times, half = mesh.times, mesh.half
     y, edges = first.y.copy(), first.edges.copy()

@@ -19,7 +19,17 @@ from numpy.typing import NDArray
 
 from fitting.errors import SimulationError
 from fitting.model import Dynamics
-from fitting.simulation.collocation import UNBOUNDED, Mesh, Path, Sampler, glide, march, transfer
+from fitting.simulation.collocation import (
+    UNBOUNDED,
+    Mesh,
+    Path,
+    Sampler,
+    glide,
+    march,
+    refine,
+    settle,
+    transfer,
+)
 
 Array = NDArray[np.float64]
 
@@ -133,10 +143,10 @@ class _Run:
         """Return the path until the casing comes to rest, or to the end of the mesh."""
         path = self._rough(start, mesh, sense, guess)
         if not self.dynamics.dry:
-            return glide(self.dynamics, self.numbers, path)
+            return refine(self.dynamics, self.numbers, path)
         stop = _first_crossing(path)
         if stop is None:
-            path = glide(self.dynamics, self.numbers, path)
+            path = refine(self.dynamics, self.numbers, path)
             stop = _first_crossing(path)
             if stop is None:
                 return path
@@ -146,11 +156,11 @@ class _Run:
         if guess is not None:
             try:
                 first = transfer(guess, mesh, start, sense)
-                return glide(self.dynamics, self.numbers, first, refined=False)
+                return settle(self.dynamics, self.numbers, first)
             except SimulationError:
                 pass
         first = march(self.dynamics, self.numbers, start, mesh, sense)
-        return glide(self.dynamics, self.numbers, first, refined=False)
+        return settle(self.dynamics, self.numbers, first)
 
     def _until_rest(self, path: Path, mesh: Mesh, stop: float) -> Path:
         sense, first = float(path.sense[0]), float(mesh.edges[0])
@@ -177,7 +187,7 @@ class _Run:
     def held(self, start: Array, mesh: Mesh, guess: Path | None) -> Path:
         """Return the path until friction no longer holds the casing, or to the end of the mesh."""
         path = self._rough(start, mesh, 0.0, None if guess is None else _at_rest(guess))
-        path = glide(self.dynamics, self.numbers, path)
+        path = refine(self.dynamics, self.numbers, path)
         time = self._release(path)
         if time is None:
             return path

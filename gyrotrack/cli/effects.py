@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -79,7 +80,7 @@ def _page(e: Effect) -> str:
         lines.append(f"  d({e.state.symbol})/dt = {e.state.rate}")
     lines += [f"  {p.symbol:<7}[{p.unit}]  {p.meaning}" for p in e.parameters]
     if e.signature:
-        lines.append(f"  seen as: {e.signature}")
+        lines += textwrap.wrap(f"  seen as: {e.signature}", 79, subsequent_indent="    ")
     if e.confused_with:
         lines.append(f"  looks like: {', '.join(e.confused_with)}")
     if e.source:

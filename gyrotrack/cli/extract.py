@@ -157,20 +157,30 @@ class _Task:
             if resume:
                 out.note(_resumed(journal, taken))
             start = perf_counter()
-            with out.progress(f"tracking {self.video.name}", "frames") as progress:
-                recording = pipeline.extract(
-                    self.video,
-                    self.profile,
-                    capture_fps=self.capture_fps,
-                    body=self.body,
-                    progress=progress,
-                    journal=journal,
-                )
+            try:
+                recording = self._tracked(out, journal)
+            except KeyboardInterrupt:
+                if kept := pipeline.frames_kept(journal):
+                    out.note(f"{kept} frames are kept; the same command with --resume goes on from there")
+                raise
             fps = (recording.frames_decoded - taken) / max(perf_counter() - start, 1e-9)
             command, settings = command_line(), self.settings
             write_recording(self.target, recording, command=command, settings=settings, force=force)
             journal.discard()
         return recording, fps
+
+    def _tracked(self, out: Output, journal: Journal) -> Recording:
+        from gyrotrack import pipeline
+
+        with out.progress(f"tracking {self.video.name}", "frames") as progress:
+            return pipeline.extract(
+                self.video,
+                self.profile,
+                capture_fps=self.capture_fps,
+                body=self.body,
+                progress=progress,
+                journal=journal,
+            )
 
 
 def _resumed(journal: Journal, taken: int) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from fitting.diagnosis import ResidualTorque
     from fitting.discovery import Diagnosis
     from fitting.estimation import Fit
     from fitting.estimation.prediction import Predicted
@@ -68,6 +69,7 @@ def diagnosis_tables(d: Diagnosis, fit_id: str) -> list[str]:
                 f"  {f.label[:9]:<10}{f.body:<8}{time:>16}"
                 f"{f.residual_torque_Nm:>14.2g}{f.residual_rad_s:>15.2g}{f.size_sigma:>7.0f}"
             )
+        lines += _curves(d)
     shown = [c for c in d.candidates if c.score > 0][:_CANDIDATES]
     if shown:
         lines += ["", "what would mend it:", f"  {'effect':<28}{'score':>9}{'dBIC':>9}{'p':>9}  class"]
@@ -83,6 +85,30 @@ def diagnosis_tables(d: Diagnosis, fit_id: str) -> list[str]:
     if d.next_experiment:
         lines += ["", *_wrapped(f"next experiment: {d.next_experiment}")]
     return ["\n".join(lines)]
+
+
+def _curves(d: Diagnosis) -> list[str]:
+    """Return the torque that the casing lacks in each case as one line, and below it where the model fails."""
+    from gyrotrack.cli.sparkline import marks, sparkline
+
+    lines = []
+    for t in d.torques:
+        stretches = [(f.t_start, f.t_stop) for f in d.failures if f.label == t.label and f.body == t.body]
+        if t.body != "casing" or not stretches:
+            continue
+        start, stop = float(t.time[0]), float(t.time[-1])
+        label = f", {t.label[:12]}" if len({x.label for x in d.torques}) > 1 else ""
+        lines += [
+            "",
+            f"missing torque on the casing{label}, {_range(t)}, from {start:.0f} s to {stop:.0f} s:",
+            f"  {sparkline(t.torque)}",
+            f"  {marks(stretches, start, stop)}".rstrip() + "  fails",
+        ]
+    return lines
+
+
+def _range(t: ResidualTorque) -> str:
+    return f"{t.torque.min():.2g} to {t.torque.max():.2g} N m"
 
 
 def _classes(candidates: Sequence[Any]) -> dict[str, str]:
@@ -111,7 +137,8 @@ def ladder_tables(rungs: Sequence[dict[str, Any]]) -> list[str]:
         )
     lines += [
         "",
-        "rmse of the casing's speed [rad/s]; held-out error in units of the noise (1 is as good as can be)",
+        "rmse of the casing's speed [rad/s];",
+        "held-out error in units of the noise (1 is as good as can be)",
     ]
     return ["\n".join(lines)]
 

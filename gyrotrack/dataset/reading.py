@@ -18,6 +18,7 @@ from gyrotrack.dataset.case import load_case
 from gyrotrack.dataset.guard import guarded
 from gyrotrack.dataset.recording import load_json, load_recording
 from gyrotrack.dataset.records import Case, Recording
+from gyrotrack.dataset.seal import is_broken
 from gyrotrack.dataset.tables import attribute
 from gyrotrack.errors import DatasetError
 
@@ -81,6 +82,8 @@ def open_dataset(path: Path, kind: str | None = None) -> Iterator[Any]:
     """
     path = Path(path)
     _check_signature(path)
+    if is_broken(path):
+        raise DatasetError(f"{path} is damaged: its checksum is not that of its contents.", _MAKE_AGAIN)
     try:
         file = h5py.File(path, "r")
     except OSError as error:

@@ -16,6 +16,7 @@ from typing import Any, BinaryIO
 import h5py
 
 from gyrotrack.dataset.locking import busy, is_at, lock, refusal, remove
+from gyrotrack.dataset.seal import sealed
 from gyrotrack.errors import OutputError
 
 LIBVER = ("v110", "v110")  # metadata carry checksums from this layout on
@@ -36,6 +37,7 @@ def new_hdf5(path: Path, *, force: bool = False) -> Iterator[Any]:
             file.flush()
             image = file.id.get_file_image()
         stream.write(image)
+        stream.write(sealed(image))
 
 
 @contextmanager

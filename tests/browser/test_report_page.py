@@ -18,7 +18,7 @@ def report(case, tmp_path_factory):
 
 
 @pytest.fixture(params=[1280, 800])
-def visit(report, chromium, request):
+def visit(chromium, report, request):
     found = Visit(chromium, width=request.param)
     found.page.goto(report.as_uri())
     yield found.page

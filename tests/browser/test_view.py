@@ -55,7 +55,7 @@ class Server:
 
 
 @pytest.fixture(scope="module")
-def server(case, tmp_path_factory, chromium):
+def server(chromium, case, tmp_path_factory):
     found = Server(case, tmp_path_factory.mktemp("ledger") / "fits.json")
     yield found
     if found.process.poll() is None:
@@ -64,7 +64,7 @@ def server(case, tmp_path_factory, chromium):
 
 
 @pytest.fixture
-def visit(server, chromium):
+def visit(chromium, server):
     """A page of the workbench that stands at the first fit."""
     found = Visit(chromium)
     page = found.page
@@ -272,7 +272,7 @@ def test_plots_zoom_together(visit):
 
 
 @pytest.mark.slow
-def test_a_fit_is_kept_in_the_ledger_and_quitting_leaves_nothing_behind(case, chromium, tmp_path):
+def test_a_fit_is_kept_in_the_ledger_and_quitting_leaves_nothing_behind(chromium, case, tmp_path):
     ledger = tmp_path / "fits.json"
     server = Server(case, ledger)
     found = Visit(chromium, width=800)
@@ -298,7 +298,7 @@ def test_a_fit_is_kept_in_the_ledger_and_quitting_leaves_nothing_behind(case, ch
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_it_while_it_searches(case, chromium, tmp_path, sign):
+def test_a_signal_ends_it_while_it_searches(chromium, case, tmp_path, sign):
     server = Server(case, tmp_path / "fits.json")
     found = Visit(chromium)
     found.page.goto(server.url)

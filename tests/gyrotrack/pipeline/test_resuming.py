@@ -96,6 +96,18 @@ def test_a_journal_that_does_not_fit_the_film_is_started_anew(every_batch, casin
     np.testing.assert_array_equal(again.bodies["rotor"].angle, extract(rotor_clip[0]).bodies["rotor"].angle)
 
 
+def test_an_interrupted_command_says_how_to_go_on(every_batch, casing_clip, tmp_path, capsys, monkeypatch):
+    whole = extract
+
+    def interrupted(*words, **settings):
+        return whole(*words, **{**settings, "progress": stopping(256)})
+
+    monkeypatch.setattr("gyrotrack.pipeline.extract", interrupted)
+    assert run(["extract", str(casing_clip[0]), "-o", str(tmp_path / "o.h5")]) == 130
+    assert "256 frames are kept; the same command with --resume" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["o.h5.unfinished"]
+
+
 def repeated(source, target, times):
     """Write a film's packets over and over: as many frames as wanted, drawn once."""
     with av.open(str(source)) as film, av.open(str(target), "w") as longer:

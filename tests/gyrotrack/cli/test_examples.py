@@ -1,0 +1,83 @@
+"""The example that each command's help shows does what it says."""
+
+import inspect
+import re
+import shlex
+import shutil
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+from gyrotrack.cli.app import COMMANDS
+
+CLIPS = Path(__file__).parents[3] / "sample_clips"
+LONG = {"demo", "extract", "sync", "batch", "profile", "improve", "scan", "figures"}  # minutes, or films
+SERVED = {"view"}  # runs until it is stopped; it has tests of its own
+
+
+def example(entry):
+    """Return the words of the example in a command's help."""
+    (line,) = re.findall(r"Example: gyrotrack (.*)", inspect.getdoc(import_module(entry.module).command))
+    return shlex.split(line)
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory, simulated):
+    """A folder with all that the examples name: cases, tables, a seal."""
+    from gyrotrack.cli import app
+
+    folder = tmp_path_factory.mktemp("lab")
+    for name, kind in (("case1", "drag"), ("case2", "other")):
+        shutil.copy(simulated / f"{kind}.h5", folder / f"{name}.h5")
+        assert app.run(["fit", str(folder / f"{name}.h5"), "-q"]) == 0
+    words = ["simulate", "-o", str(folder / "case.h5"), "--hide", "--duration", "30", "--window-length", "1"]
+    assert app.run(words) == 0
+    assert app.run(["fit", str(folder / "case.h5"), "-q"]) == 0
+    rows = "".join(f"{i / 100},{3 * i / 100}\n" for i in range(300))
+    for name in ("casing.csv", "r1.csv", "r2.csv"):
+        (folder / name).write_text("t,angle\n" + rows)
+    return folder
+
+
+@pytest.mark.parametrize("entry", [e for e in COMMANDS if e.name not in LONG | SERVED], ids=lambda e: e.name)
+def test_the_example_runs(gyrotrack, lab, tmp_path, monkeypatch, entry):
+    shutil.copytree(lab, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    words = example(entry)
+    output = Path(words[words.index("-o") + 1]) if "-o" in words else None
+    if output is not None and output.exists():
+        output.unlink()
+    said = gyrotrack(*words)
+    assert said.code == 0, said.err
+    assert output is None or output.stat().st_size > 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["improve", "scan", "figures"])
+def test_a_long_example_runs(gyrotrack, lab, tmp_path, monkeypatch, name):
+    shutil.copytree(lab, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    (entry,) = [e for e in COMMANDS if e.name == name]
+    said = gyrotrack(*example(entry))
+    assert said.code == 0, said.err
+
+
+@pytest.mark.slow
+def test_the_examples_with_films_run(gyrotrack, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "sample_clips").symlink_to(CLIPS)
+    entries = {e.name: e for e in COMMANDS}
+    assert gyrotrack(*example(entries["demo"])).code == 0
+    shutil.copy(CLIPS / "rotor_1.mp4", tmp_path)
+    for name in ("extract", "profile"):
+        said = gyrotrack(*example(entries[name]))
+        assert said.code == 0, said.err
+    for name in ("casing", "rotor_2"):
+        shutil.copy(tmp_path / "gyrotrack_demo" / f"{name}.h5", tmp_path)
+    assert gyrotrack(*example(entries["sync"])).code == 0
+    films = tmp_path / "films"
+    films.mkdir()
+    for name in ("casing", "rotor_1"):
+        shutil.copy(CLIPS / f"{name}.mp4", films)
+    assert gyrotrack(*example(entries["batch"]), "--until", "sync").code == 0
