@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.estimation import Fit
+from fitting.estimation.problem import Projection
 
 Array = NDArray[np.float64]
 
@@ -39,7 +40,9 @@ def whiteness(fit: Fit) -> list[Whiteness]:
     from scipy.stats import chi2
 
     results = []
-    for data, project, p in zip(fit.problem.data, fit.problem.projections, fit.predictions, strict=True):
+    for data, n, p in zip(fit.problem.data, fit.noise, fit.predictions, strict=True):
+        # a level of noise that has swallowed what the model misses would whiten that too
+        project = Projection(data, n.whitener.at(n.pure))
         blocks, k, _ = data.casing.lift.shape
         rows = project(p.rows - data.z)[data.slices["casing"]].reshape(blocks, k)[:, :_POWERS]
         lags = min(_LAGS, blocks // 4)

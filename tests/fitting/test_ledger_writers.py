@@ -14,9 +14,13 @@ from fitting.ledger import Ledger
 import fitting.ledger as module
 
 class Found:
-    class problem: data = ()
+    class problem:
+        class data:
+            class record:
+                quantity, generated, digest, source = "angle", False, "0" * 64, ""
     class model: effects = ()
 
+Found.problem.data = (Found.problem.data,)
 module.fit_document = lambda found, fit_id: {"fit_id": fit_id, "model": [], "parameters": {}, "verdict": "x"}
 module.rung_document = lambda *a: {"by": sys.argv[2]}
 ledger = Ledger(Path(sys.argv[1]))
