@@ -20,8 +20,8 @@ LIMIT_S = 30.0
 LIMIT_MB = 1000.0
 
 
-def base_films(work):
-    """Films of 60 frames in four containers and three codecs, by the tests' own renderer."""
+def base_films(work, frames=60):
+    """Films of so many frames in four containers and three codecs, by the tests' own renderer."""
     spec = importlib.util.spec_from_file_location("foreign_film", ROOT / "tests/gyrotrack/foreign_film.py")
     module = importlib.util.module_from_spec(spec)
     sys.modules["foreign_film"] = module
@@ -35,7 +35,7 @@ def base_films(work):
                 width=240,
                 height=180,
                 radius=80.0,
-                frames=60,
+                frames=frames,
                 casing=lambda t: 60.0 * t,
                 rotor=lambda t: 300.0 * t,
             )

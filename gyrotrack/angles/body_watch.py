@@ -31,6 +31,8 @@ SEEN = 0.4
 """Share of one marker's height that the score of a direction must reach."""
 MARGIN = 0.05
 """By how much in rad a marker may lie beside its prediction."""
+LOOK_EVERY = 2
+"""Of so many frames one is looked at to see whether the body is where it was predicted."""
 SURE = 3.0
 """Standard deviations of a prediction that must fit into the margin."""
 _COVER_COLUMNS = 360
@@ -88,12 +90,12 @@ class BodyWatch:
             self._motion = self._motion_at(self._frame) or self._motion
             coarse = self._follow(self._searched(frames), advance)
             self._cut(frames, place, coarse)
-            found = self._refined(coarse, place)
+            found = self._refined(coarse, place + np.arange(len(frames)))
             if np.isnan(coarse).any():
                 self._prediction.forget()
+            self._prediction.note(number[:-1], *found)
         else:
             self._missed = int(np.argmax(found[1][::-1]))
-        self._prediction.note(number[:-1], *found)
         self._frame = int(number[-1])
         self._coarse[place : place + len(frames)] = found[0]
 
@@ -103,8 +105,13 @@ class BodyWatch:
         if prediction is None or SURE * prediction[1] > MARGIN:
             return None
         self._cut(frames, place, prediction[0])
-        angle, seen = self._refined(prediction[0], place)
-        return (angle, seen) if seen.mean() > 0.5 else None
+        few = np.arange(0, len(frames), LOOK_EVERY)
+        angle, seen = self._refined(prediction[0][few], place + few)
+        if seen.mean() <= 0.5:
+            return None
+        self._prediction.note(number[few], angle, seen)
+        off = float(np.median((angle - prediction[0][few])[seen]))
+        return prediction[0] + off, np.repeat(seen, LOOK_EVERY)[: len(frames)]
 
     def _motion_at(self, number: int) -> Motion | None:
         """Return the predicted motion at a frame in terms of `following`, when predictions were used so far."""
@@ -120,7 +127,7 @@ class BodyWatch:
             for k, (frame, angle) in enumerate(zip(frames, np.nan_to_num(coarse).tolist(), strict=True)):
                 take(frame, place + k, angle + mount)
 
-    def _refined(self, coarse: Floats, place: int) -> tuple[Floats, Mask]:
+    def _refined(self, coarse: Floats, place: Integers) -> tuple[Floats, Mask]:
         """Improve coarse angles by all coloured markers together: (n,) [rad], and where any of them is seen.
 
         A marker that is partly hidden stands out less, and counts with the eighth power of that.

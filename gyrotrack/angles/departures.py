@@ -173,21 +173,6 @@ class Departures:
                 near & ~c.open, curve_at(curve, np.nan_to_num(c.angle - other)), 0.0
             )
 
-    def leave_motion(self, half: int, degree: int) -> None:
-        """Take out of the learnt errors what all markers share and what is smooth in time.
-
-        When a turn takes nearly a whole number of frames, the places creep, and an error by place looks like a
-        slow motion and a slow motion like an error by place. It is then left in the motion.
-        """
-        total, weight = np.zeros(len(self.path)), np.zeros(len(self.path))
-        for name in self.candidates:
-            w = np.where(self.use[name], 1.0 / self.sigma(name) ** 2, 0.0)
-            total, weight = total + w * self.bias(name), weight + w
-        common = total / np.where(weight > 0, weight, 1.0)
-        slow, _ = local_fit(common, (weight > 0).astype(np.float64), half, degree)
-        for name in self.candidates:
-            self.by_place[name] = self.by_place[name] - np.nan_to_num(slow)
-
 
 def _scatter(off: Floats, otherwise: float) -> float:
     return max(spread(off), 1e-5) if np.isfinite(off).sum() >= 8 else otherwise

@@ -81,7 +81,6 @@ def join(
         state.learn_places(smooth)
         if other is not None:
             state.learn_neighbours(smooth, other)
-        state.leave_motion(half, degree)
     state.judge(*state.smooth(HALF_WINDOW))
     return _result(state, half, degree, floor)
 

@@ -9,10 +9,10 @@ Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
-MEMORY = 96
+MEMORY = 128
 """Sightings that are kept."""
 FEWEST = 16
-LONGEST_USE = 48
+LONGEST_USE = 96
 """Frames for which a fit is used before it is made anew."""
 LEAST_SCATTER = 1.5e-3
 """Scatter in rad of a coarse angle that is assumed at least."""
@@ -80,7 +80,7 @@ def _robust(rows: Floats, value: Floats, prior: Floats) -> tuple[Floats, Floats,
     """Fit a linear model without what lies far off: coefficients, inverse of the normal matrix, scatter."""
     weight = np.ones(len(value))
     scatter = SWING
-    for _ in range(4):
+    for _ in range(3):
         weighted = rows * weight[:, None]
         inverse = np.linalg.inv(weighted.T @ rows + np.diag(prior) * scatter**2)
         solution = inverse @ (weighted.T @ value)

@@ -101,6 +101,7 @@ def _sight(difference: Strips, ring: Ring, marker: MarkerProfile) -> Sighting | 
         outer=extent.outer,
         half_width=extent.half_width,
         contrast=(u, v),
+        foot=extent.foot,
         stay=_stay(angle, 1.3 * extent.half_width),
     )
     return Sighting(paper, angle, clear)

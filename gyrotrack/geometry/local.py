@@ -51,11 +51,27 @@ def local_fit(
     enough = held > degree + 2.5
     matrix[~enough] = np.eye(degree + 1)
     matrix += 1e-9 * np.maximum(s[0], 1e-12)[:, None, None] * np.eye(degree + 1)
-    first = np.zeros((n, degree + 1, 1))
-    first[:, 0, 0] = 1.0
-    row = np.linalg.solve(matrix, first)[:, :, 0]
+    row = _first_row_of_inverse(matrix)
     smooth = np.where(enough, (row * t).sum(axis=1), np.nan)
     return smooth, np.where(enough, row[:, 0] * bell[half], np.nan)
+
+
+def _first_row_of_inverse(matrix: Floats) -> Floats:
+    """Solve A x = (1, 0, ...) for many small symmetric positive definite matrices, (n, p, p), by elimination."""
+    p = matrix.shape[1]
+    a = np.ascontiguousarray(np.moveaxis(matrix, 0, 2))
+    right = np.zeros((p, a.shape[2]))
+    right[0] = 1.0
+    for k in range(p):
+        for i in range(k + 1, p):
+            part = a[i, k] / a[k, k]
+            a[i, k + 1 :] -= part * a[k, k + 1 :]
+            right[i] -= part * right[k]
+    for k in reversed(range(p)):
+        for j in range(k + 1, p):
+            right[k] -= a[k, j] * right[j]
+        right[k] /= a[k, k]
+    return right.T
 
 
 def spread(residual: Floats) -> float:

@@ -30,6 +30,8 @@ class Extent:
         Half its width in rad.
     lean : int
         Columns by which its middle lies beside the middle of the patch.
+    foot : float
+        Angle in rad from its middle to where it has fallen to a tenth of its height.
     """
 
     rows: npt.NDArray[np.bool_]
@@ -37,6 +39,7 @@ class Extent:
     outer: float
     half_width: float
     lean: int
+    foot: float = 0.0
 
     def core(self, columns: int, step: float) -> npt.NDArray[np.bool_]:
         """Return the pixels of a patch that lie well on the marker, (rows, columns)."""
@@ -66,16 +69,19 @@ def extent_of(patch: Floats, ring: Ring) -> Extent | None:
     if not rows.any():
         rows[int(np.argmax(along))] = True
     across = patch[rows].mean(axis=0)
-    left, right = half_maximum(across - min(float(np.median(across)), 0.3 * float(across.max())), middle)
+    across = across - min(float(np.median(across)), 0.3 * float(across.max()))
+    left, right = half_maximum(across, middle)
+    low, high = half_maximum(across, middle, 0.1)
     spacing = (ring.outer - ring.inner) / (ring.rows - 1)
     half_width = max(0.5 * (right - left), 0.5) * ring.step
     lean = round(0.5 * (left + right)) - middle
-    return Extent(rows, ring.inner + first * spacing, ring.inner + last * spacing, half_width, lean)
+    foot = 0.5 * (high - low) * ring.step
+    return Extent(rows, ring.inner + first * spacing, ring.inner + last * spacing, half_width, lean, foot)
 
 
-def half_maximum(curve: Floats, start: int) -> tuple[float, float]:
-    """Return where a curve falls to half of its height near `start`, on both sides of it."""
-    half = 0.5 * float(curve[max(start - 1, 0) : start + 2].max())
+def half_maximum(curve: Floats, start: int, part: float = 0.5) -> tuple[float, float]:
+    """Return where a curve falls to half (or another part) of its height near `start`, on both sides of it."""
+    half = part * float(curve[max(start - 1, 0) : start + 2].max())
     return start - _fall(curve[start::-1], half), start + _fall(curve[start:], half)
 
 

@@ -31,6 +31,8 @@ class Paper:
         Radii between which it lies, in px.
     half_width : float
         Half its width (with smear) as an angle at the centre, in rad.
+    foot : float
+        Angle from its middle to where nothing of it is seen any more, in rad.
     contrast : tuple of float
         Its difference from what lies around it: (U, V) for a colour, (Y, 0) for white, in grey levels.
     stay : float
@@ -46,6 +48,7 @@ class Paper:
     outer: float
     half_width: float
     contrast: tuple[float, float]
+    foot: float
     mount: float = 0.0
     stay: float = 0.0
 

@@ -72,9 +72,8 @@ class Strip:
         ring = Ring(centre, grid.inner, grid.outer, grid.rows, columns)
         self.slack = int(np.ceil(margin / ring.step)) + 1
         # Paper and smear of equal width make a triangle twice as wide at its foot as at half its height.
-        self.half = (
-            int(np.ceil((2.0 * paper.half_width + max(0.06, 4.0 * ring.step)) / ring.step)) + self.slack
-        )
+        foot = float(np.clip(paper.foot, 1.1 * paper.half_width, 2.0 * paper.half_width))
+        self.half = int(np.ceil((foot + max(0.06, 4.0 * ring.step)) / ring.step)) + self.slack
         self.half = min(self.half, (columns - 1) // 2)
         self.width = 2 * self.half + 1
         self.windows = np.zeros((capacity, ring.rows, self.width), dtype=np.float32)
@@ -85,7 +84,7 @@ class Strip:
         self.ring = ring
         self._grid = _Grid(ring, self.width, self.white, self._score.shape)
         self._ground = self._background(samples)
-        self._ground_mean = self._ground[self.rows].mean(axis=0)
+        self._ground_mean = self._ground[self._every_second].mean(axis=0)
 
     def aim(self, centre: tuple[float, float]) -> None:
         """Put the ring about another centre."""
@@ -102,6 +101,11 @@ class Strip:
     def rows(self) -> slice:
         """Rows that lie well on the paper, away from its near and far edge."""
         return slice(*self._rows)
+
+    @property
+    def _every_second(self) -> slice:
+        """Every second row of them, enough to find the paper by."""
+        return slice(*self._rows, 2)
 
     def _rows_on(self, ring: Ring) -> tuple[int, int]:
         edge = min(2.0, 0.15 * (self.paper.outer - self.paper.inner))
@@ -126,7 +130,7 @@ class Strip:
 
     def whole(self, frame: Frame) -> Singles:
         """Return the mean score over the rows of the paper in all directions, (columns,)."""
-        seen = self._unrolled(frame, self.rows)[:, : self.ring.columns].mean(axis=0)
+        seen = self._unrolled(frame, self._every_second)[:, : self.ring.columns].mean(axis=0)
         mean: Singles = seen - self._ground_mean[: self.ring.columns]
         return mean
 
@@ -138,19 +142,18 @@ class Strip:
         )
         return np.asarray(strip, dtype=np.float32)
 
-    def near(self, angle: Floats, first: int, reach: int) -> Floats:
-        """Return the mean score of the paper if it lay beside given angles (n,) [rad] in the frames from `first` on.
+    def near(self, angle: Floats, place: Integers, reach: int) -> Floats:
+        """Return the mean score of the paper if it lay beside given angles (n,) [rad] in frames of the batch.
 
         The columns are displacements by -`reach` to `reach` columns: (n, 2 reach + 1).
         """
-        last = first + len(angle)
-        profile = self.windows[first:last, self.rows].mean(axis=1) - self._under(first, last)
+        profile = self.windows[place, self._every_second].mean(axis=1) - self._under(place)
         half = max(int(self.paper.half_width / self.ring.step), 1)
         total = np.cumsum(np.pad(profile, ((0, 0), (1, 0))), axis=1, dtype=np.float64)
         box = (total[:, 2 * half + 1 :] - total[:, : -2 * half - 1]) / (2 * half + 1)
-        place = angle / self.ring.step - self.starts[first:last] + (self.half - half - reach)
-        low = np.clip(np.floor(place).astype(np.int64), 0, box.shape[1] - 2 * reach - 2)
-        part = np.clip(place - low, 0.0, 1.0)[:, None]
+        column = angle / self.ring.step - self.starts[place] + (self.half - half - reach)
+        low = np.clip(np.floor(column).astype(np.int64), 0, box.shape[1] - 2 * reach - 2)
+        part = np.clip(column - low, 0.0, 1.0)[:, None]
         cut = sliding_window_view(box, 2 * reach + 2, axis=1)[np.arange(len(angle)), low]
         found: Floats = (1.0 - part) * cut[:, :-1] + part * cut[:, 1:]
         return found
@@ -166,8 +169,8 @@ class Strip:
         under: Singles = sliding_window_view(self._ground, self.width, axis=1)[:, begin].transpose(1, 0, 2)
         return under
 
-    def _under(self, first: int, last: int) -> Singles:
-        begin = (self.starts[first:last] - self.half) % self.ring.columns
+    def _under(self, place: Integers) -> Singles:
+        begin = (self.starts[place] - self.half) % self.ring.columns
         found: Singles = sliding_window_view(self._ground_mean, self.width)[begin]
         return found
 

@@ -75,5 +75,6 @@ def _brightest(turned: Floats, ring: Ring, marker: MarkerProfile, others: list[S
         outer=extent.outer,
         half_width=extent.half_width,
         contrast=(contrast, 0.0),
+        foot=extent.foot,
         mount=float((column[0] + extent.lean) * ring.step),
     )

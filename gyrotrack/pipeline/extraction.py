@@ -10,9 +10,9 @@ import numpy as np
 from gyrotrack import __version__
 from gyrotrack.dataset.journal import Journal
 from gyrotrack.dataset.records import STATUS, Recording
-from gyrotrack.errors import TrackingError, UsageError
+from gyrotrack.errors import TrackingError, UsageError, VideoError
 from gyrotrack.geometry.acquisition import acquire
-from gyrotrack.geometry.samples import take_samples
+from gyrotrack.geometry.samples import FEWEST, take_samples
 from gyrotrack.geometry.scene import Scene
 from gyrotrack.pipeline.assembly import body_track, marker_track
 from gyrotrack.pipeline.joint import Joint, join_bodies
@@ -82,6 +82,10 @@ def extract(
     with single_threaded():
         scene = acquire(samples, profile, str(video))
         seen = watch(video, scene, samples, threads, progress, Notes(journal))
+    if len(seen.pts_time) < FEWEST:  # damage may leave fewer than the samples promised
+        raise VideoError(
+            f"only {len(seen.pts_time)} frames of {video} can be decoded", "copy it from the camera again"
+        )
     joint = join_bodies(seen, scene, profile, rate.fps)
     _check_bodies(joint, body, video)
     index = frame_numbers(seen.pts_time)

@@ -15,7 +15,7 @@ from gyrotrack.video import Frame, Mark, Reader
 
 Rows = dict[str, npt.NDArray[Any]]
 
-BATCHES = 8
+BATCHES = 2
 """Batches in a record of the journal: a kill costs at most the work on these."""
 _STATE, _STAMPS = "state:", "stamps"
 

@@ -21,8 +21,8 @@ Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 Progress = Callable[[int, int | None], None]
 
-BATCH = 128
-HOLD = 16
+BATCH = 512
+HOLD = 32
 """Frames that are kept at a time, so that a body that is not where it was predicted can be searched in them."""
 HELD_BYTES = 64_000_000
 _MOVE = 0.6

@@ -70,7 +70,9 @@ def planes_of(frame: Any, index: int, orientation: Orientation) -> Frame:
     pts = None if frame.pts is None else int(frame.pts)
     if frame.format.name not in _PLANAR_420:
         frame = frame.reformat(format="yuv420p")
-    y, u, v = (orientation.apply(_view(plane)) for plane in frame.planes)
+    y, u, v = map(_view, frame.planes)
+    if orientation.quarters or orientation.mirrored:
+        y, u, v = map(orientation.apply, (y, u, v))
     return Frame(index, pts, y, u, v, bool(getattr(frame, "is_corrupt", False)))
 
 
@@ -98,5 +100,4 @@ _ORIENTATIONS: dict[tuple[int, ...], Orientation] = {
 
 
 def _view(plane: Any) -> Plane:
-    rows = np.frombuffer(plane, dtype=np.uint8)[: plane.line_size * plane.height]
-    return rows.reshape(plane.height, plane.line_size)[:, : plane.width]
+    return np.ndarray((plane.height, plane.width), np.uint8, plane, 0, (plane.line_size, 1))

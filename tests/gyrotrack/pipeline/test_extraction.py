@@ -278,3 +278,20 @@ def test_a_mount_angle_in_the_profile_fixes_the_zero(casing_clip):
 def test_the_same_film_gives_the_same_numbers(casing_clip):
     one, two = (extract(casing_clip[0], threads=t).bodies["casing"].angle for t in (1, 2))
     np.testing.assert_array_equal(one, two)
+
+
+def test_a_film_of_which_less_is_left_than_its_samples_promise(casing_clip, monkeypatch):
+    """As after damage that one way of decoding survives and the other does not."""
+    from dataclasses import replace
+
+    from gyrotrack.pipeline import extraction
+
+    watched = extraction.watch
+
+    def damaged(*args):
+        seen = watched(*args)
+        return replace(seen, pts_time=seen.pts_time[:1])
+
+    monkeypatch.setattr(extraction, "watch", damaged)
+    with pytest.raises(VideoError, match="only 1 frames of"):
+        extract(casing_clip[0])

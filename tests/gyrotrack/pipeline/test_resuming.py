@@ -40,6 +40,7 @@ def content(path):
 @pytest.fixture
 def every_batch(monkeypatch):
     monkeypatch.setattr("gyrotrack.pipeline.notes.BATCHES", 1)
+    monkeypatch.setattr("gyrotrack.pipeline.watch.BATCH", 128)
 
 
 @pytest.mark.parametrize(("clip", "at"), [("casing_clip", 128), ("rotor_clip", 256)])

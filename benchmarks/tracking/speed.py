@@ -1,0 +1,175 @@
+"""How fast films are tracked, beside decoding alone and beside usual ways, and how much memory it takes.
+
+    python benchmarks/tracking/speed.py -o benchmarks/tracking/speed.md
+
+All arms run in turn, several times over, in one process and one thread; CPU time is compared, and the fastest turn of
+each counts. Start-up (finding the scene in a film) is told apart from the time a frame takes. See README.md for what
+has to be installed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import subprocess
+import sys
+import time
+import warnings
+from pathlib import Path
+
+for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(name, "1")
+os.environ["OPENCV_FFMPEG_CAPTURE_OPTIONS"] = "threads;1"
+
+import arms
+import cv2
+import numpy as np
+from clips import CAMERAS, film, repeated
+
+from gyrotrack.geometry.acquisition import acquire
+from gyrotrack.geometry.samples import take_samples
+from gyrotrack.profile import PAPER
+
+FRAMES = {"casing": 3000, "rotor": 2000}
+FEW = {"scikit-image regionprops": 12, "trackpy.locate": 4}
+_PEAK = """
+import resource, sys
+from pathlib import Path
+from gyrotrack.cli.app import run
+assert run(["extract", sys.argv[1], "-o", sys.argv[2], "-q", "--force", "--capture-fps", sys.argv[3]]) == 0
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+"""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--films", type=Path, default=Path.home() / ".cache" / "gyrotrack-benchmarks")
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--no-memory", action="store_true")
+    parser.add_argument(
+        "-o", "--output", type=Path, help="table (.md); a .json of the numbers stands beside it"
+    )
+    args = parser.parse_args()
+    cv2.setNumThreads(1)
+    results = {"commit": commit(), "machine": machine(), "clips": {}, "memory_mb": {}}
+    for clip, frames in FRAMES.items():
+        results["clips"][clip] = timed(clip, frames, args.films, args.rounds)
+        if not args.no_memory:
+            results["memory_mb"][clip] = peaks(clip, frames, args.films)
+    text = table(results)
+    print(text)
+    if args.output:
+        args.output.write_text(text, encoding="utf-8")
+        args.output.with_suffix(".json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+
+
+def timed(clip: str, frames: int, folder: Path, rounds: int) -> dict:
+    path, truth = film(clip, frames, folder)
+    fps = CAMERAS[clip].fps
+    todo = {
+        "decoding alone": lambda: arms.decode(path, frames),
+        "gyrotrack, all markers": lambda: arms.gyrotrack(path, fps),
+        "gyrotrack, casing only": lambda: arms.gyrotrack(path, fps, "casing"),
+        "VideoCapture, HSV, contours": lambda: arms.opencv(path, frames // 4),
+        "scikit-image regionprops": lambda: arms.regionprops(path, FEW["scikit-image regionprops"]),
+        "trackpy.locate": lambda: arms.trackpy(path, FEW["trackpy.locate"]),
+    }
+    counts = {"VideoCapture, HSV, contours": frames // 4, **FEW}
+    seconds: dict[str, list[float]] = {name: [] for name in todo}
+    starts: dict[str, list[float]] = {"gyrotrack, all markers": [], "gyrotrack, casing only": []}
+    angles = {}
+    for _ in range(rounds):
+        for name, work in todo.items():
+            if name in starts:
+                starts[name].append(start_up(path, casing_only="casing" in name))
+            begin = time.process_time()
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                angles[name] = work()
+            seconds[name].append(time.process_time() - begin)
+    arms_found = {}
+    decoding = min(seconds["decoding alone"]) / frames
+    for name, spent in seconds.items():
+        start = min(starts[name]) if name in starts else 0.0
+        a_frame = (min(spent) - start) / counts.get(name, frames)
+        arms_found[name] = {
+            "us_per_frame": 1e6 * a_frame,
+            "share_of_decoding": decoding / a_frame,
+            "start_up_s": start,
+        }
+        if angles[name] is not None:
+            arms_found[name]["casing_rms_mrad"] = error(angles[name], truth)
+    return {"frames": frames, "rounds": rounds, "arms": arms_found}
+
+
+def start_up(path: Path, *, casing_only: bool) -> float:
+    begin = time.process_time()
+    profile = PAPER.model_copy(update={"marker": PAPER.of("casing")}) if casing_only else PAPER
+    acquire(take_samples(path), profile, str(path))
+    return time.process_time() - begin
+
+
+def error(angle: np.ndarray, truth) -> float:
+    """Return the rms error in mrad of an angle as seen, without its mean; frames without one are left out."""
+    off = angle - truth.sense * truth.angle["casing"][: len(angle)]
+    off = np.angle(np.exp(1j * off)[np.isfinite(off)])
+    off = np.angle(np.exp(1j * (off - np.angle(np.mean(np.exp(1j * off))))))
+    return float(1e3 * np.sqrt(np.mean(off**2)))
+
+
+def peaks(clip: str, frames: int, folder: Path) -> dict[str, float]:
+    path, _ = film(clip, frames, folder)
+    found = {}
+    for times in (max(2000 // frames, 1), 52000 // frames if clip == "casing" else 8000 // frames):
+        longer = repeated(path, folder / f"long_{clip}.mp4", times)
+        words = [sys.executable, "-c", _PEAK, str(longer), str(folder / "long.h5"), str(CAMERAS[clip].fps)]
+        done = subprocess.run(words, check=True, capture_output=True, text=True)
+        found[str(times * frames)] = float(done.stdout.split()[-1])
+        longer.unlink()
+    return found
+
+
+def commit() -> str:
+    words = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
+    return subprocess.run(words, check=False, capture_output=True, text=True).stdout.strip() or "unknown"
+
+
+def machine() -> str:
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
+    return f"{platform.machine()}, {os.cpu_count()} cores, load {load:.1f} at the start"
+
+
+def table(results: dict) -> str:
+    lines = [
+        "# Speed and memory of tracking",
+        "",
+        f"Commit {results['commit']}; {results['machine']}. CPU time of one thread, the fastest of several turns.",
+    ]
+    for clip, found in results["clips"].items():
+        camera = CAMERAS[clip]
+        lines += [
+            "",
+            f"## The {clip}'s camera: {camera.width} x {camera.height}, {found['frames']} frames",
+            "",
+            "| arm | us a frame | share of decoding's speed | start-up, s | casing's angle, rms, mrad |",
+            "|---|---|---|---|---|",
+        ]
+        for name, arm in found["arms"].items():
+            start = f"{arm['start_up_s']:.2f}" if arm["start_up_s"] else ""
+            rms = f"{arm['casing_rms_mrad']:.2f}" if "casing_rms_mrad" in arm else ""
+            lines.append(
+                f"| {name} | {arm['us_per_frame']:.0f} | {arm['share_of_decoding']:.3g} | {start} | {rms} |"
+            )
+    if results["memory_mb"]:
+        lines += ["", "## Peak memory of `gyrotrack extract`", "", "| clip | frames | MB |", "|---|---|---|"]
+        for clip, found in results["memory_mb"].items():
+            lines += [f"| {clip} | {frames} | {peak:.0f} |" for frames, peak in found.items()]
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    main()
