@@ -128,7 +128,8 @@ class Departures:
 
     def excess(self, normalised: Floats, leverage: Floats) -> float:
         """Return by how much the body's angles scatter more than their markers' uncertainties say."""
-        used = min(sum(self.used_up.values()) / max(float(np.isfinite(normalised).sum()), 1.0), 0.75)
+        views = sum(float((self.use[name] & np.isfinite(normalised)).sum()) for name in self.candidates)
+        used = min(sum(self.used_up.values()) / max(views, 1.0), 0.75)
         scatter = _scatter(normalised / np.sqrt(np.clip(1.0 - leverage, 0.1, 1.0)), 1.0)
         return float(np.clip(scatter / np.sqrt(1.0 - used), 0.5, 3.0))
 
