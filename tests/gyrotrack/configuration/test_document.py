@@ -22,7 +22,7 @@ body = "rotor"
 
 [[ marker ]]         # 9
 "name" = "b c"
-hue = 3
+shade = 3
 colour = "gren"
 body = "rotor"
 """
@@ -37,7 +37,7 @@ def test_all_faults_at_once_with_their_lines(tmp_path):
     for place in (
         "line 2, centre: ",
         "line 10, marker[2].name: ",
-        "line 11, marker[2].hue: ",
+        "line 11, marker[2].shade: ",
         "line 12, marker[2].colour: ",
     ):
         assert place in said
