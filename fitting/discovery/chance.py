@@ -1,0 +1,65 @@
+"""p-values from empty data sets that went through the very same search.
+
+A candidate that tries many shapes amounts to N independent trials, p = 1 - (1 - p1)^N, with the N that reproduces the
+tail of its largest scores in empty data; the whole list amounts to so many independent candidates in the same sense.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.discovery.screen import Score
+
+Array = NDArray[np.float64]
+
+
+class Chance:
+    """Tail probability of a candidate's score in empty data."""
+
+    def __init__(self, score: Score) -> None:
+        from scipy.stats import chi2
+
+        self._chi2, self._columns = chi2, score.columns
+        middle = float(np.median(score.null))
+        tail = float(np.quantile(score.null, 0.9))
+        self._trials = max(
+            _trials(float(chi2.sf(middle, score.columns)), 0.5),
+            _trials(float(chi2.sf(tail, score.columns)), 0.1),
+        )
+        self.null = np.array([self(x) for x in np.quantile(score.null, np.linspace(0, 1, 64))])
+        self._sorted = np.sort(score.null)
+        self.draws = score.null
+
+    def __call__(self, score: float) -> float:
+        """Return the probability of a score at least as large in empty data."""
+        return self.of(score, self._columns)
+
+    def of(self, score: float, columns: int) -> float:
+        """Return the probability of a score with fewer strengths, searched over as many shapes."""
+        single = float(self._chi2.sf(max(score, 0.0), max(columns, 1)))
+        return float(-np.expm1(self._trials * np.log1p(-min(single, 1 - 1e-12))))
+
+    def of_draws(self) -> Array:
+        """Return the p-value of each empty data set."""
+        single = np.minimum(self._chi2.sf(self.draws, self._columns), 1 - 1e-12)
+        return np.asarray(-np.expm1(self._trials * np.log1p(-single)))
+
+
+def _trials(single: float, share: float) -> float:
+    # share = 1 - (1 - single)^N, solved for N
+    return float(np.log1p(-share) / np.log1p(-min(max(single, 1e-12), 1 - 1e-12)))
+
+
+class Family:
+    """p-value over the whole list: calibrated on the smallest p of each empty data set."""
+
+    def __init__(self, chances: Sequence[Chance]) -> None:
+        smallest = np.min([c.of_draws() for c in chances], axis=0)
+        self._candidates = max(1.0, _trials(float(np.quantile(smallest, 0.1)), 0.1))
+
+    def __call__(self, p: float) -> float:
+        """Return the probability of a p as small anywhere in the list."""
+        return float(-np.expm1(self._candidates * np.log1p(-min(p, 1 - 1e-12))))

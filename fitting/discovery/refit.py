@@ -1,0 +1,86 @@
+"""Refits of a candidate on top of the base, both moving together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from fitting.discovery.breaks import better_breaks
+from fitting.discovery.screen import Score
+from fitting.errors import FittingError
+from fitting.estimation import Fit, fit
+from fitting.estimation.layout import PER_CASE
+
+
+def refit(base: Fit, score: Score) -> Fit | None:
+    """Return the fit of base and candidate from the base's optimum; None if there is none."""
+    found = together(base, score)
+    if found is not None and score.effect.breakpoint:
+        elsewhere = better_breaks(found, score.effect)
+        other = together(base, score, elsewhere) if elsewhere else None
+        found = other if other is not None and other.deviance < found.deviance else found
+    return found
+
+
+def together(
+    base: Fit, score: Score, start: Mapping[str, float] | None = None, common: Sequence[str] = ()
+) -> Fit | None:
+    """Return the fit of base and candidate, with some parameters common to all cases; None if there is none."""
+    layout = base.problem.layout
+    own = [k for k in layout.per_case if k in base.model.free]
+    shared = [k for k in base.model.free if k.startswith(PER_CASE) and k not in own]
+    begin = {name: e.value for name, e in base.estimates.items()} | start_of(base, score)
+    try:
+        found = fit(
+            base.model.with_effect(score.effect),
+            base.problem.data,
+            share=[*shared, *common] if len(layout.records) > 1 else (),
+            per_case=own if len(layout.records) > 1 else (),
+            start=begin if start is None else begin | dict(start),
+            noise=base.noise,
+            quick=True,
+        )
+    except FittingError:
+        return None
+    return found if np.isfinite(found.deviance) else None
+
+
+def with_one_value(base: Fit, score: Score, found: Fit) -> Fit | None:
+    """Return the fit in which all cases have the same value of what may differ from case to case.
+
+    Surfaces that happen to agree need one number and not one each: a law must not lose against a rival
+    because its parameters are free to differ.
+    """
+    prefix = score.effect.name + "."
+    keys = [k for k in found.problem.layout.per_case if k.startswith(prefix)]
+    if not keys:
+        return None
+    mean = {
+        k: float(np.mean([e.value for name, e in found.estimates.items() if name.partition("@")[0] == k]))
+        for k in keys
+    }
+    return together(base, score, {n: e.value for n, e in found.estimates.items()} | mean, keys)
+
+
+def start_of(base: Fit, score: Score) -> dict[str, float]:
+    """Return start values of a candidate's parameters from its score."""
+    effect, labels = score.effect, [r.label for r in base.problem.layout.records]
+    own = len(labels) > 1 and effect.name.startswith(PER_CASE)
+    phase = next((p.symbol for p in effect.parameters if p.role == "phase"), None)
+    amplitude = next(p.symbol for p in effect.parameters if p.role == "amplitude")
+    gamma = score.gamma.reshape(len(labels) if own else 1, -1)
+    values: dict[str, float] = {}
+    for i, label in enumerate(labels if own else [""]):
+        tail = f"@{label}" if own else ""
+        found: Mapping[str, float] = score.shape[i]
+        if phase is not None:
+            found = {
+                **found,
+                amplitude: float(np.hypot(*gamma[i])),
+                phase: float(np.arctan2(gamma[i][1], gamma[i][0])),
+            }
+        else:
+            found = {**found, amplitude: float(gamma[i][0])}
+        values |= {f"{effect.name}.{k}{tail}": float(v) for k, v in found.items()}
+    return values

@@ -1,0 +1,40 @@
+"""What follows the angle of the casing is measured, with a band that is true."""
+
+import numpy as np
+import pytest
+import twobody
+
+from fitting.case_data import CaseData
+from fitting.diagnosis import find_failures, ripples
+from fitting.effects import REDUCED
+from fitting.estimation import fit
+from fitting.model import Model
+from fitting.record import make_record
+
+AMPLITUDE, PHASE = 4e-6, 0.9
+
+
+@pytest.mark.parametrize("order", [0, 1])
+def test_gravity_on_an_unbalance(order):
+    hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: order * AMPLITUDE * np.sin(pc - PHASE))
+    cameras = twobody.Cameras(span=60.0, windows=(2.0, 25.0, 55.0))
+    motion = twobody.simulate(span=60.0, step=0.002, hidden=hidden, seed=4)
+    found = fit(
+        Model.of(REDUCED), [CaseData.of(make_record(**twobody.film(motion, seed=4, cameras=cameras)))]
+    )
+    (ripple,) = ripples(found)
+    once, sigma_once = ripple.size(1)
+    _, sigma_twice = ripple.size(2)
+    assert sigma_twice < 4
+    if not order:
+        assert sigma_once < 4
+        assert [f for f in find_failures(found, (), [ripple]) if f.kind == "ripple"] == []
+        return
+    truth = AMPLITUDE * np.array([np.cos(PHASE), np.sin(PHASE)])
+    pull = np.linalg.solve(np.linalg.cholesky(ripple.covariance[:2, :2]), ripple.gamma[:2] - truth)
+    assert np.abs(pull).max() < 4
+    assert sigma_once > 6
+    assert ripple.torque.max() == pytest.approx(once, rel=0.3)
+    (failure,) = [f for f in find_failures(found, (), [ripple]) if f.kind == "ripple"]
+    assert failure.where == "once a turn"
+    assert "once a turn the casing feels a torque" in str(failure)
