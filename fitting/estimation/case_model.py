@@ -173,9 +173,9 @@ class CaseModel:
         direction = np.array([on_rotor / record.I_rotor, on_casing / record.I_casing])
         motion = LinearMotion(path, sensitivity.propagator)
         pushes = torque.reshape(len(half), _GAUSS, -1)
-        speed, angle = motion.driven(t, pushes, direction, 1)
-        rows = self.data.casing_rows(angle if self.data.is_angle else speed)
-        rows += self._rotor_rows(t, *motion.driven(t, pushes, direction, 0))
+        speed, angle = motion.driven(t, pushes, direction)
+        rows = self.data.casing_rows(angle[1] if self.data.is_angle else speed[1])
+        rows += self._rotor_rows(t, speed[0], angle[0])
         return [rows[:, i] for i in range(rows.shape[1])]
 
     def _rotor_rows(self, t: Array, speed: Array, angle: Array) -> Array:

@@ -61,8 +61,8 @@ class LinearMotion:
         """Return 1 where the casing answers to a torque, 0 where friction holds it."""
         return np.abs(self._sense[Sampler(self._mesh, times).index])
 
-    def driven(self, times: Array, torque: Array, direction: Array, state: int) -> tuple[Array, Array]:
-        """Return d omega and d psi of one body at sample times, for a torque between them.
+    def driven(self, times: Array, torque: Array, direction: Array) -> tuple[Array, Array]:
+        """Return d omega and d psi of both bodies at sample times, for a torque between them.
 
         Parameters
         ----------
@@ -72,19 +72,23 @@ class LinearMotion:
             Torques [N m] at the q Gauss nodes of each interval between samples.
         direction : ndarray, shape (2,)
             Rates of both speeds that a unit torque gives.
-        state : int
-            0 for the rotor, 1 for the casing.
+
+        Returns
+        -------
+        tuple of ndarray, each of shape (2, n, columns)
+            The rotor first, the casing second.
         """
         gauss = rule(torque.shape[1])
         half = 0.5 * np.diff(times)
         inner = (times[:-1] + half)[:, None] + half[:, None] * gauss.x
         kicks = self.kicks(inner.ravel(), direction).reshape(*inner.shape, 2)
-        reach = self.integrated(inner.ravel()).reshape(*inner.shape, 2, 2)[:, :, state]
-        weights = half[:, None] * gauss.w
-        pushes = np.einsum("iq,iqm,iqc->imc", weights, kicks, torque)
-        delayed = np.einsum("iq,iqm,iqm,iqc->ic", weights, reach, kicks, torque)
+        reach = self.integrated(inner.ravel()).reshape(*inner.shape, 2, 2)
+        kicks *= (half[:, None] * gauss.w)[..., None]
+        pushes = np.einsum("iqm,iqc->imc", kicks, torque)
+        delayed = np.einsum("iqsm,iqm->iqs", reach, kicks)
         sums = np.concatenate([np.zeros((1, *pushes.shape[1:])), np.cumsum(pushes, axis=0)])
-        late = np.concatenate([np.zeros((1, delayed.shape[1])), np.cumsum(delayed, axis=0)])
-        speed = np.einsum("tm,tmc->tc", self.fundamental(times)[:, state], sums)
-        angle = np.einsum("tm,tmc->tc", self.integrated(times)[:, state], sums) - late
+        late = np.einsum("iqs,iqc->sic", delayed, torque)
+        late = np.concatenate([np.zeros((2, 1, late.shape[2])), np.cumsum(late, axis=1)], axis=1)
+        speed = np.einsum("tsm,tmc->stc", self.fundamental(times), sums)
+        angle = np.einsum("tsm,tmc->stc", self.integrated(times), sums) - late
         return speed, angle

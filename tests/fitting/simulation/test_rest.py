@@ -179,7 +179,7 @@ def test_small_torques_move_what_moves():
     direct = Sampler(path.mesh, times).value(nodes)[:, 1, 0]
     half = 0.5 * np.diff(times)
     unit = np.ones((len(half), 3, 1))
-    driven, turned = motion.driven(times, unit, np.array([0.0, 1 / I_C]), 1)
+    driven, turned = (v[1] for v in motion.driven(times, unit, np.array([0.0, 1 / I_C])))
     away = (np.abs(times - stop) > 2) & (np.abs(times - go) > 2)
     size = np.abs(exact[1]).max()
     for answer in (direct, driven[:, 0]):

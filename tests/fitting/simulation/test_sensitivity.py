@@ -136,7 +136,7 @@ def test_driven_motion_matches_direct_integration(body):
     gauss, half = rule(3), 0.5 * np.diff(times)
     inner = (times[:-1] + half)[:, None] + half[:, None] * gauss.x
     both = np.stack([torque(inner), np.ones_like(inner) * 1e-6], axis=-1)
-    speed, angle = motion.driven(times, both, direction, body)
+    speed, angle = (v[body] for v in motion.driven(times, both, direction))
     exact = directly(PAPER, path, torque, direction, times)
     np.testing.assert_allclose(speed[:, 0], exact[:, body], atol=1e-5 * np.abs(exact[:, body]).max())
     np.testing.assert_allclose(angle[:, 0], exact[:, 2 + body], atol=1e-5 * np.abs(exact[:, 2 + body]).max())
