@@ -2,12 +2,14 @@
 
 import asyncio
 import itertools
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
 from gyrotrack.view.guard import Guard
 
 TOKEN, PORT = "secret-token", 4711
+_ELSEWHERE = ThreadPoolExecutor(max_workers=1)
 ROUTES = (
     "/",
     "/api/state",
@@ -60,7 +62,8 @@ def _ask(path, headers, *, method="GET", query=b"", kind="http"):
         "query_string": query,
         "headers": [(k.encode(), v.encode()) for k, v in headers if v is not None],
     }
-    asyncio.run(Guard(_behind, PORT, TOKEN)(scope, receive, send))
+    # the driver of the browser tests may keep a loop running in this thread
+    _ELSEWHERE.submit(lambda: asyncio.run(Guard(_behind, PORT, TOKEN)(scope, receive, send))).result()
     return sent
 
 
