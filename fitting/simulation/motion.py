@@ -136,7 +136,11 @@ class _Run:
         if before != 0:
             t = np.asarray(time)
             first, then = (self.dynamics.rates(t, y, self.numbers, s) for s in (before, after))
-            matrix[:, _CASING] -= (first - then) / first[_CASING]
+            if not (np.isfinite(first).all() and np.isfinite(then).all()):
+                raise SimulationError(UNBOUNDED)
+            # a casing that only just touches rest goes through it unchanged
+            if first[_CASING] != 0:
+                matrix[:, _CASING] -= (first - then) / first[_CASING]
         return matrix
 
     def turning(self, start: Array, mesh: Mesh, sense: float, guess: Path | None) -> Path:
