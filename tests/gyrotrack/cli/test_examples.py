@@ -60,8 +60,8 @@ def test_a_long_example_runs(gyrotrack, lab, tmp_path, monkeypatch, name):
     monkeypatch.chdir(tmp_path)
     (entry,) = [e for e in COMMANDS if e.name == name]
     said = gyrotrack(*example(entry))
-    # 3: done, but a run of the tables on this short case did not converge, and is marked
-    assert said.code in ({0, 3} if name == "scan" else {0}), said.err
+    # 3: done, but on this short case without films a run of the tables is marked, or a figure is missing
+    assert said.code in ({0} if name == "improve" else {0, 3}), said.err
 
 
 @pytest.mark.slow
