@@ -231,7 +231,13 @@ def joint(count: int, rate: float) -> None:
         )
     samples = sum(len(r.casing) + sum(len(w) for w in r.rotor) for r in records)
     _, cpu, _ = timed(lambda: fit(Model.of(REDUCED), [CaseData.of(r) for r in records]))
-    print(samples, cpu, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+    print(samples, cpu, own_peak())
+
+
+def own_peak() -> float:
+    """Return the peak memory [MB] of this process; `ru_maxrss` would start at the parent's."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
 
 
 def nist(repeats: int) -> list[str]:

@@ -34,12 +34,14 @@ from gyrotrack.profile import PAPER
 
 FRAMES = {"casing": 3000, "rotor": 2000}
 FEW = {"scikit-image regionprops": 12, "trackpy.locate": 4}
+# A child's `ru_maxrss` starts at what its parent held when it was started; VmHWM is its own.
 _PEAK = """
-import resource, sys
+import sys
 from pathlib import Path
 from gyrotrack.cli.app import run
 assert run(["extract", sys.argv[1], "-o", sys.argv[2], "-q", "--force", "--capture-fps", sys.argv[3]]) == 0
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+lines = Path("/proc/self/status").read_text().splitlines()
+print(next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024)
 """
 
 
