@@ -1,7 +1,8 @@
 """The torque that a fitted model lacks against the angle of the casing: once and twice a turn.
 
 With the whitened response S of the rows to torques sin(n psi), cos(n psi) of 1 N m, n = 1, 2, and what is left of
-it beside all that is free (parameters, phases, a centre offset, a tilt, a rolling shutter),
+it beside all that is free (parameters, phases, a centre offset, a tilt, a rolling shutter) and beside slow torques of
+any shape, because what a model misses elsewhere leaks into the few turns in which the casing is slow,
 
     gamma = (S'S)^-1 S'r,   cov(gamma) = (S'S)^-1,   torque(psi) = sum_n gamma_2n-1 sin(n psi) + gamma_2n cos(n psi).
 """
@@ -15,11 +16,13 @@ from numpy.typing import NDArray
 
 from fitting.effects import LIBRARY
 from fitting.estimation import Fit
+from fitting.estimation.lack import orthonormal, slow_responses
 
 Array = NDArray[np.float64]
 
 _LAWS = ("casing.unbalance", "casing.asymmetry")
 _POINTS = 73
+_RANK = 1e-6
 
 
 @dataclass(frozen=True)
@@ -82,10 +85,8 @@ def ripples(fit: Fit) -> list[Ripple]:
             for column in case.unit_columns(LIBRARY[name], p.path, p.sensitivity, numbers)
         ]
         both = project(np.concatenate([np.stack(columns, axis=1), (case.data.z - p.rows)[:, None]], axis=1))
-        moving = project(p.jacobian)
-        size = np.linalg.norm(moving, axis=0)
-        u, s, _ = np.linalg.svd(moving[:, size > 0] / size[size > 0], full_matrices=False)
-        basis = u[:, s > 1e-7 * s.max(initial=1.0)]
+        slow = slow_responses(case.data, p)
+        basis = orthonormal(project(np.concatenate([p.jacobian, slow], axis=1)), _RANK)
         both = both - basis @ (basis.T @ both)
         seen, residual = both[:, :-1], both[:, -1]
         covariance = np.linalg.pinv(seen.T @ seen, hermitian=True)

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.case_data import CaseData
 from fitting.estimation.case_model import Prediction
 from fitting.estimation.noise_levels import Noise
 from fitting.estimation.problem import Problem, Projection
@@ -65,25 +66,35 @@ def lack_of_fit(problem: Problem, predictions: Sequence[Prediction], noise: Sequ
     """
     slow, free, residual = [], [], []
     for data, p, n in zip(problem.data, predictions, noise, strict=True):
-        response = TorqueResponse(data, p.motion)
-        hats = _hats(response.centres)
-        columns = np.concatenate([response.casing @ hats, (response.casing - response.rotor) @ hats], axis=1)
-        rows = np.zeros((len(data.z), columns.shape[1]))
-        rows[: len(columns)] = columns
+        rows = slow_responses(data, p)
         project = Projection(data, n.whitener.at(n.pure))
         white = project(np.concatenate([rows, p.jacobian, (data.z - p.rows)[:, None]], axis=1))
-        slow.append(white[:, : columns.shape[1]])
-        free.append(white[:, columns.shape[1] : -1])
+        slow.append(white[:, : rows.shape[1]])
+        free.append(white[:, rows.shape[1] : -1])
         residual.append(white[:, -1])
     # the parameters are common to all cases, so the cases are tested together
     basis, r, s = (
-        _orthonormal(np.concatenate(free), _RANK_FREE),
+        orthonormal(np.concatenate(free), _RANK_FREE),
         np.concatenate(residual),
         block_diagonal(slow),
     )
     r = r - basis @ (basis.T @ r)
-    span = _orthonormal(s - basis @ (basis.T @ s), _RANK)
+    span = orthonormal(s - basis @ (basis.T @ s), _RANK)
     return LackOfFit(float(np.sum((span.T @ r) ** 2)), span.shape[1])
+
+
+def slow_responses(data: CaseData, prediction: Prediction) -> Array:
+    """Return the responses of a case's rows to slow torques of 1 N m, on the casing and in the bearing.
+
+    One column for each knot of each, shape (rows, 42); between the knots, a twentieth of the record apart, a torque
+    is linear.
+    """
+    response = TorqueResponse(data, prediction.motion)
+    hats = _hats(response.centres)
+    columns = np.concatenate([response.casing @ hats, (response.casing - response.rotor) @ hats], axis=1)
+    rows = np.zeros((len(data.z), columns.shape[1]))
+    rows[: len(columns)] = columns
+    return rows
 
 
 def block_diagonal(parts: Sequence[Array]) -> Array:
@@ -102,7 +113,8 @@ def _hats(times: Array) -> Array:
     return np.stack([np.interp(times, knots, row) for row in np.eye(_KNOTS)], axis=1)
 
 
-def _orthonormal(columns: Array, smallest: float) -> Array:
+def orthonormal(columns: Array, smallest: float) -> Array:
+    """Return an orthonormal basis of scaled columns, without directions whose singular value is a share this small."""
     size = np.linalg.norm(columns, axis=0)
     if not (size > 0).any():
         return np.zeros((len(columns), 0))

@@ -5,7 +5,7 @@ import pytest
 import twobody
 
 from fitting.case_data import CaseData
-from fitting.diagnosis import find_failures, ripples
+from fitting.diagnosis import find_failures, residual_torques, ripples
 from fitting.effects import REDUCED
 from fitting.estimation import fit
 from fitting.model import Model
@@ -38,3 +38,17 @@ def test_gravity_on_an_unbalance(order):
     (failure,) = [f for f in find_failures(found, (), [ripple]) if f.kind == "ripple"]
     assert failure.where == "once a turn"
     assert "once a turn the casing feels a torque" in str(failure)
+
+
+@pytest.mark.parametrize(("centre", "width"), [(10, 3), (12, 1), (30, 3)])  # rad/s
+def test_what_is_missing_elsewhere_is_no_ripple(centre, width):
+    hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -8e-6 * np.exp(-(((wc - centre) / width) ** 2)))
+    cameras = twobody.Cameras(span=60.0, windows=(2.0, 25.0, 55.0))
+    motion = twobody.simulate(span=60.0, step=0.002, hidden=hidden, seed=4)
+    found = fit(
+        Model.of(REDUCED), [CaseData.of(make_record(**twobody.film(motion, seed=4, cameras=cameras)))]
+    )
+    assert found.verdict == "misfit"
+    kinds = [f.kind for f in find_failures(found, residual_torques(found), ripples(found))]
+    assert kinds
+    assert "ripple" not in kinds
