@@ -2,6 +2,17 @@
 
 from fitting.discovery.improve import Ladder, Rung, improve
 from fitting.discovery.ranking import Candidate, rank
+from fitting.discovery.start import found_starts, needs_search
 from fitting.discovery.verdict import Diagnosis, diagnose
 
-__all__ = ["Candidate", "Diagnosis", "Ladder", "Rung", "diagnose", "improve", "rank"]
+__all__ = [
+    "Candidate",
+    "Diagnosis",
+    "Ladder",
+    "Rung",
+    "diagnose",
+    "found_starts",
+    "improve",
+    "needs_search",
+    "rank",
+]

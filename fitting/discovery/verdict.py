@@ -97,9 +97,10 @@ def diagnose(fit: Fit, extra: Sequence[Effect] = ()) -> Diagnosis:
     after: list[Rung] = []
     end = fit
     if chosen is not None and chosen.fit is not None:
-        # a quick refit may have stopped short of the minimum
-        end = chosen.fit if chosen.fit.verdict != "not converged" else polished(chosen.fit)
-        if end.verdict == "misfit":
+        end = polished(chosen.fit)
+        # noise that fell when the effect was added may have hidden another one
+        quieter = any(n.pure < old.pure for n, old in zip(end.noise, chosen.fit.noise, strict=True))
+        if end.verdict == "misfit" or quieter:
             after = improve(fit, extra, max_steps=1 + _FOLLOW_UP, first=candidates)
             end = after[-1].fit
     explained = "adequate" if chosen is None else "missing_effect"

@@ -1,6 +1,6 @@
 """Small motions about a solution, by variation of constants.
 
-With the fundamental matrix Phi(t) of the linearised speeds, a torque u(t) along b gives
+With the fundamental matrix Phi(t) of the linearised equations, a torque u(t) along b gives
 
     d omega(t) = Phi(t) integral Phi^-1(s) b u(s) ds,
     d psi(t)   = integral [Psi(t) - Psi(s)] Phi^-1(s) b u(s) ds,    Psi = integral of Phi,
@@ -19,10 +19,15 @@ from fitting.simulation.collocation import Path, Propagator, Sampler, rule
 Array = NDArray[np.float64]
 
 _MEMORY = 1e-6
+# columns of Phi nearer to dependent than this have lost their digits
+_DEPENDENT = 1e-9
 
 
 class LinearMotion:
-    """The linearised motion of both speeds (states of effects held) about a solution.
+    """The linearised motion of both speeds about a solution.
+
+    States of effects (a warmth, a phase) move with the speeds and act back on them. Where such a state forgets so
+    fast that Phi has no inverse, all of them are held.
 
     Parameters
     ----------
@@ -33,29 +38,29 @@ class LinearMotion:
     """
 
     def __init__(self, path: Path, propagator: Propagator) -> None:
-        n = len(path.states)
-        self._sense = path.sense
-        zero = np.zeros((*path.y.shape, 2))
-        edges = propagator.remembering(_MEMORY).chain(
-            zero, np.zeros((path.y.shape[0], n, 2)), np.eye(n)[:, :2]
-        )
-        self._mesh = path.mesh
-        self._nodes = np.einsum("iknm,imq->iknq", propagator.transfer, edges[:-1])[:, :, :2]
+        self._sense, self._mesh = path.sense, path.mesh
+        for size in dict.fromkeys((len(path.states), 2)):
+            self._nodes = _fundamental(path, propagator, size)
+            if size == 2 or _independent(self._nodes):
+                break
         steps = path.mesh.half[..., None] * np.einsum("k,iknm->inm", rule().w, self._nodes)
-        self._starts = np.concatenate([np.zeros((1, 2, 2)), np.cumsum(steps, axis=0)])
+        self._starts = np.concatenate([np.zeros((1, *steps.shape[1:])), np.cumsum(steps, axis=0)])
 
     def fundamental(self, times: Array) -> Array:
-        """Return Phi at some times, shape (times, 2, 2)."""
-        return Sampler(self._mesh, times).value(self._nodes)
+        """Return the speeds' rows of Phi at some times, shape (times, 2, n)."""
+        return Sampler(self._mesh, times).value(self._nodes)[:, :2]
 
     def integrated(self, times: Array) -> Array:
-        """Return Psi at some times, shape (times, 2, 2)."""
-        return Sampler(self._mesh, times).integral(self._starts, self._nodes)
+        """Return the speeds' rows of Psi at some times, shape (times, 2, n)."""
+        return Sampler(self._mesh, times).integral(self._starts, self._nodes)[:, :2]
 
     def kicks(self, times: Array, direction: Array) -> Array:
-        """Return Phi^-1(s) b, shape (times, 2); b holds the rates that a unit torque gives [rad s-2]."""
-        pushes = np.stack([np.full(len(times), direction[0]), direction[1] * self.moving(times)], axis=1)
-        return np.asarray(np.linalg.solve(self.fundamental(times), pushes[..., None])[..., 0])
+        """Return Phi^-1(s) b, shape (times, n); b holds the rates that a unit torque gives [rad s-2]."""
+        phi = Sampler(self._mesh, times).value(self._nodes)
+        pushes = np.zeros(phi.shape[:2])
+        pushes[:, 0] = direction[0]
+        pushes[:, 1] = direction[1] * self.moving(times)
+        return np.asarray(np.linalg.solve(phi, pushes[..., None])[..., 0])
 
     def moving(self, times: Array) -> Array:
         """Return 1 where the casing answers to a torque, 0 where friction holds it."""
@@ -81,8 +86,8 @@ class LinearMotion:
         gauss = rule(torque.shape[1])
         half = 0.5 * np.diff(times)
         inner = (times[:-1] + half)[:, None] + half[:, None] * gauss.x
-        kicks = self.kicks(inner.ravel(), direction).reshape(*inner.shape, 2)
-        reach = self.integrated(inner.ravel()).reshape(*inner.shape, 2, 2)
+        kicks = self.kicks(inner.ravel(), direction).reshape(*inner.shape, -1)
+        reach = self.integrated(inner.ravel()).reshape(*inner.shape, 2, kicks.shape[-1])
         kicks *= (half[:, None] * gauss.w)[..., None]
         pushes = np.einsum("iqm,iqc->imc", kicks, torque)
         delayed = np.einsum("iqsm,iqm->iqs", reach, kicks)
@@ -92,3 +97,21 @@ class LinearMotion:
         speed = np.einsum("tsm,tmc->stc", self.fundamental(times), sums)
         angle = np.einsum("tsm,tmc->stc", self.integrated(times), sums) - late
         return speed, angle
+
+
+def _fundamental(path: Path, propagator: Propagator, size: int) -> Array:
+    """Return Phi of the first states at the nodes, shape (intervals, nodes, size, size)."""
+    n = len(path.states)
+    zero = np.zeros((*path.y.shape, size))
+    edges = propagator.remembering(_MEMORY).chain(
+        zero, np.zeros((path.y.shape[0], n, size)), np.eye(n)[:, :size]
+    )
+    return np.asarray(np.einsum("iknm,imq->iknq", propagator.transfer, edges[:-1])[:, :, :size])
+
+
+def _independent(phi: Array) -> bool:
+    """Return whether the columns of Phi keep apart."""
+    size = np.linalg.norm(phi, axis=-2, keepdims=True)
+    if not (size > 0).all():
+        return False
+    return float(np.linalg.svd(phi / size, compute_uv=False)[..., -1].min()) > _DEPENDENT

@@ -212,7 +212,7 @@ class _Wish:
         if previous is None and self.add and self.model is None:
             previous, fit_id = study.base(None)
             entry = study.entry(fit_id)
-        values = {k: e.value for k, e in previous.estimates.items()} if previous is not None else None
+        values = _starts(previous, wanted) if previous is not None else None
         found = robust_fit(
             wanted,
             study.data,
@@ -253,6 +253,14 @@ class _Wish:
                 f"{name} is no model.", f"Models: {', '.join(_NAMED)}, or the name of a TOML file."
             )
         return read_model(path, self.own)
+
+
+def _starts(previous: Fit, wanted: Model) -> dict[str, float]:
+    from fitting.discovery import found_starts, needs_search
+
+    new = [e for e in wanted.effects if e.name not in previous.model.names and needs_search(e)]
+    found = found_starts(previous, new) if new else {}
+    return {k: e.value for k, e in previous.estimates.items()} | found
 
 
 def _paper_ranges(

@@ -72,6 +72,7 @@ class Session:
         GyrotrackError, FittingError
             Telling in one sentence what is wrong with the wish; the state stays as it was.
         """
+        from fitting.discovery import found_starts, needs_search
         from fitting.effects import resolve
         from fitting.errors import FittingError
         from fitting.estimation import fit
@@ -86,7 +87,10 @@ class Session:
                 if effect.name in model.names:
                     raise GyrotrackError(f"{effect.name} is in the model already.")
                 model = model.with_effect(effect)
-                start |= self.found.get(effect.name, {})
+                if effect.name in self.found:
+                    start |= self.found[effect.name]
+                elif needs_search(effect):
+                    start |= found_starts(self.fit, [effect])
                 words.append(f"+{effect.name}")
             if drop:
                 model = model.without(drop)

@@ -169,3 +169,30 @@ def test_fundamental_matrix_starts_at_one_and_carries_start_values():
         motion.fundamental(TIMES), Sampler(path.mesh, TIMES).value(found.nodes)[:, :2, -2:], atol=1e-12
     )
     np.testing.assert_allclose(motion.integrated(np.array([0.0]))[0], 0, atol=1e-10)
+
+
+@pytest.mark.parametrize("name", ["heating", "precession"])
+def test_driven_motion_takes_the_states_of_effects_along(name):
+    """A warmth, or the phase of a swinging torque, answers to a random torque and acts back on the speeds."""
+    p = PAPER | EXTRA[name] | {"external.constant.k": 1e-9}
+    dynamics, numbers, path = solved(p)
+    found = sensitivities(dynamics, numbers, path)
+    motion = LinearMotion(path, found.propagator)
+    times = np.arange(0, 150.0, 1 / 50)
+    unit = np.ones((len(times) - 1, 3, 1))
+    speed, _ = motion.driven(times, unit, np.array([0.0, 1 / INERTIA["inertia.casing"]]))
+    exact = Sampler(path.mesh, times).value(
+        found.nodes[..., dynamics.parameters.index("external.constant.k")]
+    )
+    for body in (0, 1):
+        size = np.abs(exact[:, body]).max()
+        np.testing.assert_allclose(speed[body, :, 0], exact[:, body], atol=1e-5 * size)
+
+
+def test_a_state_that_forgets_at_once_is_held():
+    p = PAPER | EXTRA["heating"] | {"bearing.heating.tau_T": 0.5}
+    dynamics, numbers, path = solved(p)
+    motion = LinearMotion(path, sensitivities(dynamics, numbers, path).propagator)
+    kicks = motion.kicks(TIMES, np.array([0.0, 1 / INERTIA["inertia.casing"]]))
+    assert kicks.shape == (len(TIMES), 2)
+    assert np.isfinite(kicks).all()

@@ -1,0 +1,72 @@
+"""A torque that swings hides as noise; once it is named, the noise falls and what is smaller comes to light."""
+
+import math
+
+import numpy as np
+import pytest
+import twobody
+
+from fitting.discovery import diagnose, found_starts, improve, needs_search
+from fitting.effects import LIBRARY, REDUCED
+from fitting.estimation import fit
+from fitting.model import Model
+from fitting.record import make_record
+
+STRENGTH, RATE, PHASE = 4e-6, 530.0, 1.3
+UNBALANCE, TURNED = 8e-6, 0.4
+NOISE = 1e-7
+
+
+def motion(*laws, seed=5):
+    """Return a motion with laws on the casing, of (t, phase of the precession, angle of the casing)."""
+    plain = twobody.simulate(ou=NOISE, seed=seed, step=0.01)
+    step = plain.time[1]
+    # the swing hardly moves the rotor: its phase is that of the same motion without it
+    phase = np.concatenate([[0.0], np.cumsum(step * RATE / plain.speed[:-1, 0])])
+
+    def casing(t, wr, wc, pr, pc):
+        i = min(int(t / step), len(phase) - 2)
+        turned = phase[i] + (phase[i + 1] - phase[i]) * (t / step - i)
+        return sum(law(turned, pc) for law in laws)
+
+    return twobody.simulate(ou=NOISE, seed=seed, step=0.01, hidden=twobody.Hidden(casing=casing))
+
+
+def swing(phase, angle):
+    return STRENGTH * math.cos(phase + PHASE)
+
+
+def unbalance(phase, angle):
+    return UNBALANCE * math.sin(angle - TURNED)
+
+
+def test_which_laws_need_a_search_of_their_own():
+    assert [e.name for e in LIBRARY.values() if needs_search(e)] == ["casing.precession"]
+
+
+@pytest.fixture(scope="module")
+def base():
+    return fit(Model.of(REDUCED), [make_record(**twobody.film(motion(swing)))])
+
+
+def test_added_by_its_name_it_starts_where_the_screen_finds_it(base):
+    assert base.torque_noise > 10 * NOISE
+    effect = LIBRARY["casing.precession"]
+    start = {k: e.value for k, e in base.estimates.items()} | found_starts(base, [effect])
+    found = fit(base.model.with_effect(effect), base.problem.data, start=start)
+    assert found.verdict == "adequate"
+    assert found.torque_noise == pytest.approx(NOISE, rel=0.4)
+    m = found.estimates["casing.precession.m"]
+    assert abs(m.value - RATE) < 4 * m.stderr
+    assert m.stderr < 1.0
+
+
+@pytest.mark.slow
+def test_what_it_hid_comes_to_light():
+    fitted = fit(Model.of(REDUCED), [make_record(**twobody.film(motion(swing, unbalance)))])
+    rungs = improve(fitted)
+    assert {r.change for r in rungs[1:]} == {"+casing.precession", "+casing.unbalance"}
+    assert rungs[-1].fit.torque_noise == pytest.approx(NOISE, rel=0.4)
+    answer = diagnose(fitted)
+    assert answer.verdict == "missing_effect"
+    assert "casing.unbalance is found as well" in answer.sentence
