@@ -26,10 +26,8 @@ KNOTS = 72
 _BEND, _SIZE = 4e-3, 3e-2
 
 
-def closed_curve(angle: Floats, residual: Floats, weight: Floats) -> tuple[Floats, float]:
-    """Fit a smooth closed curve to residuals over an angle.
-
-    Returns its values at the knots, (KNOTS,), and how many free parameters it has used up.
+def closed_curve(angle: Floats, residual: Floats, weight: Floats) -> Floats:
+    """Fit a smooth closed curve to residuals over an angle; return its values at the knots, (KNOTS,).
 
     Parameters
     ----------
@@ -50,12 +48,10 @@ def closed_curve(angle: Floats, residual: Floats, weight: Floats) -> tuple[Float
     np.add.at(normal, (low, high), w * part * (1 - part))
     np.add.at(normal, (high, low), w * part * (1 - part))
     right = np.bincount(low, w * (1 - part) * r, KNOTS) + np.bincount(high, w * part * r, KNOTS)
-    data = normal.copy()
     eye = np.eye(KNOTS)
     second = np.roll(eye, 1, axis=1) + np.roll(eye, -1, axis=1) - 2.0 * eye
     normal += second.T @ second / _BEND**2 + eye / _SIZE**2
-    solution = np.linalg.solve(normal, np.column_stack([right, data]))
-    return np.asarray(solution[:, 0]), float(np.trace(solution[:, 1:]))
+    return np.asarray(np.linalg.solve(normal, right))
 
 
 def curve_at(curve: Floats, angle: Floats) -> Floats:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack.angles.oddity import excess_misfit
 from gyrotrack.angles.sightings import Sightings
 
 Floats = npt.NDArray[np.float64]
@@ -32,6 +33,8 @@ class Candidate:
         Nothing stands before any part of it.
     weak : ndarray, shape (n,)
         Factor on its uncertainty for what is hidden or dim.
+    odd : ndarray, shape (n,)
+        By how much its profile fits less well than usual; see `oddity`.
     mount : float
         First value of where it sits on the body, as seen [rad].
     """
@@ -40,12 +43,13 @@ class Candidate:
     good: Mask
     open: Mask
     weak: Floats
+    odd: Floats
     mount: float
 
 
 def plausible(seen: Sightings) -> Mask:
     """Frames in which a marker stands out at its usual height, with its usual profile where it is open."""
-    known = np.isfinite(seen.gain) & (seen.weakness < WEAKEST * _usual_weakness(seen))
+    known = np.isfinite(seen.gain) & (seen.weakness < WEAKEST * _usual(seen, seen.weakness))
     whole = known & seen.open
     if not whole.any():
         return whole
@@ -58,9 +62,13 @@ def plausible(seen: Sightings) -> Mask:
 
 def candidate(seen: Sightings, angle: Floats, good: Mask, mount: float) -> Candidate:
     """Make a candidate from sightings and their corrected angle."""
-    return Candidate(angle, good, seen.open, seen.weakness / _usual_weakness(seen), mount)
+    weak, odd = (
+        seen.weakness / _usual(seen, seen.weakness),
+        excess_misfit(seen.misfit, _usual(seen, seen.misfit)),
+    )
+    return Candidate(angle, good, seen.open, weak, odd, mount)
 
 
-def _usual_weakness(seen: Sightings) -> float:
-    whole = seen.open & np.isfinite(seen.weakness)
-    return float(np.median(seen.weakness[whole])) if whole.any() else 1.0
+def _usual(seen: Sightings, values: Floats) -> float:
+    whole = seen.open & np.isfinite(values)
+    return float(np.median(values[whole])) if whole.any() else 1.0

@@ -8,12 +8,12 @@ import numpy.typing as npt
 from gyrotrack.angles.bias import closed_curve, curve_at, without_common_motion
 from gyrotrack.angles.candidates import Candidate
 from gyrotrack.angles.evenness import line_through, whole_turns
-from gyrotrack.geometry.local import local_fit, spread
+from gyrotrack.angles.oddity import most_likely_share
+from gyrotrack.angles.scatter import FAR, core_scatter
+from gyrotrack.geometry.local import local_fit
 
 Floats = npt.NDArray[np.float64]
 
-FAR = 6.0
-"""Standard deviations beyond which a sighting is taken for a fault."""
 FAST = 70.0
 """Speed in rad/s at which a swing of the acceleration by 10 rad/s^2, a heavy unbalance, is 2 mrad."""
 
@@ -39,8 +39,8 @@ class Departures:
         self.bend = path - line_through(path)
         self.candidates = candidates
         self.mounts = {name: c.mount for name, c in candidates.items()}
+        self.weak = {name: c.weak for name, c in candidates.items()}
         self.scatter = dict.fromkeys(candidates, (0.01, 0.03))
-        self.used_up = dict.fromkeys(candidates, 0.0)
         self.by_place = {name: np.zeros(len(path)) for name in candidates}
         self.by_neighbour = {name: np.zeros(len(path)) for name in candidates}
         self.use = {n: c.good & np.isfinite(path) & np.isfinite(c.angle) for n, c in candidates.items()}
@@ -54,10 +54,10 @@ class Departures:
         return self.by_place[name] + self.by_neighbour[name]
 
     def sigma(self, name: str) -> Floats:
-        """Return the uncertainty of each sighting: scatter of open or partly hidden ones, times weakness."""
+        """Return the uncertainty of each sighting: scatter of open or partly hidden ones, times their weakness."""
         c = self.candidates[name]
         clear, partly = self.scatter[name]
-        return np.asarray(np.where(c.open, clear, partly) * c.weak)
+        return np.asarray(np.where(c.open, clear, partly) * self.weak[name])
 
     def mean(self) -> tuple[Floats, Floats, npt.NDArray[np.int64]]:
         """Return the weighted mean departure, its uncertainty, and the number of markers in it."""
@@ -101,41 +101,43 @@ class Departures:
     def judge(self, smooth: Floats, leverage: Floats) -> None:
         """Measure each marker's scatter about the smooth motion, and drop what lies far off."""
         for name, c in self.candidates.items():
+            self._weigh_oddities(name, smooth, leverage)
             off = self._standardised(name, smooth, leverage)
-            clear = _scatter(off[self.use[name] & c.open], self.scatter[name][0])
-            partly = max(_scatter(off[self.use[name] & ~c.open], 3.0 * clear), clear)
+            clear = core_scatter(off[self.use[name] & c.open], self.scatter[name][0])
+            partly = max(core_scatter(off[self.use[name] & ~c.open], 3.0 * clear), clear)
             self.scatter[name] = (clear, partly)
             limit = FAR * np.where(c.open, clear, min(partly, 5.0 * clear)) + 5e-4
             self.use[name] = self.use[name] & ~(np.abs(off) > limit)
 
+    def _weigh_oddities(self, name: str, smooth: Floats, leverage: Floats) -> None:
+        """Learn how much more a marker errs where its profile fits less well (see `oddity`)."""
+        c = self.candidates[name]
+        self.weak[name] = c.weak
+        off = self._standardised(name, smooth, leverage)
+        for part in (c.open, ~c.open):
+            some = self.use[name] & part
+            share = most_likely_share(off[some], c.odd[some])
+            self.weak[name] = np.where(part, c.weak * np.sqrt(1.0 + share * c.odd), self.weak[name])
+
     def measure_scatter(self, smooth: Floats, leverage: Floats) -> None:
         """Measure the scatter once more about a curve that is smooth over whole turns.
 
-        Errors that repeat with the turn are no motion there, and count; what the learnt curves have taken up
-        is given back. A scatter far above that about the short curve is a motion in earnest and is not
-        believed.
+        Errors that repeat with the turn are no motion there, and count. What the learnt curves have taken up is
+        not given back: they have taken it out of the angles too, so that what is left over is their error. A
+        scatter far above that about the short curve is a motion in earnest and is not believed.
         """
         for name, c in self.candidates.items():
             off = self._standardised(name, smooth, leverage)
-            for k, part in enumerate((c.open, ~c.open)):
-                some = self.use[name] & part & self.turning
-                grown = np.sqrt(1.0 / max(1.0 - self.used_up[name] / max(float(some.sum()), 1.0), 0.25))
-                short = self.scatter[name][k]
-                wide = float(np.clip(grown * _scatter(off[some], short), short, 2.5 * short))
-                self.scatter[name] = (
-                    (wide, self.scatter[name][1]) if k == 0 else (self.scatter[name][0], wide)
-                )
-
-    def excess(self, normalised: Floats, leverage: Floats) -> float:
-        """Return by how much the body's angles scatter more than their markers' uncertainties say."""
-        views = sum(float((self.use[name] & np.isfinite(normalised)).sum()) for name in self.candidates)
-        used = min(sum(self.used_up.values()) / max(views, 1.0), 0.75)
-        scatter = _scatter(normalised / np.sqrt(np.clip(1.0 - leverage, 0.1, 1.0)), 1.0)
-        return float(np.clip(scatter / np.sqrt(1.0 - used), 0.5, 3.0))
+            short = self.scatter[name]
+            clear, partly = (
+                float(np.clip(core_scatter(off[self.use[name] & part & self.turning], s), s, 2.5 * s))
+                for part, s in zip((c.open, ~c.open), short, strict=True)
+            )
+            self.scatter[name] = (clear, partly)
 
     def _standardised(self, name: str, smooth: Floats, leverage: Floats) -> Floats:
         share = np.clip(1.0 - leverage / max(len(self.candidates), 1), 0.1, 1.0)
-        return np.asarray((self.departure(name) - smooth) / self.candidates[name].weak / np.sqrt(share))
+        return np.asarray((self.departure(name) - smooth) / self.weak[name] / np.sqrt(share))
 
     def note_turns(self, short: Floats, smooth: Floats, half: int) -> None:
         """Note where errors that repeat with the turn can be told from motion.
@@ -157,7 +159,7 @@ class Departures:
             off = wrapped(c.angle - self.path - self.mounts[name] - self.by_neighbour[name]) - smooth
             fit = self.use[name] & c.open & when
             weight = np.where(fit, 1.0 / self.sigma(name) ** 2, 0.0)
-            curves[name], self.used_up[name] = closed_curve(c.angle, off, weight)
+            curves[name] = closed_curve(c.angle, off, weight)
         if not geometry_only:
             curves = without_common_motion(curves, self.mounts)
         for name, curve in curves.items():
@@ -169,14 +171,10 @@ class Departures:
             off = wrapped(c.angle - self.path - self.mounts[name] - self.by_place[name]) - smooth
             near = self.use[name] & np.isfinite(other)
             weight = np.where(near & self.turning, 1.0 / self.sigma(name) ** 2, 0.0)
-            curve, _ = closed_curve(np.nan_to_num(c.angle - other), off, weight)
+            curve = closed_curve(np.nan_to_num(c.angle - other), off, weight)
             self.by_neighbour[name] = np.where(
                 near & ~c.open, curve_at(curve, np.nan_to_num(c.angle - other)), 0.0
             )
-
-
-def _scatter(off: Floats, otherwise: float) -> float:
-    return max(spread(off), 1e-5) if np.isfinite(off).sum() >= 8 else otherwise
 
 
 def wrapped(angle: Floats) -> Floats:

@@ -43,7 +43,13 @@ def learning_window(path: Floats) -> tuple[int, int]:
 
 
 def whole_turns(path: Floats, half: int) -> Mask:
-    """Return where `half` frames to both sides hold a whole turn, so that what repeats with it shows."""
+    """Return where `half` frames to both sides hold a whole turn, so that what repeats with it shows.
+
+    Nowhere in a path of less than two turns: a place that was passed once tells nothing of what repeats there.
+    """
+    known = path[np.isfinite(path)]
+    if len(known) == 0 or np.ptp(known) < 4.0 * np.pi:
+        return np.zeros(len(path), dtype=np.bool_)
     ahead, behind = np.roll(path, -half), np.roll(path, half)
     swept = np.abs(ahead - behind)
     swept[:half] = 2.0 * np.abs(ahead - path)[:half]

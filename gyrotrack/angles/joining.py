@@ -15,6 +15,7 @@ import numpy.typing as npt
 from gyrotrack.angles.candidates import Candidate
 from gyrotrack.angles.departures import Departures, wrapped
 from gyrotrack.angles.evenness import HALF_WINDOW, learning_window, smooth_path
+from gyrotrack.angles.scatter import excess, tail_factor
 
 Floats = npt.NDArray[np.float64]
 
@@ -52,7 +53,7 @@ def join(
     candidates: dict[str, Candidate],
     fps: float,
     other: Floats | None = None,
-    floor: float = 0.0,
+    floor: float | Floats = 0.0,
 ) -> BodyAngles:
     """Join the markers of one body; its zero is the angle of the first one.
 
@@ -66,8 +67,9 @@ def join(
         Frames per second of the camera.
     other : ndarray, shape (n,), optional
         Angle as seen of the body that hides the markers now and then [rad].
-    floor : float
-        Uncertainty in rad for errors by place that cannot be learnt because the body does not turn round.
+    floor : float or ndarray, shape (n,)
+        Uncertainty in rad of what does not show as scatter because the body does not turn round: errors by place,
+        and a centre that is off.
     """
     path = smooth_path(coarse)
     state = Departures(path, candidates, fps)
@@ -85,19 +87,30 @@ def join(
     return _result(state, half, degree, floor)
 
 
-def _result(state: Departures, half: int, degree: int, floor: float) -> BodyAngles:
+def _result(state: Departures, half: int, degree: int, floor: float | Floats) -> BodyAngles:
     smooth, leverage = state.smooth(half, degree)
     state.measure_scatter(smooth, leverage)
     departure, sigma, count = state.mean()
     unlearnt = np.where(state.turning, 0.0, floor)
-    sigma = np.hypot(sigma, unlearnt)
-    sigma = sigma * state.excess(np.where(state.turning, (departure - smooth) / sigma, np.nan), leverage)
+
+    def calibrated(departure: Floats, sigma: Floats, share: float) -> Floats:
+        """Raise or lower uncertainties until they are the size of the departures from the smooth motion."""
+        whole = np.hypot(sigma, unlearnt)
+        free = np.sqrt(np.clip(1.0 - share * leverage, 0.1, 1.0))
+        off = np.where(state.turning, (departure - smooth) / whole / free, np.nan)
+        scale = excess(off)
+        return np.asarray(whole * scale * tail_factor(off / scale))
+
     markers = {
         name: MarkerAngles(
             np.where(state.use[name], wrapped(c.angle - state.bias(name)), np.nan),
-            np.where(state.use[name], np.hypot(state.sigma(name), unlearnt), np.nan),
+            calibrated(
+                np.where(state.use[name], state.departure(name), np.nan),
+                np.where(state.use[name], state.sigma(name), np.nan),
+                1.0 / len(state.candidates),
+            ),
             state.mounts[name],
         )
         for name, c in state.candidates.items()
     }
-    return BodyAngles(state.path + departure, sigma, count, markers)
+    return BodyAngles(state.path + departure, calibrated(departure, sigma, 1.0), count, markers)

@@ -24,8 +24,9 @@ from gyrotrack.video import frame_numbers
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
-PLACE_ERROR = 0.12
-"""Error in px by place in the picture (light, compression) where a body turns too little to show it."""
+BLOCK_ERROR, LIGHT_ERROR = 0.09, 0.8e-3
+"""Errors by place in the picture where a body turns too little to show them, root mean squares over films of many
+kinds in which it turns enough: of the encoder's blocks in px, of uneven light in rad."""
 _FAR = 0.05
 """Share of the orbit's radius that a centre must move before it is taken to move at all."""
 
@@ -93,9 +94,8 @@ def _join_even(seen: Watched, scene: Scene, profile: Profile, fps: float) -> Joi
     for name, look in views.items():
         casing = bodies["casing"].angle if "casing" in bodies else None
         candidates = look.candidates(centre, flattening[name])
-        found = join(seen.bodies[name].coarse, candidates, fps, casing, floor=PLACE_ERROR / look.radius)
-        # The markers share the centre: its error does not show in their scatter and does not average out.
-        found = replace(found, sigma=np.hypot(found.sigma, np.nan_to_num(centre.sigma) / look.radius))
+        floor = np.hypot(LIGHT_ERROR, np.hypot(BLOCK_ERROR, np.nan_to_num(centre.sigma)) / look.radius)
+        found = join(seen.bodies[name].coarse, candidates, fps, casing, floor)
         if _credible(found):
             bodies[name] = found
         else:

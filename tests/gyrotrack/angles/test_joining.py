@@ -21,7 +21,7 @@ def _scene(seed, bias=0.0, wrong=0.0, share=0.8):
         good = rng.uniform(size=N) < share
         angle = angle + np.where(rng.uniform(size=N) < wrong, 0.05, 0.0)
         markers[name] = Candidate(
-            np.angle(np.exp(1j * angle)), good, np.ones(N, dtype=bool), np.ones(N), mount + 0.01
+            np.angle(np.exp(1j * angle)), good, np.ones(N, dtype=bool), np.ones(N), np.zeros(N), mount + 0.01
         )
     coarse = truth + 0.01 + rng.normal(0, 0.01, N)
     return truth, coarse, markers
@@ -66,7 +66,7 @@ def test_frames_with_no_marker_have_no_angle():
     for name, c in markers.items():
         good = c.good.copy()
         good[700:720] = False
-        markers[name] = Candidate(c.angle, good, c.open, c.weak, c.mount)
+        markers[name] = Candidate(c.angle, good, c.open, c.weak, c.odd, c.mount)
     body = join(coarse, markers, 1000.0)
     assert np.isnan(body.angle[700:720]).all()
     assert (body.count[700:720] == 0).all()
@@ -81,7 +81,8 @@ def test_a_slow_swing_with_the_turn_is_motion_not_error():
     turn = 0.07 * k
     truth = turn + 8e-3 * np.sin(turn)
     angle = np.angle(np.exp(1j * (truth + rng.normal(0, 1e-3, 1200))))
-    one = Candidate(angle, np.ones(1200, dtype=bool), np.ones(1200, dtype=bool), np.ones(1200), 0.0)
+    always = np.ones(1200, dtype=bool)
+    one = Candidate(angle, always, always, np.ones(1200), np.zeros(1200), 0.0)
     body = join(truth + rng.normal(0, 0.01, 1200), {"tape": one}, 300.0)
     swing = np.abs(np.mean((body.angle - turn - np.mean(body.angle - turn)) * np.exp(-1j * turn))) * 2
     assert swing == pytest.approx(8e-3, rel=0.1)

@@ -1,0 +1,58 @@
+"""How widely residuals scatter: their core, their root mean square, and what one that lies far out says of itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack.geometry.local import spread
+
+Floats = npt.NDArray[np.float64]
+
+FAR = 6.0
+"""Standard deviations beyond which a sighting is taken for a fault."""
+FEWEST = 8
+_LIGHTEST, _HEAVIEST = 1e3, 5.0
+
+
+def core_scatter(off: Floats, otherwise: float) -> float:
+    """Return the standard deviation of the core of residuals; `otherwise`, if there are too few of them."""
+    return max(spread(off), 1e-5) if np.isfinite(off).sum() >= FEWEST else otherwise
+
+
+def excess(off: Floats) -> float:
+    """Return by how much normalised residuals scatter more than they should: their root mean square.
+
+    A fault counts as no more than `FAR`; the result is between 0.5 and 3, and 1 if there are too few residuals.
+    """
+    known = off[np.isfinite(off)]
+    if len(known) < FEWEST:
+        return 1.0
+    limit = FAR * core_scatter(known, 1.0)
+    return float(np.clip(np.sqrt(np.mean(np.minimum(known**2, limit**2))), 0.5, 3.0))
+
+
+def tail_factor(off: Floats) -> Floats:
+    """Return by how much each residual raises its own uncertainty where large ones are too frequent, (n,).
+
+    The noise is taken as normal with a variance of its own in each frame, inverse-gamma distributed: residuals
+    then follow Student's t with nu degrees of freedom, their excess kurtosis is 6 / (nu - 4), and a residual of r
+    standard deviations says that its variance was (nu - 2 + r^2) / (nu - 1) of the mean one. Where nothing is
+    known (NaN) the factor is 1.
+
+    Parameters
+    ----------
+    off : ndarray, shape (n,)
+        Residuals of unit root mean square.
+
+    Examples
+    --------
+    >>> tail_factor(np.array([-1.0, 1.0] * 50)).round(3).max()
+    np.float64(1.0)
+    """
+    known = np.minimum(np.abs(off[np.isfinite(off)]), FAR)
+    if len(known) < FEWEST:
+        return np.ones(len(off))
+    kurtosis = float(np.mean(known**4) / max(np.mean(known**2), 1e-12) ** 2 - 3.0)
+    nu = float(np.clip(4.0 + 6.0 / max(kurtosis, 1e-6), _HEAVIEST, _LIGHTEST))
+    return np.asarray(np.where(np.isfinite(off), np.sqrt((nu - 2.0 + off**2) / (nu - 1.0)), 1.0))
