@@ -12,10 +12,11 @@ travel beside it as a mapping from ``<effect>.<symbol>`` to a value.
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -229,6 +230,7 @@ class Dynamics:
         self._jacobian_at = self._collect(outputs, rates, self.states)
         self._sensitivity_at = self._collect(outputs, rates, self.parameters)
         self._tape = Tape(outputs)
+        self._tangent_tape = Tape(outputs[: len(rates) + len(self._jacobian_at)])
         self._rates_tape = Tape(rates)
 
     @staticmethod
@@ -302,12 +304,15 @@ class Dynamics:
             f[..., _CASING] *= np.abs(sense)
         return f
 
-    def linearised(
+    def tangent(
         self, t: Array, y: Array, numbers: Mapping[str, float], sense: ArrayLike | None = None
-    ) -> tuple[Array, Array, Array]:
-        """Return dy/dt, its derivative by the states (..., n, n) and by the parameters (..., n, p)."""
+    ) -> tuple[Array, Array]:
+        """Return dy/dt and its derivative by the states (..., n, n)."""
         sense = self._sense(y, sense)
-        outputs = self._tape(self._values(t, y, numbers) | {SENSE: sense})
+        outputs = self._tangent_tape(self._values(t, y, numbers) | {SENSE: sense})
+        return self._tangent(outputs, y, sense)
+
+    def _tangent(self, outputs: Sequence[Any], y: Array, sense: Array) -> tuple[Array, Array]:
         n = len(self.states)
         f = np.empty(y.shape)
         for i in range(n):
@@ -315,14 +320,24 @@ class Dynamics:
         a = np.zeros((*y.shape, n))
         for i, j, k in self._jacobian_at:
             a[..., i, j] = outputs[k]
-        b = np.zeros((*y.shape, len(self.parameters)))
-        for i, j, k in self._sensitivity_at:
-            b[..., i, j] = outputs[k]
         if self.dry and not sense.all():
             turning = np.abs(sense)
             f[..., _CASING] *= turning
             a[..., _CASING, :] *= turning[..., None]
-            b[..., _CASING, :] *= turning[..., None]
+        return f, a
+
+    def linearised(
+        self, t: Array, y: Array, numbers: Mapping[str, float], sense: ArrayLike | None = None
+    ) -> tuple[Array, Array, Array]:
+        """Return dy/dt, its derivative by the states (..., n, n) and by the parameters (..., n, p)."""
+        sense = self._sense(y, sense)
+        outputs = self._tape(self._values(t, y, numbers) | {SENSE: sense})
+        f, a = self._tangent(outputs, y, sense)
+        b = np.zeros((*y.shape, len(self.parameters)))
+        for i, j, k in self._sensitivity_at:
+            b[..., i, j] = outputs[k]
+        if self.dry and not sense.all():
+            b[..., _CASING, :] *= np.abs(sense)[..., None]
         return f, a, b
 
 

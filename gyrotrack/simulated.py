@@ -10,7 +10,7 @@ import numpy as np
 
 from fitting.model import INERTIA_CASING, INERTIA_ROTOR, Model
 from fitting.record import Record, Samples
-from fitting.simulation.collocation import Sampler
+from fitting.simulation import Sampler
 from fitting.simulation.recording import Experiment, simulate_path
 from gyrotrack.angles import angular_velocity
 from gyrotrack.dataset import write_case

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from fitting.estimation.layout import START_CASING, START_ROTOR, Layout
 from fitting.expression import Tape
 from fitting.model import Dynamics
 from fitting.simulation import Mesh, Path, Sampler, Sensitivity, sensitivities, solve
-from fitting.simulation.collocation import rule
+from fitting.simulation.mesh import rule
 from fitting.simulation.linear import LinearMotion
 
 Array = NDArray[np.float64]
@@ -62,10 +63,12 @@ class CaseModel:
     def solve(self, theta: Array) -> Path:
         """Integrate the smooth part of the model."""
         first = np.array([*self.layout.start(theta, self.case), *self.dynamics.start])
-        mesh = self._guess.mesh if self._guess is not None and not self._guess.kinks else self._mesh()
-        self._guess = solve(self.dynamics, self.layout.numbers(theta, self.case), first, mesh, self._guess)
+        self._guess = solve(
+            self.dynamics, self.layout.numbers(theta, self.case), first, self._mesh, self._guess
+        )
         return self._guess
 
+    @cached_property
     def _mesh(self) -> Mesh:
         return Mesh.uniform(*self.data.record.span, _INTERVALS)
 

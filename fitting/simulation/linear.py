@@ -14,7 +14,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.simulation.collocation import Path, Propagator, Sampler, rule
+from fitting.simulation.mesh import Path, Sampler, rule
+from fitting.simulation.propagator import Propagator
 
 Array = NDArray[np.float64]
 
@@ -106,7 +107,7 @@ def _fundamental(path: Path, propagator: Propagator, size: int) -> Array:
     edges = propagator.remembering(_MEMORY).chain(
         zero, np.zeros((path.y.shape[0], n, size)), np.eye(n)[:, :size]
     )
-    return np.asarray(np.einsum("iknm,imq->iknq", propagator.transfer, edges[:-1])[:, :, :size])
+    return propagator.carried(edges)[:, :, :size]
 
 
 def _independent(phi: Array) -> bool:

@@ -7,6 +7,9 @@ Righthand Sides, 1988), and moves on when the other torques overcome friction. A
 before a jump of the rates from f- to f+, on the surface omega_c = 0, is afterwards
 
     dy+ = dy- - (f- - f+) dy-_c / f-_c        (the saltation matrix).
+
+A known solution for numbers nearby is followed: stretch by stretch on its own mesh, with the time of each stop as one
+more unknown. Only where the motion is no longer alike are meshes and moments sought from nothing.
 """
 
 from __future__ import annotations
@@ -19,17 +22,9 @@ from numpy.typing import NDArray
 
 from fitting.errors import SimulationError
 from fitting.model import Dynamics
-from fitting.simulation.collocation import (
-    UNBOUNDED,
-    Mesh,
-    Path,
-    Sampler,
-    glide,
-    march,
-    refine,
-    settle,
-    transfer,
-)
+from fitting.simulation.collocation import glide, march, refine, settle, thinned
+from fitting.simulation.mesh import Mesh, Path, Sampler, transfer
+from fitting.simulation.propagator import UNBOUNDED
 
 Array = NDArray[np.float64]
 
@@ -61,7 +56,7 @@ def solve(
         Intervals to begin with; they are halved where needed, and cut at the model's breakpoints
         and where the casing stops, turns back or moves on.
     guess : Path, optional
-        A solution for numbers near these.
+        A solution for numbers near these, or what is measured.
 
     Returns
     -------
@@ -78,14 +73,18 @@ def solve(
     run = _Run(dynamics, numbers, breaks)
     pieces: list[Path] = []
     jumps: list[Array] = []
-    y, time = np.asarray(start, dtype=np.float64), float(mesh.edges[0])
+    y, time, end = np.asarray(start, dtype=np.float64), float(mesh.edges[0]), float(mesh.edges[-1])
     sense = run.sense_after(time, y, float(np.sign(y[_CASING])))
+    known = guess.pieces() if guess is not None and guess.exact else []
     for _ in range(_MAX_EVENTS):
-        rest = mesh.between(time, float(mesh.edges[-1]))
-        piece = run.held(y, rest, guess) if sense == 0 else run.turning(y, rest, sense, guess)
+        alike = known[len(pieces)] if len(pieces) < len(known) else None
+        piece = None if alike is None else run.alike(y, time, end, sense, alike, len(pieces) + 1 < len(known))
+        if piece is None:
+            rest = mesh.between(time, end)
+            piece = run.held(y, rest, guess) if sense == 0 else run.turning(y, rest, sense, guess)
         pieces.append(piece)
         time = float(piece.mesh.edges[-1])
-        if time >= mesh.edges[-1]:
+        if time >= end:
             return _joined(pieces, jumps, breaks)
         y = piece.edges[-1].copy()
         if abs(y[_CASING]) > _NOTHING * np.abs(piece.y[..., _CASING]).max():
@@ -143,6 +142,51 @@ class _Run:
                 matrix[:, _CASING] -= (first - then) / first[_CASING]
         return matrix
 
+    def alike(
+        self, start: Array, time: float, end: float, sense: float, known: Path, stops: bool
+    ) -> Path | None:
+        """Return the path from an event to the next as that of a known solution went, or None if it does not go so.
+
+        Parameters
+        ----------
+        start, time, sense
+            State, time, and sense of motion at the event.
+        end : float
+            Where the record ends.
+        known : Path
+            This stretch of the known solution.
+        stops : bool
+            Whether it ended with the casing at rest, and not with the record.
+        """
+        edges = known.mesh.edges
+        within = [b for b in self.breaks if time < b < (edges[-1] if stops else end)]
+        if known.sense[0] != sense or len(within) != len(known.kinks) or (stops and sense == 0):
+            return None
+        places = [time, *sorted(within), float(edges[-1]) if stops else end]
+        if not np.all(np.diff(places) > 0):
+            return None
+        known = thinned(known)
+        mesh = known.mesh.moved([float(edges[0]), *known.kinks, float(edges[-1])], places)
+        first = replace(known, mesh=mesh, edges=known.edges.copy(), kinks=())
+        first.edges[0] = start
+        pivot = places[-2] if stops else None
+        try:
+            path = glide(self.dynamics, self.numbers, first, pivot=pivot)
+        except SimulationError:
+            return None
+        if sense == 0:
+            return path if self._release(path) is None else None
+        if stops and not self._rests(path, end):
+            return None
+        return path if not self.dynamics.dry or _first_crossing(path) is None else None
+
+    def _rests(self, path: Path, end: float) -> bool:
+        stop, y, sense = float(path.mesh.edges[-1]), path.edges[-1], float(path.sense[0])
+        largest = np.abs(path.y[..., _CASING]).max()
+        between = any(b <= stop for b in self.breaks if b > path.mesh.edges[0] and b not in path.mesh.edges)
+        braked = self.push(stop, y, sense) * sense < 0
+        return bool(stop < end and not between and braked and abs(y[_CASING]) <= _STOPPED * largest)
+
     def turning(self, start: Array, mesh: Mesh, sense: float, guess: Path | None) -> Path:
         """Return the path until the casing comes to rest, or to the end of the mesh."""
         path = self._rough(start, mesh, sense, guess)
@@ -168,6 +212,15 @@ class _Run:
 
     def _until_rest(self, path: Path, mesh: Mesh, stop: float) -> Path:
         sense, first = float(path.sense[0]), float(mesh.edges[0])
+        breaks = [b for b in self.breaks if first < b < stop]
+        try:
+            part = Mesh(path.mesh.edges[:-1]).between(first, stop).with_breakpoints(breaks)
+            guess = transfer(path, part, path.edges[0], sense)
+            found = glide(self.dynamics, self.numbers, guess, pivot=max([first, *breaks]))
+            if self._rests(found, float(mesh.edges[-1])) and _first_crossing(found) is None:
+                return found
+        except SimulationError:
+            pass
         for _ in range(40):
             part = Mesh(path.mesh.edges[:-1]).between(first, stop)
             path = glide(self.dynamics, self.numbers, transfer(path, part, path.edges[0], sense))

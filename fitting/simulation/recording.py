@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fitting.errors import SimulationError
 from fitting.model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
 from fitting.record import Record, Samples
-from fitting.simulation.collocation import Mesh, Path, Sampler
+from fitting.simulation.mesh import Mesh, Path, Sampler
 from fitting.simulation.linear import LinearMotion
 from fitting.simulation.motion import solve
 from fitting.simulation.sensitivity import sensitivities

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.model import Dynamics
-from fitting.simulation.collocation import Path, Propagator, Sampler, rule
+from fitting.simulation.mesh import Path, Sampler, rule
+from fitting.simulation.propagator import Propagator
 
 Array = NDArray[np.float64]
 
@@ -59,13 +60,14 @@ def _march(
     path: Path, propagator: Propagator, forcing: Array, first: Array, kicks: Mapping[int, Array]
 ) -> tuple[Array, Array]:
     half = path.mesh.half[..., None]
-    node_defect = half[..., None] * np.einsum("kj,ijnq->iknq", rule().s, forcing)
-    edge_defect = half * np.einsum("j,ijnq->inq", rule().w, forcing)
+    flat = forcing.reshape(*forcing.shape[:2], -1)
+    node_defect = (half * (rule().s @ flat)).reshape(forcing.shape)
+    edge_defect = (half[..., 0] * (rule().w @ flat)).reshape(len(flat), *forcing.shape[2:])
     for i, kick in kicks.items():
         edge_defect[i] += kick
     response = propagator.nodes(node_defect)
     edges = propagator.chain(response, edge_defect, first)
-    return response + np.einsum("iknm,imq->iknq", propagator.transfer, edges[:-1]), edges
+    return response + propagator.carried(edges), edges
 
 
 def _kicks(dynamics: Dynamics, numbers: Mapping[str, float], path: Path, columns: int) -> dict[int, Array]:
@@ -88,6 +90,6 @@ def _kicks(dynamics: Dynamics, numbers: Mapping[str, float], path: Path, columns
 def angles(sampler: Sampler, path: Path, state: int, nodes: Array) -> Array:
     """Return the integral of the columns of a sensitivity of a speed, at the sampler's times."""
     speed = nodes[:, :, state]
-    steps = path.mesh.half * np.einsum("k,ikq->iq", rule().w, speed)
+    steps = path.mesh.half * (rule().w @ speed)
     starts = np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
     return sampler.integral(starts, speed)

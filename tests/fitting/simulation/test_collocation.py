@@ -8,7 +8,7 @@ from scipy.linalg import expm
 from fitting.errors import SimulationError
 from fitting.model import Dynamics, Model
 from fitting.simulation import Mesh, Sampler, solve
-from fitting.simulation.collocation import rule
+from fitting.simulation.mesh import rule
 
 TIMES = np.linspace(0, 200, 1501)
 

@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 
 from fitting.model import Dynamics, Model
 from fitting.simulation import Mesh, Sampler, respond, sensitivities, solve
-from fitting.simulation.collocation import rule
+from fitting.simulation.mesh import rule
 from fitting.simulation.linear import LinearMotion
 from fitting.simulation.sensitivity import angles
 
