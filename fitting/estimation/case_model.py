@@ -16,8 +16,8 @@ from fitting.estimation.layout import START_CASING, START_ROTOR, Layout
 from fitting.expression import Tape
 from fitting.model import Dynamics
 from fitting.simulation import Mesh, Path, Sampler, Sensitivity, sensitivities, solve
-from fitting.simulation.mesh import rule
 from fitting.simulation.linear import LinearMotion
+from fitting.simulation.mesh import rule
 
 Array = NDArray[np.float64]
 

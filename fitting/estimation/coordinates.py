@@ -6,13 +6,15 @@ With X = x / x_ref they read T1 X^m + K (X^g - X^m) / (g - m), where T1 is the t
     T1 = d x_ref^m + f x_ref^g,    K = (g - m) f x_ref^g.
 
 So it is for the bearing's d D + f D^g, with m = 1, and for any power law that a user adds to a law of fixed power.
-A power law without such a one beside it has the torque F = f x_ref^g for f.
+A power law without such a one beside it has the torque F = f x_ref^g for f. Where d or f is held at a bound, the other
+is replaced by T1, which the data know well.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,13 +33,17 @@ _SAME = 1e-9
 
 @dataclass(frozen=True)
 class Valley:
-    """A power law, alone (d is None) or beside a law of fixed power m: places among the variables, x_ref, and m."""
+    """A power law, alone (d is None) or beside a law of fixed power m: places among the variables, x_ref, and m.
+
+    `held` tells which of d and f stays what it is.
+    """
 
     d: int | None
     f: int
     g: int
     reference: float
     order: float = 1.0
+    held: Literal["", "d", "f"] = ""
 
 
 def to_physical(u: Array, valleys: Sequence[Valley]) -> tuple[Array, Array]:
@@ -49,6 +55,9 @@ def to_physical(u: Array, valleys: Sequence[Valley]) -> tuple[Array, Array]:
             theta[v.f] = u[v.f] / full
             slope[v.f, v.f] = 1 / full
             slope[v.f, v.g] = -theta[v.f] * np.log(v.reference)
+            continue
+        if v.held:
+            _beside_held(theta, slope, u, v, v.d)
             continue
         t1, curvature, g = u[v.d], u[v.f], _away(u[v.g], v.order)
         beyond, full, unit = g - v.order, v.reference**g, v.reference**v.order
@@ -63,12 +72,29 @@ def to_physical(u: Array, valleys: Sequence[Valley]) -> tuple[Array, Array]:
     return theta, slope
 
 
+def _beside_held(theta: Array, slope: Array, u: Array, v: Valley, d: int) -> None:
+    full, unit = v.reference ** u[v.g], v.reference**v.order
+    if v.held == "d":
+        theta[v.f] = (u[v.f] - u[d] * unit) / full
+        slope[v.f, v.f], slope[v.f, d] = 1 / full, -unit / full
+        slope[v.f, v.g] = -theta[v.f] * np.log(v.reference)
+    else:
+        theta[d] = (u[d] - u[v.f] * full) / unit
+        slope[d, d], slope[d, v.f] = 1 / unit, -full / unit
+        slope[d, v.g] = -u[v.f] * full / unit * np.log(v.reference)
+
+
 def from_physical(theta: Array, valleys: Sequence[Valley]) -> Array:
     """Return (T1, K, g, ...) from (d, f, g, ...)."""
     u = theta.copy()
     for v in valleys:
         if v.d is None:
             u[v.f] = theta[v.f] * v.reference ** theta[v.g]
+            continue
+        if v.held:
+            u[v.f if v.held == "d" else v.d] = (
+                theta[v.d] * v.reference**v.order + theta[v.f] * v.reference ** theta[v.g]
+            )
             continue
         g = _away(theta[v.g], v.order)
         power = theta[v.f] * v.reference**g

@@ -30,6 +30,7 @@ from fitting.estimation.search import search, search_widely
 from fitting.estimation.shapes import start_shapes, unknown_shapes
 from fitting.estimation.start import start_values
 from fitting.model import Model
+from fitting.noise import WHITE
 from fitting.record import Record
 
 if TYPE_CHECKING:
@@ -42,6 +43,8 @@ _MISFIT = 1.4
 # probability of the slow torque that a model leaves, if that is noise, below which it is said to miss something
 _IMPROBABLE = 1e-5
 _OTHER_POWERS = (0.7, 1.35)
+# a casing slower than this share of its largest speed is taken to stand still
+_AT_REST = 0.01
 
 
 @dataclass(frozen=True)
@@ -185,6 +188,9 @@ def fit(
         noise = first_noise(problem, theta)
         problem.set_noise([n.whitener for n in noise])
         theta = _shaped(problem, theta, start)
+        if _stops(problem, theta):
+            # what noise does after a stop at a wrong time is wrong too, and would hold the search there
+            problem.set_noise([WHITE] * len(data))
         theta = search_widely(problem, theta, _elsewhere(layout, problem, theta, start), quick=quick)
         noise = measure_noise(problem, theta)
         theta, noise = _tight(problem, theta, noise)
@@ -200,6 +206,15 @@ def fit(
     problem.set_noise([n.whitener for n in noise])
     minimum, theta = search(problem, theta, quick=quick)
     return summarise(problem, theta, noise, converged=minimum.converged)
+
+
+def _stops(problem: Problem, theta: Array) -> bool:
+    """Return whether a casing comes to rest or turns back, as it was measured or as the model has it."""
+    for d in problem.data:
+        speed = np.abs(d.rough_speeds[1][:, 1])
+        if (speed[len(speed) // 20 :] < _AT_REST * speed.max(initial=0.0)).any():
+            return True
+    return any(p.path.jumps for p in problem.predict(theta))
 
 
 def _shaped(problem: Problem, theta: Array, given: Mapping[str, float] | None) -> Array:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fitting.case_data import CaseData
 from fitting.estimation.case_model import CaseModel, Prediction
-from fitting.estimation.coordinates import find_valleys, from_physical, to_physical
+from fitting.estimation.coordinates import Valley, find_valleys, from_physical, to_physical
 from fitting.estimation.layout import Layout
 from fitting.noise import WHITE, Whitener
 
@@ -49,6 +49,8 @@ class Problem:
         self.projections = [Projection(d, WHITE) for d in data]
         self.reference = reference_speed(self.data)
         self.valleys = find_valleys(layout, [d.rough_speeds for d in data])
+        # where the last search ended on bounds of d or f: its valleys, and which variables are held
+        self.edge: tuple[tuple[Valley, ...], tuple[int, ...]] | None = None
 
     def set_noise(self, whiteners: Sequence[Whitener]) -> None:
         """Weigh the rows by this noise from now on."""
@@ -85,7 +87,10 @@ class Problem:
         """Return the bounds of the straight variables: d and f may leave theirs on the way, a lone f only upwards."""
         lower, upper = lower.copy(), upper.copy()
         for v in self.valleys:
-            if v.d is not None:
+            if v.held:
+                free = v.f if v.held == "d" else v.d
+                lower[free], upper[free] = -np.inf, np.inf
+            elif v.d is not None:
                 lower[[v.d, v.f]], upper[[v.d, v.f]] = -np.inf, np.inf
             else:
                 lower[v.f], upper[v.f] = 0.0 if lower[v.f] >= 0 else -np.inf, np.inf

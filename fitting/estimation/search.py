@@ -6,8 +6,8 @@ from the program's own start, and from other exponents.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,10 @@ _ENOUGH_TO_RANK = 3e-3
 # chi2 per row above which a search is repeated from elsewhere
 _LOST = 10.0
 _PATIENCE = 60
+# steps tried at most where only an order is asked for
+_QUICK = 40
+# exponents tried for the slope of a law
+_POWERS = 241
 _ALIKE = 1e-3
 
 
@@ -63,26 +67,81 @@ def search(problem: Problem, theta: Array, *, quick: bool = False, most: int = 2
     most : int
         Steps tried at most.
     """
-    enough, most = (_ENOUGH_TO_RANK, min(40, most)) if quick else (_ENOUGH, most)
-    lower, upper = problem.straight_bounds(*problem.layout.bounds())
+    enough, most = (_ENOUGH_TO_RANK, min(_QUICK, most)) if quick else (_ENOUGH, most)
+    lower, upper = problem.layout.bounds()
+    if problem.edge is not None:
+        edge = _Edge(*problem.edge)
+        found = _along(problem, theta, edge, enough, most)
+        if (
+            found is not None
+            and found[0].converged
+            and not _broken(edge.valleys, found[1], lower, upper)
+            and _pushed(problem, found[1], edge.held, enough)
+        ):
+            return found
+        problem.edge = None
     follows_angle = bool(problem.layout.model.rippling or problem.layout.model.measurement)
     for _ in range(2 if follows_angle else 1):
         for case in problem.cases:
             case.forget_columns()
-        minimum = minimise(
-            problem,
-            problem.straight(theta),
-            lower,
-            upper,
-            absolute=enough,
-            max_iterations=most,
-        )
+        minimum = _minimise(problem, theta, lower, upper, enough, most)
         theta = problem.physical(minimum.x)
     # the box around d and f is none in straight variables: whether they kept to it is seen afterwards
+    if not _broken(problem.valleys, theta, lower, upper):
+        return minimum, theta
+    if not minimum.converged and minimum.cost > _LOST * len(minimum.residual):
+        return minimum, np.clip(theta, lower, upper)
+    return _on_the_edge(problem, minimum, theta, enough, most)
+
+
+@dataclass(frozen=True)
+class _Edge:
+    """A part of the bounds of d and f: the valleys that remain there, and which variables are held."""
+
+    valleys: tuple[Valley, ...]
+    held: tuple[int, ...] = ()
+
+
+def _minimise(
+    problem: Problem, theta: Array, lower: Array, upper: Array, enough: float, most: int
+) -> Minimum:
+    least, greatest = problem.straight_bounds(lower, upper)
+    start = problem.straight(theta)
+    return minimise(problem, start, least, greatest, absolute=enough, max_iterations=most)
+
+
+def _along(
+    problem: Problem, theta: Array, edge: _Edge, enough: float, most: int
+) -> tuple[Minimum, Array] | None:
+    """Return the minimum along an edge, from variables on it; None if there is no value there."""
     lower, upper = problem.layout.bounds()
-    if any(_broken(v, theta, lower, upper) for v in problem.valleys):
-        return _on_the_edge(problem, minimum, theta, enough, most)
-    return minimum, theta
+    held = list(edge.held)
+    lower[held] = upper[held] = theta[held]
+    valleys, problem.valleys = problem.valleys, edge.valleys
+    try:
+        minimum = _minimise(problem, theta, lower, upper, enough, most)
+        end = problem.physical(minimum.x)
+    except EstimationError:
+        return None
+    finally:
+        problem.valleys = valleys
+    return minimum, end
+
+
+def _pushed(problem: Problem, theta: Array, held: Sequence[int], enough: float) -> bool:
+    """Return whether chi-square would not fall if what is held at a bound moved into its range."""
+    lower, upper = problem.layout.bounds()
+    r, j = problem.residuals(problem.predict(theta))
+    others = [i for i in range(len(theta)) if i not in held and lower[i] < theta[i] < upper[i]]
+    size = np.linalg.norm(j[:, others], axis=0)
+    basis = np.linalg.qr(j[:, others] / np.where(size > 0, size, 1.0))[0]
+    for i in held:
+        own = j[:, i] - basis @ (basis.T @ j[:, i])
+        slope = float(own @ r)
+        inward = slope < 0 if theta[i] <= lower[i] else slope > 0
+        if inward and slope**2 > enough * float(own @ own):
+            return False
+    return True
 
 
 def _on_the_edge(
@@ -90,62 +149,74 @@ def _on_the_edge(
 ) -> tuple[Minimum, Array]:
     """Return the best fit with d and f within their bounds when the free one breaks them.
 
-    One of the two then lies on a bound: every bound is tried, with the torque at the reference speed kept.
+    One of the two then lies on a bound, or both do: a quick search along every bound, and the best one to its end.
     """
     lower, upper = problem.layout.bounds()
-    valleys = problem.valleys
-    try:
-        while broken := [v for v in problem.valleys if _broken(v, theta, lower, upper)]:
-            v = broken[0]
-            problem.valleys = tuple(w for w in problem.valleys if w.f != v.f)
-            ends = []
-            for held, begin in _edges_of(v, theta, lower, upper):
-                low, high = lower.copy(), upper.copy()
-                low[held] = high[held] = begin[held]
-                least, greatest = problem.straight_bounds(low, high)
-                try:
-                    end = minimise(
-                        problem,
-                        problem.straight(begin),
-                        least,
-                        greatest,
-                        absolute=enough,
-                        max_iterations=most,
-                    )
-                except EstimationError:
-                    continue
-                ends.append((end, low, high))
-            if not ends:
-                return replace(minimum, converged=False), np.clip(theta, lower, upper)
-            minimum, lower, upper = min(ends, key=lambda end: end[0].cost)
-            theta = problem.physical(minimum.x)
-    finally:
-        problem.valleys = valleys
-    return minimum, theta
+    ends = list(_ranked(problem, theta, _Edge(problem.valleys), min(_QUICK, most)))
+    if ends:
+        _, theta, edge = min(ends, key=lambda end: end[0])
+        found = _along(problem, theta, edge, enough, most)
+        if found is not None and not _broken(edge.valleys, found[1], lower, upper):
+            problem.edge = edge.valleys, edge.held
+            return found
+    return replace(minimum, converged=False), np.clip(theta, lower, upper)
 
 
-def _broken(v: Valley, theta: Array, lower: Array, upper: Array) -> bool:
-    places = [i for i in (v.d, v.f) if i is not None]
-    return bool(np.any(theta[places] < lower[places]) or np.any(theta[places] > upper[places]))
+def _ranked(problem: Problem, theta: Array, edge: _Edge, most: int) -> Iterator[tuple[float, Array, _Edge]]:
+    """Yield where quick searches along the bounds of the first valley that breaks them end: chi-square, variables."""
+    lower, upper = problem.layout.bounds()
+    (v, *_) = _broken(edge.valleys, theta, lower, upper)
+    for side, begin in _sides(v, edge, theta, lower, upper):
+        found = _along(problem, begin, side, _ENOUGH_TO_RANK, most)
+        if found is None:
+            continue
+        if _broken(side.valleys, found[1], lower, upper):
+            yield from _ranked(problem, found[1], side, most)
+        else:
+            yield found[0].cost, found[1], side
 
 
-def _edges_of(v: Valley, theta: Array, lower: Array, upper: Array) -> Iterator[tuple[list[int], Array]]:
-    """Yield what is held, and variables with d or f on a bound, the torque at the reference speed kept."""
+def _broken(valleys: Sequence[Valley], theta: Array, lower: Array, upper: Array) -> list[Valley]:
+    """Return the valleys whose d or f is out of its bounds."""
+    broken = []
+    for v in valleys:
+        places = [i for i in (v.d, v.f) if i is not None]
+        if np.any(theta[places] < lower[places]) or np.any(theta[places] > upper[places]):
+            broken.append(v)
+    return broken
+
+
+def _sides(v: Valley, edge: _Edge, theta: Array, lower: Array, upper: Array) -> Iterator[tuple[_Edge, Array]]:
+    """Yield the bounds of d and f, each with variables on it: torque and slope at the reference speed are kept."""
+    rest = tuple(w for w in edge.valleys if w.f != v.f)
     if v.d is None:
         # a lone power law: with f within its range, in f itself
-        yield [], np.clip(theta, lower, upper)
+        yield _Edge(rest, edge.held), np.clip(theta, lower, upper)
         return
-    d, f, g, reference = theta[v.d], theta[v.f], theta[v.g], v.reference
-    straight = reference**v.order
-    torque = max(d * straight + f * reference**g, 1e-12)
-    # the power of one law that has this torque and this slope at the reference speed
-    alike = float(np.clip((v.order * d * straight + g * f * reference**g) / torque, lower[v.g], upper[v.g]))
-    for held, other in ((v.d, v.f), (v.f, v.d)):
-        power = alike if held == v.d else g
-        unit = {v.d: straight, v.f: reference**power}
-        for bound in {float(b[held]) for b in (lower, upper) if np.isfinite(b[held])}:
-            begin = theta.copy()
-            begin[held] = bound
-            begin[other] = max(torque - bound * unit[held], 0.0) / unit[other]
-            begin[v.g] = power
-            yield [held], begin
+    if v.held:
+        place = v.f if v.held == "d" else v.d
+        begin = theta.copy()
+        begin[place] = np.clip(theta[place], lower[place], upper[place])
+        yield _Edge(rest, (*edge.held, place)), begin
+        return
+    d, f, g = theta[v.d], theta[v.f], theta[v.g]
+    straight = v.reference**v.order
+    torque = max(d * straight + f * v.reference**g, 1e-12)
+    curvature = (g - v.order) * f * v.reference**g
+    powers = (
+        np.linspace(lower[v.g], upper[v.g], _POWERS)
+        if np.isfinite(upper[v.g] - lower[v.g])
+        else np.array([g])
+    )
+    for bound in {float(b[v.d]) for b in (lower, upper) if np.isfinite(b[v.d])}:
+        begin = theta.copy()
+        left = max(torque - bound * straight, 1e-3 * torque)
+        begin[v.d], begin[v.g] = bound, np.clip(v.order + curvature / left, lower[v.g], upper[v.g])
+        begin[v.f] = left / v.reference ** begin[v.g]
+        yield _Edge((*rest, replace(v, held="d")), (*edge.held, v.d)), begin
+    for bound in {float(b[v.f]) for b in (lower, upper) if np.isfinite(b[v.f])}:
+        begin = theta.copy()
+        bent = (powers - v.order) * bound * v.reference**powers
+        begin[v.f], begin[v.g] = bound, powers[np.argmin(np.abs(bent - curvature))]
+        begin[v.d] = (torque - bound * v.reference ** begin[v.g]) / straight
+        yield _Edge((*rest, replace(v, held="f")), (*edge.held, v.f)), begin

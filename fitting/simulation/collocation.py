@@ -81,9 +81,7 @@ def refine(
             break
         middle = 0.5 * (edges[1:] + edges[:-1])[rough]
         mesh = Mesh(np.sort(np.concatenate([edges, middle])))
-        path = settle(
-            dynamics, numbers, transfer(path, mesh, path.edges[0], path.sense[0]), pivot=pivot
-        )
+        path = settle(dynamics, numbers, transfer(path, mesh, path.edges[0], path.sense[0]), pivot=pivot)
     raise SimulationError("the equations of motion change too sharply to be integrated")
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -144,14 +145,13 @@ class Path:
             Path(
                 Mesh(self.mesh.edges[a : b + 1]),
                 self.y[a:b],
-                # what follows an event starts from it; what leads there ends in it
                 self.edges[a : b + 1],
                 self.states,
                 self.sense[a:b],
                 tuple(k for k in self.breaks if self.mesh.edges[a] < k < self.mesh.edges[b]),
                 bend=self.bend,
             )
-            for a, b in zip(ends[:-1], ends[1:], strict=True)
+            for a, b in pairwise(ends)
         ]
 
 

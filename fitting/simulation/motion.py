@@ -78,7 +78,8 @@ def solve(
     known = guess.pieces() if guess is not None and guess.exact else []
     for _ in range(_MAX_EVENTS):
         alike = known[len(pieces)] if len(pieces) < len(known) else None
-        piece = None if alike is None else run.alike(y, time, end, sense, alike, len(pieces) + 1 < len(known))
+        stops = len(pieces) + 1 < len(known)
+        piece = None if alike is None else run.alike(y, time, end, sense, alike, stops=stops)
         if piece is None:
             rest = mesh.between(time, end)
             piece = run.held(y, rest, guess) if sense == 0 else run.turning(y, rest, sense, guess)
@@ -143,7 +144,7 @@ class _Run:
         return matrix
 
     def alike(
-        self, start: Array, time: float, end: float, sense: float, known: Path, stops: bool
+        self, start: Array, time: float, end: float, sense: float, known: Path, *, stops: bool
     ) -> Path | None:
         """Return the path from an event to the next as that of a known solution went, or None if it does not go so.
 

@@ -59,8 +59,8 @@ class Propagator:
             solved = np.linalg.solve(g, right)
         except np.linalg.LinAlgError:
             raise SimulationError(UNBOUNDED) from None
-        self.transfer: Array = solved[..., :n].reshape(intervals, k, n, n)
-        self.response: Array = solved[..., n:].reshape(intervals, k, n, -1)
+        self.transfer: Array = np.asarray(solved[..., :n].reshape(intervals, k, n, n))
+        self.response: Array = np.asarray(solved[..., n:].reshape(intervals, k, n, -1))
         self._step = np.eye(n) + self._gained(self.transfer)
 
     @cached_property

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from fitting.errors import SimulationError
 from fitting.model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
 from fitting.record import Record, Samples
-from fitting.simulation.mesh import Mesh, Path, Sampler
 from fitting.simulation.linear import LinearMotion
+from fitting.simulation.mesh import Mesh, Path, Sampler
 from fitting.simulation.motion import solve
 from fitting.simulation.sensitivity import sensitivities
 

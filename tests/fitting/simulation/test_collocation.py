@@ -146,3 +146,17 @@ def test_motion_without_bound_is_an_error_and_no_crash():
     p = PAPER | {"casing.air.quadratic.k": -1e-5}
     with pytest.raises(SimulationError):
         path_of(p)
+
+
+def test_a_mesh_that_had_to_be_fine_becomes_coarse_again():
+    """Following a sharp law's solution for a law that is smooth: the edges go that nothing needs."""
+    p = PAPER | EXTRA["stribeck"] | {"touchpoint.stribeck.w": 0.5}
+    dynamics = Dynamics(model_of(p))
+    first, mesh = np.array([900.0, 5.0]), Mesh.uniform(0.0, 200.0, 12)
+    path = solve(dynamics, {**p, **INERTIA}, first, mesh)
+    fine = len(path.y)
+    smooth = PAPER | {"touchpoint.stribeck.k": 0.0, "touchpoint.stribeck.w": 0.5}
+    for _ in range(6):
+        path = solve(dynamics, {**smooth, **INERTIA}, first, mesh, path)
+    assert len(path.y) <= 1 + len(path_of(PAPER).y) < fine
+    check(PAPER, path, TIMES)

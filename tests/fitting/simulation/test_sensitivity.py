@@ -7,8 +7,8 @@ from scipy.integrate import solve_ivp
 
 from fitting.model import Dynamics, Model
 from fitting.simulation import Mesh, Sampler, respond, sensitivities, solve
-from fitting.simulation.mesh import rule
 from fitting.simulation.linear import LinearMotion
+from fitting.simulation.mesh import rule
 from fitting.simulation.sensitivity import angles
 
 TIMES = np.linspace(0, 150, 301)
