@@ -18,20 +18,36 @@ CAMERAS = {
     "rotor": Camera(
         1280, 720, 1000.0, 25.0, exposure=0.7e-3, scale=8.8, tilt=0.10, tilt_azimuth=2.6, noise=3.0
     ),  # 150 px, smeared by 33 px
+    "small rotor": Camera(
+        640, 360, 1000.0, 25.0, exposure=0.7e-3, scale=4.4, tilt=0.10, tilt_azimuth=2.6, noise=3.0
+    ),  # 75 px
 }
-SPEEDS = {"casing": (420.0, 62.0), "rotor": (315.0, 58.0)}
+SPEEDS = {"casing": (420.0, 62.0), "rotor": (315.0, 58.0), "small rotor": (315.0, 58.0)}
+
+
+def motion_of(name: str) -> Motion:
+    """How both bodies turn in a film."""
+    time = np.linspace(-0.1, 60.0, 600)
+    rotor, casing = SPEEDS[name]
+    return Motion.from_speeds(time, rotor - 6 * time, casing + 8 * np.sin(0.2 * time), 0.3, 0.9)
 
 
 def film(name: str, frames: int, folder: Path) -> tuple[Path, Truth]:
     """Draw a film, or take the one that was drawn before."""
-    path, answers = folder / f"{name}_{frames}.mp4", folder / f"{name}_{frames}.npz"
+    stem = f"{name.replace(' ', '_')}_{frames}"
+    path, answers = folder / f"{stem}.mp4", folder / f"{stem}.npz"
     if not (path.exists() and answers.exists()):
         folder.mkdir(parents=True, exist_ok=True)
-        time = np.linspace(-0.1, 60.0, 600)
-        rotor, casing = SPEEDS[name]
-        motion = Motion.from_speeds(time, rotor - 6 * time, casing + 8 * np.sin(0.2 * time), 0.3, 0.9)
         render_clip(
-            path, SCENE, motion, CAMERAS[name], LIGHT, frames=frames, seed=1, truth=answers, force=True
+            path,
+            SCENE,
+            motion_of(name),
+            CAMERAS[name],
+            LIGHT,
+            frames=frames,
+            seed=1,
+            truth=answers,
+            force=True,
         )
     return path, load_truth(answers)
 

@@ -33,6 +33,7 @@ class Departures:
 
     def __init__(self, path: Floats, candidates: dict[str, Candidate], fps: float) -> None:
         self.path = path
+        self._fps = fps
         self.turning = np.zeros(len(path), dtype=np.bool_)
         with np.errstate(invalid="ignore"):
             self.fast = np.abs(np.gradient(path)) * fps > FAST
@@ -165,15 +166,22 @@ class Departures:
         for name, curve in curves.items():
             self.by_place[name] = curve_at(curve - curve.mean(), np.nan_to_num(self.candidates[name].angle))
 
-    def learn_neighbours(self, smooth: Floats, other: Floats) -> None:
-        """Learn each marker's error by its angle to the body that hides it (see `bias`)."""
+    def learn_neighbours(self, smooth: Floats, other: Floats, *, above: bool) -> None:
+        """Learn each marker's error by its angle to the other body (see `bias`).
+
+        Markers below it err where it hides a part of them. Markers above it (`above`) err wherever the other body's
+        own markers pass beside them; they are learnt where these pass so fast that no motion follows them.
+        """
+        with np.errstate(invalid="ignore"):
+            passing = np.abs(np.gradient(other - self.path)) * self._fps > FAST
         for name, c in self.candidates.items():
             off = wrapped(c.angle - self.path - self.mounts[name] - self.by_place[name]) - smooth
             near = self.use[name] & np.isfinite(other)
-            weight = np.where(near & self.turning, 1.0 / self.sigma(name) ** 2, 0.0)
+            when = near & self.turning & (passing if above else True)
+            weight = np.where(when, 1.0 / self.sigma(name) ** 2, 0.0)
             curve = closed_curve(np.nan_to_num(c.angle - other), off, weight)
             self.by_neighbour[name] = np.where(
-                near & ~c.open, curve_at(curve, np.nan_to_num(c.angle - other)), 0.0
+                near & (above | ~c.open), curve_at(curve, np.nan_to_num(c.angle - other)), 0.0
             )
 
 

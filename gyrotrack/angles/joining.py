@@ -54,6 +54,8 @@ def join(
     fps: float,
     other: Floats | None = None,
     floor: float | Floats = 0.0,
+    *,
+    above: bool = False,
 ) -> BodyAngles:
     """Join the markers of one body; its zero is the angle of the first one.
 
@@ -66,10 +68,12 @@ def join(
     fps : float
         Frames per second of the camera.
     other : ndarray, shape (n,), optional
-        Angle as seen of the body that hides the markers now and then [rad].
+        Angle as seen of the body that hides the markers now and then, or passes beneath them [rad].
     floor : float or ndarray, shape (n,)
         Uncertainty in rad of what does not show as scatter because the body does not turn round: errors by place,
         and a centre that is off.
+    above : bool
+        Whether the markers lie above the other body.
     """
     path = smooth_path(coarse)
     state = Departures(path, candidates, fps)
@@ -82,7 +86,7 @@ def join(
         state.note_turns(short, smooth, half)
         state.learn_places(smooth)
         if other is not None:
-            state.learn_neighbours(smooth, other)
+            state.learn_neighbours(smooth, other, above=above)
     state.judge(*state.smooth(HALF_WINDOW))
     return _result(state, half, degree, floor)
 

@@ -89,17 +89,7 @@ def _with_gaps(seen: Watched, index: Integers) -> Watched:
 def _join_even(seen: Watched, scene: Scene, profile: Profile, fps: float) -> Joint:
     views = {name: view(scene.of(name), body.markers, seen.size) for name, body in seen.bodies.items()}
     centre, flattening = _slant(_centre(seen, scene, profile), views, profile, marked=seen.disc is not None)
-    bodies: dict[str, BodyAngles] = {}
-    warnings: list[str] = []
-    for name, look in views.items():
-        casing = bodies["casing"].angle if "casing" in bodies else None
-        candidates = look.candidates(centre, flattening[name])
-        floor = np.hypot(LIGHT_ERROR, np.hypot(BLOCK_ERROR, np.nan_to_num(centre.sigma)) / look.radius)
-        found = join(seen.bodies[name].coarse, candidates, fps, casing, floor)
-        if _credible(found):
-            bodies[name] = found
-        else:
-            warnings.append(f"the {name}'s markers cannot be followed; it is left out")
+    bodies, warnings = _followed(seen, views, centre, flattening, fps)
     sense = find_sense({name: net_turn(body.angle) for name, body in bodies.items()}, profile.sense)
     for name, body in bodies.items():
         angle, changed = unfold(body.angle, sense)
@@ -112,6 +102,31 @@ def _join_even(seen: Watched, scene: Scene, profile: Profile, fps: float) -> Joi
         bodies[name] = _zeroed(body, profile, sense)
     slants = {name: flattening[name] for name in bodies}
     return Joint(centre, bodies, slants, sense, tuple(warnings))
+
+
+def _followed(
+    seen: Watched, views: dict[str, View], centre: CentrePath, flattening: dict[str, Flattening], fps: float
+) -> tuple[dict[str, BodyAngles], list[str]]:
+    """Join the markers of each body; the casing twice, since the rotor's markers pass beneath its own."""
+    candidates = {name: look.candidates(centre, flattening[name]) for name, look in views.items()}
+
+    def joined(name: str, other: Floats | None, *, above: bool = False) -> BodyAngles:
+        off = np.hypot(BLOCK_ERROR, np.nan_to_num(centre.sigma)) / views[name].radius
+        floor = np.hypot(LIGHT_ERROR, off)
+        return join(seen.bodies[name].coarse, candidates[name], fps, other, floor, above=above)
+
+    bodies: dict[str, BodyAngles] = {}
+    warnings: list[str] = []
+    for name in views:
+        found = joined(name, bodies["casing"].angle if "casing" in bodies else None)
+        if _credible(found):
+            bodies[name] = found
+        else:
+            warnings.append(f"the {name}'s markers cannot be followed; it is left out")
+    if len(bodies) == 2:
+        better = joined("casing", bodies["rotor"].angle, above=True)
+        bodies["casing"] = better if _credible(better) else bodies["casing"]
+    return bodies, warnings
 
 
 def _centre(seen: Watched, scene: Scene, profile: Profile) -> CentrePath:

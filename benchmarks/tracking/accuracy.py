@@ -1,0 +1,172 @@
+"""How near are the angles to the best that the decoded frames allow?
+
+    python benchmarks/tracking/accuracy.py -o benchmarks/tracking/accuracy.md
+
+The best is an oracle: a matched filter on the same decoded frames that knows the scene, the light, the smear, the
+centre and all angles but one. With D the decoded plane, S the same frame drawn without noise and compression, and S'
+its derivative by the body's angle, its error is sum(S' (D - S)) / sum(S'^2) over the marker's neighbourhood: in both
+chroma planes for a coloured marker, in luma for a white one, where a tracker looks too. Only views that nothing hides
+enter, the same frames for both. A constant and what repeats with the place in the picture (eight harmonics of the
+marker's angle) are taken out of both errors, with the truth.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+    os.environ.setdefault(name, "1")
+
+import cv2
+import numpy as np
+from clips import CAMERAS, LIGHT, SCENE, film, motion_of
+from speed import commit
+
+from gyrotrack.dataset import Recording
+from gyrotrack.pipeline import extract
+from gyrotrack.segmentation.ring import CHROMA_SHIFT
+from gyrotrack.synthetic import Motion, Renderer, Truth
+from gyrotrack.synthetic.chroma import to_planes
+from gyrotrack.video import Reader
+
+FRAMES = {"casing": 3000, "rotor": 2000, "small rotor": 2000}
+STEP = 1e-3
+HARMONICS = 8
+ROOM = 8.0
+BODY = {"red": "casing", "blue": "rotor", "white": "rotor", "green": "rotor"}
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of one marker, or of a body, in the frames that count [rad]; how many views were kept of how many."""
+
+    ours: np.ndarray
+    oracle: np.ndarray | None
+    kept: int
+    views: int
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--every", type=int, default=5, help="the oracle looks at every so many frames")
+    parser.add_argument("--films", type=Path, default=Path("~/.cache/gyrotrack-benchmarks").expanduser())
+    parser.add_argument("-o", "--output", type=Path)
+    args = parser.parse_args()
+    lines = [
+        "# Angles beside the best that the decoded frames allow",
+        "",
+        f"Commit {commit()}; the oracle in every {args.every}th frame. rms errors in mrad, "
+        f"without a constant and {HARMONICS} harmonics of the place.",
+        "",
+        "| film | angle of | frames | gyrotrack | oracle | ratio | unhidden views kept |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for name, camera in CAMERAS.items():
+        path, truth = film(name, FRAMES[name], args.films)
+        recording = extract(path, capture_fps=camera.fps, threads=1)
+        known = oracle(name, path, truth, np.arange(0, FRAMES[name], args.every))
+        found = {marker: of_marker(recording, truth, marker, known[marker]) for marker in recording.markers}
+        found |= {body: of_body(recording, truth, body) for body in recording.bodies}
+        label = f"{name}, {camera.width} x {camera.height}"
+        for what, errors in found.items():
+            lines.append(row(label, what, errors))
+            print(lines[-1], flush=True)
+    if args.output:
+        args.output.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def oracle(name: str, path: Path, truth: Truth, chosen: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the oracle's errors in the chosen frames, NaN elsewhere and where a marker is not all visible."""
+    camera, motion = replace(CAMERAS[name], noise=0.0), motion_of(name)
+    at_rest = Renderer(SCENE, motion, camera, LIGHT, seed=1)
+    turned = {
+        body: [Renderer(SCENE, ahead(motion, body, by), camera, LIGHT, seed=1) for by in (-STEP, STEP)]
+        for body in ("casing", "rotor")
+    }
+    found = {marker: np.full(len(truth.time), np.nan) for marker in BODY}
+    wanted = set(chosen.tolist())
+    with Reader(path) as reader:
+        for k, frame in enumerate(reader):
+            seen = [m for m in BODY if truth.visible[m][k] > 0.999]
+            if k not in wanted or not seen:
+                continue
+            time = float(truth.time[k])
+            decoded = [np.asarray(plane, dtype=float) for plane in (frame.y, frame.u, frame.v)]
+            clean = drawn(at_rest, time)
+            left = [d - c for d, c in zip(decoded, clean, strict=True)]
+            for body in {BODY[m] for m in seen}:
+                low, high = (drawn(renderer, time) for renderer in turned[body])
+                slope = [(h - w) / (2 * STEP) for h, w in zip(high, low, strict=True)]
+                for marker in (m for m in seen if BODY[m] == body):
+                    found[marker][k] = matched(marker, truth.corners[marker][k], left, slope)
+    return found
+
+
+def ahead(motion: Motion, body: str, by: float) -> Motion:
+    """The same motion with one body further by an angle."""
+    curve = getattr(motion, f"psi_{body}")
+    return replace(motion, **{f"psi_{body}": lambda t: curve(t) + by})
+
+
+def drawn(renderer: Renderer, time: float) -> list[np.ndarray]:
+    return [np.asarray(plane, dtype=float) for plane in to_planes(renderer.frame(time))]
+
+
+def matched(marker: str, corners: np.ndarray, left: list, slope: list) -> float:
+    """Return the angle by which one marker seems to be ahead, from what is left over near it."""
+    planes = (0,) if marker == "white" else (1, 2)
+    outline = corners if marker == "white" else (corners - np.array(CHROMA_SHIFT)) / 2
+    area = np.zeros(left[planes[0]].shape, dtype=np.uint8)
+    smear = ROOM if marker == "white" else ROOM / 2
+    length = float(np.ptp(outline, axis=0).max())
+    cv2.fillConvexPoly(area, cv2.convexHull(np.rint(outline).astype(np.int32)), 1)
+    size = 2 * int(np.ceil(smear + 0.35 * length)) + 1
+    near = cv2.dilate(area, np.ones((size, size), np.uint8)) > 0
+    above = sum(float((slope[p][near] * left[p][near]).sum()) for p in planes)
+    return above / sum(float((slope[p][near] ** 2).sum()) for p in planes)
+
+
+def of_marker(recording: Recording, truth: Truth, marker: str, known: np.ndarray) -> Errors:
+    track = recording.markers[marker]
+    index = recording.frame_index
+    whole = truth.visible[marker][index] > 0.999
+    kept = whole & np.isfinite(track.angle_fine)
+    true = truth.angle[track.body][index]
+    off = np.angle(np.exp(1j * (track.angle_fine - true)))
+    off = np.angle(np.exp(1j * (off - np.angle(np.nanmean(np.exp(1j * off[kept]))))))
+    both = kept & np.isfinite(known[index])
+    return Errors(
+        even(off[both], true[both]), even(known[index][both], true[both]), int(kept.sum()), int(whole.sum())
+    )
+
+
+def of_body(recording: Recording, truth: Truth, body: str) -> Errors:
+    track = recording.bodies[body]
+    index = np.rint(track.time * recording.capture_fps).astype(int)
+    true = truth.angle[body][index]
+    return Errors(even(track.angle - true, true), None, len(index), len(truth.time))
+
+
+def even(off: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Errors without their mean and what repeats with the angle."""
+    turns = np.outer(angle, np.arange(1, HARMONICS + 1))
+    rows = np.column_stack([np.ones(len(off)), np.cos(turns), np.sin(turns)])
+    return off - rows @ np.linalg.lstsq(rows, off, rcond=None)[0]
+
+
+def row(label: str, what: str, errors: Errors) -> str:
+    ours = 1e3 * errors.ours.std()
+    kept = f"{errors.kept} of {errors.views}"
+    if errors.oracle is None:
+        return f"| {label} | {what} | {len(errors.ours)} | {ours:.2f} | | | {kept} |"
+    best = 1e3 * errors.oracle.std()
+    return f"| {label} | {what} | {len(errors.ours)} | {ours:.2f} | {best:.2f} | {ours / best:.2f} | {kept} |"
+
+
+if __name__ == "__main__":
+    main()
