@@ -3,11 +3,11 @@
     python benchmarks/tracking/accuracy.py -o benchmarks/tracking/accuracy.md
 
 The best is an oracle: a matched filter on the same decoded frames that knows the scene, the light, the smear, the
-centre and all angles but one. With D the decoded plane, S the same frame drawn without noise and compression, and S'
-its derivative by the body's angle, its error is sum(S' (D - S)) / sum(S'^2) over the marker's neighbourhood: in both
-chroma planes for a coloured marker, in luma for a white one, where a tracker looks too. Only views that nothing hides
-enter, the same frames for both. A constant and what repeats with the place in the picture (eight harmonics of the
-marker's angle) are taken out of both errors, with the truth.
+centre and all angles but one. With D the decoded frame, S the same frame drawn without noise and compression, and S'
+its derivative by the body's angle, its error is sum(S' (D - S)) / sum(S'^2) over the marker's neighbourhood, in the
+score in which the marker stands out: both chroma planes weighted by its contrast, or luma for a white one. Only views
+that nothing hides enter, the same frames for both. A constant and what repeats with the place in the picture (eight
+harmonics of the marker's angle) are taken out of both errors, with the truth.
 """
 
 from __future__ import annotations
@@ -57,11 +57,13 @@ def main() -> None:
     parser.add_argument("--films", type=Path, default=Path("~/.cache/gyrotrack-benchmarks").expanduser())
     parser.add_argument("-o", "--output", type=Path)
     args = parser.parse_args()
+    said = (
+        f"Commit {commit()}; the oracle in every {args.every}th frame. rms errors in mrad, without a constant"
+    )
     lines = [
         "# Angles beside the best that the decoded frames allow",
         "",
-        f"Commit {commit()}; the oracle in every {args.every}th frame. rms errors in mrad, "
-        f"without a constant and {HARMONICS} harmonics of the place.",
+        f"{said} and {HARMONICS} harmonics of the place.",
         "",
         "| film | angle of | frames | gyrotrack | oracle | ratio | unhidden views kept |",
         "|---|---|---|---|---|---|---|",
@@ -69,7 +71,8 @@ def main() -> None:
     for name, camera in CAMERAS.items():
         path, truth = film(name, FRAMES[name], args.films)
         recording = extract(path, capture_fps=camera.fps, threads=1)
-        known = oracle(name, path, truth, np.arange(0, FRAMES[name], args.every))
+        contrast = {m: p["contrast"] for m, p in recording.extra["papers"].items()}
+        known = oracle(name, path, truth, np.arange(0, FRAMES[name], args.every), contrast)
         found = {marker: of_marker(recording, truth, marker, known[marker]) for marker in recording.markers}
         found |= {body: of_body(recording, truth, body) for body in recording.bodies}
         label = f"{name}, {camera.width} x {camera.height}"
@@ -80,7 +83,9 @@ def main() -> None:
         args.output.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def oracle(name: str, path: Path, truth: Truth, chosen: np.ndarray) -> dict[str, np.ndarray]:
+def oracle(
+    name: str, path: Path, truth: Truth, chosen: np.ndarray, contrast: dict[str, list[float]]
+) -> dict[str, np.ndarray]:
     """Return the oracle's errors in the chosen frames, NaN elsewhere and where a marker is not all visible."""
     camera, motion = replace(CAMERAS[name], noise=0.0), motion_of(name)
     at_rest = Renderer(SCENE, motion, camera, LIGHT, seed=1)
@@ -103,7 +108,7 @@ def oracle(name: str, path: Path, truth: Truth, chosen: np.ndarray) -> dict[str,
                 low, high = (drawn(renderer, time) for renderer in turned[body])
                 slope = [(h - w) / (2 * STEP) for h, w in zip(high, low, strict=True)]
                 for marker in (m for m in seen if BODY[m] == body):
-                    found[marker][k] = matched(marker, truth.corners[marker][k], left, slope)
+                    found[marker][k] = matched(contrast[marker], truth.corners[marker][k], left, slope)
     return found
 
 
@@ -117,18 +122,16 @@ def drawn(renderer: Renderer, time: float) -> list[np.ndarray]:
     return [np.asarray(plane, dtype=float) for plane in to_planes(renderer.frame(time))]
 
 
-def matched(marker: str, corners: np.ndarray, left: list, slope: list) -> float:
+def matched(contrast: list[float], corners: np.ndarray, left: list, slope: list) -> float:
     """Return the angle by which one marker seems to be ahead, from what is left over near it."""
-    planes = (0,) if marker == "white" else (1, 2)
-    outline = corners if marker == "white" else (corners - np.array(CHROMA_SHIFT)) / 2
-    area = np.zeros(left[planes[0]].shape, dtype=np.uint8)
-    smear = ROOM if marker == "white" else ROOM / 2
-    length = float(np.ptp(outline, axis=0).max())
+    white = contrast[1] == 0.0
+    outline = corners if white else (corners - np.array(CHROMA_SHIFT)) / 2
+    steep, over = (p[0] if white else contrast[0] * p[1] + contrast[1] * p[2] for p in (slope, left))
+    area = np.zeros(steep.shape, dtype=np.uint8)
     cv2.fillConvexPoly(area, cv2.convexHull(np.rint(outline).astype(np.int32)), 1)
-    size = 2 * int(np.ceil(smear + 0.35 * length)) + 1
+    size = 2 * int(np.ceil((ROOM if white else ROOM / 2) + 0.35 * float(np.ptp(outline, axis=0).max()))) + 1
     near = cv2.dilate(area, np.ones((size, size), np.uint8)) > 0
-    above = sum(float((slope[p][near] * left[p][near]).sum()) for p in planes)
-    return above / sum(float((slope[p][near] ** 2).sum()) for p in planes)
+    return float((steep[near] * over[near]).sum() / (steep[near] ** 2).sum())
 
 
 def of_marker(recording: Recording, truth: Truth, marker: str, known: np.ndarray) -> Errors:

@@ -16,6 +16,8 @@ Floats = npt.NDArray[np.float64]
 
 FAST = 70.0
 """Speed in rad/s at which a swing of the acceleration by 10 rad/s^2, a heavy unbalance, is 2 mrad."""
+ENOUGH = 0.2
+"""Share of the frames that must be fast for curves to be learnt from these alone."""
 
 
 class Departures:
@@ -153,7 +155,7 @@ class Departures:
     def learn_places(self, smooth: Floats) -> None:
         """Learn each marker's error by its place in the picture (see `bias`)."""
         fast = self.turning & self.fast
-        geometry_only = fast.sum() > 0.2 * self.turning.sum()
+        geometry_only = fast.sum() > ENOUGH * self.turning.sum()
         when = fast if geometry_only else self.turning
         curves = {}
         for name, c in self.candidates.items():
@@ -170,14 +172,16 @@ class Departures:
         """Learn each marker's error by its angle to the other body (see `bias`).
 
         Markers below it err where it hides a part of them. Markers above it (`above`) err wherever the other body's
-        own markers pass beside them; they are learnt where these pass so fast that no motion follows them.
+        own markers pass beside them; that is learnt where these pass so fast that no motion follows them.
         """
         with np.errstate(invalid="ignore"):
-            passing = np.abs(np.gradient(other - self.path)) * self._fps > FAST
+            passing = self.turning & (np.abs(np.gradient(other - self.path)) * self._fps > FAST)
+        if above and passing.sum() <= ENOUGH * self.turning.sum():
+            return
         for name, c in self.candidates.items():
             off = wrapped(c.angle - self.path - self.mounts[name] - self.by_place[name]) - smooth
             near = self.use[name] & np.isfinite(other)
-            when = near & self.turning & (passing if above else True)
+            when = near & (passing if above else self.turning)
             weight = np.where(when, 1.0 / self.sigma(name) ** 2, 0.0)
             curve = closed_curve(np.nan_to_num(c.angle - other), off, weight)
             self.by_neighbour[name] = np.where(

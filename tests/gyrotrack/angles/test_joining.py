@@ -86,3 +86,20 @@ def test_a_slow_swing_with_the_turn_is_motion_not_error():
     body = join(truth + rng.normal(0, 0.01, 1200), {"tape": one}, 300.0)
     swing = np.abs(np.mean((body.angle - turn - np.mean(body.angle - turn)) * np.exp(-1j * turn))) * 2
     assert swing == pytest.approx(8e-3, rel=0.1)
+
+
+@pytest.mark.parametrize(("speed", "learnt"), [(0.5, True), (0.13, False)])
+def test_errors_by_what_passes_beneath_are_learnt_only_where_it_passes_fast(speed, learnt):
+    """At 430 rad/s relative to the casing a swing with their angle cannot be motion; at 60 rad/s it can."""
+    rng = np.random.default_rng(6)
+    k = np.arange(1200)
+    truth, other = 0.07 * k, 2.0 + speed * k
+    angle = truth + 4e-3 * np.cos(3 * (truth - other)) + rng.normal(0, 1e-3, 1200)
+    always = np.ones(1200, dtype=bool)
+    one = Candidate(np.angle(np.exp(1j * angle)), always, always, np.ones(1200), np.zeros(1200), 0.0)
+    coarse = truth + rng.normal(0, 0.01, 1200)
+    error = {
+        above: join(coarse, {"red": one}, 1000.0, other, above=above).angle - truth for above in (True, False)
+    }
+    assert np.std(error[False]) > 2.5e-3
+    assert bool(np.std(error[True]) < 1.2e-3) == learnt
