@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from fitting.discovery.breaks import better_breaks
+from fitting.discovery.breaks import better_breaks, distant_breaks
 from fitting.discovery.screen import Score
 from fitting.errors import FittingError
 from fitting.estimation import Fit, fit
@@ -16,10 +16,12 @@ from fitting.estimation.layout import PER_CASE
 def refit(base: Fit, score: Score) -> Fit | None:
     """Return the fit of base and candidate from the base's optimum; None if there is none."""
     found = together(base, score)
-    if found is not None and score.effect.breakpoint:
-        elsewhere = better_breaks(found, score.effect)
+    if not score.effect.breakpoint:
+        return found
+    for look in (distant_breaks, better_breaks):
+        elsewhere = look(found, score.effect) if found is not None else {}
         other = together(base, score, elsewhere) if elsewhere else None
-        found = other if other is not None and other.deviance < found.deviance else found
+        found = other if other is not None and found is not None and other.deviance < found.deviance else found
     return found
 
 

@@ -174,6 +174,11 @@ def _choose(
     return [t[k] for t, k in zip(trials, chosen, strict=True)], null
 
 
+def search_alone(stage: Stage, effect: Effect, trials: list[Trial], case: int) -> Score:
+    """Return the best trial of an effect in one case, beside all that is free in every case."""
+    return _search(stage, effect, _alone(stage, trials, case), stage.levels)
+
+
 def _place(trials: list[Trial], score: Score) -> int:
     return next(k for k, t in enumerate(trials) if t.shape == score.shape[0])
 
