@@ -24,8 +24,6 @@ from fitting.smoothing import speeds
 
 Array = NDArray[np.float64]
 
-_PIECES = 480
-_MIN_PIECE = 12
 _GENERATED_BLOCKS = 20
 
 
@@ -65,23 +63,6 @@ class CaseData:
     def node_times(self) -> Array:
         """Times at which a smooth model is needed [s], casing first, then each window."""
         return np.concatenate([self.casing.node_times, *(w.node_times for w in self.rotor)])
-
-    @cached_property
-    def quiet_angle(self) -> Array:
-        """Return the casing's measured angle at its samples, smoothed by cubics in short pieces.
-
-        The noise of the angle at the frequency of rotation, multiplied by a sine of that very angle, is a slow
-        torque that wanders; a piece of several turns leaves nothing of it.
-        """
-        samples = self.casing.samples
-        pieces = max(1, min(_PIECES, len(samples) // _MIN_PIECE))
-        smooth = np.empty(len(samples))
-        for part in np.array_split(np.arange(len(samples)), pieces):
-            t = samples.time[part]
-            x = (t - t.mean()) / max(float(np.ptp(t)), 1e-9)
-            basis = np.linalg.qr(np.stack([np.ones_like(x), x, x**2, x**3], axis=1))[0]
-            smooth[part] = basis @ (basis.T @ samples.value[part])
-        return smooth
 
     @cached_property
     def z(self) -> Array:

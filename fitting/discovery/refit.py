@@ -21,7 +21,9 @@ def refit(base: Fit, score: Score) -> Fit | None:
     for look in (distant_breaks, better_breaks):
         elsewhere = look(found, score.effect) if found is not None else {}
         other = together(base, score, elsewhere) if elsewhere else None
-        found = other if other is not None and found is not None and other.deviance < found.deviance else found
+        found = (
+            other if other is not None and found is not None and other.deviance < found.deviance else found
+        )
     return found
 
 

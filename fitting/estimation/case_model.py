@@ -13,16 +13,15 @@ from fitting.case_data import CaseData
 from fitting.compression import Compressed
 from fitting.effects import Effect
 from fitting.estimation.layout import START_CASING, START_ROTOR, Layout
+from fitting.estimation.rippling import ripple_rows
 from fitting.expression import Tape
 from fitting.model import Dynamics
 from fitting.simulation import Mesh, Path, Sampler, Sensitivity, sensitivities, solve
 from fitting.simulation.linear import LinearMotion
-from fitting.simulation.mesh import rule
 
 Array = NDArray[np.float64]
 
 _INTERVALS = 12
-_GAUSS = 3
 
 
 @dataclass(frozen=True)
@@ -111,16 +110,14 @@ class CaseModel:
         self, effect: Effect, path: Path, sensitivity: Sensitivity, numbers: dict[str, float]
     ) -> tuple[Array, Array]:
         """Return the rows for strength 1 at phase 0 and at a quarter turn."""
-        columns = []
+        if effect.moves:
+            return ripple_rows(self.data, effect, path, LinearMotion(path, sensitivity.propagator), numbers)
+        rows = []
         for phi in (0.0, np.pi / 2):
             values = {p.symbol: numbers.get(f"{effect.name}.{p.symbol}", p.start) for p in effect.parameters}
             values |= {p.symbol: 1.0 for p in effect.parameters if p.role == "amplitude"}
             values |= {p.symbol: phi for p in effect.parameters if p.role == "phase"}
-            columns.append(values)
-        if not effect.moves:
-            rows = [self._camera(effect, path, v) for v in columns]
-        else:
-            rows = self._ripple(effect, path, sensitivity, columns)
+            rows.append(self._camera(effect, path, values))
         return rows[0], rows[1]
 
     def _camera(self, effect: Effect, path: Path, values: dict[str, float]) -> Array:
@@ -148,45 +145,3 @@ class CaseModel:
         parts = [w.at_samples(law(w, 0, w.samples.time[0])[:, None])[0][:, 0] for w in self.data.rotor]
         out[self.data.slices["rotor"]] = np.concatenate(parts)
         return out
-
-    def _ripple(
-        self, effect: Effect, path: Path, sensitivity: Sensitivity, columns: list[dict[str, float]]
-    ) -> list[Array]:
-        record = self.data.record
-        t = record.casing.time
-        half = 0.5 * np.diff(t)
-        inner = ((t[:-1] + half)[:, None] + half[:, None] * rule(_GAUSS).x).ravel()
-        sampler = Sampler(path.mesh, inner)
-        known: dict[str, Any] = {
-            name: sampler.value(path.y[..., i]) for i, name in enumerate(path.states[:2])
-        }
-        known["delta"] = known["omega_r"] - known["omega_c"]
-        # the measured angle is closer to the truth than that of a model that may fail
-        known["psi_c"] = (
-            np.interp(inner, t, self.data.quiet_angle)
-            if self.data.is_angle
-            else sampler.integral(*path.angle("omega_c"))
-        )
-        known["psi_r"] = sampler.integral(*path.angle("omega_r"))
-        known["t"] = inner
-        tape = Tape([effect.expression])
-        torque = np.stack([np.asarray(tape(v | known)[0]) * np.ones(len(inner)) for v in columns], axis=-1)
-        on_rotor = {"rotor": 1.0, "casing": 0.0, "bearing": -1.0}[effect.joint]
-        on_casing = {"rotor": 0.0, "casing": 1.0, "bearing": 1.0}[effect.joint]
-        direction = np.array([on_rotor / record.I_rotor, on_casing / record.I_casing])
-        motion = LinearMotion(path, sensitivity.propagator)
-        pushes = torque.reshape(len(half), _GAUSS, -1)
-        speed, angle = motion.driven(t, pushes, direction)
-        rows = self.data.casing_rows(angle[1] if self.data.is_angle else speed[1])
-        rows += self._rotor_rows(t, speed[0], angle[0])
-        return [rows[:, i] for i in range(rows.shape[1])]
-
-    def _rotor_rows(self, t: Array, speed: Array, angle: Array) -> Array:
-        from scipy.interpolate import CubicHermiteSpline
-
-        # the bearing passes on what is slow; the ripple itself moves the rotor by less than can be seen
-        seen = CubicHermiteSpline(t, angle, speed)
-        if not self.data.is_angle:
-            seen = seen.derivative()
-        windows = [seen(np.clip(w.node_times, t[0], t[-1])) for w in self.data.rotor]
-        return self.data.rows(np.zeros((len(self.data.casing.node_times), angle.shape[1])), windows)
