@@ -21,9 +21,6 @@ _BAND = 1.96
 _CLEAR = 4.0
 # two amplitudes at once: noise alone is as large once in ten thousand, exp(-4.3**2 / 2)
 _CLEAR_RIPPLE = 4.3
-# a torque that lasts less than a turn cannot be told from one that follows the angle: of what a model misses in a
-# stretch, up to half has been seen to leak into the turns in which the casing is slow
-_LEAK = 0.5
 _TURNS = {1: "once a turn", 2: "twice a turn"}
 _SHORTEST = 1 / 100
 _MOST = 6
@@ -80,7 +77,8 @@ class Failure:
 def find_failures(fit: Fit, curves: Sequence[ResidualTorque], waves: Sequence[Ripple] = ()) -> list[Failure]:
     """Return the stretches in which a model fails, and what follows the angle, worst first.
 
-    A ripple is told only where it is large beside what the model misses in stretches: these are to be mended first.
+    A ripple is told only where it is clearer than any stretch: a torque that lasts less than a turn cannot be told from
+    one that follows the angle, and leaks into the turns in which the casing is slow. Stretches are to be mended first.
 
     Parameters
     ----------
@@ -100,7 +98,7 @@ def find_failures(fit: Fit, curves: Sequence[ResidualTorque], waves: Sequence[Ri
         for wave in waves
         for n in _TURNS
         for f in _ripple(fit, wave, n)
-        if f.size_sigma > _LEAK * worst.get(f.label, 0.0)
+        if f.size_sigma > worst.get(f.label, 0.0)
     ]
     return sorted(found, key=lambda f: -f.size_sigma)[:_MOST]
 
