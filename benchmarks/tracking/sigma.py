@@ -2,8 +2,9 @@
 
     python benchmarks/tracking/sigma.py --seeds 2 -o benchmarks/tracking/sigma.md
 
-z is error over uncertainty, the error without its median over the clip; its spread should be 1. A view of a marker
-counts as unhidden when nothing covers any of it.
+z is error over uncertainty, the error without its median over the clip; its spread should be 1. The spreads of single
+markers are given from the lowest to the highest. Of the views of markers those are counted that
+nothing covers in any part.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from speed import commit
 
 from gyrotrack.errors import GyrotrackError
 from gyrotrack.pipeline import extract
-from gyrotrack.synthetic import Camera, Light, Motion, Scene, Wobble, render_clip
+from gyrotrack.synthetic import Camera, Film, Light, Motion, Scene, Wobble, render_clip
 
 SPAN = np.linspace(-0.1, 4.0, 60)
 LIGHT = Light(gradient=(0.2, -0.1), vignette=0.15, flicker=0.04, glint=0.1, shadow=0.3)
@@ -45,16 +46,48 @@ OWN = {  # cell: changes of camera, light, table
     "tilt 0": ({"tilt": 0.0}, LIGHT, "grey"),
     "markers at 30 px": ({"width": 160, "height": 120, "scale": 1.75}, LIGHT, "grey"),
     "markers at 150 px": ({"width": 640, "height": 576, "scale": 8.8}, LIGHT, "grey"),
+    "markers at 300 px": ({"width": 1280, "height": 1100, "scale": 16.5}, LIGHT, "grey"),
+    "markers at 300 px, dim": (
+        {"width": 1280, "height": 1100, "scale": 16.5, "tilt": 0.12},
+        replace(LIGHT, level=0.5, gradient=(0.4, -0.2)),
+        "white",
+    ),
+    "tilt 0.3": ({"tilt": 0.3}, LIGHT, "wood"),
+    "260 frames/s": (
+        {"width": 400, "height": 300, "fps": 260.0, "exposure": 1e-3, "scale": 4.2, "noise": 4.0},
+        LIGHT,
+        "grey",
+    ),
+    "compressed hard": ({}, LIGHT, "grey"),
+    "compressed little": ({"noise": 5.0}, LIGHT, "grey"),
+    "casing at 10 rad/s": ({}, LIGHT, "grey"),
 }
+QUALITY = {"compressed hard": 30, "compressed little": 12}
+CASING = {"casing at 10 rad/s": 10.0, "markers at 300 px": 95.0, "markers at 300 px, dim": 130.0}
 FOREIGN = {
     "other renderer": {},
     "other renderer, wood": {"table": "wood"},
     "other renderer, white table": {"table": "white"},
     "other renderer, noise 9, flicker": {"noise": 9.0, "flicker": 0.25},
     "other renderer, tilt 0.2, disc high": {"tilt": 0.2, "lift": 0.15},
-    "other renderer, 120 frames, resonant": {
-        "frames": 120,
-        "rotor": lambda t: 1.0 + 1000 * 2 * np.pi / 20.02 * t,
+    "other renderer, dark table, glint": {"table": "dark", "gradient": 0.4, "glint": 0.7},
+    "other renderer, small papers": {"size": 0.7, "noise": 5.0},
+    "other renderer, bright metal": {
+        "metal": 170,
+        "bar_metal": (200, 200, 198),
+        "gradient": 0.3,
+        "flicker": 0.1,
+    },
+    "other renderer, markers at 40 px": {"width": 200, "height": 150, "radius": 62.0},
+    "other renderer, markers at 220 px": {"width": 720, "height": 640, "radius": 300.0},
+    "other renderer, compressed hard": {"crf": 28},
+    "other renderer, wandering centre": {"wobble": 1.5, "wobble_hz": 7.0},
+    **{
+        f"other renderer, 120 frames, {period} a turn": {
+            "frames": 120,
+            "rotor": lambda t, period=period: 1.0 + 1000 * 2 * np.pi / period * t,
+        }
+        for period in (4, 8.01, 10, 12.5, 16, 20.02)
     },
 }
 
@@ -72,9 +105,10 @@ def main() -> None:
         "",
         f"Commit {commit()}; {args.seeds} films a cell, {args.frames} frames each. Errors in mrad.",
         "",
-        "| cell | body | frames | error, rms | sigma, median | spread of z | beyond 5 | unhidden views kept |",
-        "|---|---|---|---|---|---|---|---|",
+        "| cell | body | frames | error, rms | sigma, median | spread of z | beyond 5 | markers | views kept |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
+    every: list[dict] = []
     cells = [(name, "own") for name in OWN] + [(name, "foreign") for name in FOREIGN]
     with tempfile.TemporaryDirectory() as folder:
         for name, kind in cells:
@@ -87,9 +121,12 @@ def main() -> None:
                 except GyrotrackError as error:
                     found.append({})
                     print(f"{name}, seed {seed}: {error}", file=sys.stderr)
+            every += found
             for line in rows(name, found):
                 print(line, flush=True)
                 lines.append(line)
+    lines += ["", total(every)]
+    print(lines[-1])
     if args.output:
         args.output.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
@@ -98,10 +135,11 @@ def own(path: Path, name: str, seed: int, frames: int) -> dict:
     changes, light, table = OWN[name]
     camera = replace(CAMERA, **{"tilt_azimuth": 0.7 + seed, **changes})
     motion = Motion.from_speeds(
-        SPAN, 310.0 + 53 * seed - 15 * SPAN, 60 + 21 * seed + 5 * SPAN, 0.3, 0.7 * seed
+        SPAN, 310.0 + 53 * seed - 15 * SPAN, CASING.get(name, 60 + 21 * seed) + 5 * SPAN, 0.3, 0.7 * seed
     )
     scene = Scene(wobble=Wobble(0.08, 3.0 + 0.4 * seed, phase=seed), table=table)
-    truth = render_clip(path, scene, motion, camera, light, frames=frames, seed=seed, force=True)
+    film = Film(crf=QUALITY[name]) if name in QUALITY else None
+    truth = render_clip(path, scene, motion, camera, light, frames=frames, film=film, seed=seed, force=True)
     recording = extract(path, capture_fps=camera.fps, threads=1)
     kept = [
         np.isfinite(marker.angle_fine)[truth.visible[m][recording.frame_index] > 0.999]
@@ -136,6 +174,11 @@ def errors(recording, angle: dict) -> dict:
     for name, track in recording.bodies.items():
         off = track.angle - angle[name][np.rint(track.time * recording.capture_fps).astype(int)]
         found[name] = (off - np.median(off), track.sigma)
+    for name, marker in recording.markers.items():
+        seen = np.isfinite(marker.angle_fine)
+        turn = np.exp(1j * (marker.angle_fine - angle[marker.body][recording.frame_index]))[seen]
+        off = np.angle(turn / turn.mean())
+        found[f"{marker.body}/{name}"] = ((off - np.median(off)), marker.sigma_calibrated[seen])
     return found
 
 
@@ -146,15 +189,25 @@ def rows(name: str, found: list[dict]) -> list[str]:
     for body in ("casing", "rotor"):
         parts = [f[body] for f in found if body in f]
         if not parts:
-            lines.append(f"| {name} | {body} | 0 | | | | | |")
+            lines.append(f"| {name} | {body} | 0 | | | | | | |")
             continue
         error, sigma = (np.concatenate([p[k] for p in parts]) for k in (0, 1))
         z = error / sigma
+        markers = sorted({key for f in found for key in f if key.startswith(f"{body}/")})
+        own = [np.concatenate([f[m][0] / f[m][1] for f in found if m in f]).std() for m in markers]
         lines.append(
             f"| {name} | {body} | {len(z)} | {1e3 * error.std():.2f} | {1e3 * np.median(sigma):.2f} "
-            f"| {z.std():.2f} | {(np.abs(z) > 5).sum()} | {share} |"
+            f"| {z.std():.2f} | {(np.abs(z) > 5).sum()} | {min(own):.2f} to {max(own):.2f} | {share} |"
         )
     return lines
+
+
+def total(found: list[dict]) -> str:
+    z = np.concatenate([f[body][0] / f[body][1] for f in found for body in ("casing", "rotor") if body in f])
+    return (
+        f"Together {len(z)} angles: spread of z {z.std():.3f}, {(np.abs(z) < 1).mean():.3f} within 1, "
+        f"{(np.abs(z) > 3).sum()} beyond 3, {(np.abs(z) > 4).sum()} beyond 4, {(np.abs(z) > 5).sum()} beyond 5."
+    )
 
 
 if __name__ == "__main__":

@@ -23,6 +23,8 @@ from gyrotrack.segmentation.single_thread import single_threaded
 from gyrotrack.video import capture_rate, file_sha256, frame_numbers, probe
 
 BODIES = (None, "casing", "rotor", "both")
+HARDLY = 0.5
+"""Turn in rad of all bodies up to which a film is said to show none."""
 
 
 def extract(
@@ -88,6 +90,7 @@ def extract(
         )
     joint = join_bodies(seen, scene, profile, rate.fps)
     _check_bodies(joint, body, video)
+    still = _stillness(joint, video, marked=scene.disc is not None)
     index = frame_numbers(seen.pts_time)
     time = index / rate.fps
     markers = {
@@ -123,7 +126,14 @@ def extract(
         centre_sigma=joint.centre.sigma,
         markers=markers,
         bodies=bodies,
-        warnings=(*rate.warnings, *seen.warnings, *scene.warnings, *joint.warnings, *_odd_frames(markers)),
+        warnings=(
+            *still,
+            *rate.warnings,
+            *seen.warnings,
+            *scene.warnings,
+            *joint.warnings,
+            *_odd_frames(markers),
+        ),
         extra=_extra(scene, joint, rate.source),
     )
 
@@ -159,6 +169,16 @@ def _check_bodies(joint: Joint, body: str | None, video: Path) -> None:
             f"no body can be followed in {video}: its markers do not move evenly about a centre",
             "check the profile's colours (--profile) and look at the film",
         )
+
+
+def _stillness(joint: Joint, video: Path, *, marked: bool) -> tuple[str, ...]:
+    """Tell of a film in which nothing turns; without a disc the centre that its angles are about is a guess."""
+    turn = {name: float(np.nanmax(body.angle) - np.nanmin(body.angle)) for name, body in joint.bodies.items()}
+    if max(turn.values()) >= HARDLY:
+        return ()
+    most = " and ".join(f"the {name} by {by:.2f} rad" for name, by in turn.items())
+    about = "" if marked else ", and no disc marks their centre"
+    return (f"nothing turns in {video.name}: its angles move little ({most} in all){about}",)
 
 
 def _odd_frames(markers: dict[str, Any]) -> tuple[str, ...]:
