@@ -1,0 +1,98 @@
+"""Is the uncertainty of a clip's start the size of its error? Runs of two cameras with known starts and clocks.
+
+    python benchmarks/tracking/sync.py --cases 200 -o benchmarks/tracking/sync.md
+
+The runs are those of the tests (`tests/gyrotrack/sync/conftest.py`): two equations of motion integrated by SciPy, seen
+by two cameras with noise of 1 mrad and harmonics of 2 mrad; clips of 3 s at 1000 frames/s start anywhere in the first
+80 s of a record of 135 s at 260 frames/s. The clocks' rates differ by 1e-4 (one sigma), the directions by anything.
+z is error over uncertainty. A start is lost if it is off by more than 3 ms and not marked as ambiguous.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import os
+import sys
+from pathlib import Path
+
+for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+    os.environ.setdefault(name, "1")
+
+import numpy as np
+from speed import commit
+
+from gyrotrack.sync import match_clips
+
+TURN = 2 * np.pi
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--cases", type=int, default=200, help="clips in each row, at least")
+    parser.add_argument("-o", "--output", type=Path)
+    args = parser.parse_args()
+    scene = runs()
+    motion = scene.integrate()
+    lines = [
+        "# Claimed and true uncertainty of the start",
+        "",
+        f"Commit {commit()}. z is error over uncertainty.",
+        "",
+        "| clips of a run | camera between them | clips | within 1 sigma | spread of z | largest | rate: within 1 "
+        "| ambiguous | lost |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for count, still in ((1, True), (2, True), (3, True), (3, False)):
+        found = [
+            clip
+            for seed in range(-(-args.cases // count))
+            for clip in one_run(scene, motion, count, 1000 * count + seed, still=still)
+        ]
+        lines.append(row(count, still, np.array(found)))
+        print(lines[-1], flush=True)
+    if args.output:
+        args.output.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def runs():
+    path = Path(__file__).parents[2] / "tests" / "gyrotrack" / "sync" / "conftest.py"
+    spec = importlib.util.spec_from_file_location("runs", path)
+    sys.modules["runs"] = module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def one_run(scene, motion, count: int, seed: int, *, still: bool) -> list[tuple]:
+    """Return (z of the start, z of the rate, ambiguous, lost) of every clip of a run."""
+    rng = np.random.default_rng(seed)
+    run = scene.Run(motion, rng)
+    starts = np.sort(rng.uniform(0.5, 80, count))
+    rate = 1 + 1e-4 * rng.normal()
+    offsets = [rng.uniform(0, TURN)] * count if still else list(rng.uniform(0, TURN, count))
+    clips = run.clips(starts, rate=rate, offsets=offsets)
+    matches = match_clips(run.casing(), clips, [f"clip {k}" for k in range(count)], [0] * count)
+    return [
+        (
+            (m.start.offset - start) / m.offset_sigma,
+            (m.start.eps - (rate - 1)) / m.rate_sigma,
+            m.ambiguous,
+            abs(m.start.offset - start) > 3e-3 and not m.ambiguous,
+        )
+        for m, start in zip(matches, starts, strict=True)
+    ]
+
+
+def row(count: int, still: bool, found: np.ndarray) -> str:  # noqa: FBT001
+    z, rate, ambiguous, lost = found.T
+    return (
+        f"| {count} | {'stands still' if still else 'is turned'} | {len(z)} | {(np.abs(z) < 1).mean():.3f} "
+        f"| {z.std():.2f} | {np.abs(z).max():.1f} | {(np.abs(rate) < 1).mean():.3f} | {int(ambiguous.sum())} "
+        f"| {int(lost.sum())} |"
+    )
+
+
+if __name__ == "__main__":
+    main()
