@@ -36,13 +36,13 @@ def main() -> None:
     args = parser.parse_args()
     scene = runs()
     motion = scene.integrate()
+    columns = "clips of a run | camera in between | clips | within 1 sigma | spread of z | largest"
     lines = [
         "# Claimed and true uncertainty of the start",
         "",
         f"Commit {commit()}. z is error over uncertainty.",
         "",
-        "| clips of a run | camera between them | clips | within 1 sigma | spread of z | largest | rate: within 1 "
-        "| ambiguous | lost |",
+        f"| {columns} | rate within 1 sigma | ambiguous | lost |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for count, still in ((1, True), (2, True), (3, True), (3, False)):

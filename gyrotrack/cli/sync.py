@@ -77,7 +77,7 @@ def command(
 
 
 def _clip(path: Path, match: Match) -> dict[str, Any]:
-    from gyrotrack.sync.matching import TURN
+    from gyrotrack.sync.start import TURN
 
     return {
         "source": path,

@@ -13,7 +13,7 @@ from gyrotrack.dataset.records import BodyTrack, Case, Placement, Recording, Ser
 from gyrotrack.errors import SyncError, UsageError
 from gyrotrack.sync.curves import casing_curve
 from gyrotrack.sync.decision import UNCERTAIN, Match, Rival, match_clips
-from gyrotrack.sync.matching import TURN
+from gyrotrack.sync.start import TURN
 
 Progress = Callable[[int, int | None], None]
 

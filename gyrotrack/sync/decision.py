@@ -17,9 +17,10 @@ from scipy.stats import chi2 as chi2_distribution
 
 from gyrotrack.dataset.records import Floats
 from gyrotrack.sync.curves import Curve
-from gyrotrack.sync.matching import TURN, Pair, Solution, Start, solve
+from gyrotrack.sync.matching import Pair, Solution, solve
 from gyrotrack.sync.preparing import NEAR, RIVAL, Prepared, prepare
 from gyrotrack.sync.search import RATE_SIGMA, half_length, survey
+from gyrotrack.sync.start import TURN, Start
 
 EXCLUDED = 25.0  # a rival this much worse in chi2 is out
 UNCERTAIN = 1e-3  # s; a start that is known no better is called ambiguous

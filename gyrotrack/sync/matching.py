@@ -21,6 +21,7 @@ from scipy.linalg import block_diag, cho_factor, cho_solve
 from gyrotrack.dataset.records import Floats
 from gyrotrack.sync.curves import Curve, harmonics
 from gyrotrack.sync.linking import link_matrix
+from gyrotrack.sync.start import Start, moved, on_lattice
 from gyrotrack.sync.stretch import HARMONIC_SIGMA, HARMONICS, Stretch, stretch, window
 
 FAR = 5.0  # s; a start is not sought further from its window; keeps a casing of constant speed solvable
@@ -28,20 +29,6 @@ MAX_STEP = 0.3  # s
 MAX_ROUNDS = 40
 MAX_HALVINGS = 6
 CLOSE = 1e-3  # expected fall of chi2 at which the search ends
-TURN = 2 * np.pi
-
-
-@dataclass(frozen=True)
-class Start:
-    """Where a clip lies: t_A = offset + (1 + eps) t_B, psi_A = psi_B + angle."""
-
-    offset: float
-    eps: float
-    angle: float
-
-    def moments(self, time: Floats) -> Floats:
-        """Return times of the clip's clock on the casing's clock [s]."""
-        return self.offset + (1 + self.eps) * time
 
 
 @dataclass(frozen=True)
@@ -171,7 +158,7 @@ def solve(
     """
     shared = [turn is not None for turn in turns or [None] * len(pairs)]
     link = link_matrix(common_rate=common_rate, shared_angle=shared)
-    point = _on_lattice(starts, turns) if turns is not None else list(starts)
+    point = on_lattice(starts, turns) if turns is not None else list(starts)
     if common_rate:
         point = [replace(start, eps=point[0].eps) for start in point]
     windows = tuple(windows or starts)
@@ -204,7 +191,7 @@ def _downhill(
     """Go along a step as far as chi2 falls; None if it does not."""
     length = min(1.0, MAX_STEP / max(float(np.max(np.abs(step[::3]))), 1e-300))
     for _ in range(MAX_HALVINGS):
-        there = _moved(point, length * step)
+        there = moved(point, length * step)
         try:
             stacked = _stack(parts, there, rate_sigma, link)
         except np.linalg.LinAlgError:  # too far
@@ -234,18 +221,3 @@ def _stack(parts: Sequence[_Part], point: Sequence[Start], rate_sigma: float, li
         gradient[3 * k] -= away / FAR**2
         chi2 += away**2 / FAR**2
     return _Stacked(link.T @ matrix @ link, link.T @ gradient, chi2)
-
-
-def _on_lattice(starts: Sequence[Start], turns: Sequence[int | None]) -> list[Start]:
-    """Give the clips with a turn number one offset, up to their turns, without moving them in angle."""
-    common = next(s.angle - TURN * m for s, m in zip(starts, turns, strict=True) if m is not None)
-    return [
-        s if m is None else replace(s, angle=common + TURN * m) for s, m in zip(starts, turns, strict=True)
-    ]
-
-
-def _moved(point: Sequence[Start], step: Floats) -> list[Start]:
-    return [
-        Start(s.offset + step[3 * k], s.eps + step[3 * k + 1], s.angle + step[3 * k + 2])
-        for k, s in enumerate(point)
-    ]

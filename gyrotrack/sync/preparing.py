@@ -8,9 +8,10 @@ import numpy as np
 
 from gyrotrack.errors import SyncError
 from gyrotrack.sync.curves import Curve
-from gyrotrack.sync.matching import Normal, Pair, Solution, Start, normal, solve, surroundings
+from gyrotrack.sync.matching import Normal, Pair, Solution, normal, solve, surroundings
 from gyrotrack.sync.noise import BLOCKS, block_excess, block_means, correlation_factor, inliers
 from gyrotrack.sync.search import RATE_SIGMA, Survey, candidates
+from gyrotrack.sync.start import Start
 from gyrotrack.sync.stretch import window
 
 INTERVALS = (2, 4, 8, 16, 32)
