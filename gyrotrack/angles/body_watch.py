@@ -11,12 +11,12 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack.angles.cover import Cover
 from gyrotrack.angles.following import LONGEST_COAST, Motion, find_lock, follow
-from gyrotrack.angles.look import LAYERS, Look
+from gyrotrack.angles.look import Look
 from gyrotrack.angles.marker_watch import MarkerWatch
 from gyrotrack.angles.prediction import Prediction
 from gyrotrack.angles.sightings import Sightings
-from gyrotrack.angles.surroundings import AngleMap, open_columns
 from gyrotrack.geometry.samples import Samples
 from gyrotrack.geometry.scene import Paper
 from gyrotrack.geometry.strip import Strip, common_columns
@@ -35,7 +35,6 @@ LOOK_EVERY = 2
 """Of so many frames one is looked at to see whether the body is where it was predicted."""
 SURE = 3.0
 """Standard deviations of a prediction that must fit into the margin."""
-_COVER_COLUMNS = 360
 
 
 class BodyWatch:
@@ -72,7 +71,7 @@ class BodyWatch:
         self._missed: int | None = None
         self._prediction = Prediction()
         self._fresh = True
-        self._cover = AngleMap(LAYERS, _COVER_COLUMNS)
+        self._cover = Cover(self._step)
 
     def aim(self, centre: tuple[float, float]) -> None:
         """Put all rings about a centre."""
@@ -167,7 +166,7 @@ class BodyWatch:
         if casing is not None:
             for name, look in looks.items():
                 if not self.markers[name].strip.white:
-                    self._learn_cover(self.markers[name], look, casing)
+                    self._cover.learn(look, self.markers[name].expected(look), casing)
         if self._fresh:  # the first batch is measured twice: once to learn from, once to give
             self._fresh = False
             self._measured(looks, casing)
@@ -175,30 +174,9 @@ class BodyWatch:
 
     def _measured(self, looks: dict[str, Look], casing: Floats | None) -> dict[str, Sightings]:
         return {
-            name: self.markers[name].measure(look, self._open(look, casing)) for name, look in looks.items()
+            name: self.markers[name].measure(look, self._cover.open(look, casing))
+            for name, look in looks.items()
         }
-
-    def _learn_cover(self, watch: MarkerWatch, look: Look, casing: Floats) -> None:
-        expected = watch.expected(look)
-        known = (look.known & np.isfinite(casing))[:, None]
-        core = np.where(known & (expected > 0.7), expected, 0.0)
-        column = self._relative(look, casing)
-        for layer in range(look.layers.shape[1]):
-            self._cover.learn(layer, column, core, np.clip(look.layers[:, layer], -0.2, 1.5))
-
-    def _open(self, look: Look, casing: Floats | None) -> Mask:
-        everything = np.ones(look.raw.shape, dtype=np.bool_)
-        if casing is None:
-            return everything
-        known = np.isfinite(casing)[:, None]
-        return np.where(known, open_columns(self._cover, 1)[self._relative(look, casing)], everything)
-
-    def _relative(self, look: Look, casing: Floats) -> Integers:
-        """Columns of the cover map (fixed on the casing) for the samples of the windows."""
-        scale = _COVER_COLUMNS / (2.0 * np.pi)
-        first = look.first * self._step * scale - np.nan_to_num(casing) * scale
-        column = first[:, None] + np.arange(look.raw.shape[1]) * (self._step * scale)
-        return np.rint(column).astype(np.int64) % _COVER_COLUMNS
 
     def _searched(self, frames: list[Frame]) -> Floats:
         """Return the joint score of all directions, (n, columns)."""
