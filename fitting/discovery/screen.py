@@ -203,8 +203,9 @@ def _search(
     bounds = _bounds(effect)
     best: tuple[float, int, Array, Array] = (-np.inf, 0, np.zeros(1), np.zeros(1))
     absorbed = stage.mimicked([c for _, c in groups])
+    turned = stage.turned(np.concatenate([c for _, c in groups], axis=1))
     for i, level in enumerate(levels):
-        columns = stage.white(level.whiteners, np.concatenate([c for _, c in groups], axis=1))
+        columns = level.gain[:, None] * turned
         columns = columns - level.basis @ (level.basis.T @ columns)
         scores, gammas = _solve(columns, level.residual, len(groups), bounds)
         scores = np.where(absorbed, 0.0, scores)

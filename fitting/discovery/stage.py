@@ -1,4 +1,8 @@
-"""What a score is computed against: residuals, free columns and empty data, whitened at several noise levels."""
+"""What a score is computed against: residuals, free columns and empty data, whitened at several noise levels.
+
+The covariance of the rows of a case is C = V (1 + s^2 L) V' with the same V at every level s. So rows are turned by V'
+once, and whitened at each level by a factor a row.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +27,9 @@ _SEED = 7
 
 
 class Level(NamedTuple):
-    """One level of the random torque: whiteners, basis of what is free, what is left, and the deviance."""
+    """One level of the random torque: factor of each row, basis of what is free, what is left, and the deviance."""
 
-    whiteners: Sequence[Whitener]
+    gain: Array
     basis: Array
     residual: Array
     deviance: float
@@ -40,22 +44,26 @@ class Stage:
         self.ends = np.cumsum([0, *(len(d.z) for d in data)])
         random = np.random.default_rng(_SEED)
         shares = np.linspace(0, 1, _LEVELS) if any(n.level > n.pure for n in fit.noise) else np.array([1.0])
+        self._turns = [n.whitener.vectors for n in fit.noise]
         self._whiteners = [[n.whitener.at(_between(n.pure, n.level, x)) for n in fit.noise] for x in shares]
         # a parameter on its bound is held there: what an effect would free is left to the refit
         moving = ~fit.problem.layout.at_bound(fit.theta)
         free = np.concatenate([p.jacobian[:, moving] for p in fit.predictions])
         nuisance = block_diagonal([d.nuisance for d in data])
         residual = np.concatenate([d.z - p.rows for d, p in zip(data, fit.predictions, strict=True)])
-        self._free = np.concatenate([free, nuisance], axis=1)
+        everything = np.concatenate([free, nuisance], axis=1)
+        self._free = self.turned(everything)
         self._nuisance_at = free.shape[1] + np.cumsum([0, *(d.nuisance.shape[1] for d in data)])
-        self._residual = residual
-        self._plain = _orthonormal(self._free[:, : self._nuisance_at[0]])
+        self._residual = self.turned(residual)
+        self._plain = _orthonormal(everything[:, : self._nuisance_at[0]])
         self.levels = [self._level(w, self._free) for w in self._whiteners]
-        self.draws = random.standard_normal((len(residual), draws))
+        self.draws = self.turned(random.standard_normal((len(residual), draws)))
 
-    def white(self, whiteners: Sequence[Whitener], rows: Array) -> Array:
-        """Whiten rows of all cases."""
-        parts = [w(rows[a:b]) for w, a, b in zip(whiteners, self.ends, self.ends[1:], strict=False)]
+    def turned(self, rows: Array) -> Array:
+        """Turn rows of all cases into the axes of their noise."""
+        parts = []
+        for v, a, b in zip(self._turns, self.ends, self.ends[1:], strict=False):
+            parts += [v.T @ rows[a : a + len(v)], rows[a + len(v) : b]]
         return np.concatenate(parts)
 
     def mimicked(self, groups: Sequence[Array]) -> NDArray[np.bool_]:
@@ -66,14 +74,18 @@ class Stage:
         return np.asarray(share.reshape(len(groups), -1).max(axis=1) < _ABSORBED)
 
     def _level(self, whiteners: Sequence[Whitener], free: Array) -> Level:
-        q = _orthonormal(self.white(whiteners, free))
-        r = self.white(whiteners, self._residual)
+        gain = np.concatenate([
+            np.concatenate([1 / np.sqrt(1 + w.level**2 * w.values), np.ones(b - a - len(w.values))])
+            for w, a, b in zip(whiteners, self.ends, self.ends[1:], strict=False)
+        ])  # fmt: skip
+        q = _orthonormal(gain[:, None] * free)
+        r = gain * self._residual
         r = r - q @ (q.T @ r)
-        return Level(whiteners, q, r, float(r @ r) + sum(w.log_determinant for w in whiteners))
+        return Level(gain, q, r, float(r @ r) + sum(w.log_determinant for w in whiteners))
 
     def beside(self, columns: Array) -> list[Level]:
         """Return the levels with further columns free."""
-        free = np.concatenate([self._free, columns], axis=1)
+        free = np.concatenate([self._free, self.turned(columns)], axis=1)
         return [self._level(w, free) for w in self._whiteners]
 
     def without(self, name: str) -> list[Level]:

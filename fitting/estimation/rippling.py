@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
 from fitting.case_data import CaseData
@@ -93,13 +94,15 @@ def pieces_needed(time: Array, values: Array) -> int:
 
 def smoothed(time: Array, values: Array, pieces: int) -> Array:
     """Return a curve smoothed by a cubic in each of some pieces of equally many samples."""
-    smooth = np.empty(len(time))
-    for part in np.array_split(np.arange(len(time)), pieces):
-        t = time[part]
-        x = (t - t.mean()) / max(float(np.ptp(t)), 1e-9)
-        basis = np.linalg.qr(np.stack([np.ones_like(x), x, x**2, x**3], axis=1))[0]
-        smooth[part] = basis @ (basis.T @ values[part])
-    return smooth
+    ends = np.array([len(part) for part in np.array_split(np.empty(len(time)), pieces)]).cumsum()
+    first, last = np.concatenate([[0], ends[:-1]]), ends - 1
+    piece = np.repeat(np.arange(pieces), ends - first)
+    middle, reach = 0.5 * (time[first] + time[last]), np.maximum(0.5 * (time[last] - time[first]), 1e-9)
+    powers = legvander((time - middle[piece]) / reach[piece], _CUBIC - 1)
+    gram = np.add.reduceat(powers[:, :, None] * powers[:, None, :], first)
+    seen = np.add.reduceat(powers * values[:, None], first)
+    cubic = (np.linalg.pinv(gram, hermitian=True) @ seen[..., None])[..., 0]
+    return np.asarray(np.sum(powers * cubic[piece], axis=1))
 
 
 def _unit_laws(effect: Effect, numbers: Mapping[str, float]) -> tuple[Sequence[dict[str, float]], Array]:
