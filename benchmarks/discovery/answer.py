@@ -70,7 +70,7 @@ def _sizes(run: Planned, base: Fit) -> dict[str, Any]:
     """Return the size of what is hidden in sigma, each effect for itself."""
     if not run.hidden:
         return {}
-    oracle = Oracle(base, run.noise)
+    oracle = Oracle(base, run.noise, run.noise_time)
     found = [oracle.reach(name, run.worlds_of(name)) for name in run.hidden]
     return {
         "sigma": [[r.whole, r.beside_base, r.beside_rival] for r in found],

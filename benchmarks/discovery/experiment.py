@@ -13,7 +13,6 @@ import numpy as np
 I_ROTOR, I_CASING = 5.54e-5, 2.06e-5
 BUDGET = 1.33e-4  # N m, the torque that 2e-6 N m are 1.5 % of
 SIGMA = 1e-3  # rad, noise of an angle
-NOISE_TIME = 1.0  # s, correlation time of the random torque
 CASING_RATE, ROTOR_RATE, WINDOW = 260, 1000, 3.0
 _PAPER = {"a2": 9.97e-11, "d": 1.57e-7, "f": 1.26e-8, "g": 1.32, "I_rotor": I_ROTOR, "I_casing": I_CASING}
 CASES: tuple[dict[str, Any], ...] = (
@@ -103,10 +102,12 @@ class Run:
     rotor: list[np.ndarray]
 
 
-def run(case: dict[str, Any], hidden: Hidden, *, torque_noise: float, rng: np.random.Generator) -> Run:
+def run(
+    case: dict[str, Any], hidden: Hidden, *, torque_noise: float, torque_time: float, rng: np.random.Generator
+) -> Run:
     """Integrate one run; it ends before the casing stops."""
     case = case | hidden.constants
-    motion = integrate(case, hidden, shake(case["span"], torque_noise, rng))
+    motion = integrate(case, hidden, shake(case["span"], torque_noise, torque_time, rng))
     span = min(case["span"], np.floor(motion.time[-1]))
     time = np.arange(0, span, 1 / CASING_RATE)
     ticks = np.arange(round(WINDOW * ROTOR_RATE)) / ROTOR_RATE
@@ -116,10 +117,16 @@ def run(case: dict[str, Any], hidden: Hidden, *, torque_noise: float, rng: np.ra
 
 
 def record(
-    case: dict[str, Any], hidden: Hidden, *, torque_noise: float, rng: np.random.Generator, label: str
+    case: dict[str, Any],
+    hidden: Hidden,
+    *,
+    torque_noise: float,
+    torque_time: float = 1.0,
+    rng: np.random.Generator,
+    label: str,
 ) -> dict[str, Any]:
     """Integrate and film one run; return what `fitting.record.make_record` takes."""
-    made = run(case, hidden, torque_noise=torque_noise, rng=rng)
+    made = run(case, hidden, torque_noise=torque_noise, torque_time=torque_time, rng=rng)
     psi = made.casing
     seen = (
         psi
@@ -232,10 +239,10 @@ def equations(
     return rates
 
 
-def shake(span: float, rms: float, rng: np.random.Generator) -> Shake:
+def shake(span: float, rms: float, time: float, rng: np.random.Generator) -> Shake:
     """Return two Ornstein-Uhlenbeck torques, straight between the steps: on the casing, and between the bodies."""
     n = int(span / _STEP) + 3
-    keep = math.exp(-_STEP / NOISE_TIME)
+    keep = math.exp(-_STEP / time)
     both = []
     for _ in range(2):
         kicks = rms * math.sqrt(1 - keep**2) * rng.standard_normal(n)

@@ -78,7 +78,7 @@ def as_film(folder: Path, name: str, *, faulty: bool, shorter: float) -> list[Pa
     """Draw films, track them, put them on one clock."""
     case = LIGHT | {"span": LIGHT["span"] * shorter}
     hidden = world(name, _IN_FILMS[name], case["span"])
-    path = integrate(case, hidden, shake(case["span"], 0.0, np.random.default_rng(0)))
+    path = integrate(case, hidden, shake(case["span"], 0.0, 1.0, np.random.default_rng(0)))
     t = np.arange(0, path.time[-1], 1e-3)
     motion = Motion.from_angles(t, path.angle(t, 0) + 2.2, path.angle(t, 1) + 0.9)
     clips = {"casing": (_CASING_FPS, _CASING_FPS, 0.05, case["span"] - 0.2)}

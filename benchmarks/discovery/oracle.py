@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from experiment import NOISE_TIME, Hidden
+from experiment import Hidden
 from hidden import TWINS
 from scipy.optimize import nnls
 
@@ -47,12 +47,14 @@ class Oracle:
         The base, fitted to what was measured.
     noise : float
         True rms of the random torques [N m].
+    time : float
+        Their correlation time [s].
     """
 
-    def __init__(self, base: Fit, noise: float) -> None:
+    def __init__(self, base: Fit, noise: float, time: float) -> None:
         self._base = base
         self._cases = [CaseColumns(base, i) for i in range(len(base.problem.cases))]
-        self._whiteners = [c.response.whitener(TorqueNoise(noise, NOISE_TIME)) for c in self._cases]
+        self._whiteners = [c.response.whitener(TorqueNoise(noise, time)) for c in self._cases]
         data = base.problem.data
         self._ends = np.cumsum([0, *(len(d.z) for d in data)])
         free = np.concatenate([p.jacobian for p in base.predictions])

@@ -12,9 +12,11 @@ import numpy as np
 from experiment import BUDGET, CASES, Hidden, record, together
 from hidden import BASE, FAULTS, LIBRARY, OUTSIDE, Draw, Maker
 
-PARTS = ("library", "nothing", "fault", "outside", "pair")
+PARTS = ("library", "nothing", "fault", "outside", "pair", "brief")
 STRENGTHS = (0.01, 0.03, 0.003)
 NOISE = 1e-7  # N m
+# how long a random torque remembers itself; in the runs called brief it is over sooner
+_NOISE_TIME, _BRIEF = 1.0, 0.1  # s
 CENTRE = (2e-3, 1.1)  # rad, phase: in every noisy recording
 _PAIRS_A_SEED = 12
 _EMPTY_A_SEED = 4
@@ -56,6 +58,11 @@ class Planned:
         return found
 
     @property
+    def noise_time(self) -> float:
+        """Return the correlation time of the random torque [s]."""
+        return _BRIEF if self.part == "brief" else _NOISE_TIME
+
+    @property
     def seed_of_plan(self) -> int:
         """Return the seed of the plan that the run belongs to: each has several empty runs."""
         return self.seed // _EMPTY_A_SEED if self.part == "nothing" else self.seed
@@ -67,6 +74,7 @@ class Planned:
                 case,
                 world,
                 torque_noise=self.noise,
+                torque_time=self.noise_time,
                 rng=np.random.default_rng([self._seed, 2, i]),
                 label=f"case{i + 1}",
             )
@@ -114,4 +122,16 @@ def _pair(seed: int) -> Iterator[Planned]:
         yield Planned("pair", everything[i], STRENGTHS[1], 2, noise, seed)
 
 
-_PLANS = {"library": _library, "nothing": _nothing, "fault": _fault, "outside": _outside, "pair": _pair}
+def _brief(seed: int) -> Iterator[Planned]:
+    for name in (*LIBRARY, *BASE):
+        yield Planned("brief", (name,), STRENGTHS[0], 2, NOISE, seed)
+
+
+_PLANS = {
+    "library": _library,
+    "nothing": _nothing,
+    "fault": _fault,
+    "outside": _outside,
+    "pair": _pair,
+    "brief": _brief,
+}
