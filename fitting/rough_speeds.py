@@ -54,11 +54,16 @@ def _rotor_curve(windows: Array, times: Array) -> Array:
     return np.asarray(sense * np.maximum(sense * curve, 0.05 * np.abs(speed).min()))
 
 
-def hermite(t: Array, value: Array, slope: Array, times: Array) -> Array:
-    """Return the cubics through values and slopes, at times within."""
+def hermite(t: Array, value: Array, slope: Array, times: Array, *, slopes: bool = False) -> Array:
+    """Return the cubics through values and slopes (n, ...), or their slopes, at times within."""
     i = np.clip(np.searchsorted(t, times, side="right") - 1, 0, len(t) - 2)
-    h = t[i + 1] - t[i]
-    u = (times - t[i]) / h
+    shape = (-1, *[1] * (value.ndim - 1))
+    h = (t[i + 1] - t[i]).reshape(shape)
+    u = (times - t[i]).reshape(shape) / h
     rise = value[i + 1] - value[i]
     first, last = slope[i] * h - rise, rise - slope[i + 1] * h
+    if slopes:
+        return np.asarray(
+            (rise + (1 - 2 * u) * (first * (1 - u) + last * u) + u * (1 - u) * (last - first)) / h
+        )
     return np.asarray(value[i] + u * rise + u * (1 - u) * (first * (1 - u) + last * u))

@@ -26,12 +26,35 @@ _INTERVALS = 12
 
 @dataclass(frozen=True)
 class Prediction:
-    """Rows that a model predicts, their derivatives by all variables of the fit, and the solution behind."""
+    """Rows that a model predicts, their derivatives by the variables of the fit, and the solution behind.
+
+    Attributes
+    ----------
+    rows : ndarray, shape (rows,)
+        What the model predicts.
+    columns : ndarray, shape (rows, own)
+        Derivatives by the variables that this case has to do with.
+    places : ndarray, shape (own,)
+        Which these are.
+    count : int
+        Number of all variables of the fit.
+    path, sensitivity
+        The solution and its derivatives.
+    """
 
     rows: Array
-    jacobian: Array
+    columns: Array
+    places: NDArray[np.intp]
+    count: int
     path: Path
     sensitivity: Sensitivity
+
+    @property
+    def jacobian(self) -> Array:
+        """Derivatives by all variables of the fit, (rows, variables)."""
+        dense = np.zeros((len(self.rows), self.count))
+        dense[:, self.places] = self.columns
+        return dense
 
     @property
     def motion(self) -> LinearMotion:
@@ -55,56 +78,72 @@ class CaseModel:
     def __init__(self, data: CaseData, layout: Layout, case: int) -> None:
         self.data, self.layout, self.case = data, layout, case
         self.dynamics = Dynamics(layout.model.smooth)
-        self._places = layout.places(case, (*self.dynamics.parameters, START_ROTOR, START_CASING))
+        moving = layout.places(case, (*self.dynamics.parameters, START_ROTOR, START_CASING))
+        added = [
+            f"{e.name}.{p.symbol}"
+            for e in (*layout.model.rippling, *layout.model.measurement)
+            for p in e.free
+        ]
+        # the variables that this case has to do with; the first ones move it
+        self.places = np.concatenate([moving, layout.places(case, added)])
+        self._own = {int(k): i for i, k in enumerate(self.places)}
+        self._moving = len(moving)
         self._guess: Path | None = None
         self._columns: dict[str, tuple[Array, Array]] = {}
 
     def solve(self, theta: Array) -> Path:
         """Integrate the smooth part of the model."""
         first = np.array([*self.layout.start(theta, self.case), *self.dynamics.start])
-        self._guess = solve(
-            self.dynamics, self.layout.numbers(theta, self.case), first, self._mesh, self._guess
-        )
+        guess = self._guess or self._measured(first)
+        self._guess = solve(self.dynamics, self.layout.numbers(theta, self.case), first, self._mesh, guess)
         return self._guess
 
     @cached_property
     def _mesh(self) -> Mesh:
         return Mesh.uniform(*self.data.record.span, _INTERVALS)
 
+    def _measured(self, first: Array) -> Path:
+        """Return the measured motion as a first guess."""
+        times, speeds = self.data.rough_speeds
+        mesh, n = self._mesh, len(first)
+        y, edges = (np.tile(first, (*t.shape, 1)) for t in (mesh.times, mesh.edges))
+        for i in range(2):
+            y[..., i] = np.interp(mesh.times, times, speeds[:, i])
+            edges[:, i] = np.interp(mesh.edges, times, speeds[:, i])
+        return Path(mesh, y, edges, self.dynamics.states[:n], np.ones(len(y)), exact=False)
+
     def predict(self, theta: Array) -> Prediction:
         """Return rows and derivatives at these variables."""
         path = self.solve(theta)
         numbers = self.layout.numbers(theta, self.case)
         sensitivity = sensitivities(self.dynamics, numbers, path)
-        rows = self.data.observe(path)
-        jacobian = np.zeros((len(rows), len(theta)))
-        # the same variable may drive several columns: none here, each key has one place
-        jacobian[:, self._places] = self.data.observe(path, sensitivity.nodes)
+        seen = self.data.observe(path, np.concatenate([path.y[..., None], sensitivity.nodes], axis=3))
+        rows = seen[:, 0].copy()
+        columns = np.zeros((len(rows), len(self.places)))
+        columns[:, : self._moving] = seen[:, 1:]
         for effect in (*self.layout.model.rippling, *self.layout.model.measurement):
             if effect.name not in self._columns:
                 self._columns[effect.name] = self.unit_columns(effect, path, sensitivity, numbers)
-            self._add(effect, numbers, rows, jacobian)
-        return Prediction(rows, jacobian, path, sensitivity)
+            self._add(effect, numbers, rows, columns)
+        return Prediction(rows, columns, self.places, len(theta), path, sensitivity)
 
     def forget_columns(self) -> None:
         """Compute the responses to laws that follow an angle anew at the next prediction."""
         self._columns.clear()
 
-    def _add(self, effect: Effect, numbers: dict[str, float], rows: Array, jacobian: Array) -> None:
+    def _add(self, effect: Effect, numbers: dict[str, float], rows: Array, columns: Array) -> None:
         sine, cosine = self._columns[effect.name]
-        amplitude = next(p for p in effect.parameters if p.role == "amplitude")
-        k = numbers[f"{effect.name}.{amplitude.symbol}"]
-        i = self.layout.places(self.case, [f"{effect.name}.{amplitude.symbol}"])[0]
-        phase = next((p for p in effect.parameters if p.role == "phase"), None)
-        if phase is None:
-            rows += k * sine
-            jacobian[:, i] = sine
-            return
-        key = f"{effect.name}.{phase.symbol}"
-        phi, j = numbers[key], self.layout.places(self.case, [key])[0]
-        jacobian[:, i] = np.cos(phi) * sine + np.sin(phi) * cosine
-        jacobian[:, j] = k * (np.cos(phi) * cosine - np.sin(phi) * sine)
-        rows += k * jacobian[:, i]
+        # what is held has neither role nor column
+        own = {p.role: f"{effect.name}.{p.symbol}" for p in effect.parameters}
+        places = {role: int(self.layout.places(self.case, [key])[0]) for role, key in own.items()}
+        k = numbers[own["amplitude"]] if "amplitude" in own else 1.0
+        phi = numbers[own["phase"]] if "phase" in own else 0.0
+        wave = np.cos(phi) * sine + np.sin(phi) * cosine
+        rows += k * wave
+        if "amplitude" in own:
+            columns[:, self._own[places["amplitude"]]] = wave
+        if "phase" in own:
+            columns[:, self._own[places["phase"]]] = k * (np.cos(phi) * cosine - np.sin(phi) * sine)
 
     def unit_columns(
         self, effect: Effect, path: Path, sensitivity: Sensitivity, numbers: dict[str, float]

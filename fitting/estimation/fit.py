@@ -295,7 +295,7 @@ def summarise(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, conve
     predictions = tuple(problem.predict(theta))
     r, j = problem.residuals(predictions)
     chi2 = float(r @ r)
-    rows = len(r) - sum(p.basis.shape[1] for p in problem.projections)
+    rows = problem.rows
     at_bound = layout.at_bound(theta)
     covariance = covariance_of(j, ~surely_at_bound(layout, at_bound, r, j))
     free = int((~at_bound).sum())

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from fitting.case_data import CaseData
 from fitting.estimation.case_model import Prediction
 from fitting.estimation.noise_levels import Noise
-from fitting.estimation.problem import Problem, Projection
+from fitting.estimation.problem import Problem, Projection, turned
 from fitting.noise import TorqueResponse
 
 Array = NDArray[np.float64]
@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 _KNOTS = 21
 _RANK = 1e-4
 _RANK_FREE = 1e-7
+# cases from which on they are looked at one by one
+_MANY = 4
 
 
 @dataclass(frozen=True)
@@ -68,11 +70,15 @@ def lack_of_fit(problem: Problem, predictions: Sequence[Prediction], noise: Sequ
     for data, p, n in zip(problem.data, predictions, noise, strict=True):
         rows = slow_responses(data, p)
         project = Projection(data, n.whitener.at(n.pure))
-        white = project(np.concatenate([rows, p.jacobian, (data.z - p.rows)[:, None]], axis=1))
-        slow.append(white[:, : rows.shape[1]])
-        free.append(white[:, rows.shape[1] : -1])
-        residual.append(white[:, -1])
+        white = project(np.concatenate([rows, p.columns, (data.z - p.rows)[:, None]], axis=1))
+        few = turned(white)
+        slow.append(few[:, : rows.shape[1]])
+        free.append(np.zeros((len(few), p.count)))
+        free[-1][:, p.places] = few[:, rows.shape[1] : -1]
+        residual.append(few[:, -1])
     # the parameters are common to all cases, so the cases are tested together
+    if len(slow) > _MANY:
+        return _case_by_case(slow, free, residual)
     basis, r, s = (
         orthonormal(np.concatenate(free), _RANK_FREE),
         np.concatenate(residual),
@@ -81,6 +87,28 @@ def lack_of_fit(problem: Problem, predictions: Sequence[Prediction], noise: Sequ
     r = r - basis @ (basis.T @ r)
     span = orthonormal(s - basis @ (basis.T @ s), _RANK)
     return LackOfFit(float(np.sum((span.T @ r) ** 2)), span.shape[1])
+
+
+def _case_by_case(slow: Sequence[Array], free: Sequence[Array], residual: Sequence[Array]) -> LackOfFit:
+    """Return the lack of fit of many cases: P(S, B) - P(B), with each case's S taken out first.
+
+    The same but for the ranks, which are decided case by case; its cost does not grow with the cube of the cases.
+    """
+    total, rank, left = 0.0, 0, []
+    for s, b, r in zip(slow, free, residual, strict=True):
+        span = orthonormal(s, _RANK)
+        total += float(np.sum((span.T @ r) ** 2))
+        rank += span.shape[1]
+        left.append(np.concatenate([b, r[:, None]], axis=1) - span @ (span.T @ np.column_stack([b, r])))
+    both = np.concatenate(left)
+    # what is left of a parameter beside slow torques, beside what there was of it
+    size = np.linalg.norm(np.concatenate(free), axis=0)
+    for rows, sign in ((both, 1), (np.column_stack([np.concatenate(free), np.concatenate(residual)]), -1)):
+        u, value, _ = np.linalg.svd(rows[:, :-1][:, size > 0] / size[size > 0], full_matrices=False)
+        u = u[:, value > (_RANK if sign > 0 else _RANK_FREE) * value[0]]
+        total += sign * float(np.sum((u.T @ rows[:, -1]) ** 2))
+        rank += sign * u.shape[1]
+    return LackOfFit(max(total, 0.0), max(rank, 0))
 
 
 def slow_responses(data: CaseData, prediction: Prediction) -> Array:

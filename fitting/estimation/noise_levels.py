@@ -89,7 +89,7 @@ def refine_level(problem: Problem, theta: Array, noise: Sequence[Noise]) -> tupl
     found = []
     moving = ~problem.layout.at_bound(theta)
     for data, p, n in zip(problem.data, problem.predict(theta), noise, strict=True):
-        columns = np.concatenate([p.jacobian[:, moving], data.nuisance], axis=1)
+        columns = np.concatenate([p.columns[:, moving[p.places]], data.nuisance], axis=1)
         level, excess = remaining_level(n.whitener, data.z - p.rows, columns, n.pure)
         found.append(Noise(n.scale, n.pure, level, n.time, n.whitener.at(level), excess))
     return tuple(found)

@@ -15,6 +15,8 @@ from fitting.noise import WHITE, Whitener
 
 Array = NDArray[np.float64]
 
+_ROUNDING = 1e-11
+
 
 class Projection:
     """Whitens the rows of a case and takes out what its nuisances can explain."""
@@ -30,6 +32,13 @@ class Projection:
         """Return the whitened rows, orthogonal to the nuisances."""
         white = self.whitener(rows)
         return np.asarray(white - self.basis @ (self.basis.T @ white))
+
+    def unexplained(self, columns: Array) -> Array:
+        """Return the same of columns, nothing where a nuisance explains a column down to rounding."""
+        white = self.whitener(columns)
+        left = white - self.basis @ (self.basis.T @ white)
+        size = np.linalg.norm(white, axis=0)
+        return np.asarray(np.where(np.linalg.norm(left, axis=0) > _ROUNDING * size, left, 0.0))
 
 
 class Problem:
@@ -61,13 +70,25 @@ class Problem:
         return [case.predict(theta) for case in self.cases]
 
     def residuals(self, predictions: Sequence[Prediction]) -> tuple[Array, Array]:
-        """Return whitened, projected residuals and their Jacobian by the physical variables."""
+        """Return whitened, projected residuals and their Jacobian by the physical variables.
+
+        The rows of each case are turned so that a few hold all: a case with p variables has p + 1 rows. Sums of
+        squares and of products, all that least squares knows, stay what they are.
+        """
         r, j = [], []
         for data, project, p in zip(self.data, self.projections, predictions, strict=True):
-            both = project(np.concatenate([(p.rows - data.z)[:, None], p.jacobian], axis=1))
-            r.append(both[:, 0])
-            j.append(both[:, 1:])
+            both = project.unexplained(np.concatenate([p.columns, (p.rows - data.z)[:, None]], axis=1))
+            few = turned(both)
+            r.append(few[:, -1])
+            dense = np.zeros((len(few), p.count))
+            dense[:, p.places] = few[:, :-1]
+            j.append(dense)
         return np.concatenate(r), np.concatenate(j)
+
+    @property
+    def rows(self) -> int:
+        """Number of rows of all cases that nuisances leave."""
+        return sum(len(d.z) - p.basis.shape[1] for d, p in zip(self.data, self.projections, strict=True))
 
     def __call__(self, u: Array) -> tuple[Array, Array]:
         """Return residuals and Jacobian by the straight variables u."""
@@ -95,6 +116,11 @@ class Problem:
             else:
                 lower[v.f], upper[v.f] = 0.0 if lower[v.f] >= 0 else -np.inf, np.inf
         return lower, upper
+
+
+def turned(columns: Array) -> Array:
+    """Return columns turned into as many rows as there are columns: all their products stay the same."""
+    return np.asarray(np.linalg.qr(columns, mode="r") if np.isfinite(columns).all() else columns)
 
 
 def reference_speed(data: Sequence[CaseData]) -> float:

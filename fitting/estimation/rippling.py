@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from fitting.case_data import CaseData
 from fitting.effects import Effect
 from fitting.expression import Tape
+from fitting.rough_speeds import hermite
 from fitting.simulation import Path, Sampler
 from fitting.simulation.linear import LinearMotion
 from fitting.simulation.mesh import rule
@@ -109,28 +110,24 @@ def _unit_laws(effect: Effect, numbers: Mapping[str, float]) -> tuple[Sequence[d
     """Return the parameters of the law at strength 1 and both phases, and the present strengths of the two."""
     values = {p.symbol: numbers.get(f"{effect.name}.{p.symbol}", p.start) for p in effect.parameters}
     symbol = {p.role: p.symbol for p in effect.parameters}
-    phase = symbol.get("phase", "")
-    laws = [values | {symbol["amplitude"]: 1.0} | ({phase: phi} if phase else {}) for phi in (0.0, np.pi / 2)]
-    k = numbers.get(f"{effect.name}.{symbol['amplitude']}", 0.0)
+    # what is held has another role: then it stands in the law as it is
+    phase, amplitude = symbol.get("phase", ""), symbol.get("amplitude", "")
+    unit = {amplitude: 1.0} if amplitude else {}
+    laws = [values | unit | ({phase: phi} if phase else {}) for phi in (0.0, np.pi / 2)]
+    k = numbers.get(f"{effect.name}.{amplitude}", 0.0) if amplitude else 1.0
     phi = values.get(phase, 0.0)
     return laws, k * np.array([np.cos(phi), np.sin(phi)])
 
 
 def _swing(t: Array, angle: Array, speed: Array, times: Array, pieces: int) -> Array:
     """Return by how much a law's own ripple of the angle exceeds what the smoothed angle shows of it."""
-    from scipy.interpolate import CubicHermiteSpline
-
     seen = np.interp(times, t, smoothed(t, angle, pieces))
-    return np.asarray(CubicHermiteSpline(t, angle, speed)(times) - seen)
+    return hermite(t, angle, speed, times) - seen
 
 
 def _rotor_rows(data: CaseData, speed: Array, angle: Array) -> Array:
-    from scipy.interpolate import CubicHermiteSpline
-
     # the bearing passes on what is slow; the ripple itself moves the rotor by less than can be seen
     t = data.record.casing.time
-    seen = CubicHermiteSpline(t, angle, speed)
-    if not data.is_angle:
-        seen = seen.derivative()
-    windows = [seen(np.clip(w.node_times, t[0], t[-1])) for w in data.rotor]
-    return data.rows(np.zeros((len(data.casing.node_times), angle.shape[1])), windows)
+    times = [np.clip(w.node_times, t[0], t[-1]) for w in data.rotor]
+    seen = [hermite(t, angle, speed, w, slopes=not data.is_angle) for w in times]
+    return data.rows(np.zeros((len(data.casing.node_times), angle.shape[1])), seen)

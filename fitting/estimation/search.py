@@ -34,7 +34,6 @@ _ALIKE = 1e-3
 
 def search_widely(problem: Problem, theta: Array, others: Iterable[Array], *, quick: bool = False) -> Array:
     """Return the variables of the best of several searches; the others are tried only if the first is lost."""
-    rows = sum(len(d.z) for d in problem.data)
     best: tuple[float, Array] | None = None
     for begin in (theta, *others):
         try:
@@ -45,7 +44,7 @@ def search_widely(problem: Problem, theta: Array, others: Iterable[Array], *, qu
         alike = best is not None and abs(minimum.cost - best[0]) < _ALIKE * best[0]
         if best is None or minimum.cost < best[0]:
             best = minimum.cost, end
-        if alike or (minimum.converged and minimum.cost < _LOST * rows):
+        if alike or (minimum.converged and minimum.cost < _LOST * problem.rows):
             break
     if best is None:
         # the fault of the first start, told by the solver
@@ -89,7 +88,7 @@ def search(problem: Problem, theta: Array, *, quick: bool = False, most: int = 2
     # the box around d and f is none in straight variables: whether they kept to it is seen afterwards
     if not _broken(problem.valleys, theta, lower, upper):
         return minimum, theta
-    if not minimum.converged and minimum.cost > _LOST * len(minimum.residual):
+    if not minimum.converged and minimum.cost > _LOST * problem.rows:
         return minimum, np.clip(theta, lower, upper)
     return _on_the_edge(problem, minimum, theta, enough, most)
 

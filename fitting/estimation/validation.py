@@ -42,7 +42,7 @@ def held_out(data: CaseData, project: Projection, prediction: Prediction) -> dic
         ``casing``: each of six stretches of time predicted from the others; ``rotor``: each
         window predicted from all else. 1 means as good as the noise allows.
     """
-    jacobian = project(prediction.jacobian)
+    jacobian = project(prediction.columns)
     size = np.linalg.norm(jacobian, axis=0)
     used = np.concatenate([project.basis, np.linalg.qr(jacobian[:, size > 0] / size[size > 0])[0]], axis=1)
     residual = project(prediction.rows - data.z)

@@ -44,7 +44,7 @@ class LinearMotion:
             self._nodes = _fundamental(path, propagator, size)
             if size == 2 or _independent(self._nodes):
                 break
-        steps = path.mesh.half[..., None] * np.einsum("k,iknm->inm", rule().w, self._nodes)
+        steps = path.mesh.half[..., None] * np.tensordot(self._nodes, rule().w, (1, 0))
         self._starts = np.concatenate([np.zeros((1, *steps.shape[1:])), np.cumsum(steps, axis=0)])
 
     def fundamental(self, times: Array) -> Array:
@@ -57,10 +57,13 @@ class LinearMotion:
 
     def kicks(self, times: Array, direction: Array) -> Array:
         """Return Phi^-1(s) b, shape (times, n); b holds the rates that a unit torque gives [rad s-2]."""
-        phi = Sampler(self._mesh, times).value(self._nodes)
+        return self._kicks(Sampler(self._mesh, times), direction)
+
+    def _kicks(self, sampler: Sampler, direction: Array) -> Array:
+        phi = sampler.value(self._nodes)
         pushes = np.zeros(phi.shape[:2])
         pushes[:, 0] = direction[0]
-        pushes[:, 1] = direction[1] * self.moving(times)
+        pushes[:, 1] = direction[1] * np.abs(self._sense[sampler.index])
         return np.asarray(np.linalg.solve(phi, pushes[..., None])[..., 0])
 
     def moving(self, times: Array) -> Array:
@@ -87,17 +90,19 @@ class LinearMotion:
         gauss = rule(torque.shape[1])
         half = 0.5 * np.diff(times)
         inner = (times[:-1] + half)[:, None] + half[:, None] * gauss.x
-        kicks = self.kicks(inner.ravel(), direction).reshape(*inner.shape, -1)
-        reach = self.integrated(inner.ravel()).reshape(*inner.shape, 2, kicks.shape[-1])
+        sampler = Sampler(self._mesh, inner.ravel())
+        kicks = self._kicks(sampler, direction).reshape(*inner.shape, -1)
+        reach = sampler.integral(self._starts, self._nodes)[:, :2].reshape(*inner.shape, 2, -1)
         kicks *= (half[:, None] * gauss.w)[..., None]
-        pushes = np.einsum("iqm,iqc->imc", kicks, torque)
-        delayed = np.einsum("iqsm,iqm->iqs", reach, kicks)
+        pushes = kicks.transpose(0, 2, 1) @ torque
+        delayed = (reach @ kicks[..., None])[..., 0]
         sums = np.concatenate([np.zeros((1, *pushes.shape[1:])), np.cumsum(pushes, axis=0)])
-        late = np.einsum("iqs,iqc->sic", delayed, torque)
+        late = np.moveaxis(delayed.transpose(0, 2, 1) @ torque, 1, 0)
         late = np.concatenate([np.zeros((2, 1, late.shape[2])), np.cumsum(late, axis=1)], axis=1)
-        speed = np.einsum("tsm,tmc->stc", self.fundamental(times), sums)
-        angle = np.einsum("tsm,tmc->stc", self.integrated(times), sums) - late
-        return speed, angle
+        sampler = Sampler(self._mesh, times)
+        phi, psi = sampler.value(self._nodes), sampler.integral(self._starts, self._nodes)
+        speed, angle = (np.moveaxis(m[:, :2] @ sums, 1, 0) for m in (phi, psi))
+        return speed, angle - late
 
 
 def _fundamental(path: Path, propagator: Propagator, size: int) -> Array:

@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 NODES = 10
+# times an interval from which on a product for each interval beats one for each time
+_CROWD = 12
 
 
 class Rule(NamedTuple):
@@ -169,25 +171,33 @@ class Sampler:
     def __init__(self, mesh: Mesh, times: Array) -> None:
         edges = mesh.edges
         self.index = np.clip(np.searchsorted(edges, times, side="right") - 1, 0, len(edges) - 2)
-        half = mesh.half[self.index, 0]
-        x = (times - edges[self.index]) / half - 1.0
-        gauss = rule()
-        vander = legendre.legvander(x, len(gauss.x))
-        self._value = vander[:, :-1] @ gauss.to_legendre
-        self._integral = (vander @ gauss.antiderivative) * half[:, None]
+        self._half = mesh.half[self.index, 0]
+        self._vander = legendre.legvander((times - edges[self.index]) / self._half - 1.0, NODES)
+        # many times in few intervals, one after the other: each interval's in one product
+        few = len(times) > _CROWD * (len(edges) - 1)
+        self._runs = None
+        if few and (self.index[1:] >= self.index[:-1]).all():
+            self._runs = np.searchsorted(self.index, np.arange(len(edges)))
 
     def value(self, nodes: Array) -> Array:
         """Return node data (intervals, nodes, ...) at the times, shape (times, ...)."""
-        return self._weighted(self._value, nodes)
+        return self._weighted(self._vander[:, :-1], rule().to_legendre, nodes)
 
     def integral(self, starts: Array, nodes: Array) -> Array:
         """Return the running integral of node data, given its values at the edges."""
-        return np.asarray(starts[self.index] + self._weighted(self._integral, nodes))
+        inner = self._weighted(self._vander, rule().antiderivative, nodes)
+        return np.asarray(starts[self.index] + inner * self._half.reshape(-1, *[1] * (inner.ndim - 1)))
 
-    def _weighted(self, weights: Array, nodes: Array) -> Array:
+    def _weighted(self, powers: Array, to_powers: Array, nodes: Array) -> Array:
         shape = nodes.shape[2:]
-        flat = nodes.reshape(*nodes.shape[:2], -1)[self.index]
-        return np.asarray((weights[:, None, :] @ flat)[:, 0].reshape(len(weights), *shape))
+        series = to_powers @ nodes.reshape(*nodes.shape[:2], -1)
+        if self._runs is None:
+            found = (powers[:, None, :] @ series[self.index])[:, 0]
+        else:
+            found = np.empty((len(powers), series.shape[2]))
+            for a, b, own in zip(self._runs[:-1], self._runs[1:], series, strict=True):
+                np.matmul(powers[a:b], own, out=found[a:b])
+        return np.asarray(found.reshape(len(powers), *shape))
 
 
 def transfer(guess: Path, mesh: Mesh, start: Array, sense: float) -> Path:
