@@ -45,6 +45,7 @@ _IMPROBABLE = 1e-5
 _OTHER_POWERS = (0.7, 1.35)
 # a casing slower than this share of its largest speed is taken to stand still
 _AT_REST = 0.01
+_PATIENCE = 60
 
 
 @dataclass(frozen=True)
@@ -189,8 +190,7 @@ def fit(
         problem.set_noise([n.whitener for n in noise])
         theta = _shaped(problem, theta, start)
         if _stops(problem, theta):
-            # what noise does after a stop at a wrong time is wrong too, and would hold the search there
-            problem.set_noise([WHITE] * len(data))
+            theta = _past_stops(problem, theta)
         theta = search_widely(problem, theta, _elsewhere(layout, problem, theta, start), quick=quick)
         noise = measure_noise(problem, theta)
         theta, noise = _tight(problem, theta, noise)
@@ -215,6 +215,20 @@ def _stops(problem: Problem, theta: Array) -> bool:
         if (speed[len(speed) // 20 :] < _AT_REST * speed.max(initial=0.0)).any():
             return True
     return any(p.path.jumps for p in problem.predict(theta))
+
+
+def _past_stops(problem: Problem, theta: Array) -> Array:
+    """Return variables from a search without random torque, and set the noise about them.
+
+    What a torque does after a stop at a wrong time is wrong too, and would hold the search there.
+    """
+    problem.set_noise([WHITE] * len(problem.data))
+    try:
+        _, theta = search(problem, theta, quick=True, most=_PATIENCE)
+    except EstimationError:
+        pass
+    problem.set_noise([n.whitener for n in first_noise(problem, theta)])
+    return theta
 
 
 def _shaped(problem: Problem, theta: Array, given: Mapping[str, float] | None) -> Array:
