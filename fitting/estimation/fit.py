@@ -9,6 +9,7 @@ thousand sigma somewhere is not torn there; its chi-square and held-out error ar
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -223,10 +224,8 @@ def _past_stops(problem: Problem, theta: Array) -> Array:
     What a torque does after a stop at a wrong time is wrong too, and would hold the search there.
     """
     problem.set_noise([WHITE] * len(problem.data))
-    try:
+    with suppress(EstimationError):
         _, theta = search(problem, theta, quick=True, most=_PATIENCE)
-    except EstimationError:
-        pass
     problem.set_noise([n.whitener for n in first_noise(problem, theta)])
     return theta
 

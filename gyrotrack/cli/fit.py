@@ -195,6 +195,7 @@ class _Wish:
     def fit(self, study: Study, start: str | None) -> tuple[Fit, str]:
         """Fit and keep the result."""
         from fitting.effects import REDUCED
+        from fitting.errors import FittingError
         from fitting.estimation.robust import robust_fit
 
         follows = self.model is None and (self.add or self.drop or start)
@@ -213,15 +214,14 @@ class _Wish:
             previous, fit_id = study.base(None)
             entry = study.entry(fit_id)
         values = _starts(previous, wanted) if previous is not None else None
-        found = robust_fit(
-            wanted,
-            study.data,
-            self.loss,
-            share=self.share,
-            per_case=self.per_case,
-            start=values,
-            ranges=ranges,
-        )
+        options = {"share": self.share, "per_case": self.per_case, "ranges": ranges}
+        try:
+            found = robust_fit(wanted, study.data, self.loss, start=values, **options)
+        except FittingError:
+            # what suited the parent may be no start for the new model: the program's own then
+            if values is None:
+                raise
+            found = robust_fit(wanted, study.data, self.loss, **options)
         steps = [
             *(f"+{a}" for a in self.add),
             *(f"-{d}" for d in self.drop),

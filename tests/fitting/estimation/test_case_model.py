@@ -129,3 +129,23 @@ def test_starts_without_a_guess_are_of_the_right_size():
     assert theta["initial.omega_r@case1"] == pytest.approx(900, rel=0.02)
     assert theta["initial.omega_c@case1"] == pytest.approx(5, abs=10)  # the mean of the first second
     assert all(np.isfinite(list(theta.values())))
+
+
+def test_a_law_that_follows_the_angle_may_be_held():
+    """Strength or phase held at a value: the rows are those of the free law there, without its columns."""
+    measured = data()
+    model = Model.of((*REDUCED, "casing.unbalance"))
+    values = {"casing.unbalance.k": 3e-6, "casing.unbalance.phi": 0.7}
+    true = twobody.truth()
+
+    def predicted(model):
+        layout = Layout.of(model, [measured.record])
+        numbers = {name: ({**true, **values})[name] for name in layout.names}
+        return layout, CaseModel(measured, layout, 0).predict(np.array(list(numbers.values())))
+
+    layout, free = predicted(model)
+    for held in values:
+        smaller, found = predicted(model.with_fixed({held: values[held]}))
+        np.testing.assert_allclose(found.rows, free.rows, atol=1e-6)
+        kept = free.jacobian[:, [layout.index[n] for n in smaller.names]]
+        assert (np.abs(found.jacobian - kept).max(axis=0) < 1e-5 * np.abs(kept).max(axis=0)).all()

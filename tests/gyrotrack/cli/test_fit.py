@@ -120,6 +120,26 @@ def test_dropping_what_was_added_leads_back(gyrotrack, study):
     assert last["rmse_casing"] == pytest.approx(first["rmse_casing"], rel=0.02)
 
 
+def test_a_start_that_leads_nowhere_is_not_the_end(gyrotrack, study, monkeypatch):
+    """What the parent's values cannot start is fitted from the program's own."""
+    from fitting.errors import SimulationError
+    from fitting.estimation import robust
+
+    whole, starts = robust.robust_fit, []
+
+    def picky(*arguments, start=None, **options):
+        starts.append(start)
+        if start is not None:
+            raise SimulationError("the equations of motion have no bounded solution for these numbers")
+        return whole(*arguments, **options)
+
+    monkeypatch.setattr(robust, "robust_fit", picky)
+    said = gyrotrack("fit", study, "--drop", "casing.air.quadratic", "--json")
+    assert said.code == 0
+    assert [start is None for start in starts] == [False, True]
+    assert said.json["verdict"] == "misfit"
+
+
 def test_the_ladder_grows_and_from_chooses_the_rung(gyrotrack, study):
     assert [r["fit_id"] for r in gyrotrack("ladder", study, "--json").json["ladder"]] == ["f1", "f2"]
     said = gyrotrack("fit", study, "--from", "f1", "--json").json
