@@ -98,6 +98,7 @@ def main() -> None:
     )
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--frames", type=int, default=500)
+    parser.add_argument("--only", default="", help="only the cells whose name holds this")
     parser.add_argument("-o", "--output", type=Path)
     args = parser.parse_args()
     lines = [
@@ -110,6 +111,7 @@ def main() -> None:
     ]
     every: list[dict] = []
     cells = [(name, "own") for name in OWN] + [(name, "foreign") for name in FOREIGN]
+    cells = [cell for cell in cells if args.only in cell[0]]
     with tempfile.TemporaryDirectory() as folder:
         for name, kind in cells:
             found = []
