@@ -24,14 +24,11 @@ class Whiteness:
     ----------
     label : str
         Case.
-    autocorrelation : ndarray, shape (lags,)
-        From lag 1 on, in blocks.
     p_value : float
         Of the Ljung-Box statistic (G. Ljung, G. Box, Biometrika 65, 297 (1978)).
     """
 
     label: str
-    autocorrelation: Array
     p_value: float
 
 
@@ -55,5 +52,5 @@ def whiteness(fit: Fit) -> list[Whiteness]:
         )
         weights = _POWERS / (blocks - np.arange(1, lags + 1))
         statistic = float(blocks * (blocks + 2) * (rho**2 * weights).sum())
-        results.append(Whiteness(data.record.label, rho, float(chi2.sf(statistic, max(lags, 1)))))
+        results.append(Whiteness(data.record.label, float(chi2.sf(statistic, max(lags, 1)))))
     return results

@@ -29,8 +29,6 @@ class Chance:
             _trials(float(chi2.sf(middle, score.columns)), 0.5),
             _trials(float(chi2.sf(tail, score.columns)), 0.1),
         )
-        self.null = np.array([self(x) for x in np.quantile(score.null, np.linspace(0, 1, 64))])
-        self._sorted = np.sort(score.null)
         self.draws = score.null
 
     def __call__(self, score: float) -> float:

@@ -60,7 +60,6 @@ class MarkerWatch:
             gain=found.gain + hide,
             misfit=found.misfit + hide,
             weakness=found.weakness + hide,
-            radial_misfit=along.misfit + np.where(whole, 0.0, np.nan),
             open=whole,
             centre=np.tile(np.array(ring.centre), (len(hide), 1)),
         )

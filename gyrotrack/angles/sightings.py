@@ -26,8 +26,6 @@ class Sightings:
         Height relative to the typical one, and rms of what the template leaves over, relative to the gain.
     weakness : ndarray, shape (n,)
         Factor on the uncertainty for what is hidden or dim; see `matching.Match`.
-    radial_misfit : ndarray, shape (n,)
-        As `misfit`, along the radius.
     open : ndarray of bool, shape (n,)
         Nothing is known to stand before any part of the marker.
     centre : ndarray, shape (n, 2)
@@ -41,7 +39,6 @@ class Sightings:
     gain: Floats
     misfit: Floats
     weakness: Floats
-    radial_misfit: Floats
     open: Mask
     centre: Floats
 

@@ -66,8 +66,6 @@ class Journal:
 
     Attributes
     ----------
-    taken_up : bool
-        Records of an earlier run are there.
     other : bool
         A journal of another run was in the way of `resume` and has been replaced.
 
@@ -88,7 +86,6 @@ class Journal:
                 self._start()
         except OSError as error:
             raise refusal(self.path, error) from error
-        self.taken_up = len(self) > 0
 
     def __len__(self) -> int:
         return len(self._ends) - 1
@@ -127,7 +124,6 @@ class Journal:
     def restart(self) -> None:
         """Forget all records."""
         self._start()
-        self.taken_up = False
 
     def discard(self) -> None:
         """Remove the journal: its run is done."""

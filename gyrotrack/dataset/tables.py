@@ -18,7 +18,6 @@ from gyrotrack.dataset.layout import ATTRIBUTE_UNITS, LENGTH_ONLY, Field, Table
 from gyrotrack.errors import DatasetError
 
 CHUNK = 8192  # values along the first dimension: 64 kB a column, whole short clips in one chunk
-DIMENSION_WITHOUT_VALUES = "This is a netCDF dimension but not a netCDF variable."
 
 
 def write_table(group: Any, table: Table, values: Mapping[str, npt.ArrayLike]) -> None:

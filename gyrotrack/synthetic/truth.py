@@ -63,16 +63,6 @@ class Truth:
     visible: Mapping[str, Array]
     sense: int
 
-    def marker_angle(self, name: str) -> Array:
-        """Return the angle of a paper as it is seen, wrapped, (n,) in rad, growing as the bodies turn.
-
-        It is the mean of the angles of the two near corners about the picture of the axis, atan2(-(y - cy), x
-        - cx) times the sense: what the film shows, tilt included.
-        """
-        away = self.corners[name][:, :2] - self.centre[:, None]
-        seen = np.exp(1j * self.sense * np.arctan2(-away[..., 1], away[..., 0]))
-        return np.asarray(np.angle(seen.sum(axis=1)))
-
     def save(self, path: Path) -> None:
         """Write the truth as .npz (no pickled objects) or, by the ending of the name, as .json."""
         path = Path(path)

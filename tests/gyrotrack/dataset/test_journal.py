@@ -25,7 +25,7 @@ WHOLE = [(0, [0.0], (2, 0)), (1, [0.0, 1.0], (2, 0)), (2, [0.0, 1.0, 2.0], (2, 0
 def test_what_was_written_is_read_again_and_goes_on(tmp_path):
     fill(tmp_path / "o.h5")
     with Journal(tmp_path / "o.h5", FACTS, resume=True) as journal:
-        assert journal.taken_up
+        assert len(journal) == len(WHOLE)
         assert content(journal) == WHOLE
         journal.append({"k": 9}, {"a": np.ones(1), "b": np.zeros((2, 0))})
         assert len(content(journal)) == 4
@@ -36,7 +36,7 @@ def test_what_was_written_is_read_again_and_goes_on(tmp_path):
 def test_without_resume_it_starts_anew(tmp_path):
     fill(tmp_path / "o.h5")
     with Journal(tmp_path / "o.h5", FACTS) as journal:
-        assert not journal.taken_up
+        assert len(journal) == 0
         assert content(journal) == []
 
 

@@ -6,8 +6,6 @@ import pytest
 from gyrotrack.errors import DatasetError, UsageError
 from gyrotrack.importing import import_case, summary
 
-RATE = {"casing": 260, "rotor": 1000}
-
 
 def motion(body, time):
     """Angle and speed of a casing that speeds up and a rotor that slows down, known in closed form."""

@@ -116,11 +116,6 @@ def make_run():
 
 
 @pytest.fixture
-def make_camera():
-    return Camera
-
-
-@pytest.fixture
 def make_recordings(motion):
     """Recordings of a run: the casing's, and one for each start, with the rotor in it."""
 

@@ -6,10 +6,16 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gyrotrack.synthetic import Camera, Motion, Scene, find_truth
+from gyrotrack.synthetic import Camera, Motion, Scene, Truth, find_truth
 
 small = st.floats(-0.5, 0.5)
 point = st.tuples(st.floats(-40.0, 40.0), st.floats(-40.0, 40.0))
+
+
+def seen_angle(truth: Truth, name: str) -> np.ndarray:
+    """Angle of a paper as the film shows it: the mean of its two near corners about the axis, as the sense goes."""
+    away = truth.corners[name][:, :2] - truth.centre[:, None]
+    return np.angle(np.exp(1j * truth.sense * np.arctan2(-away[..., 1], away[..., 0])).sum(axis=1))
 
 
 @given(point, small, st.floats(-3.0, 3.0), st.floats(0.0, 1.0 / 120.0), st.floats(-3.0, 3.0))
@@ -31,7 +37,7 @@ def test_roll_adds_to_every_angle() -> None:
     straight = find_truth(scene, motion, Camera(), 40)
     rolled = find_truth(scene, motion, Camera(roll=0.3), 40)
     for marker in scene.markers:
-        turned = rolled.marker_angle(marker.name) - straight.marker_angle(marker.name)
+        turned = seen_angle(rolled, marker.name) - seen_angle(straight, marker.name)
         assert np.allclose(np.exp(1j * turned), np.exp(-0.3j))
 
 
@@ -41,7 +47,7 @@ def test_marker_angle_is_body_angle_plus_mount() -> None:
         truth = find_truth(scene, motion, Camera(sense=sense), 40)
         for marker in scene.markers:
             expected = truth.angle[marker.body] + marker.mount
-            assert np.allclose(np.exp(1j * truth.marker_angle(marker.name)), np.exp(1j * expected))
+            assert np.allclose(np.exp(1j * seen_angle(truth, marker.name)), np.exp(1j * expected))
 
 
 def test_two_clocks() -> None:
