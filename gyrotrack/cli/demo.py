@@ -9,7 +9,6 @@ import sys
 import tomllib
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
 from pathlib import Path
 from time import perf_counter
 from typing import Annotated, Any
@@ -72,9 +71,9 @@ def _study(out: Output, case: Path, output: Path, film: Path) -> dict[str, Any]:
     from fitting.ledger import Ledger
     from fitting.model import Model
     from fitting.summary import diagnosis_document, fit_document, ladder_verdict
-    from gyrotrack.cli.study import open_study
     from gyrotrack.dataset import read_case
     from gyrotrack.report import story_picture, write_report
+    from gyrotrack.study import open_study
 
     ledger = Ledger.beside(case).path
     ledger.unlink(missing_ok=True)  # the demo begins anew each time
@@ -88,11 +87,8 @@ def _study(out: Output, case: Path, output: Path, film: Path) -> dict[str, Any]:
     out.show(*diagnosis_tables(diagnosis, first.fit_id))
     out.show("\n5. Add it, and watch the error fall", f"\n$ gyrotrack improve {case}\n")
     rungs = improve(base, first=diagnosis.candidates)
-    steps, parent = [first.document["rung"]], first.fit_id
-    for before, rung in pairwise(rungs):
-        entry = study.ledger.add(rung.fit, parent=parent, added=rung.change, previous=before.fit)
-        steps.append(entry.document["rung"])
-        parent = entry.fit_id
+    kept = study.keep(rungs, first.fit_id)
+    steps = [entry.document["rung"] for entry in kept]
     out.show(*ladder_tables(steps))
     out.show(f"\n6. The report\n\n$ gyrotrack report {case} -o {output / 'report.html'}")
     report = write_report(
@@ -110,7 +106,7 @@ def _study(out: Output, case: Path, output: Path, film: Path) -> dict[str, Any]:
         "picture": picture,
         "diagnosis": diagnosis_document(diagnosis, first.fit_id),
         "ladder": steps,
-        "final": fit_document(rungs[-1].fit, parent),
+        "final": fit_document(rungs[-1].fit, kept[-1].fit_id),
         "verdict": ladder_verdict(rungs),
     }
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from gyrotrack.cli.options import CaseFiles, Json, Quiet
 from gyrotrack.cli.output import Output
-from gyrotrack.cli.study import EffectsFile, From, LedgerFile, open_study, own_effects
+from gyrotrack.cli.study import EffectsFile, From, LedgerFile, own_effects
 from gyrotrack.cli.tables import diagnosis_tables
+from gyrotrack.study import open_study
 
 
 def command(

@@ -7,11 +7,10 @@ from typing import Annotated
 
 import typer
 
-from gyrotrack.cli.options import CaseFiles, Force, Json, Quiet
+from gyrotrack.cli.options import CaseFiles, Films, Force, Json, Quiet, film_folders
 from gyrotrack.cli.output import DONE, NOT_TRUSTED, Output
-from gyrotrack.cli.report import folders
-from gyrotrack.cli.study import read_cases
 from gyrotrack.errors import OutputError, UsageError
+from gyrotrack.study import read_cases
 
 
 def command(
@@ -26,12 +25,7 @@ def command(
             "--format", metavar="F", help="pdf, svg or png; several by giving it again. pdf, if not given."
         ),
     ] = None,
-    films: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--films", metavar="DIR", help="Where the films lie; beside the case and here, if not given."
-        ),
-    ] = None,
+    films: Films = None,
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -69,7 +63,7 @@ def command(
             data,
             [read_case(case) for case in cases],
             formats=wanted,
-            films=folders(cases, films),
+            films=film_folders(cases, films),
             force=force,
         )
     drawn = {f.stem for f in files if f.suffix.lstrip(".") in FORMATS}

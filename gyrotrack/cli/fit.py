@@ -3,35 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from gyrotrack.cli.options import CaseFiles, Json, Quiet
 from gyrotrack.cli.output import DONE, NOT_TRUSTED, Output
-from gyrotrack.cli.study import (
-    DataKind,
-    EffectsFile,
-    From,
-    LedgerFile,
-    RotorKind,
-    Study,
-    changed,
-    open_study,
-    own_effects,
-)
+from gyrotrack.cli.study import DataKind, EffectsFile, From, LedgerFile, RotorKind, own_effects
 from gyrotrack.cli.tables import fit_tables, prediction_tables
 from gyrotrack.errors import UsageError
+from gyrotrack.study import Wish, open_study
 
 if TYPE_CHECKING:
-    from fitting.effects import Effect
     from fitting.estimation import Fit
     from fitting.estimation.prediction import Predicted
     from fitting.estimation.profile import Interval
-    from fitting.model import Model
 
-_NAMED = ("reduced", "general", "linear")
 _LOSSES = ("linear", "huber", "cauchy")
 
 
@@ -97,19 +84,19 @@ def command(
         raise UsageError(f"There is no loss named {loss[:40]!r}.", f"Losses: {', '.join(_LOSSES)}.")
     out = Output(as_json=as_json, quiet=quiet)
     groups = [cases] if joint else [[case] for case in cases]
+    wish = Wish(
+        model=model,
+        add=tuple(add or ()),
+        drop=tuple(drop or ()),
+        own=own_effects(effects),
+        share=tuple(share or ()),
+        per_case=tuple(per_case or ()),
+        held=_held(fix or ()),
+        loss=loss,
+    )
     documents, trusted = [], True
     for group in groups:
         study = open_study(group, ledger, data=data, rotor=rotor)
-        wish = _Wish(
-            model,
-            tuple(add or ()),
-            tuple(drop or ()),
-            own_effects(effects),
-            tuple(share or ()),
-            tuple(per_case or ()),
-            _held(fix or ()),
-            loss,
-        )
         with out.progress("fitting") as progress:
             progress(0, None)
             found, fit_id = wish.fit(study, start)
@@ -172,103 +159,3 @@ def _predicted(found: Fit) -> Sequence[Predicted]:
 
 def _plain(predicted: Sequence[Predicted]) -> list[dict[str, Any]]:
     return [{k: getattr(p, k) for k in ("label", "casing", "rotor", "r2", "rmse")} for p in predicted]
-
-
-class _Wish:
-    """What the user asked to be fitted."""
-
-    def __init__(
-        self,
-        model: str | None,
-        add: tuple[str, ...],
-        drop: tuple[str, ...],
-        own: Sequence[Effect],
-        share: tuple[str, ...],
-        per_case: tuple[str, ...],
-        held: dict[str, float],
-        loss: str,
-    ) -> None:
-        self.held, self.loss = held, loss
-        self.model, self.add, self.drop, self.own = model, add, drop, own
-        self.share, self.per_case = share, per_case
-
-    def fit(self, study: Study, start: str | None) -> tuple[Fit, str]:
-        """Fit and keep the result."""
-        from fitting.effects import REDUCED
-        from fitting.errors import FittingError
-        from fitting.estimation.robust import robust_fit
-
-        follows = self.model is None and (self.add or self.drop or start)
-        entry = study.entry(start) if follows else None
-        base = (
-            entry.model
-            if entry is not None
-            else study.model(REDUCED)
-            if self.model is None
-            else self._named(self.model, study)
-        )
-        wanted = changed(base, self.add, self.drop, self.own).with_fixed(self.held)
-        ranges = _paper_ranges(study, self.share, self.per_case) if self.model == "general" else {}
-        previous = entry.refit(study.data) if entry is not None else None
-        if previous is None and self.add and self.model is None:
-            previous, fit_id = study.base(None)
-            entry = study.entry(fit_id)
-        values = _starts(previous, wanted) if previous is not None else None
-        options = {"share": self.share, "per_case": self.per_case, "ranges": ranges}
-        try:
-            found = robust_fit(wanted, study.data, self.loss, start=values, **options)
-        except FittingError:
-            # what suited the parent may be no start for the new model: the program's own then
-            if values is None:
-                raise
-            found = robust_fit(wanted, study.data, self.loss, **options)
-        steps = [
-            *(f"+{a}" for a in self.add),
-            *(f"-{d}" for d in self.drop),
-            *(f"{k}={v:g}" for k, v in self.held.items()),
-            *([self.loss] if self.loss != "linear" else []),
-        ]
-        change = " ".join(steps) or (self.model or "")
-        kept = study.ledger.add(
-            found,
-            parent=entry.fit_id if entry is not None else "",
-            added=change,
-            previous=previous,
-            share=self.share,
-            per_case=self.per_case,
-            ranges=ranges,
-            loss=self.loss,
-        )
-        return found, kept.fit_id
-
-    def _named(self, name: str, study: Study) -> Model:
-        from fitting.effects import GENERAL, LINEAR, REDUCED
-        from fitting.model import read_model
-
-        if name in _NAMED:
-            return study.model({"reduced": REDUCED, "general": GENERAL, "linear": LINEAR}[name])
-        path = Path(name)
-        if not path.is_file():
-            raise UsageError(
-                f"{name} is no model.", f"Models: {', '.join(_NAMED)}, or the name of a TOML file."
-            )
-        return read_model(path, self.own)
-
-
-def _starts(previous: Fit, wanted: Model) -> dict[str, float]:
-    from fitting.discovery import found_starts, needs_search
-
-    new = [e for e in wanted.effects if e.name not in previous.model.names and needs_search(e)]
-    found = found_starts(previous, new) if new else {}
-    return {k: e.value for k, e in previous.estimates.items()} | found
-
-
-def _paper_ranges(
-    study: Study, share: tuple[str, ...], per_case: tuple[str, ...]
-) -> dict[str, tuple[float, float]]:
-    from fitting.effects import REDUCED
-    from fitting.estimation import fit
-    from fitting.scanning import paper_ranges
-
-    reduced = fit(study.model(REDUCED), study.data, share=share, per_case=per_case)
-    return paper_ranges([reduced], reduced.labels)

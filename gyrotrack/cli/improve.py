@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 from gyrotrack.cli.options import CaseFiles, Json, Quiet
 from gyrotrack.cli.output import Output
-from gyrotrack.cli.study import EffectsFile, From, LedgerFile, open_study, own_effects
+from gyrotrack.cli.study import EffectsFile, From, LedgerFile, own_effects
 from gyrotrack.cli.tables import ladder_tables
+from gyrotrack.study import open_study
 
 
 def command(
@@ -32,13 +31,10 @@ def command(
         progress(0, None)
         base, parent = study.base(start)
         rungs = improve(base, own_effects(effects), progress=progress)
-    steps = [study.ledger.find(parent).document["rung"]]
-    for before, rung in pairwise(rungs):
-        entry = study.ledger.add(rung.fit, parent=parent, added=rung.change, previous=before.fit)
-        parent = entry.fit_id
-        steps.append(entry.document["rung"])
+    kept = study.keep(rungs, parent)
+    steps = [entry.document["rung"] for entry in kept]
     verdict = ladder_verdict(rungs)
-    out.result({"ladder": steps, "final": fit_document(rungs[-1].fit, parent), "verdict": verdict})
+    out.result({"ladder": steps, "final": fit_document(rungs[-1].fit, kept[-1].fit_id), "verdict": verdict})
     out.show(*ladder_tables(steps), f"verdict: {_WORDS[verdict]}")
 
 

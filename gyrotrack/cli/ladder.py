@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from gyrotrack.cli.options import CaseFiles, Json, Quiet
 from gyrotrack.cli.output import Output
-from gyrotrack.cli.study import DataKind, LedgerFile, RotorKind, open_study
+from gyrotrack.cli.study import DataKind, LedgerFile, RotorKind
 from gyrotrack.cli.tables import ladder_tables
 from gyrotrack.errors import DatasetError
+from gyrotrack.study import open_study
 
 
 def command(

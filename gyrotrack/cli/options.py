@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -29,6 +30,13 @@ CaseFiles = Annotated[
     list[Path], typer.Argument(metavar="CASE.h5...", help="Cases, made by `sync` or `import`.")
 ]
 
+Films = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--films", metavar="DIR", help="Where the films lie; beside the case and here, if not given."
+    ),
+]
+
 InertiaRotor = Annotated[
     float, typer.Option("--inertia-rotor", metavar="X", help="Moment of inertia of the rotor [kg m2].")
 ]
@@ -39,3 +47,8 @@ Label = Annotated[
     str | None, typer.Option("--label", metavar="L", help="Name of the case; the file's, if not given.")
 ]
 Surface = Annotated[str, typer.Option("--surface", metavar="S", help="What the casing turned on.")]
+
+
+def film_folders(cases: Sequence[Path], given: Sequence[Path] | None) -> list[Path]:
+    """Return the folders in which films are looked for; see `Films`."""
+    return list(given) if given else list(dict.fromkeys([*(c.parent for c in cases), Path()]))

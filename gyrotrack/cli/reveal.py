@@ -9,7 +9,8 @@ import typer
 
 from gyrotrack.cli.options import Json
 from gyrotrack.cli.output import Output
-from gyrotrack.cli.study import LedgerFile, open_study
+from gyrotrack.cli.study import LedgerFile
+from gyrotrack.study import open_study
 
 
 def command(

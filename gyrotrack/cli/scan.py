@@ -9,7 +9,8 @@ import typer
 
 from gyrotrack.cli.options import CaseFiles, Force, Json, Quiet
 from gyrotrack.cli.output import DONE, NOT_TRUSTED, Output
-from gyrotrack.cli.study import DataKind, RotorKind, read_cases
+from gyrotrack.cli.study import DataKind, RotorKind
+from gyrotrack.study import read_cases
 
 
 def command(

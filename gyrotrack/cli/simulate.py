@@ -20,8 +20,9 @@ from gyrotrack.cli.options import (
     Surface,
 )
 from gyrotrack.cli.output import Output
-from gyrotrack.cli.study import EffectsFile, changed, own_effects
+from gyrotrack.cli.study import EffectsFile, own_effects
 from gyrotrack.errors import UsageError
+from gyrotrack.study import changed
 
 
 def command(

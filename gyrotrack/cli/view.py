@@ -4,27 +4,21 @@ from __future__ import annotations
 
 import json
 import sys
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from gyrotrack.cli.options import CaseFile, Json, Quiet
+from gyrotrack.cli.options import CaseFile, Films, Json, Quiet, film_folders
 from gyrotrack.cli.output import Output
-from gyrotrack.cli.report import folders
-from gyrotrack.cli.study import From, LedgerFile, open_study
+from gyrotrack.cli.study import From, LedgerFile
 from gyrotrack.errors import UsageError
+from gyrotrack.study import open_study
 
 
 def command(
     case: CaseFile,
     *,
-    films: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--films", metavar="DIR", help="Where the films lie; beside the case and here, if not given."
-        ),
-    ] = None,
+    films: Films = None,
     port: Annotated[
         int,
         typer.Option("--port", metavar="N", min=0, max=65535, help="Port of the page; 0 takes a free one."),
@@ -64,7 +58,7 @@ def command(
         progress(0, None)
         base, fit_id = study.base(start)
     session = Session(study.data[0], base, fit_id, study.ledger, tracked)
-    bench = Workbench(session, Clips(tracked, folders([case], films)), Ranker(case))
+    bench = Workbench(session, Clips(tracked, film_folders([case], films)), Ranker(case))
 
     def announce(url: str) -> None:
         if as_json:
