@@ -16,7 +16,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fitting.effects import LIBRARY, Effect, resolve
+from fitting.ledger import Entry
+from fitting.model import Model
 from gyrotrack.dataset.writing import new_file
 from gyrotrack.errors import DatasetError
 
@@ -33,6 +37,21 @@ _EXACT_TWINS = (
     frozenset({"external.constant", "touchpoint.constant"}),
 )
 _FROM_OUTSIDE = 0.2
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """A model with an effect that was drawn by lot, its strength, and the seed of all chance behind it."""
+
+    model: Model
+    effect: Effect
+    strength: float
+    seed: int
+
+    def seal(self, path: Path, numbers: Mapping[str, float], *, force: bool = False) -> str:
+        """Seal the effect with its values among the `numbers` of the model; return the commitment."""
+        own = {k: v for k, v in numbers.items() if k.startswith(f"{self.effect.name}.")}
+        return seal(path, self.effect.name, own, force=force)
 
 
 @dataclass(frozen=True)
@@ -63,6 +82,14 @@ def draw_effect(present: Sequence[str], random: Any) -> Effect:
         if e.kind == "physical" and n not in present and n not in {"external.constant", "bearing.power"}
     ]
     return LIBRARY[names[int(random.integers(len(names)))]]
+
+
+def hide_effect(model: Model, strength: float) -> Hidden:
+    """Add an effect that nobody chose to a model, with up to twice or half the strength asked for."""
+    seed = secrets.randbits(48)
+    random = np.random.default_rng(seed)
+    effect = draw_effect(model.names, random)
+    return Hidden(model.with_effect(effect), effect, float(strength * 2 ** random.uniform(-1, 1)), seed)
 
 
 def seal(path: Path, effect: str, parameters: Mapping[str, float], *, force: bool = False) -> str:
@@ -118,6 +145,16 @@ def unseal(path: Path) -> Seal:
             f"{path} has been tampered with: the answer is not the one committed to.", "Ask for the original."
         )
     return Seal(effect, parameters, commitment)
+
+
+def answer_of(entries: Sequence[Entry]) -> tuple[list[str], dict[str, tuple[float, float]]]:
+    """Return what a ladder of fits says: the effects that it added, and their parameters with errors.
+
+    A ladder that ends unexplained names nothing: what it added on the way are hypotheses.
+    """
+    first, last = entries[0].document, entries[-1].document
+    named = [n for n in last["model"] if n not in first["model"]] if last["verdict"] == "adequate" else []
+    return named, {k: (v["value"], v["stderr"]) for k, v in last["parameters"].items() if v["stderr"]}
 
 
 def grade(truth: Seal, named: Sequence[str], found: Mapping[str, tuple[float, float]]) -> Score:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,8 @@ from gyrotrack.synthetic import Camera, Light, Motion, Scene, render_clip
 _CASING_CLIP = "casing.mp4"
 _EXPOSURE = 0.4
 _STORED_FPS = 25.0
+_TILT = 0.06
+_POINTS_PER_SECOND = 500
 
 
 def write_record(
@@ -84,41 +87,65 @@ def draw_films(
     """
     folder.mkdir(parents=True, exist_ok=True)
     values = {**model.constants, **numbers, INERTIA_ROTOR: inertias[0], INERTIA_CASING: inertias[1]}
-    _, path = simulate_path(model, values, experiment)
-    time = np.linspace(0.0, experiment.duration, int(experiment.duration * 500) + 1)
-    sampler = Sampler(path.mesh, time)
-    turned = [sampler.integral(*path.angle(s)) for s in ("omega_r", "omega_c")]
-    motion = Motion.from_angles(time, turned[0], turned[1])
-    clips: list[tuple[str, float, float, float, float]] = [
-        (_CASING_CLIP, experiment.casing_fps, experiment.casing_fps, 0.0, experiment.duration)
-    ]
-    clips += [
-        (f"rotor_{i}.mp4", experiment.rotor_fps, _STORED_FPS, start, experiment.window_length)
-        for i, start in enumerate(experiment.windows, 1)
-    ]
-    total = sum(int(length * fps) - 2 for _, fps, _, _, length in clips)
+    motion = _motion(model, values, experiment)
+    clips = _clips(experiment)
+    total = sum(clip.frames for clip in clips)
     done, written = 0, []
-    for name, fps, stored, start, length in clips:
-        frames = int(length * fps) - 2
+    for clip in clips:
 
         def count(k: int, _: int | None, before: int = done) -> None:
             if progress is not None:
                 progress(before + k, total)
 
-        camera = Camera(
-            fps=fps, container_fps=stored, exposure=_EXPOSURE / fps, start=start + 1 / fps, tilt=0.06
-        )
         render_clip(
-            folder / name,
+            folder / clip.name,
             Scene(),
             motion,
-            camera,
+            clip.camera,
             Light(),
-            frames=frames,
+            frames=clip.frames,
             seed=seed + done,
             force=force,
             progress=count,
         )
-        written.append(folder / name)
-        done += frames
+        written.append(folder / clip.name)
+        done += clip.frames
     return written
+
+
+@dataclass(frozen=True)
+class _Clip:
+    """One film of an experiment: name, capture rate and stored rate [1/s], when it starts and its length [s]."""
+
+    name: str
+    fps: float
+    stored: float
+    start: float
+    length: float
+
+    @property
+    def frames(self) -> int:
+        # the first frame is taken one frame after the start, and the last one must lie inside too
+        return int(self.length * self.fps) - 2
+
+    @property
+    def camera(self) -> Camera:
+        start, exposure = self.start + 1 / self.fps, _EXPOSURE / self.fps
+        return Camera(fps=self.fps, container_fps=self.stored, exposure=exposure, start=start, tilt=_TILT)
+
+
+def _clips(e: Experiment) -> list[_Clip]:
+    casing = _Clip(_CASING_CLIP, e.casing_fps, e.casing_fps, 0.0, e.duration)
+    rotor = [
+        _Clip(f"rotor_{i}.mp4", e.rotor_fps, _STORED_FPS, start, e.window_length)
+        for i, start in enumerate(e.windows, 1)
+    ]
+    return [casing, *rotor]
+
+
+def _motion(model: Model, values: Mapping[str, float], experiment: Experiment) -> Motion:
+    _, path = simulate_path(model, values, experiment)
+    time = np.linspace(0.0, experiment.duration, int(experiment.duration * _POINTS_PER_SECOND) + 1)
+    sampler = Sampler(path.mesh, time)
+    rotor, casing = (sampler.integral(*path.angle(s)) for s in ("omega_r", "omega_c"))
+    return Motion.from_angles(time, rotor, casing)

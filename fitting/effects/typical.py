@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import Any
 
@@ -79,3 +79,21 @@ def typical_values(
         unit = max(unit, abs(float(tape(at | slower)[0])))
     values[amplitude] = share * _BUDGET / unit if unit > 0 and math.isfinite(unit) else share * _BUDGET
     return {f"{effect.name}.{k}": v for k, v in values.items()}
+
+
+def typical_of_model(
+    effects: Iterable[Effect], share: float, *, duration: float, speeds: Mapping[str, float]
+) -> dict[str, float]:
+    """Return a value for each parameter of a model: the paper's where it has one, typical ones elsewhere.
+
+    Parameters
+    ----------
+    effects : iterable of Effect
+        What the model consists of.
+    share, duration, speeds
+        As for `typical_values`.
+    """
+    values: dict[str, float] = {}
+    for effect in effects:
+        values |= typical_values(effect, share, duration=duration, speeds=speeds)
+    return values | {k: v for k, v in PAPER.items() if k in values}

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
-from time import perf_counter
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -16,9 +15,8 @@ from gyrotrack.cli.output import DONE, FAULT, NOT_TRUSTED, Output
 
 if TYPE_CHECKING:
     from gyrotrack.batch.experiment import Experiment
-    from gyrotrack.batch.run import Run
     from gyrotrack.batch.steps import Outcome, Step
-    from gyrotrack.batch.workers import Workers
+    from gyrotrack.batch.unattended import Ended
 
 
 class Until(StrEnum):
@@ -75,16 +73,11 @@ def command(
     Example: gyrotrack batch films/ -o results --casing-fps 260 --rotor-fps 1000
     """
     from gyrotrack.batch.folder import read_folder
-    from gyrotrack.batch.journal import Journal
-    from gyrotrack.batch.lock import held
     from gyrotrack.batch.manifest import read_manifest
-    from gyrotrack.batch.run import Run
     from gyrotrack.batch.steps import Wishes, plan
-    from gyrotrack.batch.summary import lines, summarise, write_summary
-    from gyrotrack.batch.workers import ClusterWorkers, LocalWorkers, cores
+    from gyrotrack.batch.unattended import work_off
 
     out = Output(as_json=as_json, quiet=quiet, verbose=verbose)
-    began = perf_counter()
     cases = (
         read_folder(source, casing_fps=casing_fps, rotor_fps=rotor_fps, skip=output)
         if source.is_dir()
@@ -92,37 +85,41 @@ def command(
     )
     steps = plan(cases, output, Wishes(until.value, _extra(), model, improve))
     if dry_run:
-        return _say_plan(out, cases, steps, Run(steps, output, Journal(output / "batch.jsonl")))
-    with held(output):
-        journal = Journal(output / "batch.jsonl")
-        place: Workers = ClusterWorkers(scheduler) if scheduler else LocalWorkers(workers or cores())
+        return _say_plan(out, cases, steps, output)
 
-        def tell(step: Step, outcome: Outcome) -> None:
-            if outcome.state == "failed":
-                out.note(f"failed: {step.name}: {outcome.document.get('error', {}).get('message', '')}")
-            elif outcome.state == "done":
-                out.detail(f"{step.name}: {outcome.seconds:.1f} s")
+    def tell(step: Step, outcome: Outcome) -> None:
+        if outcome.state == "failed":
+            out.note(f"failed: {step.name}: {outcome.document.get('error', {}).get('message', '')}")
+        elif outcome.state == "done":
+            out.detail(f"{step.name}: {outcome.seconds:.1f} s")
 
-        try:
-            with out.progress("working") as progress:
-                run = Run(steps, output, journal, timeout=timeout, tell=tell, progress=progress)
-                ended = run.work(place)
-        finally:
-            place.close()
-        rows = summarise(cases, steps, ended)
-        facts = {
-            "command": command_line(),
-            "steps": {state: sum(o.state == state for o in ended.values()) for state in _STATES},
-            "seconds": round(perf_counter() - began, 3),
-        }
-        written = write_summary(output, rows, facts)
-    out.result({"output": output, **facts, "cases": [asdict(r) for r in rows], "summary": written})
-    counts = ", ".join(f"{n} {state}" for state, n in facts["steps"].items() if n)  # type: ignore[attr-defined]
-    out.show("\n".join([*lines(rows), "", f"{counts} of {len(steps)} steps, {facts['seconds']:.0f} s"]))
-    out.show(f"written: {', '.join(str(p) for p in written)}")
-    if any(row.state != "done" for row in rows):
+    called = command_line()
+    ended = work_off(
+        cases,
+        steps,
+        output,
+        command=called,
+        workers=workers,
+        scheduler=scheduler,
+        timeout=timeout,
+        tell=tell,
+        bar=lambda: out.progress("working"),
+    )
+    return _say_end(out, ended, {"output": output, "command": called})
+
+
+def _say_end(out: Output, ended: Ended, facts: dict[str, Any]) -> int:
+    from gyrotrack.batch.summary import lines
+
+    told = {"steps": ended.steps, "seconds": ended.seconds, "cases": [asdict(r) for r in ended.rows]}
+    out.result({**facts, **told, "summary": ended.summary})
+    counts = ", ".join(f"{n} {state}" for state, n in ended.steps.items() if n)
+    total = sum(ended.steps.values())
+    out.show("\n".join([*lines(ended.rows), "", f"{counts} of {total} steps, {ended.seconds:.0f} s"]))
+    out.show(f"written: {', '.join(str(p) for p in ended.summary)}")
+    if any(row.state != "done" for row in ended.rows):
         return FAULT
-    return DONE if all(row.trusted for row in rows) else NOT_TRUSTED
+    return DONE if all(row.trusted for row in ended.rows) else NOT_TRUSTED
 
 
 def _extra() -> dict[str, tuple[str, ...]]:
@@ -139,11 +136,12 @@ _OWN = frozenset(
     {"output", "force", "json", "quiet", "verbose", "ledger", "from", "label", "surface", "model"}
     | {"overlay", "contact_sheet", "resume"}
 )
-_STATES = ("done", "kept", "failed", "blocked")
 
 
-def _say_plan(out: Output, cases: tuple[Experiment, ...], steps: tuple[Step, ...], run: Run) -> int:
-    fate = run.look()
+def _say_plan(out: Output, cases: tuple[Experiment, ...], steps: tuple[Step, ...], output: Path) -> int:
+    from gyrotrack.batch.unattended import foresee
+
+    fate = foresee(steps, output)
     out.result({
         "cases": [{"label": e.label, "films": [str(c.file) for c in e.clips]} for e in cases],
         "steps": [{"name": s.name, "output": s.output, "state": fate[s.name]} for s in steps],

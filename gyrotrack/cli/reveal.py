@@ -30,7 +30,7 @@ def command(
 
     Example: gyrotrack reveal case.seal.json case.h5
     """
-    from gyrotrack.challenge import grade, unseal
+    from gyrotrack.challenge import answer_of, grade, unseal
     from gyrotrack.errors import DatasetError, UsageError
 
     out = Output(as_json=as_json)
@@ -46,10 +46,7 @@ def command(
         entries = study.ledger.of(study.data)
         if not entries:
             raise DatasetError("There is no fit of this case yet.", "Make one with `gyrotrack improve`.")
-        first, last = entries[0].document, entries[-1].document
-        # a ladder that ends unexplained names nothing: what it added on the way are hypotheses
-        named = [n for n in last["model"] if n not in first["model"]] if last["verdict"] == "adequate" else []
-        found = {k: (v["value"], v["stderr"] or 0.0) for k, v in last["parameters"].items() if v["stderr"]}
+        named, found = answer_of(entries)
     truth = unseal(seal)
     score = grade(truth, named, found)
     out.result({

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -23,6 +24,8 @@ from gyrotrack.cli.output import Output
 from gyrotrack.cli.study import EffectsFile, own_effects
 from gyrotrack.errors import UsageError
 from gyrotrack.study import changed
+
+_WINDOWS = (0.025, 0.35, 0.75)  # when the rotor is filmed, as shares of the whole, if nothing is said
 
 
 def command(
@@ -87,26 +90,26 @@ def command(
 
     Example: gyrotrack simulate -o case.h5 --add casing.air.quadratic --strength 0.03
     """
-    import secrets
-
-    import numpy as np
-
     from fitting.effects import REDUCED
+    from fitting.effects.typical import typical_of_model
     from fitting.model import Model
     from fitting.simulation.recording import Experiment, simulate
-    from gyrotrack.challenge import draw_effect, seal
+    from gyrotrack.challenge import hide_effect
     from gyrotrack.dataset.writing import refuse_existing
     from gyrotrack.simulated import draw_films, write_record
 
     out = Output(as_json=as_json, quiet=quiet)
-    refuse_existing(output, force=force)
+    sealed = output.with_name(f"{output.stem}.seal.json") if hide else None
+    for path in (output, sealed):
+        if path is not None:
+            refuse_existing(path, force=force)
     experiment = Experiment(
         omega_rotor=omega_rotor,
         omega_casing=omega_casing,
         duration=duration,
         casing_fps=casing_fps,
         rotor_fps=rotor_fps,
-        windows=tuple(window) if window else tuple(round(x * duration, 6) for x in (0.025, 0.35, 0.75)),
+        windows=tuple(window) if window else tuple(round(x * duration, 6) for x in _WINDOWS),
         window_length=window_length,
         sigma=sigma,
         torque_noise=torque_noise,
@@ -118,14 +121,13 @@ def command(
         raise UsageError(
             "Measurement effects cannot be simulated this way.", "For a centre offset give --centre-offset."
         )
-    sealed: Path | None = output.with_name(f"{output.stem}.seal.json") if hide else None
-    if sealed is not None:
-        refuse_existing(sealed, force=force)
-        seed = secrets.randbits(48)
-        drawn = draw_effect(model.names, random := np.random.default_rng(seed))
-        model = model.with_effect(drawn)
-        strength = float(strength * 2 ** random.uniform(-1, 1))
-    numbers = _numbers(model, experiment, strength, set_values or ())
+    hidden = hide_effect(model, strength) if hide else None
+    if hidden is not None:
+        model, strength, seed = hidden.model, hidden.strength, hidden.seed
+    speeds = {"omega_r": 0.6 * omega_rotor, "omega_c": 100.0}
+    numbers = typical_of_model(model.effects, strength, duration=duration, speeds=speeds)
+    numbers |= _given(set_values or (), numbers)
+    inertias = (inertia_rotor, inertia_casing)
     with out.progress("simulating") as progress:
         progress(0, None)
         record = simulate(
@@ -137,57 +139,38 @@ def command(
             seed=seed,
             label=label if label is not None else output.stem,
         )
-    settings: dict[str, Any] = {"experiment": vars(experiment)}
-    document: dict[str, Any] = {"output": output}
-    if sealed is None:
-        document |= {"model": list(model.names), "parameters": numbers}
-        settings |= {**document, "seed": seed}
+    if sealed is None or hidden is None:
+        told: dict[str, Any] = {"model": list(model.names), "parameters": numbers}
+        settings: dict[str, Any] = {"output": output, **told, "seed": seed}
+        lines = [f"  {key:<34}{value:.6g}" for key, value in numbers.items()]
     else:
-        own = {k: v for k, v in numbers.items() if k.startswith(f"{drawn.name}.")}
-        commitment = seal(sealed, drawn.name, own, force=force)
-        document |= {"seal": sealed, "commitment": commitment}
-        settings |= {"commitment": commitment}
+        commitment = hidden.seal(sealed, numbers, force=force)
+        told, settings = {"seal": sealed, "commitment": commitment}, {"commitment": commitment}
+        lines = [f"sealed: {sealed}"]
+    settings = {"experiment": vars(experiment), **settings}
     write_record(output, record, surface=surface, command=command_line(), settings=settings, force=force)
     films = []
     if film is not None:
         with out.progress("drawing films") as progress:
             films = draw_films(
-                film,
-                model,
-                numbers,
-                experiment,
-                (inertia_rotor, inertia_casing),
-                seed,
-                force=force,
-                progress=progress,
+                film, model, numbers, experiment, inertias, seed, force=force, progress=progress
             )
-    out.result({**document, "films": films})
-    shown = (
-        [f"  {key:<34}{value:.6g}" for key, value in numbers.items()]
-        if sealed is None
-        else [f"sealed: {sealed}"]
-    )
-    out.show("\n".join([*shown, f"written: {output}", *(f"written: {f}" for f in films)]))
+    out.result({"output": output, **told, "films": films})
+    out.show("\n".join([*lines, *(f"written: {f}" for f in (output, *films))]))
 
 
-def _numbers(model: Any, experiment: Any, strength: float, given: Any) -> dict[str, float]:
-    from fitting.effects.typical import PAPER, typical_values
-
-    speeds = {"omega_r": 0.6 * experiment.omega_rotor, "omega_c": 100.0}
-    numbers: dict[str, float] = {}
-    for effect in model.effects:
-        numbers |= typical_values(effect, strength, duration=experiment.duration, speeds=speeds)
-    numbers |= {k: v for k, v in PAPER.items() if k in numbers}
-    for item in given:
+def _given(items: Sequence[str], numbers: Mapping[str, float]) -> dict[str, float]:
+    """Read ``casing.air.quadratic.k=1e-9``."""
+    given = {}
+    for item in items:
         key, equals, value = item.partition("=")
-        if not equals or key.strip() not in numbers:
+        key = key.strip()
+        if not equals or key not in numbers:
             raise UsageError(
                 f"{item[:60]!r} sets no parameter of the model.", f"It has: {', '.join(numbers)}."
             )
         try:
-            numbers[key.strip()] = float(value)
+            given[key] = float(value)
         except ValueError:
-            raise UsageError(
-                f"{value[:30]!r} is not a number.", f"Write for example {key.strip()}=1e-9."
-            ) from None
-    return numbers
+            raise UsageError(f"{value[:30]!r} is not a number.", f"Write for example {key}=1e-9.") from None
+    return given

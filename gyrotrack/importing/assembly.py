@@ -3,36 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from gyrotrack.angles import angular_velocity
-from gyrotrack.dataset.records import Case, Floats, Series
+from gyrotrack.dataset.records import Case
 from gyrotrack.errors import DatasetError, UsageError
 from gyrotrack.importing.header import Names
+from gyrotrack.importing.pieces import SMOOTHING, Piece, no_series, pieces_of, series_of
 from gyrotrack.importing.points import Wanted
-from gyrotrack.importing.scatter import scatter
 from gyrotrack.importing.table import Table, read_table
-from gyrotrack.importing.unwrapping import TURN, is_wrapped, pieces, unwrap
 
 I_ROTOR = 5.54e-5
 I_CASING = 2.06e-5
-SMOOTHING = 51  # points of the paper's medians
-
-
-@dataclass(frozen=True)
-class _Piece:
-    """One stretch of one table without large gaps."""
-
-    time: Floats
-    angle: Floats
-    sigma: Floats
-    omega: Floats
-    omega_sigma: Floats
 
 
 def import_case(
@@ -84,25 +69,20 @@ def import_case(
     tables = [read_table(p, names, w) for p, w in zip(paths, wanted or [Wanted()] * len(paths), strict=True)]
     quantity = _common_quantity(tables)
     notes = [note for table in tables for note in table.notes]
-    body, *wheels = (_pieces_of(table, notes) for table in tables)
+    body, *wheels = (pieces_of(table, notes) for table in tables)
     windows = sorted((piece for wheel in wheels for piece in wheel), key=lambda piece: piece.time[0])
     notes += _misplaced(body, windows)
     sense, doubts = _sense(body, windows)
-    sources = [{"file": str(t.path), "sha256": t.sha256, "samples": len(t.time)} for t in tables]
     return Case(
         I_rotor=I_rotor,
         I_casing=I_casing,
         label=label,
         surface=surface,
-        casing=replace(_series(body, sense), window=None, sigma_source=_origin(tables[:1])),
-        rotor=replace(_series(windows, sense), sigma_source=_origin(tables[1:])),
+        casing=replace(series_of(body, sense), window=None, sigma_source=_sigma_source(tables[:1])),
+        rotor=replace(series_of(windows, sense), sigma_source=_sigma_source(tables[1:])),
         quantity=quantity,
         warnings=tuple(notes + doubts),
-        extra={
-            "sources": sources,
-            "sense": sense,
-            "smoothing_width": SMOOTHING if quantity == "angle" else 1,
-        },
+        extra=_origins(tables, sense),
     )
 
 
@@ -138,64 +118,23 @@ def import_body(
         raise UsageError("A moment of inertia must be positive.", "Give it in kg m2, such as 5.54e-5.")
     read = read_table(table, names, wanted)
     notes = list(read.notes)
-    parts = _pieces_of(read, notes)
+    parts = pieces_of(read, notes)
     sense = 1 if sum(p.angle[-1] - p.angle[0] for p in parts) >= 0 else -1
     if sense < 0:
         notes.append("the body turns in the negative sense: all signs were reversed (sense -1)")
-    body = replace(_series(parts, sense), window=None, sigma_source=_origin([read]))
+    body = replace(series_of(parts, sense), window=None, sigma_source=_sigma_source([read]))
     return Case(
         I_rotor=inertia,
         I_casing=inertia,
         label=label,
         surface=surface,
         casing=body,
-        rotor=_nothing(),
+        rotor=no_series(),
         quantity=read.quantity,
         bodies="one",
         warnings=tuple(notes),
-        extra={
-            "sources": [{"file": str(read.path), "sha256": read.sha256, "samples": len(read.time)}],
-            "sense": sense,
-            "smoothing_width": SMOOTHING if read.quantity == "angle" else 1,
-        },
+        extra=_origins([read], sense),
     )
-
-
-def _nothing() -> Series:
-    none, whole = np.zeros(0), np.zeros(0, dtype=np.int64)
-    return Series(none, none, none, none, none, whole, window=whole, sigma_source="given")
-
-
-def summary(case: Case) -> dict[str, Any]:
-    """Return what was imported in numbers: samples, times and sigmas of the casing and of each window."""
-    windows = (
-        case.rotor.window if case.rotor.window is not None else np.zeros(len(case.rotor.time), dtype=int)
-    )
-    rotor = [{"window": int(k), **_extent(case.rotor, windows == k)} for k in np.unique(windows)]
-    return {
-        "label": case.label,
-        "casing": {
-            **_extent(case.casing, np.ones(len(case.casing.time), dtype=bool)),
-            "quantity": case.quantity,
-            "sigma_source": case.casing.sigma_source,
-        },
-        "rotor": {"windows": rotor, "quantity": case.quantity, "sigma_source": case.rotor.sigma_source},
-        "sense": case.extra["sense"],
-        "warnings": list(case.warnings),
-    }
-
-
-def _extent(series: Series, chosen: npt.NDArray[np.bool_]) -> dict[str, Any]:
-    time, omega = series.time[chosen], series.omega[chosen]
-    known = omega[np.isfinite(omega)]
-    return {
-        "samples": len(time),
-        "t_start": float(time[0]),
-        "t_stop": float(time[-1]),
-        "omega_min": float(known.min()) if len(known) else None,
-        "omega_max": float(known.max()) if len(known) else None,
-        "median_sigma": float(np.median(series.sigma[chosen])),
-    }
 
 
 def _common_quantity(tables: list[Table]) -> str:
@@ -208,47 +147,21 @@ def _common_quantity(tables: list[Table]) -> str:
     return tables[0].quantity
 
 
-def _origin(tables: list[Table]) -> str:
+def _origins(tables: list[Table], sense: int) -> dict[str, Any]:
+    """Return what the case file keeps of the tables."""
+    return {
+        "sources": [{"file": str(t.path), "sha256": t.sha256, "samples": len(t.time)} for t in tables],
+        "sense": sense,
+        "smoothing_width": SMOOTHING if tables[0].quantity == "angle" else 1,
+    }
+
+
+def _sigma_source(tables: list[Table]) -> str:
     origins = {"given" if table.sigma is not None else "estimated" for table in tables}
     return origins.pop() if len(origins) == 1 else "mixed"
 
 
-def _pieces_of(table: Table, notes: list[str]) -> list[_Piece]:
-    """Cut a table at its gaps and bring each piece to angles, speeds and their uncertainties."""
-    cuts = pieces(table.time)
-    value = table.value
-    if table.quantity == "angle" and is_wrapped(value):
-        value, doubtful = unwrap(table.time, value)
-        notes += [f"{table.path.name}: a turn may be lost in the gap after {t:.3f} s" for t in doubtful]
-    sigma = table.sigma
-    if sigma is None:
-        sigma = np.concatenate([scatter(table.time[cut], value[cut]) for cut in cuts])
-        notes.append(
-            f"{table.path.name}: sigma was estimated from the scatter, median {np.median(sigma):.2g}"
-        )
-    make = _from_angles if table.quantity == "angle" else _from_speeds
-    made = [make(table.time[cut], value[cut], sigma[cut]) for cut in cuts]
-    for piece in made:
-        if not np.isfinite(piece.omega).any():
-            start = f"{table.path.name}: the piece at {piece.time[0]:.3f} s"
-            notes.append(f"{start} is too short for the smoothed speed ({len(piece.time)} samples)")
-    return made
-
-
-def _from_angles(time: Floats, angle: Floats, sigma: Floats) -> _Piece:
-    omega, omega_sigma = angular_velocity(time, angle, sigma, SMOOTHING)
-    return _Piece(time, angle, sigma, omega, omega_sigma)
-
-
-def _from_speeds(time: Floats, omega: Floats, sigma: Floats) -> _Piece:
-    """Integrate by the trapezium rule; the errors of the speeds add up along the way."""
-    step = np.diff(time)
-    angle = np.concatenate([[0.0], np.cumsum((omega[1:] + omega[:-1]) / 2 * step)])
-    share = np.concatenate([[step[0]], step]) * sigma
-    return _Piece(time, angle, np.sqrt(np.cumsum(share**2)), omega, sigma)
-
-
-def _misplaced(body: list[_Piece], windows: list[_Piece]) -> list[str]:
+def _misplaced(body: list[Piece], windows: list[Piece]) -> list[str]:
     """Say which rotor windows overlap each other or lie outside the casing's record."""
     found = []
     start, stop = body[0].time[0], body[-1].time[-1]
@@ -261,7 +174,7 @@ def _misplaced(body: list[_Piece], windows: list[_Piece]) -> list[str]:
     return found
 
 
-def _sense(body: list[_Piece], windows: list[_Piece]) -> tuple[int, list[str]]:
+def _sense(body: list[Piece], windows: list[Piece]) -> tuple[int, list[str]]:
     """Return the factor that makes the angles grow, and what is strange about the senses of rotation."""
     turned = [[piece.angle[-1] - piece.angle[0] for piece in group] for group in (body, windows)]
     casing, rotor = (int(np.sign(sum(angles))) for angles in turned)
@@ -274,16 +187,3 @@ def _sense(body: list[_Piece], windows: list[_Piece]) -> tuple[int, list[str]]:
     if rotor < 0:
         return -1, [*doubts, "both bodies turn in the negative sense: all signs were reversed (sense -1)"]
     return 1, doubts
-
-
-def _series(parts: list[_Piece], sense: int) -> Series:
-    angle = np.concatenate([sense * part.angle for part in parts])
-    return Series(
-        time=np.concatenate([part.time for part in parts]),
-        angle=angle,
-        sigma=np.concatenate([part.sigma for part in parts]),
-        omega=np.concatenate([sense * part.omega for part in parts]),
-        omega_sigma=np.concatenate([part.omega_sigma for part in parts]),
-        turn=np.floor(angle / TURN).astype(np.int64),
-        window=np.concatenate([np.full(len(part.time), k, dtype=np.int64) for k, part in enumerate(parts)]),
-    )
