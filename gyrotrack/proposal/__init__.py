@@ -6,7 +6,8 @@ them sit on one body and which body is which, `finding` brings it together, `pic
 
 from __future__ import annotations
 
-from gyrotrack.proposal.finding import Proposal, ProposedMarker, propose
+from gyrotrack.proposal.finding import Proposal, propose
+from gyrotrack.proposal.naming import ProposedMarker
 from gyrotrack.proposal.picture import write_picture
 
 __all__ = ["Proposal", "ProposedMarker", "propose", "write_picture"]

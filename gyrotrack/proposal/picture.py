@@ -11,7 +11,8 @@ import numpy.typing as npt
 from gyrotrack.dataset.writing import new_file
 from gyrotrack.geometry.scene import Paper
 from gyrotrack.pipeline.drawing import Picture, colour_picture
-from gyrotrack.proposal.finding import Proposal, ProposedMarker
+from gyrotrack.proposal.finding import Proposal
+from gyrotrack.proposal.naming import ProposedMarker
 from gyrotrack.segmentation.ring import CHROMA_SHIFT
 from gyrotrack.video import Frame
 

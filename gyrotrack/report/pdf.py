@@ -21,7 +21,7 @@ def pdf(parts: Mapping[str, Any]) -> bytes:
     Parameters
     ----------
     parts : mapping
-        As `page.report_parts` returns them. All text reaches Typst as data and is never read as markup.
+        As `parts.report_parts` returns them. All text reaches Typst as data and is never read as markup.
 
     Raises
     ------

@@ -13,7 +13,7 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-from gyrotrack.view.session import finite
+from gyrotrack.view.documents import finite
 
 
 def _answer(line: str, case: Path) -> dict[str, Any]:

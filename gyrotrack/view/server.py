@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import secrets
 import socket
 from collections.abc import AsyncIterator, Callable
@@ -12,17 +11,18 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from gyrotrack import charts
-from gyrotrack.errors import GyrotrackError, UsageError
+from gyrotrack.errors import UsageError
+from gyrotrack.view.documents import library_document
 from gyrotrack.view.films import Clips, profile_text
 from gyrotrack.view.guard import Guard
 from gyrotrack.view.ranking import Ranker
-from gyrotrack.view.session import Session, library_document
+from gyrotrack.view.requests import answered, body_of, number, refusal, text, whole
+from gyrotrack.view.session import Session
 
 if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
 
-_LONGEST_BODY = 64 * 1024
 _ADDRESS = "127.0.0.1"
 
 
@@ -87,21 +87,21 @@ class Workbench:
                 "library": library_document(),
             }
 
-        return await _answered(work)
+        return await answered(work)
 
     async def _change(self, request: Request) -> Response:
-        wish = await _body(request)
-        return await _answered(lambda: self.session.change(add=_text(wish, "add"), drop=_text(wish, "drop")))
+        wish = await body_of(request)
+        return await answered(lambda: self.session.change(add=text(wish, "add"), drop=text(wish, "drop")))
 
     async def _go(self, request: Request) -> Response:
-        wish = await _body(request)
-        return await _answered(lambda: self.session.go(_whole(wish, "place")))
+        wish = await body_of(request)
+        return await answered(lambda: self.session.go(whole(wish, "place")))
 
     async def _keep(self, _request: Request) -> Response:
-        return await _answered(self.session.keep)
+        return await answered(self.session.keep)
 
     async def _rank(self, _request: Request) -> Response:
-        return await _answered(lambda: self.session.remember(self.ranker.rank(self.session.model_document())))
+        return await answered(lambda: self.session.remember(self.ranker.rank(self.session.model_document())))
 
     async def _frame(self, request: Request) -> Response:
         from starlette.concurrency import run_in_threadpool
@@ -109,29 +109,29 @@ class Workbench:
 
         asked = dict(request.query_params)
         try:
-            index = _whole(asked, "index")
+            index = whole(asked, "index")
             image = await run_in_threadpool(
                 self.clips.frame, asked.get("clip", ""), index, overlay=asked.get("overlay") != "0"
             )
         except Exception as error:
-            return _refusal(error)
+            return refusal(error)
         return Response(image, media_type="image/jpeg")
 
     async def _colour(self, request: Request) -> Response:
-        wish = await _body(request)
-        return await _answered(
+        wish = await body_of(request)
+        return await answered(
             lambda: self.clips.colour(
-                _text(wish, "clip"), _whole(wish, "index"), _number(wish, "x"), _number(wish, "y")
+                text(wish, "clip"), whole(wish, "index"), number(wish, "x"), number(wish, "y")
             )
         )
 
     async def _profile(self, request: Request) -> Response:
-        wish = await _body(request)
-        return await _answered(lambda: {"toml": profile_text(wish)})
+        wish = await body_of(request)
+        return await answered(lambda: {"toml": profile_text(wish)})
 
     async def _quit(self, _request: Request) -> Response:
         self.stop()
-        return await _answered(lambda: {"stopped": True})
+        return await answered(lambda: {"stopped": True})
 
 
 def page_text(label: str) -> tuple[str, str]:
@@ -145,65 +145,6 @@ def page_text(label: str) -> tuple[str, str]:
     style = folder.joinpath("view.css").read_text("utf-8") + charts.style()
     page = template.render(title=label, style=style, scripts=scripts)
     return page, charts.content_policy(scripts, connect=True)
-
-
-async def _body(request: Request) -> dict[str, Any]:
-    raw = bytearray()
-    async for piece in request.stream():
-        raw += piece
-        if len(raw) > _LONGEST_BODY:
-            return {}
-    try:
-        found = json.loads(bytes(raw) or b"{}")
-    except (ValueError, RecursionError):
-        return {}
-    return found if isinstance(found, dict) else {}
-
-
-async def _answered(work: Callable[[], Any]) -> Response:
-    """Return what the work gives as JSON, or its error as one sentence."""
-    from starlette.concurrency import run_in_threadpool
-    from starlette.responses import JSONResponse
-
-    try:
-        return JSONResponse(await run_in_threadpool(work))
-    except Exception as error:
-        return _refusal(error)
-
-
-def _refusal(error: Exception) -> Response:
-    from starlette.responses import JSONResponse
-
-    message, hint = getattr(error, "message", ""), getattr(error, "hint", "")
-    if not isinstance(message, str) or not message:
-        what = f"{type(error).__name__}: {error}".splitlines()[0].rstrip(".")
-        return JSONResponse(
-            {"error": {"code": "bug", "message": f"A bug in gyrotrack: {what}.", "hint": ""}}, 500
-        )
-    code = str(getattr(error, "code", "error"))
-    return JSONResponse({"error": {"code": code, "message": message, "hint": str(hint)}}, 400)
-
-
-def _text(wish: dict[str, Any], name: str) -> str:
-    value = wish.get(name, "")
-    return value if isinstance(value, str) else ""
-
-
-def _whole(wish: dict[str, Any], name: str) -> int:
-    try:
-        return int(wish.get(name, -1))
-    except (TypeError, ValueError, OverflowError):
-        raise GyrotrackError(f"{name} is not a whole number.") from None
-
-
-def _number(wish: dict[str, Any], name: str) -> float:
-    try:
-        value = float(wish.get(name, "nan"))
-    except (TypeError, ValueError, OverflowError):
-        value = float("nan")
-    if not 0.0 <= value <= 1.0:
-        raise GyrotrackError(f"{name} is not a place on the frame.")
-    return value
 
 
 def serve(bench: Workbench, port: int, announce: Callable[[str], None]) -> None:

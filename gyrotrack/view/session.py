@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, dataclass
 from threading import RLock
 from typing import TYPE_CHECKING, Any
 
 from gyrotrack.charts import board_document
 from gyrotrack.errors import GyrotrackError
+from gyrotrack.view.documents import json_document
 
 if TYPE_CHECKING:
     from fitting.case_data import CaseData
@@ -155,7 +155,7 @@ class Session:
 
         with self._lock:
             fit = self.fit
-            return _document(
+            return json_document(
                 {
                     "fit_id": "",
                     "model": list(fit.model.names),
@@ -173,7 +173,7 @@ class Session:
             step = self.steps[self.current]
             fit = step.fit
             board = self._board(step, whole=whole)
-            return _document(
+            return json_document(
                 {
                     "label": self._data.record.label,
                     "surface": self._data.record.surface,
@@ -227,31 +227,3 @@ class Session:
         if step.torques is None:
             step.torques = tuple(residual_torques(step.fit))
         return step.torques
-
-
-def _document(found: dict[str, Any]) -> dict[str, Any]:
-    return {k: finite(v) for k, v in found.items()}
-
-
-def finite(value: Any) -> Any:
-    """Return a document in which numbers that JSON has no word for are None or text."""
-    if isinstance(value, dict):
-        return {str(k): finite(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite(v) for v in value]
-    if hasattr(value, "tolist"):
-        return finite(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None if math.isnan(value) else ("inf" if value > 0 else "-inf")
-    return value
-
-
-def library_document() -> list[dict[str, Any]]:
-    """Return the effects of the library for the list that the page offers; every fit takes out those `free`."""
-    from fitting.discovery.ranking import ALWAYS_FREE
-    from fitting.effects import LIBRARY
-
-    return [
-        {"name": e.name, "joint": e.joint, "law": e.law, "free": e.name in ALWAYS_FREE}
-        for e in LIBRARY.values()
-    ]
