@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import StrEnum
 from math import isfinite
 from pathlib import Path
-from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -16,9 +14,7 @@ from gyrotrack.cli.options import Force, Json, OptionalOutputFile, Quiet
 from gyrotrack.cli.output import Output
 
 if TYPE_CHECKING:
-    from gyrotrack.dataset.journal import Journal
     from gyrotrack.dataset.records import Recording
-    from gyrotrack.profile import Profile
 
 
 class Body(StrEnum):
@@ -74,12 +70,13 @@ def command(
     from gyrotrack.dataset.writing import refuse_existing
     from gyrotrack.pipeline.contact_sheet import check_contact_sheet, write_contact_sheet
     from gyrotrack.pipeline.overlay import check_overlay, write_overlay
+    from gyrotrack.pipeline.task import Task
     from gyrotrack.profile import PAPER, load
 
     out = Output(as_json=as_json, quiet=quiet)
     target = output if output is not None else video.with_suffix(".h5")
     chosen = load(profile) if profile is not None else PAPER
-    task = _Task(video, target, chosen, capture_fps, body.value if body else None)
+    task = Task(video, target, chosen, capture_fps, body.value if body else None)
     done = task.earlier() if resume and not force else None
     if done is None:
         refuse_existing(target, force=force)
@@ -88,7 +85,13 @@ def command(
     if contact_sheet is not None:
         check_contact_sheet(contact_sheet, force=force)
     if done is None:
-        recording, fps = task.run(out, resume=resume, force=force)
+        recording, fps = task.run(
+            command=command_line(),
+            bar=lambda: out.progress(f"tracking {video.name}", "frames"),
+            tell=out.note,
+            resume=resume,
+            force=force,
+        )
     else:
         out.note(f"{target} is complete already")
         recording, fps = done, float("nan")
@@ -104,91 +107,6 @@ def command(
         document["contact_sheet"] = contact_sheet
     out.result(document)
     out.show(_lines(document))
-
-
-@dataclass(frozen=True)
-class _Task:
-    """One film, and what is wanted of it."""
-
-    video: Path
-    target: Path
-    profile: Profile
-    capture_fps: float | None
-    body: str | None
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """What shaped the result, as the file keeps it."""
-        return {
-            "video": self.video,
-            "capture_fps": self.capture_fps,
-            "body": self.body,
-            "profile": self.profile.model_dump(mode="json"),
-        }
-
-    def earlier(self) -> Recording | None:
-        """Return the output if it is there already, of this film and these settings."""
-        from gyrotrack.dataset import read_recording, read_settings
-        from gyrotrack.dataset.journal import Journal
-        from gyrotrack.errors import DatasetError
-        from gyrotrack.video import file_sha256, probe
-
-        probe(self.video)
-        try:
-            same = {**read_settings(self.target), "video": None} == {**self.settings, "video": None}
-            recording = read_recording(self.target) if same else None
-        except DatasetError:
-            return None
-        if recording is None or recording.source_sha256 != file_sha256(self.video):
-            return None
-        with Journal(self.target, {}) as journal:  # of a run that was killed just after it wrote the output
-            journal.discard()
-        return recording
-
-    def run(self, out: Output, *, resume: bool, force: bool) -> tuple[Recording, float]:
-        """Track the film and write the output; return it, and the frames done in a second."""
-        from gyrotrack import pipeline
-        from gyrotrack.dataset import write_recording
-        from gyrotrack.dataset.journal import Journal
-
-        facts = pipeline.run_facts(self.video, self.profile, self.body)
-        with Journal(self.target, facts, resume=resume) as journal:
-            taken = pipeline.frames_kept(journal)
-            if resume:
-                out.note(_resumed(journal, taken))
-            start = perf_counter()
-            try:
-                recording = self._tracked(out, journal)
-            except KeyboardInterrupt:
-                if kept := pipeline.frames_kept(journal):
-                    out.note(f"{kept} frames are kept; the same command with --resume goes on from there")
-                raise
-            fps = (recording.frames_decoded - taken) / max(perf_counter() - start, 1e-9)
-            command, settings = command_line(), self.settings
-            write_recording(self.target, recording, command=command, settings=settings, force=force)
-            journal.discard()
-        return recording, fps
-
-    def _tracked(self, out: Output, journal: Journal) -> Recording:
-        from gyrotrack import pipeline
-
-        with out.progress(f"tracking {self.video.name}", "frames") as progress:
-            return pipeline.extract(
-                self.video,
-                self.profile,
-                capture_fps=self.capture_fps,
-                body=self.body,
-                progress=progress,
-                journal=journal,
-            )
-
-
-def _resumed(journal: Journal, taken: int) -> str:
-    if taken:
-        return f"going on after frame {taken - 1}"
-    if journal.other:
-        return f"{journal.path.name} was of another film, profile or version; starting from the first frame"
-    return "no unfinished run is there; starting from the first frame"
 
 
 def _document(target: Path, recording: Recording, fps: float) -> dict[str, Any]:

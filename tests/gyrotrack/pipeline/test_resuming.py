@@ -103,7 +103,7 @@ def test_an_interrupted_command_says_how_to_go_on(every_batch, casing_clip, tmp_
     def interrupted(*words, **settings):
         return whole(*words, **{**settings, "progress": stopping(256)})
 
-    monkeypatch.setattr("gyrotrack.pipeline.extract", interrupted)
+    monkeypatch.setattr("gyrotrack.pipeline.task.extract", interrupted)
     assert run(["extract", str(casing_clip[0]), "-o", str(tmp_path / "o.h5")]) == 130
     assert "256 frames are kept; the same command with --resume" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["o.h5.unfinished"]
