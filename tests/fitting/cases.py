@@ -33,3 +33,9 @@ def fitted(seed=0, ou=0.0, ou_time=1.0, hidden="nothing", quantity="angle"):
 def pulls(result, true):
     """Return (estimate - truth) / standard error by name."""
     return {k: (e.value - true[k]) / e.stderr for k, e in result.estimates.items() if k in true}
+
+
+def case(par, seed, label, start=(900.0, 5.0), hidden=None, ou=0.0):
+    """Return a case with the paper's parameters but those of `par`, and what is hidden in it."""
+    motion = twobody.simulate({**twobody.PAPER, **par}, start=start, seed=seed, hidden=hidden, ou=ou)
+    return CaseData.of(make_record(**twobody.film(motion, seed=seed, label=label)))
