@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from fitting.estimation.metrics import CaseMetrics
 from fitting.scanning.numerals import NEARLY_NOTHING, three_digits
 from fitting.scanning.robustness import Robustness
 from fitting.scanning.runs import AIR_COLUMNS, BEARING_COLUMNS, COLUMNS, shade
@@ -115,20 +116,7 @@ def _parameters(model: ModelFits, labels: Sequence[str], symbols: Sequence[str])
 
 
 def _metrics(model: ModelFits, labels: Sequence[str]) -> list[str]:
-    lines = [
-        _line(
-            [
-                "",
-                "",
-                r"$R^2$ for $\dot\psi_r$",
-                r"$R^2$ for $\dot\psi_c$",
-                r"reduced $\chi^2$ for $\dot\psi_c$",
-                "held out",
-                "energy drift",
-            ]
-        ),
-        r"\midrule",
-    ]
+    lines = [_line(_FIGURES_OF_MERIT), r"\midrule"]
     blocks = [
         (f"Fit {i + 1}", f, [label]) for i, (f, label) in enumerate(zip(model.separate, labels, strict=True))
     ]
@@ -139,29 +127,33 @@ def _metrics(model: ModelFits, labels: Sequence[str]) -> list[str]:
             lines.append(r"\midrule")
         for i, label in enumerate(of):
             case = next(c for c in fit.cases if c.label == label)
-            first = (
-                rf"\multirow{{{len(of)}}}{{*}}{{{name}}}"
-                if len(of) > 1 and i == 0
-                else name
-                if i == 0
-                else ""
-            )
-            colour = _SHADES.get(shade(case.casing.r2))
-            r2 = f"${case.casing.r2:.4f}$"
-            lines.append(
-                _line(
-                    [
-                        first,
-                        _escaped(label),
-                        f"${case.rotor.r2:.4f}$",
-                        rf"\cellcolor{{{colour}}}{r2}" if colour else r2,
-                        f"${_four(case.casing.reduced_chi2)}$",
-                        f"${_four(case.casing.held_out)}$",
-                        f"${100 * case.energy_drift:.2g}\\,\\%$",
-                    ]
-                )
-            )
+            heading = name if len(of) == 1 else rf"\multirow{{{len(of)}}}{{*}}{{{name}}}"
+            lines.append(_line([heading if i == 0 else "", *_merits(case)]))
     return lines
+
+
+_FIGURES_OF_MERIT = (
+    "",
+    "",
+    r"$R^2$ for $\dot\psi_r$",
+    r"$R^2$ for $\dot\psi_c$",
+    r"reduced $\chi^2$ for $\dot\psi_c$",
+    "held out",
+    "energy drift",
+)
+
+
+def _merits(case: CaseMetrics) -> list[str]:
+    colour = _SHADES.get(shade(case.casing.r2))
+    r2 = f"${case.casing.r2:.4f}$"
+    return [
+        _escaped(case.label),
+        f"${case.rotor.r2:.4f}$",
+        rf"\cellcolor{{{colour}}}{r2}" if colour else r2,
+        f"${_four(case.casing.reduced_chi2)}$",
+        f"${_four(case.casing.held_out)}$",
+        f"${100 * case.energy_drift:.2g}\\,\\%$",
+    ]
 
 
 def _robustness(found: Sequence[Robustness]) -> list[str]:

@@ -48,30 +48,20 @@ class Child:
             late.set()
             process.kill()
 
-        timer = threading.Timer(timeout, stop) if timeout is not None else None
-        if timer is not None:
-            timer.start()
-        line = ""
+        timer = threading.Timer(timeout if timeout is not None else threading.TIMEOUT_MAX, stop)
+        timer.daemon = True
+        timer.start()
         try:
-            assert process.stdin is not None  # noqa: S101
-            assert process.stdout is not None  # noqa: S101
-            process.stdin.write(json.dumps(list(words)) + "\n")
-            process.stdin.flush()
-            line = process.stdout.readline()
-        except OSError:  # the process is gone
-            line = ""
+            line = _asked(process, words)
         finally:
-            if timer is not None:
-                timer.cancel()
+            timer.cancel()
         if not line.endswith("\n"):
             self.close()
             if late.is_set():
                 return _died(
                     "timeout", f"It was stopped after {timeout:g} s.", "Allow it more with --timeout."
                 )
-            signal = -process.returncode if process.returncode and process.returncode < 0 else 0
-            how = f"by signal {signal}" if signal else f"with exit code {process.returncode}"
-            return _died("crash", f"Its process ended {how}, without an answer.", "Is there enough memory?")
+            return _crashed(process.returncode)
         answer: dict[str, Any] = json.loads(line)
         if answer.get("version") != __version__:
             return _died(
@@ -117,6 +107,23 @@ def _start() -> subprocess.Popen[str]:
         env=environment,
         start_new_session=True,  # Ctrl-C is ours to handle
     )
+
+
+def _asked(process: subprocess.Popen[str], words: Sequence[str]) -> str:
+    """Return the line that the process answers, or nothing if it is gone."""
+    assert process.stdin is not None  # noqa: S101
+    assert process.stdout is not None  # noqa: S101
+    try:
+        process.stdin.write(json.dumps(list(words)) + "\n")
+        process.stdin.flush()
+        return process.stdout.readline()
+    except OSError:
+        return ""
+
+
+def _crashed(code: int | None) -> dict[str, Any]:
+    how = f"by signal {-code}" if code and code < 0 else f"with exit code {code}"
+    return _died("crash", f"Its process ended {how}, without an answer.", "Is there enough memory?")
 
 
 def _died(code: str, message: str, hint: str) -> dict[str, Any]:

@@ -136,6 +136,15 @@ class Friction:
     f: float = 0.0
     g: float = 0.5
 
+    def torques(self, omega_r: float, omega_c: float, internal: float = 0.0) -> tuple[float, float]:
+        """Return the torques on rotor and casing [N m], with a further `internal` one between them."""
+        slip = abs(omega_r - omega_c)
+        power = self.f * slip**self.g if slip > 0.0 else 0.0
+        tau = (self.c + self.d * slip + self.e * slip**2 + power) * np.sign(omega_r - omega_c) + internal
+        on_rotor = -tau - self.a1 * omega_r - self.a2 * omega_r * abs(omega_r)
+        on_casing = tau - self.b1 * np.sign(omega_c) - self.b2 * omega_c
+        return float(on_rotor), float(on_casing)
+
 
 def two_body_motion(
     friction: Friction,
@@ -181,16 +190,10 @@ def two_body_motion(
     """
     from scipy.integrate import solve_ivp
 
-    k = friction
-
     def rate(t: float, y: Array) -> list[float]:
         w_r, w_c, p_r, p_c = (float(v) for v in y)
-        slip = abs(w_r - w_c)
-        power = k.f * slip**k.g if slip > 0.0 else 0.0
-        tau = (k.c + k.d * slip + k.e * slip**2 + power) * np.sign(w_r - w_c)
-        tau += extra_bearing(t, w_r, w_c, p_r, p_c) if extra_bearing else 0.0
-        on_rotor = -tau - k.a1 * w_r - k.a2 * w_r * abs(w_r)
-        on_casing = tau - k.b1 * np.sign(w_c) - k.b2 * w_c
+        internal = extra_bearing(t, w_r, w_c, p_r, p_c) if extra_bearing else 0.0
+        on_rotor, on_casing = friction.torques(w_r, w_c, internal)
         on_rotor += extra_rotor(t, w_r, w_c, p_r, p_c) if extra_rotor else 0.0
         on_casing += extra_casing(t, w_r, w_c, p_r, p_c) if extra_casing else 0.0
         return [on_rotor / inertia_rotor, on_casing / inertia_casing, w_r, w_c]
