@@ -5,7 +5,7 @@ import os
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ[_name] = "1"  # matrices are small, and pytest-xdist already uses the cores
 
-from hypothesis import HealthCheck, settings
+from hypothesis import HealthCheck, settings  # noqa: E402 - it may import NumPy
 
 # how fast examples come tells of the machine that runs the tests, not of the program
 settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
