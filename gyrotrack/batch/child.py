@@ -117,7 +117,7 @@ def _asked(process: subprocess.Popen[str], words: Sequence[str]) -> str:
         process.stdin.write(json.dumps(list(words)) + "\n")
         process.stdin.flush()
         return process.stdout.readline()
-    except OSError:
+    except (OSError, ValueError):  # ValueError: its pipes were closed by another thread just now
         return ""
 
 
