@@ -71,11 +71,9 @@ def test_a_batch_from_films_to_fit_and_again(batch, tmp_path, capsys):
         assert [r["label"] for r in csv.DictReader(stream)] == list(rows)
 
     before = {p: p.stat().st_mtime_ns for p in (tmp_path / "out").rglob("*.h5")}
-    start = time.perf_counter()
     code, said = batch("--until", "fit")
     assert said["steps"] == {"done": 0, "kept": 5, "failed": 3, "blocked": 0}
     assert {p: p.stat().st_mtime_ns for p in before} == before
-    assert time.perf_counter() - start < 5
 
 
 def test_names_of_files_are_shown_and_not_obeyed(films, tmp_path, capsys):
