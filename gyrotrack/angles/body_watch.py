@@ -121,10 +121,9 @@ class BodyWatch:
         return Motion(float(ahead[0][0]), float(ahead[0][1] - ahead[0][0]), missed)
 
     def _cut(self, frames: list[Frame], place: int, coarse: Floats) -> None:
+        angles = np.nan_to_num(coarse)
         for watch in self.markers.values():
-            take, mount = watch.strip.take, watch.paper.mount
-            for k, (frame, angle) in enumerate(zip(frames, np.nan_to_num(coarse).tolist(), strict=True)):
-                take(frame, place + k, angle + mount)
+            watch.strip.take(frames, place, angles + watch.paper.mount)
 
     def _refined(self, coarse: Floats, place: Integers) -> tuple[Floats, Mask]:
         """Improve coarse angles by all coloured markers together: (n,) [rad], and where any of them is seen.

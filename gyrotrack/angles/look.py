@@ -40,7 +40,7 @@ class Look:
         self.start = strip.starts[:count].copy()
         self.fraction = np.where(self.known, coarse / strip.ring.step - self.start, 0.0)
         self.first = (self.start - strip.half) % strip.ring.columns
-        self.window = strip.scores(0, count)
+        self.window = strip.windows[:count]
         rows = np.arange(strip.rows.start, strip.rows.stop)
         parts = np.array_split(rows, min(LAYERS, len(rows)))
         self._sizes = np.array([len(part) for part in parts]) / len(rows)

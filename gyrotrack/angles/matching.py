@@ -77,7 +77,7 @@ def match(profile: Floats, template: Floats, start: Floats, seen: Mask) -> Match
         gain = solution[0]
         off = -solution[2] / np.where(np.abs(gain) > 1e-3, gain, np.inf)
         shift = np.clip(table.shift[place] + np.clip(off, -stride, stride), -limit, limit)
-        if np.percentile(np.abs(table.shift[place] - shift), 98) <= 0.75 / FINENESS:
+        if np.count_nonzero(np.abs(table.shift[place] - shift) > 0.75 / FINENESS) <= 0.02 * len(shift):
             break
     expected = curve - (shift - table.shift[place])[:, None] * slope
     squares = np.einsum("nm,nm->n", profile if whole else weight * profile, profile)

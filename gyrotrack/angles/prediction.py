@@ -55,7 +55,7 @@ class Prediction:
         if self._origin is None or frame[-1] - self._origin > LONGEST_USE:
             self._fit()
         rows = self._rows(frame)
-        spread = np.sqrt(np.einsum("ni,ij,nj->n", rows, self._inverse, rows).max())
+        spread = np.sqrt(((rows @ self._inverse) * rows).sum(axis=1).max())
         return self._base + rows @ self._solution, self._scatter * float(spread)
 
     def _fit(self) -> None:

@@ -83,8 +83,10 @@ class Strip:
         self._rows = self._rows_on(ring)
         self.ring = ring
         self._grid = _Grid(ring, self.width, self.white, self._score.shape)
-        self._ground = self._background(samples)
-        self._ground_mean = self._ground[self._every_second].mean(axis=0)
+        self._unit = np.float32(1.0 / paper.contrast[0] if self.white else 1.0)
+        ground = self._background(samples)
+        self._under = [ground[:, k : k + self.width] for k in range(columns)]
+        self._ground_mean = ground[self._every_second].mean(axis=0)
 
     def aim(self, centre: tuple[float, float]) -> None:
         """Put the ring about another centre."""
@@ -115,18 +117,21 @@ class Strip:
             inside = np.array([int(np.argmin(np.abs(radii - self.paper.radius)))])
         return int(inside[0]), int(inside[-1]) + 1
 
-    def take(self, frame: Frame, place: int, angle: float) -> None:
-        """Unroll one frame about an angle (rad, as seen) into the buffer."""
+    def take(self, frames: list[Frame], place: int, angles: Floats) -> None:
+        """Unroll frames about their angles (n,) [rad, as seen] into the buffer, from `place` of the batch on."""
         grid = self.grid
-        start = round(angle / grid.ring.step)
-        first = (start - self.half) % grid.ring.columns
-        self.starts[place] = start
-        part = (slice(None), slice(first, first + self.width))
-        score = self._scored(frame, grid.boxes[first])
-        cv2.remap(
-            score, grid.x[part], grid.y[part], cv2.INTER_LINEAR,
-            dst=self.windows[place], borderMode=cv2.BORDER_REPLICATE,
-        )  # fmt: skip
+        start = np.rint(angles / grid.ring.step).astype(np.int64)
+        here = slice(place, place + len(frames))
+        self.starts[here] = start
+        first = ((start - self.half) % grid.ring.columns).tolist()
+        scored, boxes, parts, under = self._scored, grid.boxes, grid.parts, self._under
+        for frame, k, window in zip(frames, first, self.windows[here], strict=True):
+            x, y = parts[k]
+            score = scored(frame, boxes[k])
+            cv2.remap(score, x, y, cv2.INTER_LINEAR, dst=window, borderMode=cv2.BORDER_REPLICATE)
+            if self.white:
+                window *= self._unit
+            window -= under[k]
 
     def whole(self, frame: Frame) -> Singles:
         """Return the mean score over the rows of the paper in all directions, (columns,)."""
@@ -140,14 +145,14 @@ class Strip:
         strip = cv2.remap(
             score, grid.x[rows], grid.y[rows], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
         )
-        return np.asarray(strip, dtype=np.float32)
+        return np.asarray(strip * self._unit if self.white else strip, dtype=np.float32)
 
     def near(self, angle: Floats, place: Integers, reach: int) -> Floats:
         """Return the mean score of the paper if it lay beside given angles (n,) [rad] in frames of the batch.
 
         The columns are displacements by -`reach` to `reach` columns: (n, 2 reach + 1).
         """
-        profile = self.windows[place, self._every_second].mean(axis=1) - self._under(place)
+        profile = self.windows[place, self._every_second].mean(axis=1)
         half = max(int(self.paper.half_width / self.ring.step), 1)
         total = np.cumsum(np.pad(profile, ((0, 0), (1, 0))), axis=1, dtype=np.float64)
         box = (total[:, 2 * half + 1 :] - total[:, : -2 * half - 1]) / (2 * half + 1)
@@ -158,29 +163,13 @@ class Strip:
         found: Floats = (1.0 - part) * cut[:, :-1] + part * cut[:, 1:]
         return found
 
-    def scores(self, first: int, last: int) -> Singles:
-        """Return the windows of frames `first` to `last` of the batch less the background, (n, rows, width)."""
-        found: Singles = self.windows[first:last] - self.ground(first, last)
-        return found
-
-    def ground(self, first: int, last: int) -> Singles:
-        """Return what lies under the windows of these frames."""
-        begin = (self.starts[first:last] - self.half) % self.ring.columns
-        under: Singles = sliding_window_view(self._ground, self.width, axis=1)[:, begin].transpose(1, 0, 2)
-        return under
-
-    def _under(self, place: Integers) -> Singles:
-        begin = (self.starts[place] - self.half) % self.ring.columns
-        found: Singles = sliding_window_view(self._ground_mean, self.width)[begin]
-        return found
-
     def _scored(self, frame: Frame, edges: Box) -> Singles:
-        """Form the score in a box of the picture; elsewhere the buffer keeps what it held."""
+        """Form the score (of white: the luma) in a box of the picture; elsewhere the buffer keeps what it held."""
         left, right, top, bottom = edges
         box = (slice(top, bottom), slice(left, right))
         a, b = self.paper.contrast
         if self.white:
-            np.multiply(frame.y[box], np.float32(1.0 / a), out=self._score[box])
+            np.copyto(self._score[box], frame.y[box])  # what is unrolled of it is scaled
         else:
             norm = a * a + b * b
             cv2.addWeighted(
@@ -205,6 +194,7 @@ class _Grid:
         self.x, self.y = ring.maps(chroma=not white, beyond=width)
         across, down = _reach(self.x, width, shape[1]), _reach(self.y, width, shape[0])
         self.boxes: list[Box] = [(*x, *y) for x, y in zip(across, down, strict=True)]
+        self.parts = [(self.x[:, k : k + width], self.y[:, k : k + width]) for k in range(ring.columns)]
         everything = self.x.shape[1]
         self.whole: Box = (*_reach(self.x, everything, shape[1])[0], *_reach(self.y, everything, shape[0])[0])
 

@@ -15,7 +15,7 @@ from gyrotrack.geometry.disc import DiscWindow
 from gyrotrack.geometry.samples import Samples
 from gyrotrack.geometry.scene import Scene
 from gyrotrack.pipeline.notes import Notes, Rows
-from gyrotrack.video import Frame, Reader, frame_numbers, read_stamps
+from gyrotrack.video import Frame, Reader, frame_numbers, read_raw_stamps
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -89,8 +89,7 @@ class _Pass:
         for body in self.bodies.values():
             body.take(self.held, self.filled, advance)
         if self.disc is not None:
-            for k, frame in enumerate(self.held, start=self.filled):
-                self.disc.take(frame, k)
+            self.disc.take(self.held, self.filled)
         self.filled += len(self.held)
         self.held.clear()
 
@@ -125,17 +124,16 @@ class _Pass:
 class _Advance:
     """How many frames of the camera lie between frames of the film, by the stamps of the whole film."""
 
-    def __init__(self, stamps: Floats) -> None:
-        self._stamps = stamps
-        numbers = frame_numbers(stamps)
-        self._next = np.append(np.diff(numbers), 1) if len(numbers) else np.ones(1, dtype=np.int64)
+    def __init__(self, stamps: Integers, time_base: float) -> None:
+        steps = np.diff(frame_numbers(np.asarray(stamps * time_base, dtype=np.float64)))
+        long = np.flatnonzero(steps != 1)
+        self._long: dict[int | None, int] = dict(
+            zip(stamps[long].tolist(), steps[long].tolist(), strict=True)
+        )
 
-    def steps(self, pts: Floats) -> Integers:
-        """Return the step from each frame with these stamps to the next, (n,)."""
-        if not len(self._stamps) or not np.isfinite(pts).all():
-            return np.ones(len(pts), dtype=np.int64)
-        place = np.searchsorted(self._stamps, pts - 1e-7)
-        return np.asarray(self._next[np.clip(place, 0, len(self._next) - 1)], dtype=np.int64)
+    def steps(self, frames: list[Frame]) -> Integers:
+        """Return the step from each frame to the next, (n,)."""
+        return np.array([self._long.get(frame.pts, 1) for frame in frames], dtype=np.int64)
 
 
 def watch(
@@ -155,9 +153,9 @@ def watch(
     """
     work = _Pass(scene, samples)
     notes = notes or Notes()
-    stamps = read_stamps(path)
-    clock = _Advance(stamps)
+    stamps = read_raw_stamps(path)
     with Reader(path, threads) as reader:
+        clock = _Advance(stamps, float(reader.info.time_base))
         total = max(reader.info.frames_declared, len(stamps)) or None
         frames = notes.take_up(work, reader)
         if progress is not None and reader.decoded:
@@ -165,13 +163,13 @@ def watch(
         for frame in frames:
             work.held.append(frame)
             if work.full:
-                work.take(clock.steps(reader.pts_seconds(len(work.held))))
+                work.take(clock.steps(work.held))
             if work.filled == BATCH:
                 notes.add(work.digest(), work, reader, frame)
                 if progress is not None:
                     progress(reader.decoded, total)
         if work.held:
-            work.take(clock.steps(reader.pts_seconds(len(work.held))))
+            work.take(clock.steps(work.held))
         if work.filled:
             notes.add(work.digest(), work, reader, frame, end=True)
         if progress is not None:

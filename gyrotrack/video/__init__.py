@@ -11,7 +11,7 @@ from gyrotrack.video.clock import CaptureRate, capture_rate, frame_numbers, stam
 from gyrotrack.video.container import ClipInfo, file_sha256, probe
 from gyrotrack.video.picking import frames_at
 from gyrotrack.video.planes import Frame
-from gyrotrack.video.reader import Mark, Reader, keyframes, read_raw_stamps, read_stamps
+from gyrotrack.video.reader import Mark, Reader, keyframes, read_raw_stamps
 
 __all__ = [
     "CaptureRate",
@@ -26,6 +26,5 @@ __all__ = [
     "keyframes",
     "probe",
     "read_raw_stamps",
-    "read_stamps",
     "stamp_warnings",
 ]

@@ -176,9 +176,9 @@ class Reader:
         """Time stamps of the frames so far in units of the time base, the least integer where there is none."""
         return np.array(self._pts, dtype=np.int64)
 
-    def pts_seconds(self, last: int | None = None) -> npt.NDArray[np.float64]:
-        """Return the time stamps of the `last` frames (all so far) in s, NaN where a frame has none."""
-        stamps = np.array(self._pts if last is None else self._pts[-last:] if last else (), dtype=np.int64)
+    def pts_seconds(self) -> npt.NDArray[np.float64]:
+        """Return the time stamps of the frames so far in s, NaN where a frame has none."""
+        stamps = self.stamps
         return np.where(stamps == _NO_STAMP, np.nan, stamps * float(self.info.time_base))
 
     @property
@@ -198,13 +198,8 @@ class Reader:
         return (*found, *stamp_warnings(self.pts_seconds()))
 
 
-def read_stamps(path: Path) -> npt.NDArray[np.float64]:
-    """Return the time stamps of a film's packets in s, sorted, without decoding anything."""
-    return np.asarray(read_raw_stamps(path) * float(probe(path).time_base), dtype=np.float64)
-
-
 def read_raw_stamps(path: Path) -> npt.NDArray[np.int64]:
-    """Return the time stamps of a film's packets in units of the time base, sorted."""
+    """Return the time stamps of a film's packets in units of the time base, sorted, without decoding anything."""
     with opened(path) as (container, stream):
         stamps = [packet.pts for packet in _packets(container, stream) if packet.pts is not None]
     return np.sort(np.array(stamps, dtype=np.int64))
