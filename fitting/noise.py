@@ -166,6 +166,7 @@ class TorqueResponse:
         count = int(_CELLS_PER_ROW * self._smooth.stop)
         self.edges = np.linspace(*data.record.span, count + 1)
         inertia = data.record.I_rotor, data.record.I_casing
+        self._known: dict[float, Array] = {}
         self.rotor = _impulses(data, motion, self.edges, np.array([1 / inertia[0], 0.0]))[self._smooth]
         self.casing = _impulses(data, motion, self.edges, np.array([0.0, 1 / inertia[1]]))[self._smooth]
 
@@ -181,6 +182,12 @@ class TorqueResponse:
 
     def covariance(self, time: float) -> Array:
         """Return the covariance K of the smooth rows for torques of rms 1 N m."""
+        if time not in self._known:
+            # the time that is chosen is asked for twice, no other
+            self._known = {time: self._covariance(time)}
+        return self._known[time]
+
+    def _covariance(self, time: float) -> Array:
         decay = float(np.exp(-(self.edges[1] - self.edges[0]) / time))
         total = np.zeros((self._smooth.stop, self._smooth.stop))
         order, starts, responses = self._by_time

@@ -72,6 +72,31 @@ class Baseline:
         found = least_squares(self.residuals, start, method="trf", diff_step=1e-6, ftol=1e-10, xtol=1e-10)
         return found.x * SCALE, 2 * found.cost
 
+    def paper(self, start, most=60):
+        """Return variables, chi2 and how it ended, in the paper's own a2, b1, b2, d, f, g and start speeds.
+
+        The valley of (d, f, g) is curved: from a start a factor of two off the search creeps along it, or sticks at
+        a bound.
+        """
+        size = np.abs(start)
+
+        def residuals(x):
+            a2, b1, b2, d, f, g, wr, wc = x * size
+            return self.residuals(np.array([a2, b1, b2, *straight(d, f, g), g, wr, wc]) / SCALE)
+
+        least = np.array([0, 0, 0, 0, 0, 0.3, -np.inf, -np.inf]) / size
+        most_of_g = np.array([*[np.inf] * 5, 1.4, np.inf, np.inf]) / size
+        found = least_squares(
+            residuals,
+            np.ones(8),
+            bounds=(least, most_of_g),
+            diff_step=1e-6,
+            ftol=1e-10,
+            xtol=1e-10,
+            max_nfev=most,
+        )
+        return found.x * size, 2 * found.cost, found.message
+
     def lmfit(self, start):
         """Return variables and chi2 by lmfit's Levenberg-Marquardt, finite differences too."""
         import lmfit
