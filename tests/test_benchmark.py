@@ -33,7 +33,7 @@ def test_the_integration_is_that_of_scipy(name):
     drawn = np.random.default_rng(1)
     case = experiment.CASES[1] | {"span": 4.0}
     world = hidden.LIBRARY[name](4e-6, hidden.Draw.of(4.0, drawn, drawn))
-    torques = experiment.shake(4.0, 0.0, drawn)
+    torques = experiment.shake(4.0, 0.0, 1.0, drawn)
     motion = experiment.integrate(case, world, torques)
     times = np.arange(0, 4, 0.0137)
     y = [*case["start"], 0.0, 0.0] + [0.0] * (len(world.heating) + len(world.chirp))
@@ -43,10 +43,11 @@ def test_the_integration_is_that_of_scipy(name):
         assert np.abs(motion.angle(times, body) - exact.y[2 + body]).max() < 1e-6
 
 
-def test_the_random_torque_has_its_size_and_its_memory():
-    step, casing, _ = experiment.shake(5e3, 1e-7, np.random.default_rng(3))
+@pytest.mark.parametrize("time", [1.0, 0.1])
+def test_the_random_torque_has_its_size_and_its_memory(time):
+    step, casing, _ = experiment.shake(5e3, 1e-7, time, np.random.default_rng(3))
     torque = np.array(casing)
-    lag = round(experiment.NOISE_TIME / step)
+    lag = round(time / step)
     assert np.std(torque) == pytest.approx(1e-7, rel=0.07)
     assert np.mean(torque[lag:] * torque[:-lag]) / np.var(torque) == pytest.approx(np.exp(-1), abs=0.05)
 
