@@ -7,6 +7,9 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
 
 from hypothesis import HealthCheck, settings  # noqa: E402 - it may import NumPy
 
-# how fast examples come tells of the machine that runs the tests, not of the program
-settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+# how fast examples come tells of the machine that runs the tests, not of the program; and the examples are the same in
+# every run, so that a change is judged by itself: `pytest --hypothesis-profile searching` looks for new ones
+_CALM = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
+settings.register_profile("any machine", derandomize=True, **_CALM)
+settings.register_profile("searching", **_CALM)
 settings.load_profile("any machine")

@@ -33,6 +33,9 @@ def line_of(text: str, location: tuple[int | str, ...]) -> int | None:
             names = _parts(head[2])
             if head[1] == "[[":
                 counts[names] = counts.get(names, -1) + 1
+                # a new element begins with arrays of its own
+                for inner in [n for n in counts if n[: len(names)] == names and n != names]:
+                    del counts[inner]
             table = _within(names, counts)
             places.setdefault(table, number)
         elif (key := _KEY.match(line)) is not None:

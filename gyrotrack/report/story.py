@@ -86,7 +86,7 @@ def _draw(content: Content, frame: NDArray[np.uint8] | None, kind: str) -> bytes
 
 
 def _inset(ax: Axes, frame: NDArray[np.uint8]) -> None:
-    inset = ax.inset_axes((0.56, 0.5, 0.42, 0.48))
+    inset = ax.inset_axes((0.19, 0.12, 0.42, 0.48))
     inset.imshow(frame)
     inset.set_xticks([])
     inset.set_yticks([])

@@ -3,7 +3,7 @@
 import tomllib
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from gyrotrack.configuration import read_document
@@ -116,6 +116,8 @@ def _leaves(value, path=()):
 
 
 @settings(max_examples=150, deadline=None)
+@example({"a": [{"a": 0, "b": [{"a": 0}]}, {"a": {}, "b": [{"a": 0}]}]})
+@example({"a": [{"a": 0, "b": [{"a": 0}]}, {"a": {}, "b": {"a": 0}}]})
 @given(st.dictionaries(_KEYS, _VALUES, max_size=4))
 def test_the_line_found_holds_the_key(table):
     lines = _toml(table)
