@@ -187,7 +187,7 @@ def test_the_oracle_sees_the_difference_that_the_effect_makes():
     drawn = hidden.Draw.of(case["span"], rng(1), rng(2))
     plain = experiment.record(case, experiment.Hidden(), torque_noise=0, rng=rng(5), label="case1")
     base = fit(Model.of(REDUCED), [make_record(**plain)])
-    oracle = Oracle(base, 0.0)
+    oracle = Oracle(base, 0.0, 1.0)
     without = experiment.run(case, experiment.Hidden(), torque_noise=0, rng=rng(5))
     for name in ("casing.air.quadratic", "touchpoint.step", "bearing.heating", "casing.precession"):
         world = hidden.LIBRARY[name](1e-10, drawn)

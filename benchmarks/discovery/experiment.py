@@ -103,7 +103,12 @@ class Run:
 
 
 def run(
-    case: dict[str, Any], hidden: Hidden, *, torque_noise: float, torque_time: float, rng: np.random.Generator
+    case: dict[str, Any],
+    hidden: Hidden,
+    *,
+    torque_noise: float,
+    torque_time: float = 1.0,
+    rng: np.random.Generator,
 ) -> Run:
     """Integrate one run; it ends before the casing stops."""
     case = case | hidden.constants
