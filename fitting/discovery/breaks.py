@@ -20,11 +20,13 @@ from fitting.discovery.stage import Stage
 from fitting.effects import Effect
 from fitting.errors import SimulationError
 from fitting.estimation import Fit
+from fitting.estimation.lack import orthonormal
 
 Array = NDArray[np.float64]
 
 _REACH = 0.04
 _STEPS = 48
+_RANK = 1e-7
 # a score that empty data would hardly ever show
 _CLEAR = 25.0
 
@@ -56,9 +58,7 @@ def distant_breaks(fit: Fit, effect: Effect) -> dict[str, float]:
         if found.score > _CLEAR:
             places = [int(layout.places(index, [k])[0]) for k in keys]
             theta[places] = found.shape[0][effect.breakpoint], found.gamma[0]
-    if np.array_equal(theta, fit.theta):
-        return {}
-    return dict(zip(layout.names, theta.tolist(), strict=True))
+    return _moved(fit, theta)
 
 
 def better_breaks(fit: Fit, effect: Effect) -> dict[str, float]:
@@ -81,19 +81,21 @@ def better_breaks(fit: Fit, effect: Effect) -> dict[str, float]:
     for index in range(len(fit.problem.cases)):
         (place,) = layout.places(index, [key])
         theta[place] = _best(fit, index, int(place))
+    return _moved(fit, theta)
+
+
+def _moved(fit: Fit, theta: Array) -> dict[str, float]:
+    """Return variables by name; nothing if they are those of the fit."""
     if np.array_equal(theta, fit.theta):
         return {}
-    return dict(zip(layout.names, theta.tolist(), strict=True))
+    return dict(zip(fit.problem.layout.names, theta.tolist(), strict=True))
 
 
 def _best(fit: Fit, index: int, place: int) -> float:
     case, project = fit.problem.cases[index], fit.problem.projections[index]
     first, last = case.data.record.span
     now = float(fit.theta[place])
-    moving = project(np.delete(fit.predictions[index].jacobian, place, axis=1))
-    size = np.linalg.norm(moving, axis=0)
-    u, s, _ = np.linalg.svd(moving[:, size > 0] / size[size > 0], full_matrices=False)
-    basis = u[:, s > 1e-7 * s.max(initial=1.0)]
+    basis = orthonormal(project(np.delete(fit.predictions[index].jacobian, place, axis=1)), _RANK)
 
     def cost(t: float) -> float:
         theta = fit.theta.copy()
