@@ -118,7 +118,10 @@ def estimate_noise(responses: Sequence[TorqueResponse], residuals: Sequence[Arra
     searched = [r.likelihoods(x, times) for r, x in zip(responses, residuals, strict=True)]
     curves = [c for c, _ in searched]
     total = [sum(float(c[i].likelihood.max()) for c in curves) for i in range(len(times))]
-    time = _cautious_time(times, total)
+    quiet = sum(float(c[0].likelihood[0]) for c in curves)
+    # where there is no random torque its time is anything; what a model may leave is slow
+    seen = 2 * (max(total) - quiet) > _SIGNIFICANT
+    time = _cautious_time(times, total) if seen else max(times)
     found = []
     for response, residual, (_, kept) in zip(responses, residuals, searched, strict=True):
         (chosen,), _ = response.likelihoods(residual, [time], kept)

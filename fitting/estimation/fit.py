@@ -242,10 +242,12 @@ def _tight(problem: Problem, theta: Array, noise: tuple[Noise, ...]) -> tuple[Ar
     """Return variables and noise, found anew with no more noise than the data has, if that describes it better.
 
     What noise does to a casing that is held is told from the fitted path. About a path that stops at a wrong time it
-    may hold the fit there.
+    may hold the fit there. So may an edge of a parameter, far from the data, where noise excuses what is wrong.
     """
+    if all(n.level <= n.pure for n in noise):
+        return theta, noise
     held = any((p.path.sense == 0).any() for p in problem.predict(theta))
-    if not held or all(n.level <= n.pure for n in noise):
+    if not held and not problem.layout.at_bound(theta).any():
         return theta, noise
     ends = [(theta, noise)]
     # the pure level was found about a wrong path too: with none at all the angles alone have a say
