@@ -194,7 +194,7 @@ def test_the_oracle_sees_the_difference_that_the_effect_makes():
         made = experiment.run(case, world, torque_noise=0, rng=rng(5))
         difference = [made.casing - without.casing]
         difference += [p - q for p, q in zip(made.rotor, without.rotor, strict=True)]
-        whole = np.linalg.norm(np.concatenate(difference)) / experiment.SIGMA
+        whole = np.linalg.norm(np.concatenate(difference)) / case["sigma"]
         seen = oracle.reach(name, [world])
         # rows are in units of the noise that was measured, which is right to a few hundredths
         assert seen.whole == pytest.approx(whole, rel=0.03), name

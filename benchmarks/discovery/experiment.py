@@ -12,9 +12,12 @@ import numpy as np
 
 I_ROTOR, I_CASING = 5.54e-5, 2.06e-5
 BUDGET = 1.33e-4  # N m, the torque that 2e-6 N m are 1.5 % of
-SIGMA = 1e-3  # rad, noise of an angle
-CASING_RATE, ROTOR_RATE, WINDOW = 260, 1000, 3.0
-_PAPER = {"a2": 9.97e-11, "d": 1.57e-7, "f": 1.26e-8, "g": 1.32, "I_rotor": I_ROTOR, "I_casing": I_CASING}
+# how it is filmed: frames per second of both cameras, where in the run the rotor's begins and how long it goes on
+# [s], and the noise of an angle [rad]
+_FILMED = {"rates": (260, 1000), "windows": (0.02, 0.35, 0.78), "window": 3.0, "sigma": 1e-3}
+_PAPER: dict[str, Any] = {
+    "a2": 9.97e-11, "d": 1.57e-7, "f": 1.26e-8, "g": 1.32, "I_rotor": I_ROTOR, "I_casing": I_CASING, **_FILMED
+}  # fmt: skip
 CASES: tuple[dict[str, Any], ...] = (
     {**_PAPER, "b1": 2.88e-6, "b2": 8.28e-7, "start": (900.0, 5.0), "span": 200.0},
     {**_PAPER, "b1": 2.4e-5, "b2": 8.1e-7, "start": (740.0, 12.0), "span": 160.0},
@@ -31,6 +34,7 @@ LIGHT: dict[str, Any] = {
     "b2": 3.6e-7,
     "start": (540.0, 4.0),
     "span": 30.0,
+    **_FILMED,
 }
 # a casing slower than this [rad/s] is about to stop: the recording ends
 _SLOWEST = 3.0
@@ -114,9 +118,11 @@ def run(
     case = case | hidden.constants
     motion = integrate(case, hidden, shake(case["span"], torque_noise, torque_time, rng))
     span = min(case["span"], np.floor(motion.time[-1]))
-    time = np.arange(0, span, 1 / CASING_RATE)
-    ticks = np.arange(round(WINDOW * ROTOR_RATE)) / ROTOR_RATE
-    windows = [t + ticks for t in np.array([0.02, 0.35, 0.78]) * span + rng.uniform(0, WINDOW, 3)]
+    casing_rate, rotor_rate = case["rates"]
+    time = np.arange(0, span, 1 / casing_rate)
+    ticks = np.arange(round(case["window"] * rotor_rate)) / rotor_rate
+    places = np.array(case["windows"]) * span + rng.uniform(0, case["window"], len(case["windows"]))
+    windows = [t + ticks for t in places]
     speed = np.interp(time, motion.time, motion.speed[:, 1])
     return Run(time, motion.angle(time, 1), speed, windows, [motion.angle(w, 0) for w in windows])
 
@@ -132,7 +138,7 @@ def record(
 ) -> dict[str, Any]:
     """Integrate and film one run; return what `fitting.record.make_record` takes."""
     made = run(case, hidden, torque_noise=torque_noise, torque_time=torque_time, rng=rng)
-    psi = made.casing
+    psi, sigma = made.casing, case["sigma"]
     seen = (
         psi
         + hidden.centre[0] * np.sin(psi - hidden.centre[1])
@@ -142,9 +148,9 @@ def record(
     rotor = []
     for w, angle in zip(made.windows, made.rotor, strict=True):
         told = w[0] - hidden.offset + (w - w[0]) / (1 + hidden.clock)
-        rotor.append((told, angle - angle[0] + _noise(len(w), rng), np.full(len(w), SIGMA)))
+        rotor.append((told, angle - angle[0] + _noise(sigma, len(w), rng), np.full(len(w), sigma)))
     return {
-        "casing": (made.time, seen + _noise(len(psi), rng), np.full(len(psi), SIGMA)),
+        "casing": (made.time, seen + _noise(sigma, len(psi), rng), np.full(len(psi), sigma)),
         "rotor": rotor,
         "I_rotor": case["I_rotor"],
         "I_casing": case["I_casing"],
@@ -152,8 +158,8 @@ def record(
     }
 
 
-def _noise(n: int, rng: np.random.Generator) -> np.ndarray:
-    return SIGMA * rng.standard_normal(n)
+def _noise(sigma: float, n: int, rng: np.random.Generator) -> np.ndarray:
+    return sigma * rng.standard_normal(n)
 
 
 @dataclass(frozen=True)

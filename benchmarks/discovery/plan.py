@@ -6,13 +6,15 @@ import itertools
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+from elsewhere import budget, gyroscopes
 from experiment import BUDGET, CASES, Hidden, record, together
 from hidden import BASE, FAULTS, LIBRARY, OUTSIDE, Draw, Maker
 
-PARTS = ("library", "nothing", "fault", "outside", "pair", "brief")
+PARTS = ("library", "nothing", "fault", "outside", "pair", "brief", "elsewhere")
 STRENGTHS = (0.01, 0.03, 0.003)
 NOISE = 1e-7  # N m
 # how long a random torque remembers itself; in the runs called brief it is over sooner
@@ -20,6 +22,9 @@ _NOISE_TIME, _BRIEF = 1.0, 0.1  # s
 CENTRE = (2e-3, 1.1)  # rad, phase: in every noisy recording
 _PAIRS_A_SEED = 12
 _EMPTY_A_SEED = 4
+# elsewhere: random torques as shares of the budget, and their correlation times [s]
+_FAINT_AND_STRONG = (0.003, 0.03)
+_UNREST, _MEMORIES = (1e-4, 2e-3), (0.05, 5.0)
 _MAKERS: dict[str, Maker] = {**LIBRARY, **BASE, **OUTSIDE, **FAULTS}
 
 
@@ -50,17 +55,24 @@ class Planned:
         """Return one effect alone, in each recording."""
         name_seed = zlib.crc32(name.encode())
         found = []
-        for i, case in enumerate(CASES[: self.cases]):
+        for i, case in enumerate(self.gyroscopes[: self.cases]):
             shared = np.random.default_rng([self._seed, 0, name_seed])
             own = np.random.default_rng([self._seed, 1, name_seed, i])
             draw = Draw.of(case["span"], shared, own)
-            found.append(_MAKERS[name](self.strength * BUDGET, draw))
+            found.append(_MAKERS[name](self.strength * budget(self.gyroscopes[0]), draw))
         return found
 
     @property
     def noise_time(self) -> float:
         """Return the correlation time of the random torque [s]."""
+        if self.part == "elsewhere":
+            return float(np.exp(np.random.default_rng([self._seed, 4]).uniform(*np.log(_MEMORIES))))
         return _BRIEF if self.part == "brief" else _NOISE_TIME
+
+    @cached_property
+    def gyroscopes(self) -> tuple[dict[str, Any], ...]:
+        """Return what is filmed, and how."""
+        return gyroscopes(np.random.default_rng([self._seed, 3])) if self.part == "elsewhere" else CASES
 
     @property
     def seed_of_plan(self) -> int:
@@ -78,7 +90,7 @@ class Planned:
                 rng=np.random.default_rng([self._seed, 2, i]),
                 label=f"case{i + 1}",
             )
-            for i, (case, world) in enumerate(zip(CASES, self.worlds(), strict=False))
+            for i, (case, world) in enumerate(zip(self.gyroscopes, self.worlds(), strict=False))
         ]
 
     @property
@@ -89,9 +101,11 @@ class Planned:
 def plan(seeds: int, parts: tuple[str, ...] = PARTS) -> list[Planned]:
     """Return the plan: seed by seed, so that it can be stopped anywhere, and what the figures need first."""
     runs = [r for part in PARTS if part in parts for s in range(seeds) for r in _PLANS[part](s)]
-    return sorted(
-        runs, key=lambda r: (r.seed_of_plan, -r.cases, STRENGTHS.index(r.strength), PARTS.index(r.part))
-    )
+    return sorted(runs, key=lambda r: (r.seed_of_plan, -r.cases, _turn(r.strength), PARTS.index(r.part)))
+
+
+def _turn(strength: float) -> int:
+    return STRENGTHS.index(strength) if strength in STRENGTHS else len(STRENGTHS)
 
 
 def _library(seed: int) -> Iterator[Planned]:
@@ -127,6 +141,15 @@ def _brief(seed: int) -> Iterator[Planned]:
         yield Planned("brief", (name,), STRENGTHS[0], 2, NOISE, seed)
 
 
+def _elsewhere(seed: int) -> Iterator[Planned]:
+    for name in (*LIBRARY, *BASE, *OUTSIDE, ""):
+        lot = np.random.default_rng([seed, zlib.crc32(name.encode()), 78])
+        strength = float(f"{np.exp(lot.uniform(*np.log(_FAINT_AND_STRONG))):.2g}")
+        noise = float(f"{BUDGET * np.exp(lot.uniform(*np.log(_UNREST))):.2g}") if lot.random() < 0.5 else 0.0
+        hidden = (name,) if name else ()
+        yield Planned("elsewhere", hidden, strength, int(lot.integers(1, 3)), noise, seed)
+
+
 _PLANS = {
     "library": _library,
     "nothing": _nothing,
@@ -134,4 +157,5 @@ _PLANS = {
     "outside": _outside,
     "pair": _pair,
     "brief": _brief,
+    "elsewhere": _elsewhere,
 }
