@@ -20,7 +20,7 @@ def gyroscopes(rng: np.random.Generator) -> tuple[dict[str, Any], dict[str, Any]
     first = rng.uniform(400, 1200)
     torque = _spread(rng, 6e-5, 6e-4)
     inertia = torque * rng.uniform(100, 300) / first
-    air, power, g = rng.uniform(0.1, 0.6), rng.uniform(0.2, 0.9), rng.uniform(0.6, 1.7)
+    air, power, g = rng.uniform(0.1, 0.6), rng.uniform(0.2, 0.9), rng.uniform(0.5, 1.35)
     bearing = (1 - air) * torque
     body = {
         "a2": air * torque / first**2,
