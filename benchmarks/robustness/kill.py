@@ -2,8 +2,9 @@
 
     python benchmarks/robustness/kill.py --work /tmp/robust --count 50
 
-`--count` moments for each of the four. An earlier output is there each time; after each kill every output must
-be either the earlier one, byte for byte, or a new one that is sound; then the same command must complete.
+`--count` kills that land for each of the four: a moment after the command had ended is drawn again. An earlier
+output is there each time; after each kill every output must be either the earlier one, byte for byte, or a new
+one that is sound; then the same command must complete.
 """
 
 import argparse
@@ -145,14 +146,14 @@ def main():
         ensure(finish(words) == 0, verb)
         took[verb] = time.monotonic() - start
         landed = Counter()
-        for number in range(asked.count):
+        while landed["killed"] < asked.count:
             folder = place / verb
             if verb == "batch":  # something to do each time, and something done before
                 (folder / "b_500fps" / "b_500fps.h5").unlink()
             rungs.before = rungs(folder) if verb == "fit" else 0
             how, wrong = trial(verb, words, folder, chance.uniform(0.0, took[verb]), rungs)
             landed[how] += 1
-            bad += [(verb, number, w) for w in wrong]
+            bad += [(verb, landed.total(), w) for w in wrong]
         counts[verb] = dict(landed)
     killed = sum(c.get("killed", 0) for c in counts.values())
     report("kill -9", began, kills=killed, moments=counts, failures=len(bad), first_failures=bad[:10])
