@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.errors import RecordError
+from fitting.intact import check_intact
 
 Array = NDArray[np.float64]
 Quantity = Literal["angle", "omega"]
@@ -22,8 +23,6 @@ Quantity = Literal["angle", "omega"]
 FORMAT = "gyrotrack"
 MAJOR = 1
 _MAX_SAMPLES = 50_000_000
-_MARK = b"\ngyrotrack sha256 "
-_SEAL = len(_MARK) + 65
 # deflate cannot do better than 1032 : 1; chunks are padded
 _INFLATION, _SLACK = 1100, 2**22
 # an angle tells a speed only over several samples; a measured speed tells it at once
@@ -115,7 +114,7 @@ def read_record(path: str | Path) -> Record:
     if not path.is_file():
         raise RecordError(f"{path}: there is no such file")
     try:
-        _check_seal(path)
+        check_intact(path)
         with h5py.File(path, "r") as file:
             return _read(path, file)
     except (OSError, KeyError, ValueError, TypeError, RuntimeError) as fault:
@@ -168,19 +167,6 @@ def _read(path: Path, file: Any) -> Record:
         source=str(path),
         tracked=_text(file["casing"].attrs.get("sigma_source")) == "measured",
     )
-
-
-def _check_seal(path: Path) -> None:
-    """Refuse a file whose last line, a hash of all before it, is not true: HDF5 may never return from such a one."""
-    content = path.read_bytes()
-    seal = content[-_SEAL:]
-    if (
-        seal.startswith(_MARK)
-        and seal[len(_MARK) : -1] != hashlib.sha256(content[:-_SEAL]).hexdigest().encode()
-    ):
-        raise RecordError(
-            f"{path} is damaged: its checksum is not that of its contents", "fetch a fresh copy"
-        )
 
 
 def make_record(

@@ -5,6 +5,7 @@ python benchmarks/robustness/mutate_clips.py --work /tmp/robust --count 1000
 
 import argparse
 import importlib.util
+import os
 import sys
 import time
 from collections import Counter
@@ -18,18 +19,29 @@ from gyrotrack.dataset.inspection import inspect_file
 
 LIMIT_S = 30.0
 LIMIT_MB = 1000.0
+FRAMES = 60
 
 
-def base_films(work, frames=60):
-    """Films of so many frames in four containers and three codecs, by the tests' own renderer."""
+BASES = (
+    (".mp4", "libx264"),
+    (".mkv", "libx264"),
+    (".mov", "mpeg4"),
+    (".avi", "mjpeg"),
+    (".webm", "libvpx-vp9"),
+    (".mp4", "libx265"),
+)
+
+
+def base_films(work, frames=FRAMES):
+    """Films of so many frames in five containers and five codecs, by the tests' own renderer."""
     spec = importlib.util.spec_from_file_location("foreign_film", ROOT / "tests/gyrotrack/foreign_film.py")
     module = importlib.util.module_from_spec(spec)
     sys.modules["foreign_film"] = module
     spec.loader.exec_module(module)
     work.mkdir(parents=True, exist_ok=True)
     made = []
-    for suffix in (".mp4", ".mkv", ".mov", ".avi"):
-        path = work / f"base{suffix}"
+    for suffix, codec in BASES:
+        path = work / f"base_{codec}{suffix}"
         if not path.exists():
             film = module.Film(
                 width=240,
@@ -38,6 +50,8 @@ def base_films(work, frames=60):
                 frames=frames,
                 casing=lambda t: 60.0 * t,
                 rotor=lambda t: 300.0 * t,
+                codec=codec,
+                pixel_format="yuvj420p" if codec == "mjpeg" else "yuv420p",
             )
             module.render(film, path)
         made.append(path)
@@ -60,16 +74,19 @@ def main():
     )
     asked = parser.parse_args()
     began = time.monotonic()
-    bases = [(p.suffix, p.read_bytes()) for p in base_films(asked.work)]
+    bases = [(p.suffix, p.stem, p.read_bytes()) for p in base_films(asked.work / "bases")]
+    place = asked.work / f"clips_{os.getpid()}"
+    place.mkdir()
     outcomes, bad, slowest, largest, child = Counter(), [], 0.0, 0.0, Child()
+    lost = Counter()
     done = 0
     for seed in range(asked.count):
         if time.monotonic() - began > 60 * asked.minutes:
             break
         done += 1
-        suffix, content = bases[(seed // 5) % len(bases)]
+        suffix, stem, content = bases[(seed // 5) % len(bases)]
         kind, data = mutate(content, seed)
-        film, output = asked.work / f"mutated{suffix}", asked.work / "mutated.h5"
+        film, output = place / f"mutated{suffix}", place / "mutated.h5"
         film.write_bytes(data)
         output.unlink(missing_ok=True)
         start = time.monotonic()
@@ -80,11 +97,14 @@ def main():
             problems = inspect_file(output, verify=True).problems
             outcomes["sound result" if not problems else "unsound result"] += 1
             if problems:
-                bad.append((seed, suffix, kind, problems[0]))
+                bad.append((seed, stem + suffix, kind, problems[0]))
+            elif answer["document"]["frames"] != FRAMES:
+                told = bool(answer["document"]["warnings"])
+                lost["told" if told else f"not told, {suffix}"] += 1
         else:
             outcomes[f"sentence ({error['code']})"] += 1
             if error["code"] in {"crash", "timeout", "bug"} or output.exists():
-                bad.append((seed, suffix, kind, error["message"]))
+                bad.append((seed, stem + suffix, kind, error["message"]))
         if child.pid is not None:
             largest = max(largest, peak_mb(child))
             if largest > LIMIT_MB or seed % 100 == 99:
@@ -95,6 +115,7 @@ def main():
         began,
         count=done,
         outcomes=dict(outcomes),
+        sound_results_with_fewer_frames=dict(lost),
         failures=len(bad),
         first_failures=bad[:10],
         slowest_s=round(slowest, 2),

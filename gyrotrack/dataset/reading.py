@@ -16,6 +16,7 @@ import h5py
 from gyrotrack.dataset import layout
 from gyrotrack.dataset.case import load_case
 from gyrotrack.dataset.guard import guarded
+from gyrotrack.dataset.heap import has_endless_heap
 from gyrotrack.dataset.recording import load_json, load_recording
 from gyrotrack.dataset.records import Case, Recording
 from gyrotrack.dataset.seal import is_broken
@@ -84,6 +85,8 @@ def open_dataset(path: Path, kind: str | None = None) -> Iterator[Any]:
     _check_signature(path)
     if is_broken(path):
         raise DatasetError(f"{path} is damaged: its checksum is not that of its contents.", _MAKE_AGAIN)
+    if has_endless_heap(path):
+        raise DatasetError(f"{path} is damaged: its texts run in circles.", _MAKE_AGAIN)
     try:
         file = h5py.File(path, "r")
     except OSError as error:

@@ -10,7 +10,8 @@ from fitting.errors import RecordError
 from fitting.record import read_record
 from gyrotrack.cli import app
 from gyrotrack.dataset import read_case, read_recording, write_recording
-from gyrotrack.dataset.seal import LENGTH
+from gyrotrack.dataset.heap import has_endless_heap
+from gyrotrack.dataset.seal import LENGTH, sealed
 from gyrotrack.errors import DatasetError
 
 
@@ -51,12 +52,28 @@ def test_others_read_on_and_may_change_the_file(tmp_path, recording):
     assert read_recording(path).frames_decoded == recording.frames_decoded
 
 
-def test_a_heap_that_runs_in_circles_is_not_entered(file):
-    """A byte in the heap of texts with which HDF5 2.0 never returned from reading an attribute."""
+@pytest.mark.parametrize("seal", ["broken", "none", "true"])
+def test_a_heap_that_runs_in_circles_is_not_entered(file, seal):
+    """Bytes in the heap of texts with which HDF5 2.0 never returns from reading an attribute."""
     whole = file.read_bytes()
     place = whole.index(b"GCOL") + 18
-    file.write_bytes(whole[:place] + b"\x00" * 64 + whole[place + 64 :])
-    with pytest.raises(DatasetError, match="checksum"):
+    wrong = whole[:place] + b"\x00" * 64 + whole[place + 64 :]
+    if seal != "broken":
+        wrong = wrong[:-LENGTH]
+    file.write_bytes(wrong + (sealed(wrong) if seal == "true" else b""))
+    words = "checksum" if seal == "broken" else "circles"
+    with pytest.raises(DatasetError, match=words):
         read_case(file)
-    with pytest.raises(RecordError, match="checksum"):
+    with pytest.raises(RecordError, match=words):
         read_record(file)
+
+
+def test_a_heap_is_found_where_blocks_of_the_file_meet(tmp_path, monkeypatch):
+    heap = b"GCOL\x01\x00\x00\x00" + (4096).to_bytes(8, "little") + bytes(4080)
+    sound = heap[:24] + (4080).to_bytes(8, "little") + heap[32:]
+    monkeypatch.setattr("gyrotrack.dataset.heap._BLOCK", 64)
+    for before in range(50, 70):
+        (tmp_path / "f").write_bytes(bytes(before) + heap)
+        assert has_endless_heap(tmp_path / "f")
+        (tmp_path / "f").write_bytes(bytes(before) + sound)
+        assert not has_endless_heap(tmp_path / "f")
