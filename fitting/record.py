@@ -89,6 +89,11 @@ class Record:
         return not self.rotor
 
     @property
+    def body(self) -> str:
+        """What people call the body in the casing's place: "casing", or "body" where only one was recorded."""
+        return "body" if self.single else "casing"
+
+    @property
     def span(self) -> tuple[float, float]:
         """The first and the last time of any sample [s]."""
         ends = [(s.time[0], s.time[-1]) for s in (self.casing, *self.rotor)]
@@ -191,9 +196,10 @@ def make_record(
     RecordError
         If too few samples are left, or times do not grow.
     """
-    runs = [_clean(*casing, what="casing"), *(_clean(*r, what="rotor") for r in rotor)]
+    runs = [_clean(*casing, what="body" if single else "casing"), *(_clean(*r, what="rotor") for r in rotor)]
     if len(runs[0]) < 60:
-        raise RecordError(f"{label}: the casing has {len(runs[0])} usable samples; at least 60 are needed")
+        body = "body" if single else "casing"
+        raise RecordError(f"{label}: the {body} has {len(runs[0])} usable samples; at least 60 are needed")
     windows = tuple(r for r in runs[1:] if len(r) >= _FEWEST[quantity])
     if not windows and not single:
         raise RecordError(

@@ -2,8 +2,8 @@
 
     python benchmarks/robustness/kill.py --work /tmp/robust --count 50
 
-`--count` kills that land for each of the four: a moment after the command had ended is drawn again. An earlier
-output is there each time; after each kill every output must be either the earlier one, byte for byte, or a new
+`--count` kills that land for each of the four: a moment is drawn over the time that the command took when it
+last ran to its end, and again where it came too late. An earlier output is there each time; after each kill every output must be either the earlier one, byte for byte, or a new
 one that is sound; then the same command must complete.
 """
 
@@ -20,9 +20,11 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from common import ROOT, ensure, films, gyrotrack, report
+from common import ROOT, commit, ensure, films, gyrotrack, report
 
 from gyrotrack.dataset.inspection import inspect_file
+
+VERBS = ("extract", "sync", "fit", "batch")
 
 
 def sound(path):
@@ -60,7 +62,7 @@ def finish(words):
 
 
 def trial(verb, words, folder, moment, rung_count):
-    """Kill once; return what became of the outputs, and what was wrong."""
+    """Kill once; return whether it was in time, what was wrong, and how long the next run took [s]."""
     before = states(folder)
     process = begin(words)
     try:
@@ -83,13 +85,15 @@ def trial(verb, words, folder, moment, rung_count):
         count = rung_count(folder)
         if count < rung_count.before:
             wrong.append("an earlier fit was lost")
+    start = time.monotonic()
     code = finish(words)
+    seconds = time.monotonic() - start
     if code not in {0, 3}:
         wrong.append(f"the next run ended with {code}")
     wrong += [f"{p.name} is not sound after the next run" for p in states(folder) if not sound(p)]
     left = [p.name for p in folder.rglob("*") if p.name.endswith((".part", ".unfinished"))]
     wrong += [f"{name} was left behind" for name in left]
-    return landed, wrong
+    return landed, wrong, seconds
 
 
 def rungs(folder):
@@ -103,23 +107,29 @@ def main():
     parser.add_argument("--work", type=Path, required=True)
     parser.add_argument("--count", type=int, default=50)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--verbs", nargs="+", default=VERBS, choices=VERBS)
+    parser.add_argument(
+        "--minutes", type=float, default=1e9, help="stop early; another run goes on from there"
+    )
     asked = parser.parse_args()
     began = time.monotonic()
     clips = films(asked.work)
     chance = random.Random(asked.seed)  # noqa: S311 - moments, not secrets
     place = asked.work / "kill"
-    shutil.rmtree(place, ignore_errors=True)
     jobs = {}
-    for verb in ("extract", "sync", "fit", "batch"):
+    for verb in asked.verbs:
+        shutil.rmtree(place / verb, ignore_errors=True)
         (place / verb).mkdir(parents=True)
-    sources = place / "sources"
+    sources = place / f"sources_{asked.verbs[0]}"
+    shutil.rmtree(sources, ignore_errors=True)
     sources.mkdir()
     for name, fps in (("casing", "260"), ("rotor_1", "500")):
         code, said = gyrotrack(
             "extract", clips / f"{name}.mp4", "--capture-fps", fps, "-o", sources / f"{name}.h5"
         )
         ensure(code == 0, str(said))
-    shutil.copy(sources / "rotor_1.h5", place / "extract" / "r.h5")
+    if "extract" in asked.verbs:
+        shutil.copy(sources / "rotor_1.h5", place / "extract" / "r.h5")
     film = clips / "rotor_1.mp4"
     jobs["extract"] = [
         "extract",
@@ -133,30 +143,47 @@ def main():
     ]
     both = [sources / "casing.h5", sources / "rotor_1.h5"]
     jobs["sync"] = ["sync", *both, "-o", place / "sync/c.h5", "--force"]
-    shutil.copy(asked.work / "run.h5", place / "fit" / "run.h5")
+    if "fit" in asked.verbs:
+        shutil.copy(asked.work / "run.h5", place / "fit" / "run.h5")
     jobs["fit"] = ["fit", place / "fit/run.h5", "--model", "reduced"]
     few = place / "few"
-    few.mkdir()
+    few.mkdir(exist_ok=True)
     shutil.copy(film, few / "a_500fps.mp4")
     shutil.copy(clips / "rotor_2.mp4", few / "b_500fps.mp4")
     jobs["batch"] = ["batch", few, "-o", place / "batch", "--until", "extract", "--workers", "2"]
-    counts, bad, took = {}, [], {}
-    for verb, words in jobs.items():
-        start = time.monotonic()
-        ensure(finish(words) == 0, verb)
-        took[verb] = time.monotonic() - start
-        landed = Counter()
-        while landed["killed"] < asked.count:
-            folder = place / verb
+    record = asked.work / "kill.jsonl"  # a line a trial, so that a run can be cut into pieces
+    for verb in asked.verbs:
+        folder = place / verb
+        seconds = timed(verb, jobs[verb])
+        while told(record)[verb]["killed"] < asked.count and time.monotonic() - began < 60 * asked.minutes:
             if verb == "batch":  # something to do each time, and something done before
                 (folder / "b_500fps" / "b_500fps.h5").unlink()
             rungs.before = rungs(folder) if verb == "fit" else 0
-            how, wrong = trial(verb, words, folder, chance.uniform(0.0, took[verb]), rungs)
-            landed[how] += 1
-            bad += [(verb, landed.total(), w) for w in wrong]
-        counts[verb] = dict(landed)
-    killed = sum(c.get("killed", 0) for c in counts.values())
-    report("kill -9", began, kills=killed, moments=counts, failures=len(bad), first_failures=bad[:10])
+            moment = chance.uniform(0.0, seconds)
+            how, wrong, seconds = trial(verb, jobs[verb], folder, moment, rungs)
+            line = {"verb": verb, "how": how, "moment": round(moment, 3), "wrong": wrong, "commit": commit()}
+            with record.open("a") as stream:
+                stream.write(json.dumps(line) + "\n")
+    moments = told(record)
+    killed = sum(c["killed"] for c in moments.values())
+    bad = [line for line in map(json.loads, record.read_text().splitlines()) if line["wrong"]]
+    report("kill -9", began, kills=killed, moments=moments, failures=len(bad), first_failures=bad[:10])
+
+
+def timed(verb, words):
+    """Run a command to its end; return how long it took [s]."""
+    start = time.monotonic()
+    ensure(finish(words) == 0, verb)
+    return time.monotonic() - start
+
+
+def told(record):
+    """Return how many trials of each kind there have been."""
+    lines = map(json.loads, record.read_text().splitlines()) if record.exists() else ()
+    counts = {verb: Counter() for verb in VERBS}
+    for line in lines:
+        counts[line["verb"]][line["how"]] += 1
+    return counts
 
 
 if __name__ == "__main__":

@@ -48,6 +48,8 @@ class Failure:
         Mean torque that the model lacks; amplitude of a ripple.
     omega_c : tuple of float
         The casing's lowest and highest speed in the stretch [rad/s].
+    called : str
+        What people call the body: "body" in the casing's place where only one was recorded.
     """
 
     label: str
@@ -60,16 +62,17 @@ class Failure:
     residual_rad_s: float
     residual_torque_Nm: float  # noqa: N815 - the unit's own capitals
     omega_c: tuple[float, float]
+    called: str
 
     def __str__(self) -> str:
         if self.kind == "ripple":
             return (
-                f"{self.where} the casing feels a torque of {self.residual_torque_Nm:.2g} N m that the model "
+                f"{self.where} the {self.called} feels a torque of {self.residual_torque_Nm:.2g} N m that the model "
                 f"does not have ({self.size_sigma:.0f} sigma)"
             )
         verb = "loses" if self.residual_torque_Nm < 0 else "gains"
         return (
-            f"from {self.t_start:.1f} s to {self.t_stop:.1f} s, {self.where}, the {self.body} {verb} "
+            f"from {self.t_start:.1f} s to {self.t_stop:.1f} s, {self.where}, the {self.called} {verb} "
             f"{abs(self.residual_torque_Nm):.2g} N m more than the model says ({self.size_sigma:.0f} sigma)"
         )
 
@@ -118,7 +121,7 @@ def _ripple(fit: Fit, wave: Ripple, n: int) -> list[Failure]:
     return [
         Failure(
             wave.label, "casing", *span, "ripple", _TURNS[n], size, swing, amplitude,
-            (float(speed.min()), float(speed.max())),
+            (float(speed.min()), float(speed.max())), record.body,
         )
     ]  # fmt: skip
 
@@ -126,6 +129,8 @@ def _ripple(fit: Fit, wave: Ripple, n: int) -> list[Failure]:
 def _stretches(fit: Fit, curve: ResidualTorque) -> list[Failure]:
     ratio = curve.torque / np.maximum(curve.sigma, 1e-300)
     outside = np.abs(ratio) > _BAND
+    record = fit.problem.data[fit.labels.index(curve.label)].record
+    called = record.body if curve.body == "casing" else curve.body
     change = np.flatnonzero(np.diff(np.sign(ratio) * outside) != 0) + 1
     edges = np.concatenate([[0], change, [len(ratio)]])
     span = curve.time[-1] - curve.time[0]
@@ -149,6 +154,7 @@ def _stretches(fit: Fit, curve: ResidualTorque) -> list[Failure]:
                 _speed_misfit(fit, curve, a, b),
                 mean,
                 (float(curve.omega_c[a:b].min()), float(curve.omega_c[a:b].max())),
+                called,
             )
         )
     return failures

@@ -28,7 +28,9 @@ def fit_html(fit: Fit) -> str:
     merits = [
         (c.label, name, *(f"{v:.4g}" for v in (body.r2, body.rmse, body.reduced_chi2, body.held_out)))
         for c in fit.cases
-        for name, body in (("casing", c.casing), ("rotor", c.rotor))
+        for name, body in (
+            [("body", c.casing)] if math.isnan(c.rotor.rmse) else [("casing", c.casing), ("rotor", c.rotor)]
+        )
     ]
     numbers = [
         (name, rounded(e.value, e.stderr, e.unit).replace("+-", "±"), "on its bound" if e.at_bound else "")
@@ -48,7 +50,7 @@ def diagnosis_html(d: Diagnosis) -> str:
     failures = [
         (
             f.label,
-            f.body,
+            f.called,
             f"{f.t_start:.1f} – {f.t_stop:.1f}",
             f"{f.residual_torque_Nm:.2g}",
             f"{f.residual_rad_s:.2g}",

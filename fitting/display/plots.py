@@ -30,20 +30,23 @@ _MOST = 10
 def plot_fit(fit: Fit) -> Figure:
     """Draw each case of a fit: speeds measured and modelled, and what the model leaves, with bands of 2 sigma."""
     cases = len(fit.problem.data)
-    figure = _figure(4.2 * cases + 3.0, 8.0)
-    axes = figure.subplots(4, cases, squeeze=False, height_ratios=[1.3, 1, 1.3, 1])
+    alone = all(d.record.single for d in fit.problem.data)
+    figure = _figure(4.2 * cases + 3.0, 4.0 if alone else 8.0)
+    heights = [1.3, 1] if alone else [1.3, 1, 1.3, 1]
+    axes = figure.subplots(len(heights), cases, squeeze=False, height_ratios=heights)
     for i, data in enumerate(fit.problem.data):
         casing, rotor = misfits(fit, i)
         record = data.record
         _speed(axes[0, i], fit, i, CASING, [speeds(record.casing, record.quantity)])
         _left(axes[1, i], [casing])
-        _speed(axes[2, i], fit, i, ROTOR, [speeds(w, record.quantity) for w in record.rotor])
-        _left(axes[3, i], rotor)
         axes[0, i].set_title(_plain(record.label))
         axes[0, i].set_ylabel(r"$\omega_c$ [rad/s]")
         axes[1, i].set_ylabel(r"$\omega_c$: data $-$ model [rad/s]")
-        axes[2, i].set_ylabel(r"$\omega_r$ [rad/s]")
-        axes[3, i].set_ylabel(r"$\omega_r$: data $-$ model [rad/s]")
+        if not alone:
+            _speed(axes[2, i], fit, i, ROTOR, [speeds(w, record.quantity) for w in record.rotor])
+            _left(axes[3, i], rotor)
+            axes[2, i].set_ylabel(r"$\omega_r$ [rad/s]")
+            axes[3, i].set_ylabel(r"$\omega_r$: data $-$ model [rad/s]")
         for ax in axes[:, i]:
             ax.set_xlabel("time [s]")
             ax.legend(fontsize="small", frameon=False)
@@ -74,7 +77,10 @@ def plot_ladder(rungs: Sequence[Rung]) -> Figure:
     figure = _figure(8.0, 1.6 + 0.4 * len(rungs))
     left, right = figure.subplots(1, 2, sharey=True)
     names = [_plain(r.change or "base") for r in rungs]
-    errors = (("rmse", "rms error of the casing [rad/s]"), ("held_out", "held-out error [noise]"))
+    errors = (
+        ("rmse", f"rms error of the {rungs[0].fit.problem.data[0].record.body} [rad/s]"),
+        ("held_out", "held-out error [noise]"),
+    )
     for ax, (name, title) in zip((left, right), errors, strict=True):
         values = [np.sqrt(np.mean([getattr(c.casing, name) ** 2 for c in r.fit.cases])) for r in rungs]
         ax.barh(range(len(rungs)), values, color=[VERMILLION, *[BLUE] * (len(rungs) - 1)])

@@ -70,8 +70,9 @@ def account_lines(fit: Account) -> list[str]:
     """Return how well a fit describes its data, then its parameters, as lines of at most 80 columns."""
     lines = [f"{'':<12}{'R2':>10}{'rmse [rad/s]':>14}{'chi2/n':>12}{'held out':>11}"]
     for case in fit.cases:
-        for name, body in (("casing", case.casing), ("rotor", case.rotor)):
-            if math.isnan(body.rmse):  # a body that this record does not have
+        alone = math.isnan(case.rotor.rmse)  # the record of one body has none of a rotor
+        for name, body in (("body" if alone else "casing", case.casing), ("rotor", case.rotor)):
+            if math.isnan(body.rmse):
                 continue
             title = f"{case.label[:5]} {name}" if len(fit.cases) > 1 else name
             lines.append(

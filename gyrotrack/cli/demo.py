@@ -89,7 +89,7 @@ def _study(out: Output, case: Path, output: Path, film: Path) -> dict[str, Any]:
     rungs = improve(base, first=diagnosis.candidates)
     kept = study.keep(rungs, first.fit_id)
     steps = [entry.document["rung"] for entry in kept]
-    out.show(*ladder_tables(steps))
+    out.show(*ladder_tables(steps, study.data[0].record.body))
     out.show(f"\n6. The report\n\n$ gyrotrack report {case} -o {output / 'report.html'}")
     report = write_report(
         output / "report.html",

@@ -35,7 +35,7 @@ def command(
     steps = [entry.document["rung"] for entry in kept]
     verdict = ladder_verdict(rungs)
     out.result({"ladder": steps, "final": fit_document(rungs[-1].fit, kept[-1].fit_id), "verdict": verdict})
-    out.show(*ladder_tables(steps), f"verdict: {_WORDS[verdict]}")
+    out.show(*ladder_tables(steps, study.data[0].record.body), f"verdict: {_WORDS[verdict]}")
 
 
 _WORDS = {

@@ -80,7 +80,7 @@ def _case_lines(holds: dict[str, Any]) -> list[str]:
         f"inertia  {_inertia(holds)} kg m2",
         f"measured {'angles' if holds['quantity'] == 'angle' else 'angular velocities'}",
         "",
-        _HEADER,
+        _HEADER if holds["quantity"] == "angle" else _HEADER.replace("  sigma [mrad]", "sigma [mrad/s]"),
         _motion_line("casing" if holds["bodies"] == "two" else "body", holds["casing"]),
     ]
     lines += [_motion_line(f"rotor {w['window']}", w) for w in holds["rotor"]["windows"]]
@@ -125,14 +125,14 @@ def _recording_lines(holds: dict[str, Any]) -> list[str]:
 
 
 _WORDS = {"ok": "ok", "blurred": "blurred", "occluded": "occluded", "outside": "out_of_frame", "lost": "lost"}
-_HEADER = f"{'':<10}{'samples':>9}{'time [s]':>20}{'speed [rad/s]':>20}{'sigma [mrad]':>14}"
+_HEADER = f"{'':<10}{'samples':>9}{'time [s]':>20}{'speed [rad/s]':>20}{'sigma [mrad]':>16}"
 
 
 def _motion_line(name: str, motion: dict[str, Any]) -> str:
     time = _span(motion["t_start"], motion["t_stop"], 3)
     speed = _span(motion["omega_min"], motion["omega_max"], 1)
     sigma = f"{1e3 * motion['median_sigma']:.2f}" if motion["median_sigma"] is not None else "-"
-    return f"{name:<10}{motion['samples']:>9}{time:>20}{speed:>20}{sigma:>14}"
+    return f"{name:<10}{motion['samples']:>9}{time:>20}{speed:>20}{sigma:>16}"
 
 
 def _span(low: float | None, high: float | None, digits: int) -> str:

@@ -30,4 +30,4 @@ def command(
         raise DatasetError("There is no fit of these cases yet.", "Make one with `gyrotrack fit`.")
     rungs = [{**e.document["rung"], "parent": e.document.get("parent", "")} for e in entries]
     out.result({"ladder": rungs})
-    out.show(*ladder_tables(rungs))
+    out.show(*ladder_tables(rungs, study.data[0].record.body))

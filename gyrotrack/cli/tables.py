@@ -66,7 +66,7 @@ def diagnosis_tables(d: Diagnosis, fit_id: str) -> list[str]:
         for f in d.failures:
             time = f"{f.t_start:.1f} - {f.t_stop:.1f}"
             lines.append(
-                f"  {f.label[:9]:<10}{f.body:<8}{time:>16}"
+                f"  {f.label[:9]:<10}{f.called:<8}{time:>16}"
                 f"{f.residual_torque_Nm:>14.2g}{f.residual_rad_s:>15.2g}{f.size_sigma:>7.0f}"
             )
         lines += _curves(d)
@@ -92,6 +92,7 @@ def _curves(d: Diagnosis) -> list[str]:
     from gyrotrack.cli.sparkline import marks, sparkline
 
     lines = []
+    body = d.fit.problem.data[0].record.body
     for t in d.torques:
         stretches = [(f.t_start, f.t_stop) for f in d.failures if f.label == t.label and f.body == t.body]
         if t.body != "casing" or not stretches:
@@ -100,7 +101,7 @@ def _curves(d: Diagnosis) -> list[str]:
         label = f", {t.label[:12]}" if len({x.label for x in d.torques}) > 1 else ""
         lines += [
             "",
-            f"missing torque on the casing{label}, {_range(t)}, from {start:.0f} s to {stop:.0f} s:",
+            f"missing torque on the {body}{label}, {_range(t)}, from {start:.0f} s to {stop:.0f} s:",
             f"  {sparkline(t.torque)}",
             f"  {marks(stretches, start, stop)}".rstrip() + "  fails",
         ]
@@ -121,8 +122,8 @@ def _classes(candidates: Sequence[Any]) -> dict[str, str]:
     return letters
 
 
-def ladder_tables(rungs: Sequence[dict[str, Any]]) -> list[str]:
-    """Return a ladder as lines: a bar a rung, the error falling."""
+def ladder_tables(rungs: Sequence[dict[str, Any]], body: str = "casing") -> list[str]:
+    """Return a ladder as lines: a bar a rung, the error falling; `body` is what was filmed from end to end."""
     lines = [f"{'fit':<5}{'rmse':>9} {'chi2/n':>9} {'held out':>9} {'dBIC':>9}  {'':<{_BAR}}", ""]
     sizes = [max(r["rmse_casing"], 1e-300) for r in rungs]
     for r, size in zip(rungs, sizes, strict=True):
@@ -137,7 +138,7 @@ def ladder_tables(rungs: Sequence[dict[str, Any]]) -> list[str]:
         )
     lines += [
         "",
-        "rmse of the casing's speed [rad/s];",
+        f"rmse of the {body}'s speed [rad/s];",
         "held-out error in units of the noise (1 is as good as can be)",
     ]
     return ["\n".join(lines)]

@@ -105,7 +105,8 @@ def describe_case(case: Case) -> dict[str, Any]:
         name: getattr(case, name)
         for name in ("label", "surface", "I_rotor", "I_casing", "quantity", "bodies")
     }
-    out["casing"] = {**describe_motion(case.casing), "sigma_source": case.casing.sigma_source}
+    key = "omega_sigma" if case.quantity == "omega" else "sigma"
+    out["casing"] = {**describe_motion(case.casing, key=key), "sigma_source": case.casing.sigma_source}
     windows = (
         case.rotor.window if case.rotor.window is not None else np.zeros(len(case.rotor.time), dtype=int)
     )
@@ -113,7 +114,7 @@ def describe_case(case: Case) -> dict[str, Any]:
         "samples": len(case.rotor.time),
         "sigma_source": case.rotor.sigma_source,
         "windows": [
-            {"window": int(k), **describe_motion(case.rotor, windows == k)} for k in np.unique(windows)
+            {"window": int(k), **describe_motion(case.rotor, windows == k, key)} for k in np.unique(windows)
         ],
     }
     out["rotor_generated"] = case.rotor_generated is not None
@@ -127,9 +128,11 @@ def describe_case(case: Case) -> dict[str, Any]:
     return out
 
 
-def describe_motion(track: BodyTrack | Series, chosen: Any = slice(None)) -> dict[str, Any]:
-    """Return when a body was seen, how fast it turned, and how well that is known."""
-    time, omega, sigma = track.time[chosen], track.omega[chosen], track.sigma[chosen]
+def describe_motion(
+    track: BodyTrack | Series, chosen: Any = slice(None), key: str = "sigma"
+) -> dict[str, Any]:
+    """Return when a body was seen, how fast it turned, and how well that is known (`key`: angle or speed)."""
+    time, omega, sigma = track.time[chosen], track.omega[chosen], getattr(track, key)[chosen]
     fast = omega[np.isfinite(omega)]
     known = sigma[np.isfinite(sigma)]
     return {

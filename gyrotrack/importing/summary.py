@@ -15,11 +15,12 @@ def summary(case: Case) -> dict[str, Any]:
     windows = (
         case.rotor.window if case.rotor.window is not None else np.zeros(len(case.rotor.time), dtype=int)
     )
-    rotor = [{"window": int(k), **_extent(case.rotor, windows == k)} for k in np.unique(windows)]
+    key = "omega_sigma" if case.quantity == "omega" else "sigma"
+    rotor = [{"window": int(k), **_extent(case.rotor, windows == k, key)} for k in np.unique(windows)]
     return {
         "label": case.label,
         "casing": {
-            **_extent(case.casing, np.ones(len(case.casing.time), dtype=bool)),
+            **_extent(case.casing, np.ones(len(case.casing.time), dtype=bool), key),
             "quantity": case.quantity,
             "sigma_source": case.casing.sigma_source,
         },
@@ -29,7 +30,7 @@ def summary(case: Case) -> dict[str, Any]:
     }
 
 
-def _extent(series: Series, chosen: npt.NDArray[np.bool_]) -> dict[str, Any]:
+def _extent(series: Series, chosen: npt.NDArray[np.bool_], key: str) -> dict[str, Any]:
     time, omega = series.time[chosen], series.omega[chosen]
     known = omega[np.isfinite(omega)]
     return {
@@ -38,5 +39,5 @@ def _extent(series: Series, chosen: npt.NDArray[np.bool_]) -> dict[str, Any]:
         "t_stop": float(time[-1]),
         "omega_min": float(known.min()) if len(known) else None,
         "omega_max": float(known.max()) if len(known) else None,
-        "median_sigma": float(np.median(series.sigma[chosen])),
+        "median_sigma": float(np.median(getattr(series, key)[chosen])),
     }

@@ -64,7 +64,7 @@ def case_board(
 
 def mark(failure: Failure) -> Mark:
     """Return the mark of a failing stretch."""
-    text = f"{failure.t_start:.1f}–{failure.t_stop:.1f} s, {failure.body}, {failure.size_sigma:.0f} σ"
+    text = f"{failure.t_start:.1f}–{failure.t_stop:.1f} s, {failure.called}, {failure.size_sigma:.0f} σ"
     return Mark(failure.t_start, failure.t_stop, text)
 
 
@@ -87,7 +87,7 @@ def _speed(view: CaseView, names: Sequence[str]) -> Chart:
     traces = [Trace("measured", view.casing.time, view.casing.value, _GREY, width=3.0)]
     for m, label, (colour, dash) in zip(view.models, names, _LOOKS, strict=False):
         traces.append(Trace(label, m.casing.time, m.casing.value, colour, m.casing.sigma, dash=dash))
-    return Chart("speed", "Speed of the casing", "rad/s", tuple(traces), motion_finding(view))
+    return Chart("speed", f"Speed of the {view.body}", "rad/s", tuple(traces), motion_finding(view))
 
 
 def _rotor(view: CaseView, names: Sequence[str]) -> Chart:
@@ -116,7 +116,10 @@ def _misfit(view: CaseView, body: str, names: Sequence[str]) -> Chart:
         found = misfit_traces(g, factor, colour, label)
         traces = [found[0], *traces[1:], found[1]]
     finding = misfit_finding(view) if body == "casing" else rotor_finding(view)
-    return Chart(f"misfit-{body}", f"Measured minus model, {body}", f"{prefix}rad/s", tuple(traces), finding)
+    called = view.body if body == "casing" else body
+    return Chart(
+        f"misfit-{body}", f"Measured minus model, {called}", f"{prefix}rad/s", tuple(traces), finding
+    )
 
 
 def _normalised(view: CaseView, names: Sequence[str]) -> Chart:
@@ -129,7 +132,7 @@ def _normalised(view: CaseView, names: Sequence[str]) -> Chart:
             traces.append(Trace("±2 σ", x.time, 0.0 * ones, _NOISE, ones, "band"))
         traces.append(Trace(label, x.time, z, colour, kind="points", width=1.2))
     return Chart(
-        "normalised", "Normalised residual, casing", "σ of noise", tuple(traces), misfit_finding(view)
+        "normalised", f"Normalised residual, {view.body}", "σ of noise", tuple(traces), misfit_finding(view)
     )
 
 
@@ -148,8 +151,13 @@ def _torque(view: CaseView, body: str, names: Sequence[str]) -> Chart:
     for s, colour in zip(view.suggested, _OTHERS, strict=False):
         if s.on(body).any():
             traces.append(Trace(s.name, s.time, factor * s.on(body), colour, width=1.2, dash=(6.0, 2.0)))
+    called = view.body if body == "casing" else body
     return Chart(
-        f"torque-{body}", f"Missing torque on the {body}", f"{prefix}N m", tuple(traces), torque_finding(view)
+        f"torque-{body}",
+        f"Missing torque on the {called}",
+        f"{prefix}N m",
+        tuple(traces),
+        torque_finding(view),
     )
 
 

@@ -86,6 +86,8 @@ class CaseView:
 
     Attributes
     ----------
+    body : str
+        What people call the body in the casing's place: "body" where only one was recorded.
     casing, rotor : Curve, tuple of Curve
         Measured speed, smoothed as in the paper [rad/s].
     models : tuple of Seen
@@ -103,6 +105,7 @@ class CaseView:
     label: str
     surface: str
     quantity: str
+    body: str
     casing: Curve
     rotor: tuple[Curve, ...]
     models: tuple[Seen, ...]
@@ -140,6 +143,7 @@ def case_view(
         label=record.label,
         surface=record.surface,
         quantity=record.quantity,
+        body=record.body,
         casing=_measured(*speeds(record.casing, record.quantity)),
         rotor=tuple(_measured(*speeds(w, record.quantity)) for w in record.rotor),
         models=tuple(_seen(f, t, index) for f, t in zip(fits, torques, strict=True)),

@@ -56,6 +56,11 @@ class Content:
     cases: tuple[CaseView, ...]
 
     @property
+    def body(self) -> str:
+        """What people call the body in the casing's place: "body" where only one was recorded."""
+        return self.cases[0].body
+
+    @property
     def improved(self) -> bool:
         """Whether there is a final model that differs from the base."""
         return len(self.steps) > 1

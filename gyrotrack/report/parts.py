@@ -61,7 +61,7 @@ def report_parts(
         ],
         "boards": [case_board(v, tracks.get(v.label), steps) for v in content.cases],
         "candidates": candidates_picture(content.candidates),
-        "candidate_rows": tables.candidate_rows(content.candidates),
+        "candidate_rows": tables.candidate_rows(content),
         "parameters": tables.parameter_rows(content),
         "plausibility": plausibility_rows(content.final),
         "correlation": correlation_picture(content),
@@ -79,13 +79,13 @@ def outcome(content: Content) -> str:
     from gyrotrack.report.figures.ladder import ladder_finding
 
     if not content.improved:
-        return ladder_finding(content.steps)
+        return ladder_finding(content)
     end = {
         "adequate": "What the final model leaves is noise.",
         "misfit": "The final model still misses something: take what was added as a hypothesis.",
         "not converged": "The final fit did not converge: do not trust its numbers.",
     }[content.final.verdict]
-    return f"{ladder_finding(content.steps)} {_found(content)} {end}"
+    return f"{ladder_finding(content)} {_found(content)} {end}"
 
 
 def _found(content: Content) -> str:
@@ -125,7 +125,6 @@ def _added(content: Content) -> list[tuple[str, Equation, str]]:
     found = []
     for i, effect in enumerate(e for e in content.final.model.effects if e.name in content.added):
         source = latex(effect.expression)
-        found.append(
-            (effect.name, Equation(effect.law, formula(source, f"added{i}", colour=AFTER)), effect.signature)
-        )
+        law = Equation(effect.law, formula(source, f"added{i}", colour=AFTER))
+        found.append((effect.name, law, effect.signature.replace("the casing", f"the {content.body}")))
     return found

@@ -42,6 +42,7 @@ def pdf(parts: Mapping[str, Any]) -> bytes:
         content = parts["content"]
         document |= {
             "improved": content.improved,
+            "body": content.body,
             "cases": len(content.cases),
             "surfaces": [[v.label, v.surface] for v in content.cases if v.surface],
             "next_experiment": content.next_experiment,

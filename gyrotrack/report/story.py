@@ -98,7 +98,7 @@ def _fall(ax: Axes, content: Content) -> None:
     steps = content.steps
     kinds = {
         "held-out error [noise]": (np.array([s.held_out for s in steps]), 1.0),
-        "rms error of the casing [rad/s]": (np.array([s.rmse for s in steps]), content.rmse_floor),
+        f"rms error of the {content.body} [rad/s]": (np.array([s.rmse for s in steps]), content.rmse_floor),
     }
     if steps[-1].torque_left > 0:
         kinds["torque that remains [N m]"] = (np.array([s.torque_left for s in steps]), steps[-1].torque_pure)

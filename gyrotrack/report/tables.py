@@ -13,7 +13,6 @@ from gyrotrack.report.content import Content
 from gyrotrack.report.notation import measured, probability, short
 
 if TYPE_CHECKING:
-    from fitting.discovery import Candidate
     from fitting.estimation import Estimate
     from gyrotrack.dataset import Recording
     from gyrotrack.dataset.records import Placement
@@ -136,7 +135,7 @@ def _note(e: Estimate, before: Estimate | None, *, undetermined: bool, fixed: bo
     return ""
 
 
-def candidate_rows(candidates: tuple[Candidate, ...]) -> list[CandidateRow]:
+def candidate_rows(content: Content) -> list[CandidateRow]:
     """Return the candidates, best first, each with its law drawn."""
     from fitting.expression import latex
     from gyrotrack.report.figures.mathematics import formula
@@ -145,7 +144,7 @@ def candidate_rows(candidates: tuple[Candidate, ...]) -> list[CandidateRow]:
         CandidateRow(
             effect=c.effect.name,
             kind="physics" if c.physical else "measurement",
-            joint=_JOINTS.get(c.effect.joint, c.effect.joint),
+            joint=(_JOINTS | {"casing": content.body}).get(c.effect.joint, c.effect.joint),
             score=short(c.score),
             delta_bic=short(c.delta_bic),
             p_value=probability(c.p_value),
@@ -156,7 +155,7 @@ def candidate_rows(candidates: tuple[Candidate, ...]) -> list[CandidateRow]:
             svg=formula(latex(c.effect.expression), f"law{i}", size=11.5),
             significant=c.significant,
         )
-        for i, c in enumerate(candidates)
+        for i, c in enumerate(content.candidates)
     ]
 
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 # title, unit, attribute
 _KINDS = (
-    ("rms error, casing", "rad/s", "rmse"),
+    ("rms error, {body}", "rad/s", "rmse"),
     (r"reduced $\chi^2$", "", "reduced_chi2"),
     ("held-out error", "noise", "held_out"),
     ("torque that remains", "N m", "torque_left"),
@@ -34,7 +34,7 @@ _KINDS = (
     ("change of BIC", "", "delta_bic"),
 )
 _WORDS = (
-    ("rmse", "rms error of the casing", " rad/s"),
+    ("rmse", "rms error of the {body}", " rad/s"),
     ("reduced_chi2", "reduced chi-square", ""),
     ("held_out", "held-out error", " times the noise"),
     ("torque_left", "torque that remains", " N m"),
@@ -53,11 +53,11 @@ def ladder_picture(content: Content) -> Picture:
         figure = canvas(WIDTH, 1.5 + 2 * (0.55 + 0.36 * len(steps)))
         axes = figure.subplots(2, 3, sharey=True)
         for ax, kind in zip(axes.flat, _KINDS, strict=True):
-            _bars(ax, steps, *kind, best.get(kind[2]))
+            _bars(ax, steps, kind[0].replace("{body}", content.body), *kind[1:], best.get(kind[2]))
         for ax in axes[:, 0]:
             ax.set_yticks(range(len(steps)), [plain(s.change, 30) for s in steps])
         axes[0, 0].invert_yaxis()
-        return picture("ladder", figure, _caption(content), ladder_finding(steps))
+        return picture("ladder", figure, _caption(content), ladder_finding(content))
 
 
 def _bars(ax: Axes, steps: tuple[Step, ...], title: str, unit: str, name: str, best: float | None) -> None:
@@ -117,12 +117,13 @@ def _caption(content: Content) -> str:
     )
 
 
-def ladder_finding(steps: tuple[Step, ...]) -> str:
+def ladder_finding(content: Content) -> str:
     """Return what the ladder says: every kind of error that fell clearly."""
+    steps = content.steps
     first, last = steps[0], steps[-1]
     if len(steps) == 1:
         return (
-            f"One fit: rms error of the casing {short(first.rmse)} rad/s, reduced chi-square "
+            f"One fit: rms error of the {content.body} {short(first.rmse)} rad/s, reduced chi-square "
             f"{short(first.reduced_chi2)}, held-out error {short(first.held_out)} times the noise."
         )
     said = []
@@ -130,7 +131,9 @@ def ladder_finding(steps: tuple[Step, ...]) -> str:
         before, after = getattr(first, name), getattr(last, name)
         if abs(before - after) > _CLEARLY * abs(before):
             end = "nothing above the noise" if after == 0 else f"{short(after)}{unit}"
-            said.append(f"the {words} goes from {short(before)}{unit} to {end}")
+            said.append(
+                f"the {words.replace('{body}', content.body)} goes from {short(before)}{unit} to {end}"
+            )
     return f"With {changes(steps)} " + ("; ".join(said) or "no error changes much") + "."
 
 

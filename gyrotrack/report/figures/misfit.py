@@ -104,7 +104,7 @@ def _caption(view: CaseView) -> str:
     width = float(np.median(view.models[0].casing_misfit.width))
     shaded = " Shaded: where the base model fails." if any(f.body == "casing" for f in view.failures) else ""
     return (
-        "Measured minus modelled angular velocity of the casing: mean slopes of the angle's misfit over "
+        f"Measured minus modelled angular velocity of the {view.body}: mean slopes of the angle's misfit over "
         f"{short(width, 2)} s, not smoothed.{shaded} "
         "Grey band: two standard deviations of what noise alone (of the angles and of random torques) "
         "makes after a fit."
@@ -117,7 +117,7 @@ def misfit_finding(view: CaseView) -> str:
     after = view.models[-1].casing_misfit if len(view.models) > 1 else None
     worst = int(np.argmax(np.abs(before.value)))
     text = (
-        f"The base model misses the casing's speed by up to {short(abs(float(before.value[worst])))} rad/s, "
+        f"The base model misses the {view.body}'s speed by up to {short(abs(float(before.value[worst])))} rad/s, "
         f"at {short(float(before.time[worst]))} s; rms {short(in_noise(before))} times the noise."
     )
     if after is not None:

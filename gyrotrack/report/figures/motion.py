@@ -42,7 +42,7 @@ def casing_picture(view: CaseView, name: str) -> Picture:
         legend(ax)
         largest = max(float(m.casing.sigma.max()) for m in view.models)
         caption = (
-            "Angular velocity of the casing, smoothed as in the paper (median over 51 points); of the "
+            f"Angular velocity of the {view.body}, smoothed as in the paper (median over 51 points); of the "
             "measured points the smallest and "
             f"largest in each bin are drawn. The models' own uncertainty is at most {short(largest, 2)} "
             "rad/s. "
@@ -79,7 +79,7 @@ def motion_finding(view: CaseView) -> str:
     """Return what the casing does."""
     peak = int(np.argmax(np.abs(view.casing.value)))
     return (
-        f"The casing's speed is {short(float(view.casing.value[0]))} rad/s at first, "
+        f"The {view.body}'s speed is {short(float(view.casing.value[0]))} rad/s at first, "
         f"{short(float(view.casing.value[peak]))} rad/s "
         f"at its peak at {short(float(view.casing.time[peak]))} s, and "
         f"{short(float(view.casing.value[-1]))} rad/s at the end; "

@@ -125,7 +125,7 @@ def energy_picture(view: CaseView, steps: tuple[str, ...], name: str) -> Picture
         return picture(
             name,
             figure,
-            "Kinetic energy plus everything that friction has taken must stay what it was. The casing's "
+            f"Kinetic energy plus everything that friction has taken must stay what it was. The {view.body}'s "
             "measured speed enters, so that a model that misses a torque drifts; "
             "the pale jitter is the noise of the measured speed, the line its running mean.",
             energy_finding(view),

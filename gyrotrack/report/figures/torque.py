@@ -56,9 +56,10 @@ def torque_picture(view: CaseView, name: str) -> Picture:
                 _against_speed(axes[row, 1], curve, factor, colour)
             _law(axes[row], view, body, factor)
             failing(axes[row, 0], view, body)
-            axes[row, 0].set_ylabel(f"torque on the {body} [{prefix}N m]", fontsize=10)
-            panel(axes[row, 0], "ac"[row], f"{body}, against time")
-            panel(axes[row, 1], "bd"[row], f"{body}, against the casing's speed")
+            called = view.body if body == "casing" else body
+            axes[row, 0].set_ylabel(f"torque on the {called} [{prefix}N m]", fontsize=10)
+            panel(axes[row, 0], "ac"[row], f"{called}, against time")
+            panel(axes[row, 1], "bd"[row], f"{called}, against the {view.body}'s speed")
             low, high = _limits(view, body, factor)
             axes[row, 0].set_ylim(low, high)
         axes[-1, 0].set_xlabel("time [s]")
@@ -136,8 +137,12 @@ def _caption(view: CaseView) -> str:
     text = (
         "Torque that the model lacks, inferred from the misfit without assuming a law; band: two "
         "standard deviations. "
-        "The rotor's is drawn only in and near its windows, where the data know it. "
-        "Against the speed, dashed is while the casing speeds up, full while it slows down: a friction "
+        + (
+            "The rotor's is drawn only in and near its windows, where the data know it. "
+            if view.rotor
+            else ""
+        )
+        + f"Against the speed, dashed is while the {view.body} speeds up, full while it slows down: a friction "
         "that depends on the speed alone gives one curve for both."
     )
     if view.supplied is not None:
@@ -160,7 +165,7 @@ def torque_finding(view: CaseView) -> str:
             continue
         outside = float(np.mean(np.abs(curve.torque) > 2 * curve.sigma))
         parts.append(
-            f"The {label} lacks up to {short(float(np.abs(curve.torque).max()), 2)} N m on the casing, "
+            f"The {label} lacks up to {short(float(np.abs(curve.torque).max()), 2)} N m on the {view.body}, "
             f"outside the band for {100 * outside:.0f} % of the time."
         )
     return " ".join(parts)

@@ -1,5 +1,8 @@
 """A wheel from a table to a report: no command asks for its rotor."""
 
+import html
+import re
+
 import numpy as np
 import pytest
 
@@ -23,9 +26,11 @@ def test_a_wheel(gyrotrack, wheel, tmp_path):
     assert said.code == 0
     assert said.json["sense"] == -1
     assert said.json["casing"]["omega_max"] == pytest.approx(60, rel=0.01)
+    assert said.json["casing"]["median_sigma"] == pytest.approx(0.03, rel=0.1)  # of the speeds [rad/s]
     said = gyrotrack("info", case, "--verify", "--json")
     assert said.json["sound"]
     assert said.json["bodies"] == "one"
+    assert said.json["casing"]["median_sigma"] == pytest.approx(0.03, rel=0.1)
     assert gyrotrack("fit", case).code == 0
     said = gyrotrack("improve", case, "--json")
     assert said.json["verdict"] == "missing_effect"
@@ -35,7 +40,17 @@ def test_a_wheel(gyrotrack, wheel, tmp_path):
     assert "rotor" not in gyrotrack("fit", case, "--add", "casing: -q*omega_c**3").out
     assert gyrotrack("export", case, "-o", tmp_path / "w.csv", "--json").json["rows"] == 1500
     assert gyrotrack("report", case, "-o", tmp_path / "w.html").code == 0
-    assert "one body 1500" in (tmp_path / "w.html").read_text()
+    page = (tmp_path / "w.html").read_text()
+    assert "one body 1500" in page
+    shown = html.unescape(re.sub(r"<[^>]+>", " ", page))
+    for verb in ("info", "fit", "diagnose", "ladder"):
+        said = gyrotrack(verb, case)
+        assert said.code == 0
+        shown += said.out
+    assert "the body loses" in shown
+    assert "rmse of the body's speed" in shown
+    # the names of laws begin with the joint that they act on; no sentence speaks of a casing or a rotor
+    assert not re.findall(r".{30}(?<!-)\b(?:[Cc]asing|[Rr]otor)\b(?!\.[a-z]|:).{30}", shown)
     said = gyrotrack("fit", case, "--add", "bearing.linear")
     assert said.code == 1
     assert "speaks of a rotor" in said.err
