@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from fitting.effects.typical import typical_of_model
 from fitting.model import INERTIA_CASING, INERTIA_ROTOR, Model
 from fitting.record import Record, Samples
 from fitting.simulation import Sampler
-from fitting.simulation.recording import Experiment, simulate_path
+from fitting.simulation.recording import Experiment, simulate, simulate_path
 from gyrotrack.angles import angular_velocity
 from gyrotrack.dataset import write_case
 from gyrotrack.dataset.records import Case, Series
+from gyrotrack.errors import UsageError
 from gyrotrack.synthetic import Camera, Light, Motion, Scene, render_clip
 
 _CASING_CLIP = "casing.mp4"
@@ -23,6 +25,7 @@ _EXPOSURE = 0.4
 _STORED_FPS = 25.0
 _TILT = 0.06
 _POINTS_PER_SECOND = 500
+_CASING_SPEED = 100.0  # rad/s at which an added effect has the torque that is asked for
 
 
 def write_record(
@@ -67,50 +70,132 @@ def _series(runs: list[Samples]) -> Series:
     )
 
 
-def draw_films(
-    folder: Path,
-    model: Model,
-    numbers: Mapping[str, float],
-    experiment: Experiment,
-    inertias: tuple[float, float],
-    seed: int,
-    *,
-    force: bool = False,
-    progress: Callable[[int, int | None], None] | None = None,
-) -> list[Path]:
-    """Draw the casing clip and the rotor clips of a simulated run.
+@dataclass(frozen=True)
+class SimulatedRun:
+    """All that a simulated run comes from.
 
-    Returns
-    -------
-    list of Path
-        ``casing.mp4``, ``rotor_1.mp4`` and so on; the rotor clips are stored at 25 frames a second.
+    Attributes
+    ----------
+    model : Model
+        The equations.
+    numbers : mapping of str to float
+        Its parameters [SI].
+    experiment : Experiment
+        How it is started and filmed.
+    inertias : tuple of float
+        Moments of inertia of rotor and casing [kg m2].
+    seed : int
+        Of all noise.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    values = {**model.constants, **numbers, INERTIA_ROTOR: inertias[0], INERTIA_CASING: inertias[1]}
-    motion = _motion(model, values, experiment)
-    clips = _clips(experiment)
-    total = sum(clip.frames for clip in clips)
-    done, written = 0, []
-    for clip in clips:
 
-        def count(k: int, _: int | None, before: int = done) -> None:
-            if progress is not None:
-                progress(before + k, total)
+    model: Model
+    numbers: Mapping[str, float]
+    experiment: Experiment
+    inertias: tuple[float, float]
+    seed: int
 
-        render_clip(
-            folder / clip.name,
-            Scene(),
-            motion,
-            clip.camera,
-            Light(),
-            frames=clip.frames,
-            seed=seed + done,
-            force=force,
-            progress=count,
+    @classmethod
+    def of(
+        cls,
+        model: Model,
+        strength: float,
+        experiment: Experiment,
+        inertias: tuple[float, float],
+        seed: int,
+        given: Sequence[str] = (),
+    ) -> SimulatedRun:
+        """Choose typical parameters for what is not given.
+
+        Parameters
+        ----------
+        strength : float
+            Torque of added effects over the budget of 1e-4 N m.
+        given : sequence of str
+            Parameters as ``casing.air.quadratic.k=1e-9``.
+
+        Raises
+        ------
+        UsageError
+            The model has effects of the measurement, or what is given is no parameter of it.
+        """
+        if model.measurement:
+            raise UsageError(
+                "Measurement effects cannot be simulated this way.",
+                "For a centre offset give --centre-offset.",
+            )
+        speeds = {"omega_r": 0.6 * experiment.omega_rotor, "omega_c": _CASING_SPEED}
+        numbers = typical_of_model(model.effects, strength, duration=experiment.duration, speeds=speeds)
+        return cls(model, numbers | _given(given, numbers), experiment, inertias, seed)
+
+    def record(self, label: str) -> Record:
+        """Integrate the motion and measure it, with all noise."""
+        return simulate(
+            self.model,
+            self.numbers,
+            self.experiment,
+            inertia_rotor=self.inertias[0],
+            inertia_casing=self.inertias[1],
+            seed=self.seed,
+            label=label,
         )
-        written.append(folder / clip.name)
-        done += clip.frames
-    return written
+
+    def films(
+        self,
+        folder: Path,
+        *,
+        force: bool = False,
+        progress: Callable[[int, int | None], None] | None = None,
+    ) -> list[Path]:
+        """Draw the casing clip and the rotor clips.
+
+        Returns
+        -------
+        list of Path
+            ``casing.mp4``, ``rotor_1.mp4`` and so on; the rotor clips are stored at 25 frames a second.
+        """
+        folder.mkdir(parents=True, exist_ok=True)
+        inertias = {INERTIA_ROTOR: self.inertias[0], INERTIA_CASING: self.inertias[1]}
+        motion = _motion(self.model, {**self.model.constants, **self.numbers, **inertias}, self.experiment)
+        clips = _clips(self.experiment)
+        total = sum(clip.frames for clip in clips)
+        done, written = 0, []
+        for clip in clips:
+
+            def count(k: int, _: int | None, before: int = done) -> None:
+                if progress is not None:
+                    progress(before + k, total)
+
+            render_clip(
+                folder / clip.name,
+                Scene(),
+                motion,
+                clip.camera,
+                Light(),
+                frames=clip.frames,
+                seed=self.seed + done,
+                force=force,
+                progress=count,
+            )
+            written.append(folder / clip.name)
+            done += clip.frames
+        return written
+
+
+def _given(items: Sequence[str], numbers: Mapping[str, float]) -> dict[str, float]:
+    """Read ``casing.air.quadratic.k=1e-9``."""
+    given = {}
+    for item in items:
+        key, equals, value = item.partition("=")
+        key = key.strip()
+        if not equals or key not in numbers:
+            raise UsageError(
+                f"{item[:60]!r} sets no parameter of the model.", f"It has: {', '.join(numbers)}."
+            )
+        try:
+            given[key] = float(value)
+        except ValueError:
+            raise UsageError(f"{value[:30]!r} is not a number.", f"Write for example {key}=1e-9.") from None
+    return given
 
 
 @dataclass(frozen=True)

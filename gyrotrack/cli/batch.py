@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -87,12 +88,6 @@ def command(
     if dry_run:
         return _say_plan(out, cases, steps, output)
 
-    def tell(step: Step, outcome: Outcome) -> None:
-        if outcome.state == "failed":
-            out.note(f"failed: {step.name}: {outcome.document.get('error', {}).get('message', '')}")
-        elif outcome.state == "done":
-            out.detail(f"{step.name}: {outcome.seconds:.1f} s")
-
     called = command_line()
     ended = work_off(
         cases,
@@ -102,10 +97,17 @@ def command(
         workers=workers,
         scheduler=scheduler,
         timeout=timeout,
-        tell=tell,
+        tell=partial(_say_step, out),
         bar=lambda: out.progress("working"),
     )
     return _say_end(out, ended, {"output": output, "command": called})
+
+
+def _say_step(out: Output, step: Step, outcome: Outcome) -> None:
+    if outcome.state == "failed":
+        out.note(f"failed: {step.name}: {outcome.document.get('error', {}).get('message', '')}")
+    elif outcome.state == "done":
+        out.detail(f"{step.name}: {outcome.seconds:.1f} s")
 
 
 def _say_end(out: Output, ended: Ended, facts: dict[str, Any]) -> int:

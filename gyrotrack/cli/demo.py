@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from time import perf_counter
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -19,6 +19,9 @@ from gyrotrack.cli.options import Json, Quiet
 from gyrotrack.cli.output import Output
 from gyrotrack.cli.tables import diagnosis_tables, fit_tables, ladder_tables
 from gyrotrack.errors import DatasetError, GyrotrackError
+
+if TYPE_CHECKING:
+    from fitting.discovery import Diagnosis, Rung
 
 _AT_ONCE = 2
 
@@ -65,14 +68,31 @@ def command(
 
 def _study(out: Output, case: Path, output: Path, film: Path) -> dict[str, Any]:
     """Fit, diagnose, improve and report; return what the program says of it."""
+    from gyrotrack.dataset import read_case
+    from gyrotrack.report import story_picture, write_report
+
+    rungs, diagnosis, document = _found(out, case)
+    out.show(f"\n6. The report\n\n$ gyrotrack report {case} -o {output / 'report.html'}")
+    report = write_report(
+        output / "report.html",
+        rungs,
+        diagnosis,
+        recordings=[read_case(case)],
+        provenance={"command": "gyrotrack demo"},
+        force=True,
+    )
+    picture = story_picture(rungs, diagnosis, output / "story.png", frame=_frame(film), force=True)
+    return {"case": case, "report": report, "picture": picture, **document}
+
+
+def _found(out: Output, case: Path) -> tuple[list[Rung], Diagnosis, dict[str, Any]]:
+    """Fit the reduced model, diagnose and improve it; return the ladder, the diagnosis, and both in JSON."""
     from fitting.discovery import diagnose, improve
     from fitting.effects import REDUCED
     from fitting.estimation import fit
     from fitting.ledger import Ledger
     from fitting.model import Model
     from fitting.summary import diagnosis_document, fit_document, ladder_verdict
-    from gyrotrack.dataset import read_case
-    from gyrotrack.report import story_picture, write_report
     from gyrotrack.study import open_study
 
     ledger = Ledger.beside(case).path
@@ -90,25 +110,16 @@ def _study(out: Output, case: Path, output: Path, film: Path) -> dict[str, Any]:
     kept = study.keep(rungs, first.fit_id)
     steps = [entry.document["rung"] for entry in kept]
     out.show(*ladder_tables(steps, study.data[0].record.body))
-    out.show(f"\n6. The report\n\n$ gyrotrack report {case} -o {output / 'report.html'}")
-    report = write_report(
-        output / "report.html",
+    return (
         rungs,
         diagnosis,
-        recordings=[read_case(case)],
-        provenance={"command": "gyrotrack demo"},
-        force=True,
+        {
+            "diagnosis": diagnosis_document(diagnosis, first.fit_id),
+            "ladder": steps,
+            "final": fit_document(rungs[-1].fit, kept[-1].fit_id),
+            "verdict": ladder_verdict(rungs),
+        },
     )
-    picture = story_picture(rungs, diagnosis, output / "story.png", frame=_frame(film), force=True)
-    return {
-        "case": case,
-        "report": report,
-        "picture": picture,
-        "diagnosis": diagnosis_document(diagnosis, first.fit_id),
-        "ladder": steps,
-        "final": fit_document(rungs[-1].fit, kept[-1].fit_id),
-        "verdict": ladder_verdict(rungs),
-    }
 
 
 def _frame(film: Path) -> Any:

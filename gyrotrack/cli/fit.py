@@ -76,10 +76,8 @@ def command(
 
     Example: gyrotrack fit case1.h5 --add casing.air.quadratic
     """
-    if (share or per_case) and not joint:
-        raise UsageError("--share and --per-case speak of a joint fit.", "Add --joint.")
-    if hold_out and not joint:
-        raise UsageError("--hold-out speaks of a joint fit.", "Add --joint.")
+    if (share or per_case or hold_out) and not joint:
+        raise UsageError("--share, --per-case and --hold-out speak of a joint fit.", "Add --joint.")
     if loss not in _LOSSES:
         raise UsageError(f"There is no loss named {loss[:40]!r}.", f"Losses: {', '.join(_LOSSES)}.")
     out = Output(as_json=as_json, quiet=quiet)
@@ -94,28 +92,30 @@ def command(
         held=_held(fix or ()),
         loss=loss,
     )
-    documents, trusted = [], True
+    documents = []
     for group in groups:
         study = open_study(group, ledger, data=data, rotor=rotor)
         with out.progress("fitting") as progress:
             progress(0, None)
             found, fit_id = wish.fit(study, start)
             intervals = _intervals(found, profile or ())
-            predicted = _predicted(found) if hold_out else ()
-        document = _document(found, fit_id, intervals)
-        documents.append(document | ({"predicted": _plain(predicted)} if hold_out else {}))
-        trusted &= found.verdict != "not converged"
-        out.show(*fit_tables(found, fit_id, intervals), *prediction_tables(predicted))
+            predicted = _predicted(found) if hold_out else None
+        documents.append(_document(found, fit_id, intervals, predicted))
+        out.show(*fit_tables(found, fit_id, intervals), *prediction_tables(predicted or ()))
     out.result(documents[0] if len(documents) == 1 else {"fits": documents})
-    return DONE if trusted else NOT_TRUSTED
+    return NOT_TRUSTED if any(d["verdict"] == "not converged" for d in documents) else DONE
 
 
-def _document(found: Fit, fit_id: str, intervals: Mapping[str, Interval]) -> dict[str, Any]:
+def _document(
+    found: Fit, fit_id: str, intervals: Mapping[str, Interval], predicted: Sequence[Predicted] | None
+) -> dict[str, Any]:
     from fitting.summary import fit_document, interval_document
 
     document = fit_document(found, fit_id)
     for name, interval in intervals.items():
         document["parameters"][name]["interval"] = interval_document(interval)
+    if predicted is not None:
+        document["predicted"] = _plain(predicted)
     return document
 
 

@@ -12,6 +12,8 @@ from gyrotrack.cli.output import Output
 from gyrotrack.cli.study import LedgerFile
 from gyrotrack.study import open_study
 
+Answer = tuple[list[str], dict[str, tuple[float, float]]]
+
 
 def command(
     seal: Annotated[Path, typer.Argument(metavar="SEAL.json", help="The seal, made by `simulate --hide`.")],
@@ -30,23 +32,15 @@ def command(
 
     Example: gyrotrack reveal case.seal.json case.h5
     """
-    from gyrotrack.challenge import answer_of, grade, unseal
-    from gyrotrack.errors import DatasetError, UsageError
+    from gyrotrack.challenge import grade, unseal
+    from gyrotrack.errors import UsageError
 
     out = Output(as_json=as_json)
     if (case is None) == (answer is None):
         raise UsageError(
             "An answer is needed before the seal is opened.", "Give the case with its fits, or --answer."
         )
-    found: dict[str, tuple[float, float]] = {}
-    if answer is not None:
-        named = [] if answer.strip() == "none" else [a.strip() for a in answer.split(",")]
-    else:
-        study = open_study([case] if case is not None else [], ledger)
-        entries = study.ledger.of(study.data)
-        if not entries:
-            raise DatasetError("There is no fit of this case yet.", "Make one with `gyrotrack improve`.")
-        named, found = answer_of(entries)
+    named, found = _said(answer) if case is None else _fitted(case, ledger)
     truth = unseal(seal)
     score = grade(truth, named, found)
     out.result({
@@ -60,3 +54,19 @@ def command(
     lines = [score.sentence, *(f"  {k} = {v:.6g}" for k, v in truth.parameters.items())]
     lines += [f"  {k}: {z:+.1f} standard errors from the truth" for k, z in score.pulls.items()]
     out.show("\n".join(lines))
+
+
+def _said(answer: str | None) -> Answer:
+    words = (answer or "none").strip()
+    return [] if words == "none" else [a.strip() for a in words.split(",")], {}
+
+
+def _fitted(case: Path, ledger: Path | None) -> Answer:
+    from gyrotrack.challenge import answer_of
+    from gyrotrack.errors import DatasetError
+
+    study = open_study([case], ledger)
+    entries = study.ledger.of(study.data)
+    if not entries:
+        raise DatasetError("There is no fit of this case yet.", "Make one with `gyrotrack improve`.")
+    return answer_of(entries)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,7 +21,6 @@ from gyrotrack.cli.options import (
 )
 from gyrotrack.cli.output import Output
 from gyrotrack.cli.study import EffectsFile, own_effects
-from gyrotrack.errors import UsageError
 from gyrotrack.study import changed
 
 _WINDOWS = (0.025, 0.35, 0.75)  # when the rotor is filmed, as shares of the whole, if nothing is said
@@ -91,12 +89,11 @@ def command(
     Example: gyrotrack simulate -o case.h5 --add casing.air.quadratic --strength 0.03
     """
     from fitting.effects import REDUCED
-    from fitting.effects.typical import typical_of_model
     from fitting.model import Model
-    from fitting.simulation.recording import Experiment, simulate
+    from fitting.simulation.recording import Experiment
     from gyrotrack.challenge import hide_effect
     from gyrotrack.dataset.writing import refuse_existing
-    from gyrotrack.simulated import draw_films, write_record
+    from gyrotrack.simulated import SimulatedRun, write_record
 
     out = Output(as_json=as_json, quiet=quiet)
     sealed = output.with_name(f"{output.stem}.seal.json") if hide else None
@@ -117,34 +114,20 @@ def command(
         centre_offset=centre_offset,
     )
     model = changed(Model.of(REDUCED), add or (), drop or (), own_effects(effects))
-    if model.measurement:
-        raise UsageError(
-            "Measurement effects cannot be simulated this way.", "For a centre offset give --centre-offset."
-        )
     hidden = hide_effect(model, strength) if hide else None
     if hidden is not None:
         model, strength, seed = hidden.model, hidden.strength, hidden.seed
-    speeds = {"omega_r": 0.6 * omega_rotor, "omega_c": 100.0}
-    numbers = typical_of_model(model.effects, strength, duration=duration, speeds=speeds)
-    numbers |= _given(set_values or (), numbers)
     inertias = (inertia_rotor, inertia_casing)
+    run = SimulatedRun.of(model, strength, experiment, inertias, seed, set_values or ())
     with out.progress("simulating") as progress:
         progress(0, None)
-        record = simulate(
-            model,
-            numbers,
-            experiment,
-            inertia_rotor=inertia_rotor,
-            inertia_casing=inertia_casing,
-            seed=seed,
-            label=label if label is not None else output.stem,
-        )
+        record = run.record(label if label is not None else output.stem)
     if sealed is None or hidden is None:
-        told: dict[str, Any] = {"model": list(model.names), "parameters": numbers}
+        told: dict[str, Any] = {"model": list(model.names), "parameters": run.numbers}
         settings: dict[str, Any] = {"output": output, **told, "seed": seed}
-        lines = [f"  {key:<34}{value:.6g}" for key, value in numbers.items()]
+        lines = [f"  {key:<34}{value:.6g}" for key, value in run.numbers.items()]
     else:
-        commitment = hidden.seal(sealed, numbers, force=force)
+        commitment = hidden.seal(sealed, run.numbers, force=force)
         told, settings = {"seal": sealed, "commitment": commitment}, {"commitment": commitment}
         lines = [f"sealed: {sealed}"]
     settings = {"experiment": vars(experiment), **settings}
@@ -152,25 +135,6 @@ def command(
     films = []
     if film is not None:
         with out.progress("drawing films") as progress:
-            films = draw_films(
-                film, model, numbers, experiment, inertias, seed, force=force, progress=progress
-            )
+            films = run.films(film, force=force, progress=progress)
     out.result({"output": output, **told, "films": films})
     out.show("\n".join([*lines, *(f"written: {f}" for f in (output, *films))]))
-
-
-def _given(items: Sequence[str], numbers: Mapping[str, float]) -> dict[str, float]:
-    """Read ``casing.air.quadratic.k=1e-9``."""
-    given = {}
-    for item in items:
-        key, equals, value = item.partition("=")
-        key = key.strip()
-        if not equals or key not in numbers:
-            raise UsageError(
-                f"{item[:60]!r} sets no parameter of the model.", f"It has: {', '.join(numbers)}."
-            )
-        try:
-            given[key] = float(value)
-        except ValueError:
-            raise UsageError(f"{value[:30]!r} is not a number.", f"Write for example {key}=1e-9.") from None
-    return given
