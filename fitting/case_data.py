@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.compression import CASING_DEGREE, ROTOR_DEGREE, Compressed, compress
+from fitting.compression import BLOCKS, CASING_DEGREE, NOISE_ROWS, ROTOR_DEGREE, Compressed, compress
 from fitting.record import Record, Samples
 from fitting.rough_speeds import rough_speeds
 from fitting.simulation import Path, Sampler
@@ -25,6 +25,9 @@ from fitting.smoothing import speeds
 Array = NDArray[np.float64]
 
 _GENERATED_BLOCKS = 20
+# speeds are smoothed: blocks long beside that, and in a lone window rows enough to see it
+SPEED_BLOCKS = 30
+SPEED_NOISE_ROWS = 28
 
 
 @dataclass(frozen=True)
@@ -39,7 +42,12 @@ class CaseData:
     def of(cls, record: Record) -> CaseData:
         """Project a record."""
         angle = record.quantity == "angle"
-        casing = compress(record.casing, degree=CASING_DEGREE, harmonics=angle)
+        casing = compress(
+            record.casing,
+            degree=CASING_DEGREE,
+            harmonics=angle,
+            blocks=BLOCKS if angle else SPEED_BLOCKS,
+        )
         rotor = tuple(
             compress(
                 w,
@@ -49,6 +57,7 @@ class CaseData:
                 if record.generated
                 else max(1, round((w.time[-1] - w.time[0]) / 3.0)),
                 noisy=not record.generated,
+                noise_rows=NOISE_ROWS if angle else SPEED_NOISE_ROWS,
             )
             for w in record.rotor
         )

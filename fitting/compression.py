@@ -23,8 +23,8 @@ Array = NDArray[np.float64]
 CASING_DEGREE = 7
 ROTOR_DEGREE = 7
 HARMONICS = 4
-_NOISE_ROWS = 14
-_BLOCKS = 60
+NOISE_ROWS = 14
+BLOCKS = 60
 _MIN_SAMPLES = 60
 _SPEED_RATIO = 1.6
 _AT_REST = 0.5  # rad/s
@@ -85,7 +85,13 @@ class Compressed:
 
 
 def compress(
-    samples: Samples, *, degree: int, harmonics: bool, blocks: int = _BLOCKS, noisy: bool = True
+    samples: Samples,
+    *,
+    degree: int,
+    harmonics: bool,
+    blocks: int = BLOCKS,
+    noisy: bool = True,
+    noise_rows: int = NOISE_ROWS,
 ) -> Compressed:
     """Project the samples of a series block by block.
 
@@ -101,6 +107,9 @@ def compress(
         At most so many blocks.
     noisy : bool
         Whether the samples have a noise that can be measured; otherwise their sigma is taken as it is.
+    noise_rows : int
+        Polynomials of each block, beyond those of a model, that measure the noise: more of them where there are few
+        blocks and neighbouring samples share their noise.
 
     Returns
     -------
@@ -111,7 +120,9 @@ def compress(
     edges = np.linspace(0, len(samples), count + 1).astype(int)
     if harmonics:
         edges = _cut_where_slow(samples, edges)
-    parts = [_block(samples, slice(a, b), degree, harmonics=harmonics) for a, b in pairwise(edges)]
+    parts = [
+        _block(samples, slice(a, b), degree, noise_rows, harmonics=harmonics) for a, b in pairwise(edges)
+    ]
     slow = np.concatenate([p.noise for p in parts])
     rest, dof = sum(p.rest for p in parts), sum(p.rest_dof for p in parts)
     fast = rest / dof if dof > 0 else 1.0
@@ -177,11 +188,11 @@ class _Block:
     rest_dof: int
 
 
-def _block(samples: Samples, where: slice, degree: int, *, harmonics: bool) -> _Block:
+def _block(samples: Samples, where: slice, degree: int, noise_rows: int, *, harmonics: bool) -> _Block:
     t, y, sigma = samples.time[where], samples.value[where], samples.sigma[where]
     k = degree + 1
     middle, half = 0.5 * (t[0] + t[-1]), max(0.5 * (t[-1] - t[0]), 1e-9)
-    extra = min(_NOISE_ROWS, max(0, len(t) - k - HARMONICS - 6))
+    extra = min(noise_rows, max(0, len(t) - k - HARMONICS - 6))
     powers = chebyshev.chebvander((t - middle) / half, degree + extra)
     waves = _independent_harmonics(y, powers[:, :k]) if harmonics else np.zeros((len(t), 0))
     chosen = np.flatnonzero(np.any(waves != 0, axis=0))

@@ -5,17 +5,20 @@ The default is neither: angles are fitted as measured, and the rotor in its wind
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
+from numpy.polynomial import hermite_e
 from numpy.typing import NDArray
 
-from fitting.compression import ROTOR_DEGREE, compress
+from fitting.case_data import SPEED_BLOCKS, SPEED_NOISE_ROWS
+from fitting.compression import CASING_DEGREE, ROTOR_DEGREE, Compressed, compress
 from fitting.errors import RecordError
 from fitting.estimation.levenberg import minimise
 from fitting.record import Record, Samples
 from fitting.rough_speeds import hermite
-from fitting.smoothing import WIDTH, speeds
+from fitting.smoothing import median_width, speeds
 
 Array = NDArray[np.float64]
 
@@ -23,8 +26,7 @@ _POINTS = 2000
 _STEPS = 400
 # slopes guide the curve between the windows; through the windows it has to go
 _SLOPES = 0.01
-# standard error of a median over that of a mean, for normal noise
-_MEDIAN = float(np.sqrt(np.pi / 2))
+_TERMS = 21
 
 
 def prepared(record: Record, data: str | None = None, rotor: str = "windows") -> Record:
@@ -64,25 +66,59 @@ def prepared(record: Record, data: str | None = None, rotor: str = "windows") ->
 def as_velocities(record: Record) -> Record:
     """Return the record with the paper's velocities in place of angles: median, gradient, median, ends dropped.
 
-    Their sigma is that of a gradient of the angles over the points among which the median picks; as everywhere it
-    only weighs samples against each other, and the level of the noise is measured.
+    Their sigma is that of independent samples which would leave as much slow noise (`median_noise`): neighbours share
+    most of theirs, and the fit sees only what is slow.
     """
     if record.quantity == "omega":
         return record
-    runs = [_velocities(s) for s in (record.casing, *record.rotor)]
+    runs = [_velocities(record.casing, SPEED_BLOCKS), *(_velocities(s, 1) for s in record.rotor)]
     return replace(record, casing=runs[0], rotor=tuple(runs[1:]), quantity="omega", digest="")
 
 
-def _velocities(samples: Samples) -> Samples:
+def _velocities(samples: Samples, blocks: int) -> Samples:
     time, omega = speeds(samples, "angle")
-    width = min(WIDTH, len(samples))
+    width = median_width(len(samples))
     step = np.gradient(samples.time)
     noise = np.hypot(*(np.roll(samples.sigma, k) for k in (-1, 1))) / (2 * step)
     noise = np.interp(time, samples.time, noise)
-    # a median picks among the points whose values overlap: where the speed changes fast these are few
-    change = np.abs(np.gradient(np.convolve(omega, np.full(width, 1 / width), mode="same"), time))
-    among = np.clip(2 * noise / np.maximum(change * np.median(step), 1e-300), 1, width)
-    return Samples(time, omega, noise * np.where(among > 1, _MEDIAN, 1.0) / np.sqrt(among))
+    rise = np.abs(np.gradient(np.convolve(omega, np.full(width, 1 / width), mode="same"), time))
+    # the mean runs into nothing at both ends
+    rise[: width // 2 + 1], rise[-width // 2 :] = rise[width // 2 + 1], rise[-width // 2 - 1]
+    reach = 0.5 * width * float(np.median(step)) * rise / noise
+    # a block of gradients e_(i+1) - e_(i-1) keeps the e of both its ends: on the Legendre polynomials of degree k, as
+    # large there as (2 k + 1) / samples, mean (degree + 1) / samples
+    ends = 2 * (CASING_DEGREE + 1) * blocks / len(samples)
+    return Samples(time, omega, noise * np.sqrt(median_noise(reach) + ends))
+
+
+def median_noise(reach: Array) -> Array:
+    """Return the slow noise of a running median of gradients, as a variance over that of one gradient.
+
+    Where the speed rises, sample j beside the middle counts as long as its noise does not lift it over the slope: in
+    sums over many medians every gradient v counts as psi(v), cut off at c = slope x half the width. So the spectral
+    density at frequency nothing is that of Huber's estimate,
+
+        S = sum over lags of cov[psi(v_0), psi(v_k)] / P(|v| < c)^2,
+
+    and gradients (e_(i+1) - e_(i-1)) / 2h of independent e correlate by -1/2 at lag 2 and at no other. By Hermite
+    polynomials (Mehler's formula) cov = sum_k (2 phi(c) He_(k-2)(c))^2 (-1/2)^k / k! over odd k, the first term being
+    P^2 / 2.
+
+    Parameters
+    ----------
+    reach : ndarray
+        c, in standard deviations of the noise of one gradient.
+    """
+    c = np.clip(reach, 0.02, 5.0)
+    density = np.exp(-0.5 * c**2) / np.sqrt(2 * np.pi)
+    inside = np.vectorize(math.erf, otypes=[float])(c / np.sqrt(2))
+    variance = inside - 2 * c * density + c**2 * (1 - inside)
+    opposed, factorial = 0.5 * inside**2, 1.0
+    for k in range(3, _TERMS, 2):
+        factorial *= (k - 1) * k
+        polynomial = hermite_e.hermeval(c, np.eye(k - 1)[k - 2])
+        opposed = opposed + (2 * density * polynomial) ** 2 * 0.5**k / factorial
+    return np.asarray(np.maximum(variance - 2 * opposed, 0.0) / inside**2)
 
 
 def with_generated_rotor(record: Record) -> Record:
@@ -101,13 +137,15 @@ def with_generated_rotor(record: Record) -> Record:
     omega = hermite(grid, found, np.gradient(found, grid, edge_order=2), times)
     weight = sum(
         len(w) / (c.scale * float(np.median(w.sigma))) ** 2
-        for w, c in (
-            (w, compress(w, degree=min(ROTOR_DEGREE, (len(w) - 1) // 2), harmonics=False, blocks=1))
-            for w in record.rotor
-        )
+        for w, c in ((w, _calibrated(w)) for w in record.rotor)
     )
     curve = Samples(times, omega, np.full(len(times), float(np.sqrt(len(times) / weight))))
     return replace(record, rotor=(curve,), generated=True, digest="")
+
+
+def _calibrated(window: Samples) -> Compressed:
+    degree = min(ROTOR_DEGREE, (len(window) - 1) // 2)
+    return compress(window, degree=degree, harmonics=False, blocks=1, noise_rows=SPEED_NOISE_ROWS)
 
 
 def _line(window: Samples) -> tuple[float, float, float]:

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from fitting.effects import LIBRARY
 from fitting.errors import FittingError, LedgerError
 from fitting.estimation.account import Account
-from fitting.estimation.fit import Estimate, Fit, fit
+from fitting.estimation.fit import fit
 from fitting.estimation.metrics import BodyMetrics, CaseMetrics
+from fitting.estimation.outcome import Estimate, Fit
 from fitting.ledger import effect_of, plain
 from fitting.model import Model
 from fitting.record import Record

@@ -36,7 +36,7 @@ def speeds(
     time, omega : ndarray
         [s], [rad/s].
     """
-    width = min(width, max(3, len(samples) // 10 | 1))
+    width = median_width(len(samples), width)
     value = samples.value
     if quantity == "angle":
         # the median of a monotonic angle is its middle point; it only acts on outliers
@@ -45,6 +45,11 @@ def speeds(
     cut = min(dropped, len(samples) // 10)
     keep = slice(cut, len(samples) - cut)
     return samples.time[keep], np.asarray(omega[keep])
+
+
+def median_width(count: int, width: int = WIDTH) -> int:
+    """Return how many points the running median of a run of so many samples takes: a tenth of them at most."""
+    return min(width, max(3, count // 10 | 1))
 
 
 def running_median(value: Array, width: int) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.discovery.columns import CaseColumns
-from fitting.discovery.screen import search_alone
+from fitting.discovery.scoring import search_alone
 from fitting.discovery.stage import Stage
 from fitting.effects import Effect
 from fitting.errors import SimulationError

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.discovery.screen import Score
+from fitting.discovery.scoring import Score
 
 Array = NDArray[np.float64]
 

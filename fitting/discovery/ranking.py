@@ -18,7 +18,8 @@ from fitting.case_data import CAMERA_COLUMNS
 from fitting.discovery.chance import Chance, Family
 from fitting.discovery.columns import CaseColumns
 from fitting.discovery.refit import refit, with_one_value
-from fitting.discovery.screen import Score, screen
+from fitting.discovery.scoring import Score
+from fitting.discovery.screen import screen
 from fitting.effects import LIBRARY, Effect
 from fitting.estimation import Estimate, Fit
 

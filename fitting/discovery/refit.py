@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from fitting.discovery.breaks import better_breaks, distant_breaks
-from fitting.discovery.screen import Score
+from fitting.discovery.scoring import Score
 from fitting.errors import FittingError
 from fitting.estimation import Fit, fit
 from fitting.estimation.layout import PER_CASE

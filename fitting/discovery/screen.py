@@ -1,24 +1,16 @@
-"""The score test: how much would each effect mend, all effects at once, before any is refitted.
-
-With rows whitened by the noise, residuals r, Jacobian J (parameters and nuisances) and columns s of a candidate,
-
-    M = 1 - J (J'J)^-1 J',   gamma = (s'Ms)^-1 s'Mr,   S = gamma' (s'Ms) gamma,
-
-is the fall of chi-square that a refit would bring (C. R. Rao, Proc. Camb. Phil. Soc. 44, 50 (1948)). The level
-of the random torque competes with the effect for the same residuals, so it is profiled: the score
-is the fall of the deviance, minimised over the level without and with the effect.
-"""
+"""The screen: all effects scored at once, each at its best shape constants, before any is refitted."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting.case_data import CAMERA_COLUMNS
 from fitting.discovery.columns import CaseColumns, Trial
+from fitting.discovery.scoring import Group, Score, alone, search_groups
 from fitting.discovery.stage import Level, Stage
 from fitting.effects import Effect
 from fitting.estimation import Fit
@@ -31,41 +23,6 @@ _SHARPENED = 0.1
 _ROUNDS = 3
 _POINTS = 9
 _MOST_SWEPT = 4
-
-
-@dataclass(frozen=True)
-class Score:
-    """A candidate's best trial.
-
-    Attributes
-    ----------
-    effect : Effect
-        The candidate.
-    score : float
-        Predicted fall of the deviance.
-    gamma : ndarray
-        Strength of each column (sine and cosine; one per case where a case has its own).
-    shape : tuple of dict
-        Shape constants, for each case.
-    columns : int
-        Degrees of freedom of its strengths.
-    trials : int
-        How many choices of its shape constants were tried.
-    absorbed : bool
-        The base can mimic it completely.
-    direction : ndarray
-        Its whitened, projected column at the fitted strength, of unit length (for cosines).
-    """
-
-    effect: Effect
-    score: float
-    gamma: Array = field(repr=False)
-    shape: tuple[dict[str, float], ...]
-    columns: int
-    trials: int
-    absorbed: bool
-    direction: Array = field(repr=False)
-    null: Array = field(repr=False)
 
 
 def screen(
@@ -151,9 +108,9 @@ def _score(stage: Stage, effect: Effect, trials: list[list[Trial]]) -> Score:
     levels = stage.without(effect.name) if effect.name in CAMERA_COLUMNS else stage.levels
     if not own or len(trials[0]) == 1:
         groups = _stack(trials, own)
-        return _search(stage, effect, groups, levels)
+        return search_groups(stage, effect, groups, levels)
     chosen, null = _choose(stage, effect, trials, levels)
-    together = _search(stage, effect, _stack([[t] for t in chosen], own), levels)
+    together = search_groups(stage, effect, _stack([[t] for t in chosen], own), levels)
     return replace(together, null=null, trials=sum(len(t) for t in trials))
 
 
@@ -161,76 +118,24 @@ def _choose(
     stage: Stage, effect: Effect, trials: list[list[Trial]], levels: list[Level]
 ) -> tuple[list[Trial], Array]:
     """Let each case choose its shapes: the clearest first, then the others beside it, then all once more."""
-    groups = [_alone(stage, t, i) for i, t in enumerate(trials)]
-    singles = [_search(stage, effect, g, levels) for g in groups]
+    groups = [alone(stage, t, i) for i, t in enumerate(trials)]
+    singles = [search_groups(stage, effect, g, levels) for g in groups]
     chosen = [_place(t, s) for t, s in zip(trials, singles, strict=True)]
     order = sorted(range(len(trials)), key=lambda i: -singles[i].score)
     if len(trials) <= _MOST_SWEPT:
         for i in [*order[1:], *order]:
             beside = [groups[j][chosen[j]][1] for j in order if j != i]
             inner = stage.beside(np.concatenate(beside, axis=1))
-            chosen[i] = _place(trials[i], _search(stage, effect, groups[i], inner))
+            chosen[i] = _place(trials[i], search_groups(stage, effect, groups[i], inner))
     null = np.sum([s.null for s in singles], axis=0)
     return [t[k] for t, k in zip(trials, chosen, strict=True)], null
-
-
-def search_alone(stage: Stage, effect: Effect, trials: list[Trial], case: int) -> Score:
-    """Return the best trial of an effect in one case, beside all that is free in every case."""
-    return _search(stage, effect, _alone(stage, trials, case), stage.levels)
 
 
 def _place(trials: list[Trial], score: Score) -> int:
     return next(k for k, t in enumerate(trials) if t.shape == score.shape[0])
 
 
-def _alone(stage: Stage, trials: list[Trial], case: int) -> list[tuple[tuple[dict[str, float], ...], Array]]:
-    """Return the columns of one case among the rows of all."""
-    groups: list[tuple[tuple[dict[str, float], ...], Array]] = []
-    for t in trials:
-        rows = np.zeros((stage.ends[-1], t.columns.shape[1]))
-        rows[stage.ends[case] : stage.ends[case + 1]] = t.columns
-        groups.append(((t.shape,), rows))
-    return groups
-
-
-def _search(
-    stage: Stage,
-    effect: Effect,
-    groups: list[tuple[tuple[dict[str, float], ...], Array]],
-    levels: list[Level],
-) -> Score:
-    """Return the best of some groups of columns over all levels of the random torque."""
-    bounds = _bounds(effect)
-    best: tuple[float, int, Array, Array] = (-np.inf, 0, np.zeros(1), np.zeros(1))
-    absorbed = stage.mimicked([c for _, c in groups])
-    turned = stage.turned(np.concatenate([c for _, c in groups], axis=1))
-    for i, level in enumerate(levels):
-        columns = level.gain[:, None] * turned
-        columns = columns - level.basis @ (level.basis.T @ columns)
-        scores, gammas = _solve(columns, level.residual, len(groups), bounds)
-        scores = np.where(absorbed, 0.0, scores)
-        place = int(np.argmax(scores))
-        gain = float(scores[place]) - (level.deviance - min(x.deviance for x in levels))
-        if gain > best[0]:
-            width = columns.shape[1] // len(groups)
-            direction = columns[:, place * width : (place + 1) * width] @ gammas[place]
-            best = (gain, place, gammas[place], direction / max(float(np.linalg.norm(direction)), 1e-300))
-        if i == len(levels) - 1:
-            null, _ = _solve(columns, stage.draws, len(groups), bounds)
-    return Score(
-        effect,
-        max(best[0], 0.0),
-        best[2],
-        groups[best[1]][0],
-        groups[0][1].shape[1],
-        len(groups),
-        bool(absorbed.all()),
-        best[3],
-        np.asarray(null.max(axis=0)),
-    )
-
-
-def _stack(trials: list[list[Trial]], own: bool) -> list[tuple[tuple[dict[str, float], ...], Array]]:  # noqa: FBT001
+def _stack(trials: list[list[Trial]], own: bool) -> list[Group]:  # noqa: FBT001
     """Return for each choice of shapes the columns over the rows of all cases."""
     result = []
     for i in range(max(len(t) for t in trials)):
@@ -242,27 +147,3 @@ def _stack(trials: list[list[Trial]], own: bool) -> list[tuple[tuple[dict[str, f
         )
         result.append((tuple(t.shape for t in chosen), columns))
     return result
-
-
-def _solve(columns: Array, r: Array, groups: int, bounds: tuple[float, float]) -> tuple[Array, Array]:
-    """Return score and strengths of each group of columns, for one residual or many."""
-    width = columns.shape[1] // groups
-    c = columns.reshape(len(columns), groups, width)
-    seen = np.einsum("rgw,r...->gw...", c, r) if r.ndim == 1 else (columns.T @ r).reshape(groups, width, -1)
-    gram = np.einsum("rgw,rgv->gwv", c, c)
-    size = np.sqrt(np.maximum(np.einsum("gww->gw", gram), 1e-300))
-    scaled = gram / (size[:, :, None] * size[:, None, :])
-    inverse = np.linalg.pinv(scaled, rcond=1e-9, hermitian=True)
-    seen = seen / size.reshape(size.shape + (1,) * (seen.ndim - 2))
-    gamma = np.einsum("gwv,gv...->gw...", inverse, seen)
-    if bounds != (-np.inf, np.inf):
-        edge = size.reshape(size.shape + (1,) * (seen.ndim - 2))
-        gamma = np.clip(gamma, bounds[0] * edge, bounds[1] * edge)
-    score = np.einsum("gw...,gw...->g...", gamma, 2 * seen - np.einsum("gwv,gv...->gw...", scaled, gamma))
-    return np.asarray(score), np.asarray(gamma / size.reshape(size.shape + (1,) * (gamma.ndim - 2)))
-
-
-def _bounds(effect: Effect) -> tuple[float, float]:
-    if any(p.role == "phase" for p in effect.parameters):
-        return (-np.inf, np.inf)
-    return (effect.amplitude.lower, effect.amplitude.upper) if effect.amplitude else (-np.inf, np.inf)

@@ -12,8 +12,8 @@ from fitting.errors import EstimationError
 from fitting.rounding import rounded
 
 if TYPE_CHECKING:
-    from fitting.estimation.fit import Estimate
     from fitting.estimation.metrics import CaseMetrics
+    from fitting.estimation.outcome import Estimate
     from fitting.model import Model
 
 WORDS = {
@@ -28,10 +28,20 @@ class Account:
 
     model: Model
     estimates: Mapping[str, Estimate]
-    cases: tuple[CaseMetrics, ...]
     n_eff: float
     bic: float
-    verdict: str
+
+    if TYPE_CHECKING:
+
+        @property
+        def cases(self) -> tuple[CaseMetrics, ...]:
+            """Figures of merit of each case."""
+            ...
+
+        @property
+        def verdict(self) -> str:
+            """One of the keys of `WORDS`."""
+            ...
 
     def __repr__(self) -> str:
         return "\n".join([f"fit: {WORDS[self.verdict]}", "", *account_lines(self)])

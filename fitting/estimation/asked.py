@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 
 from fitting.case_data import CaseData
-from fitting.estimation.fit import Fit
+from fitting.estimation.outcome import Fit
 from fitting.estimation.robust import robust_fit
 from fitting.model import Model
 from fitting.record import Record

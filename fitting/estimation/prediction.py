@@ -12,9 +12,10 @@ from dataclasses import dataclass
 
 from fitting.case_data import CaseData
 from fitting.errors import EstimationError
-from fitting.estimation.fit import Fit, fit
+from fitting.estimation.fit import fit
 from fitting.estimation.metrics import BodyMetrics
 from fitting.estimation.noise_levels import Noise
+from fitting.estimation.outcome import Fit
 from fitting.model import Model
 
 # of one surface, so each recording has its own

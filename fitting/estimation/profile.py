@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.errors import EffectError, EstimationError, SimulationError
-from fitting.estimation.fit import Fit
 from fitting.estimation.layout import Layout
+from fitting.estimation.outcome import Fit
 from fitting.estimation.problem import Problem
 from fitting.estimation.search import search
 

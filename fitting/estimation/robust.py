@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from fitting.case_data import CaseData, camera_columns
 from fitting.errors import EstimationError
-from fitting.estimation.fit import Fit, fit
+from fitting.estimation.fit import fit
+from fitting.estimation.outcome import Fit
 from fitting.model import Model
 from fitting.record import Record, Samples
 from fitting.simulation import Sampler

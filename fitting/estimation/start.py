@@ -9,7 +9,7 @@ and the same for the rotor: a linear least-squares problem with bounds.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from fitting.errors import EstimationError
 from fitting.estimation.layout import START_CASING, START_ROTOR, Layout
 from fitting.estimation.levenberg import minimise
+from fitting.estimation.problem import Problem
 from fitting.model import INERTIA_CASING, INERTIA_ROTOR, Dynamics
 
 Array = NDArray[np.float64]
@@ -24,6 +25,19 @@ Array = NDArray[np.float64]
 _FIRST_SHARE = 0.1
 # a casing slower than this share of its largest speed is taken to stand still, for start values
 _AT_REST = 0.01
+
+
+def first_values(problem: Problem, given: Mapping[str, float] | None) -> Array:
+    """Return where a fit starts: what was given, and the start values of all else."""
+    layout = problem.layout
+    known = dict(given or {})
+    if not set(layout.names) <= set(known):
+        rough = [d.rough_speeds for d in problem.data]
+        guessed = dict(
+            zip(layout.names, start_values(layout, problem.reference, rough).tolist(), strict=True)
+        )
+        known = guessed | {k: v for k, v in known.items() if k in guessed}
+    return np.array([known[n] for n in layout.names])
 
 
 def start_values(layout: Layout, reference: float, rough: Sequence[tuple[Array, Array]]) -> Array:

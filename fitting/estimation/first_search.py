@@ -1,0 +1,121 @@
+"""The first search of a fit, while its noise is not known: cautious at first, then as loud as the data is.
+
+It goes past the places where a wrong path would hold it: stops at wrong times, bounds far from the data, other
+valleys.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.errors import EstimationError
+from fitting.estimation.noise_levels import Noise, first_noise, measure_noise
+from fitting.estimation.problem import Problem
+from fitting.estimation.search import search, search_widely
+from fitting.estimation.shapes import start_shapes, unknown_shapes
+from fitting.estimation.start import first_values
+from fitting.noise import WHITE
+
+Array = NDArray[np.float64]
+
+_OTHER_POWERS = (0.7, 1.35)
+# a casing slower than this share of its largest speed is taken to stand still
+_AT_REST = 0.01
+_PATIENCE = 60
+
+
+def search_with_noise(
+    problem: Problem, theta: Array, given: Mapping[str, float] | None, *, quick: bool
+) -> tuple[Array, tuple[Noise, ...]]:
+    """Return the variables of the minimum and the noise measured there.
+
+    Parameters
+    ----------
+    problem : Problem
+        The fit.
+    theta : ndarray
+        Where to start.
+    given : mapping, optional
+        Which of these values the user gave.
+    quick : bool
+        Stop where chi-square is within about 0.01 of its minimum.
+    """
+    problem.set_noise([n.whitener for n in first_noise(problem, theta)])
+    theta = shaped(problem, theta, given)
+    if _stops(problem, theta):
+        theta = _past_stops(problem, theta)
+    theta = search_widely(problem, theta, _elsewhere(problem, theta, given), quick=quick)
+    return _tight(problem, theta, measure_noise(problem, theta))
+
+
+def shaped(problem: Problem, theta: Array, given: Mapping[str, float] | None) -> Array:
+    """Return variables with start values of those shape constants that were not given."""
+    unknown = unknown_shapes(problem.layout, given)
+    if not unknown:
+        return theta
+    names = {n for n in problem.layout.names if not n.startswith(tuple(f"{e.name}." for e in unknown))}
+    return start_shapes(problem, theta, unknown, fitted=names <= set(given or ()))
+
+
+def _stops(problem: Problem, theta: Array) -> bool:
+    """Return whether a casing comes to rest or turns back, as it was measured or as the model has it."""
+    for d in problem.data:
+        speed = np.abs(d.rough_speeds[1][:, 1])
+        if (speed[len(speed) // 20 :] < _AT_REST * speed.max(initial=0.0)).any():
+            return True
+    return any(p.path.jumps for p in problem.predict(theta))
+
+
+def _past_stops(problem: Problem, theta: Array) -> Array:
+    """Return variables from a search without random torque, and set the noise about them.
+
+    What a torque does after a stop at a wrong time is wrong too, and would hold the search there.
+    """
+    problem.set_noise([WHITE] * len(problem.data))
+    with suppress(EstimationError):
+        _, theta = search(problem, theta, quick=True, most=_PATIENCE)
+    problem.set_noise([n.whitener for n in first_noise(problem, theta)])
+    return theta
+
+
+def _tight(problem: Problem, theta: Array, noise: tuple[Noise, ...]) -> tuple[Array, tuple[Noise, ...]]:
+    """Return variables and noise, found anew with no more noise than the data has, if that describes it better.
+
+    What noise does to a casing that is held is told from the fitted path. About a path that stops at a wrong time it
+    may hold the fit there. So may an edge of a parameter, far from the data, where noise excuses what is wrong.
+    """
+    if all(n.level <= n.pure for n in noise):
+        return theta, noise
+    held = any((p.path.sense == 0).any() for p in problem.predict(theta))
+    if not held and not problem.layout.at_bound(theta).any():
+        return theta, noise
+    ends = [(theta, noise)]
+    # the pure level was found about a wrong path too: with none at all the angles alone have a say
+    for share in (1.0, 0.0):
+        problem.set_noise([n.whitener.at(share * n.pure) for n in noise])
+        _, other = search(problem, theta)
+        ends.append((other, measure_noise(problem, other)))
+    return min(ends, key=lambda end: _deviance(problem, *end))
+
+
+def _deviance(problem: Problem, theta: Array, noise: Sequence[Noise]) -> float:
+    problem.set_noise([n.whitener for n in noise])
+    r, _ = problem.residuals(problem.predict(theta))
+    return float(r @ r) + sum(n.whitener.log_determinant for n in noise)
+
+
+def _elsewhere(problem: Problem, theta: Array, given: Mapping[str, float] | None) -> Iterator[Array]:
+    """Yield other starts: the program's own if one was given, and other exponents of the bearing's power law."""
+    own = first_values(problem, None) if given else theta
+    if given:
+        yield own
+    for g in _OTHER_POWERS:
+        begin = own.copy()
+        for v in problem.valleys:
+            begin = problem.physical(np.where(np.arange(len(own)) == v.g, g, problem.straight(begin)))
+        if problem.valleys:
+            yield begin
