@@ -83,23 +83,30 @@ def _past_stops(problem: Problem, theta: Array) -> Array:
 
 
 def _tight(problem: Problem, theta: Array, noise: tuple[Noise, ...]) -> tuple[Array, tuple[Noise, ...]]:
-    """Return variables and noise, found anew with no more noise than the data has, if that describes it better.
+    """Return variables and noise, found anew with less noise than the model leaves, if that describes the data better.
 
     What noise does to a casing that is held is told from the fitted path. About a path that stops at a wrong time it
-    may hold the fit there. So may an edge of a parameter, far from the data, where noise excuses what is wrong.
+    may hold the fit there. So may an edge of a parameter, far from the data, where noise excuses what is wrong. And
+    where several cases are fitted together, noise in all of them excuses a compromise with one that the model fails.
     """
-    if all(n.level <= n.pure for n in noise):
-        return theta, noise
-    held = any((p.path.sense == 0).any() for p in problem.predict(theta))
-    if not held and not problem.layout.at_bound(theta).any():
-        return theta, noise
     ends = [(theta, noise)]
-    # the pure level was found about a wrong path too: with none at all the angles alone have a say
-    for share in (1.0, 0.0):
-        problem.set_noise([n.whitener.at(share * n.pure) for n in noise])
+    for levels in _stricter(problem, theta, noise):
+        problem.set_noise([n.whitener.at(level) for n, level in zip(noise, levels, strict=True)])
         _, other = search(problem, theta)
         ends.append((other, measure_noise(problem, other)))
     return min(ends, key=lambda end: _deviance(problem, *end))
+
+
+def _stricter(problem: Problem, theta: Array, noise: Sequence[Noise]) -> Iterator[tuple[float, ...]]:
+    """Yield levels of the random torque in each case with which a search may end elsewhere."""
+    excused = [n for n in noise if n.level > n.pure]
+    held = excused and any((p.path.sense == 0).any() for p in problem.predict(theta))
+    if held or (excused and problem.layout.at_bound(theta).any()):
+        # the pure level was found about a wrong path too: with none at all the angles alone have a say
+        yield from dict.fromkeys([tuple(n.pure for n in noise), (0.0,) * len(noise)])
+    if len(excused) > 1:
+        worst = max(excused, key=lambda n: n.excess)
+        yield tuple(n.level if n is worst else n.pure for n in noise)
 
 
 def _deviance(problem: Problem, theta: Array, noise: Sequence[Noise]) -> float:

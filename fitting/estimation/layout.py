@@ -111,13 +111,17 @@ class Layout:
 
     def bounds(self) -> tuple[Array, Array]:
         """Return lower and upper bounds of all variables."""
-        declared = [self.parameter(n) for n in self.names]
-        lower, upper = np.array([p.lower for p in declared]), np.array([p.upper for p in declared])
+        lower, upper = self.declared_bounds()
         for name, (least, most) in self.ranges.items():
             if name in self.index:
                 i = self.index[name]
                 lower[i], upper[i] = max(lower[i], least), min(upper[i], most)
         return lower, upper
+
+    def declared_bounds(self) -> tuple[Array, Array]:
+        """Return the bounds that effects declare, whatever range is asked for."""
+        declared = [self.parameter(n) for n in self.names]
+        return np.array([p.lower for p in declared]), np.array([p.upper for p in declared])
 
     def at_bound(self, theta: Array) -> NDArray[np.bool_]:
         """Return which variables lie on a bound."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fitting.errors import EstimationError
 from fitting.estimation.layout import START_CASING, START_ROTOR, Layout
 from fitting.estimation.levenberg import minimise
-from fitting.estimation.problem import Problem
+from fitting.estimation.problem import Problem, turned
 from fitting.model import INERTIA_CASING, INERTIA_ROTOR, Dynamics
 
 Array = NDArray[np.float64]
@@ -53,19 +53,21 @@ def start_values(layout: Layout, reference: float, rough: Sequence[tuple[Array, 
         Speed difference [rad/s] at which a power law starts with a tenth of the linear law's torque.
     """
     theta = np.array([_resting(layout, name) for name in layout.names])
-    found: dict[int, list[float]] = {}
+    parts = []
     for case, (times, speeds) in enumerate(rough):
-        keys, values = _regress(layout, case, times, speeds, theta)
-        for key, value in zip(keys, values, strict=True):
-            found.setdefault(int(layout.places(case, [key])[0]), []).append(value)
-        i, j = layout.places(case, (START_ROTOR, START_CASING))
-        theta[i], theta[j] = speeds[0]
-    for place, several in found.items():
-        theta[place] = float(np.mean(several))
+        keys, design, target = _equations(layout, case, times, speeds, theta)
+        parts.append((layout.places(case, keys), design, target))
+    # what cases share is sought in all of them at once: a mean of what each says alone need not suit any
+    places, values = _regress(layout, parts)
+    theta[places] = values
+    for case, (_, speeds) in enumerate(rough):
+        theta[layout.places(case, (START_ROTOR, START_CASING))] = speeds[0]
     pair = ("bearing.linear.d", "bearing.power.f", "bearing.power.g")
     if all(k in layout.model.free for k in pair):
-        places = [layout.places(i, pair) for i in range(len(rough))]
-        for d, f, g in [p for p in places if theta[p[1]] <= 0]:
+        # each bearing once, however many cases share it
+        for d, f, g in dict.fromkeys(tuple(layout.places(i, pair).tolist()) for i in range(len(rough))):
+            if theta[f] > 0:
+                continue
             torque = max(theta[d] * reference, 1e-9)
             theta[f] = _FIRST_SHARE * torque / reference ** theta[g]
             theta[d] = (1 - _FIRST_SHARE) * torque / reference
@@ -80,19 +82,14 @@ def _resting(layout: Layout, name: str) -> float:
     return p.start
 
 
-def _regress(layout: Layout, case: int, times: Array, speeds: Array, theta: Array) -> tuple[list[str], Array]:
+def _equations(
+    layout: Layout, case: int, times: Array, speeds: Array, theta: Array
+) -> tuple[list[str], Array, Array]:
+    """Return the strengths of one case, and the linear equations for them with both start speeds free."""
     dynamics = Dynamics(layout.model.smooth)
     numbers = layout.numbers(theta, case)
     state = np.concatenate([speeds, np.zeros((len(times), len(dynamics.states) - 2))], axis=1)
-    # linear in its strength, but hardly to be told from the linear law while its power is free
-    curved = ("bearing.heating.", *(("bearing.power.",) if "bearing.power.g" in dynamics.parameters else ()))
-    linear = [
-        k
-        for k in dynamics.parameters
-        if layout.model.parameters[k].role == "amplitude" and not k.startswith(curved)
-    ] or [k for k in dynamics.parameters if layout.model.parameters[k].role == "amplitude"]
-    if not {"bearing.linear.d", "bearing.power.f"} & {*linear} and "bearing.power.f" in dynamics.parameters:
-        linear.append("bearing.power.f")
+    linear = _strengths(layout, dynamics.parameters)
     with np.errstate(all="ignore"):
         # without the strengths that are sought: what parameters held at a value do
         still, _, b = dynamics.linearised(times, state, numbers | dict.fromkeys(linear, 0.0))
@@ -110,22 +107,47 @@ def _regress(layout: Layout, case: int, times: Array, speeds: Array, theta: Arra
     held = _integral(times, still[:, :2])
     # while friction holds the casing its torque is what it has to be, and says nothing
     seen = [np.ones(len(times), dtype=bool), _turning(speeds[:, 1])]
-    blocks = [
-        np.concatenate([integrals[:, i], _start_column(len(times), i)], axis=1)[seen[i]] * weight[i]
-        for i in (0, 1)
-    ]
-    target = np.concatenate([(speeds[:, i] - held[:, i])[seen[i]] * weight[i] for i in (0, 1)])
-    design = np.concatenate(blocks)
-    size = np.linalg.norm(design, axis=0)
+    blocks, targets = [], []
+    for i in (0, 1):
+        columns = np.column_stack([integrals[:, i], speeds[:, i] - held[:, i]])[seen[i]] * weight[i]
+        columns = columns - columns.mean(axis=0)
+        blocks.append(columns[:, :-1])
+        targets.append(columns[:, -1])
+    return linear, np.concatenate(blocks), np.concatenate(targets)
+
+
+def _strengths(layout: Layout, parameters: Sequence[str]) -> list[str]:
+    """Return the parameters in which the equations are linear, and which the data can tell apart so."""
+    every = [k for k in parameters if layout.model.parameters[k].role == "amplitude"]
+    # linear in its strength, but hardly to be told from the linear law while its power is free
+    curved = ("bearing.heating.", *(("bearing.power.",) if "bearing.power.g" in parameters else ()))
+    linear = [k for k in every if not k.startswith(curved)] or every
+    if not {"bearing.linear.d", "bearing.power.f"} & {*linear} and "bearing.power.f" in parameters:
+        linear.append("bearing.power.f")
+    return linear
+
+
+def _regress(
+    layout: Layout, parts: Sequence[tuple[NDArray[np.intp], Array, Array]]
+) -> tuple[NDArray[np.intp], Array]:
+    """Return the places of all strengths and their values within bounds, by linear least squares."""
+    places = np.unique(np.concatenate([own for own, _, _ in parts]))
+    rows, aims = [], []
+    for own, design, target in parts:
+        few = turned(np.column_stack([design, target]))
+        rows.append(np.zeros((len(few), len(places))))
+        rows[-1][:, np.searchsorted(places, own)] = few[:, :-1]
+        aims.append(few[:, -1])
+    stacked, aim = np.concatenate(rows), np.concatenate(aims)
+    size = np.linalg.norm(stacked, axis=0)
     size[size == 0] = 1.0
-    lower = np.array([*(layout.model.parameters[k].lower for k in linear), -np.inf, -np.inf])
-    upper = np.array([*(layout.model.parameters[k].upper for k in linear), np.inf, np.inf])
-    unit, aim = design / size, target / np.linalg.norm(target)
+    scale = float(np.linalg.norm(aim)) or 1.0
+    unit, aim = stacked / size, aim / scale
+    lower, upper = (bound[places] for bound in layout.declared_bounds())
     solution = minimise(
         lambda x: (unit @ x - aim, unit), np.zeros(len(size)), lower, upper, tolerance=1e-10, absolute=1e-14
     )
-    values = solution.x / size * np.linalg.norm(target)
-    return linear, values[: len(linear)]
+    return places, solution.x / size * scale
 
 
 def _turning(omega_c: Array) -> NDArray[np.bool_]:
@@ -144,9 +166,3 @@ def _integral(times: Array, rates: Array) -> Array:
     steps = np.diff(times).reshape(-1, *[1] * (rates.ndim - 1))
     middle = 0.5 * (rates[1:] + rates[:-1]) * steps
     return np.concatenate([np.zeros((1, *rates.shape[1:])), np.cumsum(middle, axis=0)])
-
-
-def _start_column(n: int, body: int) -> Array:
-    column = np.zeros((n, 2))
-    column[:, body] = 1.0
-    return column

@@ -68,12 +68,15 @@ class TorqueResponse:
         total = np.zeros((self._smooth.stop, self._smooth.stop))
         order, starts, responses = self._by_time
         for w in responses:
-            # R = U' + U - 1 with the upper triangle U_kl = decay^(l-k): one recursion, from the last cell back
-            later = _decaying_sums(w, decay) - 0.5 * w
+            # R = U' D U with the upper triangle U_kl = decay^(l-k) and D = diag(1, 1 - decay^2, ...): a random torque
+            # as what independent kicks leave behind; a product with itself costs half of one with another
+            kicked = _decaying_sums(w, decay)
+            kicked[1:] *= np.sqrt(1 - decay**2)
             for first, run in starts:
-                total[first:, first:] += later[run, first:].T @ w[run, first:]
+                part = kicked[run, first:]
+                total[first:, first:] += part.T @ part
         place = np.argsort(order)
-        return np.asarray(total + total.T)[np.ix_(place, place)]
+        return np.asarray(total[np.ix_(place, place)])
 
     @cached_property
     def _by_time(self) -> tuple[NDArray[np.intp], list[tuple[int, slice]], list[Array]]:

@@ -1,13 +1,20 @@
 """Cases fitted together: what they share is one, what is their own is each one's, and the errors say so."""
 
+from dataclasses import replace
+
 import pytest
 import twobody
 from cases import case, data, pulls
 
-from fitting.effects import LINEAR, REDUCED
+from fitting.case_data import CaseData
+from fitting.effects import GENERAL, LINEAR, REDUCED
 from fitting.errors import EstimationError
 from fitting.estimation import fit
+from fitting.estimation.layout import Layout
+from fitting.estimation.problem import Problem
+from fitting.estimation.start import first_values
 from fitting.model import Model
+from fitting.record import make_record
 
 
 def test_joint_fit_of_two_surfaces():
@@ -55,6 +62,38 @@ def test_a_bearing_of_its_own_in_each_case(free):
     found = pulls(result, true)
     assert set(true) - set(found) == {"touchpoint.constant.b1", "casing.air.linear.b2"}
     assert max(map(abs, found.values())) < 4
+
+
+def test_start_values_do_not_depend_on_how_many_cases_share_them():
+    record = data(seed=0).record
+    starts = []
+    for count in (1, 12):
+        cases = [CaseData.of(replace(record, label=f"r{i}")) for i in range(count)]
+        layout = Layout.of(Model.of(REDUCED), [c.record for c in cases], share=["b1", "b2"])
+        starts.append(dict(zip(layout.names, first_values(Problem(layout, cases), None), strict=True)))
+    for name in Model.of(REDUCED).free:
+        assert starts[1][name] == pytest.approx(starts[0][name], rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", [71, 81])
+def test_a_case_that_the_model_fails_does_not_spoil_the_other(seed):
+    """Noise in both cases would excuse a compromise: bearing and air off by a tenth, b1 of the sound case by 40 %."""
+    drag = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -3e-5 * (wc / 100) ** 2)
+    cameras = twobody.Cameras(span=40.0, windows=(2.0, 18.0, 34.0), window_length=2.0)
+    both = []
+    for label, par, start, hidden in (
+        ("failed", {}, (900.0, 5.0), drag),
+        ("sound", {"b1": 20e-6}, (850.0, 9.0), None),
+    ):
+        own = seed + len(both)
+        motion = twobody.simulate({**twobody.PAPER, **par}, start, span=40.0, seed=own, hidden=hidden)
+        both.append(make_record(**twobody.film(motion, seed=own, cameras=cameras, label=label)))
+    found = fit(Model.of(GENERAL), both)
+    assert found.verdict == "misfit"
+    failed, sound = found.noise
+    assert failed.level > 10 * sound.level
+    assert found.estimates["rotor.air.quadratic.a2"].value == pytest.approx(9.97e-11, rel=0.02)
+    assert found.estimates["touchpoint.constant.b1@sound"].value == pytest.approx(20e-6, rel=0.05)
 
 
 def test_cases_need_labels_of_their_own():
