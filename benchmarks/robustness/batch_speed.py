@@ -81,9 +81,15 @@ def resident(pid):
     return max(found)
 
 
+def busy():
+    """Return the CPU seconds that the whole machine has worked, and those that its host took away from it."""
+    ticks = [int(x) for x in Path("/proc/stat").read_text().split("\n", 1)[0].split()[1:9]]
+    return (sum(ticks) - ticks[3] - ticks[4]) / os.sysconf("SC_CLK_TCK"), ticks[7] / os.sysconf("SC_CLK_TCK")
+
+
 def measured(words):
-    """Run the program; return wall and CPU seconds of it and all its workers, memory, and what it said."""
-    before, start = os.times(), time.monotonic()
+    """Run the program; return its wall and CPU seconds, those of others, its memory, and what it said."""
+    before, start, machine = os.times(), time.monotonic(), busy()
     words = [sys.executable, "-m", "gyrotrack", words[0], "--json", "-q", *map(str, words[1:])]
     process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, cwd=ROOT)
     memory = []
@@ -94,9 +100,11 @@ def measured(words):
     ensure(process.returncode == 0, str(said)[:300])
     after = os.times()
     cpu = after.children_user + after.children_system - before.children_user - before.children_system
+    others = [a - b for a, b in zip(busy(), machine, strict=True)]
+    others[0] -= cpu + others[1]
     quarter = -(-len(memory) // 4)
     most = [round(max(memory[i : i + quarter])) for i in range(0, len(memory), quarter)]
-    return time.monotonic() - start, cpu, most, said
+    return time.monotonic() - start, cpu, others, most, said
 
 
 def main():
@@ -118,13 +126,15 @@ def main():
         results = asked.work / f"results_{workers}"
         shutil.rmtree(results, ignore_errors=True)
         words = ["batch", clips, "-o", results, "--until", "extract", "--workers", workers]
-        wall, cpu, memory, said = measured(words)
+        wall, cpu, others, memory, said = measured(words)
         ensure(said["steps"]["done"] == asked.count, str(said["steps"]))
-        again, _, _, said = measured(words)
+        again, *_, said = measured(words)
         ensure(said["steps"]["kept"] == asked.count, str(said["steps"]))
         found[workers] = {
             "wall_s": round(wall, 1),
             "cpu_s": round(cpu, 1),
+            "others_cpu_s": round(others[0], 1),
+            "stolen_cpu_s": round(others[1], 1),
             "memory_mb": memory,
             "second_run_s": round(again, 2),
         }

@@ -33,6 +33,9 @@ def read_point_file(path: Path, sha256: str) -> Points:
             table = file.get("df_with_missing/table")
             if isinstance(table, h5py.Dataset):
                 return _deeplabcut(path, sha256, table)
+            frame = file.get("df_with_missing")
+            if isinstance(frame, h5py.Group) and "block0_values" in frame:
+                return _fixed(path, sha256, frame)
     except (OSError, RuntimeError, KeyError, ValueError, TypeError, IndexError) as error:
         raise DatasetError(f"{path} cannot be read as points: {str(error)[:100]}.", _FOREIGN) from error
     raise DatasetError(f"{path} is an HDF5 file, but holds no points of a kind that is known.", _FOREIGN)
@@ -71,17 +74,40 @@ def _deeplabcut(path: Path, sha256: str, table: Any) -> Points:
         raise DatasetError(f"{path} claims {table.nbytes:,} bytes.", "The file is damaged or forged.")
     names = listed_names(bytes(np.asarray(table.attrs["values_block_0_kind"])[()]))
     rows = table[()]
-    values = np.asarray(rows["values_block_0"], dtype=float)
+    return _points(path, sha256, names, rows["values_block_0"], rows["index"])
+
+
+def _fixed(path: Path, sha256: str, frame: Any) -> Points:
+    """Read a table in the other form that pandas has, as older DeepLabCut and `movement` write it."""
+    values, index = frame["block0_values"], frame["axis1"]
+    for dataset in (values, index):
+        check_storage(dataset)
+    if "block1_values" in frame or index.shape != values.shape[:1]:
+        raise DatasetError(f"{path}: the table is not as DeepLabCut writes it.", "Export it as CSV.")
+    levels = []
+    for k in range(int(frame.attrs["block0_items_nlevels"])):
+        words, labels = (frame[f"block0_items_{what}{k}"] for what in ("level", "label"))
+        if words.dtype.kind != "S" or labels.dtype.kind not in "iu" or labels.ndim != 1:
+            raise DatasetError(f"{path}: the table is not as DeepLabCut writes it.", "Export it as CSV.")
+        known = [w.decode("utf-8", "replace") for w in words[()].tolist()]
+        levels.append([known[i] for i in labels[()].tolist()])
+    return _points(path, sha256, list(zip(*levels, strict=True)), load(values), load(index))
+
+
+def _points(path: Path, sha256: str, names: list[tuple[str, ...]], columns: Any, index: Any) -> Points:
+    values = np.asarray(columns, dtype=float)
     if values.ndim != 2 or len(names) != values.shape[1]:
         raise DatasetError(f"{path}: {len(names)} names for {values.shape[1:]} columns.", "Export it as CSV.")
     points: dict[str, dict[str, Any]] = {}
+    individuals = {name[1] for name in names if len(name) == 4}  # noqa: PLR2004 - scorer, individual, point, x
+    first = 2 if len(individuals) == 1 else 1
     for i, name in enumerate(names):
-        points.setdefault(".".join(name[1:-1]), {})[name[-1]] = values[:, i]
+        points.setdefault(".".join(name[first:-1]), {})[name[-1]] = values[:, i]
     whole = {n: p for n, p in points.items() if {"x", "y"} <= set(p)}
     return Points(
         path,
         sha256,
-        np.asarray(rows["index"], dtype=float),
+        np.asarray(index, dtype=float),
         {n: np.stack([p["x"], p["y"]], axis=1) for n, p in whole.items()},
         {n: p["likelihood"] for n, p in whole.items() if "likelihood" in p},
         y_down=True,

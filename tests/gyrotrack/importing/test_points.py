@@ -105,11 +105,14 @@ def test_deeplabcut_csv(tmp_path, places, individuals):
 
 
 @pytest.mark.filterwarnings("ignore")  # of PyTables
-def test_deeplabcut_hdf5_as_pandas_writes_it(tmp_path, places):
+@pytest.mark.parametrize("form", ["table", "fixed"])
+@pytest.mark.parametrize("individuals", [False, True])
+def test_deeplabcut_hdf5_as_pandas_writes_it(tmp_path, places, form, individuals):
     pd = pytest.importorskip("pandas")
     pytest.importorskip("tables")
-    header = pd.read_csv(io.StringIO(deeplabcut(places)), header=[0, 1, 2], index_col=0)
-    header.to_hdf(tmp_path / "dlc.h5", key="df_with_missing", format="table", mode="w")
+    lines = [0, 1, 2, 3] if individuals else [0, 1, 2]
+    header = pd.read_csv(io.StringIO(deeplabcut(places, individuals)), header=lines, index_col=0)
+    header.to_hdf(tmp_path / "dlc.h5", key="df_with_missing", format=form, mode="w")
     table = read_table(tmp_path / "dlc.h5", wanted=Wanted(fps=FPS))
     assert right(table, seen=np.delete(np.arange(N), 7))
 
