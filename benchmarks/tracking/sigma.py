@@ -14,6 +14,7 @@ import importlib.util
 import os
 import sys
 import tempfile
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -98,7 +99,12 @@ def main() -> None:
     )
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--frames", type=int, default=500)
-    parser.add_argument("--only", default="", help="only the cells whose name holds this")
+    parser.add_argument(
+        "--only", action="append", help="only the cells whose name holds this; may be given several times"
+    )
+    parser.add_argument(
+        "--found", type=Path, help="folder that keeps what was found; films in it are not drawn again"
+    )
     parser.add_argument("-o", "--output", type=Path)
     args = parser.parse_args()
     lines = [
@@ -111,7 +117,7 @@ def main() -> None:
     ]
     every: list[dict] = []
     cells = [(name, "own") for name in OWN] + [(name, "foreign") for name in FOREIGN]
-    cells = [cell for cell in cells if args.only in cell[0]]
+    cells = [cell for cell in cells if not args.only or any(part in cell[0] for part in args.only)]
     with tempfile.TemporaryDirectory() as folder:
         for name, kind in cells:
             found = []
@@ -119,7 +125,7 @@ def main() -> None:
                 path = Path(folder) / "film.mp4"
                 make = own if kind == "own" else foreign
                 try:
-                    found.append(make(path, name, seed, args.frames))
+                    found.append(kept(args.found, make, path, name, seed, args.frames))
                 except GyrotrackError as error:
                     found.append({})
                     print(f"{name}, seed {seed}: {error}", file=sys.stderr)
@@ -131,6 +137,21 @@ def main() -> None:
     print(lines[-1])
     if args.output:
         args.output.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def kept(
+    folder: Path | None, make: Callable[..., dict], path: Path, name: str, seed: int, frames: int
+) -> dict:
+    """Return what was found in a film: from the folder that keeps it, or now."""
+    if folder is None:
+        return make(path, name, seed, frames)
+    folder.mkdir(parents=True, exist_ok=True)
+    file = folder / f"{name.replace(' ', '_').replace('/', '_')}_{seed}_{frames}.npz"
+    if not file.exists():
+        found = make(path, name, seed, frames)
+        np.savez(file, **{key.replace("/", "|"): np.asarray(value) for key, value in found.items()})
+    with np.load(file) as held:
+        return {key.replace("|", "/"): held[key] for key in held.files}
 
 
 def own(path: Path, name: str, seed: int, frames: int) -> dict:

@@ -89,7 +89,7 @@ class BodyWatch:
             self._motion = self._motion_at(self._frame) or self._motion
             coarse = self._follow(self._searched(frames), advance)
             self._cut(frames, place, coarse)
-            found = self._refined(coarse, place + np.arange(len(frames)))
+            found = self._refined(coarse, slice(place, place + len(frames)))
             if np.isnan(coarse).any():
                 self._prediction.forget()
             self._prediction.note(number[:-1], *found)
@@ -104,8 +104,8 @@ class BodyWatch:
         if prediction is None or SURE * prediction[1] > MARGIN:
             return None
         self._cut(frames, place, prediction[0])
-        few = np.arange(0, len(frames), LOOK_EVERY)
-        angle, seen = self._refined(prediction[0][few], place + few)
+        few = slice(0, len(frames), LOOK_EVERY)
+        angle, seen = self._refined(prediction[0][few], slice(place, place + len(frames), LOOK_EVERY))
         if seen.mean() <= 0.5:
             return None
         self._prediction.note(number[few], angle, seen)
@@ -125,7 +125,7 @@ class BodyWatch:
         for watch in self.markers.values():
             watch.strip.take(frames, place, angles + watch.paper.mount)
 
-    def _refined(self, coarse: Floats, place: Integers) -> tuple[Floats, Mask]:
+    def _refined(self, coarse: Floats, place: slice) -> tuple[Floats, Mask]:
         """Improve coarse angles by all coloured markers together: (n,) [rad], and where any of them is seen.
 
         A marker that is partly hidden stands out less, and counts with the eighth power of that.

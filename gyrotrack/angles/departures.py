@@ -14,6 +14,7 @@ from gyrotrack.geometry.local import local_fit
 
 Floats = npt.NDArray[np.float64]
 
+TURN = 2.0 * np.pi
 FAST = 70.0
 """Speed in rad/s at which a swing of the acceleration by 10 rad/s^2, a heavy unbalance, is 2 mrad."""
 ENOUGH = 0.2
@@ -190,5 +191,5 @@ class Departures:
 
 
 def wrapped(angle: Floats) -> Floats:
-    """Return angles in (-pi, pi]."""
-    return np.asarray(np.angle(np.exp(1j * angle)))
+    """Return angles in [-pi, pi]."""
+    return np.asarray(angle - TURN * np.rint(angle / TURN))

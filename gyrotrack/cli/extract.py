@@ -15,6 +15,7 @@ from gyrotrack.cli.output import Output
 
 if TYPE_CHECKING:
     from gyrotrack.dataset.records import Recording
+    from gyrotrack.pipeline.task import Task
 
 
 class Body(StrEnum):
@@ -84,17 +85,7 @@ def command(
         check_overlay(overlay, force=force)
     if contact_sheet is not None:
         check_contact_sheet(contact_sheet, force=force)
-    if done is None:
-        recording, fps = task.run(
-            command=command_line(),
-            bar=lambda: out.progress(f"tracking {video.name}", "frames"),
-            tell=out.note,
-            resume=resume,
-            force=force,
-        )
-    else:
-        out.note(f"{target} is complete already")
-        recording, fps = done, float("nan")
+    recording, fps = _tracked(task, done, out, resume=resume, force=force)
     for warning in recording.warnings:
         out.warn(warning)
     document = _document(target, recording, fps)
@@ -107,6 +98,22 @@ def command(
         document["contact_sheet"] = contact_sheet
     out.result(document)
     out.show(_lines(document))
+
+
+def _tracked(
+    task: Task, done: Recording | None, out: Output, *, resume: bool, force: bool
+) -> tuple[Recording, float]:
+    """Return the recording, tracked now unless that is done, and the frames tracked in a second."""
+    if done is not None:
+        out.note(f"{task.target} is complete already")
+        return done, float("nan")
+    return task.run(
+        command=command_line(),
+        bar=lambda: out.progress(f"tracking {task.video.name}", "frames"),
+        tell=out.note,
+        resume=resume,
+        force=force,
+    )
 
 
 def _document(target: Path, recording: Recording, fps: float) -> dict[str, Any]:

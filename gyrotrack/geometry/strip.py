@@ -86,6 +86,8 @@ class Strip:
         self._unit = np.float32(1.0 / paper.contrast[0] if self.white else 1.0)
         ground = self._background(samples)
         self._under = [ground[:, k : k + self.width] for k in range(columns)]
+        self._mixing = np.zeros(ring.rows, dtype=np.float32)
+        self._mixing[self._every_second] = 1.0 / len(self._mixing[self._every_second])
         self._ground_mean = ground[self._every_second].mean(axis=0)
 
     def aim(self, centre: tuple[float, float]) -> None:
@@ -147,14 +149,15 @@ class Strip:
         )
         return np.asarray(strip * self._unit if self.white else strip, dtype=np.float32)
 
-    def near(self, angle: Floats, place: Integers, reach: int) -> Floats:
+    def near(self, angle: Floats, place: slice, reach: int) -> Floats:
         """Return the mean score of the paper if it lay beside given angles (n,) [rad] in frames of the batch.
 
         The columns are displacements by -`reach` to `reach` columns: (n, 2 reach + 1).
         """
-        profile = self.windows[place, self._every_second].mean(axis=1)
+        profile = self._mixing @ self.windows[place]
         half = max(int(self.paper.half_width / self.ring.step), 1)
-        total = np.cumsum(np.pad(profile, ((0, 0), (1, 0))), axis=1, dtype=np.float64)
+        total = np.zeros((len(profile), self.width + 1))
+        np.cumsum(profile, axis=1, out=total[:, 1:])
         box = (total[:, 2 * half + 1 :] - total[:, : -2 * half - 1]) / (2 * half + 1)
         column = angle / self.ring.step - self.starts[place] + (self.half - half - reach)
         low = np.clip(np.floor(column).astype(np.int64), 0, box.shape[1] - 2 * reach - 2)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack.angles.departures import wrapped
 from gyrotrack.angles.joining import BodyAngles
 from gyrotrack.angles.sightings import Sightings
 from gyrotrack.angles.uncertainty import paper_angle
@@ -39,13 +40,13 @@ def marker_track(
         delta=measured.delta,
         rho=measured.rho,
         beta=measured.beta,
-        angle=_wrapped(sense * measured.angle),
+        angle=wrapped(sense * measured.angle),
         sigma=measured.sigma,
         u_r=measured.u_r,
         u_1=measured.u_1,
         u_2=measured.u_2,
         status=status,
-        angle_fine=_wrapped(sense * found.angle),
+        angle_fine=wrapped(sense * found.angle),
         sigma_calibrated=found.sigma,
     )
 
@@ -99,7 +100,3 @@ def body_track(
         omega_sigma=omega_sigma,
         smoothing_width=WIDTH,
     )
-
-
-def _wrapped(angle: Floats) -> Floats:
-    return np.asarray(np.angle(np.exp(1j * angle)))

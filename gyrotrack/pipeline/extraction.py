@@ -17,10 +17,10 @@ from gyrotrack.geometry.scene import Scene
 from gyrotrack.pipeline.assembly import body_track, marker_track
 from gyrotrack.pipeline.joint import Joint, join_bodies
 from gyrotrack.pipeline.notes import Notes
-from gyrotrack.pipeline.watch import Progress, watch
+from gyrotrack.pipeline.watch import Progress, Watched, watch
 from gyrotrack.profile import PAPER, Profile
 from gyrotrack.segmentation.single_thread import single_threaded
-from gyrotrack.video import capture_rate, file_sha256, frame_numbers, probe
+from gyrotrack.video import CaptureRate, ClipInfo, capture_rate, file_sha256, frame_numbers, probe
 
 BODIES = (None, "casing", "rotor", "both")
 HARDLY = 0.5
@@ -90,17 +90,19 @@ def extract(
         )
     joint = join_bodies(seen, scene, profile, rate.fps)
     _check_bodies(joint, body, video)
-    still = _stillness(joint, video, marked=scene.disc is not None)
+    sha256 = str(journal.facts["film"]) if journal else file_sha256(video)
+    return _recording(info, sha256, rate, scene, seen, joint)
+
+
+def _recording(
+    info: ClipInfo, sha256: str, rate: CaptureRate, scene: Scene, seen: Watched, joint: Joint
+) -> Recording:
+    """Put together what the dataset keeps of a film."""
     index = frame_numbers(seen.pts_time)
     time = index / rate.fps
     markers = {
         paper.name: marker_track(
-            paper,
-            seen.bodies[name].markers[paper.name],
-            found,
-            joint.centre.centre,
-            joint.sense,
-            samples.size,
+            paper, seen.bodies[name].markers[paper.name], found, joint.centre.centre, joint.sense, seen.size
         )
         for name, found in joint.bodies.items()
         for paper in scene.of(name)
@@ -108,11 +110,13 @@ def extract(
     bodies = {
         name: body_track(name, found, markers, time, joint.sense) for name, found in joint.bodies.items()
     }
+    still = _stillness(joint, info.path, marked=scene.disc is not None)
+    told = (*still, *rate.warnings, *seen.warnings, *scene.warnings, *joint.warnings, *_odd_frames(markers))
     return Recording(
-        source=video.name,
-        source_sha256=str(journal.facts["film"]) if journal else file_sha256(video),
-        width=samples.size[0],
-        height=samples.size[1],
+        source=info.path.name,
+        source_sha256=sha256,
+        width=seen.size[0],
+        height=seen.size[1],
         capture_fps=rate.fps,
         container_fps=info.container_fps,
         frames_declared=info.frames_declared,
@@ -126,14 +130,7 @@ def extract(
         centre_sigma=joint.centre.sigma,
         markers=markers,
         bodies=bodies,
-        warnings=(
-            *still,
-            *rate.warnings,
-            *seen.warnings,
-            *scene.warnings,
-            *joint.warnings,
-            *_odd_frames(markers),
-        ),
+        warnings=told,
         extra=_extra(scene, joint, rate.source),
     )
 

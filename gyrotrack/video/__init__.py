@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from gyrotrack.video.clock import CaptureRate, capture_rate, frame_numbers, stamp_warnings
 from gyrotrack.video.container import ClipInfo, file_sha256, probe
+from gyrotrack.video.packets import keyframes, read_raw_stamps
 from gyrotrack.video.picking import frames_at
 from gyrotrack.video.planes import Frame
-from gyrotrack.video.reader import Mark, Reader, keyframes, read_raw_stamps
+from gyrotrack.video.reader import Mark, Reader
 
 __all__ = [
     "CaptureRate",

@@ -9,8 +9,8 @@ from typing import Any
 import av
 
 from gyrotrack.video.container import opened
+from gyrotrack.video.packets import packets_of
 from gyrotrack.video.planes import Frame, Orientation, orientation_of, planes_of
-from gyrotrack.video.reader import packets_of
 
 
 def frames_at(path: Path, stamps: Iterable[int]) -> dict[int, Frame]:

@@ -10,12 +10,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-import av
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack.video.ahead import Ahead
 from gyrotrack.video.clock import stamp_warnings
 from gyrotrack.video.container import ClipInfo, opened, probe
+from gyrotrack.video.packets import decode_past_damage, key_before, packets_of
 from gyrotrack.video.planes import Frame, Orientation, orientation_of, planes_of
 
 _NO_STAMP = -(1 << 63)
@@ -52,7 +53,8 @@ class Reader:
     path : Path
         The film.
     threads : int
-        Threads of the decoder (whole frames side by side).
+        1: frames are decoded when they are asked for. More: a thread of its own decodes some frames ahead, and the
+        decoder uses so many threads (whole frames side by side).
 
     Notes
     -----
@@ -70,6 +72,7 @@ class Reader:
         self._corrupt = 0
         self._size: tuple[int, int] | None = None
         self._open: Any = None
+        self._ahead: Ahead[tuple[Any, int]] | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -80,6 +83,9 @@ class Reader:
         self._close()
 
     def _close(self) -> None:
+        if self._ahead is not None:
+            self._ahead.close()
+            self._ahead = None
         if self._open is not None:
             self._open.__exit__(None, None, None)
             self._open = None
@@ -88,7 +94,12 @@ class Reader:
         return self._frames(0)
 
     def _frames(self, first_packet: int) -> Iterator[Frame]:
-        for raw in self._decode(first_packet):
+        counted = 0
+        for raw, bad in self._decode(first_packet):
+            self._bad_packets += bad - counted
+            counted = bad
+            if raw is None:
+                return
             if self._size is None:
                 self._size = (raw.width, raw.height)
                 self.orientation = orientation_of(raw)
@@ -120,7 +131,7 @@ class Reader:
         Frames are decoded anew from the last key frame before the mark. If its last frame does not come out of
         that as it was, they are decoded anew from the first one.
         """
-        for first_packet in dict.fromkeys((self._key_before(mark.pts), 0)):
+        for first_packet in dict.fromkeys((key_before(self.info.path, mark.pts), 0)):
             self.rewind()
             frames = self._frames(first_packet)
             for frame in frames:
@@ -140,36 +151,17 @@ class Reader:
         self.decoded, self._bad_packets, self._corrupt, self._size = 0, 0, 0, None
         self._pts = array("q")
 
-    def _key_before(self, pts: int | None) -> int:
-        """Return the number of the last key packet that is shown at or before a time stamp; 0 if unknown."""
-        if pts is None:
-            return 0
-        found = 0
-        with opened(self.info.path) as (container, stream):
-            for n, packet in enumerate(_packets(container, stream)):
-                if packet.is_keyframe and packet.pts is not None and packet.pts <= pts:
-                    found = n
-        return found
-
-    def _decode(self, first_packet: int) -> Iterator[Any]:
+    def _decode(self, first_packet: int) -> Iterator[tuple[Any, int]]:
         self._open = opened(self.info.path, self._threads)
         container, stream = self._open.__enter__()
         packets = container.demux(stream)
-        if first_packet:
-            for _ in zip(range(first_packet), packets_of(packets), strict=False):
-                pass
-        while True:
-            try:
-                packet = next(packets, None)
-                if packet is None:
-                    return
-                frames = packet.decode()
-            except av.error.FFmpegError:
-                self._bad_packets += 1
-                if self._bad_packets > 100 + 2 * max(self.info.frames_declared, self.decoded):
-                    return
-                continue
-            yield from frames
+        for _ in zip(range(first_packet), packets_of(packets), strict=False):
+            pass
+        decoded = decode_past_damage(packets, 100 + 2 * self.info.frames_declared)
+        if self._threads > 1:
+            self._ahead = Ahead(decoded)
+            return iter(self._ahead)
+        return decoded
 
     @property
     def stamps(self) -> npt.NDArray[np.int64]:
@@ -198,58 +190,5 @@ class Reader:
         return (*found, *stamp_warnings(self.pts_seconds()))
 
 
-def read_raw_stamps(path: Path) -> npt.NDArray[np.int64]:
-    """Return the time stamps of a film's packets in units of the time base, sorted, without decoding anything."""
-    with opened(path) as (container, stream):
-        stamps = [packet.pts for packet in _packets(container, stream) if packet.pts is not None]
-    return np.sort(np.array(stamps, dtype=np.int64))
-
-
-def keyframes(path: Path, count: int) -> list[Frame]:
-    """Decode up to `count` key frames spread evenly over a film, without the frames between them.
-
-    Their indices are not known and are given as -1: they show what the scene looks like in the course of the
-    film, before it is read in order.
-    """
-    with opened(path) as (container, stream):
-        keys = [n for n, packet in enumerate(_packets(container, stream)) if packet.is_keyframe]
-    wanted = {keys[int(i)] for i in np.linspace(0, len(keys) - 1, min(count, len(keys)))} if keys else set()
-    found: list[Frame] = []
-    with opened(path) as (container, stream):
-        orientation: Orientation | None = None
-        for n, packet in enumerate(_packets(container, stream)):
-            if n in wanted:
-                for raw in _decode_alone(packet, stream):
-                    orientation = orientation or orientation_of(raw)
-                    found.append(planes_of(raw, -1, orientation).copy())
-    return found
-
-
 def _check(frame: Frame) -> int:
     return zlib.crc32(frame.y.tobytes())
-
-
-def _packets(container: Any, stream: Any) -> Iterator[Any]:
-    return packets_of(container.demux(stream))
-
-
-def packets_of(packets: Any) -> Iterator[Any]:
-    """Give the packets of a demultiplexer up to its end, or to where the file is broken."""
-    while True:
-        try:
-            packet = next(packets, None)
-        except av.error.FFmpegError:
-            return
-        if packet is None or packet.size == 0:
-            return
-        yield packet
-
-
-def _decode_alone(packet: Any, stream: Any) -> list[Any]:
-    """Decode one key packet by itself; the decoder is emptied and made ready for the next."""
-    try:
-        frames = [*packet.decode(), *stream.codec_context.decode(None)]
-    except av.error.FFmpegError:
-        frames = []
-    stream.codec_context.flush_buffers()
-    return frames[:1]

@@ -45,9 +45,10 @@ def read(path, threads=1):
         return [number(frame) for frame in reader], reader
 
 
+@pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("name", ["a.mp4", "a.mov", "a.mkv", "a.avi"])
-def test_every_container_gives_every_frame_at_its_time(tmp_path, name):
-    numbers, reader = read(film(tmp_path / name))
+def test_every_container_gives_every_frame_at_its_time(tmp_path, name, threads):
+    numbers, reader = read(film(tmp_path / name), threads)
     assert numbers == list(range(150))
     stamps = reader.pts_seconds()
     np.testing.assert_array_equal(frame_numbers(stamps), np.arange(150))
