@@ -99,7 +99,7 @@ def _points(path: Path, sha256: str, names: list[tuple[str, ...]], columns: Any,
     if values.ndim != 2 or len(names) != values.shape[1]:
         raise DatasetError(f"{path}: {len(names)} names for {values.shape[1:]} columns.", "Export it as CSV.")
     points: dict[str, dict[str, Any]] = {}
-    individuals = {name[1] for name in names if len(name) == 4}  # noqa: PLR2004 - scorer, individual, point, x
+    individuals = {name[1] for name in names if len(name) == 4}
     first = 2 if len(individuals) == 1 else 1
     for i, name in enumerate(names):
         points.setdefault(".".join(name[first:-1]), {})[name[-1]] = values[:, i]
