@@ -55,6 +55,14 @@ def busy(path: Path) -> OutputError:
     )
 
 
+def gone(path: Path) -> OutputError:
+    """Return the error for an output whose folder, or the drive that it is on, is no longer there."""
+    return OutputError(
+        f"{path} cannot be written: what was written has gone, and its folder or drive with it.",
+        "Is the drive still there? Nothing else was touched; run it again.",
+    )
+
+
 def refusal(path: Path, error: OSError) -> OutputError:
     """Return, in one sentence, why the system does not let `path` be written."""
     if error.errno in {errno.ENOSPC, errno.EDQUOT}:

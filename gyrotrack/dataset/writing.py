@@ -15,7 +15,7 @@ from typing import Any, BinaryIO
 
 import h5py
 
-from gyrotrack.dataset.locking import busy, is_at, lock, refusal, remove
+from gyrotrack.dataset.locking import busy, gone, is_at, lock, refusal, remove
 from gyrotrack.dataset.seal import sealed
 from gyrotrack.errors import OutputError
 
@@ -64,7 +64,7 @@ def new_file(path: Path, *, force: bool = False) -> Iterator[BinaryIO]:
                 remove(part, stream)
                 raise
             if not is_at(part, stream):
-                raise busy(part)
+                raise busy(part) if part.exists() else gone(path)
         part.replace(path)
     except OSError as error:
         raise _refusal(path, error) from error

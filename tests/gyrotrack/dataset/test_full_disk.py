@@ -96,6 +96,24 @@ def test_commands_on_such_a_disk(mounted, tmp_path, capsys, name, state):
     assert left == before
 
 
+def test_a_drive_that_is_gone_before_the_file_is_whole(mounted):
+    """The drive is taken away while it is written to; what was there before stands there when it is back."""
+    folder = mounted(200)
+    (folder / "a").write_bytes(b"old")
+    held = os.open(folder, os.O_RDONLY)
+
+    def write_and_take_away(stream):
+        stream.write(b"new")
+        subprocess.run(["umount", "-l", str(folder)], check=True)
+
+    with pytest.raises(OutputError, match="has gone"), new_file(folder / "a", force=True) as stream:
+        write_and_take_away(stream)
+    assert not list(folder.iterdir())
+    with open(os.open("a", os.O_RDONLY, dir_fd=held), "rb") as old:  # noqa: PTH123 - the drive, wherever it is
+        assert old.read() == b"old"
+    os.close(held)
+
+
 @pytest.mark.parametrize("code", [errno.ESTALE, errno.EIO, errno.ENOTCONN, errno.EDQUOT])
 def test_a_network_drive_that_goes_away_while_writing(tmp_path, monkeypatch, code):
     (tmp_path / "a").write_bytes(b"old")
