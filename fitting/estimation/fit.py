@@ -82,6 +82,9 @@ def fit(
     held = tuple(steady)
     if held:
         theta = search_around(problem, theta, held)
+        # the noise that the model was excused with before the law came would excuse any shape
+        noise = refine_level(problem, theta, noise)
+        problem.set_noise([n.whitener for n in noise])
     minimum, theta = search(problem, theta, quick=quick)
     noise = refine_level(problem, theta, noise)
     problem.set_noise([n.whitener for n in noise])
