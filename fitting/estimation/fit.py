@@ -75,8 +75,8 @@ def fit(
     elif not set(problem.layout.names) <= set(start or ()):
         # far from the minimum a model fails by far more than the noise, and a valley seen so sharply is hard to follow
         problem.set_noise(cautious(problem, theta, noise))
-        theta = shaped(problem, theta, start)
-        _, theta = search(problem, theta, quick=True)
+        theta, unknown = shaped(problem, theta, start, noise)
+        theta = search_around(problem, theta, unknown)
         noise = refine_level(problem, theta, noise)
     problem.set_noise([n.whitener for n in noise])
     held = tuple(steady)
