@@ -165,6 +165,31 @@ def test_other_parts_are_counted(tmp_path):
     assert f"({len(faults) - 1} of {len(faults)};" in measured(text, "a fault of measuring sold")
     assert f"(2 of {len(outside)};" in measured(text, "from outside the library")
     assert "(1 of 3;" in measured(text, "two effects at once")
+    assert "(1 of 3;" in measured(text, "the same, in reach")
+
+
+def test_other_gyroscopes_are_drawn_and_counted():
+    runs = plan.plan(2, ("elsewhere",))
+    drawn = [r.gyroscopes[0]["I_rotor"] for r in runs]
+    assert len(set(drawn)) == len(runs)
+    assert {r.cases for r in runs} == {1, 2}
+    assert 0 < sum(r.noise > 0 for r in runs) < len(runs)
+    found = [
+        line(r, r.hidden, "missing_effect" if r.hidden else "adequate")
+        for r in runs
+        if (r.hidden and r.hidden[0] in hidden.LIBRARY) or not r.hidden
+    ]
+    text = table.page(found, [], []).partition("## Other gyroscopes")[2]
+    library = [x for x in found if x["hidden"] and x["hidden"][0] != "external.constant"]
+    quiet = sum(not x["noise"] for x in library)
+
+    def counted(start):
+        return next(row.split("|")[2].strip() for row in text.splitlines() if row.startswith(f"| {start}"))
+
+    assert f"({quiet} of {quiet};" in counted("right first, no torque noise")
+    assert f"({len(library) - quiet} of {len(library) - quiet};" in counted("right first, torque noise")
+    # the two that say "missing" where the rub has taken the constant torque up
+    assert "(2 of 4;" in counted("nothing missing: a false alarm")
 
 
 def test_shares_have_their_intervals():
@@ -199,6 +224,14 @@ def test_the_oracle_sees_the_difference_that_the_effect_makes():
         # rows are in units of the noise that was measured, which is right to a few hundredths
         assert seen.whole == pytest.approx(whole, rel=0.03), name
         assert seen.beside_rival <= seen.beside_base <= seen.whole
+        same = oracle.beside(name, [world]).reach(name, [world])
+        assert same.beside_base < 1e-6 * seen.beside_base
+    both = oracle.beside("bearing.heating", [hidden.LIBRARY["bearing.heating"](1e-10, drawn)])
+    alone, among = (
+        o.reach("bearing.drift", [hidden.LIBRARY["bearing.drift"](1e-10, drawn)]) for o in (oracle, both)
+    )
+    assert among.beside_base < alone.beside_base
+    assert among.whole == alone.whole
 
 
 @pytest.mark.slow

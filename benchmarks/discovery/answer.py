@@ -35,7 +35,8 @@ def answer(run: Planned) -> dict[str, Any]:
         ``ranked``: the best candidates, and the hidden one, as [name, kind, score, delta_bic, p, refitted].
         ``added``: the parameters of the first as [name, value, stderr, truth, (value - truth) / stderr], and its
         refit's ``chi2`` and ``held`` for each casing, and ``verdict``.
-        ``sigma``: the size of each hidden effect: whole, beside the base, and beside base and nearest ``rival``.
+        ``sigma``: the size of each hidden effect: whole, beside the base (and the other effect, where there are two),
+        and beside base and nearest ``rival``.
         ``seconds``: of CPU, for the fit and for the answer.
         For two effects ``rungs`` and, as ``named``, the effects of the last rung that the base has not.
     """
@@ -67,11 +68,17 @@ def answer(run: Planned) -> dict[str, Any]:
 
 
 def _sizes(run: Planned, base: Fit) -> dict[str, Any]:
-    """Return the size of what is hidden in sigma, each effect for itself."""
+    """Return the size of what is hidden in sigma, each effect beside the other where there are two."""
     if not run.hidden:
         return {}
     oracle = Oracle(base, run.noise, run.noise_time)
-    found = [oracle.reach(name, run.worlds_of(name)) for name in run.hidden]
+    worlds = {name: run.worlds_of(name) for name in run.hidden}
+    found = []
+    for name in run.hidden:
+        told = oracle
+        for other in worlds.keys() - {name}:
+            told = told.beside(other, worlds[other])
+        found.append(told.reach(name, worlds[name]))
     return {
         "sigma": [[r.whole, r.beside_base, r.beside_rival] for r in found],
         "rival": [r.rival for r in found],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import Any
 
@@ -57,24 +58,20 @@ def detected(line: Line) -> bool:
     return line["verdict"] != "adequate"
 
 
-def power(line: Line) -> float:
-    """Return how often an ideal test would detect what is hidden."""
+def power(line: Line, which: int = 0) -> float:
+    """Return how often an ideal test would detect what is hidden, or the second of two."""
     threshold = float(norm.isf(_IDEAL_ALARMS / _IDEAL_CANDIDATES / 2)) ** 2
-    return float(ncx2.sf(threshold, 1, max(_beside_base(line) ** 2, 1e-9)))
+    return float(ncx2.sf(threshold, 1, max(float(line["sigma"][which][1]) ** 2, 1e-9)))
 
 
 def bound(line: Line) -> float:
-    """Return how often an ideal method would name what is hidden first, with one rival."""
-    return power(line) * float(norm.cdf(line["sigma"][0][2] / 2))
+    """Return how often an ideal method would name all that is hidden, each with one rival."""
+    return math.prod(power(line, i) * float(norm.cdf(s[2] / 2)) for i, s in enumerate(line["sigma"]))
 
 
 def in_reach(line: Line) -> bool:
-    """An ideal method would name it first in nine of ten recordings."""
+    """An ideal method would name it first in nine of ten recordings; of two effects, name both."""
     return bound(line) > _IN_REACH
-
-
-def _beside_base(line: Line) -> float:
-    return float(line["sigma"][0][1])
 
 
 def extra(line: Line) -> list[str]:

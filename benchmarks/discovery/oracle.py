@@ -9,6 +9,7 @@ Phi(sqrt(apart) / 2), for one rival.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,15 +66,25 @@ class Oracle:
     def reach(self, name: str, worlds: list[Hidden]) -> Reach:
         """Return how far a hidden effect stands out: by its name in the library, or by its law."""
         effect = resolve(worlds[0].law) if worlds[0].law else LIBRARY[name]
+        v = self._seen(effect, worlds)
+        left = self._left(v)
+        rival, apart = self._nearest(left, effect)
+        return Reach(*(float(np.linalg.norm(x)) for x in (v, left)), apart, rival)
+
+    def beside(self, name: str, worlds: list[Hidden]) -> Oracle:
+        """Return an oracle for whom the strength of this effect, too, is free in the base."""
+        more = copy(self)
+        more._basis = _basis(np.column_stack([self._basis, self._seen(LIBRARY[name], worlds)]))  # noqa: SLF001
+        return more
+
+    def _seen(self, effect: Effect, worlds: list[Hidden]) -> np.ndarray:
+        """Return what the rows show of an effect, whitened."""
         rows = []
         for case, world in zip(self._cases, worlds, strict=True):
             law = resolve(world.law) if world.law else effect
             found = case.trials(law, [_shape(law, world)])[0].columns
             rows.append(found @ _strength(law, world))
-        v = self._white(np.concatenate(rows))
-        left = self._left(v)
-        rival, apart = self._nearest(left, effect)
-        return Reach(*(float(np.linalg.norm(x)) for x in (v, left)), apart, rival)
+        return self._white(np.concatenate(rows))
 
     def _nearest(self, left: np.ndarray, effect: Effect) -> tuple[str, float]:
         same = frozenset({effect.name}).union(*(t for t in TWINS if effect.name in t))

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fitting.discovery.polish import polished
 from fitting.discovery.ranking import ALWAYS_FREE, Candidate, rank
 from fitting.effects import Effect
 from fitting.estimation import Fit, fit
-from fitting.estimation.noise_levels import Noise, measure_noise
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -23,8 +23,6 @@ _NEEDED = 3.3
 _EVIDENCE = 2.0
 # tracking has artefacts of its own once and twice a turn: physics there needs "very strong" evidence
 _EVIDENCE_ANGLE = 10.0
-# noise that falls by less when an effect is added is the same noise, measured twice
-_QUIETER = 0.8
 
 
 @dataclass(frozen=True)
@@ -102,31 +100,6 @@ def best(candidates: Sequence[Candidate]) -> Candidate | None:
         if c.significant and c.fit is not None and c.delta_bic < -needed:
             return c
     return None
-
-
-def polished(found: Fit) -> Fit:
-    """Return a fit that was made quickly, at its minimum, with the noise that its own model leaves.
-
-    What fluctuates fast and was missing before may have been taken for noise, and hid whatever is smaller.
-    """
-    end = _again(found, found.noise)
-    noise = measure_noise(end.problem, end.theta)
-    if all(new.pure >= _QUIETER * old.pure for new, old in zip(noise, end.noise, strict=True)):
-        return end
-    quieter = _again(end, noise)
-    return quieter if quieter.bic < end.bic - _EVIDENCE else end
-
-
-def _again(found: Fit, noise: Sequence[Noise]) -> Fit:
-    layout = found.problem.layout
-    return fit(
-        found.model,
-        found.problem.data,
-        share=[k for k in found.model.free if k not in layout.per_case] if len(layout.records) > 1 else (),
-        per_case=layout.per_case,
-        start={k: e.value for k, e in found.estimates.items()},
-        noise=noise,
-    )
 
 
 def _backward(rungs: list[Rung]) -> Rung:

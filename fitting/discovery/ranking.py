@@ -112,7 +112,7 @@ def rank(base: Fit, extra: Sequence[Effect] = (), *, refitting: bool = True) -> 
     if refitting:
         chance = {s.effect.name: c for s, c in zip(scores, chances, strict=True)}
         rough = [_refitted(base, c, chance[c.effect.name], family) if w else c for c, w in _worth(rough)]
-    return _classed(sorted(rough, key=_order))
+    return arranged(rough)
 
 
 def _fits_in(effect: Effect, base: Fit) -> bool:
@@ -168,7 +168,10 @@ def _refitted(base: Fit, candidate: Candidate, chance: Chance, family: Family) -
     )
 
 
-def _classed(candidates: list[Candidate]) -> list[Candidate]:
+def arranged(found: Sequence[Candidate]) -> list[Candidate]:
+    """Return candidates in their order, best first, each with those that the data cannot tell from it."""
+    candidates = sorted(found, key=_order)
+
     def alike(a: Candidate, b: Candidate) -> bool:
         if a.screened.absorbed or b.screened.absorbed:
             return False

@@ -8,6 +8,7 @@ import numpy as np
 
 from fitting.discovery.breaks import better_breaks, distant_breaks
 from fitting.discovery.scoring import Score
+from fitting.effects import Effect
 from fitting.errors import FittingError
 from fitting.estimation import Fit, fit
 from fitting.estimation.layout import PER_CASE
@@ -43,11 +44,18 @@ def together(
             per_case=own if len(layout.records) > 1 else (),
             start=begin if start is None else begin | dict(start),
             noise=base.noise,
+            steady=[n for n in begin if _is_shape(score.effect, n)] if start is None else (),
             quick=True,
         )
     except FittingError:
         return None
     return found if np.isfinite(found.deviance) else None
+
+
+def _is_shape(effect: Effect, name: str) -> bool:
+    return any(
+        name.partition("@")[0] == f"{effect.name}.{p.symbol}" for p in effect.parameters if p.role == "shape"
+    )
 
 
 def with_one_value(base: Fit, score: Score, found: Fit) -> Fit | None:

@@ -19,7 +19,8 @@ from fitting.diagnosis import (
     whiteness,
 )
 from fitting.discovery.experiment import next_experiment
-from fitting.discovery.improve import Rung, best, improve, polished
+from fitting.discovery.improve import Rung, best, improve
+from fitting.discovery.polish import is_quieter, polished, reconsidered
 from fitting.discovery.ranking import ALWAYS_FREE, Candidate, rank
 from fitting.effects import Effect
 from fitting.estimation import Fit
@@ -98,8 +99,13 @@ def diagnose(fit: Fit, extra: Sequence[Effect] = ()) -> Diagnosis:
     end = fit
     if chosen is not None and chosen.fit is not None:
         end = polished(chosen.fit)
-        # noise that fell when the effect was added may have hidden another one
-        quieter = any(n.pure < old.pure for n, old in zip(end.noise, chosen.fit.noise, strict=True))
+        # noise that fell when the effect was added may have hidden another one, and what tells rivals apart
+        quieter = is_quieter(end, chosen.fit)
+        if quieter:
+            candidates = reconsidered(fit, candidates, chosen, end.noise)
+            clearer = best(candidates)
+            if clearer is not None and clearer.fit is not None:
+                chosen, end = clearer, clearer.fit
         if end.verdict == "misfit" or quieter:
             after = improve(fit, extra, max_steps=1 + _FOLLOW_UP, first=candidates)
             end = after[-1].fit

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fitting.errors import EstimationError
 from fitting.estimation.noise_levels import Noise, first_noise, measure_noise
 from fitting.estimation.problem import Problem
-from fitting.estimation.search import search, search_widely
+from fitting.estimation.search import search, search_around, search_widely
 from fitting.estimation.shapes import start_shapes, unknown_shapes
 from fitting.estimation.start import first_values
 from fitting.noise import WHITE
@@ -45,20 +45,27 @@ def search_with_noise(
         Stop where chi-square is within about 0.01 of its minimum.
     """
     problem.set_noise([n.whitener for n in first_noise(problem, theta)])
-    theta = shaped(problem, theta, given)
+    theta, held = shaped(problem, theta, given)
     if _stops(problem, theta):
         theta = _past_stops(problem, theta)
+    if held:
+        theta = search_around(problem, theta, held)
+        problem.set_noise([n.whitener for n in measure_noise(problem, theta)])
     theta = search_widely(problem, theta, _elsewhere(problem, theta, given), quick=quick)
     return _tight(problem, theta, measure_noise(problem, theta))
 
 
-def shaped(problem: Problem, theta: Array, given: Mapping[str, float] | None) -> Array:
-    """Return variables with start values of those shape constants that were not given."""
+def shaped(
+    problem: Problem, theta: Array, given: Mapping[str, float] | None, noise: Sequence[Noise] | None = None
+) -> tuple[Array, tuple[str, ...]]:
+    """Return variables with start values of those shape constants that were not given, and the names of these."""
     unknown = unknown_shapes(problem.layout, given)
     if not unknown:
-        return theta
+        return theta, ()
     names = {n for n in problem.layout.names if not n.startswith(tuple(f"{e.name}." for e in unknown))}
-    return start_shapes(problem, theta, unknown, fitted=names <= set(given or ()))
+    shapes = tuple(f"{e.name}.{p.symbol}" for e in unknown for p in e.parameters if p.role == "shape")
+    held = tuple(n for n in problem.layout.names if n.partition("@")[0] in shapes)
+    return start_shapes(problem, theta, unknown, fitted=names <= set(given or ()), noise=noise), held
 
 
 def _stops(problem: Problem, theta: Array) -> bool:

@@ -17,7 +17,7 @@ from fitting.estimation.layout import Layout
 from fitting.estimation.noise_levels import Noise, cautious, refine_level
 from fitting.estimation.outcome import Fit, outcome
 from fitting.estimation.problem import Problem
-from fitting.estimation.search import search
+from fitting.estimation.search import search, search_around
 from fitting.estimation.start import first_values
 from fitting.model import Model
 from fitting.record import Record
@@ -32,6 +32,7 @@ def fit(
     start: Mapping[str, float] | None = None,
     noise: Sequence[Noise] | None = None,
     ranges: Mapping[str, tuple[float, float]] | None = None,
+    steady: Iterable[str] = (),
     quick: bool = False,
 ) -> Fit:
     """Fit a model to one case, or to several together.
@@ -51,6 +52,8 @@ def fit(
         The noise found by an earlier fit of the same data, so that both can be compared.
     ranges : mapping, optional
         Bounds tighter than the declared ones.
+    steady : iterable of str
+        Parameters, by their names in the fit, that keep their start values until all others have followed.
     quick : bool
         Stop where chi-square is within about 0.01 of its minimum: enough to rank candidates.
 
@@ -72,10 +75,16 @@ def fit(
     elif not set(problem.layout.names) <= set(start or ()):
         # far from the minimum a model fails by far more than the noise, and a valley seen so sharply is hard to follow
         problem.set_noise(cautious(problem, theta, noise))
-        theta = shaped(problem, theta, start)
-        _, theta = search(problem, theta, quick=True)
+        theta, unknown = shaped(problem, theta, start, noise)
+        theta = search_around(problem, theta, unknown)
         noise = refine_level(problem, theta, noise)
     problem.set_noise([n.whitener for n in noise])
+    held = tuple(steady)
+    if held:
+        theta = search_around(problem, theta, held)
+        # the noise that the model was excused with before the law came would excuse any shape
+        noise = refine_level(problem, theta, noise)
+        problem.set_noise([n.whitener for n in noise])
     minimum, theta = search(problem, theta, quick=quick)
     noise = refine_level(problem, theta, noise)
     problem.set_noise([n.whitener for n in noise])

@@ -2,21 +2,25 @@
 
 A law whose strength is nothing has no gradient by its shape, and from a wrong shape the search may not find back. So
 the model is fitted without the law; then, for every shape on a grid, the derivative of the rows by the strength tells
-how far chi-square would fall (a score test), and the best shape is where the full search starts.
+how far the deviance would fall (a score test), and the best shape is where the full search starts. The random torque
+that a model without the law is excused with would excuse any shape: its level competes with the law for what is left.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting.effects import LIBRARY, Effect
 from fitting.errors import SimulationError
+from fitting.estimation.case_model import Prediction
 from fitting.estimation.coordinates import is_power_law
 from fitting.estimation.layout import Layout
+from fitting.estimation.noise_levels import Noise, measure_noise
 from fitting.estimation.problem import Problem
 from fitting.estimation.search import search
 from fitting.model import Model
@@ -26,6 +30,8 @@ Array = NDArray[np.float64]
 _POWERS = (0.25, 0.5, 0.75, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0)
 _MOST = 80
 _COLLINEAR = 1e-7
+# of the level of random torque without the law
+_SHARES = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3)
 
 
 def unknown_shapes(layout: Layout, given: Mapping[str, float] | None) -> list[Effect]:
@@ -45,8 +51,17 @@ def unknown_shapes(layout: Layout, given: Mapping[str, float] | None) -> list[Ef
     return effects
 
 
-def start_shapes(problem: Problem, theta: Array, effects: list[Effect], *, fitted: bool) -> Array:
+def start_shapes(
+    problem: Problem,
+    theta: Array,
+    effects: list[Effect],
+    *,
+    fitted: bool,
+    noise: Sequence[Noise] | None = None,
+) -> Array:
     """Return variables with the shapes of some effects on the best point of their grids.
+
+    The problem's noise is then what they leave.
 
     Parameters
     ----------
@@ -58,6 +73,8 @@ def start_shapes(problem: Problem, theta: Array, effects: list[Effect], *, fitte
         The effects.
     fitted : bool
         Whether the others are at the best fit without these effects already.
+    noise : sequence of Noise, optional
+        The noise without these effects, if it is known.
     """
     layout = problem.layout
     theta = theta.copy()
@@ -65,8 +82,9 @@ def start_shapes(problem: Problem, theta: Array, effects: list[Effect], *, fitte
         theta[_places(layout, effect, "amplitude")] = 0.0
     if not fitted:
         theta = _without(problem, theta, effects)
+    noise = measure_noise(problem, theta) if noise is None else noise
     for effect in effects:
-        theta = _best(problem, theta, effect)
+        theta = _best(problem, theta, effect, noise)
     return theta
 
 
@@ -83,32 +101,51 @@ def _without(problem: Problem, theta: Array, effects: list[Effect]) -> Array:
     return out
 
 
-def _best(problem: Problem, theta: Array, effect: Effect) -> Array:
+def _best(problem: Problem, theta: Array, effect: Effect, noise: Sequence[Noise]) -> Array:
+    """Return variables with the best shape of one effect; the noise of the problem is then what it leaves."""
     layout = problem.layout
-    strength = _places(layout, effect, "amplitude")
-    lower, upper = layout.bounds()
-    best, chosen = -np.inf, theta
+    starts = []
     for values in _grid(problem, effect):
         begin = theta.copy()
         for symbol, value in values.items():
             for case in range(len(layout.records)):
                 begin[layout.places(case, [f"{effect.name}.{symbol}"])] = value
-        try:
-            r, j = problem.residuals(problem.predict(begin))
-        except SimulationError:
-            continue
-        size = np.linalg.norm(j, axis=0)
-        moving = size > 0
-        if not np.isfinite(size).all() or not moving[strength].all():
-            continue
-        step = np.zeros(len(theta))
-        step[moving] = np.linalg.lstsq(j[:, moving] / size[moving], -r, rcond=_COLLINEAR)[0] / size[moving]
-        allowed = (step[strength] >= lower[strength]) & (step[strength] <= upper[strength])
-        fall = float(r @ r - np.sum((r + j @ step) ** 2)) if allowed.all() else 0.0
-        if fall > best:
-            best, chosen = fall, begin
-            chosen[strength] = np.clip(step[strength], lower[strength], upper[strength])
+        with suppress(SimulationError):
+            starts.append((begin, problem.predict(begin)))
+    ends = []
+    for share in _SHARES:
+        whiteners = [n.whitener.at(max(n.pure, share * n.level)) for n in noise]
+        problem.set_noise(whiteners)
+        loud = sum(w.log_determinant for w in whiteners)
+        for begin, predictions in starts:
+            found = _stepped(problem, begin, predictions, _places(layout, effect, "amplitude"))
+            if found is not None:
+                ends.append((loud + found[0], found[1], whiteners))
+    if not ends:
+        problem.set_noise([n.whitener for n in noise])
+        return theta
+    _, chosen, whiteners = min(ends, key=lambda end: end[0])
+    problem.set_noise(whiteners)
     return chosen
+
+
+def _stepped(
+    problem: Problem, begin: Array, predictions: Sequence[Prediction], strength: NDArray[np.intp]
+) -> tuple[float, Array] | None:
+    """Return chi-square after one linear step of all variables, and variables with the strength it gives."""
+    lower, upper = problem.layout.bounds()
+    r, j = problem.residuals(predictions)
+    size = np.linalg.norm(j, axis=0)
+    moving = size > 0
+    if not np.isfinite(size).all() or not moving[strength].all():
+        return None
+    step = np.zeros(len(begin))
+    step[moving] = np.linalg.lstsq(j[:, moving] / size[moving], -r, rcond=_COLLINEAR)[0] / size[moving]
+    if (step[strength] < lower[strength]).any() or (step[strength] > upper[strength]).any():
+        return None
+    end = begin.copy()
+    end[strength] = step[strength]
+    return float(np.sum((r + j @ step) ** 2)), end
 
 
 def _grid(problem: Problem, effect: Effect) -> Iterator[dict[str, float]]:

@@ -133,7 +133,7 @@ class Session:
         return step.fit_id
 
     def _sharpen(self, step: Step) -> None:
-        from fitting.discovery.improve import polished
+        from fitting.discovery.polish import polished
 
         if not step.sharp:
             step.fit, step.sharp, step.torques = polished(step.fit), True, None

@@ -1,0 +1,94 @@
+"""What is looked at again with the noise that the better model leaves.
+
+What fluctuates fast and was missing before may have been taken for noise: it hid whatever is smaller, and made
+candidates look alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from fitting.discovery.ranking import Candidate, arranged
+from fitting.estimation import Fit, fit
+from fitting.estimation.noise_levels import Noise, measure_noise
+
+# noise that falls by less when an effect is added is the same noise, measured twice
+_QUIETER = 0.8
+# BIC must fall by this much: "positive" evidence after R. Kass, A. Raftery, J. Am. Stat. Assoc. 90, 773 (1995)
+_EVIDENCE = 2.0
+
+
+def polished(found: Fit) -> Fit:
+    """Return a fit that was made quickly, at its minimum, with the noise that its own model leaves."""
+    end = _sharpest(_again(found, found.noise))
+    noise = measure_noise(end.problem, end.theta)
+    if all(new.pure >= _QUIETER * old.pure for new, old in zip(noise, end.noise, strict=True)):
+        return end
+    quieter = _sharpest(_again(end, noise))
+    return quieter if quieter.bic < end.bic - _EVIDENCE else end
+
+
+def _sharpest(found: Fit) -> Fit:
+    """Return a fit, or the one from a search with no more noise than the data has if that describes the data better.
+
+    Where the noise that a model is excused with hides what is wrong about a shape, nothing moves it.
+    """
+    if all(n.level <= n.pure for n in found.noise):
+        return found
+    pure = [replace(n, level=n.pure, whitener=n.whitener.at(n.pure)) for n in found.noise]
+    sharp = _again(found, pure)
+    return sharp if sharp.deviance < found.deviance - _EVIDENCE else found
+
+
+def _again(found: Fit, noise: Sequence[Noise]) -> Fit:
+    layout = found.problem.layout
+    return fit(
+        found.model,
+        found.problem.data,
+        share=[k for k in found.model.free if k not in layout.per_case] if len(layout.records) > 1 else (),
+        per_case=layout.per_case,
+        start={k: e.value for k, e in found.estimates.items()},
+        noise=noise,
+    )
+
+
+def is_quieter(fit: Fit, than: Fit) -> bool:
+    """Return whether there is less noise than in another fit: what no torque explains, or what the model leaves."""
+    return any(
+        n.pure < old.pure or n.level < _QUIETER * old.level
+        for n, old in zip(fit.noise, than.noise, strict=True)
+    )
+
+
+def reconsidered(
+    base: Fit, candidates: Sequence[Candidate], chosen: Candidate, noise: Sequence[Noise]
+) -> list[Candidate]:
+    """Return the candidates in their order and classes, one and its look-alikes refitted at another noise.
+
+    Parameters
+    ----------
+    base : Fit
+        The fit without them.
+    candidates : sequence of Candidate
+        As they were ranked at the noise of the base.
+    chosen : Candidate
+        One of them.
+    noise : sequence of Noise
+        What it leaves.
+    """
+    plain = _again(base, noise)
+    alike = {chosen.effect.name, *chosen.indistinguishable_from}
+    found = []
+    for c in candidates:
+        if c.effect.name not in alike or c.fit is None:
+            found.append(c)
+            continue
+        end = _again(c.fit, noise)
+        own = {k: e for k, e in end.estimates.items() if k.startswith(c.effect.name + ".")}
+        found.append(
+            replace(
+                c, score=plain.deviance - end.deviance, delta_bic=end.bic - plain.bic, estimates=own, fit=end
+            )
+        )
+    return arranged(found)
