@@ -19,7 +19,7 @@ from gyrotrack.dataset.inspection import inspect_file
 
 LIMIT_S = 30.0
 LIMIT_MB = 1000.0
-FRAMES = 60
+FRAMES = 30
 
 
 BASES = (
@@ -44,9 +44,9 @@ def base_films(work, frames=FRAMES):
         path = work / f"base_{codec}{suffix}"
         if not path.exists():
             film = module.Film(
-                width=240,
-                height=180,
-                radius=80.0,
+                width=160,
+                height=120,
+                radius=54.0,
                 frames=frames,
                 casing=lambda t: 60.0 * t,
                 rotor=lambda t: 300.0 * t,
@@ -72,6 +72,7 @@ def main():
     parser.add_argument(
         "--minutes", type=float, default=1e9, help="stop early; the count tells how far it came"
     )
+    parser.add_argument("--first", type=int, default=0, help="the first seed, to go on where a run ended")
     asked = parser.parse_args()
     began = time.monotonic()
     bases = [(p.suffix, p.stem, p.read_bytes()) for p in base_films(asked.work / "bases")]
@@ -80,7 +81,7 @@ def main():
     outcomes, bad, slowest, largest, child = Counter(), [], 0.0, 0.0, Child()
     lost, again = Counter(), Counter()
     done = 0
-    for seed in range(asked.count):
+    for seed in range(asked.first, asked.first + asked.count):
         if time.monotonic() - began > 60 * asked.minutes:
             break
         done += 1
@@ -118,6 +119,7 @@ def main():
     report(
         "mutated clips",
         began,
+        first=asked.first,
         count=done,
         outcomes=dict(outcomes),
         sound_results_with_fewer_frames=dict(lost),
