@@ -50,6 +50,8 @@ class ClipInfo:
         Names of both.
     time_base : Fraction
         Unit of the time stamps in s.
+    duration_declared : float
+        How long the film lasts by a header that counts no frames [s]; NaN where there is none, or another one.
     """
 
     path: Path
@@ -61,6 +63,7 @@ class ClipInfo:
     codec: str
     pixel_format: str
     time_base: Fraction
+    duration_declared: float = float("nan")
 
 
 @contextlib.contextmanager
@@ -80,6 +83,10 @@ def opened(path: Path, threads: int = 1) -> Iterator[tuple[Any, Any]]:
         if not container.streams.video:
             raise VideoError(f"{path} holds no video, only other streams", "give the film itself")
         stream = container.streams.video[0]
+        if stream.codec_context is None:
+            raise VideoError(
+                f"{path} is packed in a way that no decoder knows", "copy it again, or convert it to H.264"
+            )
         _check_size(path, stream)
         stream.codec_context.options = {"max_pixels": str(MAX_PIXELS)}
         stream.codec_context.thread_type = "FRAME" if threads > 1 else "NONE"
@@ -102,7 +109,15 @@ def probe(path: Path) -> ClipInfo:
             codec=str(context.name),
             pixel_format=str(context.pix_fmt),
             time_base=Fraction(stream.time_base),
+            duration_declared=_declared_duration(container, stream),
         )
+
+
+def _declared_duration(container: Any, stream: Any) -> float:
+    """Return how long the pictures of a file last that does not count them [s], NaN where it is not told."""
+    if stream.frames or not container.duration or len(container.streams) != 1:
+        return float("nan")  # beside a sound the whole may be longer than its pictures
+    return float(container.duration / av.time_base)
 
 
 def _nominal_rate(stream: Any) -> Any:

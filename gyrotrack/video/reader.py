@@ -19,6 +19,7 @@ from gyrotrack.video.container import ClipInfo, opened, probe
 from gyrotrack.video.packets import decode_past_damage, key_before, packets_of
 from gyrotrack.video.planes import Frame, Orientation, orientation_of, planes_of
 
+_STAMP_S = 2e-3  # a file with time stamps in whole ms is no more exact
 _NO_STAMP = -(1 << 63)
 
 
@@ -183,11 +184,20 @@ class Reader:
                 f"the file declares {declared} frames and {self.decoded} could be decoded: "
                 "it is cut off, damaged or edited; what was decoded is used"
             )
+        seconds = self.pts_seconds()
+        known = seconds[np.isfinite(seconds)]
+        period = float(np.median(np.diff(known))) if len(known) > 1 else 0.0
+        ends = float(known.max()) + period if len(known) else 0.0
+        if self.info.duration_declared > ends + max(0.5 * period, _STAMP_S):
+            found.append(
+                f"the file declares {self.info.duration_declared:.3f} s and its last frame ends at {ends:.3f} s: "
+                "it is cut off, damaged or edited; what was decoded is used"
+            )
         if self._bad_packets:
             found.append(f"{self._bad_packets} damaged packets were skipped")
         if self._corrupt:
             found.append(f"{self._corrupt} frames are marked as damaged by the decoder")
-        return (*found, *stamp_warnings(self.pts_seconds()))
+        return (*found, *stamp_warnings(seconds))
 
 
 def _check(frame: Frame) -> int:

@@ -162,3 +162,21 @@ def test_frames_are_picked_by_their_stamps(tmp_path, name):
     found = frames_at(path, [int(stamps[k]) for k in wanted])
     assert [number(found[int(stamps[k])]) for k in wanted] == wanted
     assert frames_at(path, [-12345]) == {}
+
+
+@pytest.mark.parametrize("share", [0.4, 0.9])
+def test_a_tail_that_is_missing_is_told_though_no_frames_are_counted(tmp_path, share):
+    """Matroska counts no frames; it says how long the film is."""
+    path = film(tmp_path / "a.mkv")
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(share * len(whole))])
+    numbers, reader = read(path)
+    assert len(numbers) < 150
+    assert any("its last frame ends at" in text for text in reader.warnings)
+
+
+def test_a_codec_that_nobody_knows_is_told(tmp_path):
+    path = film(tmp_path / "a.mkv")
+    path.write_bytes(path.read_bytes().replace(b"V_MPEG4/ISO/AVC", b"V_MPEG9/ISO/AVC"))
+    with pytest.raises(VideoError, match="no decoder knows"):
+        probe(path)
