@@ -128,6 +128,9 @@ class CaseData:
                 ones = [np.full(len(w.node_times), float(i == j)) for j, w in enumerate(self.rotor)]
                 columns.append(self.rows(np.zeros(nodes), ones))
             columns += list(self.casing_rows(camera_columns(self.casing.samples)).T)
+        elif self.record.gradients:
+            # in the first slow turns what a camera adds to angles is as slow as physics
+            columns += list(self.casing_rows(_gradients(self.casing.samples)).T)
         return np.stack(columns, axis=1) if columns else np.zeros((len(self.z), 0))
 
     def rows(self, casing: Array, rotor: Sequence[Array]) -> Array:
@@ -187,6 +190,13 @@ class CaseData:
                     rows[first + i * k : first + (i + 1) * k] = operator[:k] @ seen
             first += len(run.z)
         return rows
+
+
+def _gradients(speeds: Samples) -> Array:
+    """Return the same by time, for the casing's speeds: of the angle that they add up to, from any start."""
+    steps = 0.5 * (speeds.value[1:] + speeds.value[:-1]) * np.diff(speeds.time)
+    turned = Samples(speeds.time, np.concatenate([[0.0], np.cumsum(steps)]), speeds.sigma)
+    return np.asarray(np.gradient(camera_columns(turned), speeds.time, axis=0))
 
 
 # columns of `camera_columns` that belong to each measurement effect

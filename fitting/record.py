@@ -61,8 +61,12 @@ class Record:
         The file, for provenance.
     tracked : bool
         The angles come from film, with tracking's own artefacts once and twice a turn.
+    gradients : bool
+        The speeds are gradients of filmed angles, with what the camera added to those.
     generated : bool
-        The rotor is a curve that was generated, not measured (see `fitting.paper_data`).
+        The rotor is a curve that was generated, not measured (see `fitting.rotor_curve`).
+    windows : tuple of Samples
+        Where it is, what was measured of it.
     digest : str
         SHA-256 of the numbers.
     """
@@ -76,7 +80,9 @@ class Record:
     surface: str = ""
     source: str = ""
     tracked: bool = False
+    gradients: bool = False
     generated: bool = False
+    windows: tuple[Samples, ...] = ()
     digest: str = field(default="")
 
     def __post_init__(self) -> None:

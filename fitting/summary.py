@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -15,6 +15,7 @@ from fitting.estimation import Estimate, Fit
 from fitting.estimation.account import not_determined
 from fitting.estimation.covariance import loose_directions
 from fitting.estimation.profile import LEVEL, Interval
+from fitting.rotor_curve import CurveBias
 from fitting.rounding import rounded
 
 __all__ = [
@@ -57,6 +58,11 @@ def fit_document(fit: Fit, fit_id: str) -> dict[str, Any]:
         "not_determined": not_determined(fit.estimates),
         "not_determined_together": not_determined_together(fit),
     }
+
+
+def bias_document(bias: Mapping[str, CurveBias]) -> dict[str, dict[str, float]]:
+    """Return what a generated rotor curve did to each parameter as plain numbers."""
+    return {name: {**asdict(b), "errors": b.errors} for name, b in bias.items()}
 
 
 def not_determined_together(fit: Fit) -> list[dict[str, float]]:

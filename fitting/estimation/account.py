@@ -23,6 +23,13 @@ WORDS = {
 }
 
 
+# what a fit to such a curve has to say of itself
+GENERATED = (
+    "the rotor's curve was generated, not measured: the errors leave out how wrong it may be, which is often more "
+    "than ten of them; fit the windows instead"
+)
+
+
 class Account:
     """The readable side of a fit."""
 
@@ -101,6 +108,8 @@ def account_lines(fit: Account) -> list[str]:
         lines += (
             [f"  {name:<32}{value}{note}"] if len(name) < 32 else [f"  {name}", f"  {'':<32}{value}{note}"]
         )
+    if getattr(fit, "generated", False):
+        lines += ["", *wrap(GENERATED, 79)]
     weak = not_determined(fit.estimates)
     if weak:
         lines += ["", *wrap(f"not determined by this data: {', '.join(weak)}", 79)]

@@ -111,6 +111,11 @@ class Fit(Account):
             for c, d in zip(self.cases, self.problem.data, strict=True)
         ) / sum(d.casing.n_effective for d in self.problem.data)
 
+    @property
+    def generated(self) -> bool:
+        """Whether a rotor's curve was generated instead of measured: `fitting.rotor_curve` tells what that did."""
+        return any(d.record.generated for d in self.problem.data)
+
     def plot(self) -> Figure:
         """Draw speeds measured and modelled, and what the model leaves, with bands of 2 sigma (matplotlib)."""
         from fitting.display.plots import plot_fit

@@ -10,7 +10,7 @@ import typer
 from gyrotrack.cli.options import CaseFiles, Json, Quiet
 from gyrotrack.cli.output import DONE, NOT_TRUSTED, Output
 from gyrotrack.cli.study import DataKind, EffectsFile, From, LedgerFile, RotorKind, own_effects
-from gyrotrack.cli.tables import fit_tables, prediction_tables
+from gyrotrack.cli.tables import bias_tables, fit_tables, prediction_tables
 from gyrotrack.errors import UsageError
 from gyrotrack.study import Wish, open_study
 
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from fitting.estimation import Fit
     from fitting.estimation.prediction import Predicted
     from fitting.estimation.profile import Interval
+    from fitting.rotor_curve import CurveBias
 
 _LOSSES = ("linear", "huber", "cauchy")
 
@@ -100,10 +101,24 @@ def command(
             found, fit_id = wish.fit(study, start)
             intervals = _intervals(found, profile or ())
             predicted = _predicted(found) if hold_out else None
-        documents.append(_document(found, fit_id, intervals, predicted))
-        out.show(*fit_tables(found, fit_id, intervals), *prediction_tables(predicted or ()))
+            bias = _bias(found)
+        documents.append(_document(found, fit_id, intervals, predicted) | _plain_bias(bias))
+        out.show(*fit_tables(found, fit_id, intervals), *bias_tables(found, bias))
+        out.show(*prediction_tables(predicted or ()))
     out.result(documents[0] if len(documents) == 1 else {"fits": documents})
     return NOT_TRUSTED if any(d["verdict"] == "not converged" for d in documents) else DONE
+
+
+def _bias(found: Fit) -> dict[str, CurveBias]:
+    from fitting.rotor_curve import curve_bias
+
+    return curve_bias(found)
+
+
+def _plain_bias(bias: Mapping[str, CurveBias]) -> dict[str, Any]:
+    from fitting.summary import bias_document
+
+    return {"generated_rotor": bias_document(bias)} if bias else {}
 
 
 def _document(

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from fitting.estimation import Fit
     from fitting.estimation.prediction import Predicted
     from fitting.estimation.profile import Interval
+    from fitting.rotor_curve import CurveBias
 
 _BAR = 24
 _CANDIDATES = 8
@@ -40,6 +41,20 @@ def _interval(i: Interval, unit: str) -> str:
     if i.upper_open and not i.lower_open:
         return f"above {lower} {unit}"
     return f"{lower} to {upper} {unit}" if not i.lower_open else "no limit on either side"
+
+
+def bias_tables(fit: Fit, bias: Mapping[str, CurveBias]) -> list[str]:
+    """Return what a generated rotor curve did to each parameter, beside the same fit to the rotor's windows."""
+    from fitting.rounding import rounded
+
+    if not bias:
+        return []
+    lines = ["", "the same model fitted to the rotor's windows instead of the generated curve:"]
+    for name, b in bias.items():
+        value = rounded(b.measured, b.stderr, fit.estimates[name].unit)
+        lines.append(f"  {name:<32}{value}")
+        lines.append(f"  {'':<32}the curve moved it by {b.errors:.0f} errors")
+    return ["\n".join(lines)]
 
 
 def prediction_tables(predicted: Sequence[Predicted]) -> list[str]:
