@@ -98,7 +98,7 @@ class TestOptionsOfTheData:
             (["--loss", "l1"], "no loss named"),
             (["--data", "speed"], "is not known"),
             (["--data", "angle", "--rotor", "generated"], "one of velocities"),
-            (["--hold-out"], "speaks of a joint fit"),
+            (["--hold-out"], "speak of a joint fit"),
         ],
     )
     def test_what_cannot_be_asked(self, gyrotrack, case, words, match):
