@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from fitting.model import INERTIA_CASING, INERTIA_ROTOR, Model
+from fitting.dynamics import INERTIA_CASING, INERTIA_ROTOR
+from fitting.model import Model
 from fitting.record import Record, Samples
 from fitting.simulation import Sampler
 from fitting.simulation.recording import Experiment, simulate_path
