@@ -1,4 +1,4 @@
-"""Measured angles or speeds of one experiment, as fitting needs them: the only reader of HDF5 in `fitting`.
+"""Measured angles or speeds of one experiment, as fitting needs them.
 
 A `Record` is made from a case file (`read_record`) or from arrays. Times are on one clock [s], angles in
 rad and unwrapped, speeds in rad/s. What was measured is the `quantity`: angles, or angular velocities.
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.errors import RecordError
+from fitting.hdf5 import column, series, text
 from fitting.intact import check_intact
 
 Array = NDArray[np.float64]
@@ -22,9 +23,6 @@ Quantity = Literal["angle", "omega"]
 
 FORMAT = "gyrotrack"
 MAJOR = 1
-_MAX_SAMPLES = 50_000_000
-# deflate cannot do better than 1032 : 1; chunks are padded
-_INFLATION, _SLACK = 1100, 2**22
 # an angle tells a speed only over several samples; a measured speed tells it at once
 _FEWEST: dict[str, int] = {"angle": 8, "omega": 1}
 
@@ -142,33 +140,33 @@ def read_record(path: str | Path) -> Record:
 
 def _read(path: Path, file: Any) -> Record:
     attributes = dict(file.attrs)
-    if _text(attributes.get("format")) != FORMAT:
+    if text(attributes.get("format")) != FORMAT:
         raise RecordError(
             f"{path} was not written by gyrotrack", "make a case with `gyrotrack sync` or `gyrotrack import`"
         )
-    version = _text(attributes.get("format_version", "1.0"))
+    version = text(attributes.get("format_version", "1.0"))
     if not version.split(".")[0].isdigit() or int(version.split(".")[0]) > MAJOR:
         raise RecordError(
             f"{path} has layout version {version[:12]}; this program reads {MAJOR}.x", "update gyrotrack"
         )
-    if _text(attributes.get("kind")) != "case":
+    if text(attributes.get("kind")) != "case":
         raise RecordError(
-            f"{path} holds a {_text(attributes.get('kind'))[:20] or 'file'}, not a case",
+            f"{path} holds a {text(attributes.get('kind'))[:20] or 'file'}, not a case",
             "make a case with `gyrotrack sync`",
         )
-    quantity: Quantity = "omega" if _text(attributes.get("quantity", "angle")) == "omega" else "angle"
+    quantity: Quantity = "omega" if text(attributes.get("quantity", "angle")) == "omega" else "angle"
     key = ("omega", "omega_sigma") if quantity == "omega" else ("angle", "sigma")
-    casing = _series(path, file, "casing", key)
-    single = _text(attributes.get("bodies")) == "one"
+    casing = series(path, file, "casing", key)
+    single = text(attributes.get("bodies")) == "one"
     rotor = (
-        [] if single else _windows(_series(path, file, "rotor", key), _column(path, file, "rotor", "window"))
+        [] if single else _windows(series(path, file, "rotor", key), column(path, file, "rotor", "window"))
     )
     inertias = [float(np.asarray(attributes[k])) for k in ("I_rotor", "I_casing")]
     if not all(np.isfinite(i) and i > 0 for i in inertias):
         raise RecordError(f"{path}: the moments of inertia {inertias} are not positive")
     return make_record(
-        label=_text(attributes.get("label")) or path.stem,
-        surface=_text(attributes.get("surface")),
+        label=text(attributes.get("label")) or path.stem,
+        surface=text(attributes.get("surface")),
         I_rotor=inertias[0],
         I_casing=inertias[1],
         casing=casing,
@@ -176,7 +174,7 @@ def _read(path: Path, file: Any) -> Record:
         single=single,
         quantity=quantity,
         source=str(path),
-        tracked=_text(file["casing"].attrs.get("sigma_source")) == "measured",
+        tracked=text(file["casing"].attrs.get("sigma_source")) == "measured",
     )
 
 
@@ -231,46 +229,6 @@ def _clean(time: Array, value: Array, sigma: Array, *, what: str) -> Samples:
 
 def _windows(rotor: tuple[Array, Array, Array], window: Array) -> list[tuple[Array, Array, Array]]:
     return [(rotor[0][window == w], rotor[1][window == w], rotor[2][window == w]) for w in np.unique(window)]
-
-
-def _series(path: Path, file: Any, group: str, key: tuple[str, str]) -> tuple[Array, Array, Array]:
-    value, sigma = key
-    return (
-        _column(path, file, group, "time"),
-        _column(path, file, group, value),
-        _column(path, file, group, sigma),
-    )
-
-
-def _column(path: Path, file: Any, group: str, name: str) -> Array:
-    import h5py
-
-    for place in (group, f"{group}/{name}"):
-        # a link that leads out of the file would read what its author chose, not what was measured
-        if not isinstance(file.get(place, getlink=True), h5py.HardLink):
-            raise RecordError(f"{path} has no {place}", "`gyrotrack info` tells what it holds")
-    data = file[f"{group}/{name}"]
-    if not isinstance(data, h5py.Dataset) or data.ndim != 1 or data.is_virtual or data.external:
-        raise RecordError(f"{path}: {group}/{name} is not a plain column")
-    if data.dtype.kind not in "fiu":
-        raise RecordError(f"{path}: {group}/{name} holds no real numbers")
-    if data.size != file[f"{group}/time"].size:
-        raise RecordError(f"{path}: {group}/{name} and {group}/time have different lengths")
-    chunk = int(np.prod(data.chunks or (0,), dtype=object)) * data.dtype.itemsize
-    held = data.id.get_storage_size()
-    if data.size > _MAX_SAMPLES or max(data.nbytes, chunk) > held * _INFLATION + _SLACK:
-        raise RecordError(f"{path}: {group}/{name} claims {data.size} samples")
-    plist = data.id.get_create_plist()
-    filters = {plist.get_filter(i)[0] for i in range(plist.get_nfilters())}
-    if not filters <= {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}:
-        raise RecordError(f"{path}: {group}/{name} is packed in an unknown way", "write it with gzip")
-    return np.asarray(data[()], dtype=float)
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, bytes):
-        return value.decode("utf-8", "replace")
-    return "" if value is None else str(value)
 
 
 def _digest(record: Record) -> str:

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from fitting.dynamics import INERTIA_CASING, INERTIA_ROTOR
 from fitting.effects.typical import typical_of_model
-from fitting.model import INERTIA_CASING, INERTIA_ROTOR, Model
+from fitting.model import Model
 from fitting.record import Record, Samples
 from fitting.simulation import Sampler
 from fitting.simulation.recording import Experiment, simulate, simulate_path

@@ -3,8 +3,9 @@
     python benchmarks/tracking/speed.py -o benchmarks/tracking/speed.md
 
 All arms run in turn, several times over, in one process and one thread; CPU time is compared, and the fastest turn of
-each counts. Start-up (finding the scene in a film) is told apart from the time a frame takes. See README.md for what
-has to be installed.
+each counts. Start-up (finding the scene in a film) is told apart from the time a frame takes. Two arms use two threads,
+as `gyrotrack extract` does: for them the time on the clock counts, beside that of decoding in one thread. See README.md
+for what has to be installed.
 """
 
 from __future__ import annotations
@@ -51,22 +52,31 @@ def main() -> None:
     )
     parser.add_argument("--films", type=Path, default=Path.home() / ".cache" / "gyrotrack-benchmarks")
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--no-memory", action="store_true")
+    parser.add_argument(
+        "--part",
+        choices=("speed", "memory"),
+        help="measure only this; the other is kept from the .json beside the table",
+    )
     parser.add_argument(
         "-o", "--output", type=Path, help="table (.md); a .json of the numbers stands beside it"
     )
     args = parser.parse_args()
     cv2.setNumThreads(1)
-    results = {"commit": commit(), "machine": machine(), "clips": {}, "memory_mb": {}}
-    for clip, frames in FRAMES.items():
-        results["clips"][clip] = timed(clip, frames, args.films, args.rounds)
-        if not args.no_memory:
-            results["memory_mb"][clip] = peaks(clip, frames, args.films)
+    results: dict = {}
+    if args.part and args.output and args.output.with_suffix(".json").exists():
+        results = json.loads(args.output.with_suffix(".json").read_text(encoding="utf-8"))
+    if args.part != "memory":
+        results |= {"commit": commit(), "machine": machine()}
+        results["clips"] = {clip: timed(clip, n, args.films, args.rounds) for clip, n in FRAMES.items()}
+    if args.part != "speed":
+        results["memory_commit"] = commit()
+        results["memory_mb"] = {clip: peaks(clip, n, args.films) for clip, n in FRAMES.items()}
+    if args.output:
+        args.output.with_suffix(".json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
     text = table(results)
     print(text)
     if args.output:
         args.output.write_text(text, encoding="utf-8")
-        args.output.with_suffix(".json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
 
 
 def timed(clip: str, frames: int, folder: Path, rounds: int) -> dict:
@@ -76,25 +86,30 @@ def timed(clip: str, frames: int, folder: Path, rounds: int) -> dict:
         "decoding alone": lambda: arms.decode(path, frames),
         "gyrotrack, all markers": lambda: arms.gyrotrack(path, fps),
         "gyrotrack, casing only": lambda: arms.gyrotrack(path, fps, "casing"),
+        "gyrotrack, all markers, two threads": lambda: arms.gyrotrack(path, fps, threads=2),
+        "gyrotrack, casing only, two threads": lambda: arms.gyrotrack(path, fps, "casing", threads=2),
         "VideoCapture, HSV, contours": lambda: arms.opencv(path, frames // 4),
         "scikit-image regionprops": lambda: arms.regionprops(path, FEW["scikit-image regionprops"]),
         "trackpy.locate": lambda: arms.trackpy(path, FEW["trackpy.locate"]),
     }
     counts = {"VideoCapture, HSV, contours": frames // 4, **FEW}
     seconds: dict[str, list[float]] = {name: [] for name in todo}
-    starts: dict[str, list[float]] = {"gyrotrack, all markers": [], "gyrotrack, casing only": []}
+    clock: dict[str, list[float]] = {name: [] for name in todo}
+    starts: dict[str, list[float]] = {name: [] for name in todo if name.startswith("gyrotrack")}
     angles = {}
     for _ in range(rounds):
         for name, work in todo.items():
             if name in starts:
                 starts[name].append(start_up(path, casing_only="casing" in name))
-            begin = time.process_time()
+            begin = time.process_time(), time.perf_counter()
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 angles[name] = work()
-            seconds[name].append(time.process_time() - begin)
+            seconds[name].append(time.process_time() - begin[0])
+            clock[name].append(time.perf_counter() - begin[1])
     arms_found = {}
     decoding = min(seconds["decoding alone"]) / frames
+    decoding_clock = min(clock["decoding alone"]) / frames
     for name, spent in seconds.items():
         start = min(starts[name]) if name in starts else 0.0
         a_frame = (min(spent) - start) / counts.get(name, frames)
@@ -103,6 +118,12 @@ def timed(clip: str, frames: int, folder: Path, rounds: int) -> dict:
             "share_of_decoding": decoding / a_frame,
             "start_up_s": start,
         }
+        if name.endswith("two threads"):
+            on_clock = (min(clock[name]) - start) / frames
+            arms_found[name] |= {
+                "clock_us_per_frame": 1e6 * on_clock,
+                "share_on_clock": decoding_clock / on_clock,
+            }
         if angles[name] is not None:
             arms_found[name]["casing_rms_mrad"] = error(angles[name], truth)
     return {"frames": frames, "rounds": rounds, "arms": arms_found}
@@ -126,7 +147,7 @@ def error(angle: np.ndarray, truth) -> float:
 def peaks(clip: str, frames: int, folder: Path) -> dict[str, float]:
     path, _ = film(clip, frames, folder)
     found = {}
-    for times in (max(2000 // frames, 1), 52000 // frames if clip == "casing" else 8000 // frames):
+    for times in (1, -(-52000 // frames)):
         longer = repeated(path, folder / f"long_{clip}.mp4", times)
         words = [sys.executable, "-c", _PEAK, str(longer), str(folder / "long.h5"), str(CAMERAS[clip].fps)]
         done = subprocess.run(words, check=True, capture_output=True, text=True)
@@ -149,25 +170,40 @@ def table(results: dict) -> str:
     lines = [
         "# Speed and memory of tracking",
         "",
-        f"Commit {results['commit']}; {results['machine']}. CPU time of one thread, the fastest of several turns.",
+        f"Commit {results['commit']}; {results['machine']}. CPU time, the fastest of several turns; with two threads",
+        "also the time on the clock, beside that of decoding in one thread.",
     ]
-    for clip, found in results["clips"].items():
+    for clip, found in results.get("clips", {}).items():
         camera = CAMERAS[clip]
         lines += [
             "",
             f"## The {clip}'s camera: {camera.width} x {camera.height}, {found['frames']} frames",
             "",
-            "| arm | us a frame | share of decoding's speed | start-up, s | casing's angle, rms, mrad |",
-            "|---|---|---|---|---|",
+            "| arm | us a frame | share of decoding | clock, us | share | start-up, s | casing's angle, rms, mrad |",
+            "|---|---|---|---|---|---|---|",
         ]
         for name, arm in found["arms"].items():
             start = f"{arm['start_up_s']:.2f}" if arm["start_up_s"] else ""
             rms = f"{arm['casing_rms_mrad']:.2f}" if "casing_rms_mrad" in arm else ""
-            lines.append(
-                f"| {name} | {arm['us_per_frame']:.0f} | {arm['share_of_decoding']:.3g} | {start} | {rms} |"
+            both = (
+                f"{arm['clock_us_per_frame']:.0f} | {arm['share_on_clock']:.3g}"
+                if "share_on_clock" in arm
+                else " | "
             )
-    if results["memory_mb"]:
-        lines += ["", "## Peak memory of `gyrotrack extract`", "", "| clip | frames | MB |", "|---|---|---|"]
+            lines.append(
+                f"| {name} | {arm['us_per_frame']:.0f} | {arm['share_of_decoding']:.3g} | {both} | {start} | {rms} |"
+            )
+    if results.get("memory_mb"):
+        lines += [
+            "",
+            "## Peak memory of `gyrotrack extract`",
+            "",
+            f"Commit {results['memory_commit']}; VmHWM of the process. The longer film is the shorter one",
+            "over and over.",
+            "",
+            "| clip | frames | MB |",
+            "|---|---|---|",
+        ]
         for clip, found in results["memory_mb"].items():
             lines += [f"| {clip} | {frames} | {peak:.0f} |" for frames, peak in found.items()]
     return "\n".join(lines) + "\n"

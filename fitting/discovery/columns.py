@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.dynamics import INERTIA_CASING
 from fitting.effects import Effect
 from fitting.effects.effect import Parameter
 from fitting.estimation import Fit
 from fitting.estimation.case_model import CaseModel, Prediction
 from fitting.expression import Tape, derivative
-from fitting.model import INERTIA_CASING
 from fitting.noise import TorqueResponse
 from fitting.simulation import Sampler
 

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from fitting.case_data import CaseData
 from fitting.compression import Compressed
+from fitting.dynamics import Dynamics
 from fitting.effects import Effect
 from fitting.estimation.layout import START_CASING, START_ROTOR, Layout
 from fitting.estimation.rippling import ripple_rows
 from fitting.expression import Tape
-from fitting.model import Dynamics
 from fitting.simulation import Mesh, Path, Sampler, Sensitivity, sensitivities, solve
 from fitting.simulation.linear import LinearMotion
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.dynamics import INERTIA_CASING, INERTIA_ROTOR
 from fitting.estimation.case_model import CaseModel
-from fitting.model import INERTIA_CASING, INERTIA_ROTOR
 from fitting.simulation import Path, Sampler
 
 Array = NDArray[np.float64]

@@ -9,9 +9,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.dynamics import INERTIA_CASING, INERTIA_ROTOR
 from fitting.effects.effect import Parameter
 from fitting.errors import EffectError
-from fitting.model import INERTIA_CASING, INERTIA_ROTOR, Model
+from fitting.model import Model
 from fitting.record import Record
 
 Array = NDArray[np.float64]

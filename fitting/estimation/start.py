@@ -14,11 +14,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.dynamics import INERTIA_CASING, INERTIA_ROTOR, Dynamics
 from fitting.errors import EstimationError
 from fitting.estimation.layout import START_CASING, START_ROTOR, Layout
 from fitting.estimation.levenberg import minimise
 from fitting.estimation.problem import Problem, turned
-from fitting.model import INERTIA_CASING, INERTIA_ROTOR, Dynamics
 
 Array = NDArray[np.float64]
 

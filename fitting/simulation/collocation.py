@@ -22,8 +22,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.dynamics import Dynamics
 from fitting.errors import SimulationError
-from fitting.model import Dynamics
 from fitting.simulation.mesh import Mesh, Path, rule, transfer
 from fitting.simulation.propagator import UNBOUNDED, Propagator
 

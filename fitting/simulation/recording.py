@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.dynamics import INERTIA_CASING, INERTIA_ROTOR, Dynamics
 from fitting.errors import SimulationError
-from fitting.model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
+from fitting.model import Model
 from fitting.record import Record, Samples
 from fitting.simulation.linear import LinearMotion
 from fitting.simulation.mesh import Mesh, Path, Sampler

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.model import Dynamics
+from fitting.dynamics import Dynamics
 from fitting.simulation.mesh import Path, Sampler, rule
 from fitting.simulation.propagator import Propagator
 

@@ -17,6 +17,8 @@ Floats = npt.NDArray[np.float64]
 TURN = 2.0 * np.pi
 FAST = 70.0
 """Speed in rad/s at which a swing of the acceleration by 10 rad/s^2, a heavy unbalance, is 2 mrad."""
+MOSTLY = 0.5
+"""Share of the frames in which a body must turn round for its errors by place to be known."""
 ENOUGH = 0.2
 """Share of the frames that must be fast for curves to be learnt from these alone."""
 
@@ -168,6 +170,13 @@ class Departures:
             curves = without_common_motion(curves, self.mounts)
         for name, curve in curves.items():
             self.by_place[name] = curve_at(curve - curve.mean(), np.nan_to_num(self.candidates[name].angle))
+
+    def place_error(self) -> float:
+        """Return the root mean square of all errors by place that were learnt [rad]; NaN if none could be."""
+        if self.turning.mean() < MOSTLY:
+            return float("nan")
+        learnt = [self.by_place[n][self.use[n] & c.open & self.turning] for n, c in self.candidates.items()]
+        return float(np.sqrt(np.mean(np.concatenate(learnt) ** 2))) if any(map(len, learnt)) else float("nan")
 
     def learn_neighbours(self, smooth: Floats, other: Floats, *, above: bool) -> None:
         """Learn each marker's error by its angle to the other body (see `bias`).

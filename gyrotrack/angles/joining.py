@@ -7,7 +7,7 @@ about the smooth motion; one that departs from the others is flagged and left ou
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +15,7 @@ import numpy.typing as npt
 from gyrotrack.angles.candidates import Candidate
 from gyrotrack.angles.departures import Departures, wrapped
 from gyrotrack.angles.evenness import HALF_WINDOW, learning_window, smooth_path
-from gyrotrack.angles.scatter import excess, tail_factor
+from gyrotrack.angles.scatter import correlation_factor, excess, tail_factor
 
 Floats = npt.NDArray[np.float64]
 
@@ -33,19 +33,30 @@ class MarkerAngles:
 
 @dataclass(frozen=True)
 class BodyAngles:
-    """A body: unwrapped angle as seen, uncertainty [rad], number of markers; NaN where none."""
+    """A body: unwrapped angle as seen, uncertainty [rad], number of markers; NaN where none.
+
+    `place_error` is the root mean square of the errors by place that were learnt and taken out [rad], NaN if none
+    could be.
+    """
 
     angle: Floats
     sigma: Floats
     count: npt.NDArray[np.int64]
     markers: dict[str, MarkerAngles]
+    place_error: float = float("nan")
 
     def at(self, index: npt.NDArray[np.int64]) -> BodyAngles:
         """Return the frames `index` alone."""
         markers = {
             name: MarkerAngles(m.angle[index], m.sigma[index], m.mount) for name, m in self.markers.items()
         }
-        return BodyAngles(self.angle[index], self.sigma[index], self.count[index], markers)
+        return replace(
+            self,
+            angle=self.angle[index],
+            sigma=self.sigma[index],
+            count=self.count[index],
+            markers=markers,
+        )
 
 
 def join(
@@ -98,10 +109,15 @@ def _result(state: Departures, half: int, degree: int, floor: float | Floats) ->
     unlearnt = np.where(state.turning, 0.0, floor)
 
     def calibrated(departure: Floats, sigma: Floats, share: float) -> Floats:
-        """Raise or lower uncertainties until they are the size of the departures from the smooth motion."""
+        """Raise or lower uncertainties until they are the size of the departures from the smooth motion.
+
+        Errors that stay alike for some frames look like motion in part: the smooth motion follows them by its leverage
+        times their correlation factor.
+        """
         whole = np.hypot(sigma, unlearnt)
-        free = np.sqrt(np.clip(1.0 - share * leverage, 0.1, 1.0))
-        off = np.where(state.turning, (departure - smooth) / whole / free, np.nan)
+        off = np.where(state.turning, (departure - smooth) / whole, np.nan)
+        alike = correlation_factor(np.nan_to_num(off))
+        off = off / np.sqrt(np.clip(1.0 - share * alike * leverage, 0.5, 1.0))
         scale = excess(off)
         return np.asarray(whole * scale * tail_factor(off / scale))
 
@@ -117,4 +133,5 @@ def _result(state: Departures, half: int, degree: int, floor: float | Floats) ->
         )
         for name, c in state.candidates.items()
     }
-    return BodyAngles(state.path + departure, calibrated(departure, sigma, 1.0), count, markers)
+    sigma = calibrated(departure, sigma, 1.0)
+    return BodyAngles(state.path + departure, sigma, count, markers, state.place_error())

@@ -1,4 +1,4 @@
-"""How widely residuals scatter: their core, their root mean square, and what one that lies far out says of itself."""
+"""How widely residuals scatter, and for how long they stay alike; what one that lies far out says of itself."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ Floats = npt.NDArray[np.float64]
 FAR = 6.0
 """Standard deviations beyond which a sighting is taken for a fault."""
 FEWEST = 8
+STANDS_OUT = 3.5
+"""Standard deviations beyond which a correlation is not taken for chance."""
 _LIGHTEST, _HEAVIEST = 1e3, 5.0
 
 
@@ -56,3 +58,21 @@ def tail_factor(off: Floats) -> Floats:
     kurtosis = float(np.mean(known**4) / max(np.mean(known**2), 1e-12) ** 2 - 3.0)
     nu = float(np.clip(4.0 + 6.0 / max(kurtosis, 1e-6), _HEAVIEST, _LIGHTEST))
     return np.asarray(np.where(np.isfinite(off), np.sqrt((nu - 2.0 + off**2) / (nu - 1.0)), 1.0))
+
+
+def correlation_factor(residual: Floats) -> float:
+    """Return by how much correlation raises the variance of averages: 1 + 2 sum of autocorrelations.
+
+    The sum ends where a pair of neighbouring lags is no longer positive (Geyer's initial sequence); what is
+    within 3.5 sigma of independent samples counts as independent.
+    """
+    size = len(residual)
+    spectrum = np.fft.rfft(residual - residual.mean(), 2 * size)
+    autocovariance = np.fft.irfft(np.abs(spectrum) ** 2)[:size]
+    if autocovariance[0] <= 0:
+        return 1.0
+    rho = autocovariance[1:] / autocovariance[0]
+    pairs = rho[: len(rho) // 2 * 2].reshape(-1, 2).sum(axis=1)
+    positive = int(np.argmax(pairs <= 0)) if (pairs <= 0).any() else len(pairs)
+    factor = 1 + 2 * float(pairs[:positive].sum())
+    return factor if factor > 1 + 2 * STANDS_OUT / np.sqrt(size) else 1.0

@@ -25,8 +25,8 @@ Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 BLOCK_ERROR, LIGHT_ERROR = 0.09, 0.8e-3
-"""Errors by place in the picture where a body turns too little to show them, root mean squares over films of many
-kinds in which it turns enough: of the encoder's blocks in px, of uneven light in rad."""
+"""Errors by place in the picture where no body turns enough to show them, root mean squares over films of many
+kinds in which one does: of the encoder's blocks in px, of uneven light in rad."""
 _FAR = 0.05
 """Share of the orbit's radius that a centre must move before it is taken to move at all."""
 
@@ -107,15 +107,24 @@ def _join_even(seen: Watched, scene: Scene, profile: Profile, fps: float) -> Joi
 def _followed(
     seen: Watched, views: dict[str, View], centre: CentrePath, flattening: dict[str, Flattening], fps: float
 ) -> tuple[dict[str, BodyAngles], list[str]]:
-    """Join the markers of each body; the casing twice, since the rotor's markers pass beneath its own."""
+    """Join the markers of each body; the casing twice, since the rotor's markers pass beneath its own.
+
+    A body that turns too little to show its errors by place is given those of the other one, in px: lamps, encoder and
+    picture are the same.
+    """
     candidates = {name: look.candidates(centre, flattening[name]) for name, look in views.items()}
 
+    bodies: dict[str, BodyAngles] = {}
+
     def joined(name: str, other: Floats | None, *, above: bool = False) -> BodyAngles:
-        off = np.hypot(BLOCK_ERROR, np.nan_to_num(centre.sigma)) / views[name].radius
-        floor = np.hypot(LIGHT_ERROR, off)
+        radius = views[name].radius
+        by_place = next(
+            (b.place_error * views[n].radius for n, b in bodies.items() if n != name and b.place_error > 0.0),
+            float(np.hypot(BLOCK_ERROR, LIGHT_ERROR * radius)),
+        )
+        floor = np.hypot(by_place, np.nan_to_num(centre.sigma)) / radius
         return join(seen.bodies[name].coarse, candidates[name], fps, other, floor, above=above)
 
-    bodies: dict[str, BodyAngles] = {}
     warnings: list[str] = []
     for name in views:
         found = joined(name, bodies["casing"].angle if "casing" in bodies else None)

@@ -40,7 +40,7 @@ def plausibility_rows(fit: Fit) -> list[Plausibility]:
 
 
 def _case(fit: Fit, index: int, *, named: bool) -> list[Plausibility]:
-    from fitting.model import Dynamics
+    from fitting.dynamics import Dynamics
     from fitting.simulation import Sampler
 
     case, path = fit.problem.cases[index], fit.predictions[index].path

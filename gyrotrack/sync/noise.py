@@ -5,35 +5,17 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack.angles.scatter import STANDS_OUT
 from gyrotrack.dataset.records import Floats
 
 OUTLIER = 6.0
 BLOCKS = 60
-STANDS_OUT = 3.5
 
 
 def inliers(residual: Floats) -> npt.NDArray[np.bool_]:
     """Return which residuals lie within six robust spreads."""
     spread = 1.4826 * float(np.median(np.abs(residual)))
     return np.asarray(np.abs(residual) < OUTLIER * max(spread, 1e-300))
-
-
-def correlation_factor(residual: Floats) -> float:
-    """Return by how much correlation raises the variance of averages: 1 + 2 sum of autocorrelations.
-
-    The sum ends where a pair of neighbouring lags is no longer positive (Geyer's initial sequence); what is
-    within 3.5 sigma of independent samples counts as independent.
-    """
-    size = len(residual)
-    spectrum = np.fft.rfft(residual - residual.mean(), 2 * size)
-    autocovariance = np.fft.irfft(np.abs(spectrum) ** 2)[:size]
-    if autocovariance[0] <= 0:
-        return 1.0
-    rho = autocovariance[1:] / autocovariance[0]
-    pairs = rho[: len(rho) // 2 * 2].reshape(-1, 2).sum(axis=1)
-    positive = int(np.argmax(pairs <= 0)) if (pairs <= 0).any() else len(pairs)
-    factor = 1 + 2 * float(pairs[:positive].sum())
-    return factor if factor > 1 + 2 * STANDS_OUT / np.sqrt(size) else 1.0
 
 
 def block_excess(residual: Floats, free: float) -> float:

@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gyrotrack.angles.scatter import correlation_factor
 from gyrotrack.errors import SyncError
 from gyrotrack.sync.curves import Curve
 from gyrotrack.sync.matching import Normal, Pair, Solution, normal, solve, surroundings
-from gyrotrack.sync.noise import BLOCKS, block_excess, block_means, correlation_factor, inliers
+from gyrotrack.sync.noise import BLOCKS, block_excess, block_means, inliers
 from gyrotrack.sync.search import RATE_SIGMA, Survey, candidates
 from gyrotrack.sync.start import Start
 from gyrotrack.sync.stretch import window

@@ -9,9 +9,10 @@ import pytest
 from fitting.case_data import CaseData
 from fitting.diagnosis.modelled import CASING, ROTOR, modelled_speed
 from fitting.discovery import Ladder, diagnose, improve
+from fitting.dynamics import INERTIA_CASING, INERTIA_ROTOR
 from fitting.effects import REDUCED
 from fitting.estimation import fit
-from fitting.model import INERTIA_CASING, INERTIA_ROTOR, Model
+from fitting.model import Model
 from fitting.simulation.recording import Experiment, simulate, simulate_path
 
 HOSTILE = "<script>alert(1)</script> $x_ & \"q\" 'q'"

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from fitting.dynamics import INERTIA_CASING, INERTIA_ROTOR, Dynamics
 from fitting.effects import GENERAL, LIBRARY, LINEAR, REDUCED, find
 from fitting.expression import Tape, derivative, parse, symbols
 from fitting.expression.dimension import parse_unit
-from fitting.model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
+from fitting.model import Model
 
 
 def sgn(x):

@@ -2,10 +2,11 @@ import numpy as np
 import pytest
 from cases import data
 
+from fitting.dynamics import INERTIA_CASING, INERTIA_ROTOR
 from fitting.effects import LINEAR, REDUCED
 from fitting.errors import EffectError
 from fitting.estimation.layout import Layout
-from fitting.model import INERTIA_CASING, INERTIA_ROTOR, Model
+from fitting.model import Model
 from fitting.record import Record
 
 

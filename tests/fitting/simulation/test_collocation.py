@@ -5,8 +5,9 @@ import pytest
 from reference import EXTRA, INERTIA, PAPER, integrate
 from scipy.linalg import expm
 
+from fitting.dynamics import Dynamics
 from fitting.errors import SimulationError
-from fitting.model import Dynamics, Model
+from fitting.model import Model
 from fitting.simulation import Mesh, Sampler, solve
 from fitting.simulation.mesh import rule
 

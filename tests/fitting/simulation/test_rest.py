@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from reference import I_C, INERTIA, PAPER, integrate_through_rest
 
-from fitting.model import Dynamics, Model
+from fitting.dynamics import Dynamics
+from fitting.model import Model
 from fitting.simulation import Mesh, Sampler, respond, sensitivities, solve
 from fitting.simulation.linear import LinearMotion
 from fitting.simulation.sensitivity import angles

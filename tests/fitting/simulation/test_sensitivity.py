@@ -5,7 +5,8 @@ import pytest
 from reference import EXTRA, INERTIA, PAPER, integrate
 from scipy.integrate import solve_ivp
 
-from fitting.model import Dynamics, Model
+from fitting.dynamics import Dynamics
+from fitting.model import Model
 from fitting.simulation import Mesh, Sampler, respond, sensitivities, solve
 from fitting.simulation.linear import LinearMotion
 from fitting.simulation.mesh import rule

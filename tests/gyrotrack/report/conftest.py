@@ -10,9 +10,10 @@ import pytest
 
 from fitting.case_data import CaseData
 from fitting.discovery import Diagnosis, Rung, diagnose, improve
+from fitting.dynamics import INERTIA_CASING, INERTIA_ROTOR
 from fitting.effects import REDUCED
 from fitting.estimation import fit
-from fitting.model import INERTIA_CASING, INERTIA_ROTOR, Model
+from fitting.model import Model
 from fitting.record import Record
 from fitting.simulation import Path
 from fitting.simulation.recording import Experiment, simulate, simulate_path

@@ -1,0 +1,62 @@
+"""Laws with a shape on a gyroscope whose bearing is not the paper's: what a search would lose on the way."""
+
+import math
+from functools import lru_cache
+
+import pytest
+import twobody
+
+from fitting.case_data import CaseData
+from fitting.discovery import diagnose
+from fitting.discovery.ranking import rank
+from fitting.effects import REDUCED
+from fitting.estimation import fit
+from fitting.model import Model
+from fitting.record import make_record
+
+GYROSCOPE = {"a2": 1.97e-10, "b1": 3e-6, "b2": 3.7e-7, "d": 3.2e-8, "f": 4.86e-7, "g": 0.62}
+SOFTENING, COOLING = 1.3e-3, 28.0
+
+
+@lru_cache(maxsize=4)
+def filmed(seed=0, hidden=None, span=160.0):
+    motion = twobody.simulate(GYROSCOPE, start=(566.0, 25.0), span=span, hidden=hidden, seed=seed)
+    windows = tuple(share * span for share in (0.03, 0.3, 0.7))
+    cameras = twobody.Cameras(span=span, windows=windows, sigma=3e-3)
+    return CaseData.of(make_record(**twobody.film(motion, seed=seed, cameras=cameras)))
+
+
+HEATED = twobody.Hidden(softening=SOFTENING, cooling=COOLING)
+
+
+@pytest.mark.parametrize("known", [False, True], ids=["from nothing", "on top of the reduced model"])
+def test_the_time_constant_of_a_heated_bearing_is_found(known):
+    """The random torque that excuses a model without the heat would excuse any time constant."""
+    data = [filmed(1, HEATED)]
+    start = {k: e.value for k, e in fit(Model.of(REDUCED), data).estimates.items()} if known else None
+    found = fit(Model.of((*REDUCED, "bearing.heating")), data, start=start)
+    assert found.verdict == "adequate"
+    for key, true in {"k": SOFTENING, "tau_T": COOLING}.items():
+        e = found.estimates[f"bearing.heating.{key}"]
+        assert e.stderr < 0.1 * true
+        assert abs(e.value - true) < 4 * e.stderr
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_refit_mends_at_least_what_its_score_promised(seed):
+    base = fit(Model.of(REDUCED), [filmed(seed, HEATED)])
+    (heating,) = (c for c in rank(base) if c.effect.name == "bearing.heating")
+    assert heating.fit is not None
+    assert base.deviance - heating.fit.deviance > 0.95 * heating.screened.score
+    assert heating.estimates["bearing.heating.tau_T"].value == pytest.approx(COOLING, rel=0.25)
+
+
+def test_rivals_are_told_apart_at_the_noise_that_the_better_one_leaves():
+    """Friction that rises sharply at low speed: excused as random torque, several laws seem to explain it."""
+    rise = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -2e-6 * math.exp(-abs(wc) / 6.0))
+    found = diagnose(fit(Model.of(REDUCED), [filmed(0, rise)]))
+    assert found.verdict == "missing_effect"
+    best = found.candidates[0]
+    assert best.effect.name == "touchpoint.stribeck"
+    assert best.indistinguishable_from == ()
+    assert best.fit.verdict == "adequate"
