@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc
 
 from fitting.discovery.scoring import Score
 
@@ -20,16 +21,14 @@ class Chance:
     """Tail probability of a candidate's score in empty data."""
 
     def __init__(self, score: Score) -> None:
-        from scipy.stats import chi2
-
-        self._chi2, self._columns = chi2, score.columns
-        middle = float(np.median(score.null))
-        tail = float(np.quantile(score.null, 0.9))
+        self._columns = score.columns
+        self.draws = np.maximum(score.null, 0.0)
+        middle = float(np.median(self.draws))
+        tail = float(np.quantile(self.draws, 0.9))
         self._trials = max(
-            _trials(float(chi2.sf(middle, score.columns)), 0.5),
-            _trials(float(chi2.sf(tail, score.columns)), 0.1),
+            _trials(float(chdtrc(score.columns, middle)), 0.5),
+            _trials(float(chdtrc(score.columns, tail)), 0.1),
         )
-        self.draws = score.null
 
     def __call__(self, score: float) -> float:
         """Return the probability of a score at least as large in empty data."""
@@ -37,12 +36,12 @@ class Chance:
 
     def of(self, score: float, columns: int) -> float:
         """Return the probability of a score with fewer strengths, searched over as many shapes."""
-        single = float(self._chi2.sf(max(score, 0.0), max(columns, 1)))
+        single = float(chdtrc(max(columns, 1), max(score, 0.0)))
         return float(-np.expm1(self._trials * np.log1p(-min(single, 1 - 1e-12))))
 
     def of_draws(self) -> Array:
         """Return the p-value of each empty data set."""
-        single = np.minimum(self._chi2.sf(self.draws, self._columns), 1 - 1e-12)
+        single = np.minimum(chdtrc(self._columns, self.draws), 1 - 1e-12)
         return np.asarray(-np.expm1(self._trials * np.log1p(-single)))
 
 

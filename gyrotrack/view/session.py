@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 from gyrotrack.charts import board_document
 from gyrotrack.errors import GyrotrackError
-from gyrotrack.view.documents import json_document
 
 if TYPE_CHECKING:
     from fitting.case_data import CaseData
@@ -151,17 +150,17 @@ class Session:
 
     def model_document(self) -> dict[str, Any]:
         """Return the current model as a ledger keeps it, for the process that ranks."""
-        from fitting.effects import LIBRARY
+        from fitting.effects.stored import own_effects
 
         with self._lock:
             fit = self.fit
-            return json_document(
+            return _document(
                 {
                     "fit_id": "",
                     "model": list(fit.model.names),
                     "parameters": {k: {"value": e.value} for k, e in fit.estimates.items()},
                     "digests": [self._data.record.digest],
-                    "own_effects": [asdict(e) for e in fit.model.effects if LIBRARY.get(e.name) != e],
+                    "own_effects": own_effects(fit.model.effects),
                 }
             )
 
@@ -173,7 +172,7 @@ class Session:
             step = self.steps[self.current]
             fit = step.fit
             board = self._board(step, whole=whole)
-            return json_document(
+            return _document(
                 {
                     "label": self._data.record.label,
                     "surface": self._data.record.surface,
@@ -227,3 +226,9 @@ class Session:
         if step.torques is None:
             step.torques = tuple(residual_torques(step.fit))
         return step.torques
+
+
+def _document(found: dict[str, Any]) -> dict[str, Any]:
+    from fitting.plain import plain
+
+    return dict(plain(found))
