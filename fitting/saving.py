@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -192,4 +191,3 @@ def _case(stored: dict[str, Any]) -> CaseMetrics:
     return CaseMetrics(
         str(stored["label"]), bodies[0], bodies[1], number(stored["energy_drift"]), number(stored["misfit"])
     )
-

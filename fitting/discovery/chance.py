@@ -10,7 +10,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
 from fitting.discovery.scoring import Score
 
@@ -22,12 +21,12 @@ class Chance:
 
     def __init__(self, score: Score) -> None:
         self._columns = score.columns
-        self.draws = np.maximum(score.null, 0.0)
+        self.draws = score.null
         middle = float(np.median(self.draws))
         tail = float(np.quantile(self.draws, 0.9))
         self._trials = max(
-            _trials(float(chdtrc(score.columns, middle)), 0.5),
-            _trials(float(chdtrc(score.columns, tail)), 0.1),
+            _trials(float(_beyond(middle, score.columns)), 0.5),
+            _trials(float(_beyond(tail, score.columns)), 0.1),
         )
 
     def __call__(self, score: float) -> float:
@@ -36,13 +35,20 @@ class Chance:
 
     def of(self, score: float, columns: int) -> float:
         """Return the probability of a score with fewer strengths, searched over as many shapes."""
-        single = float(chdtrc(max(columns, 1), max(score, 0.0)))
+        single = float(_beyond(score, max(columns, 1)))
         return float(-np.expm1(self._trials * np.log1p(-min(single, 1 - 1e-12))))
 
     def of_draws(self) -> Array:
         """Return the p-value of each empty data set."""
-        single = np.minimum(chdtrc(self._columns, self.draws), 1 - 1e-12)
+        single = np.minimum(_beyond(self.draws, self._columns), 1 - 1e-12)
         return np.asarray(-np.expm1(self._trials * np.log1p(-single)))
+
+
+def _beyond(chi2: float | Array, columns: int) -> Array:
+    """Return the probability of a larger chi-square."""
+    from scipy.special import chdtrc
+
+    return np.asarray(chdtrc(columns, np.maximum(chi2, 0.0)))
 
 
 def _trials(single: float, share: float) -> float:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fitting.typesetting import measured, probability, short
 from gyrotrack.report.content import Content
-from gyrotrack.report.notation import measured, probability, short
 
 if TYPE_CHECKING:
     from fitting.discovery import Candidate
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from gyrotrack.dataset import Recording
     from gyrotrack.dataset.records import Placement
 
-_JOINTS = {
+JOINTS = {
     "rotor": "rotor",
     "casing": "casing",
     "bearing": "both bodies",
@@ -145,7 +145,7 @@ def candidate_rows(candidates: tuple[Candidate, ...]) -> list[CandidateRow]:
         CandidateRow(
             effect=c.effect.name,
             kind="physics" if c.physical else "measurement",
-            joint=_JOINTS.get(c.effect.joint, c.effect.joint),
+            joint=JOINTS.get(c.effect.joint, c.effect.joint),
             score=short(c.score),
             delta_bic=short(c.delta_bic),
             p_value=probability(c.p_value),

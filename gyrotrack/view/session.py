@@ -138,7 +138,9 @@ class Session:
             step.fit, step.sharp, step.torques = polished(step.fit), True, None
 
     def remember(self, answer: dict[str, Any]) -> dict[str, Any]:
-        """Keep what a search found for the parameters of the candidates, and return its answer."""
+        """Keep what a search found for the parameters of the candidates, and return its answer as it is to be read."""
+        from fitting.typesetting import typeset
+
         candidates = answer.get("diagnosis", {}).get("candidates", [])
         found = {
             c["effect"]: {k: v["value"] for k, v in c["parameters"].items() if isinstance(v["value"], float)}
@@ -146,6 +148,8 @@ class Session:
         }
         with self._lock:
             self.found = found
+        if "diagnosis" in answer:
+            answer["diagnosis"]["sentence"] = typeset(answer["diagnosis"]["sentence"])
         return answer
 
     def model_document(self) -> dict[str, Any]:
@@ -166,7 +170,7 @@ class Session:
 
     def state(self, *, whole: bool = False) -> dict[str, Any]:
         """Return what the page shows; with `whole` also the curves that no fit changes."""
-        from fitting.summary import rounded
+        from fitting.typesetting import measured
 
         with self._lock:
             step = self.steps[self.current]
@@ -184,7 +188,7 @@ class Session:
                         for e in fit.model.effects
                     ],
                     "parameters": [
-                        {"name": k, "value": rounded(e.value, e.stderr, e.unit), "at_bound": e.at_bound}
+                        {"name": k, "value": measured(e.value, e.stderr, e.unit), "at_bound": e.at_bound}
                         for k, e in fit.estimates.items()
                     ],
                     "ladder": [self._rung(i) for i in range(len(self.steps))],
@@ -217,7 +221,6 @@ class Session:
         board = board_document(case_board(view, tracks, [s.change for s in steps], names=names))
         failures = find_failures(step.fit, list(self._torques(step)))
         board["marks"] = [asdict(mark(f)) for f in failures]
-        board["words"] = [str(f) for f in failures]
         return board
 
     def _torques(self, step: Step) -> tuple[ResidualTorque, ...]:
