@@ -32,7 +32,7 @@ from fitting.summary import fit_document, rung_document
 FORMAT = "gyrotrack ledger"
 VERSION = 1
 # what comes of a part of the file that was changed by hand: what was kept there is then found anew
-_DAMAGED = (KeyError, TypeError, ValueError, AttributeError, FittingError)
+_DAMAGED = (LookupError, TypeError, ValueError, AttributeError, FittingError)
 
 
 @dataclass(frozen=True)

@@ -151,7 +151,7 @@ def _added(content: Content) -> list[Added]:
     for i, effect in enumerate(e for e in content.final.model.effects if e.name in content.added):
         source = latex(effect.expression)
         above, below = (
-            Equation(effect.law, formula(source, f"{n}{i}", colour=AFTER)) for n in ("top", "law")
+            Equation(effect.law, formula(source, f"{n}{i}", colour=AFTER)) for n in ("top", "below")
         )
         values = [
             named(k, e)
