@@ -26,7 +26,7 @@ from typing import Any
 import browser as seen
 
 HERE = Path(__file__).parent
-CLIP = HERE.parents[1] / "sample_clips" / "casing.mp4"
+FILMS = HERE.parents[1] / "sample_clips"
 _SECRET = ["--add", "casing.air.quadratic", "--strength", "0.02", "--torque-noise", "2e-8"]
 
 
@@ -91,12 +91,12 @@ def workbench(folder: Path) -> dict[str, Any]:
 
 
 def film(folder: Path) -> dict[str, Any]:
-    """Ask for frames of the sample film."""
-    case = folder / "film.h5"
+    """Ask for frames of the sample films."""
+    case = folder / "demo" / "case.h5"
     if not case.exists():
-        gyrotrack("extract", CLIP, "-o", case, "--capture-fps", 260)
+        gyrotrack("demo", "-o", case.parent)
     with seen.chromium() as browser:
-        return seen.frames(browser, case, CLIP.parent, folder)
+        return seen.frames(browser, case, FILMS, folder)
 
 
 PARTS: dict[str, Callable[[Path], dict[str, Any]]] = {
