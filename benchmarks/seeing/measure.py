@@ -53,7 +53,7 @@ def study(folder: Path) -> list[Path]:
 
 
 def reports(folder: Path) -> dict[str, Any]:
-    """Time the report from nothing, after `diagnose`, after `improve`, and as PDF; three times each."""
+    """Time the report from nothing, after `diagnose`, after `improve`, and as PDF; twice each."""
     cases, page, paper = study(folder), folder / "report.html", folder / "report.pdf"
     ledger = folder / "one.fits.json"
     times: dict[str, list[tuple[float, float]]] = {}
@@ -61,7 +61,7 @@ def reports(folder: Path) -> dict[str, Any]:
     def timed(name: str, *words: object) -> None:
         times.setdefault(name, []).append(gyrotrack(*words))
 
-    for _ in range(3):
+    for _ in range(2):
         ledger.unlink(missing_ok=True)
         timed("cold", "report", *cases, "-o", page, "--force")
         ledger.unlink()
