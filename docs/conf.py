@@ -9,6 +9,7 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphin
 exclude_patterns = ["_build", "make_*.py"]
 html_theme = "furo"
 html_title = "gyrotrack"
+html_show_copyright = False
 # what a page links to outside this folder is read on the project's site, not in the built pages
 suppress_warnings = ["myst.xref_missing", "myst.header"]
 myst_enable_extensions = ["colon_fence", "dollarmath"]

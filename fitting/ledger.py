@@ -8,27 +8,31 @@ ladders of several sets of cases; each rung says which cases it belongs to.
 from __future__ import annotations
 
 import json
-import math
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from fitting.case_data import CaseData
-from fitting.effects import LIBRARY, Effect
-from fitting.effects.effect import Parameter, State
-from fitting.errors import LedgerError
+from fitting.discovery import Diagnosis
+from fitting.effects import Effect
+from fitting.effects.stored import effects_of, own_effects
+from fitting.errors import FittingError, LedgerError
 from fitting.estimation import Fit
 from fitting.estimation.robust import robust_fit
 from fitting.model import Model
+from fitting.plain import plain
+from fitting.restoring import kept_diagnosis, kept_fit, restored_diagnosis, restored_fit
 from fitting.summary import fit_document, rung_document
 
 FORMAT = "gyrotrack ledger"
 VERSION = 1
+# what comes of a part of the file that was changed by hand: what was kept there is then found anew
+_DAMAGED = (LookupError, TypeError, ValueError, AttributeError, FittingError)
 
 
 @dataclass(frozen=True)
@@ -50,8 +54,23 @@ class Entry:
     @property
     def model(self) -> Model:
         """The model that was fitted."""
-        own = {e["name"]: effect_of(e) for e in self.document.get("own_effects", [])}
-        return Model(tuple(own[n] if n in own else LIBRARY[n] for n in self.document["model"]))
+        return Model(effects_of(self.document["model"], self.document.get("own_effects", [])))
+
+    def shown(self, data: Sequence[CaseData]) -> Fit:
+        """Return the fit of this rung to be shown: as it was, if this very code made it, else made anew."""
+        kept, found = self.document.get("restored_from"), None
+        if kept:
+            with suppress(*_DAMAGED):
+                found = restored_fit(kept, self.model, data)
+        return found or self.refit(data)
+
+    def diagnosis(self, fit: Fit, extra: Sequence[Effect] = ()) -> Diagnosis | None:
+        """Return the diagnosis of this rung to be shown, if there was one by this very code with these effects."""
+        kept = self.document.get("diagnosis")
+        if kept:
+            with suppress(*_DAMAGED):
+                return restored_diagnosis(kept, fit, extra)
+        return None
 
     def refit(self, data: Sequence[CaseData]) -> Fit:
         """Return the fit of this rung, made anew from its own parameters."""
@@ -135,7 +154,7 @@ class Ledger:
                 "rung": rung_document(found, fit_id, added, previous),
                 "digests": [d.record.digest for d in found.problem.data],
                 "sources": [d.record.source for d in found.problem.data],
-                "own_effects": [asdict(e) for e in found.model.effects if LIBRARY.get(e.name) != e],
+                "own_effects": own_effects(found.model.effects),
                 "share": list(share),
                 "per_case": list(per_case),
                 "ranges": {k: list(v) for k, v in (ranges or {}).items()},
@@ -144,11 +163,20 @@ class Ledger:
                 "rotor": "generated" if found.problem.data[0].record.generated else "windows",
                 "created": datetime.now(UTC).isoformat(timespec="seconds"),
                 "software_version": _version(),
+                # a robust fit is one of pseudo-values, which are not kept
+                "restored_from": kept_fit(found) if loss == "linear" else None,
             }
             entry = Entry(plain(document))
             self.entries.append(entry)
             self._write()
             return entry
+
+    def keep_diagnosis(self, fit_id: str, found: Diagnosis, extra: Sequence[Effect] = ()) -> None:
+        """Keep with a rung what was found missing in it, so that it can be shown again without a new search."""
+        with _alone(self.path.parent):
+            self.entries = _read(self.path)
+            self.find(fit_id).document["diagnosis"] = plain(kept_diagnosis(found, extra))
+            self._write()
 
     def _write(self) -> None:
         document = {"format": FORMAT, "version": VERSION, "fits": [e.document for e in self.entries]}
@@ -203,38 +231,6 @@ def _read(path: Path) -> list[Entry]:
             "move it away or choose another with --ledger",
         )
     return entries
-
-
-def effect_of(stored: dict[str, Any]) -> Effect:
-    """Return an effect from its fields."""
-    fields = dict(stored)
-    fields["parameters"] = tuple(_parameter(p) for p in fields["parameters"])
-    fields["confused_with"] = tuple(fields.get("confused_with", ()))
-    state = fields.get("state")
-    fields["state"] = State(**state) if state else None
-    return Effect(**fields)
-
-
-def _parameter(stored: dict[str, Any]) -> Parameter:
-    values: dict[str, Any] = {k: tuple(v) if k == "grid" else _number(v) for k, v in stored.items()}
-    return Parameter(**values)
-
-
-def _number(value: Any) -> Any:
-    return {"inf": math.inf, "-inf": -math.inf}.get(value, value) if isinstance(value, str) else value
-
-
-def plain(value: Any) -> Any:
-    """Return what JSON can hold: nan becomes None, infinities become words."""
-    if isinstance(value, dict):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(v) for v in value]
-    if hasattr(value, "tolist"):
-        return plain(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None if math.isnan(value) else ("inf" if value > 0 else "-inf")
-    return value
 
 
 def _version() -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -13,14 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.effects import LIBRARY
+from fitting.effects.stored import effects_of, own_effects
 from fitting.errors import FittingError, LedgerError
 from fitting.estimation.account import Account
 from fitting.estimation.fit import fit
 from fitting.estimation.metrics import BodyMetrics, CaseMetrics
 from fitting.estimation.outcome import Estimate, Fit
-from fitting.ledger import effect_of, plain
 from fitting.model import Model
+from fitting.plain import number, plain
 from fitting.record import Record
 
 Array = NDArray[np.float64]
@@ -127,7 +126,7 @@ def _document(found: Account) -> dict[str, Any]:
             "format": FORMAT,
             "version": VERSION,
             "model": list(found.model.names),
-            "own_effects": [asdict(e) for e in found.model.effects if LIBRARY.get(e.name) != e],
+            "own_effects": own_effects(found.model.effects),
             "labels": [c.label for c in found.cases],
             "estimates": {k: asdict(e) for k, e in found.estimates.items()},
             "cases": [asdict(c) for c in found.cases],
@@ -156,27 +155,26 @@ def _behind(found: Account) -> tuple[Sequence[str], Array, Sequence[str], Sequen
 
 
 def _fit(document: dict[str, Any]) -> SavedFit:
-    own = {e["name"]: effect_of(e) for e in document["own_effects"]}
-    covariance = np.array([[_number(x) for x in row] for row in document["covariance"]], dtype=float)
+    covariance = np.array([[number(x) for x in row] for row in document["covariance"]], dtype=float)
     names = tuple(str(n) for n in document["names"])
     if covariance.shape != (len(names), len(names)):
         raise ValueError("the covariance has another size")
     return SavedFit(
-        model=Model(tuple(own[n] if n in own else LIBRARY[n] for n in document["model"])),
+        model=Model(effects_of(document["model"], document["own_effects"])),
         labels=tuple(str(x) for x in document["labels"]),
         estimates={
-            str(k): Estimate(_number(e["value"]), _number(e["stderr"]), str(e["unit"]), bool(e["at_bound"]))
+            str(k): Estimate(number(e["value"]), number(e["stderr"]), str(e["unit"]), bool(e["at_bound"]))
             for k, e in document["estimates"].items()
         },
         cases=tuple(_case(c) for c in document["cases"]),
-        chi2=_number(document["chi2"]),
+        chi2=number(document["chi2"]),
         rows=int(document["rows"]),
-        n_eff=_number(document["n_eff"]),
-        deviance=_number(document["deviance"]),
-        bic=_number(document["bic"]),
+        n_eff=number(document["n_eff"]),
+        deviance=number(document["deviance"]),
+        bic=number(document["bic"]),
         verdict=str(document["verdict"]),
         noise=tuple(
-            SavedNoise(*(_number(n[k]) for k in ("pure", "level", "scale"))) for n in document["noise"]
+            SavedNoise(*(number(n[k]) for k in ("pure", "level", "scale"))) for n in document["noise"]
         ),
         names=names,
         covariance=covariance,
@@ -187,13 +185,9 @@ def _fit(document: dict[str, Any]) -> SavedFit:
 
 def _case(stored: dict[str, Any]) -> CaseMetrics:
     bodies = [
-        BodyMetrics(*(_number(stored[b][k]) for k in ("r2", "rmse", "reduced_chi2", "held_out")))
+        BodyMetrics(*(number(stored[b][k]) for k in ("r2", "rmse", "reduced_chi2", "held_out")))
         for b in ("casing", "rotor")
     ]
     return CaseMetrics(
-        str(stored["label"]), bodies[0], bodies[1], _number(stored["energy_drift"]), _number(stored["misfit"])
+        str(stored["label"]), bodies[0], bodies[1], number(stored["energy_drift"]), number(stored["misfit"])
     )
-
-
-def _number(value: Any) -> float:
-    return math.nan if value is None else float(value)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from fitting.case_data import CaseData
 from fitting.estimation import Fit
 from fitting.noise import TorqueNoise, TorqueResponse, remaining_level
+from fitting.noise.response import decaying_sums
 
 Array = NDArray[np.float64]
 
@@ -92,12 +93,9 @@ def _seen(times: Array, data: CaseData, body: str) -> NDArray[np.bool_]:
 
 def _smear(w: Array, response: TorqueResponse, time: float) -> Array:
     """Return W R for a unit Ornstein-Uhlenbeck process."""
-    from scipy.signal import lfilter
-
     decay = float(np.exp(-(response.edges[1] - response.edges[0]) / time))
-    forward = lfilter([1.0], [1.0, -decay], w, axis=1)
-    backward = lfilter([1.0], [1.0, -decay], w[:, ::-1], axis=1)[:, ::-1]
-    return np.asarray(forward + backward - w)
+    later, earlier = decaying_sums(w.T, decay), decaying_sums(w.T[::-1], decay)[::-1]
+    return np.asarray((later + earlier).T - w)
 
 
 def _without_nuisance(covariance: Array, nuisance: Array) -> Array:

@@ -20,16 +20,14 @@ class Chance:
     """Tail probability of a candidate's score in empty data."""
 
     def __init__(self, score: Score) -> None:
-        from scipy.stats import chi2
-
-        self._chi2, self._columns = chi2, score.columns
-        middle = float(np.median(score.null))
-        tail = float(np.quantile(score.null, 0.9))
-        self._trials = max(
-            _trials(float(chi2.sf(middle, score.columns)), 0.5),
-            _trials(float(chi2.sf(tail, score.columns)), 0.1),
-        )
+        self._columns = score.columns
         self.draws = score.null
+        middle = float(np.median(self.draws))
+        tail = float(np.quantile(self.draws, 0.9))
+        self._trials = max(
+            _trials(float(_beyond(middle, score.columns)), 0.5),
+            _trials(float(_beyond(tail, score.columns)), 0.1),
+        )
 
     def __call__(self, score: float) -> float:
         """Return the probability of a score at least as large in empty data."""
@@ -37,13 +35,20 @@ class Chance:
 
     def of(self, score: float, columns: int) -> float:
         """Return the probability of a score with fewer strengths, searched over as many shapes."""
-        single = float(self._chi2.sf(max(score, 0.0), max(columns, 1)))
+        single = float(_beyond(score, max(columns, 1)))
         return float(-np.expm1(self._trials * np.log1p(-min(single, 1 - 1e-12))))
 
     def of_draws(self) -> Array:
         """Return the p-value of each empty data set."""
-        single = np.minimum(self._chi2.sf(self.draws, self._columns), 1 - 1e-12)
+        single = np.minimum(_beyond(self.draws, self._columns), 1 - 1e-12)
         return np.asarray(-np.expm1(self._trials * np.log1p(-single)))
+
+
+def _beyond(chi2: float | Array, columns: int) -> Array:
+    """Return the probability of a larger chi-square."""
+    from scipy.special import chdtrc
+
+    return np.asarray(chdtrc(columns, np.maximum(chi2, 0.0)))
 
 
 def _trials(single: float, share: float) -> float:

@@ -79,7 +79,9 @@ class Diagnosis:
         return diagnosis_html(self)
 
 
-def diagnose(fit: Fit, extra: Sequence[Effect] = ()) -> Diagnosis:
+def diagnose(
+    fit: Fit, extra: Sequence[Effect] = (), *, candidates: Sequence[Candidate] | None = None
+) -> Diagnosis:
     """Say where a fit fails and which effect is missing.
 
     Parameters
@@ -88,12 +90,14 @@ def diagnose(fit: Fit, extra: Sequence[Effect] = ()) -> Diagnosis:
         The fit in question.
     extra : sequence of Effect
         Effects of the user beside the library.
+    candidates : sequence of Candidate, optional
+        The ranking of the fit, if it is known already.
 
     Returns
     -------
     Diagnosis
     """
-    candidates = rank(fit, extra)
+    candidates = rank(fit, extra) if candidates is None else candidates
     chosen = best(candidates)
     after: list[Rung] = []
     end = fit

@@ -7,6 +7,8 @@ from collections.abc import Iterable, Sequence
 from html import escape
 from typing import TYPE_CHECKING
 
+from fitting.typesetting import measured, probability, short, typeset, unbroken
+
 if TYPE_CHECKING:
     from fitting.discovery import Diagnosis, Rung
     from fitting.estimation import Fit
@@ -23,17 +25,15 @@ _MOST = 10
 
 def fit_html(fit: Fit) -> str:
     """Return a fit: verdict, equations' effects, figures of merit, parameters with errors and units."""
-    from fitting.summary import rounded
-
     merits = [
-        (c.label, name, *(f"{v:.4g}" for v in (body.r2, body.rmse, body.reduced_chi2, body.held_out)))
+        (c.label, name, f"{body.r2:.6f}", *(short(v) for v in (body.rmse, body.reduced_chi2, body.held_out)))
         for c in fit.cases
         for name, body in (
             [("body", c.casing)] if math.isnan(c.rotor.rmse) else [("casing", c.casing), ("rotor", c.rotor)]
         )
     ]
     numbers = [
-        (name, rounded(e.value, e.stderr, e.unit).replace("+-", "±"), "on its bound" if e.at_bound else "")
+        (name, measured(e.value, e.stderr, e.unit), "on its bound" if e.at_bound else "")
         for name, e in fit.estimates.items()
     ]
     return _block(
@@ -52,8 +52,8 @@ def diagnosis_html(d: Diagnosis) -> str:
             f.label,
             f.called,
             f"{f.t_start:.1f} – {f.t_stop:.1f}",
-            f"{f.residual_torque_Nm:.2g}",
-            f"{f.residual_rad_s:.2g}",
+            short(f.residual_torque_Nm, 2),
+            short(f.residual_rad_s, 2),
             f"{f.size_sigma:.0f}",
         )
         for f in d.failures
@@ -61,15 +61,15 @@ def diagnosis_html(d: Diagnosis) -> str:
     candidates = [
         (
             c.effect.name + ("" if c.physical else " (artefact)"),
-            f"{c.score:.1f}",
-            f"{c.delta_bic:.1f}" if math.isfinite(c.delta_bic) else "–",
-            f"{c.p_value:.1g}",
+            short(c.score),
+            short(c.delta_bic),
+            probability(c.p_value),
             ", ".join(c.indistinguishable_from) or "–",
         )
         for c in d.candidates[:_MOST]
         if c.score > 0
     ]
-    parts = [_headline(d.verdict, d.sentence)]
+    parts = [_headline(d.verdict, typeset(d.sentence))]
     if failures:
         where = ("case", "body", "time [s]", "torque [N m]", "speed [rad/s]", "σ")
         parts.append(_table("where it fails", where, failures))
@@ -93,8 +93,8 @@ def ladder_html(rungs: Sequence[Rung]) -> str:
         width = round(100 * d["rmse_casing"] / largest)
         bar = f'<div style="background:#0072b2;height:.6em;width:{max(1, width)}px"></div>'
         cells = [escape(d["added"] or "base")]
-        cells += [f"{d[k]:.4g}" for k in ("rmse_casing", "reduced_chi2", "held_out", "delta_bic")]
-        cells.append(f"{d['torque_left_Nm']:.2g}")
+        cells += [short(d[k]) for k in ("rmse_casing", "reduced_chi2", "held_out", "delta_bic")]
+        cells.append(short(d["torque_left_Nm"], 2))
         rows.append([*cells, bar])
     head = ("change", "rms [rad/s]", "χ²/n", "held out [noise]", "ΔBIC", "torque left [N m]", "")
     return _block(_markup_table("ladder", head, rows))
@@ -102,11 +102,11 @@ def ladder_html(rungs: Sequence[Rung]) -> str:
 
 def _headline(verdict: str, text: str) -> str:
     sign, words = _VERDICTS.get(verdict, ("", verdict))
-    return f"<p><b>{sign} {escape(words)}</b><br>{escape(text)}</p>"
+    return f"<p><b>{sign} {escape(words)}</b><br>{escape(unbroken(text))}</p>"
 
 
 def _table(caption: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    return _markup_table(caption, head, [[escape(c) for c in row] for row in rows])
+    return _markup_table(caption, head, [[escape(unbroken(c)) for c in row] for row in rows])
 
 
 def _markup_table(caption: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

@@ -25,6 +25,15 @@ _BINARY: dict[type[ast.operator], Callable[[Expr, Expr], Expr]] = {
     ast.Div: nodes.div,
     ast.Pow: nodes.power,
 }
+_WORDS = {
+    ast.Call: "a call of anything but one of the functions",
+    ast.Attribute: "a dot after a name",
+    ast.Subscript: "an index in brackets",
+    ast.Lambda: "lambda",
+    ast.Compare: "a comparison",
+    ast.IfExp: "if ... else",
+    ast.BoolOp: "'and' and 'or'",
+}
 _ALLOWED = "numbers, the names listed, + - * / ** and " + ", ".join(nodes.FUNCTIONS)
 
 
@@ -89,7 +98,8 @@ def _convert(node: ast.expr, depth: int) -> Expr:
             )
         case _:
             pass
-    raise ExpressionError(f"{type(node).__name__} is not allowed in a formula", f"a formula has {_ALLOWED}")
+    what = _WORDS.get(type(node), type(node).__name__)
+    raise ExpressionError(f"{what} is not allowed in a formula", f"a formula has {_ALLOWED}")
 
 
 def _combine(op: type[ast.operator], left: Expr, right: Expr) -> Expr:

@@ -70,7 +70,7 @@ class TorqueResponse:
         for w in responses:
             # R = U' D U with the upper triangle U_kl = decay^(l-k) and D = diag(1, 1 - decay^2, ...): a random torque
             # as what independent kicks leave behind; a product with itself costs half of one with another
-            kicked = _decaying_sums(w, decay)
+            kicked = decaying_sums(w, decay)
             kicked[1:] *= np.sqrt(1 - decay**2)
             for first, run in starts:
                 part = kicked[run, first:]
@@ -124,7 +124,7 @@ def _impulses(data: CaseData, motion: LinearMotion, cells: Array, direction: Arr
     return data.rows(parts[0], parts[1:])
 
 
-def _decaying_sums(w: Array, decay: float) -> Array:
+def decaying_sums(w: Array, decay: float) -> Array:
     """Return the sums over l >= k of decay^(l-k) w_l, one row a cell."""
     sums = w.copy()
     for k in range(len(sums) - 2, -1, -1):

@@ -197,6 +197,10 @@ def _escaped(text: str) -> str:
         "\\": r"\textbackslash{}",
         "~": r"\textasciitilde{}",
         "^": r"\textasciicircum{}",
+        # with the plain encoding of fonts these would print as Spanish marks and a dash
+        "<": r"\textless{}",
+        ">": r"\textgreater{}",
+        "|": r"\textbar{}",
     }
     return "".join(special.get(c, c) for c in text)
 

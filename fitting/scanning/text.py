@@ -139,7 +139,7 @@ def robustness_lines(found: Sequence[Robustness]) -> list[str]:
 
 
 def _percent(share: float) -> str:
-    if math.isnan(share):
+    if not math.isfinite(share):
         return ""
     if abs(share) < _HARDLY:
         return "< 0.01 %"

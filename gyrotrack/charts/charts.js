@@ -86,12 +86,16 @@ const Charts = (() => {
     return (Object.is(Math.round(x * 10 ** places), -0) ? 0 : x).toFixed(places).replace("-", "\u2212");
   }
 
-  /* four digits for the value below the pointer */
-  function told(x) {
+  /* four digits for the value below the pointer, or as many as are asked for */
+  function told(x, digits = 4) {
     if (!Number.isFinite(x)) return "\u2013";
     const size = Math.abs(x);
-    const text = size !== 0 && (size < 1e-3 || size >= 1e5) ? x.toExponential(3) : String(Number(x.toPrecision(4)));
-    return text.replace("-", "\u2212");
+    if (size === 0 || (size >= 1e-3 && size < 1e5)) {
+      return String(Number(x.toPrecision(digits))).replace("-", "\u2212");
+    }
+    const [mantissa, power] = x.toExponential(digits - 1).split("e");
+    const raised = [...String(Number(power))].map((c) => c === "-" ? "\u207b" : "\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079"[c]);
+    return `${mantissa.replace("-", "\u2212")}\u00a0\u00d7\u00a010${raised.join("")}`;
   }
 
   function element(name, attributes = {}, ...children) {

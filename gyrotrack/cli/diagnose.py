@@ -32,6 +32,8 @@ def command(
     with out.progress("scoring effects") as progress:
         progress(0, None)
         fit, fit_id = study.base(start)
-        found = diagnose(fit, own_effects(effects))
+        own = own_effects(effects)
+        found = diagnose(fit, own)
+        study.keep_diagnosis(fit_id, found, own)
     out.result(diagnosis_document(found, fit_id))
     out.show(*diagnosis_tables(found, fit_id))

@@ -39,18 +39,8 @@ def command(
     from fitting.scanning import scan
     from gyrotrack.dataset import read_case
     from gyrotrack.report.paper import write_figures
-    from gyrotrack.report.paper.writing import FORMATS
 
-    wanted = list(dict.fromkeys(formats or FORMATS[:1]))
-    unknown = [f for f in wanted if f not in FORMATS]
-    if unknown:
-        raise UsageError(f"{unknown[0]} is no format of figures.", f"Formats: {', '.join(FORMATS)}.")
-    if output.exists() and not output.is_dir():
-        raise OutputError(f"{output} is a file.", "Give the name of a folder with -o.")
-    if not force and output.is_dir() and any(output.glob("tables.tex")):
-        raise OutputError(
-            f"{output} holds figures already.", "Use --force to replace them, or -o for another folder."
-        )
+    wanted = _wanted(formats, output, force=force)
     out = Output(as_json=as_json, quiet=quiet)
     data = read_cases(cases)
     with out.progress("fitting") as progress:
@@ -66,9 +56,26 @@ def command(
             films=film_folders(cases, films),
             force=force,
         )
-    drawn = {f.stem for f in files if f.suffix.lstrip(".") in FORMATS}
+    drawn = {f.stem for f in files if f.suffix.lstrip(".") in wanted}
     out.result({"output": output, "files": files, "figures": len(drawn)})
     out.show(f"written: {len(files)} files in {output}")
     if "gyroscope" not in drawn:
         out.note("no film was found for the figure of the gyroscope; name its folder with --films")
     return DONE if found.converged else NOT_TRUSTED
+
+
+def _wanted(formats: list[str] | None, output: Path, *, force: bool) -> list[str]:
+    """Return the formats asked for, or say what is wrong with them or with the folder."""
+    from gyrotrack.report.paper.writing import FORMATS
+
+    wanted = list(dict.fromkeys(formats or FORMATS[:1]))
+    unknown = [f for f in wanted if f not in FORMATS]
+    if unknown:
+        raise UsageError(f"{unknown[0]} is no format of figures.", f"Formats: {', '.join(FORMATS)}.")
+    if output.exists() and not output.is_dir():
+        raise OutputError(f"{output} is a file.", "Give the name of a folder with -o.")
+    if not force and output.is_dir() and any(output.glob("tables.tex")):
+        raise OutputError(
+            f"{output} holds figures already.", "Use --force to replace them, or -o for another folder."
+        )
+    return wanted

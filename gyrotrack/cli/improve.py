@@ -22,7 +22,7 @@ def command(
 
     Example: gyrotrack improve case1.h5
     """
-    from fitting.discovery import improve
+    from fitting.discovery import diagnose, improve
     from fitting.summary import fit_document, ladder_verdict
 
     out = Output(as_json=as_json, quiet=quiet)
@@ -30,8 +30,11 @@ def command(
     with out.progress("adding effects") as progress:
         progress(0, None)
         base, parent = study.base(start)
-        rungs = improve(base, own_effects(effects), progress=progress)
-    kept = study.keep(rungs, parent)
+        own = own_effects(effects)
+        rungs = improve(base, own, progress=progress)
+        kept = study.keep(rungs, parent)
+        # a report asks for it next, and most of the work is done
+        study.keep_diagnosis(parent, diagnose(base, own, candidates=rungs[0].candidates), own)
     steps = [entry.document["rung"] for entry in kept]
     verdict = ladder_verdict(rungs)
     out.result({"ladder": steps, "final": fit_document(rungs[-1].fit, kept[-1].fit_id), "verdict": verdict})

@@ -34,7 +34,6 @@ def command(
 
     Example: gyrotrack report case1.h5 -o report.html
     """
-    from fitting.discovery import diagnose
     from gyrotrack.dataset import read_case
     from gyrotrack.dataset.writing import refuse_existing
     from gyrotrack.report import write_report
@@ -45,7 +44,7 @@ def command(
     with out.progress("writing the report") as progress:
         progress(0, None)
         rungs = study.rungs_to(start)
-        diagnosis = diagnose(rungs[0].fit, own_effects(effects))
+        diagnosis = study.diagnosis(start, rungs[0].fit, own_effects(effects))
         recordings = [read_case(case) for case in cases]
         where = {"command": command_line(), "ledger": str(study.ledger.path)}
         write_report(

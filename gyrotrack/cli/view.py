@@ -38,13 +38,7 @@ def command(
 
     Example: gyrotrack view case1.h5
     """
-    try:
-        import starlette  # noqa: F401 - is it there?
-        import uvicorn  # noqa: F401
-    except ImportError:
-        raise UsageError(
-            "The workbench needs two packages that are not installed.", 'Run: pip install "gyrotrack[view]"'
-        ) from None
+    _look_for_packages()
     from gyrotrack.dataset import read_case
     from gyrotrack.view import Workbench, serve
     from gyrotrack.view.films import Clips
@@ -84,3 +78,14 @@ def _has_desktop() -> bool:
     return sys.platform in {"darwin", "win32"} or any(
         os.environ.get(n) for n in ("DISPLAY", "WAYLAND_DISPLAY")
     )
+
+
+def _look_for_packages() -> None:
+    """Say so if what the page is served with is not installed."""
+    try:
+        import starlette  # noqa: F401 - is it there?
+        import uvicorn  # noqa: F401
+    except ImportError:
+        raise UsageError(
+            "The workbench needs two packages that are not installed.", 'Run: pip install "gyrotrack[view]"'
+        ) from None

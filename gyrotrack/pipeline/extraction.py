@@ -20,7 +20,7 @@ from gyrotrack.pipeline.notes import Notes
 from gyrotrack.pipeline.watch import Progress, Watched, watch
 from gyrotrack.profile import PAPER, Profile
 from gyrotrack.segmentation.single_thread import single_threaded
-from gyrotrack.video import CaptureRate, ClipInfo, capture_rate, file_sha256, frame_numbers, probe
+from gyrotrack.video import CaptureRate, ClipInfo, capture_rate, file_sha256, probe
 
 BODIES = (None, "casing", "rotor", "both")
 HARDLY = 0.5
@@ -98,8 +98,7 @@ def _recording(
     info: ClipInfo, sha256: str, rate: CaptureRate, scene: Scene, seen: Watched, joint: Joint
 ) -> Recording:
     """Put together what the dataset keeps of a film."""
-    index = frame_numbers(seen.pts_time)
-    time = index / rate.fps
+    time = seen.index / rate.fps
     markers = {
         paper.name: marker_track(
             paper, seen.bodies[name].markers[paper.name], found, joint.centre.centre, joint.sense, seen.size
@@ -123,7 +122,7 @@ def _recording(
         frames_decoded=len(time),
         sense=joint.sense,
         body="both" if len(bodies) == 2 else next(iter(bodies)),
-        frame_index=index,
+        frame_index=seen.index,
         time=time,
         pts_time=seen.pts_time,
         centre=joint.centre.centre,

@@ -19,7 +19,6 @@ from gyrotrack.geometry.wander import wandering_centre
 from gyrotrack.pipeline.views import View, view
 from gyrotrack.pipeline.watch import BodySightings, Watched
 from gyrotrack.profile import Profile
-from gyrotrack.video import frame_numbers
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -62,7 +61,7 @@ def join_bodies(seen: Watched, scene: Scene, profile: Profile, fps: float) -> Jo
     Frames that are missing in the film get empty places, so that the motion is even in between; the result has
     the film's frames only.
     """
-    index = frame_numbers(seen.pts_time)
+    index = seen.index
     joint = _join_even(_with_gaps(seen, index), scene, profile, fps)
     if len(index) == 0 or index[-1] + 1 == len(index):
         return joint

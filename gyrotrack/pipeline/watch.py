@@ -49,6 +49,8 @@ class Watched:
         The disc's centre in every frame [px].
     pts_time : ndarray, shape (n,)
         The stream's own time stamps [s].
+    index : ndarray of int, shape (n,)
+        Numbers of the frames, those of missing frames left out.
     warnings : tuple of str
         What the reader found.
     size : tuple of int
@@ -58,6 +60,7 @@ class Watched:
     bodies: dict[str, BodySightings]
     disc: Floats | None
     pts_time: Floats
+    index: Integers
     warnings: tuple[str, ...]
     size: tuple[int, int]
 
@@ -125,7 +128,7 @@ class _Advance:
     """How many frames of the camera lie between frames of the film, by the stamps of the whole film."""
 
     def __init__(self, stamps: Integers, time_base: float) -> None:
-        steps = np.diff(frame_numbers(np.asarray(stamps * time_base, dtype=np.float64)))
+        steps = np.diff(frame_numbers(np.asarray(stamps * time_base, dtype=np.float64), time_base))
         long = np.flatnonzero(steps != 1)
         self._long: dict[int | None, int] = dict(
             zip(stamps[long].tolist(), steps[long].tolist(), strict=True)
@@ -187,4 +190,11 @@ def _watched(scene: Scene, samples: Samples, reader: Reader, rows: Rows) -> Watc
             for paper in scene.of(name)
         }
         bodies[name] = BodySightings(rows.pop(f"{name}/coarse"), markers)
-    return Watched(bodies, rows.get("disc"), reader.pts_seconds(), reader.warnings, samples.size)
+    return Watched(
+        bodies,
+        rows.get("disc"),
+        reader.pts_seconds(),
+        reader.frame_numbers(),
+        reader.warnings,
+        samples.size,
+    )

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.diagnosis.misfit import Misfit
+from fitting.typesetting import scaled
 from gyrotrack.charts import Board, Chart, Mark, Trace
 from gyrotrack.report.case_view import CaseView, Curve
 from gyrotrack.report.figures.misfit import misfit_finding
@@ -17,7 +18,6 @@ from gyrotrack.report.figures.numbers import energy_finding
 from gyrotrack.report.figures.style import AFTER, BEFORE, GREEN, ORANGE, PURPLE, SKY
 from gyrotrack.report.figures.torque import known, torque_finding
 from gyrotrack.report.figures.tracking import COLOURS, centre_finding, sigma_finding
-from gyrotrack.report.notation import scaled
 from gyrotrack.report.tracks import Tracks
 
 if TYPE_CHECKING:

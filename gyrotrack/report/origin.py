@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from importlib import metadata
 from typing import TYPE_CHECKING
 
-from gyrotrack.report.notation import short
+from fitting.typesetting import short
 
 if TYPE_CHECKING:
     from fitting.case_data import CaseData

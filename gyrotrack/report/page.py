@@ -7,6 +7,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fitting.typesetting import unbroken
 from gyrotrack.dataset.writing import new_file, refuse_existing
 from gyrotrack.report.content import gather
 from gyrotrack.report.parts import report_parts
@@ -79,7 +80,11 @@ def render(parts: Mapping[str, Any]) -> str:
 
     folder = resources.files("gyrotrack.report")
     environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        finalize=lambda value: unbroken(value) if type(value) is str else value,  # never what is markup
     )
     template = environment.from_string(folder.joinpath("page.html.jinja").read_text("utf-8"))
     scripts = (charts.script(), folder.joinpath("page.js").read_text("utf-8"))

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fitting.typesetting import short, typeset
 from gyrotrack.report.content import Content
-from gyrotrack.report.notation import short, typeset
 from gyrotrack.report.origin import origin_rows
 from gyrotrack.report.sections import section
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from fitting.estimation import Fit
     from gyrotrack.dataset import Case
 
+_DOUBTFUL = 0.01
 _VERDICTS = {
     "adequate": ("good", "✓", "The model is adequate"),
     "missing_effect": ("found", "✚", "A missing effect was found"),
@@ -29,6 +30,18 @@ class Equation:
 
     latex: str
     svg: str
+
+
+@dataclass(frozen=True)
+class Added:
+    """An effect that was added: where it acts, its law (as two drawings), what tells it from others, what was found."""
+
+    name: str
+    joint: str
+    above: Equation
+    below: Equation
+    signature: str
+    values: str
 
 
 def report_parts(
@@ -50,7 +63,7 @@ def report_parts(
     return {
         "content": content,
         "title": ", ".join(v.label for v in content.cases),
-        "verdict": _VERDICTS[content.verdict],
+        "verdict": _headline(content),
         "sentence": typeset(content.sentence),
         "outcome": outcome(content),
         "failures": _failures(content),
@@ -68,7 +81,7 @@ def report_parts(
         "base_equations": _equations(content.base, "base"),
         "final_equations": _equations(content.final, "final") if content.improved else [],
         "added": _added(content),
-        "whiteness": [(label, short(p, 2)) for label, p in content.whiteness],
+        "whiteness": _whiteness(content),
         "clips": clips,
         "provenance": origin_rows(content.base, provenance),
     }
@@ -85,20 +98,31 @@ def outcome(content: Content) -> str:
         "misfit": "The final model still misses something: take what was added as a hypothesis.",
         "not converged": "The final fit did not converge: do not trust its numbers.",
     }[content.final.verdict]
-    return f"{ladder_finding(content)} {_found(content)} {end}"
+    return f"{ladder_finding(content)} {end}"
 
 
-def _found(content: Content) -> str:
-    """Return the parameters of what was added."""
-    from gyrotrack.report.tables import named
+def _headline(content: Content) -> tuple[str, str, str]:
+    """Return the kind of verdict, its sign, and the verdict in words, with the effects that are missing."""
+    kind, sign, words = _VERDICTS[content.verdict]
+    if content.verdict != "missing_effect":
+        return kind, sign, words
+    best = next((c for c in content.candidates if c.significant), None)
+    names = content.added or ((best.effect.name,) if best is not None else ())
+    rivals = {c.effect.name: c.indistinguishable_from for c in content.candidates}
+    told = [f"one of {', '.join((n, *rivals[n]))}" if rivals.get(n) else n for n in names]
+    return kind, sign, f"{words}: {' and '.join(told)}" if told else words
 
-    found: dict[str, list[str]] = {}
-    for key, e in content.final.estimates.items():
-        effect = key.partition("@")[0].rpartition(".")[0]
-        if effect in content.added:
-            found.setdefault(effect, []).append(named(key, e))
-    texts = [f"{effect}: {', '.join(values)}" for effect, values in found.items()]
-    return f"Found: {'; '.join(texts)}." if texts else ""
+
+def _whiteness(content: Content) -> str:
+    """Return what the test of whiteness says, and what a small p means where the verdict is noise all the same."""
+    several = len(content.whiteness) > 1
+    text = ", ".join(f"{label} " * several + f"p = {short(p, 2)}" for label, p in content.whiteness)
+    small = any(p < _DOUBTFUL for _, p in content.whiteness) and content.final.verdict == "adequate"
+    return text + (
+        ". A small p here means that neighbours are alike, as a random torque makes them; the verdict allows for that"
+        if small
+        else ""
+    )
 
 
 def _failures(content: Content) -> list[str]:
@@ -116,15 +140,25 @@ def _equations(fit: Fit, name: str) -> list[Equation]:
     return [Equation(line, formula(line, f"{name}{i}")) for i, line in enumerate(lines)]
 
 
-def _added(content: Content) -> list[tuple[str, Equation, str]]:
-    """Return the effects that were added: name, law, and what tells them from others."""
+def _added(content: Content) -> list[Added]:
+    """Return the effects that were added."""
     from fitting.expression import latex
     from gyrotrack.report.figures.mathematics import formula
     from gyrotrack.report.figures.style import AFTER
+    from gyrotrack.report.tables import JOINTS, named
 
     found = []
     for i, effect in enumerate(e for e in content.final.model.effects if e.name in content.added):
         source = latex(effect.expression)
-        law = Equation(effect.law, formula(source, f"added{i}", colour=AFTER))
-        found.append((effect.name, law, effect.signature.replace("the casing", f"the {content.body}")))
+        above, below = (
+            Equation(effect.law, formula(source, f"{n}{i}", colour=AFTER)) for n in ("top", "below")
+        )
+        values = [
+            named(k, e)
+            for k, e in content.final.estimates.items()
+            if k.partition("@")[0].rpartition(".")[0] == effect.name
+        ]
+        joint = (JOINTS | {"casing": content.body}).get(effect.joint, effect.joint)
+        seen = effect.signature.replace("the casing", f"the {content.body}")
+        found.append(Added(effect.name, joint, above, below, seen, ", ".join(values)))
     return found

@@ -10,6 +10,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from fitting.typesetting import unbroken
 from gyrotrack.errors import OutputError
 from gyrotrack.report.figures import Picture
 from gyrotrack.report.frames import Tile
@@ -84,12 +85,12 @@ class _Images:
             value = {k: getattr(value, k) for k in value.__dataclass_fields__}
         if isinstance(value, Mapping):
             found = {str(k): self.plain(v) for k, v in value.items()}
-            if isinstance(found.get("svg"), str):
-                found["svg"] = self._write(".svg", found["svg"].encode("utf-8")) if found["svg"] else ""
+            if isinstance(value.get("svg"), str):
+                found["svg"] = self._write(".svg", value["svg"].encode("utf-8")) if value["svg"] else ""
             return found
         if isinstance(value, list | tuple):
             return [self.plain(v) for v in value]
-        return value
+        return unbroken(value) if isinstance(value, str) else value
 
     def _write(self, suffix: str, data: bytes) -> str:
         self._count += 1

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gyrotrack.report.notation import short
+from fitting.typesetting import short
 
 if TYPE_CHECKING:
     from fitting.estimation import Fit

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.typesetting import scaled, short
 from gyrotrack.dataset.writing import new_file, refuse_existing
 from gyrotrack.errors import OutputError
 from gyrotrack.report.content import Content, gather
 from gyrotrack.report.figures.misfit import both_panel
 from gyrotrack.report.figures.motion import casing_panel
 from gyrotrack.report.figures.style import AFTER, BEFORE, SKY, canvas, look, panel, plain
-from gyrotrack.report.notation import scaled, short
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

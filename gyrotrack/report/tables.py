@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fitting.typesetting import measured, probability, short
 from gyrotrack.report.content import Content
-from gyrotrack.report.notation import measured, probability, short
 
 if TYPE_CHECKING:
     from fitting.estimation import Estimate
     from gyrotrack.dataset import Recording
     from gyrotrack.dataset.records import Placement
 
-_JOINTS = {
+JOINTS = {
     "rotor": "rotor",
     "casing": "casing",
     "bearing": "both bodies",
@@ -144,7 +144,7 @@ def candidate_rows(content: Content) -> list[CandidateRow]:
         CandidateRow(
             effect=c.effect.name,
             kind="physics" if c.physical else "measurement",
-            joint=(_JOINTS | {"casing": content.body}).get(c.effect.joint, c.effect.joint),
+            joint=(JOINTS | {"casing": content.body}).get(c.effect.joint, c.effect.joint),
             score=short(c.score),
             delta_bic=short(c.delta_bic),
             p_value=probability(c.p_value),

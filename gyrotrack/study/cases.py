@@ -6,6 +6,7 @@ What fits is imported where it is needed: the commands that take a study must co
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -15,7 +16,8 @@ from gyrotrack.errors import UsageError
 
 if TYPE_CHECKING:
     from fitting.case_data import CaseData
-    from fitting.discovery import Rung
+    from fitting.discovery import Diagnosis, Rung
+    from fitting.effects import Effect
     from fitting.estimation import Fit
     from fitting.ledger import Entry, Ledger
     from fitting.model import Model
@@ -51,17 +53,52 @@ class Study:
         """Return the fit asked for, or the latest, and those that it was made from, the first one first."""
         from fitting.discovery import Rung
 
-        entry = self.entry(fit_id)
-        if entry is None:
+        if self.entry(fit_id) is None:
             fit, _ = self.base(None)
             return [Rung("", fit, ())]
+        chain = self._chain(fit_id)
+        return [Rung(str(e.document.get("added", "")), e.shown(self.data), ()) for e in reversed(chain)]
+
+    def _chain(self, fit_id: str | None) -> list[Entry]:
+        """Return the rung asked for, or the latest, and those that it was made from, the first one last."""
+        entry = self.entry(fit_id)
+        if entry is None:
+            return []
         known = {e.fit_id: e for e in self.ledger.of(self.data)}
         chain = [entry]
         while (
             parent := known.get(str(chain[-1].document.get("parent", "")))
         ) is not None and parent not in chain:
             chain.append(parent)
-        return [Rung(str(e.document.get("added", "")), e.refit(self.data), ()) for e in reversed(chain)]
+        return chain
+
+    def diagnosis(self, fit_id: str | None, fit: Fit, extra: Sequence[Effect] = ()) -> Diagnosis:
+        """Return the diagnosis of the first of the rungs that led to a fit, kept if there is one, else made and kept.
+
+        Parameters
+        ----------
+        fit_id : str or None
+            The last of the rungs, as for `rungs_to`.
+        fit : Fit
+            The fit of the first.
+        extra : sequence of Effect
+            Effects of the user beside the library.
+        """
+        from fitting.discovery import diagnose
+
+        entry = self._chain(fit_id)[-1]
+        found = entry.diagnosis(fit, extra)
+        if found is None:
+            found = diagnose(fit, extra)
+            self.keep_diagnosis(entry.fit_id, found, extra)
+        return found
+
+    def keep_diagnosis(self, fit_id: str, found: Diagnosis, extra: Sequence[Effect] = ()) -> None:
+        """Keep a diagnosis with its rung, where the ledger can be written; it can be found again without."""
+        from fitting.errors import LedgerError
+
+        with suppress(LedgerError):
+            self.ledger.keep_diagnosis(fit_id, found, extra)
 
     def keep(self, rungs: Sequence[Rung], first: str) -> list[Entry]:
         """Keep the rungs of a ladder whose first one is the fit `first` of the ledger; return all of them."""

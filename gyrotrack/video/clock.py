@@ -61,18 +61,25 @@ def _differences(info: ClipInfo, fps: float, source: str) -> tuple[str, ...]:
     return tuple(found)
 
 
-def frame_numbers(pts: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
+COARSEST_TICK = 1e-3
+"""Unit of time stamps in s beyond which a container counts frames, not time."""
+
+
+def frame_numbers(pts: npt.NDArray[np.float64], tick: float = COARSEST_TICK) -> npt.NDArray[np.int64]:
     """Return the numbers of a film's frames by their time stamps, without those of missing frames.
 
     Parameters
     ----------
     pts : ndarray, shape (n,)
         Time stamps in s, in order, NaN where a frame has none.
+    tick : float
+        Unit of the time stamps in s; 1 ms at most counts.
 
     Notes
     -----
-    The period is the median spacing. A step counts as a gap only beyond 1.5 periods and 1.1 ms more than one,
-    because containers with a 1 ms clock jitter by a part of a period. Films whose stamps are not evenly spaced
+    The period is the median spacing. A step counts as a gap only beyond 1.5 periods and 1.1 ticks more than one,
+    because stamps in whole ticks jitter by one: in Matroska (1 ms) a single missing frame cannot be told above 900
+    frames/s. Films whose stamps are not evenly spaced
     otherwise (one step in ten is no whole number of periods), or that do not grow (one step in a hundred; AVI knows
     only when a frame is decoded, not when it is shown), are numbered without gaps.
     """
@@ -81,24 +88,24 @@ def frame_numbers(pts: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
     period = float(np.median(step[np.isfinite(step)])) if np.isfinite(step).any() else 0.0
     if len(pts) < 3 or period <= 0.0 or not np.isfinite(pts).all():
         return plain
-    ratio = step / period
-    uneven = np.abs(ratio - np.rint(ratio)) * period > np.maximum(0.2 * period, 1.1e-3)
+    ratio, jitter = step / period, 1.1 * min(tick, COARSEST_TICK)
+    uneven = np.abs(ratio - np.rint(ratio)) * period > np.maximum(0.2 * period, jitter)
     if uneven.mean() > 0.1 or (step <= 0.0).mean() > 0.01:
         return plain
-    gap = (step > 1.5 * period) & (step > period + 1.1e-3)
+    gap = (step > 1.5 * period) & (step > period + jitter)
     advance = np.where(gap, np.rint(ratio), 1.0).astype(np.int64)
     return np.concatenate([[0], np.cumsum(advance)])
 
 
-def stamp_warnings(pts: npt.NDArray[np.float64]) -> tuple[str, ...]:
-    """Tell of missing frames and of time stamps that do not grow; `pts` (n,) in s, NaN where there is none."""
+def stamp_warnings(pts: npt.NDArray[np.float64], tick: float = COARSEST_TICK) -> tuple[str, ...]:
+    """Tell of missing frames and of time stamps that do not grow; arguments as for `frame_numbers`."""
     if len(pts) < 3:
         return ()
     stamps = pts[np.isfinite(pts)]
     if len(stamps) < len(pts):
         return (f"{len(pts) - len(stamps)} frames have no time stamp; times count decoded frames",)
     found = []
-    advance = np.diff(frame_numbers(pts))
+    advance = np.diff(frame_numbers(pts, tick))
     gaps = np.flatnonzero(advance > 1)
     if len(gaps):
         found.append(

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack.video.ahead import Ahead
-from gyrotrack.video.clock import stamp_warnings
+from gyrotrack.video.clock import frame_numbers, stamp_warnings
 from gyrotrack.video.container import ClipInfo, opened, probe
 from gyrotrack.video.packets import decode_past_damage, key_before, packets_of
 from gyrotrack.video.planes import Frame, Orientation, orientation_of, planes_of
@@ -174,6 +174,10 @@ class Reader:
         stamps = self.stamps
         return np.where(stamps == _NO_STAMP, np.nan, stamps * float(self.info.time_base))
 
+    def frame_numbers(self) -> npt.NDArray[np.int64]:
+        """Return the numbers of the frames so far, those of missing frames left out."""
+        return frame_numbers(self.pts_seconds(), float(self.info.time_base))
+
     @property
     def warnings(self) -> tuple[str, ...]:
         """What was not as it should be, in plain sentences."""
@@ -197,7 +201,7 @@ class Reader:
             found.append(f"{self._bad_packets} damaged packets were skipped")
         if self._corrupt:
             found.append(f"{self._corrupt} frames are marked as damaged by the decoder")
-        return (*found, *stamp_warnings(seconds))
+        return (*found, *stamp_warnings(seconds, float(self.info.time_base)))
 
 
 def _check(frame: Frame) -> int:

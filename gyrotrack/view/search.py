@@ -13,7 +13,7 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-from gyrotrack.view.documents import finite
+from fitting.plain import plain
 
 
 def _answer(line: str, case: Path) -> dict[str, Any]:
@@ -38,7 +38,7 @@ def main() -> None:
         os.environ.setdefault(name, "1")
     case = Path(sys.argv[1])
     for line in sys.stdin:
-        sys.stdout.write(json.dumps(finite(_answer(line, case))) + "\n")
+        sys.stdout.write(json.dumps(plain(_answer(line, case))) + "\n")
         sys.stdout.flush()
 
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 from gyrotrack.charts import board_document
 from gyrotrack.errors import GyrotrackError
-from gyrotrack.view.documents import json_document
 
 if TYPE_CHECKING:
     from fitting.case_data import CaseData
@@ -139,7 +138,9 @@ class Session:
             step.fit, step.sharp, step.torques = polished(step.fit), True, None
 
     def remember(self, answer: dict[str, Any]) -> dict[str, Any]:
-        """Keep what a search found for the parameters of the candidates, and return its answer."""
+        """Keep what a search found for the parameters of the candidates, and return its answer as it is to be read."""
+        from fitting.typesetting import typeset
+
         candidates = answer.get("diagnosis", {}).get("candidates", [])
         found = {
             c["effect"]: {k: v["value"] for k, v in c["parameters"].items() if isinstance(v["value"], float)}
@@ -147,33 +148,35 @@ class Session:
         }
         with self._lock:
             self.found = found
+        if "diagnosis" in answer:
+            answer["diagnosis"]["sentence"] = typeset(answer["diagnosis"]["sentence"])
         return answer
 
     def model_document(self) -> dict[str, Any]:
         """Return the current model as a ledger keeps it, for the process that ranks."""
-        from fitting.effects import LIBRARY
+        from fitting.effects.stored import own_effects
 
         with self._lock:
             fit = self.fit
-            return json_document(
+            return _document(
                 {
                     "fit_id": "",
                     "model": list(fit.model.names),
                     "parameters": {k: {"value": e.value} for k, e in fit.estimates.items()},
                     "digests": [self._data.record.digest],
-                    "own_effects": [asdict(e) for e in fit.model.effects if LIBRARY.get(e.name) != e],
+                    "own_effects": own_effects(fit.model.effects),
                 }
             )
 
     def state(self, *, whole: bool = False) -> dict[str, Any]:
         """Return what the page shows; with `whole` also the curves that no fit changes."""
-        from fitting.summary import rounded
+        from fitting.typesetting import measured
 
         with self._lock:
             step = self.steps[self.current]
             fit = step.fit
             board = self._board(step, whole=whole)
-            return json_document(
+            return _document(
                 {
                     "label": self._data.record.label,
                     "surface": self._data.record.surface,
@@ -185,7 +188,7 @@ class Session:
                         for e in fit.model.effects
                     ],
                     "parameters": [
-                        {"name": k, "value": rounded(e.value, e.stderr, e.unit), "at_bound": e.at_bound}
+                        {"name": k, "value": measured(e.value, e.stderr, e.unit), "at_bound": e.at_bound}
                         for k, e in fit.estimates.items()
                     ],
                     "ladder": [self._rung(i) for i in range(len(self.steps))],
@@ -218,7 +221,6 @@ class Session:
         board = board_document(case_board(view, tracks, [s.change for s in steps], names=names))
         failures = find_failures(step.fit, list(self._torques(step)))
         board["marks"] = [asdict(mark(f)) for f in failures]
-        board["words"] = [str(f) for f in failures]
         return board
 
     def _torques(self, step: Step) -> tuple[ResidualTorque, ...]:
@@ -227,3 +229,9 @@ class Session:
         if step.torques is None:
             step.torques = tuple(residual_torques(step.fit))
         return step.torques
+
+
+def _document(found: dict[str, Any]) -> dict[str, Any]:
+    from fitting.plain import plain
+
+    return dict(plain(found))

@@ -85,9 +85,9 @@
       bar.style.width = `${Math.max(1, 100 * r.rmse_casing / largest)}%`;
       const name = (r.parent >= 0 ? r.added : "start") + (r.fit_id ? ` (${r.fit_id})` : "");
       return element("tr", i === state.current ? { class: "now" } : {},
-        element("th", { scope: "row" }, name, bar), element("td", {}, told(r.rmse_casing)),
-        element("td", {}, told(r.reduced_chi2)), element("td", {}, told(r.held_out)),
-        element("td", {}, i ? told(r.delta_bic) : "\u2013"),
+        element("th", { scope: "row" }, name, bar), element("td", {}, told(r.rmse_casing, 3)),
+        element("td", {}, told(r.reduced_chi2, 3)), element("td", {}, told(r.held_out, 3)),
+        element("td", {}, i ? told(r.delta_bic, 3) : "\u2013"),
         element("td", {}, i === state.current ? "shown" : button("show", `show fit ${i + 1}`, () => go(i))));
     }));
   }
@@ -122,8 +122,8 @@
     at("sentence").textContent = found.diagnosis.sentence;
     at("ranking").replaceChildren(...shown.map((c) => element("tr", c.significant ? {} : { class: "pale" },
       element("th", { scope: "row" }, c.effect + (c.kind === "measurement" ? " (artefact)" : "")),
-      element("td", {}, told(c.score)), element("td", {}, c.delta_bic === null ? "\u2013" : told(c.delta_bic)),
-      element("td", {}, c.p_value < 1e-30 ? "< 1e\u221230" : Number(c.p_value).toExponential(0).replace("-", "\u2212")),
+      element("td", {}, told(c.score, 3)), element("td", {}, c.delta_bic === null ? "\u2013" : told(c.delta_bic, 3)),
+      element("td", {}, c.p_value < 1e-30 ? "< 10\u207b\u00b3\u2070" : told(c.p_value, 1)),
       element("td", {}, c.indistinguishable_from.join(", ") || "\u2013"),
       element("td", {}, free.has(c.effect) ? "in every fit"
         : button("add", `add ${c.effect}`, () => change({ add: c.effect }))))));

@@ -143,7 +143,7 @@ def test_a_typed_law_is_fitted(visit):
     assert "casing: -k*omega_c**2" in visit.locator("#effects").inner_text()
     assert visit.input_value("#wish") == ""
     visit.locator("summary", has_text="Parameters").click()
-    assert "N m s2" in visit.locator("#parameters").inner_text()
+    assert "N m s²" in visit.locator("#parameters").inner_text()
 
 
 def test_an_error_of_the_user_is_told_in_a_sentence(visit):

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fitting.typesetting import short
 from gyrotrack.report.figures.style import (
     BLUE,
     GREEN,
@@ -20,7 +21,6 @@ from gyrotrack.report.figures.style import (
     picture,
     plain,
 )
-from gyrotrack.report.notation import short
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

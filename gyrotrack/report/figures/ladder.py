@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fitting.typesetting import POWERS, scaled, short
 from gyrotrack.report.content import Content, Step
 from gyrotrack.report.figures.style import (
     AFTER,
@@ -19,7 +20,6 @@ from gyrotrack.report.figures.style import (
     picture,
     plain,
 )
-from gyrotrack.report.notation import POWERS, scaled, short
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

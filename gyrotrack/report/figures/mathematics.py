@@ -26,7 +26,9 @@ def formula(latex: str, name: str, *, size: float = 15.0, colour: str = "black")
     colour : str
         Colour of the ink.
     """
-    with look({"figure.constrained_layout.use": False, "mathtext.fontset": "stix"}):
+    with look(
+        {"figure.constrained_layout.use": False, "figure.facecolor": "none", "mathtext.fontset": "stix"}
+    ):
         figure = canvas(1, 0.3)
         figure.text(0, 0, f"${_spaced(latex)}$", fontsize=size, color=colour)
         try:

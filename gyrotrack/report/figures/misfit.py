@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fitting.typesetting import scaled, short
 from gyrotrack.report.case_view import CaseView
 from gyrotrack.report.figures.failing import failing
 from gyrotrack.report.figures.style import (
@@ -20,7 +21,6 @@ from gyrotrack.report.figures.style import (
     picture,
     zero,
 )
-from gyrotrack.report.notation import scaled, short
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,7 +54,7 @@ def both_panel(ax: Axes, view: CaseView) -> None:
     factor, prefix = scaled(largest)
     failing(ax, view, "casing")
     last = view.models[-1].casing_misfit
-    _band(ax, last, factor)
+    _band(ax, last, factor, "±2 σ of noise")
     for seen, colour, marker, label in zip(
         view.models, (BEFORE, AFTER), ("s", "o"), ("base model", "final model"), strict=False
     ):
@@ -70,7 +70,7 @@ def both_panel(ax: Axes, view: CaseView) -> None:
 def alone_panel(ax: Axes, misfit: Misfit, colour: str, label: str) -> None:
     """Draw one misfit with the band of the noise."""
     factor, prefix = scaled(float(np.abs(misfit.value).max()))
-    _band(ax, misfit, factor, "±2 σ of noise alone")
+    _band(ax, misfit, factor, "±2 σ of noise")
     ax.plot(
         misfit.time,
         factor * misfit.value,

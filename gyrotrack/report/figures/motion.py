@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.typesetting import scaled, short
 from gyrotrack.report.case_view import CaseView
 from gyrotrack.report.figures.failing import failing
 from gyrotrack.report.figures.style import AFTER, BEFORE, WIDTH, Picture, canvas, legend, look, picture, zero
-from gyrotrack.report.notation import scaled, short
 from gyrotrack.report.thinning import thin
 
 if TYPE_CHECKING:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.typesetting import POWERS, scaled, short
 from gyrotrack.report.case_view import CaseView
 from gyrotrack.report.content import Content, correlations
 from gyrotrack.report.figures.failing import failing
@@ -20,12 +21,10 @@ from gyrotrack.report.figures.style import (
     canvas,
     legend,
     look,
-    panel,
     picture,
     plain,
     zero,
 )
-from gyrotrack.report.notation import POWERS, scaled, short
 from gyrotrack.report.thinning import thin
 
 Array = NDArray[np.float64]
@@ -118,10 +117,9 @@ def energy_picture(view: CaseView, steps: tuple[str, ...], name: str) -> Picture
         failing(ax, view, "casing")
         zero(ax)
         ax.set_xlabel("time [s]")
-        ax.set_ylabel(f"relative drift [{exponent}]")
+        ax.set_ylabel(f"energy balance, drift [{exponent}]")
         ax.margins(x=0.01)
         legend(ax)
-        panel(ax, "", "kinetic energy + all losses, relative to the start")
         return picture(
             name,
             figure,

@@ -99,7 +99,9 @@ def canvas(width: float, height: float) -> Figure:
 def picture(name: str, figure: Figure, caption: str, finding: str) -> Picture:
     """Return a figure as markup for the page."""
     # places are found once, not again for each pass of drawing
-    figure.draw_without_rendering()
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
     figure.set_layout_engine("none")
     return Picture(name, markup(figure, name, finding), caption, finding)
 

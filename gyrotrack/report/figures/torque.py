@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.typesetting import scaled, short
 from gyrotrack.report.case_view import CaseView
 from gyrotrack.report.figures.failing import failing
 from gyrotrack.report.figures.style import (
@@ -24,7 +25,6 @@ from gyrotrack.report.figures.style import (
     plain,
     zero,
 )
-from gyrotrack.report.notation import scaled, short
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

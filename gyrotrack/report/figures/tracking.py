@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fitting.typesetting import short
 from gyrotrack.report.figures.failing import failing
 from gyrotrack.report.figures.style import (
     BLUE,
@@ -24,7 +25,6 @@ from gyrotrack.report.figures.style import (
     plain,
     zero,
 )
-from gyrotrack.report.notation import short
 from gyrotrack.report.thinning import thin
 from gyrotrack.report.tracks import Centre, Sigma, Span, Tracks
 

@@ -57,7 +57,7 @@ def test_notebooks_show_tables_with_names_as_text(story):
     base, diagnosis, ladder, _ = story
     assert isinstance(ladder, Ladder)
     for thing, words in (
-        (base, ("the model misses something", "bearing.power.g", HOSTILE, "N m s2", "±")),
+        (base, ("the model misses something", "bearing.power.g", HOSTILE, "N\u00a0m\u00a0s²", "±")),
         (diagnosis, ("an effect is missing", "casing.air.quadratic", HOSTILE, "where it fails")),
         (ladder, ("+casing.air.quadratic", "ΔBIC", "base")),
     ):

@@ -60,6 +60,16 @@ def test_missing_frames_are_counted_and_their_numbers_left_out():
     np.testing.assert_array_equal(frame_numbers(index / 260.0), index)
 
 
+def test_a_single_missing_frame_of_a_fast_film_is_seen_if_its_clock_is_fine():
+    index = np.delete(np.arange(200), [50, 90, 91])
+    np.testing.assert_array_equal(frame_numbers(index / 1000.0, 1 / 16000), index)
+    assert "3 missing frames at 2 places" in stamp_warnings(index / 1000.0, 1 / 16000)[0]
+    every = np.arange(200)
+    np.testing.assert_array_equal(
+        frame_numbers(np.round(every / 950.0, 3), 1e-3), every
+    )  # steps of 1 and 2 ms
+
+
 def test_stamps_without_a_rhythm_are_not_believed():
     stamps = np.cumsum(np.random.default_rng(0).uniform(1e-3, 9e-3, 300))
     np.testing.assert_array_equal(frame_numbers(stamps), np.arange(300))

@@ -12,6 +12,9 @@ _UNIT = re.compile(r"(?<![\w.])(kg m|N m s|N m|rad s|s|K|m)\^?(-?\d(?:\.\d+)?|g)
 _POWER = re.compile(r"x 10\^(-?\d+)")
 # a number of a sentence: followed by its error, its unit, or a bracket; a number in a formula is not
 _SCIENTIFIC = re.compile(r"(?<![\w.*])(\d+(?:\.\d+)?)e([+-]\d+)(?=\)| \+-| N m| rad| s\b)")
+# what holds a number together: its error, its power of ten, and the inside of a unit
+_JOINED = re.compile(r"(?<=\d) [±×] (?=\d)|(?<=\)) × (?=10)|\bN m(?: s[⁻⁰-⁹¹²³]*)?(?![\w])")
+_AFTER_NUMBER = re.compile(r"(?<=[\d)⁰-⁹¹²³]) (?=(?:m?rad|N|kg|J|K|s|ms|px|%|σ|sigma|times)(?![\w.]))")
 POWERS = {"": "", "m": "$10^{-3}$", "µ": "$10^{-6}$", "n": "$10^{-9}$", "p": "$10^{-12}$"}
 _PREFIXES = ((1.0, ""), (1e3, "m"), (1e6, "µ"), (1e9, "n"), (1e12, "p"))
 
@@ -33,6 +36,12 @@ def typeset(text: str) -> str:
     text = _SCIENTIFIC.sub(lambda m: f"{m[1]} × 10{raised(int(m[2]))}", text)
     text = _POWER.sub(lambda m: f"× 10{raised(int(m[1]))}", text)
     return unit_text(text.replace(" +- ", " ± "))
+
+
+def unbroken(text: str) -> str:
+    """Return text whose numbers stay on one line with their errors, powers of ten and units."""
+    text = _JOINED.sub(lambda m: m[0].replace(" ", "\u00a0"), text)
+    return _AFTER_NUMBER.sub("\u00a0", text)
 
 
 def measured(value: float, error: float, unit: str) -> str:

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from gyrotrack.report.notation import measured, probability, scaled, short, typeset, unit_text
+from fitting.typesetting import measured, probability, scaled, short, typeset, unit_text
 
 
 @pytest.mark.parametrize(
@@ -64,3 +64,22 @@ def test_scale_keeps_the_size_readable():
         factor, prefix = scaled(size)
         assert 0.5 <= size * factor <= 500
         assert factor == {"": 1, "m": 1e3, "µ": 1e6, "n": 1e9, "p": 1e12}[prefix]
+
+
+@pytest.mark.parametrize(
+    ("text", "lines"),
+    [
+        ("k = (8.60 ± 0.27) × 10⁻¹¹ N m s² in all", ["k", "=", "(8.60 ± 0.27) × 10⁻¹¹ N m s²", "in", "all"]),
+        ("loses 1.8 × 10⁻⁷ N m more", ["loses", "1.8 × 10⁻⁷ N m", "more"]),
+        ("from 0.1 s to 3.7 s, so", ["from", "0.1 s", "to", "3.7 s,", "so"]),
+        (
+            "up to 0.079 rad/s, at 22 s; rms 9 times it",
+            ["up", "to", "0.079 rad/s,", "at", "22 s;", "rms", "9 times", "it"],
+        ),
+        ("file 3 sand.mp4", ["file", "3", "sand.mp4"]),
+    ],
+)
+def test_a_number_stays_with_its_unit(text, lines):
+    from fitting.typesetting import unbroken
+
+    assert [w.replace("\u00a0", " ") for w in unbroken(text).split(" ")] == lines

@@ -1,0 +1,108 @@
+"""How often 95 % intervals hold the truth: recordings by SciPy, all integrated at once, with noise of three kinds."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.stats import binom
+
+from fitting.effects import REDUCED
+from fitting.estimation import fit
+from fitting.model import Model
+from fitting.paper_data import prepared
+from fitting.record import make_record
+
+RECORDINGS = 80
+SPAN, RATE, WINDOWS = 200.0, 260.0, (5.0, 70.0, 150.0)
+I_R, I_C = 5.54e-5, 2.06e-5
+A2, B1, B2, D, F, G = 9.97e-11, 2.88e-6, 8.28e-7, 1.57e-7, 2.2e-8, 1.25
+START = (900.0, 5.0)
+TORQUE, MEMORY, KNOTS = 1e-7, 1.0, 4001
+TRUTH = {
+    "rotor.air.quadratic.a2": A2,
+    "touchpoint.constant.b1": B1,
+    "casing.air.linear.b2": B2,
+    "bearing.linear.d": D,
+    "bearing.power.f": F,
+    "bearing.power.g": G,
+}
+
+
+def torques(rng):
+    """Return Ornstein-Uhlenbeck processes of rms 1 at the knots, two for each recording."""
+    keep = np.exp(-SPAN / (KNOTS - 1) / MEMORY)
+    out = rng.standard_normal((KNOTS, 2, RECORDINGS))
+    for i in range(1, KNOTS):
+        out[i] = keep * out[i - 1] + np.sqrt(1 - keep**2) * out[i]
+    return out
+
+
+def motions(times, push):
+    """Return (omega_r, omega_c, psi_r, psi_c) of all recordings at some times, (times, 4, recordings)."""
+    step = SPAN / (KNOTS - 1)
+
+    def rates(t, flat):
+        wr, wc, _, _ = flat.reshape(4, RECORDINGS)
+        i = min(int(t / step), KNOTS - 2)
+        casing, bearing = push[i] + (push[i + 1] - push[i]) * (t / step - i)
+        diff = wr - wc
+        tau = D * diff + F * diff**G + bearing
+        return np.concatenate([(-tau - A2 * wr**2) / I_R, (tau - B1 - B2 * wc + casing) / I_C, wr, wc])
+
+    first = np.repeat([*START, 0.0, 0.0], RECORDINGS)
+    # steps no longer than what lies between two knots
+    solved = solve_ivp(rates, (0, SPAN), first, "DOP853", times, max_step=step, rtol=1e-9, atol=1e-6)
+    return solved.y.T.reshape(len(times), 4, RECORDINGS)
+
+
+def recordings(torque):
+    """Return records with angle noise of 1e-3 rad, an offset centre, and random torques of this many N m rms."""
+    rng = np.random.default_rng(20)
+    casing = np.arange(0, SPAN, 1 / RATE)
+    windows = [w + np.arange(0, 3, 1e-3) for w in WINDOWS]
+    every, where = np.unique(np.concatenate([casing, *windows]), return_inverse=True)
+    motion = motions(every, torque * torques(rng))[where]
+    parts = np.split(motion, np.cumsum([len(casing), *map(len, windows)])[:-1])
+    made = []
+    for i in range(RECORDINGS):
+        psi = parts[0][:, 3, i]
+        psi = psi + 2e-3 * np.sin(psi - rng.uniform(0, 2 * np.pi))
+        runs = [
+            (casing, psi),
+            *((t, p[:, 2, i] + rng.uniform(-9, 9)) for t, p in zip(windows, parts[1:], strict=True)),
+        ]
+        noisy = [(t, v + 1e-3 * rng.standard_normal(len(t)), np.full(len(t), 1e-3)) for t, v in runs]
+        made.append(make_record(casing=noisy[0], rotor=noisy[1:], I_rotor=I_R, I_casing=I_C))
+    return made
+
+
+def pulls(records):
+    found = [fit(Model.of(REDUCED), [r]) for r in records]
+    return {
+        key: np.array([
+            (f.estimates[key].value - true) / f.estimates[key].stderr for f in found if not f.estimates[key].at_bound
+        ])
+        for key, true in TRUTH.items()
+    }  # fmt: skip
+
+
+@pytest.mark.slow
+def test_intervals_hold_the_truth_as_often_as_they_say():
+    """80 recordings. Fails where intervals that should hold 95 % hold 85 %, or are twice as wide as they need be.
+
+    They are a little wide by intention: the correlation time of the torque is taken half its error longer.
+    """
+    seen = pulls(recordings(TORQUE))
+    for key, z in seen.items():
+        inside = int(np.sum(np.abs(z) < 1.96))
+        assert inside >= binom.ppf(5e-4, len(z), 0.95), key
+        assert 0.55 < np.std(z) < 1.25, key
+        assert abs(np.mean(z)) < 4 / np.sqrt(len(z)), key
+    assert 0.92 < np.mean(np.abs(np.concatenate(list(seen.values()))) < 1.96) < 0.998
+
+
+@pytest.mark.slow
+def test_intervals_from_smoothed_velocities_too():
+    seen = pulls([prepared(r, "velocity") for r in recordings(0.0)[:40]])
+    for key, z in seen.items():
+        assert int(np.sum(np.abs(z) < 1.96)) >= binom.ppf(5e-4, len(z), 0.95), key
+        assert 0.45 < np.std(z) < 1.4, key

@@ -1,0 +1,86 @@
+"""What is shown from the ledger is what was found: the same words, curves and numbers, and only for the same code."""
+
+import json
+
+import numpy as np
+import pytest
+
+from fitting import restoring
+from fitting.case_data import CaseData
+from fitting.discovery import Rung
+from fitting.ledger import Ledger
+from gyrotrack.report.content import gather
+from gyrotrack.study import Study
+
+
+@pytest.fixture(scope="module")
+def study(story, tmp_path_factory):
+    path = tmp_path_factory.mktemp("study") / "run.fits.json"
+    kept = Study((CaseData.of(story.record),), Ledger(path))
+    first = kept.ledger.add(story.rungs[0].fit).fit_id
+    kept.keep(story.rungs, first)
+    kept.keep_diagnosis(first, story.diagnosis)
+    return Study(kept.data, Ledger(path))
+
+
+def never(*_args, **_kwargs):
+    raise AssertionError("this was found before")
+
+
+def test_fits_are_not_searched_again(story, study, monkeypatch):
+    monkeypatch.setattr("fitting.ledger.robust_fit", never)
+    for old, new in zip(story.rungs, study.rungs_to(None), strict=True):
+        assert new.change == old.change
+        np.testing.assert_array_equal(new.fit.theta, old.fit.theta)
+        assert new.fit.verdict == old.fit.verdict
+        assert new.fit.chi2 == pytest.approx(old.fit.chi2, rel=1e-3)
+        assert new.fit.bic - old.fit.bic == pytest.approx(0, abs=0.5)
+        for k, e in old.fit.estimates.items():
+            assert new.fit.estimates[k].stderr == pytest.approx(e.stderr, rel=0.01, nan_ok=True)
+
+
+def test_a_diagnosis_is_not_made_again(story, study, monkeypatch):
+    monkeypatch.setattr("fitting.discovery.diagnose", never)
+    rungs = study.rungs_to(None)
+    new, old = study.diagnosis(None, rungs[0].fit), story.diagnosis
+    for name in ("verdict", "sentence", "failures", "next_experiment"):
+        assert getattr(new, name) == getattr(old, name)
+    for a, b in zip(new.candidates, old.candidates, strict=True):
+        assert (a.effect, a.indistinguishable_from) == (b.effect, b.indistinguishable_from)
+        assert repr(a.estimates) == repr(b.estimates)  # which may hold nan
+        np.testing.assert_equal(
+            (a.score, a.delta_bic, a.p_value, a.held_out_gain),
+            (b.score, b.delta_bic, b.p_value, b.held_out_gain),
+        )
+    for a, b in zip(new.torques, old.torques, strict=True):
+        np.testing.assert_allclose(a.torque, b.torque, atol=0.02 * b.sigma.min())
+
+
+def test_a_report_shows_the_same_curves(story, study):
+    rungs = study.rungs_to(None)
+    new = gather(rungs, study.diagnosis(None, rungs[0].fit))
+    old = gather([Rung(r.change, r.fit, ()) for r in story.rungs], story.diagnosis)
+    assert [s.name for s in new.cases[0].suggested] == [s.name for s in old.cases[0].suggested]
+    for a, b in zip(new.cases[0].suggested, old.cases[0].suggested, strict=True):
+        np.testing.assert_allclose(a.casing, b.casing, rtol=1e-9, atol=1e-15)
+
+
+def test_other_code_finds_anew(study, monkeypatch):
+    monkeypatch.setattr(restoring, "fingerprint", lambda: "another")
+    entry = study.entry(None)
+    assert restoring.restored_fit(entry.document["restored_from"], entry.model, study.data) is None
+    assert entry.diagnosis(entry.refit(study.data)) is None
+
+
+def test_damage_is_no_error(study):
+    entry = study.entry("f1")
+    fit = entry.shown(study.data)
+    for harm in ({"theta": "x"}, {"theta": [1.0]}, {"noise": [{}]}):
+        entry.document["restored_from"] = {**entry.document["restored_from"], **harm}
+        assert entry.shown(study.data).verdict == fit.verdict
+    entry.document["diagnosis"] = {**entry.document["diagnosis"], "candidates": [{"effect": "none such"}]}
+    assert entry.diagnosis(fit) is None
+
+
+def test_a_ledger_is_plain_json(study):
+    json.loads(study.ledger.path.read_text(), parse_constant=never)
