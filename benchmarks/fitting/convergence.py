@@ -3,7 +3,8 @@
     python benchmarks/fitting/convergence.py
 
 A start has each of a2, b1, b2, d, f, g halved or doubled (g kept in its range of 0.3 to 1.4); the start speeds come
-from the program. It counts as converged if the fit says so, and its deviance is within 0.01 of the lowest.
+from the program. It counts as converged if the fit says so, and its deviance is no more than 0.01 above that of a fit
+that starts by itself, its parameters within 0.05 of their errors.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ def converge(name: str, *, every: int = 1) -> dict[str, float]:
         seconds.append(time.perf_counter() - began)
         off = max(abs(found.estimates[k].value - e.value) / e.stderr for k, e in base.estimates.items())
         ends.append((found.verdict, found.deviance - base.deviance, off))
-    right = [v == "adequate" and abs(d) < 0.01 and off < 0.05 for v, d, off in ends]
+    right = [v == "adequate" and d < 0.01 and off < 0.05 for v, d, off in ends]
     worst = [e for e, ok in zip(ends, right, strict=True) if not ok]
     return {
         "recording": name,

@@ -14,8 +14,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.errors import SimulationError
 from fitting.simulation.mesh import Path, Sampler, rule
-from fitting.simulation.propagator import Propagator
+from fitting.simulation.propagator import UNBOUNDED, Propagator
 
 Array = NDArray[np.float64]
 
@@ -64,7 +65,13 @@ class LinearMotion:
         pushes = np.zeros(phi.shape[:2])
         pushes[:, 0] = direction[0]
         pushes[:, 1] = direction[1] * np.abs(self._sense[sampler.index])
-        return np.asarray(np.linalg.solve(phi, pushes[..., None])[..., 0])
+        try:
+            return np.asarray(np.linalg.solve(phi, pushes[..., None])[..., 0])
+        except np.linalg.LinAlgError:
+            # after several stops nothing is remembered of what was before: not even a millionth of a millionth
+            if not np.isfinite(phi).all():
+                raise SimulationError(UNBOUNDED) from None
+            return np.asarray((np.linalg.pinv(phi) @ pushes[..., None])[..., 0])
 
     def moving(self, times: Array) -> Array:
         """Return 1 where the casing answers to a torque, 0 where friction holds it."""
