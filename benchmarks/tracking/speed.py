@@ -66,7 +66,7 @@ def main() -> None:
     if args.part and args.output and args.output.with_suffix(".json").exists():
         results = json.loads(args.output.with_suffix(".json").read_text(encoding="utf-8"))
     if args.part != "memory":
-        results |= {"commit": commit(), "machine": machine()}
+        results |= {"commit": commit(), "machine": machine(), "notes": []}
         results["clips"] = {clip: timed(clip, n, args.films, args.rounds) for clip, n in FRAMES.items()}
     if args.part != "speed":
         results["memory_commit"] = commit()
@@ -173,6 +173,7 @@ def table(results: dict) -> str:
         f"Commit {results['commit']}; {results['machine']}. CPU time, the fastest of several turns; with two threads",
         "also the time on the clock, beside that of decoding in one thread.",
     ]
+    lines += ["", *results["notes"]] if results.get("notes") else []
     for clip, found in results.get("clips", {}).items():
         camera = CAMERAS[clip]
         lines += [

@@ -35,7 +35,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--runs", type=int, default=200, help="runs in each row")
+    parser.add_argument("--runs", type=int, default=200, help="runs in each row, at least")
     parser.add_argument(
         "--found", type=Path, help="keeps what was found (JSON lines); runs in it are not done again"
     )
@@ -56,7 +56,7 @@ def main() -> None:
     ]
     for count, still in ((1, True), (2, True), (3, True), (3, False)):
         found = []
-        for seed in range(args.runs):
+        for seed in sorted({*range(args.runs), *kept.seeds(count, still)}):
             key = f"{count} {still} {seed}"
             if key not in kept.runs:
                 kept.add(key, one_run(scene, motion, count, 1000 * count + seed, still=still))
@@ -75,6 +75,10 @@ class Kept:
         if path is not None and path.exists():
             for line in path.read_text(encoding="utf-8").splitlines():
                 self.runs.update(json.loads(line))
+
+    def seeds(self, count: int, still: bool) -> list[int]:  # noqa: FBT001
+        """Return the seeds of the runs of a kind that are kept."""
+        return [int(key.split()[2]) for key in self.runs if key.startswith(f"{count} {still} ")]
 
     def add(self, key: str, found: list[tuple]) -> None:
         self.runs[key] = found

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack.angles.bias import closed_curve, curve_at, without_common_motion
+from gyrotrack.angles.bias import KNOTS, closed_curve, curve_at, without_common_motion
 from gyrotrack.angles.candidates import Candidate
 from gyrotrack.angles.evenness import line_through, whole_turns
 from gyrotrack.angles.oddity import most_likely_share
@@ -172,11 +172,16 @@ class Departures:
             self.by_place[name] = curve_at(curve - curve.mean(), np.nan_to_num(self.candidates[name].angle))
 
     def place_error(self) -> float:
-        """Return the root mean square of all errors by place that were learnt [rad]; NaN if none could be."""
-        if self.turning.mean() < MOSTLY:
+        """Return the root mean square of all errors by place that were learnt [rad].
+
+        NaN if none could be, or if the markers come back to the same few places.
+        """
+        seen = {n: self.use[n] & c.open & self.turning for n, c in self.candidates.items()}
+        places = [np.unique(np.rint(c.angle[seen[n]] * KNOTS / TURN)) for n, c in self.candidates.items()]
+        if self.turning.mean() < MOSTLY or max(map(len, places)) < KNOTS / 2:
             return float("nan")
-        learnt = [self.by_place[n][self.use[n] & c.open & self.turning] for n, c in self.candidates.items()]
-        return float(np.sqrt(np.mean(np.concatenate(learnt) ** 2))) if any(map(len, learnt)) else float("nan")
+        learnt = np.concatenate([self.by_place[n][seen[n]] for n in self.candidates])
+        return float(np.sqrt(np.mean(learnt**2)))
 
     def learn_neighbours(self, smooth: Floats, other: Floats, *, above: bool) -> None:
         """Learn each marker's error by its angle to the other body (see `bias`).
