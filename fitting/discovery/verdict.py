@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from fitting.diagnosis import (
     Failure,
     ResidualTorque,
@@ -21,10 +19,10 @@ from fitting.diagnosis import (
 from fitting.discovery.experiment import next_experiment
 from fitting.discovery.improve import Rung, best, improve
 from fitting.discovery.polish import is_quieter, polished, reconsidered
-from fitting.discovery.ranking import ALWAYS_FREE, Candidate, rank
+from fitting.discovery.ranking import Candidate, rank
+from fitting.discovery.wording import sentence
 from fitting.effects import Effect
 from fitting.estimation import Fit
-from fitting.rounding import rounded
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -117,12 +115,12 @@ def diagnose(
     verdict = "unexplained" if end.verdict == "misfit" else explained
     torques, waves = residual_torques(fit), ripples(fit)
     failures = find_failures(fit, torques, waves) if verdict != "adequate" else []
-    sentence = _sentence(fit, verdict, chosen, after, failures, candidates)
+    words = sentence(fit, verdict, chosen, after, failures, candidates)
     rivals = [c for c in candidates if chosen and c.effect.name in chosen.indistinguishable_from]
     return Diagnosis(
         fit,
         verdict,
-        sentence,
+        words,
         tuple(failures),
         tuple(candidates),
         next_experiment(fit, [chosen, *rivals] if chosen else []),
@@ -130,57 +128,3 @@ def diagnose(
         tuple(waves),
         tuple(whiteness(fit)),
     )
-
-
-def _sentence(
-    fit: Fit,
-    verdict: str,
-    chosen: Candidate | None,
-    after: list[Rung],
-    failures: list[Failure],
-    candidates: Sequence[Candidate],
-) -> str:
-    parts = []
-    where = str(failures[0]) if failures else ""
-    if verdict == "adequate":
-        parts.append("The model is adequate: what it leaves is noise.")
-    elif chosen is None or verdict == "unexplained":
-        rest = after[-1].fit if after else fit
-        left = max((n.level for n in rest.noise), default=0.0)
-        parts.append(f"The model fails{': ' + where if where else ''}.")
-        parts.append(
-            f"An unexplained torque of {left:.2g} N m rms remains that no effect of the library explains."
-        )
-        if chosen is not None:
-            parts.append(f"The closest formula is that of {chosen.effect.name}; take it as a hypothesis.")
-    else:
-        parts.append(f"The model fails{': ' + where if where else ''}.")
-        names = [chosen.effect.name, *chosen.indistinguishable_from]
-        what = "measurement effect" if not chosen.physical else "effect"
-        if len(names) == 1:
-            parts.append(f"The missing {what} is {names[0]}{_strength(chosen)}.")
-        else:
-            parts.append(f"One of {', '.join(names)} is missing; this data cannot tell them apart.")
-        if len(after) > 2:
-            parts.append(
-                "With it " + ", ".join(r.change.lstrip("+") for r in after[2:]) + " is found as well."
-            )
-    for c in candidates:
-        # what a torque that follows the angle leaves unexplained looks like a camera's fault as well
-        rippling = chosen is not None and chosen.effect.depends_on_angle
-        if c.effect.name in ALWAYS_FREE and c.significant and not rippling:
-            size = float(np.hypot(*c.screened.gamma[:2]))
-            unit = next(p.unit for p in c.effect.parameters if p.role == "amplitude")
-            parts.append(f"The camera adds {c.effect.name} of {size:.2g} {unit}, which every fit takes out.")
-    return " ".join(parts)
-
-
-def _strength(c: Candidate) -> str:
-    amplitude = c.effect.amplitude
-    if amplitude is None:
-        return ""
-    found = [e for k, e in c.estimates.items() if k.partition("@")[0].endswith(f".{amplitude.symbol}")]
-    if not found:
-        return ""
-    values = ", ".join(rounded(e.value, e.stderr, e.unit) for e in found)
-    return f" with {amplitude.symbol} = {values}"

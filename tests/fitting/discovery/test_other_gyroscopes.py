@@ -5,6 +5,7 @@ from functools import lru_cache
 
 import pytest
 import twobody
+from cases import case
 
 from fitting.case_data import CaseData
 from fitting.discovery import diagnose
@@ -60,3 +61,11 @@ def test_rivals_are_told_apart_at_the_noise_that_the_better_one_leaves():
     assert best.effect.name == "touchpoint.stribeck"
     assert best.indistinguishable_from == ()
     assert best.fit.verdict == "adequate"
+
+
+def test_an_exponent_at_the_edge_of_its_range_is_told():
+    steep = {"f": 1.2e-9, "g": 1.65, "d": 3e-8}
+    found = diagnose(fit(Model.of(REDUCED), [case(steep, 3, "case1")]))
+    assert found.verdict != "adequate"
+    assert "bearing.power.g at the edge of its range (1.4)" in found.sentence
+    assert "range" not in diagnose(fit(Model.of(REDUCED), [filmed(0)])).sentence

@@ -1,0 +1,105 @@
+"""The answer in words: where the model fails, what is missing, what remains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from fitting.diagnosis import Failure
+from fitting.discovery.improve import Rung
+from fitting.discovery.ranking import ALWAYS_FREE, Candidate
+from fitting.estimation import Fit
+from fitting.rounding import rounded
+
+
+def sentence(
+    fit: Fit,
+    verdict: str,
+    chosen: Candidate | None,
+    after: Sequence[Rung],
+    failures: Sequence[Failure],
+    candidates: Sequence[Candidate],
+) -> str:
+    """Return the answer of a diagnosis in a few sentences.
+
+    Parameters
+    ----------
+    fit : Fit
+        The base.
+    verdict : str
+        "adequate", "missing_effect" or "unexplained".
+    chosen : Candidate or None
+        The effect to add.
+    after : sequence of Rung
+        What was added to the base, step by step, if one effect was not enough.
+    failures : sequence of Failure
+        Where the base fails, worst first.
+    candidates : sequence of Candidate
+        All of them.
+    """
+    if verdict == "adequate":
+        parts = ["The model is adequate: what it leaves is noise."]
+    else:
+        parts = [f"The model fails{f': {failures[0]}' if failures else ''}."]
+        if chosen is None or verdict == "unexplained":
+            parts += _remains(after[-1].fit if after else fit, chosen)
+        else:
+            parts += _missing(chosen, after)
+        parts += _edges(fit)
+    return " ".join([*parts, *_taken_out(chosen, candidates)])
+
+
+def _remains(rest: Fit, chosen: Candidate | None) -> list[str]:
+    left = max((n.level for n in rest.noise), default=0.0)
+    parts = [f"An unexplained torque of {left:.2g} N m rms remains that no effect of the library explains."]
+    if chosen is not None:
+        parts.append(f"The closest formula is that of {chosen.effect.name}; take it as a hypothesis.")
+    return parts
+
+
+def _missing(chosen: Candidate, after: Sequence[Rung]) -> list[str]:
+    names = [chosen.effect.name, *chosen.indistinguishable_from]
+    what = "effect" if chosen.physical else "measurement effect"
+    if len(names) == 1:
+        parts = [f"The missing {what} is {names[0]}{_strength(chosen)}."]
+    else:
+        parts = [f"One of {', '.join(names)} is missing; this data cannot tell them apart."]
+    if len(after) > 2:
+        parts.append("With it " + ", ".join(r.change.lstrip("+") for r in after[2:]) + " is found as well.")
+    return parts
+
+
+def _edges(fit: Fit) -> list[str]:
+    """Return what to know of a parameter that its range holds, and not nature or the data."""
+    layout = fit.problem.layout
+    held = [
+        f"{name} at the edge of its range ({e.value:.4g})"
+        for name, e in fit.estimates.items()
+        if e.at_bound and name in layout.index and not layout.is_physical_bound(name)
+    ]
+    return [f"The model has {' and '.join(held)}: the law there may be another one."] if held else []
+
+
+def _taken_out(chosen: Candidate | None, candidates: Sequence[Candidate]) -> list[str]:
+    # what a torque that follows the angle leaves unexplained looks like a camera's fault as well
+    if chosen is not None and chosen.effect.depends_on_angle:
+        return []
+    parts = []
+    for c in candidates:
+        if c.effect.name in ALWAYS_FREE and c.significant:
+            size = float(np.hypot(*c.screened.gamma[:2]))
+            unit = next(p.unit for p in c.effect.parameters if p.role == "amplitude")
+            parts.append(f"The camera adds {c.effect.name} of {size:.2g} {unit}, which every fit takes out.")
+    return parts
+
+
+def _strength(c: Candidate) -> str:
+    amplitude = c.effect.amplitude
+    if amplitude is None:
+        return ""
+    found = [e for k, e in c.estimates.items() if k.partition("@")[0].endswith(f".{amplitude.symbol}")]
+    if not found:
+        return ""
+    values = ", ".join(rounded(e.value, e.stderr, e.unit) for e in found)
+    return f" with {amplitude.symbol} = {values}"
