@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fitting.case_data import CAMERA_COLUMNS
 from fitting.discovery.chance import Chance, Family
 from fitting.discovery.columns import CaseColumns
-from fitting.discovery.refit import refit, with_one_value
+from fitting.discovery.refit import refit, with_one_value, with_own_values
 from fitting.discovery.scoring import Score
 from fitting.discovery.screen import screen
 from fitting.effects import LIBRARY, Effect
@@ -153,6 +153,11 @@ def _refitted(base: Fit, candidate: Candidate, chance: Chance, family: Family) -
     p = chance(gain)
     common = with_one_value(base, candidate.screened, found)
     if common is not None:
+        if common.deviance < found.deviance:
+            # with a value for each case no fit can be worse: the search had lost its way
+            found = with_own_values(base, candidate.screened, found, common)
+            gain, delta_bic = base.deviance - found.deviance, found.bic - base.bic
+            p = chance(gain)
         delta_bic = min(delta_bic, common.bic - base.bic)
         width = candidate.screened.columns // len(base.problem.layout.records)
         p = min(p, min(1.0, 2 * chance.of(base.deviance - common.deviance, width)))

@@ -75,6 +75,14 @@ def with_one_value(base: Fit, score: Score, found: Fit) -> Fit | None:
     return together(base, score, {n: e.value for n, e in found.estimates.items()} | mean, keys)
 
 
+def with_own_values(base: Fit, score: Score, found: Fit, common: Fit) -> Fit:
+    """Return the fit in which each case has its own values, begun where all have the same; the better of two."""
+    values = {name: e.value for name, e in common.estimates.items()}
+    start = {n: values.get(n, values.get(n.partition("@")[0])) for n in found.problem.layout.names}
+    again = together(base, score, {n: v for n, v in start.items() if v is not None})
+    return again if again is not None and again.deviance < found.deviance else found
+
+
 def start_of(base: Fit, score: Score) -> dict[str, float]:
     """Return start values of a candidate's parameters from its score."""
     effect, labels = score.effect, [r.label for r in base.problem.layout.records]

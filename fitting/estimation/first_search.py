@@ -12,7 +12,7 @@ from contextlib import suppress
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.errors import EstimationError
+from fitting.errors import EstimationError, FittingError
 from fitting.estimation.noise_levels import Noise, first_noise, measure_noise
 from fitting.estimation.problem import Problem
 from fitting.estimation.search import search, search_around, search_widely
@@ -99,8 +99,10 @@ def _tight(problem: Problem, theta: Array, noise: tuple[Noise, ...]) -> tuple[Ar
     ends = [(theta, noise)]
     for levels in _stricter(problem, theta, noise):
         problem.set_noise([n.whitener.at(level) for n, level in zip(noise, levels, strict=True)])
-        _, other = search(problem, theta)
-        ends.append((other, measure_noise(problem, other)))
+        # without the excuse a search may run away to where nothing can be computed
+        with suppress(FittingError):
+            _, other = search(problem, theta)
+            ends.append((other, measure_noise(problem, other)))
     return min(ends, key=lambda end: _deviance(problem, *end))
 
 
