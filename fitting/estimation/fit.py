@@ -22,6 +22,9 @@ from fitting.estimation.start import first_values
 from fitting.model import Model
 from fitting.record import Record
 
+# chi2 per row with which a level of random torque is what the model leaves
+_EXCUSED = 1.5
+
 
 def fit(
     model: Model,
@@ -85,10 +88,14 @@ def fit(
         # the noise that the model was excused with before the law came would excuse any shape
         noise = refine_level(problem, theta, noise)
         problem.set_noise([n.whitener for n in noise])
-    minimum, theta = search(problem, theta, quick=quick)
+    _, theta = search(problem, theta, quick=quick)
     noise = refine_level(problem, theta, noise)
     problem.set_noise([n.whitener for n in noise])
     minimum, theta = search(problem, theta, quick=quick)
+    if minimum.cost > _EXCUSED * problem.rows:
+        noise = refine_level(problem, theta, noise, settled=True)
+        problem.set_noise([n.whitener for n in noise])
+        minimum, theta = search(problem, theta, quick=quick)
     return outcome(problem, theta, noise, converged=minimum.converged)
 
 

@@ -84,10 +84,16 @@ def measure_noise(problem: Problem, theta: Array) -> tuple[Noise, ...]:
     return refine_level(problem, theta, found)
 
 
-def refine_level(problem: Problem, theta: Array, noise: Sequence[Noise]) -> tuple[Noise, ...]:
-    """Return the noise with the level that the model at these variables leaves."""
+def refine_level(
+    problem: Problem, theta: Array, noise: Sequence[Noise], *, settled: bool = False
+) -> tuple[Noise, ...]:
+    """Return the noise with the level that the model at these variables leaves.
+
+    Each case is asked for itself, its variables free to follow; if `settled`, they stand where they are: cases that
+    share a variable may each want it elsewhere.
+    """
     found = []
-    moving = ~problem.layout.at_bound(theta)
+    moving = ~problem.layout.at_bound(theta) & (not settled)
     for data, p, n in zip(problem.data, problem.predict(theta), noise, strict=True):
         columns = np.concatenate([p.columns[:, moving[p.places]], data.nuisance], axis=1)
         level, excess = remaining_level(n.whitener, data.z - p.rows, columns, n.pure)
