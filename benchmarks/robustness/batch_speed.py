@@ -14,6 +14,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 import time
 from fractions import Fraction
 from pathlib import Path
@@ -91,12 +92,15 @@ def measured(words):
     """Run the program; return its wall and CPU seconds, those of others, its memory, and what it said."""
     before, start, machine = os.times(), time.monotonic(), busy()
     words = [sys.executable, "-m", "gyrotrack", words[0], "--json", "-q", *map(str, words[1:])]
-    process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, cwd=ROOT)
     memory = []
-    while process.poll() is None:
-        memory.append(resident(process.pid))
-        time.sleep(0.2)
-    said = json.loads(process.stdout.read())
+    # a file, because nobody reads a pipe meanwhile, and what is said of many clips would fill it
+    with tempfile.TemporaryFile("w+") as output:
+        process = subprocess.Popen(words, stdout=output, text=True, cwd=ROOT)
+        while process.poll() is None:
+            memory.append(resident(process.pid))
+            time.sleep(0.2)
+        output.seek(0)
+        said = json.loads(output.read())
     ensure(process.returncode == 0, str(said)[:300])
     after = os.times()
     cpu = after.children_user + after.children_system - before.children_user - before.children_system
