@@ -7,9 +7,11 @@ candidates look alike.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 from fitting.discovery.ranking import Candidate, arranged
+from fitting.errors import FittingError
 from fitting.estimation import Fit, fit
 from fitting.estimation.noise_levels import Noise, measure_noise
 
@@ -37,8 +39,11 @@ def _sharpest(found: Fit) -> Fit:
     if all(n.level <= n.pure for n in found.noise):
         return found
     pure = [replace(n, level=n.pure, whitener=n.whitener.at(n.pure)) for n in found.noise]
-    sharp = _again(found, pure)
-    return sharp if sharp.deviance < found.deviance - _EVIDENCE else found
+    # without an excuse a search may run away to where nothing can be integrated
+    with suppress(FittingError):
+        sharp = _again(found, pure)
+        return sharp if sharp.deviance < found.deviance - _EVIDENCE else found
+    return found
 
 
 def _again(found: Fit, noise: Sequence[Noise]) -> Fit:
@@ -77,18 +82,23 @@ def reconsidered(
     noise : sequence of Noise
         What it leaves.
     """
-    plain = _again(base, noise)
+    try:
+        plain = _again(base, noise)
+    except FittingError:
+        return list(candidates)
     alike = {chosen.effect.name, *chosen.indistinguishable_from}
-    found = []
-    for c in candidates:
-        if c.effect.name not in alike or c.fit is None:
-            found.append(c)
-            continue
+    return arranged([_refitted(c, plain, noise) if c.effect.name in alike else c for c in candidates])
+
+
+def _refitted(c: Candidate, base: Fit, noise: Sequence[Noise]) -> Candidate:
+    """Return a candidate with its refit at another noise; without one if the search runs away there."""
+    if c.fit is None:
+        return c
+    try:
         end = _again(c.fit, noise)
-        own = {k: e for k, e in end.estimates.items() if k.startswith(c.effect.name + ".")}
-        found.append(
-            replace(
-                c, score=plain.deviance - end.deviance, delta_bic=end.bic - plain.bic, estimates=own, fit=end
-            )
-        )
-    return arranged(found)
+    except FittingError:
+        return replace(c, delta_bic=float("nan"), fit=None)
+    own = {k: e for k, e in end.estimates.items() if k.startswith(c.effect.name + ".")}
+    return replace(
+        c, score=base.deviance - end.deviance, delta_bic=end.bic - base.bic, estimates=own, fit=end
+    )
