@@ -56,13 +56,26 @@ def _trials(single: float, share: float) -> float:
     return float(np.log1p(-share) / np.log1p(-min(max(single, 1e-12), 1 - 1e-12)))
 
 
+def over_many(p: float, smallest: Array) -> float:
+    """Return the probability of a p-value as small anywhere among many looks at the same data.
+
+    Parameters
+    ----------
+    p : float
+        The smallest.
+    smallest : ndarray
+        The smallest of each of many empty data sets.
+    """
+    looks = max(1.0, _trials(float(np.quantile(smallest, 0.1)), 0.1))
+    return float(-np.expm1(looks * np.log1p(-min(p, 1 - 1e-12))))
+
+
 class Family:
     """p-value over the whole list: calibrated on the smallest p of each empty data set."""
 
     def __init__(self, chances: Sequence[Chance]) -> None:
-        smallest = np.min([c.of_draws() for c in chances], axis=0)
-        self._candidates = max(1.0, _trials(float(np.quantile(smallest, 0.1)), 0.1))
+        self._smallest = np.min([c.of_draws() for c in chances], axis=0)
 
     def __call__(self, p: float) -> float:
         """Return the probability of a p as small anywhere in the list."""
-        return float(-np.expm1(self._candidates * np.log1p(-min(p, 1 - 1e-12))))
+        return over_many(p, self._smallest)

@@ -18,6 +18,7 @@ from fitting.diagnosis import (
 )
 from fitting.discovery.experiment import next_experiment
 from fitting.discovery.improve import Rung, best, improve
+from fitting.discovery.objection import Objection, objection
 from fitting.discovery.polish import is_quieter, polished, reconsidered
 from fitting.discovery.ranking import Candidate, rank
 from fitting.discovery.wording import sentence
@@ -29,6 +30,9 @@ if TYPE_CHECKING:
 
 # a second effect may be hidden beside the first; a story of three is told as unexplained
 _FOLLOW_UP = 1
+# so often is a right name doubted, and a model that misses nothing
+_DOUBTFUL = 0.01
+_ALARMING = 0.001
 
 
 @dataclass(frozen=True)
@@ -111,11 +115,12 @@ def diagnose(
         if end.verdict == "misfit" or quieter:
             after = improve(fit, extra, max_steps=1 + _FOLLOW_UP, first=candidates)
             end = after[-1].fit
+    doubt = _doubt(chosen, end)
     explained = "adequate" if chosen is None else "missing_effect"
-    verdict = "unexplained" if end.verdict == "misfit" else explained
+    verdict = "unexplained" if end.verdict == "misfit" or doubt is not None else explained
     torques, waves = residual_torques(fit), ripples(fit)
     failures = find_failures(fit, torques, waves) if verdict != "adequate" else []
-    words = sentence(fit, verdict, chosen, after, failures, candidates)
+    words = sentence(fit, verdict, chosen, after, failures, candidates, doubt)
     rivals = [c for c in candidates if chosen and c.effect.name in chosen.indistinguishable_from]
     return Diagnosis(
         fit,
@@ -128,3 +133,11 @@ def diagnose(
         tuple(waves),
         tuple(whiteness(fit)),
     )
+
+
+def _doubt(chosen: Candidate | None, end: Fit) -> Objection | None:
+    """Return what speaks against an answer; a class of names leaves the question open by itself."""
+    if end.verdict == "misfit" or (chosen is not None and chosen.indistinguishable_from):
+        return None
+    found = objection(end)
+    return found if found.p_value < (_ALARMING if chosen is None else _DOUBTFUL) else None

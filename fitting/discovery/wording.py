@@ -8,6 +8,7 @@ import numpy as np
 
 from fitting.diagnosis import Failure
 from fitting.discovery.improve import Rung
+from fitting.discovery.objection import Objection
 from fitting.discovery.ranking import ALWAYS_FREE, Candidate
 from fitting.estimation import Fit
 from fitting.rounding import rounded
@@ -20,6 +21,7 @@ def sentence(
     after: Sequence[Rung],
     failures: Sequence[Failure],
     candidates: Sequence[Candidate],
+    doubt: Objection | None = None,
 ) -> str:
     """Return the answer of a diagnosis in a few sentences.
 
@@ -37,20 +39,29 @@ def sentence(
         Where the base fails, worst first.
     candidates : sequence of Candidate
         All of them.
+    doubt : Objection, optional
+        What speaks against the name.
     """
     if verdict == "adequate":
         parts = ["The model is adequate: what it leaves is noise."]
     else:
         parts = [f"The model fails{f': {failures[0]}' if failures else ''}."]
         if chosen is None or verdict == "unexplained":
-            parts += _remains(after[-1].fit if after else fit, chosen)
+            parts += _remains(after[-1].fit if after else fit, chosen, doubt)
         else:
             parts += _missing(chosen, after)
         parts += _edges(fit)
     return " ".join([*parts, *_taken_out(chosen, candidates)])
 
 
-def _remains(rest: Fit, chosen: Candidate | None) -> list[str]:
+def _remains(rest: Fit, chosen: Candidate | None, doubt: Objection | None) -> list[str]:
+    if doubt is not None:
+        what = f"What {'it' if chosen is None else chosen.effect.name} leaves follows the speed of the {doubt.body}"
+        parts = [f"{what}, as noise does in {doubt.p_value:.1g} of all cases."]
+        if chosen is None:
+            return [*parts, "No effect of the library explains it."]
+        cause = "A second effect is missing as well, or a law that the library does not have"
+        return [*parts, f"{cause}: take the formula of {chosen.effect.name}, the closest, as a hypothesis."]
     left = max((n.level for n in rest.noise), default=0.0)
     parts = [f"An unexplained torque of {left:.2g} N m rms remains that no effect of the library explains."]
     if chosen is not None:

@@ -5,6 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from fitting.discovery import diagnose, improve
+from fitting.discovery.objection import objection
 from fitting.effects import REDUCED, resolve
 from fitting.errors import EstimationError, RecordError
 from fitting.estimation import fit
@@ -84,6 +85,14 @@ def test_what_is_missing_is_found():
     assert abs(pull(last, "casing.air.quadratic.k", SQUARE)) < 4
     assert np.isnan(last.cases[0].rotor.rmse)
     assert not any(name.startswith("initial.omega_r") for name in last.estimates)
+
+
+def test_what_a_wrong_law_leaves_follows_the_speed_of_the_body():
+    cubic = fit(BASE.with_effect(resolve("casing: -k*omega_c**3")), [wheel(SQUARE)])
+    assert objection(cubic).body == "body"
+    assert objection(cubic).p_value < 1e-3
+    right = fit(BASE.with_effect(resolve("casing: -k*omega_c*abs(omega_c)")), [wheel(SQUARE)])
+    assert objection(right).p_value > 1e-3
 
 
 def test_a_law_of_ones_own():
