@@ -59,7 +59,7 @@ def answer(run: Planned) -> dict[str, Any]:
     }
     line |= _sizes(run, base)
     began = time.process_time()
-    if run.part == "pair":
+    if len(run.hidden) == 2:
         rungs = improve(base)
         line |= _ladder(rungs, base_names, run)
     else:

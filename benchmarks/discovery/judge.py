@@ -84,6 +84,11 @@ def all_found(line: Line) -> bool:
     return all(twins(h) & set(line["named"]) for h in line["hidden"])
 
 
+def both(line: Line) -> bool:
+    """Every hidden effect was added, and nothing else."""
+    return all_found(line) and not extra(line)
+
+
 def physics_first(line: Line) -> bool:
     """A physical effect is named first."""
     return bool(line["named"]) and line["kinds"][0] == "physical"

@@ -22,6 +22,7 @@ _NOISE_TIME, _BRIEF = 1.0, 0.1  # s
 CENTRE = (2e-3, 1.1)  # rad, phase: in every noisy recording
 _PAIRS_A_SEED = 12
 _EMPTY_A_SEED = 4
+_PAIRS_ELSEWHERE = 6
 # elsewhere: random torques as shares of the budget, and their correlation times [s]
 _FAINT_AND_STRONG = (0.003, 0.03)
 _UNREST, _MEMORIES = (1e-4, 2e-3), (0.05, 5.0)
@@ -129,11 +130,14 @@ def _outside(seed: int) -> Iterator[Planned]:
 
 
 def _pair(seed: int) -> Iterator[Planned]:
-    names = sorted(set(LIBRARY) - {"external.constant"})
-    everything = list(itertools.combinations(names, 2))
-    lot = np.random.default_rng([seed, 77]).permutation(len(everything))[:_PAIRS_A_SEED]
-    for noise, i in itertools.product((0.0, NOISE), lot):
-        yield Planned("pair", everything[i], STRENGTHS[1], 2, noise, seed)
+    for noise, pair in itertools.product((0.0, NOISE), _two_at_once(seed, 77)[:_PAIRS_A_SEED]):
+        yield Planned("pair", pair, STRENGTHS[1], 2, noise, seed)
+
+
+def _two_at_once(*seed: int) -> list[tuple[str, str]]:
+    """Return all pairs of effects, shuffled."""
+    everything = list(itertools.combinations(sorted(set(LIBRARY) - {"external.constant"}), 2))
+    return [everything[i] for i in np.random.default_rng(seed).permutation(len(everything))]
 
 
 def _brief(seed: int) -> Iterator[Planned]:
@@ -142,12 +146,20 @@ def _brief(seed: int) -> Iterator[Planned]:
 
 
 def _elsewhere(seed: int) -> Iterator[Planned]:
-    for name in (*LIBRARY, *BASE, *OUTSIDE, ""):
-        lot = np.random.default_rng([seed, zlib.crc32(name.encode()), 78])
-        strength = float(f"{np.exp(lot.uniform(*np.log(_FAINT_AND_STRONG))):.2g}")
-        noise = float(f"{BUDGET * np.exp(lot.uniform(*np.log(_UNREST))):.2g}") if lot.random() < 0.5 else 0.0
-        hidden = (name,) if name else ()
-        yield Planned("elsewhere", hidden, strength, int(lot.integers(1, 3)), noise, seed)
+    for name in (*LIBRARY, *BASE, *OUTSIDE, "", *FAULTS):
+        yield _drawn(seed, (name,) if name else ())
+    for i in range(1, _EMPTY_A_SEED):
+        yield _drawn(seed, (), i)
+    for pair in _two_at_once(seed, 79)[:_PAIRS_ELSEWHERE]:
+        yield _drawn(seed, pair)
+
+
+def _drawn(seed: int, hidden: tuple[str, ...], *more: int) -> Planned:
+    """Return a run whose strength, number of recordings and random torque are drawn by lot."""
+    lot = np.random.default_rng([seed, zlib.crc32(" & ".join(hidden).encode()), 78, *more])
+    strength = float(f"{np.exp(lot.uniform(*np.log(_FAINT_AND_STRONG))):.2g}")
+    noise = float(f"{BUDGET * np.exp(lot.uniform(*np.log(_UNREST))):.2g}") if lot.random() < 0.5 else 0.0
+    return Planned("elsewhere", hidden, strength, int(lot.integers(1, 3)), noise, seed)
 
 
 _PLANS = {
