@@ -173,8 +173,12 @@ class BodyWatch:
 
     def _measured(self, looks: dict[str, Look], casing: Floats | None) -> dict[str, Sightings]:
         return {
-            name: self.markers[name].measure(look, self._cover.open(look, casing))
-            for name, look in looks.items()
+            name: watch.measure(
+                looks[name],
+                self._cover.open(looks[name], casing),
+                self._cover.open(looks[name], casing, shadows=True) if watch.strip.white else None,
+            )
+            for name, watch in self.markers.items()
         }
 
     def _searched(self, frames: list[Frame]) -> Floats:

@@ -37,13 +37,17 @@ class Cover:
         for layer in range(look.layers.shape[1]):
             self._map.learn(layer, column, core, np.clip(look.layers[:, layer], -0.2, 1.5))
 
-    def open(self, look: Look, casing: Floats | None) -> Mask:
-        """Return which samples of the windows nothing hides, (n, m); all, where the other body is unknown."""
+    def open(self, look: Look, casing: Floats | None, *, shadows: bool = False) -> Mask:
+        """Return which samples of the windows nothing hides, (n, m); all, where the other body is unknown.
+
+        With `shadows`, only those are open that also lie beyond the soft edge of what hides.
+        """
         everything = np.ones(look.raw.shape, dtype=np.bool_)
         if casing is None:
             return everything
         known = np.isfinite(casing)[:, None]
-        return np.where(known, open_columns(self._map, 1)[self._relative(look, casing)], everything)
+        open_ = open_columns(self._map, shadows=shadows)
+        return np.where(known, open_[self._relative(look, casing)], everything)
 
     def _relative(self, look: Look, casing: Floats) -> Integers:
         """Columns of the map for the samples of the windows."""

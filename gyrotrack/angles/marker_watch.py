@@ -28,7 +28,7 @@ class MarkerWatch:
         self.strip = strip
         self._across: Floats | None = None
         self._along: Floats | None = None
-        self._light = AngleMap(1, strip.ring.columns)
+        self._light = AngleMap(1, strip.ring.columns, strip.ground if strip.white else None)
 
     def look(self, coarse: Floats) -> Look:
         """Take the windows about the coarse angles (rad, NaN: not followed) out of the buffer."""
@@ -40,12 +40,18 @@ class MarkerWatch:
         place = np.arange(len(template))[None, :] - look.fraction[:, None]
         return np.asarray(np.interp(place.ravel(), np.arange(len(template)), template).reshape(place.shape))
 
-    def measure(self, look: Look, open_: Mask) -> Sightings:
-        """Measure the marker; `open_` (n, columns of the window) tells which samples nothing hides."""
+    def measure(self, look: Look, open_: Mask, clear: Mask | None = None) -> Sightings:
+        """Measure the marker; `open_` (n, columns of the window) tells which samples nothing hides.
+
+        A shadow dims a colour with all that is seen of it; beside a white marker it darkens the metal, which pulls
+        the marker's foot. Where nothing hides such a marker, only samples that are `clear` of shadows are used.
+        """
         dark = unlit(self._light)
         if dark.any():
             open_ = open_ & (look.here(dark) == 0)
         whole = (open_ | ~self._matters(look)).all(axis=1) & look.known
+        if clear is not None:
+            open_ = open_ & (clear | ~whole[:, None])
         found = self._matched_across(look, open_, whole)
         along = self._matched_along(look, found, whole)
         radius, angle = self._corners(look, found, whole)

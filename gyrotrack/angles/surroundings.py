@@ -22,17 +22,22 @@ class AngleMap:
     ----------
     layers, columns : int
         Rows of the map (parts of the radius) and angles in a full turn.
+    ground : ndarray, shape (columns,), optional
+        What was taken off as background, in heights of the marker. A paper has light of its own, and does not show
+        the lamps that mirror in the metal beneath it: what it has above nothing is even, and is averaged; its
+        height, what it has above the background, is not.
     """
 
-    def __init__(self, layers: int, columns: int) -> None:
+    def __init__(self, layers: int, columns: int, ground: Floats | None = None) -> None:
         self.columns = columns
+        self._ground = np.zeros(columns) if ground is None else ground
         self._top = np.zeros((layers, columns))
         self._bottom = np.zeros((layers, columns))
 
     def learn(self, layer: int, column: Integers, expected: Floats, value: Floats) -> None:
         """Add passages: arrays of column, height expected (0: do not use), height seen above the background."""
         inside = column.ravel() % self.columns
-        weighted = expected * value
+        weighted = expected * (value + expected * self._ground[column % self.columns])
         self._top[layer] += np.bincount(inside, weighted.ravel(), self.columns)
         self._bottom[layer] += np.bincount(inside, (expected**2).ravel(), self.columns)
 
@@ -48,7 +53,7 @@ class AngleMap:
         """
         top, bottom = (_blurred(part, blur) for part in (self._top, self._bottom))
         known = bottom > 0.5
-        height = np.where(known, top / np.where(known, bottom, 1.0), np.nan)
+        height = np.where(known, top / np.where(known, bottom, 1.0) - self._ground, np.nan)
         for row, weight in zip(height, bottom, strict=True):
             if np.isfinite(row).any():
                 row /= max(float(np.nanpercentile(row, 60)), 1e-3)
@@ -56,8 +61,10 @@ class AngleMap:
         return height
 
 
-HIDDEN = 0.55
-"""Relative height below which a marker counts as hidden."""
+HIDDEN, CLEAR = 0.55, 0.95
+"""Relative heights below which a marker counts as hidden, and above which as clear of what hides it."""
+WIDEST_EDGE = 8
+"""Columns over which the edge of what hides a marker may be blurred by its motion, or cast a shadow."""
 
 
 def even_light(light: AngleMap, reach: int) -> Floats:
@@ -86,15 +93,21 @@ def unlit(light: AngleMap) -> npt.NDArray[np.bool_]:
     return np.asarray(np.nan_to_num(height, nan=1.0) < HIDDEN)
 
 
-def open_columns(cover: AngleMap, grow: int) -> npt.NDArray[np.bool_]:
+def open_columns(cover: AngleMap, *, shadows: bool) -> npt.NDArray[np.bool_]:
     """Return at which angles nothing stands before the marker, in any layer; unknown angles count as open.
 
-    What is hidden is grown by `grow` columns, because an edge is never sharp.
+    What is hidden is grown by a column, because an edge is never sharp; for a marker that `shadows` pull, as far as
+    the height beside it still rises.
     """
-    hidden = (np.nan_to_num(cover.heights(1), nan=1.0) < HIDDEN).any(axis=0)
-    for _ in range(grow):
-        hidden = hidden | np.roll(hidden, 1) | np.roll(hidden, -1)
-    return np.asarray(~hidden)
+    height = np.nan_to_num(cover.heights(1), nan=1.0)
+    hidden, dim = (np.asarray((height < limit).any(axis=0)) for limit in (HIDDEN, CLEAR))
+    for _ in range(WIDEST_EDGE if shadows else 0):
+        hidden |= _grown(hidden) & dim
+    return np.asarray(~_grown(hidden))
+
+
+def _grown(chosen: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    return np.asarray(chosen | np.roll(chosen, 1) | np.roll(chosen, -1))
 
 
 def _blurred(rows: Floats, half: int) -> Floats:

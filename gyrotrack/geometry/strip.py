@@ -95,6 +95,11 @@ class Strip:
         self.ring = self.ring.moved(centre)
 
     @property
+    def ground(self) -> Floats:
+        """Mean over the rows of the paper of what is taken off as background, (columns,)."""
+        return np.asarray(self._ground_mean[: self.ring.columns], dtype=np.float64)
+
+    @property
     def grid(self) -> _Grid:
         """Where the samples of the ring lie in the planes."""
         if self._grid.ring is not self.ring:

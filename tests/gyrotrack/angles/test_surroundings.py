@@ -1,0 +1,53 @@
+import numpy as np
+import pytest
+
+from gyrotrack.angles.surroundings import AngleMap, even_light, open_columns
+
+COLUMNS, REACH = 360, 14
+
+
+def passages(cover: AngleMap, height: np.ndarray) -> None:
+    """Let a paper pass every angle: in each window its profile, times what is seen of it there."""
+    expected = np.clip((REACH + 4.5 - np.abs(np.arange(-20, 21))) / 6.0, 0.0, 1.0)
+    for middle in range(0, COLUMNS, 3):
+        column = (middle + np.arange(-20, 21)) % COLUMNS
+        shown = np.where(expected > 0.4, expected, 0.0)
+        cover.learn(0, column, shown, expected * height[column])
+
+
+def test_a_white_paper_does_not_show_the_lamps_that_mirror_beneath_it():
+    angle = np.arange(COLUMNS)
+    ground = 1.2 + 0.15 * np.exp(-0.5 * ((angle - 130) / 4.0) ** 2)  # a streak narrower than the paper
+    paper = 2.2 * (1.0 + 0.05 * np.cos(np.deg2rad(angle)))  # in slowly changing light
+    height = paper - ground
+
+    light = AngleMap(1, COLUMNS, ground)
+    passages(light, height)
+    blind = AngleMap(1, COLUMNS)
+    passages(blind, height)
+
+    off = even_light(light, REACH) / height
+    assert np.ptp(off) < 0.02 * off.mean()
+    assert np.ptp(even_light(blind, REACH) / height) > 0.1
+
+
+@pytest.mark.parametrize("edge", [1.0, 5.0])
+def test_what_hides_a_marker_reaches_as_far_as_its_edge_is_blurred(edge):
+    beside = np.abs(np.arange(COLUMNS) - 90.0) - 10.0  # from the edge of a bar, outwards
+    height = np.clip(0.5 + beside / (2.0 * edge), 0.0, 1.0)
+    cover = AngleMap(1, COLUMNS)
+    passages(cover, height)
+
+    open_ = open_columns(cover, shadows=True)
+
+    assert not open_[height < 0.95].any()
+    assert open_columns(cover, shadows=False)[beside > 3.0].all()
+    assert open_[beside > edge + 3.0].all()
+
+
+def test_a_soft_shadow_far_from_the_bar_hides_nothing():
+    height = 1.0 - 0.2 * np.exp(-0.5 * ((np.arange(COLUMNS) - 200.0) / 10.0) ** 2)
+    cover = AngleMap(1, COLUMNS)
+    passages(cover, height)
+
+    assert open_columns(cover, shadows=True).all()
