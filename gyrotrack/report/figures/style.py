@@ -98,20 +98,21 @@ def canvas(width: float, height: float) -> Figure:
 
 def picture(name: str, figure: Figure, caption: str, finding: str) -> Picture:
     """Return a figure as markup for the page."""
-    # places are found once, not again for each pass of drawing
-    engine = figure.get_layout_engine()
-    if engine is not None:
-        engine.execute(figure)
-    figure.set_layout_engine("none")
     return Picture(name, markup(figure, name, finding), caption, finding)
 
 
 def markup(figure: Figure, name: str, finding: str, *, tight: bool = False) -> str:
     """Return a figure as an ``svg`` element with a text alternative, its ids starting with `name`."""
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
     stream = io.StringIO()
     nothing: dict[str, Any] = {"Date": None, "Creator": None, "Format": None, "Type": None}
-    room: dict[str, Any] = {"bbox_inches": "tight", "pad_inches": 0.03} if tight else {}
-    figure.savefig(stream, format="svg", metadata=nothing, **room)
+    if tight:
+        figure.savefig(stream, format="svg", metadata=nothing, bbox_inches="tight", pad_inches=0.03)
+    else:
+        # one pass: `savefig` would draw all of it once more, to find the places that are found here while drawing
+        surface: Any = FigureCanvasSVG(figure)
+        surface.print_svg(stream, metadata=nothing)
     text = _DROPPED.sub("", stream.getvalue()).strip()
     text = _NAMES.sub(lambda m: f"{m[1]}{name}-", text)
     label = html.escape(finding, quote=True)
