@@ -6,6 +6,7 @@ and decoded up to it. Where stamps repeat or are missing, a frame is not found r
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -92,7 +93,7 @@ class Film:
         try:
             if self._frames is None or not self._at < index <= self._at + _AHEAD:
                 self._container.seek(wanted, stream=self._stream, backward=True)
-                self._frames = self._container.decode(self._stream)
+                self._frames = self._decoded(wanted)
             for raw in self._frames:
                 if raw.pts is not None and raw.pts >= wanted:
                     self._at = index
@@ -102,3 +103,13 @@ class Film:
             pass
         self._frames = None
         return None
+
+    def _decoded(self, first: int) -> Iterator[Any]:
+        """Decode from here on; of what lies before the time stamp `first` only what later frames are made from."""
+        decoder = self._stream.codec_context
+        # in other codecs what counts as no reference may still be one for layers above it
+        sure = decoder.codec.name == "h264"
+        for packet in self._container.demux(self._stream):
+            needless = sure and packet.pts is not None and packet.pts < first
+            decoder.skip_frame = "NONREF" if needless else "DEFAULT"
+            yield from packet.decode()

@@ -166,7 +166,8 @@ def serve(bench: Workbench, port: int, announce: Callable[[str], None]) -> None:
     """
     import uvicorn
 
-    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    # asyncio sends at once, not after the receipt of what it sent before, only where the protocol is named
+    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -198,6 +199,7 @@ def serve(bench: Workbench, port: int, announce: Callable[[str], None]) -> None:
             server.should_exit = True
 
         bench.stop = stop
+        listener.listen()  # who comes before the server runs is kept waiting, not turned away
         announce(f"http://{_ADDRESS}:{port}/?token={token}")
         server.run(sockets=[listener])
     finally:

@@ -37,6 +37,29 @@ def test_frames_in_any_order_are_those_of_the_film_in_order(recording):
             assert np.array_equal(picture, expected[index])
 
 
+def test_frames_far_apart_are_exact_though_what_no_later_frame_needs_is_not_decoded(recording):
+    import dataclasses
+
+    import av
+
+    with Reader(CLIP) as reader:
+        expected, stamps = [], []
+        for frame in reader:
+            stamps.append(frame.pts)
+            if len(stamps) % 61 == 0:
+                expected.append((frame.index, colour_picture(frame)))
+    with av.open(str(CLIP)) as source:
+        base = float(source.streams.video[0].time_base)
+    whole = dataclasses.replace(recording[1], pts_time=base * np.array(stamps, float))
+    with Film(CLIP, whole) as film:
+        for at in np.random.default_rng(5).permutation(len(expected)):
+            index, picture = expected[at]
+            assert np.array_equal(film.picture(index, overlay=False), picture)
+            after = film.picture(index + 1, overlay=False)
+            assert after is not None
+            assert not np.array_equal(after, picture)
+
+
 def test_frames_that_are_not_there_are_not_shown(recording):
     path, found = recording
     with Film(path, found) as film:
