@@ -161,8 +161,8 @@ class Model:
         """What the cameras add to the angles."""
         return tuple(e for e in self.effects if not e.moves)
 
-    def equations(self) -> tuple[str, ...]:
-        """Return the equations of motion as LaTeX, one line a body."""
+    def equations(self, *, single: bool = False) -> tuple[str, ...]:
+        """Return the equations of motion as LaTeX: one line a body and the bearing, or that of a `single` body."""
         laws: dict[str, list[str]] = {"rotor": [], "casing": [], "bearing": [], "factor": []}
         for e in self.effects:
             if e.joint in laws:
@@ -171,6 +171,8 @@ class Model:
         def join(terms: list[str]) -> str:
             return " ".join(t if t.startswith("-") else f"+ {t}" for t in terms).removeprefix("+ ")
 
+        if single:
+            return (rf"I_c \dot\omega_c = {join(laws['casing']) or '0'}",)
         tau = join(laws["bearing"]) or "0"
         if laws["factor"]:
             tau = rf"\left({tau}\right) " + " ".join(rf"\left({f}\right)" for f in laws["factor"])

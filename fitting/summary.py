@@ -54,7 +54,7 @@ def fit_document(fit: Fit, fit_id: str) -> dict[str, Any]:
         "n_eff": fit.n_eff,
         "bic": fit.bic,
         "verdict": fit.verdict,
-        "equations": list(fit.model.equations()),
+        "equations": list(fit.model.equations(single=fit.problem.data[0].record.single)),
         "not_determined": not_determined(fit.estimates),
         "not_determined_together": not_determined_together(fit),
     }

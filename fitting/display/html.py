@@ -75,7 +75,8 @@ def diagnosis_html(d: Diagnosis) -> str:
         parts.append(_table("where it fails", where, failures))
     if candidates:
         head = ("effect", "score", "ΔBIC", "p", "same class")
-        parts.append(_table("what would mend it", head, candidates))
+        title = "tried, and not needed" if d.verdict == "adequate" else "what would mend it"
+        parts.append(_table(title, head, candidates))
     if d.next_experiment:
         parts.append(f"<p><b>Next experiment.</b> {escape(d.next_experiment)}</p>")
     return _block(*parts)

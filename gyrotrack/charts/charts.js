@@ -223,6 +223,7 @@ const Charts = (() => {
     limits(kept, from, to) {
       let low = Infinity, high = -Infinity;
       this.traces.forEach((t, k) => {
+        if (t.beside) return;
         for (const i of kept[k]) {
           if (Number.isNaN(t.value[i]) || t.time[i] < from || t.time[i] > to) continue;
           const edge = t.kind === "band" && t.sigma ? 2 * t.sigma[i] : 0;
@@ -238,7 +239,7 @@ const Charts = (() => {
     axes(g, x, y, from, to, low, high, w, h) {
       g.font = FONT;
       g.lineWidth = 1;
-      const across = ticks(from, to, w / 95), up = ticks(low, high, h / 30);
+      const across = ticks(from, to, w / 95), up = ticks(low, high, h / 22);
       g.strokeStyle = "#e3e4e8";
       g.beginPath();
       for (const v of across.values) { const p = Math.round(x(v)) + 0.5; g.moveTo(p, TOP); g.lineTo(p, TOP + h); }
@@ -322,7 +323,7 @@ const Charts = (() => {
       this.pointer = this.chosen = this.cursor = null;
       this.marks = [];
       root.classList.add("board");
-      this.buttons = element("span");
+      this.buttons = element("span", { class: "marks" });
       this.shown = element("p", { class: "shown", role: "status" });
       this.tools = element("div", { class: "tools", role: "group", "aria-label": "zoom of all plots" });
       const button = (text, label, act) => {

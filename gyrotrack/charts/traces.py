@@ -36,6 +36,8 @@ class Trace:
         Of the line [px].
     dash : tuple of float
         Lengths of strokes and gaps [px]; none is a full line.
+    beside : bool
+        Drawn as far as it lies within the panel; the panel's range is that of the others.
     """
 
     label: str
@@ -46,6 +48,7 @@ class Trace:
     kind: Literal["line", "points", "band"] = "line"
     width: float = 1.5
     dash: tuple[float, ...] = ()
+    beside: bool = False
 
 
 @dataclass(frozen=True)
@@ -102,6 +105,7 @@ def _trace(t: Trace) -> dict[str, Any]:
         "kind": t.kind,
         "width": t.width,
         "dash": list(t.dash),
+        "beside": t.beside,
         "time": _times(t.time),
         "value": _values(t.value),
     }

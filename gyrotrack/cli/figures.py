@@ -43,6 +43,11 @@ def command(
     wanted = _wanted(formats, output, force=force)
     out = Output(as_json=as_json, quiet=quiet)
     data = read_cases(cases)
+    if alone := next((d.record.label for d in data if d.record.single), None):
+        raise UsageError(
+            f"The paper's figures need a rotor and a casing; {alone} is a record of one body.",
+            "`gyrotrack report` draws it.",
+        )
     with out.progress("fitting") as progress:
         found = scan(data, progress=progress)
     with out.progress("drawing") as progress:

@@ -87,7 +87,8 @@ def diagnosis_tables(d: Diagnosis, fit_id: str) -> list[str]:
         lines += _curves(d)
     shown = [c for c in d.candidates if c.score > 0][:_CANDIDATES]
     if shown:
-        lines += ["", "what would mend it:", f"  {'effect':<28}{'score':>9}{'dBIC':>9}{'p':>9}  class"]
+        head = "tried, and not needed:" if d.verdict == "adequate" else "what would mend it:"
+        lines += ["", head, f"  {'effect':<28}{'score':>9}{'dBIC':>9}{'p':>9}  class"]
         classes = _classes(shown)
         for c in shown:
             name = c.effect.name[:25] + (" *" if c.effect.kind == "measurement" else "")

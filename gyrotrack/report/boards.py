@@ -29,6 +29,7 @@ _GREY, _NOISE = "#a9abb1", "#8c8e94"
 _LOOKS = ((BEFORE, ()), (AFTER, (6.0, 3.0)))
 NAMES = ("base model", "final model")
 _OTHERS = (GREEN, PURPLE, ORANGE)
+_POWERS = {"": "1", "m": "10⁻³", "µ": "10⁻⁶", "n": "10⁻⁹", "p": "10⁻¹²"}
 _BETWEEN = (GREEN, PURPLE, SKY, "#555555")
 
 
@@ -145,12 +146,12 @@ def _torque(view: CaseView, body: str, names: Sequence[str]) -> Chart:
         traces.append(Trace(label, m.torques[body].time, factor * torque, colour, factor * sigma))
     if view.supplied is not None and view.supplied.on(body).any():
         s = view.supplied
-        traces.append(
-            Trace(f"{names[-1]} − {names[0]}", s.time, factor * s.on(body), "#000000", dash=(2.0, 2.0))
-        )
+        name = f"{names[-1]} − {names[0]}"
+        traces.append(Trace(name, s.time, factor * s.on(body), "#000000", dash=(2.0, 2.0), beside=True))
     for s, colour in zip(view.suggested, _OTHERS, strict=False):
         if s.on(body).any():
-            traces.append(Trace(s.name, s.time, factor * s.on(body), colour, width=1.2, dash=(6.0, 2.0)))
+            torque = factor * s.on(body)
+            traces.append(Trace(s.name, s.time, torque, colour, width=1.2, dash=(6.0, 2.0), beside=True))
     called = view.body if body == "casing" else body
     return Chart(
         f"torque-{body}",
@@ -163,11 +164,14 @@ def _torque(view: CaseView, body: str, names: Sequence[str]) -> Chart:
 
 def _energy(view: CaseView, steps: Sequence[str]) -> Chart:
     colours = [BEFORE, *[_BETWEEN[i % len(_BETWEEN)] for i in range(len(view.energy) - 2)], AFTER]
+    factor, prefix = scaled(max(e.drift for e in view.energy))
     traces = [
-        Trace(step, e.mean.time, 1e3 * e.mean.value, colour)
+        Trace(step, e.mean.time, factor * e.mean.value, colour)
         for e, step, colour in zip(view.energy, steps, colours, strict=False)
     ]
-    return Chart("energy", "Energy balance, relative drift", "10⁻³", tuple(traces), energy_finding(view))
+    return Chart(
+        "energy", "Energy balance, relative drift", _POWERS[prefix], tuple(traces), energy_finding(view)
+    )
 
 
 def _sigma(tracks: Tracks) -> Chart:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fitting.typesetting import short, typeset
+from fitting.typesetting import probability, typeset
 from gyrotrack.report.content import Content
 from gyrotrack.report.origin import origin_rows
 from gyrotrack.report.sections import section
@@ -74,6 +74,9 @@ def report_parts(
         ],
         "boards": [case_board(v, tracks.get(v.label), steps) for v in content.cases],
         "candidates": candidates_picture(content.candidates),
+        "tried": "Effects that were tried, and are not needed"
+        if content.verdict == "adequate" and not content.improved
+        else "What would mend the base model",
         "candidate_rows": tables.candidate_rows(content),
         "parameters": tables.parameter_rows(content),
         "plausibility": plausibility_rows(content.final),
@@ -116,13 +119,17 @@ def _headline(content: Content) -> tuple[str, str, str]:
 def _whiteness(content: Content) -> str:
     """Return what the test of whiteness says, and what a small p means where the verdict is noise all the same."""
     several = len(content.whiteness) > 1
-    text = ", ".join(f"{label} " * several + f"p = {short(p, 2)}" for label, p in content.whiteness)
+    text = ", ".join(f"{label} " * several + f"p {_equal(probability(p))}" for label, p in content.whiteness)
     small = any(p < _DOUBTFUL for _, p in content.whiteness) and content.final.verdict == "adequate"
     return text + (
         ". A small p here means that neighbours are alike, as a random torque makes them; the verdict allows for that"
         if small
         else ""
     )
+
+
+def _equal(number: str) -> str:
+    return number if number.startswith("<") else f"= {number}"
 
 
 def _failures(content: Content) -> list[str]:
@@ -136,7 +143,7 @@ def _failures(content: Content) -> list[str]:
 def _equations(fit: Fit, name: str) -> list[Equation]:
     from gyrotrack.report.figures.mathematics import formula
 
-    lines = fit.model.equations()
+    lines = fit.model.equations(single=fit.problem.data[0].record.single)
     return [Equation(line, formula(line, f"{name}{i}")) for i, line in enumerate(lines)]
 
 

@@ -67,8 +67,8 @@ def _case(fit: Fit, index: int, *, named: bool) -> list[Plausibility]:
         Plausibility(
             effect=name,
             case=record.label if named else "",
-            rotor=short(float(np.abs(torque[:, 0]).max()), 2),
-            casing=short(float(np.abs(torque[:, 1]).max()), 2),
+            rotor=short(float(np.abs(torque[:, 0]).max())),
+            casing=short(float(np.abs(torque[:, 1]).max())),
             energy=short(energy, 3),
             share=f"{100 * energy / total:.1f} %".replace("-", "−"),
             word=_word(energy, total),

@@ -115,8 +115,7 @@ def _split(symbol: str) -> tuple[str, str]:
 def _relative(e: Estimate) -> str:
     if not math.isfinite(e.stderr) or e.value == 0:
         return "–"
-    percent = 100 * e.stderr / abs(e.value)
-    return f"{percent:.2g} %" if 0.001 <= percent < 1000 else f"{short(percent, 2)} %"
+    return f"{short(100 * e.stderr / abs(e.value), 2)} %"
 
 
 def _note(e: Estimate, before: Estimate | None, *, undetermined: bool, fixed: bool) -> str:
@@ -194,7 +193,7 @@ def _clip(r: Recording, placement: Placement | None) -> ClipRow:
 
 def _milliradians(sigma: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
     good = sigma[np.isfinite(sigma)]
-    return f"{1e3 * float(np.median(good)):.2g} mrad" if len(good) else "unknown"
+    return f"{short(1e3 * float(np.median(good)), 2)} mrad" if len(good) else "unknown"
 
 
 def _statuses(status: np.ndarray[tuple[int], np.dtype[np.int8]]) -> str:

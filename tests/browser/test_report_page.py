@@ -33,6 +33,9 @@ def test_it_shows_what_it_is_about_and_fits_the_window(visit):
     assert visit.locator("ul.sheet img").count() >= 4
     assert visit.evaluate("[...document.images].every((i) => i.complete && i.naturalWidth > 0)")
     assert visit.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+    if visit.viewport_size["width"] == 1280:
+        table = visit.locator("[aria-label='table of candidates']")
+        assert table.evaluate("(t) => t.scrollWidth <= t.clientWidth")
 
 
 @pytest.mark.slow

@@ -95,7 +95,9 @@ def _axis(
     top, bottom = (max(known), min(known)) if known else (1.0, 1.0)
     if not may_be_wide or top < 8 * bottom or len(known) < 2:
         ax.set_xlim(0, 1.5 * top)
-        ax.xaxis.set_major_locator(MaxNLocator(4))
+        ax.xaxis.set_major_locator(
+            MaxNLocator(4) if known else NullLocator()
+        )  # no bar: a scale would say nothing
         return 0.0
     decades = np.log10(top / bottom)
     left = bottom * 10 ** (-0.12 * decades)
@@ -108,7 +110,13 @@ def _axis(
 
 def _caption(content: Content) -> str:
     noise = max(s.torque_pure for s in content.steps)
-    floor = f" The data themselves hold a random torque of {short(noise, 2)} N m rms." if noise > 0 else ""
+    floor = (
+        f" The data themselves hold a random torque of {short(noise, 2)} N m rms; "
+        "a rung takes the torque that remains for noise, so that its chi-square and held-out error may be near 1 "
+        "where it fails."
+        if noise > 0
+        else ""
+    )
     return (
         "Every rung is one fit; wide ranges are drawn on a logarithmic scale. The dashed line is as good as "
         f"can be: what the noise alone would leave.{floor} The rms error is that of the speed smoothed as in "

@@ -39,7 +39,8 @@ def correlation_picture(content: Content, name: str = "correlation") -> Picture 
     names, matrix = correlations(content.final)
     if len(names) < 2:
         return None
-    labels = _labels(names, [v.label for v in content.cases])
+    cases = [v.label for v in content.cases]
+    labels = _labels(names, cases)
     turned = 45 if any(" " in text for text in labels) else 0
     with look({"axes.grid": False}):
         size = min(7.5, 1.6 + 0.5 * len(names))
@@ -64,7 +65,7 @@ def correlation_picture(content: Content, name: str = "correlation") -> Picture 
         if bar.solids is not None:
             bar.solids.set_rasterized(False)
         bar.outline.set_visible(False)
-        return picture(name, figure, _correlation_caption(), _strongest(names, matrix))
+        return picture(name, figure, _correlation_caption(cases), _strongest(names, matrix))
 
 
 def _labels(names: list[str], cases: list[str]) -> list[str]:
@@ -82,11 +83,12 @@ def _two_digits(value: float) -> str:
     return f"{round(value, 2) + 0.0:.2f}".replace("-", "−")
 
 
-def _correlation_caption() -> str:
+def _correlation_caption(cases: list[str]) -> str:
+    letters = ", ".join(f"({chr(ord('A') + i)}) {label}" for i, label in enumerate(cases))
     return (
         "Correlation of the final model's parameters. Pairs near ±1 are determined in combination only: "
         "one can stand in for the other. "
-        "Parameters on a bound are left out."
+        "Parameters on a bound are left out." + (f" Cases: {letters}." if len(cases) > 1 else "")
     )
 
 
@@ -133,7 +135,7 @@ def energy_picture(view: CaseView, steps: tuple[str, ...], name: str) -> Picture
 def energy_finding(view: CaseView) -> str:
     """Return how far the balance drifts."""
     drifts = [c.drift for c in view.energy]
-    text = f"The balance drifts by at most {short(drifts[0], 2)} with the base model"
+    text = f"The balance drifts by at most {short(drifts[0])} with the base model"
     if len(drifts) > 1:
-        text += f" and {short(drifts[-1], 2)} with the final model"
+        text += f" and {short(drifts[-1])} with the final model"
     return f"{text}, relative."

@@ -165,7 +165,7 @@ def torque_finding(view: CaseView) -> str:
             continue
         outside = float(np.mean(np.abs(curve.torque) > 2 * curve.sigma))
         parts.append(
-            f"The {label} lacks up to {short(float(np.abs(curve.torque).max()), 2)} N m on the {view.body}, "
+            f"The {label} lacks up to {short(float(np.abs(curve.torque).max()))} N m on the {view.body}, "
             f"outside the band for {100 * outside:.0f} % of the time."
         )
     return " ".join(parts)

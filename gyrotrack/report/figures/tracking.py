@@ -40,6 +40,8 @@ _MOST_CLIPS = 12
 
 def sigma_picture(tracks: Tracks, view: CaseView, name: str) -> Picture:
     """Draw the standard deviation of the angles over time."""
+    from matplotlib.ticker import LogLocator
+
     bodies = sorted({s.body for s in tracks.sigmas})
     with look():
         figure = canvas(WIDTH, 3.2)
@@ -51,6 +53,9 @@ def sigma_picture(tracks: Tracks, view: CaseView, name: str) -> Picture:
                 label = body if i == 0 else None
                 ax.plot(time, value, color=colour, linewidth=0.7, linestyle=style, label=label)
         ax.set_yscale("log")
+        ax.yaxis.set_minor_locator(LogLocator(subs=(2, 5)))
+        ax.yaxis.set_major_formatter("{x:g}")
+        ax.yaxis.set_minor_formatter("{x:g}")
         ax.set_xlabel("time [s]")
         ax.set_ylabel(r"$\sigma$ of the angle [mrad]")
         ax.margins(x=0.01)

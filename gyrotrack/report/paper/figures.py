@@ -25,6 +25,8 @@ _LOOKS: dict[str, dict[str, Any]] = {
     "RM-JF": {"color": PURPLE, "linestyle": (0, (6, 2, 1.5, 2))},
     "GM-JF": {"color": GREEN, "linestyle": (0, (6, 2, 1.5, 2, 1.5, 2))},
 }
+# curves that may lie on each other, the later the thinner
+_WIDTHS = (3.0, 1.8, 1.2, 0.7)
 _NAMES = "RM: reduced model, GM: general model, fitted to this case alone; JF: fitted to all cases jointly."
 _CURVE, _POINTS = 900, 2500
 _ACROSS, _WIDE, _HIGH = 2, 4.8, 3.4
@@ -198,7 +200,7 @@ def _fits(ax: Axes, case: PaperCase, body: int) -> None:
 def _residuals(ax: Axes, case: PaperCase) -> None:
     from fitting.diagnosis.misfit import misfits
 
-    for shown in case.fits:
+    for shown, width in zip(case.fits, _WIDTHS, strict=False):
         casing, _ = misfits(shown.fit, shown.index)
         known = casing.sigma > 0
         z = -casing.value[known] / casing.sigma[known]
@@ -206,7 +208,7 @@ def _residuals(ax: Axes, case: PaperCase) -> None:
             casing.time[known],
             z,
             label=shown.name,
-            **{**_LOOKS[shown.name], "linestyle": "-", "linewidth": 1.2},
+            **{**_LOOKS[shown.name], "linestyle": "-", "linewidth": width},
         )
     ax.axhspan(-2, 2, color="#cccccc", alpha=0.6, linewidth=0, zorder=0)
     ax.axhline(0, color="#777777", linewidth=0.8)
@@ -216,11 +218,11 @@ def _residuals(ax: Axes, case: PaperCase) -> None:
 def _energy(ax: Axes, case: PaperCase) -> None:
     from fitting.estimation.energy import energy_balance
 
-    for shown in case.fits:
+    for shown, width in zip(case.fits, _WIDTHS, strict=False):
         fit, i = shown.fit, shown.index
         balance = energy_balance(fit.problem.cases[i], fit.theta, fit.predictions[i].path)
         change = 100 * (balance.energy / balance.energy[0] - 1)
-        look_ = {**_LOOKS[shown.name], "linestyle": "-", "linewidth": 1.2}
+        look_ = {**_LOOKS[shown.name], "linestyle": "-", "linewidth": width}
         ax.plot(*thin(balance.time, change, _CURVE), label=shown.name, **look_)
     ax.axhline(0, color="#777777", linewidth=0.8)
     ax.set_ylabel(r"$K_f + \int \tau\,d\psi$, change [%]")

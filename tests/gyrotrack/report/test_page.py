@@ -84,6 +84,10 @@ def test_boards_carry_every_plot_against_time(page, story):
     ]  # fmt: skip
     assert all(c["finding"] and c["axis"] for c in board["charts"])
     assert len(board["marks"]) == len(story.diagnosis.failures) >= 1
+    for chart in board["charts"]:
+        # what other candidates would supply, far outside the windows too, does not set the range
+        assert {t["label"] for t in chart["traces"] if t["beside"]}.isdisjoint({"base model", "final model"})
+    assert [t["beside"] for t in board["charts"][6]["traces"]][:3] == [False, False, True]
     measured = board["charts"][0]["traces"][0]
     # all that was measured travels, but for the ends that the paper's smoothing drops
     assert measured["value"]["count"] == len(story.record.casing) - 100
@@ -210,7 +214,7 @@ def test_one_fit_alone_makes_a_report(story, tmp_path):
     assert "An unexplained torque remains" in text
     # and the tracking behind it
     assert "85 % ok, 5 % occluded, 10 % lost" in text
-    assert "rotor: 2 mrad" in text
+    assert "rotor: 2.0 mrad" in text
     assert "70.0123 ± 0.0004 s" in text
     assert "yes: another start cannot be excluded" in text
     assert "2 of 22 not decoded" in text
