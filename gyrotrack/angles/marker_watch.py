@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack.angles.look import Look
-from gyrotrack.angles.matching import Match, flat_top, match, mean_profile
+from gyrotrack.angles.matching import Match, displaced, flat_top, match, mean_profile
 from gyrotrack.angles.sightings import Sightings
 from gyrotrack.angles.surroundings import AngleMap, even_light, unlit
 from gyrotrack.geometry.corners import near_corners
@@ -36,9 +36,7 @@ class MarkerWatch:
 
     def expected(self, look: Look) -> Floats:
         """Return the profile across that is expected where the marker is expected, (n, m)."""
-        template = self.template(look.raw.shape[1])
-        place = np.arange(len(template))[None, :] - look.fraction[:, None]
-        return np.asarray(np.interp(place.ravel(), np.arange(len(template)), template).reshape(place.shape))
+        return displaced(self.template(look.raw.shape[1]), look.fraction)
 
     def measure(self, look: Look, open_: Mask, clear: Mask | None = None) -> Sightings:
         """Measure the marker; `open_` (n, columns of the window) tells which samples nothing hides.
@@ -89,7 +87,8 @@ class MarkerWatch:
     def _matched_across(self, look: Look, open_: Mask, whole: Mask) -> Match:
         rounds = 3 if self._across is None else 1
         reach = round(self.paper.half_width / self.strip.ring.step)
-        found = match(look.profile, self.template(look.profile.shape[1]), look.fraction, open_)
+        template = self.template(look.profile.shape[1])
+        found = match(look.profile, template, look.fraction, open_)
         for _ in range(rounds):
             good = _good(found, whole, look.known)
             few = _some(good, MOST_SHAPES)
@@ -97,15 +96,16 @@ class MarkerWatch:
             if better is not None and np.isfinite(better).all():
                 self._across = better if self._across is None or rounds > 1 else 0.5 * (self._across + better)
             if good.any():
-                self._learn_light(look, found, good, open_)
+                self._learn_light(look, displaced(template, found.shift), found.offset, open_ & good[:, None])
                 look.apply_light(even_light(self._light, reach))
-            found = match(look.profile, self.template(look.profile.shape[1]), found.shift, open_)
+            template = self.template(look.profile.shape[1])
+            found = match(look.profile, template, found.shift, open_)
         return found
 
-    def _learn_light(self, look: Look, found: Match, good: Mask, open_: Mask) -> None:
-        expected = np.where((found.expected > 0.4) & open_ & good[:, None], found.expected, 0.0)
+    def _learn_light(self, look: Look, expected: Floats, offset: Floats, use: Mask) -> None:
+        expected = np.where((expected > 0.4) & use, expected, 0.0)
         column = look.column(self.strip.ring.columns)
-        self._light.learn(0, column, expected, look.raw - found.offset[:, None])
+        self._light.learn(0, column, expected, look.raw - offset[:, None])
 
     def _matched_along(self, look: Look, found: Match, whole: Mask) -> Match:
         columns = np.arange(look.window.shape[2]) - self.strip.half

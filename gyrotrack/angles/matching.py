@@ -14,6 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack.compiled import loops
+
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
@@ -37,8 +39,6 @@ class Match:
     weakness : ndarray, shape (n,)
         How much larger the uncertainty of d is than with all samples open and a gain of 1 (from the
         curvature of the fit); inf where d cannot be found.
-    expected : ndarray, shape (n, m)
-        T(x - d).
     """
 
     shift: Floats
@@ -46,7 +46,6 @@ class Match:
     offset: Floats
     misfit: Floats
     weakness: Floats
-    expected: Floats
 
 
 def match(profile: Floats, template: Floats, start: Floats, seen: Mask) -> Match:
@@ -63,40 +62,65 @@ def match(profile: Floats, template: Floats, start: Floats, seen: Mask) -> Match
     seen : ndarray of bool, shape (n, m)
         Samples that nothing hides.
     """
+    slope = np.gradient(template)
+    limit, stride = 0.3 * len(template), 0.08 * len(template)
+    shift = np.clip(np.asarray(start, dtype=np.float64), -limit, limit)
+    if loops is None:
+        shift, gain, offset, left, spread = _fit(profile, template, slope, shift, seen, limit, stride)
+    else:
+        pad = int(np.ceil(limit)) + 2
+        padded = (np.pad(line, pad, mode="edge") for line in (template, slope))
+        found = np.empty((len(shift), 5))
+        given = np.ascontiguousarray(profile), *padded, pad, shift, np.ascontiguousarray(seen)
+        loops.fit(*given, limit, stride, ROUNDS, FINENESS, found)
+        shift, gain, offset, left, spread = found.T.copy()
+    misfit = np.sqrt(np.maximum(left, 0.0) / np.maximum(seen.sum(axis=1), 1)) / np.maximum(np.abs(gain), 1e-3)
+    open_ = _moments(np.ones((1, len(template))), template[None], slope[None])
+    best = float(_solved(open_, np.zeros((3, 1)))[1][0])
+    ratio = np.sqrt(np.maximum(spread, 0.0) / best) / np.maximum(np.abs(gain), 1e-3)
+    return Match(shift, gain, offset, misfit, np.where(np.isfinite(ratio), ratio, np.inf))
+
+
+def _fit(
+    profile: Floats, template: Floats, slope: Floats, start: Floats, seen: Mask, limit: float, stride: float
+) -> Floats:
+    """Go on with each profile until its place in the table stands.
+
+    Displacement, gain, offset, sum of squares left over, last entry of the inverse: (5, n).
+    """
     weight = seen.astype(np.float64)
     whole = bool(seen.all())
-    limit, stride = 0.3 * len(template), 0.08 * len(template)
-    table = _Table(template, limit)
-    shift = np.clip(np.asarray(start, dtype=np.float64), -limit, limit)
+    weighted = profile if whole else weight * profile
+    squares = np.einsum("nm,nm->n", weighted, profile)
+    table = _Table(template, slope, limit)
+    found = np.zeros((5, len(start)))
+    found[0] = start
+    moving = np.arange(len(start))
     for _ in range(ROUNDS):
-        place = table.place(shift)
-        curve, slope = table.curve[place], table.slope[place]
-        normal = table.normal[:, place] if whole else _moments(weight, curve, slope)
-        right = _right(profile if whole else weight * profile, curve, slope)
+        place = table.place(found[0, moving])
+        curve, lean = table.curve[place], table.slope[place]
+        normal = table.normal[:, place] if whole else _moments(weight[moving], curve, lean)
+        right = _right(weighted[moving], curve, lean)
         solution, spread = _solved(normal, right)
         gain = solution[0]
         off = -solution[2] / np.where(np.abs(gain) > 1e-3, gain, np.inf)
         shift = np.clip(table.shift[place] + np.clip(off, -stride, stride), -limit, limit)
-        if np.count_nonzero(np.abs(table.shift[place] - shift) > 0.75 / FINENESS) <= 0.02 * len(shift):
+        left = squares[moving] - (solution * right).sum(axis=0)
+        found[:, moving] = shift, gain, solution[1], left, spread
+        moving = moving[table.place(shift) != place]
+        if not len(moving):
             break
-    expected = curve - (shift - table.shift[place])[:, None] * slope
-    squares = np.einsum("nm,nm->n", profile if whole else weight * profile, profile)
-    left = np.maximum(squares - (solution * right).sum(axis=0), 0.0)
-    count = np.maximum(weight.sum(axis=1), 1.0)
-    misfit = np.sqrt(left / count) / np.maximum(np.abs(gain), 1e-3)
-    ratio = np.sqrt(np.maximum(spread, 0.0) / table.best) / np.maximum(np.abs(gain), 1e-3)
-    return Match(shift, gain, solution[1], misfit, np.where(np.isfinite(ratio), ratio, np.inf), expected)
+    return found
 
 
 class _Table:
     """A template and its slope at many displacements, and the normal equations that go with them."""
 
-    def __init__(self, template: Floats, limit: float) -> None:
+    def __init__(self, template: Floats, slope: Floats, limit: float) -> None:
         self._most = int(np.ceil(limit * FINENESS))
         self.shift = np.arange(-self._most, self._most + 1) / FINENESS
-        self.curve, self.slope = _moved(template, self.shift), _moved(np.gradient(template), self.shift)
+        self.curve, self.slope = displaced(template, self.shift), displaced(slope, self.shift)
         self.normal = _moments(np.ones_like(self.curve), self.curve, self.slope)
-        self.best = float(_solved(self.normal[:, self._most :][:, :1], np.zeros((3, 1)))[1][0])
 
     def place(self, shift: Floats) -> npt.NDArray[np.int64]:
         """Return the rows of the table that are nearest to displacements."""
@@ -131,7 +155,7 @@ def _solved(normal: Floats, right: Floats) -> tuple[Floats, Floats]:
     return solution / determinant, ff / determinant
 
 
-def _moved(curve: Floats, shift: Floats) -> Floats:
+def displaced(curve: Floats, shift: Floats) -> Floats:
     """Return curve(x - shift) for every shift, (n, m); beyond the ends the end values."""
     m = len(curve)
     place = np.arange(m)[None, :] - shift[:, None]

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
 from gyrotrack.geometry.coloured import LONGEST_STAY
+from gyrotrack.geometry.grid import Grid, Score
 from gyrotrack.geometry.samples import Samples
 from gyrotrack.geometry.scene import Paper
 from gyrotrack.segmentation.ring import Ring, ring_for
@@ -16,8 +16,6 @@ from gyrotrack.video.planes import Frame
 Floats = npt.NDArray[np.float64]
 Singles = npt.NDArray[np.float32]
 Integers = npt.NDArray[np.int64]
-Box = tuple[int, int, int, int]
-"""Left, right, top and bottom edge in px of a plane; right and bottom are one beyond."""
 
 CHROMA_PIXEL, LUMA_PIXEL = 2.0, 1.5
 """Spacing of the samples in luma px."""
@@ -78,14 +76,14 @@ class Strip:
         self.width = 2 * self.half + 1
         self.windows = np.zeros((capacity, ring.rows, self.width), dtype=np.float32)
         self.starts = np.zeros(capacity, dtype=np.int64)
+        a, b = paper.contrast
+        weights = (1.0 / a, 0.0) if self.white else (a / (a * a + b * b), b / (a * a + b * b))
         shape = samples.frames[0].y.shape if self.white else samples.frames[0].u.shape
-        self._score = np.zeros(shape, dtype=np.float32)
+        self._score = Score(self.white, weights, shape)
         self._rows = self._rows_on(ring)
         self.ring = ring
-        self._grid = _Grid(ring, self.width, self.white, self._score.shape)
-        self._unit = np.float32(1.0 / paper.contrast[0] if self.white else 1.0)
-        ground = self._background(samples)
-        self._under = [ground[:, k : k + self.width] for k in range(columns)]
+        self._grid = Grid(ring, self.width, self._score)
+        ground = self._under = self._background(samples)
         self._mixing = np.zeros(ring.rows, dtype=np.float32)
         self._mixing[self._every_second] = 1.0 / len(self._mixing[self._every_second])
         self._ground_mean = ground[self._every_second].mean(axis=0)
@@ -100,10 +98,10 @@ class Strip:
         return np.asarray(self._ground_mean[: self.ring.columns], dtype=np.float64)
 
     @property
-    def grid(self) -> _Grid:
+    def grid(self) -> Grid:
         """Where the samples of the ring lie in the planes."""
         if self._grid.ring is not self.ring:
-            self._grid = _Grid(self.ring, self.width, self.white, self._score.shape)
+            self._grid = Grid(self.ring, self.width, self._score)
         return self._grid
 
     @property
@@ -130,29 +128,14 @@ class Strip:
         start = np.rint(angles / grid.ring.step).astype(np.int64)
         here = slice(place, place + len(frames))
         self.starts[here] = start
-        first = ((start - self.half) % grid.ring.columns).tolist()
-        scored, boxes, parts, under = self._scored, grid.boxes, grid.parts, self._under
-        for frame, k, window in zip(frames, first, self.windows[here], strict=True):
-            x, y = parts[k]
-            score = scored(frame, boxes[k])
-            cv2.remap(score, x, y, cv2.INTER_LINEAR, dst=window, borderMode=cv2.BORDER_REPLICATE)
-            if self.white:
-                window *= self._unit
-            window -= under[k]
+        first = (start - self.half) % grid.ring.columns
+        grid.cut(frames, first, self._under, self.windows[here])
 
     def whole(self, frame: Frame) -> Singles:
         """Return the mean score over the rows of the paper in all directions, (columns,)."""
-        seen = self._unrolled(frame, self._every_second)[:, : self.ring.columns].mean(axis=0)
+        seen = self.grid.around(frame, self._every_second)[:, : self.ring.columns].mean(axis=0)
         mean: Singles = seen - self._ground_mean[: self.ring.columns]
         return mean
-
-    def _unrolled(self, frame: Frame, rows: slice) -> Singles:
-        grid = self.grid
-        score = self._scored(frame, grid.whole)
-        strip = cv2.remap(
-            score, grid.x[rows], grid.y[rows], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-        )
-        return np.asarray(strip * self._unit if self.white else strip, dtype=np.float32)
 
     def near(self, angle: Floats, place: slice, reach: int) -> Floats:
         """Return the mean score of the paper if it lay beside given angles (n,) [rad] in frames of the batch.
@@ -171,46 +154,10 @@ class Strip:
         found: Floats = (1.0 - part) * cut[:, :-1] + part * cut[:, 1:]
         return found
 
-    def _scored(self, frame: Frame, edges: Box) -> Singles:
-        """Form the score (of white: the luma) in a box of the picture; elsewhere the buffer keeps what it held."""
-        left, right, top, bottom = edges
-        box = (slice(top, bottom), slice(left, right))
-        a, b = self.paper.contrast
-        if self.white:
-            np.copyto(self._score[box], frame.y[box])  # what is unrolled of it is scaled
-        else:
-            norm = a * a + b * b
-            cv2.addWeighted(
-                frame.u[box], a / norm, frame.v[box], b / norm, 0.0, dst=self._score[box], dtype=cv2.CV_32F
-            )
-        return self._score
-
     def _background(self, samples: Samples) -> Singles:
         frames = samples.frames[: samples.head] if self.white else samples.frames
-        seen = [self._unrolled(frame, slice(None)) for frame in frames]
+        seen = [self.grid.around(frame, slice(None)) for frame in frames]
         ground = np.asarray(np.median(np.stack(seen), axis=0), dtype=np.float32)
         if self.paper.stay > LONGEST_STAY:
             ground[:] = np.median(ground, axis=1, keepdims=True)
         return ground
-
-
-class _Grid:
-    """Where the samples of a ring lie in a plane, and which box of the plane each window touches."""
-
-    def __init__(self, ring: Ring, width: int, white: bool, shape: tuple[int, ...]) -> None:  # noqa: FBT001
-        self.ring = ring
-        self.x, self.y = ring.maps(chroma=not white, beyond=width)
-        across, down = _reach(self.x, width, shape[1]), _reach(self.y, width, shape[0])
-        self.boxes: list[Box] = [(*x, *y) for x, y in zip(across, down, strict=True)]
-        self.parts = [(self.x[:, k : k + width], self.y[:, k : k + width]) for k in range(ring.columns)]
-        everything = self.x.shape[1]
-        self.whole: Box = (*_reach(self.x, everything, shape[1])[0], *_reach(self.y, everything, shape[0])[0])
-
-
-def _reach(place: Singles, width: int, size: int) -> list[tuple[int, int]]:
-    """Return first and last-plus-one px that windows of `width` columns touch, for each first column."""
-    first = sliding_window_view(place.min(axis=0), width).min(axis=1)
-    last = sliding_window_view(place.max(axis=0), width).max(axis=1)
-    begin = np.clip(np.floor(first), 0, size - 1).astype(int)
-    end = np.clip(np.ceil(last) + 1, begin + 1, size).astype(int)
-    return list(zip(begin.tolist(), end.tolist(), strict=True))

@@ -1,0 +1,181 @@
+"""The compiled loops do what their twins in Python do, and what is true; they are built here from their source."""
+
+import importlib
+import importlib.util
+import shutil
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import gyrotrack.compiled
+from gyrotrack.angles import matching
+from gyrotrack.geometry import grid
+from gyrotrack.geometry.grid import Grid, Score
+from gyrotrack.segmentation.ring import Ring
+from gyrotrack.video import Frame
+
+SOURCE = Path(gyrotrack.compiled.__file__).with_name("_compiled.c")
+WIDTH, HEIGHT = 96, 72
+
+
+@pytest.fixture(scope="module")
+def loops(tmp_path_factory):
+    compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+    if compiler is None or sys.platform == "win32" or not SOURCE.exists():
+        pytest.skip("no C compiler here, or no source")
+    target = tmp_path_factory.mktemp("built") / f"_compiled{sysconfig.get_config_var('EXT_SUFFIX')}"
+    missing = ["-undefined", "dynamic_lookup"] if sys.platform == "darwin" else []
+    include = f"-I{sysconfig.get_paths()['include']}"
+    words = [
+        compiler,
+        "-O2",
+        "-Wall",
+        "-Werror",
+        "-shared",
+        "-fPIC",
+        include,
+        *missing,
+        str(SOURCE),
+        "-o",
+        str(target),
+    ]
+    subprocess.run([*words, "-lm"], check=True)
+    spec = importlib.util.spec_from_file_location("gyrotrack._compiled", target)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def _frame(make):
+    """A frame whose planes are cut out of padded rows, as a decoder gives them."""
+    y, u, v = (make(HEIGHT, WIDTH + 32), *(make(HEIGHT // 2, WIDTH // 2 + 16) for _ in range(2)))
+    return Frame(0, 0, y[:, :WIDTH], u[:, : WIDTH // 2], v[:, : WIDTH // 2])
+
+
+def _noise(seed=0):
+    rng = np.random.default_rng(seed)
+    return lambda rows, columns: rng.integers(0, 256, (rows, columns), dtype=np.uint8)
+
+
+def _cut(monkeypatch, loops, frames, first, *, white, centre=(47.0, 35.0), columns=160):
+    """Windows from all these frames, without a background."""
+    monkeypatch.setattr(grid, "loops", loops)
+    shape = frames[0].y.shape if white else frames[0].u.shape
+    score = Score(white, (0.02, 0.0) if white else (0.3, -0.7), shape)
+    here = Grid(Ring(centre, 12.0, 30.0, 9, columns), 41, score)
+    ground = np.zeros((9, columns + 41), dtype=np.float32)
+    ground[:] = np.linspace(0, 1, columns + 41)
+    windows = np.zeros((len(frames), 9, 41), dtype=np.float32)
+    here.cut(frames, np.asarray(first, dtype=np.int64), ground, windows)
+    return windows
+
+
+@pytest.mark.parametrize("white", [True, False])
+@pytest.mark.parametrize(
+    "centre", [(47.0, 35.0), (47.3, 34.6), (3.0, 68.0)]
+)  # the last one: beyond the picture
+def test_windows_are_those_of_opencv(monkeypatch, loops, white, centre):
+    frames = [_frame(_noise(seed)) for seed in range(40)]
+    first = np.arange(40) * 4 % 160
+    ours = _cut(monkeypatch, loops, frames, first, white=white, centre=centre)
+    theirs = _cut(monkeypatch, None, frames, first, white=white, centre=centre)
+    assert np.ptp(theirs) > 1.0
+    np.testing.assert_allclose(ours, theirs, atol=2e-4)
+
+
+def test_a_slope_is_sampled_exactly(monkeypatch, loops):
+    ramp = np.add.outer(2 * np.arange(HEIGHT // 2), np.arange(WIDTH // 2)).astype(np.uint8)
+    frame = Frame(0, 0, np.zeros((HEIGHT, WIDTH), np.uint8), ramp, np.zeros_like(ramp))
+    windows = _cut(monkeypatch, loops, [frame], [30], white=False)
+    ring = Ring((47.0, 35.0), 12.0, 30.0, 9, 160)
+    angle = (30 + np.arange(41)) * ring.step
+    x = (47.0 + ring.radii[:, None] * np.cos(angle)) / 2
+    y = (35.0 - ring.radii[:, None] * np.sin(angle) - 0.5) / 2
+    np.testing.assert_allclose(windows[0], 0.3 * (x + 2 * y) - np.linspace(0, 1, 201)[30:71], atol=1e-4)
+
+
+def test_planes_are_let_go(monkeypatch, loops):
+    memory = bytearray(HEIGHT * WIDTH)
+    y = np.frombuffer(memory, np.uint8).reshape(HEIGHT, WIDTH)
+    _cut(monkeypatch, loops, [Frame(0, 0, y, y, y)], [0], white=True)
+    small = Frame(0, 0, y[:-1], y, y)
+    with pytest.raises(ValueError, match="do not fit"):
+        _cut(monkeypatch, loops, [Frame(0, 0, y, y, y), small], [0, 1], white=True)
+    del y, small
+    memory.append(0)  # refused while anything looks into it
+
+
+@pytest.mark.parametrize("first", [-1, 161, 10**9])
+def test_a_window_outside_the_ring_is_refused(monkeypatch, loops, first):
+    with pytest.raises(ValueError, match="do not fit"):
+        _cut(monkeypatch, loops, [_frame(_noise())], [first], white=False)
+
+
+def test_arrays_of_another_type_are_refused(loops):
+    with pytest.raises(ValueError, match="shape or type"):
+        loops.fit(
+            np.zeros((2, 5), np.float32),
+            *[np.zeros(5)] * 2,
+            0,
+            np.zeros(2),
+            np.ones((2, 5), bool),
+            1,
+            1,
+            1,
+            8,
+            0,
+        )
+
+
+@pytest.mark.parametrize("hidden", [False, True])
+def test_fits_are_those_of_numpy(monkeypatch, loops, hidden):
+    rng = np.random.default_rng(5)
+    count, m = 400, 57
+    template = matching.flat_top(9, m)
+    shift, gain = rng.uniform(-9, 9, count), rng.uniform(0.3, 1.5, count)
+    profile = gain[:, None] * matching.displaced(template, shift) + rng.normal(0, 0.03, (count, m)) + 0.2
+    profile[:20] = rng.normal(0, 1, (20, m))  # no marker at all
+    seen = np.ones((count, m), dtype=bool)
+    if hidden:
+        seen[100:300, :25] = False
+        seen[10] = False
+    start = shift + rng.uniform(-2, 2, count)
+    found = {}
+    for name, here in (("compiled", loops), ("numpy", None)):
+        monkeypatch.setattr(matching, "loops", here)
+        found[name] = matching.match(profile, template, start, seen)
+    usual = slice(20, None)
+    for name in ("shift", "gain", "offset", "misfit", "weakness"):
+        ours, theirs = (getattr(found[which], name) for which in ("compiled", "numpy"))
+        assert np.isfinite(ours[usual]).all()
+        np.testing.assert_allclose(ours[usual], theirs[usual], rtol=1e-6, atol=1e-6)
+    if not hidden:
+        assert np.abs(found["compiled"].shift - shift)[usual].max() < 1.0
+
+
+def test_what_is_no_number_does_no_harm(loops, monkeypatch):
+    monkeypatch.setattr(matching, "loops", loops)
+    profile = np.full((2, 31), np.nan)
+    found = matching.match(
+        profile, matching.flat_top(6, 31), np.array([0.0, np.nan]), np.ones((2, 31), dtype=bool)
+    )
+    assert found.shift.shape == (2,)
+
+
+def test_a_build_of_an_older_source_is_not_used(monkeypatch):
+    old = SimpleNamespace(EDITION=gyrotrack.compiled.EDITION - 1)
+    monkeypatch.setitem(sys.modules, "gyrotrack._compiled", old)
+    try:
+        assert importlib.reload(gyrotrack.compiled).loops is None
+    finally:
+        monkeypatch.undo()
+        importlib.reload(gyrotrack.compiled)
+
+
+def test_source_and_package_are_of_one_edition(loops):
+    assert loops.EDITION == gyrotrack.compiled.EDITION
