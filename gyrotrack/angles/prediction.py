@@ -12,7 +12,7 @@ Mask = npt.NDArray[np.bool_]
 MEMORY = 128
 """Sightings that are kept."""
 FEWEST = 16
-LONGEST_USE = 96
+LONGEST_USE = 130
 """Frames for which a fit is used before it is made anew."""
 LEAST_SCATTER = 1.5e-3
 """Scatter in rad of a coarse angle that is assumed at least."""

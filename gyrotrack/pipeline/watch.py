@@ -22,7 +22,7 @@ Integers = npt.NDArray[np.int64]
 Progress = Callable[[int, int | None], None]
 
 BATCH = 512
-HOLD = 32
+HOLD = 64
 """Frames that are kept at a time, so that a body that is not where it was predicted can be searched in them."""
 HELD_BYTES = 64_000_000
 _MOVE = 0.6
