@@ -29,6 +29,7 @@ import cv2
 import numpy as np
 from clips import CAMERAS, film, repeated
 
+from gyrotrack.compiled import loops
 from gyrotrack.geometry.acquisition import acquire
 from gyrotrack.geometry.samples import take_samples
 from gyrotrack.profile import PAPER
@@ -163,7 +164,8 @@ def commit() -> str:
 
 def machine() -> str:
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
-    return f"{platform.machine()}, {os.cpu_count()} cores, load {load:.1f} at the start"
+    inner = "compiled" if loops else "not compiled"
+    return f"{platform.machine()}, {os.cpu_count()} cores, load {load:.1f} at the start; inner loops {inner}"
 
 
 def table(results: dict) -> str:
