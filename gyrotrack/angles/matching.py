@@ -95,7 +95,7 @@ def _fit(
     table = _Table(template, slope, limit)
     found = np.zeros((5, len(start)))
     found[0] = start
-    moving = np.arange(len(start))
+    moving: slice | npt.NDArray[np.int64] = slice(None)
     for _ in range(ROUNDS):
         place = table.place(found[0, moving])
         curve, lean = table.curve[place], table.slope[place]
@@ -107,9 +107,10 @@ def _fit(
         shift = np.clip(table.shift[place] + np.clip(off, -stride, stride), -limit, limit)
         left = squares[moving] - (solution * right).sum(axis=0)
         found[:, moving] = shift, gain, solution[1], left, spread
-        moving = moving[table.place(shift) != place]
-        if not len(moving):
+        left_over = np.arange(len(start))[moving][table.place(shift) != place]
+        if not len(left_over):
             break
+        moving = left_over
     return found
 
 
