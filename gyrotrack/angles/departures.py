@@ -172,16 +172,19 @@ class Departures:
             self.by_place[name] = curve_at(curve - curve.mean(), np.nan_to_num(self.candidates[name].angle))
 
     def place_error(self) -> float:
-        """Return the root mean square of all errors by place that were learnt [rad].
+        """Return the root mean square of the errors by place that were learnt, of the marker that errs least [rad].
 
-        NaN if none could be, or if the markers come back to the same few places.
+        A marker that is faint or smeared errs more than the place makes it. NaN if none could be learnt, or if the
+        markers come back to the same few places.
         """
-        seen = {n: self.use[n] & c.open & self.turning for n, c in self.candidates.items()}
-        places = [np.unique(np.rint(c.angle[seen[n]] * KNOTS / TURN)) for n, c in self.candidates.items()]
-        if self.turning.mean() < MOSTLY or max(map(len, places)) < KNOTS / 2:
+        if self.turning.mean() < MOSTLY:
             return float("nan")
-        learnt = np.concatenate([self.by_place[n][seen[n]] for n in self.candidates])
-        return float(np.sqrt(np.mean(learnt**2)))
+        learnt = []
+        for name, c in self.candidates.items():
+            seen = self.use[name] & c.open & self.turning
+            if len(np.unique(np.rint(c.angle[seen] * KNOTS / TURN))) >= KNOTS / 2:
+                learnt.append(float(np.sqrt(np.mean(self.by_place[name][seen] ** 2))))
+        return min(learnt, default=float("nan"))
 
     def learn_neighbours(self, smooth: Floats, other: Floats, *, above: bool) -> None:
         """Learn each marker's error by its angle to the other body (see `bias`).

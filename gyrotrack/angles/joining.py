@@ -35,8 +35,8 @@ class MarkerAngles:
 class BodyAngles:
     """A body: unwrapped angle as seen, uncertainty [rad], number of markers; NaN where none.
 
-    `place_error` is the root mean square of the errors by place that were learnt and taken out [rad], NaN if none
-    could be.
+    `place_error` is the root mean square of the errors by place that were learnt and taken out [rad], of the marker
+    that errs least; NaN if none could be.
     """
 
     angle: Floats

@@ -105,21 +105,23 @@ def test_errors_by_what_passes_beneath_are_learnt_only_where_it_passes_fast(spee
     assert bool(np.std(error[True]) < 1.2e-3) == learnt
 
 
-def _few_turns(seed, turns=3.4, frames=250, rho=0.0):
-    """One marker of a slow body: errors of 1.3 mrad by place, noise of 0.7 mrad that lasts."""
+def _few_turns(seed, turns=3.4, frames=250, rho=0.0, sizes=(1.3e-3,)):
+    """Markers of a slow body: errors of so many rad by place, noise of 0.7 mrad that lasts."""
     rng = np.random.default_rng(seed)
     truth = 1.0 + 2 * np.pi * turns * np.arange(frames) / frames
     order = np.arange(1, 9)
-    size = rng.normal(size=(2, 8)) / np.sqrt(order)
-    size *= 1.3e-3 * np.sqrt(2) / np.sqrt((size**2).sum())
-    place = np.cos(np.outer(truth, order)) @ size[0] + np.sin(np.outer(truth, order)) @ size[1]
-    noise = rng.normal(0, 0.7e-3, frames)
-    for k in range(1, frames):
-        noise[k] = rho * noise[k - 1] + np.sqrt(1 - rho**2) * noise[k]
-    angle = np.angle(np.exp(1j * (truth + place + noise)))
     every = np.ones(frames, dtype=bool)
-    marker = Candidate(angle, every, every, np.ones(frames), np.zeros(frames), 0.0)
-    return truth, join(truth + rng.normal(0, 0.01, frames), {"red": marker}, 1000.0)
+    markers = {}
+    for k, by_place in enumerate(sizes):
+        size = rng.normal(size=(2, 8)) / np.sqrt(order)
+        size *= by_place * np.sqrt(2) / np.sqrt((size**2).sum())
+        place = np.cos(np.outer(truth, order)) @ size[0] + np.sin(np.outer(truth, order)) @ size[1]
+        noise = rng.normal(0, 0.7e-3, frames)
+        for j in range(1, frames):
+            noise[j] = rho * noise[j - 1] + np.sqrt(1 - rho**2) * noise[j]
+        angle = np.angle(np.exp(1j * (truth + place + noise)))
+        markers[f"marker {k}"] = Candidate(angle, every, every, np.ones(frames), np.zeros(frames), 0.0)
+    return truth, join(truth + rng.normal(0, 0.01, frames), markers, 1000.0)
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.5, 0.7])
@@ -135,3 +137,7 @@ def test_errors_that_last_for_some_frames_are_not_taken_for_motion(rho):
 def test_errors_by_place_are_known_only_of_a_body_that_turns_round():
     assert _few_turns(1)[1].place_error == pytest.approx(1.3e-3, rel=0.2)
     assert np.isnan(_few_turns(1, turns=1.5)[1].place_error)
+
+
+def test_the_marker_that_errs_least_tells_how_large_errors_by_place_are():
+    assert _few_turns(2, sizes=(6e-3, 1.5e-3, 4e-3))[1].place_error == pytest.approx(1.5e-3, rel=0.3)
