@@ -20,6 +20,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack.dataset.columns import stretches
+
 Floats = npt.NDArray[np.float64]
 
 KNOTS = 72
@@ -36,18 +38,21 @@ def closed_curve(angle: Floats, residual: Floats, weight: Floats) -> Floats:
     weight : ndarray, shape (n,)
         1 / variance of each residual, 0 for those not to be used.
     """
-    use = (weight > 0) & np.isfinite(residual)
-    place = np.mod(angle[use], 2.0 * np.pi) * KNOTS / (2.0 * np.pi)
-    low = np.floor(place).astype(np.int64) % KNOTS
-    part = place - np.floor(place)
-    high = (low + 1) % KNOTS
-    w, r = weight[use], residual[use]
-    normal = np.zeros((KNOTS, KNOTS))
-    np.add.at(normal, (low, low), w * (1 - part) ** 2)
-    np.add.at(normal, (high, high), w * part**2)
-    np.add.at(normal, (low, high), w * part * (1 - part))
-    np.add.at(normal, (high, low), w * part * (1 - part))
-    right = np.bincount(low, w * (1 - part) * r, KNOTS) + np.bincount(high, w * part * r, KNOTS)
+    low_low, high_high, both = np.zeros((3, KNOTS))
+    right = np.zeros(KNOTS)
+    for some in stretches(len(angle)):
+        use = (weight[some] > 0) & np.isfinite(residual[some])
+        place = np.mod(angle[some][use], 2.0 * np.pi) * KNOTS / (2.0 * np.pi)
+        low = np.floor(place).astype(np.int64) % KNOTS
+        part = place - np.floor(place)
+        high = (low + 1) % KNOTS
+        w, r = weight[some][use], residual[some][use]
+        low_low += np.bincount(low, w * (1 - part) ** 2, KNOTS)
+        high_high += np.bincount(high, w * part**2, KNOTS)
+        both += np.bincount(low, w * part * (1 - part), KNOTS)
+        right += np.bincount(low, w * (1 - part) * r, KNOTS) + np.bincount(high, w * part * r, KNOTS)
+    beside = np.roll(np.diag(both), 1, axis=1)
+    normal = np.diag(low_low + high_high) + beside + beside.T
     eye = np.eye(KNOTS)
     second = np.roll(eye, 1, axis=1) + np.roll(eye, -1, axis=1) - 2.0 * eye
     normal += second.T @ second / _BEND**2 + eye / _SIZE**2

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from gyrotrack.angles.oddity import excess_misfit
 from gyrotrack.angles.sightings import Sightings
+from gyrotrack.dataset.columns import put_away
 
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -62,11 +63,13 @@ def plausible(seen: Sightings) -> Mask:
 
 def candidate(seen: Sightings, angle: Floats, good: Mask, mount: float) -> Candidate:
     """Make a candidate from sightings and their corrected angle."""
-    weak, odd = (
-        seen.weakness / _usual(seen, seen.weakness),
-        excess_misfit(seen.misfit, _usual(seen, seen.misfit)),
-    )
-    return Candidate(angle, good, seen.open, weak, odd, mount)
+    columns = {
+        "angle": angle,
+        "good": good,
+        "weak": seen.weakness / _usual(seen, seen.weakness),
+        "odd": excess_misfit(seen.misfit, _usual(seen, seen.misfit)),
+    }
+    return Candidate(open=seen.open, mount=mount, **put_away(columns))
 
 
 def _usual(seen: Sightings, values: Floats) -> float:

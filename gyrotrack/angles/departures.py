@@ -10,11 +10,13 @@ from gyrotrack.angles.candidates import Candidate
 from gyrotrack.angles.evenness import line_through, whole_turns
 from gyrotrack.angles.oddity import most_likely_share
 from gyrotrack.angles.scatter import FAR, core_scatter
+from gyrotrack.dataset.columns import put_away, set_down, stretches
 from gyrotrack.geometry.local import local_fit
 
 Floats = npt.NDArray[np.float64]
 
 TURN = 2.0 * np.pi
+ALL = slice(None)
 FAST = 70.0
 """Speed in rad/s at which a swing of the acceleration by 10 rad/s^2, a heavy unbalance, is 2 mrad."""
 MOSTLY = 0.5
@@ -37,60 +39,72 @@ class Departures:
     """
 
     def __init__(self, path: Floats, candidates: dict[str, Candidate], fps: float) -> None:
-        self.path = path
         self._fps = fps
-        self.turning = np.zeros(len(path), dtype=np.bool_)
         with np.errstate(invalid="ignore"):
-            self.fast = np.abs(np.gradient(path)) * fps > FAST
-        self.bend = path - line_through(path)
+            fast = np.abs(np.gradient(path)) * fps > FAST
+        of_body = put_away({
+            "path": path, "bend": path - line_through(path), "fast": fast, "turning": np.zeros_like(fast)
+        })  # fmt: skip
+        self.path, self.bend, self.fast, self.turning = of_body.values()
         self.candidates = candidates
         self.mounts = {name: c.mount for name, c in candidates.items()}
-        self.weak = {name: c.weak for name, c in candidates.items()}
         self.scatter = dict.fromkeys(candidates, (0.01, 0.03))
-        self.by_place = {name: np.zeros(len(path)) for name in candidates}
-        self.by_neighbour = {name: np.zeros(len(path)) for name in candidates}
-        self.use = {n: c.good & np.isfinite(path) & np.isfinite(c.angle) for n, c in candidates.items()}
+        nothing = np.zeros(len(path))
+        own = {
+            name: put_away({
+                "weak": c.weak,
+                "place": nothing,
+                "neighbour": nothing,
+                "use": c.good & np.isfinite(path) & np.isfinite(c.angle),
+            })
+            for name, c in candidates.items()
+        }  # fmt: skip
+        self.weak, self.by_place, self.by_neighbour, self.use = (
+            {name: columns[what] for name, columns in own.items()}
+            for what in ("weak", "place", "neighbour", "use")
+        )
 
-    def departure(self, name: str) -> Floats:
+    def departure(self, name: str, part: slice = ALL) -> Floats:
         """Return by how much a marker puts the body ahead of its path [rad]."""
-        return wrapped(self.candidates[name].angle - self.path - self.mounts[name] - self.bias(name))
+        off = self.candidates[name].angle[part] - self.path[part]
+        off -= self.mounts[name]
+        off -= self.bias(name, part)
+        return wrapped(off)
 
-    def bias(self, name: str) -> Floats:
+    def bias(self, name: str, part: slice = ALL) -> Floats:
         """Return what was learnt of a marker's repeating errors, in each frame [rad]."""
-        return self.by_place[name] + self.by_neighbour[name]
+        return np.asarray(self.by_place[name][part] + self.by_neighbour[name][part])
 
-    def sigma(self, name: str) -> Floats:
+    def sigma(self, name: str, part: slice = ALL) -> Floats:
         """Return the uncertainty of each sighting: scatter of open or partly hidden ones, times their weakness."""
-        c = self.candidates[name]
         clear, partly = self.scatter[name]
-        return np.asarray(np.where(c.open, clear, partly) * self.weak[name])
+        return np.asarray(np.where(self.candidates[name].open[part], clear, partly) * self.weak[name][part])
 
     def mean(self) -> tuple[Floats, Floats, npt.NDArray[np.int64]]:
         """Return the weighted mean departure, its uncertainty, and the number of markers in it."""
-        total, weight = np.zeros(len(self.path)), np.zeros(len(self.path))
+        mean, sigma = np.zeros((2, len(self.path)))
         count = np.zeros(len(self.path), dtype=np.int64)
-        for name in self.candidates:
-            w = np.where(self.use[name], 1.0 / self.sigma(name) ** 2, 0.0)
-            total += np.where(w > 0, w * self.departure(name), 0.0)
-            weight += w
-            count += w > 0
-        seen = weight > 0
-        safe = np.where(seen, weight, 1.0)
-        nothing = np.where(seen, 0.0, np.nan)
-        return total / safe + nothing, 1.0 / np.sqrt(safe) + nothing, count
+        for part in stretches(len(self.path)):
+            weight = np.zeros(len(mean[part]))
+            for name in self.candidates:
+                w = np.where(self.use[name][part], 1.0 / self.sigma(name, part) ** 2, 0.0)
+                mean[part] += np.where(w > 0, w * self.departure(name, part), 0.0)
+                weight += w
+                count[part] += w > 0
+            seen = weight > 0
+            safe = np.where(seen, weight, 1.0)
+            nothing = np.where(seen, 0.0, np.nan)
+            mean[part] = mean[part] / safe + nothing
+            sigma[part] = 1.0 / np.sqrt(safe) + nothing
+        return mean, sigma, count
 
     def smooth(self, half: int, degree: int = 2) -> tuple[Floats, Floats]:
         """Fit a smooth curve to the body's angle; return its departure from the path, and leverages."""
-        fitted, leverage = local_fit(self.bend + self.mean()[0], self.weight(), half, degree)
-        return fitted - self.bend, leverage
-
-    def weight(self) -> Floats:
-        """Return weights of the mean departures for a smooth curve through them, 1 for usual ones."""
-        sigma = self.mean()[1]
-        known = np.isfinite(sigma)
-        if not known.any():
-            return np.zeros(len(sigma))
-        return np.where(known, (np.median(sigma[known]) / np.where(known, sigma, 1.0)) ** 2, 0.0)
+        mean, sigma, _ = self.mean()
+        mean += self.bend
+        fitted, leverage = local_fit(mean, _weight(sigma), half, degree)
+        fitted -= self.bend
+        return fitted, leverage
 
     def replace_mounts(self, smooth: Floats) -> None:
         """Measure anew where the markers sit; the first one stays where it is."""
@@ -100,8 +114,10 @@ class Departures:
             self.mounts[name] += shift[name] - zero
 
     def _median_off(self, name: str, smooth: Floats) -> float:
-        off = (self.departure(name) - smooth)[self.use[name]]
-        off = off[np.isfinite(off)]
+        off = self.departure(name)
+        off -= smooth
+        off = off[self.use[name] & np.isfinite(off)]
+        set_down()
         return float(np.median(off)) if len(off) else 0.0
 
     def judge(self, smooth: Floats, leverage: Floats) -> None:
@@ -113,17 +129,19 @@ class Departures:
             partly = max(core_scatter(off[self.use[name] & ~c.open], 3.0 * clear), clear)
             self.scatter[name] = (clear, partly)
             limit = FAR * np.where(c.open, clear, min(partly, 5.0 * clear)) + 5e-4
-            self.use[name] = self.use[name] & ~(np.abs(off) > limit)
+            self.use[name] &= ~(np.abs(off) > limit)
+            set_down()
 
     def _weigh_oddities(self, name: str, smooth: Floats, leverage: Floats) -> None:
         """Learn how much more a marker errs where its profile fits less well (see `oddity`)."""
         c = self.candidates[name]
-        self.weak[name] = c.weak
+        weak = self.weak[name]
+        weak[:] = c.weak
         off = self._standardised(name, smooth, leverage)
         for part in (c.open, ~c.open):
             some = self.use[name] & part
             share = most_likely_share(off[some], c.odd[some])
-            self.weak[name] = np.where(part, c.weak * np.sqrt(1.0 + share * c.odd), self.weak[name])
+            weak[part] = c.weak[part] * np.sqrt(1.0 + share * c.odd[part])
 
     def measure_scatter(self, smooth: Floats, leverage: Floats) -> None:
         """Measure the scatter once more about a curve that is smooth over whole turns.
@@ -142,8 +160,13 @@ class Departures:
             self.scatter[name] = (clear, partly)
 
     def _standardised(self, name: str, smooth: Floats, leverage: Floats) -> Floats:
-        share = np.clip(1.0 - leverage / max(len(self.candidates), 1), 0.1, 1.0)
-        return np.asarray((self.departure(name) - smooth) / self.weak[name] / np.sqrt(share))
+        off = np.empty(len(self.path))
+        for part in stretches(len(off)):
+            share = np.clip(1.0 - leverage[part] / max(len(self.candidates), 1), 0.1, 1.0)
+            off[part] = self.departure(name, part) - smooth[part]
+            off[part] /= self.weak[name][part]
+            off[part] /= np.sqrt(share)
+        return off
 
     def note_turns(self, short: Floats, smooth: Floats, half: int) -> None:
         """Note where errors that repeat with the turn can be told from motion.
@@ -153,7 +176,8 @@ class Departures:
         """
         usual = min(clear for clear, _ in self.scatter.values())
         with np.errstate(invalid="ignore"):
-            self.turning = whole_turns(self.path, half) & (np.abs(smooth - short) < 12.0 * usual)
+            self.turning[:] = whole_turns(self.path, half) & (np.abs(smooth - short) < 12.0 * usual)
+        set_down()
 
     def learn_places(self, smooth: Floats) -> None:
         """Learn each marker's error by its place in the picture (see `bias`)."""
@@ -162,14 +186,25 @@ class Departures:
         when = fast if geometry_only else self.turning
         curves = {}
         for name, c in self.candidates.items():
-            off = wrapped(c.angle - self.path - self.mounts[name] - self.by_neighbour[name]) - smooth
             fit = self.use[name] & c.open & when
-            weight = np.where(fit, 1.0 / self.sigma(name) ** 2, 0.0)
-            curves[name] = closed_curve(c.angle, off, weight)
+            curves[name] = self._curve(name, c.angle, self.by_neighbour[name], smooth, fit)
         if not geometry_only:
             curves = without_common_motion(curves, self.mounts)
         for name, curve in curves.items():
-            self.by_place[name] = curve_at(curve - curve.mean(), np.nan_to_num(self.candidates[name].angle))
+            for part in stretches(len(self.path)):
+                place = np.nan_to_num(self.candidates[name].angle[part])
+                self.by_place[name][part] = curve_at(curve - curve.mean(), place)
+
+    def _curve(
+        self, name: str, over: Floats, known: Floats, smooth: Floats, use: npt.NDArray[np.bool_]
+    ) -> Floats:
+        """Learn a closed curve over an angle from what a marker departs from the smooth motion."""
+        off, weight = np.empty((2, len(over)))
+        for part in stretches(len(over)):
+            ahead = self.candidates[name].angle[part] - self.path[part] - self.mounts[name] - known[part]
+            off[part] = wrapped(ahead) - smooth[part]
+            weight[part] = np.where(use[part], 1.0 / self.sigma(name, part) ** 2, 0.0)
+        return closed_curve(over, off, weight)
 
     def place_error(self) -> float:
         """Return the root mean square of the errors by place that were learnt, of the marker that errs least [rad].
@@ -197,16 +232,23 @@ class Departures:
         if above and passing.sum() <= ENOUGH * self.turning.sum():
             return
         for name, c in self.candidates.items():
-            off = wrapped(c.angle - self.path - self.mounts[name] - self.by_place[name]) - smooth
+            beside = np.nan_to_num(c.angle - other)
             near = self.use[name] & np.isfinite(other)
             when = near & (passing if above else self.turning)
-            weight = np.where(when, 1.0 / self.sigma(name) ** 2, 0.0)
-            curve = closed_curve(np.nan_to_num(c.angle - other), off, weight)
-            self.by_neighbour[name] = np.where(
-                near & (above | ~c.open), curve_at(curve, np.nan_to_num(c.angle - other)), 0.0
-            )
+            curve = self._curve(name, beside, self.by_place[name], smooth, when)
+            for part in stretches(len(near)):
+                shown = near[part] & (above | ~c.open[part])
+                self.by_neighbour[name][part] = np.where(shown, curve_at(curve, beside[part]), 0.0)
 
 
 def wrapped(angle: Floats) -> Floats:
     """Return angles in [-pi, pi]."""
     return np.asarray(angle - TURN * np.rint(angle / TURN))
+
+
+def _weight(sigma: Floats) -> Floats:
+    """Return weights of the mean departures for a smooth curve through them, 1 for usual ones."""
+    known = np.isfinite(sigma)
+    if not known.any():
+        return np.zeros(len(sigma))
+    return np.where(known, (np.median(sigma[known]) / np.where(known, sigma, 1.0)) ** 2, 0.0)

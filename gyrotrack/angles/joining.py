@@ -16,6 +16,7 @@ from gyrotrack.angles.candidates import Candidate
 from gyrotrack.angles.departures import Departures, wrapped
 from gyrotrack.angles.evenness import HALF_WINDOW, learning_window, smooth_path
 from gyrotrack.angles.scatter import correlation_factor, excess, tail_factor
+from gyrotrack.dataset.columns import put_away
 
 Floats = npt.NDArray[np.float64]
 
@@ -86,9 +87,8 @@ def join(
     above : bool
         Whether the markers lie above the other body.
     """
-    path = smooth_path(coarse)
-    state = Departures(path, candidates, fps)
-    half, degree = learning_window(path)
+    state = Departures(smooth_path(coarse), candidates, fps)
+    half, degree = learning_window(state.path)
     for _ in range(ROUNDS):
         short, leverage = state.smooth(HALF_WINDOW)
         state.replace_mounts(short)
@@ -121,17 +121,17 @@ def _result(state: Departures, half: int, degree: int, floor: float | Floats) ->
         scale = excess(off)
         return np.asarray(whole * scale * tail_factor(off / scale))
 
-    markers = {
-        name: MarkerAngles(
-            np.where(state.use[name], wrapped(c.angle - state.bias(name)), np.nan),
-            calibrated(
-                np.where(state.use[name], state.departure(name), np.nan),
-                np.where(state.use[name], state.sigma(name), np.nan),
-                1.0 / len(state.candidates),
-            ),
-            state.mounts[name],
+    own = {"angle": state.path + departure, "sigma": calibrated(departure, sigma, 1.0), "count": count}
+    del departure, sigma, count
+    body = put_away(own)
+    markers = {}
+    for name, c in state.candidates.items():
+        use = state.use[name]
+        own = {"angle": np.where(use, wrapped(c.angle - state.bias(name)), np.nan)}
+        own["sigma"] = calibrated(
+            np.where(use, state.departure(name), np.nan),
+            np.where(use, state.sigma(name), np.nan),
+            1.0 / len(state.candidates),
         )
-        for name, c in state.candidates.items()
-    }
-    sigma = calibrated(departure, sigma, 1.0)
-    return BodyAngles(state.path + departure, sigma, count, markers, state.place_error())
+        markers[name] = MarkerAngles(mount=state.mounts[name], **put_away(own))
+    return BodyAngles(markers=markers, place_error=state.place_error(), **body)

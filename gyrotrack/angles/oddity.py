@@ -39,8 +39,12 @@ def most_likely_share(off: Floats, excess: Floats) -> float:
     known = np.isfinite(off)
     if known.sum() < FEWEST:
         return 0.0
-    variance = 1.0 + _SHARES[:, None] * excess[known]
-    squares = off[known] ** 2 / variance
-    squares = np.minimum(squares, _FAULT**2 * np.median(squares, axis=1, keepdims=True) / 0.4549)
-    unlikely = np.log(np.maximum(squares.mean(axis=1), 1e-30)) + np.log(variance).mean(axis=1)
-    return float(_SHARES[int(np.argmin(unlikely))])
+    squares, odd = off[known] ** 2, excess[known]
+    return float(_SHARES[int(np.argmin([_unlikely(squares, 1.0 + share * odd) for share in _SHARES]))])
+
+
+def _unlikely(squares: Floats, variance: Floats) -> float:
+    """Return minus twice the mean log-likelihood of squared residuals, but for a constant."""
+    squares = squares / variance
+    squares = np.minimum(squares, _FAULT**2 * np.median(squares) / 0.4549)
+    return float(np.log(max(squares.mean(), 1e-30)) + np.log(variance).mean())

@@ -67,8 +67,9 @@ def correlation_factor(residual: Floats) -> float:
     within 3.5 sigma of independent samples counts as independent.
     """
     size = len(residual)
-    spectrum = np.fft.rfft(residual - residual.mean(), 2 * size)
-    autocovariance = np.fft.irfft(np.abs(spectrum) ** 2)[:size]
+    power = np.abs(np.fft.rfft(residual - residual.mean(), 2 * size))
+    power **= 2
+    autocovariance = np.fft.irfft(power)[:size].copy()
     if autocovariance[0] <= 0:
         return 1.0
     rho = autocovariance[1:] / autocovariance[0]

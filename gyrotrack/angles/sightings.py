@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack.dataset.columns import put_away, stretches
+
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
@@ -52,25 +54,33 @@ class Sightings:
     def spread_out(self, index: npt.NDArray[np.int64], count: int) -> Sightings:
         """Put the frames at the places `index` of `count`; see `spread_out`."""
         return Sightings(
-            **{f.name: spread_out(getattr(self, f.name), index, count) for f in fields(Sightings)}
+            **put_away({f.name: spread_out(getattr(self, f.name), index, count) for f in fields(Sightings)})
         )
+
+    def at(self, part: slice) -> Sightings:
+        """Return some of the frames."""
+        return Sightings(**{f.name: getattr(self, f.name)[part] for f in fields(Sightings)})
 
     def outside(self, inner: float, outer: float, half_width: float, size: tuple[int, int]) -> Mask:
         """Return where a part of the marker lies outside a picture of (width, height) px."""
         found = np.zeros(len(self.angle), dtype=np.bool_)
-        for radius in (inner, outer):
-            for side in (-half_width, half_width):
-                x = self.centre[:, 0] + radius * np.cos(self.angle + side)
-                y = self.centre[:, 1] - radius * np.sin(self.angle + side)
-                with np.errstate(invalid="ignore"):
-                    found |= (x < 0) | (y < 0) | (x > size[0] - 1) | (y > size[1] - 1)
+        for part in stretches(len(found)):
+            for radius in (inner, outer):
+                for side in (-half_width, half_width):
+                    x = self.centre[part, 0] + radius * np.cos(self.angle[part] + side)
+                    y = self.centre[part, 1] - radius * np.sin(self.angle[part] + side)
+                    with np.errstate(invalid="ignore"):
+                        found[part] |= (x < 0) | (y < 0) | (x > size[0] - 1) | (y > size[1] - 1)
         return found
 
     def position(self, good: Mask) -> Floats:
         """Return where the middle of the marker is, (n, 2) in px; at its usual radius where not good."""
         usual = float(np.nanmedian(self.radius[good])) if good.any() else np.nan
         r = np.where(good, self.radius, usual)
-        return np.asarray(self.centre + np.stack([r * np.cos(self.angle), -r * np.sin(self.angle)], axis=1))
+        place = np.empty(self.centre.shape)
+        place[:, 0] = self.centre[:, 0] + r * np.cos(self.angle)
+        place[:, 1] = self.centre[:, 1] - r * np.sin(self.angle)
+        return place
 
 
 def spread_out(values: npt.NDArray[Any], index: npt.NDArray[np.int64], count: int) -> npt.NDArray[Any]:

@@ -17,10 +17,12 @@ is not taken to lessen it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import numpy.typing as npt
+
+from gyrotrack.dataset.columns import new_columns, stretches
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
@@ -60,21 +62,36 @@ def paper_angle(corner: Floats, centre: Floats, use: npt.NDArray[np.bool_]) -> P
     PaperAngle
         `angle` is counter-clockwise as seen, wrapped to (-pi, pi].
     """
+    found = PaperAngle(**new_columns(len(corner), {f.name: ((), "f8") for f in fields(PaperAngle)}))
+    for part in stretches(len(corner)):
+        _, middle, base = _seen_from(corner[part], centre[part])
+        found.rho[part], found.delta[part] = np.abs(middle), np.abs(base)
+    use = use & np.isfinite(found.rho)
+    mean_rho = float(found.rho[use].mean()) if use.any() else np.nan
+    mean_delta = float(found.delta[use].mean()) if use.any() else np.nan
+    for part in stretches(len(corner)):
+        with np.errstate(invalid="ignore"):
+            some = _from_corners(*_seen_from(corner[part], centre[part]), mean_rho, mean_delta)
+        for f in fields(PaperAngle):
+            getattr(found, f.name)[part] = getattr(some, f.name)
+    return found
+
+
+def _seen_from(corner: Floats, centre: Floats) -> tuple[Complexes, Complexes, Complexes]:
+    """Return the corners about the centre (n, 2), their middle and the base between them (n,), as complex numbers."""
     v = corner - centre[:, None, :]
     z = v[..., 0] - 1j * v[..., 1]
     middle, base = z.mean(axis=1), z[:, 1] - z[:, 0]
-    rho, delta = np.abs(middle), np.abs(base)
-    known = np.isfinite(rho) & (rho > 0) & (delta > 0)
+    known = np.isfinite(np.abs(middle)) & (np.abs(middle) > 0) & (np.abs(base) > 0)
     z[~known] = middle[~known] = base[~known] = np.nan + 0j
-    with np.errstate(invalid="ignore"):
-        return _from_corners(z, middle, base, use & known)
+    return z, middle, base
 
 
-def _from_corners(z: Complexes, middle: Complexes, base: Complexes, use: npt.NDArray[np.bool_]) -> PaperAngle:
+def _from_corners(
+    z: Complexes, middle: Complexes, base: Complexes, mean_rho: float, mean_delta: float
+) -> PaperAngle:
     rho, delta = np.abs(middle), np.abs(base)
     beta = np.abs(np.angle(base / middle))
-    mean_rho = float(rho[use].mean()) if use.any() else np.nan
-    mean_delta = float(delta[use].mean()) if use.any() else np.nan
     along = base / delta
     across = 1j * middle / rho
     side = np.array([-0.5, 0.5]) * mean_delta

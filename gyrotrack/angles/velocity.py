@@ -94,8 +94,8 @@ def _median_sigma(sigma: Floats, trend: Floats, width: int) -> Floats:
 
     half = width // 2
     out = np.full_like(sigma, np.nan)
-    for start in range(0, len(sigma), 4096):  # 4096 x 51 values at a time
-        part = slice(start, start + 4096)
+    for start in range(0, len(sigma), 512):  # 512 x 51 values at a time
+        part = slice(start, start + 512)
         u = np.outer(trend[part] / sigma[part], np.arange(-half, half + 1))
         p, density = ndtr(u), np.exp(-(u**2) / 2) / np.sqrt(2 * np.pi)
         a, b = u[:, 2:], u[:, :-2]

@@ -10,15 +10,16 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
+from typing import BinaryIO
 
 MARK = b"\ngyrotrack sha256 "
 LENGTH = len(MARK) + 65
 _BLOCK = 2**20
 
 
-def sealed(content: bytes) -> bytes:
-    """Return the line that follows `content` in a file."""
-    return MARK + hashlib.sha256(content).hexdigest().encode() + b"\n"
+def sealed(stream: BinaryIO) -> bytes:
+    """Return the line that follows in a file what is left of `stream`."""
+    return _line(stream, None)
 
 
 def is_broken(path: Path) -> bool:
@@ -32,9 +33,13 @@ def is_broken(path: Path) -> bool:
         if not seal.startswith(MARK):
             return False
         stream.seek(0)
-        digest = hashlib.sha256()
-        left = size - LENGTH
-        while left and (block := stream.read(min(_BLOCK, left))):
-            digest.update(block)
-            left -= len(block)
-    return seal != MARK + digest.hexdigest().encode() + b"\n"
+        return seal != _line(stream, size - LENGTH)
+
+
+def _line(stream: BinaryIO, left: int | None) -> bytes:
+    """Return the seal of the next `left` bytes, or of all to the end."""
+    digest = hashlib.sha256()
+    while left != 0 and (block := stream.read(_BLOCK if left is None else min(_BLOCK, left))):
+        digest.update(block)
+        left = None if left is None else left - len(block)
+    return MARK + digest.hexdigest().encode() + b"\n"

@@ -13,6 +13,7 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack.dataset.columns import set_down
 from gyrotrack.dataset.guard import check_bytes, own_member, place
 from gyrotrack.dataset.layout import ATTRIBUTE_UNITS, LENGTH_ONLY, Field, Table
 from gyrotrack.errors import DatasetError
@@ -29,6 +30,7 @@ def write_table(group: Any, table: Table, values: Mapping[str, npt.ArrayLike]) -
         dataset.attrs["long_name"] = f.long_name
         for key, value in f.attributes.items():
             dataset.attrs[key] = np.asarray(value, dtype=f.dtype) if isinstance(value, list) else value
+        set_down()
     for f in table.fields:
         _attach_scales(group, f, arrays[f.name].shape)
     group.attrs["NX_class"] = "NXdata"

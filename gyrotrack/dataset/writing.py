@@ -1,8 +1,8 @@
 """Publishing a file whole or not at all.
 
-An HDF5 file is built in memory, then written as plain bytes to ``<name>.part`` in the same folder, flushed to
-the disk, and renamed over the target. A killed process, a full disk or an interrupt leaves the old file, or
-none, and never half a file; HDF5 itself never writes to the disk (it cannot survive a full one).
+A file is written to ``<name>.part`` in the same folder, flushed to the disk, and renamed over the target. A killed
+process, a full disk or an interrupt leaves the old file, or none, and never half a file. HDF5, which cannot survive a
+full disk, writes through a `Spool`.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import h5py
 
 from gyrotrack.dataset.locking import busy, gone, is_at, lock, refusal, remove
 from gyrotrack.dataset.seal import sealed
+from gyrotrack.dataset.spool import Spool, interrupts_wait
 from gyrotrack.errors import OutputError
 
 LIBVER = ("v110", "v110")  # metadata carry checksums from this layout on
@@ -24,7 +25,7 @@ LIBVER = ("v110", "v110")  # metadata carry checksums from this layout on
 
 @contextmanager
 def new_hdf5(path: Path, *, force: bool = False) -> Iterator[Any]:
-    """Yield an empty HDF5 file in memory, and publish it at `path` when the block ends without an error.
+    """Yield an empty HDF5 file, and publish it at `path` when the block ends without an error.
 
     Raises
     ------
@@ -32,12 +33,16 @@ def new_hdf5(path: Path, *, force: bool = False) -> Iterator[Any]:
         The target exists and `force` is not set, the folder is missing, or the disk refuses.
     """
     with new_file(path, force=force) as stream:
-        with h5py.File(path.name, "w", driver="core", backing_store=False, libver=LIBVER) as file:
-            yield file
-            file.flush()
-            image = file.id.get_file_image()
-        stream.write(image)
-        stream.write(sealed(image))
+        spool = Spool(stream.raw)  # type: ignore[attr-defined]
+        try:
+            with interrupts_wait(), h5py.File(spool, "w", libver=LIBVER) as file:
+                yield file
+        finally:
+            if spool.error is not None:
+                raise spool.error
+        stream.seek(0)
+        seal = sealed(stream)
+        stream.write(seal)
 
 
 @contextmanager
@@ -84,10 +89,10 @@ def refuse_existing(path: Path, *, force: bool) -> None:
 def _open_part(part: Path) -> BinaryIO:
     """Open the temporary file, which must be new; one left behind by a killed process is cleared away."""
     try:
-        return part.open("xb")
+        return part.open("x+b")
     except FileExistsError:
         _clear_if_abandoned(part)
-        return part.open("xb")
+        return part.open("x+b")
 
 
 def _clear_if_abandoned(part: Path) -> None:

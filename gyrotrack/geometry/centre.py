@@ -8,6 +8,7 @@ spectrum of the rest: a precession or a wobble with the turn of the casing.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +23,7 @@ HOLE = 8
 """Frames over which the errors of a compressed film hang together."""
 _HALVES = (24, 48, 96, 192)
 _STANDS_OUT = 7.0
+_PIECES = 64
 LEAST_SIGMA = 0.05
 """Uncertainty in px that no smoothing beats: encoders hold a disc in place while it creeps."""
 
@@ -41,8 +43,9 @@ def smooth_path(measured: Floats) -> CentrePath:
     if not known.any():
         return CentrePath(measured, np.full(len(measured), np.nan), 0)
     index = np.arange(len(measured))
-    filled = np.stack([np.interp(index, index[known], measured[known, k]) for k in (0, 1)], axis=1)
-    z = filled[:, 0] + 1j * filled[:, 1]
+    x, y = (np.interp(index, index[known], measured[known, k]) for k in (0, 1))
+    z = x + 1j * y
+    del index, x, y
     weight: Floats = known.astype(np.float64)
     halves = [half for half in _HALVES if 3 * half <= len(z)]
     if not halves:
@@ -88,15 +91,27 @@ def _lines(rest: Complexes) -> Complexes:
     hop = size // 2
     padded = np.pad(rest, (size, size + (-n) % hop))
     window = np.sqrt(np.hanning(size + 1)[:size])
-    starts = np.arange(0, len(padded) - size + 1, hop)
-    spectra = np.fft.fft(np.stack([padded[s : s + size] * window for s in starts]), axis=1)
-    power = np.abs(spectra) ** 2
-    floor = _floor(power[2:-2].mean(axis=0) if len(power) > 6 else power.mean(axis=0))
-    kept = spectra * np.where(power > _STANDS_OUT * floor, 1.0 - floor / np.maximum(power, 1e-12), 0.0)
+    starts = range(0, len(padded) - size + 1, hop)
+    inner = starts[2:-2] if len(starts) > 6 else starts
+    total = np.zeros(size)
+    for _, spectra in _spectra(padded, window, inner):
+        for power in np.abs(spectra) ** 2:
+            total += power
+    floor = _floor(total / len(inner))
     out = np.zeros(len(padded), dtype=np.complex128)
-    for start, piece in zip(starts, np.fft.ifft(kept, axis=1) * window, strict=True):
-        out[start : start + size] += piece
+    for some, spectra in _spectra(padded, window, starts):
+        power = np.abs(spectra) ** 2
+        kept = spectra * np.where(power > _STANDS_OUT * floor, 1.0 - floor / np.maximum(power, 1e-12), 0.0)
+        for start, piece in zip(some, np.fft.ifft(kept, axis=1) * window, strict=True):
+            out[start : start + size] += piece
     return out[size : size + n]
+
+
+def _spectra(series: Complexes, window: Floats, starts: range) -> Iterator[tuple[range, Complexes]]:
+    """Yield the spectra of the pieces that begin at `starts`, (m, size), some at a time."""
+    for k in range(0, len(starts), _PIECES):
+        some = starts[k : k + _PIECES]
+        yield some, np.fft.fft(np.stack([series[s : s + len(window)] * window for s in some]), axis=1)
 
 
 def _floor(power: Floats) -> Floats:

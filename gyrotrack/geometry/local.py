@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack.dataset.columns import stretches
+
 Floats = npt.NDArray[np.float64]
 
 
@@ -33,13 +35,25 @@ def local_fit(
         the window holds too few points.
     """
     n = len(value)
+    smooth, leverage = np.empty(n), np.empty(n)
+    for part in stretches(n):  # a fit needs some dozen numbers for each point
+        around = slice(max(part.start - half, 0), min(part.stop + half, n))
+        beyond = (half - (part.start - around.start), half - (around.stop - part.stop))
+        smooth[part], leverage[part] = _fitted(
+            np.pad(value[around], beyond), np.pad(weight[around], beyond), half, degree, hole
+        )
+    return smooth, leverage
+
+
+def _fitted(value: Floats, weight: Floats, half: int, degree: int, hole: int) -> tuple[Floats, Floats]:
+    """Fit about the points of a stretch, (n,); values and weights reach beyond it by `half` points, (n + 2 half,)."""
+    n = len(value) - 2 * half
     x = np.arange(-half, half + 1, dtype=np.float64) / (half + 1)
     bell = np.where(np.abs(np.arange(-half, half + 1)) <= hole, 0.0, 1.0 - x**2)
     clean = np.where(weight > 0, value, 0.0) * weight
 
     def moment(series: Floats, power: int) -> Floats:
-        kernel = (bell * x**power)[::-1]
-        return np.convolve(np.pad(series, half), kernel, mode="valid")
+        return np.convolve(series, (bell * x**power)[::-1], mode="valid")
 
     s = [moment(weight, k) for k in range(2 * degree + 1)]
     t = np.stack([moment(clean, k) for k in range(degree + 1)], axis=1)
@@ -47,7 +61,7 @@ def local_fit(
     for i in range(degree + 1):
         for j in range(degree + 1):
             matrix[:, i, j] = s[i + j]
-    held = np.convolve(np.pad((weight > 0).astype(float), half), np.ones(2 * half + 1), mode="valid")
+    held = np.convolve((weight > 0).astype(float), np.ones(2 * half + 1), mode="valid")
     enough = held > degree + 2.5
     matrix[~enough] = np.eye(degree + 1)
     matrix += 1e-9 * np.maximum(s[0], 1e-12)[:, None, None] * np.eye(degree + 1)

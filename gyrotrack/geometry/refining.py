@@ -7,11 +7,13 @@ then its own image tells nothing, but the radii of all markers over some dozen f
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack.dataset.columns import new_columns, stretches
 from gyrotrack.geometry.centre import LEAST_SIGMA, CentrePath
 from gyrotrack.geometry.local import spread
 
@@ -34,7 +36,7 @@ class Radii:
     excess: Floats
 
 
-def refine_centre(path: CentrePath, markers: list[Radii]) -> CentrePath:
+def refine_centre(path: CentrePath, markers: Iterable[Radii]) -> CentrePath:
     """Correct a centre by the radii of the markers about it.
 
     Notes
@@ -48,21 +50,28 @@ def refine_centre(path: CentrePath, markers: list[Radii]) -> CentrePath:
         known = np.isfinite(marker.excess) & np.isfinite(marker.direction)
         if known.sum() < 20:
             continue
-        weight = known / max(spread(marker.excess[known]), 0.02) ** 2
-        x, y = np.cos(np.where(known, marker.direction, 0.0)), -np.sin(np.where(known, marker.direction, 0.0))
-        excess = np.clip(np.where(known, marker.excess, 0.0), *_limits(marker.excess[known]))
-        normal += weight * np.stack([x * x, x * y, y * y])
-        right -= weight * excess * np.stack([x, y])
-    a, b, c = (_windowed(row) for row in normal)
-    a, c = a + 1.0 / EXPECTED**2, c + 1.0 / EXPECTED**2
-    u, v = (_windowed(row) for row in right)
-    determinant = a * c - b * b
-    error = np.stack([(c * u - b * v) / determinant, (a * v - b * u) / determinant], axis=1)
-    sigma = np.sqrt(0.5 * (a + c) / determinant)
-    better = np.where(
-        np.isfinite(path.sigma), np.minimum(np.hypot(sigma, 0.4 * LEAST_SIGMA), path.sigma), np.nan
-    )
-    return CentrePath(path.centre - error, better, path.reach)
+        scatter, limits = max(spread(marker.excess[known]), 0.02), _limits(marker.excess[known])
+        for part in stretches(count):
+            weight = known[part] / scatter**2
+            angle = np.where(known[part], marker.direction[part], 0.0)
+            x, y = np.cos(angle), -np.sin(angle)
+            excess = np.clip(np.where(known[part], marker.excess[part], 0.0), *limits)
+            normal[:, part] += weight * np.stack([x * x, x * y, y * y])
+            right[:, part] -= weight * excess * np.stack([x, y])
+    for row in (*normal, *right):
+        row[:] = _windowed(row)
+    better = new_columns(count, {"centre": ((2,), "f8"), "sigma": ((), "f8")})
+    for part in stretches(count):
+        (a, b, c), (u, v) = normal[:, part], right[:, part]
+        a, c = a + 1.0 / EXPECTED**2, c + 1.0 / EXPECTED**2
+        determinant = a * c - b * b
+        error = np.stack([(c * u - b * v) / determinant, (a * v - b * u) / determinant], axis=1)
+        sigma, before = np.sqrt(0.5 * (a + c) / determinant), path.sigma[part]
+        better["centre"][part] = path.centre[part] - error
+        better["sigma"][part] = np.where(
+            np.isfinite(before), np.minimum(np.hypot(sigma, 0.4 * LEAST_SIGMA), before), np.nan
+        )
+    return CentrePath(reach=path.reach, **better)
 
 
 def _limits(excess: Floats) -> tuple[float, float]:

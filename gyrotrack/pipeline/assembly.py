@@ -10,6 +10,7 @@ from gyrotrack.angles.joining import BodyAngles
 from gyrotrack.angles.sightings import Sightings
 from gyrotrack.angles.uncertainty import paper_angle
 from gyrotrack.angles.velocity import WIDTH, angular_velocity
+from gyrotrack.dataset.columns import new_columns, put_away, stretches
 from gyrotrack.dataset.records import STATUS, BodyTrack, MarkerTrack
 from gyrotrack.geometry.scene import Paper
 
@@ -27,26 +28,31 @@ def marker_track(
 ) -> MarkerTrack:
     """Build the record of one marker; its corners are given only where nothing hides the marker."""
     found = body.markers[paper.name]
-    status = _status(paper, seen, np.isfinite(found.angle), size)
-    ok = status == STATUS["ok"]
-    corner = _corners(seen)
-    corner[~ok] = np.nan
-    measured = paper_angle(corner, centre, ok)
+    kinds = {"corner": ((2, 2), "f8"), "status": ((), "i1"), "angle_fine": ((), "f8")}
+    own = new_columns(len(found.angle), kinds)
+    for part in stretches(len(found.angle)):
+        some, angle = seen.at(part), found.angle[part]
+        own["status"][part] = status = _status(paper, some, np.isfinite(angle), size)
+        own["corner"][part] = np.where((status == STATUS["ok"])[:, None, None], _corners(some), np.nan)
+        own["angle_fine"][part] = wrapped(sense * angle)
+    measured = paper_angle(own["corner"], centre, own["status"] == STATUS["ok"])
+    for part in stretches(len(found.angle)):
+        measured.angle[part] = wrapped(sense * measured.angle[part])
     return MarkerTrack(
         name=paper.name,
         body=paper.body,
         mount_angle=float(np.angle(np.exp(1j * sense * found.mount))),
-        corner=corner if sense > 0 else corner[:, ::-1],
+        corner=own["corner"] if sense > 0 else own["corner"][:, ::-1],
         delta=measured.delta,
         rho=measured.rho,
         beta=measured.beta,
-        angle=wrapped(sense * measured.angle),
+        angle=measured.angle,
         sigma=measured.sigma,
         u_r=measured.u_r,
         u_1=measured.u_1,
         u_2=measured.u_2,
-        status=status,
-        angle_fine=wrapped(sense * found.angle),
+        status=own["status"],
+        angle_fine=own["angle_fine"],
         sigma_calibrated=found.sigma,
     )
 
@@ -83,20 +89,19 @@ def body_track(
     """
     use = np.isfinite(body.angle)
     angle, sigma = sense * body.angle[use], body.sigma[use]
-    omega, omega_sigma = angular_velocity(time[use], angle, sigma, WIDTH)
-    own = np.stack([markers[m].sigma for m in body.markers])
-    known = np.isfinite(own)
-    count = known.sum(axis=0)
-    total = np.sqrt((np.where(known, own, 0.0) ** 2).sum(axis=0))
-    paper = np.where(count > 0, total / np.maximum(count, 1), np.nan)
-    return BodyTrack(
-        name=name,
-        time=time[use],
-        angle=angle,
-        sigma=sigma,
-        sigma_paper=paper[use],
-        n_markers=body.count[use],
-        omega=omega,
-        omega_sigma=omega_sigma,
-        smoothing_width=WIDTH,
-    )
+    columns = {"time": time[use], "angle": angle, "sigma": sigma, "n_markers": body.count[use]}
+    columns["sigma_paper"] = _paper_sigma([markers[m].sigma for m in body.markers])[use]
+    columns["omega"], columns["omega_sigma"] = angular_velocity(columns["time"], angle, sigma, WIDTH)
+    return BodyTrack(name=name, smoothing_width=WIDTH, **put_away(columns))
+
+
+def _paper_sigma(own: list[Floats]) -> Floats:
+    """Return sqrt(sum sigma_m^2) / n over the n markers whose uncertainty is known, (n,); NaN where there is none."""
+    out = np.empty(len(own[0]))
+    for part in stretches(len(out)):
+        sigma = np.stack([one[part] for one in own])
+        known = np.isfinite(sigma)
+        count = known.sum(axis=0)
+        total = np.sqrt((np.where(known, sigma, 0.0) ** 2).sum(axis=0))
+        out[part] = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    return out

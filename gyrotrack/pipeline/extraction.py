@@ -78,12 +78,9 @@ def extract(
     video = Path(video)
     info = probe(video)
     rate = capture_rate(info, capture_fps, profile.capture_fps)
-    samples = take_samples(video)
     if body == "casing":
         profile = _only_casing(profile)
-    with single_threaded():
-        scene = acquire(samples, profile, str(video))
-        seen = watch(video, scene, samples, threads, progress, Notes(journal))
+    scene, seen = _seen(video, profile, threads, progress, Notes(journal))
     if len(seen.pts_time) < FEWEST:  # damage may leave fewer than the samples promised
         raise VideoError(
             f"only {len(seen.pts_time)} frames of {video} can be decoded", "copy it from the camera again"
@@ -92,6 +89,16 @@ def extract(
     _check_bodies(joint, body, video)
     sha256 = str(journal.facts["film"]) if journal else file_sha256(video)
     return _recording(info, sha256, rate, scene, seen, joint)
+
+
+def _seen(
+    video: Path, profile: Profile, threads: int, progress: Progress | None, notes: Notes
+) -> tuple[Scene, Watched]:
+    """Find the markers and watch them through the film; its pictures are let go of with the end of this."""
+    samples = take_samples(video)
+    with single_threaded():
+        scene = acquire(samples, profile, str(video))
+        return scene, watch(video, scene, samples, threads, progress, notes)
 
 
 def _recording(

@@ -162,8 +162,9 @@ def _slant(
     flat = {name: look.flattening(centre.centre) for name, look in views.items()}
     if not marked:
         return centre, flat
-    radii = [r for name, look in views.items() for r in look.radii(centre.centre, flat[name])]
-    better = refine_centre(centre, radii)
+    better = refine_centre(
+        centre, (r for name, look in views.items() for r in look.radii(centre.centre, flat[name]))
+    )
     return better, {name: look.flattening(better.centre) for name, look in views.items()}
 
 

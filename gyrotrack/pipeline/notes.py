@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack.dataset.columns import new_columns, set_down
 from gyrotrack.dataset.journal import Journal
 from gyrotrack.pipeline.memento import Memento, put_back, take
 from gyrotrack.video import Frame, Mark, Reader
@@ -80,16 +81,17 @@ class Notes:
         self._waiting, self._saved = [], reader.decoded
 
     def rows(self, count: int) -> Rows:
-        """Return all `count` rows of every quantity."""
+        """Return all `count` rows of every quantity, as long columns that are out of the way."""
         out: Rows = {}
         place = 0
         for part in self._parts():
+            if not out:
+                out = new_columns(count, {name: (v.shape[1:], v.dtype) for name, v in part.items()})
             size = len(next(iter(part.values())))
             for name, values in part.items():
-                if name not in out:
-                    out[name] = np.empty((count, *values.shape[1:]), dtype=values.dtype)
                 out[name][place : place + size] = values
             place += size
+            set_down()
         return out
 
     def _parts(self) -> Iterator[Rows]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import av
 import numpy as np
 
+from gyrotrack.dataset.columns import set_down
 from gyrotrack.dataset.records import Recording
 from gyrotrack.dataset.writing import new_file, refuse_existing
 from gyrotrack.errors import UsageError
@@ -67,8 +68,10 @@ def _write_film(
             frame = av.VideoFrame.from_ndarray(even, format="bgr24")
             frame.pts = index
             container.mux(stream.encode(frame))
-            if progress is not None and index % 100 == 0:
-                progress(index, recording.frames_decoded)
+            if index % 100 == 0:
+                set_down()
+                if progress is not None:
+                    progress(index, recording.frames_decoded)
         container.mux(stream.encode(None))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy.typing as npt
 
 from gyrotrack.angles.candidates import Candidate, candidate, plausible
 from gyrotrack.angles.sightings import Sightings
+from gyrotrack.dataset.columns import set_down
 from gyrotrack.geometry.centre import CentrePath
 from gyrotrack.geometry.refining import Radii
 from gyrotrack.geometry.scene import Paper
@@ -47,23 +49,27 @@ class View:
 
     def place(self, name: str, centre: Floats) -> Floats:
         """Return where a marker is relative to the centre, (n, 2) in px, y up."""
-        away = self.sightings[name].position(self.whole[name]) - centre
-        return np.asarray(away * np.array([1.0, -1.0]))
+        away = self.sightings[name].position(self.whole[name])
+        away -= centre
+        away[:, 1] *= -1.0
+        set_down()
+        return away
 
     def flattening(self, centre: Floats) -> Flattening:
         """Fit tilt and offsets to the orbits of the markers."""
-        places = {p.name: self.place(p.name, centre) for p in self.papers}
-        return fit_flattening({m: v[self.whole[m] & np.isfinite(v).all(axis=1)] for m, v in places.items()})
+        return fit_flattening({p.name: self._trusted(p.name, centre) for p in self.papers})
 
-    def radii(self, centre: Floats, flat: Flattening) -> list[Radii]:
-        """Return by how much each marker's radius is too large in each frame."""
-        found = []
+    def _trusted(self, name: str, centre: Floats) -> Floats:
+        v = self.place(name, centre)
+        return v[self.whole[name] & np.isfinite(v).all(axis=1)]
+
+    def radii(self, centre: Floats, flat: Flattening) -> Iterator[Radii]:
+        """Yield by how much each marker's radius is too large in each frame."""
         for paper in self.papers:
             v = flat.level(paper.name, self.place(paper.name, centre))
             radius = np.where(self.whole[paper.name], np.hypot(v[:, 0], v[:, 1]), np.nan)
             usual = float(np.nanmedian(radius)) if np.isfinite(radius).any() else np.nan
-            found.append(Radii(np.arctan2(v[:, 1], v[:, 0]), radius - usual))
-        return found
+            yield Radii(np.arctan2(v[:, 1], v[:, 0]), radius - usual)
 
     def candidates(self, centre: CentrePath, flat: Flattening) -> dict[str, Candidate]:
         """Return the markers' angles as seen from straight above, and how far to trust them."""

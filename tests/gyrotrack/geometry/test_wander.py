@@ -1,3 +1,5 @@
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -18,3 +20,25 @@ def test_a_centre_that_wanders_is_followed_if_it_may(still):
         assert np.hypot(*(path.centre[0] - centre.mean(axis=0))) < 0.5
     else:
         assert error.mean() < 0.25
+
+
+def test_a_long_film_takes_little_memory():
+    k = np.arange(12_000)
+    place = 200 + 85 * np.stack([np.cos(0.25 * k), -np.sin(0.25 * k)], axis=1)  # 477 turns, 400 knots
+    tracemalloc.start(1)
+    try:
+        path = wandering_centre(place, np.ones(len(k), dtype=bool), np.array([199.0, 201.0]), rounds=3)
+        most = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert np.abs(path.centre - 200.0).max() < 1e-6
+    assert most < 25e6  # a matrix of all frames and knots has 77 MB
+
+
+def test_a_gap_leaves_the_rest_of_the_path_in_place():
+    k = np.arange(2000)
+    place = 200 + 85 * np.stack([np.cos(1.1 * k), -np.sin(1.1 * k)], axis=1)
+    seen = np.abs(k - 900) > 150
+    path = wandering_centre(place, seen, np.array([199.0, 201.0]))
+    assert np.abs(path.centre[np.abs(k - 900) > 170] - 200.0).max() < 1e-6
+    assert np.abs(path.centre - 200.0).max() < 3.0

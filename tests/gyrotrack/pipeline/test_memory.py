@@ -1,0 +1,91 @@
+"""Memory does not grow with the length of a film: what grows lies in files, and is worked on in stretches."""
+
+import importlib.util
+import subprocess
+import sys
+import tracemalloc
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from gyrotrack.dataset import columns
+from gyrotrack.pipeline.extraction import _recording
+from gyrotrack.pipeline.joint import join_bodies
+from gyrotrack.profile import PAPER
+
+_spec = importlib.util.spec_from_file_location("measured", Path(__file__).with_name("measured.py"))
+measured = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(measured)
+
+
+def recording(seen, scene):
+    """Return what the dataset keeps of these measurements."""
+    joint = join_bodies(seen, scene, PAPER, measured.FPS)
+    info = SimpleNamespace(path=Path("film.mp4"), container_fps=measured.FPS, frames_declared=len(seen.index))
+    rate = SimpleNamespace(fps=measured.FPS, source="", warnings=())
+    return _recording(info, "", rate, scene, seen, joint)
+
+
+def peak(frames):
+    """Return the most memory in bytes that all takes which comes after the pass through a film."""
+    seen, scene = measured.watched(frames), measured.scene()
+    tracemalloc.start(1)
+    try:
+        found = recording(seen, scene)
+        assert set(found.bodies) == {"casing", "rotor"}
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="long columns are kept in mapped files on Linux")
+def test_a_longer_film_takes_hardly_more_memory():
+    recording(measured.watched(1000), measured.scene())  # imports what is imported late
+    short, long = (peak(n) for n in (6000, 24_000))
+    assert (long - short) / 18_000 < 240.0  # bytes a frame: some dozen numbers, not hundreds
+
+
+def test_columns_in_files_give_what_columns_in_memory_give(monkeypatch):
+    found = []
+    for least in (0, 1 << 40):
+        monkeypatch.setattr(columns, "LEAST_BYTES", least)
+        found.append(recording(measured.watched(3000), measured.scene()))
+    for name, body in found[0].bodies.items():
+        assert np.array_equal(body.angle, found[1].bodies[name].angle)
+        assert np.array_equal(body.sigma, found[1].bodies[name].sigma)
+        assert np.array_equal(body.omega, found[1].bodies[name].omega, equal_nan=True)
+    for name, marker in found[0].markers.items():
+        assert np.array_equal(marker.corner, found[1].markers[name].corner, equal_nan=True)
+        assert np.array_equal(marker.sigma, found[1].markers[name].sigma, equal_nan=True)
+
+
+_WRITE = """
+import sys
+from pathlib import Path
+import numpy as np
+from gyrotrack.dataset.writing import new_hdf5
+
+def most():
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
+
+values = np.random.default_rng(0).random(500_000)
+with new_hdf5(Path(sys.argv[1]) / "warm.h5") as file:
+    file["x"] = values[:1000]
+before = most()
+with new_hdf5(Path(sys.argv[1]) / "long.h5") as file:
+    for k in range(10):
+        file.create_dataset(f"x{k}", data=values, chunks=(8192,), compression="gzip", fletcher32=True)
+print(most() - before)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_a_large_file_is_not_held_in_memory(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-c", _WRITE, str(tmp_path)], capture_output=True, text=True, check=True
+    )
+    assert (tmp_path / "long.h5").stat().st_size > 35e6
+    assert float(done.stdout) < 12.0  # MB
