@@ -23,6 +23,8 @@ LEAST_BYTES = 1 << 18
 """Size of a table from which it is worth a file."""
 STRETCH = 4096
 """Rows that are worked on at a time."""
+MOST_FILES = 128
+"""Files at a time: each takes a handle, of which a process may have some hundred."""
 _ALIGNED = 64
 _LEAVE: int | None = getattr(mmap, "MADV_DONTNEED", None)  # not on Windows
 _files: WeakSet[mmap.mmap] = WeakSet()
@@ -78,7 +80,7 @@ def set_down() -> None:
 
 def _mapped(size: int) -> mmap.mmap | None:
     """Return an unnamed file of this size in memory; None if the system does not give one, or has no room."""
-    if _LEAVE is None or not hasattr(os, "posix_fallocate"):
+    if _LEAVE is None or len(_files) >= MOST_FILES or not hasattr(os, "posix_fallocate"):
         return None
     try:
         with TemporaryFile(prefix="gyrotrack-") as stream:

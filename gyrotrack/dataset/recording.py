@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from gyrotrack.dataset import layout
+from gyrotrack.dataset.columns import put_away
 from gyrotrack.dataset.provenance import stamp, to_json
 from gyrotrack.dataset.records import BodyTrack, MarkerTrack, Recording
 from gyrotrack.dataset.tables import attribute, child_group, read_table, write_attributes, write_table
@@ -69,7 +70,7 @@ def _fill_marker(group: Any, marker: MarkerTrack, recording: Recording) -> None:
 
 def load_recording(group: Any) -> Recording:
     """Read a recording from its group; see `reading.read_recording` for whole files."""
-    frame = read_table(child_group(group, "frame"), layout.FRAME)
+    frame = put_away(read_table(child_group(group, "frame"), layout.FRAME))
     kinds = {"width": int, "height": int, "frames_declared": int, "frames_decoded": int, "sense": int}
     kinds |= {"capture_fps": float, "container_fps": float}  # type: ignore[dict-item]
     scalars = {name: attribute(group, name, kinds.get(name, str)) for name in layout.RECORDING_ATTRIBUTES}
@@ -98,7 +99,7 @@ def members(group: Any, name: str) -> list[tuple[str, Any]]:
 
 
 def _load_marker(group: Any, name: str, frames: int) -> MarkerTrack:
-    columns = read_table(group, layout.MARKER)
+    columns = put_away(read_table(group, layout.MARKER))
     if len(columns.pop("frame")) != frames:
         raise DatasetError(f"{group.file.filename}: marker '{name}' and the clip differ in length.")
     return MarkerTrack(
@@ -110,7 +111,7 @@ def _load_marker(group: Any, name: str, frames: int) -> MarkerTrack:
 
 
 def _load_body(group: Any, name: str) -> BodyTrack:
-    columns = read_table(group, layout.BODY)
+    columns = put_away(read_table(group, layout.BODY))
     return BodyTrack(name=name, smoothing_width=attribute(group, "smoothing_width", int), **columns)
 
 
