@@ -77,7 +77,8 @@ def find_coloured(rings: Rings, marker: MarkerProfile) -> Sighting | None:
 
 
 def _sight(difference: Strips, ring: Ring, marker: MarkerProfile) -> Sighting | None:
-    score = hue_score(difference[0], difference[1], chroma_direction(marker.colour, marker.hue))
+    direction = chroma_direction(marker.colour, marker.hue)
+    score = np.stack([hue_score(u, v, direction) for u, v in zip(*difference, strict=True)])
     extent = Extent(np.ones(ring.rows, dtype=np.bool_), ring.inner, ring.outer, 0.15, 0)
     for _ in range(3):
         half = int(max(extent.half_width / ring.step, 1))

@@ -15,9 +15,10 @@ from gyrotrack.geometry.acquisition import acquire
 from gyrotrack.geometry.samples import FEWEST, take_samples
 from gyrotrack.geometry.scene import Scene
 from gyrotrack.pipeline.assembly import body_track, marker_track
+from gyrotrack.pipeline.freed import give_back
 from gyrotrack.pipeline.joint import Joint, join_bodies
 from gyrotrack.pipeline.notes import Notes
-from gyrotrack.pipeline.watch import Progress, Watched, watch
+from gyrotrack.pipeline.watch import Progress, Tracker, Watched, watch
 from gyrotrack.profile import PAPER, Profile
 from gyrotrack.segmentation.single_thread import single_threaded
 from gyrotrack.video import CaptureRate, ClipInfo, capture_rate, file_sha256, probe
@@ -81,6 +82,7 @@ def extract(
     if body == "casing":
         profile = _only_casing(profile)
     scene, seen = _seen(video, profile, threads, progress, Notes(journal))
+    give_back()
     if len(seen.pts_time) < FEWEST:  # damage may leave fewer than the samples promised
         raise VideoError(
             f"only {len(seen.pts_time)} frames of {video} can be decoded", "copy it from the camera again"
@@ -94,11 +96,14 @@ def extract(
 def _seen(
     video: Path, profile: Profile, threads: int, progress: Progress | None, notes: Notes
 ) -> tuple[Scene, Watched]:
-    """Find the markers and watch them through the film; its pictures are let go of with the end of this."""
+    """Find the markers and watch them through the film; what they need is let go of with the end of this."""
     samples = take_samples(video)
     with single_threaded():
         scene = acquire(samples, profile, str(video))
-        return scene, watch(video, scene, samples, threads, progress, notes)
+        tracker = Tracker(scene, samples)
+        del samples  # as large as all that is held on the way
+        give_back()
+        return scene, watch(video, scene, tracker, threads, progress, notes)
 
 
 def _recording(

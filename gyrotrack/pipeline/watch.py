@@ -65,7 +65,7 @@ class Watched:
     size: tuple[int, int]
 
 
-class _Pass:
+class Tracker:
     """Everything that is watched; its attributes are all that a later process needs to go on."""
 
     def __init__(self, scene: Scene, samples: Samples) -> None:
@@ -75,6 +75,7 @@ class _Pass:
         }
         self.disc = DiscWindow(scene.disc, BATCH) if scene.disc else None
         self.centre = scene.centre
+        self.size = samples.size
         self.filled = 0
 
         self.held: list[Frame] = []
@@ -142,7 +143,7 @@ class _Advance:
 def watch(
     path: Path,
     scene: Scene,
-    samples: Samples,
+    work: Tracker,
     threads: int,
     progress: Progress | None,
     notes: Notes | None = None,
@@ -151,10 +152,11 @@ def watch(
 
     Parameters
     ----------
+    work : Tracker
+        New, of this scene.
     notes : Notes, optional
         Keeps what was measured, and goes on with what an earlier process has put there; memory, if not given.
     """
-    work = _Pass(scene, samples)
     notes = notes or Notes()
     stamps = read_raw_stamps(path)
     with Reader(path, threads) as reader:
@@ -177,10 +179,10 @@ def watch(
             notes.add(work.digest(), work, reader, frame, end=True)
         if progress is not None:
             progress(reader.decoded, total)
-        return _watched(scene, samples, reader, notes.rows(reader.decoded))
+        return _watched(scene, work.size, reader, notes.rows(reader.decoded))
 
 
-def _watched(scene: Scene, samples: Samples, reader: Reader, rows: Rows) -> Watched:
+def _watched(scene: Scene, size: tuple[int, int], reader: Reader, rows: Rows) -> Watched:
     bodies = {}
     for name in scene.bodies:
         markers = {
@@ -196,5 +198,5 @@ def _watched(scene: Scene, samples: Samples, reader: Reader, rows: Rows) -> Watc
         reader.pts_seconds(),
         reader.frame_numbers(),
         reader.warnings,
-        samples.size,
+        size,
     )
