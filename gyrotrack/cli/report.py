@@ -37,11 +37,12 @@ def command(
     from gyrotrack.dataset import read_case
     from gyrotrack.dataset.writing import refuse_existing
     from gyrotrack.report import write_report
+    from gyrotrack.report.beside import Beside
 
     out = Output(as_json=as_json, quiet=quiet)
     refuse_existing(output, force=force)
     study = open_study(cases, ledger)
-    with out.progress("writing the report") as progress:
+    with Beside() as beside, out.progress("writing the report") as progress:
         progress(0, None)
         rungs = study.rungs_to(start)
         diagnosis = study.diagnosis(start, rungs[0].fit, own_effects(effects))
@@ -55,6 +56,7 @@ def command(
             films=film_folders(cases, films),
             provenance=where,
             force=force,
+            beside=beside,
         )
     out.result({"output": output, "fits": [r.change or "base" for r in rungs], "verdict": diagnosis.verdict})
     out.show(f"written: {output}")

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from fitting.typesetting import unbroken
 from gyrotrack.dataset.writing import new_file, refuse_existing
+from gyrotrack.report.beside import Beside
 from gyrotrack.report.content import gather
 from gyrotrack.report.parts import report_parts
 
@@ -28,6 +29,7 @@ def write_report(
     films: Sequence[Path] = (),
     provenance: Mapping[str, str] | None = None,
     force: bool = False,
+    beside: Beside | None = None,
 ) -> Path:
     """Write the report of a ladder of fits.
 
@@ -47,6 +49,8 @@ def write_report(
         More lines on where this comes from, such as ``command`` and ``date``.
     force : bool
         Replace an existing file.
+    beside : Beside, optional
+        A second process for some of the figures; without it all are drawn in this one.
 
     Returns
     -------
@@ -61,7 +65,9 @@ def write_report(
     path = Path(path)
     refuse_existing(path, force=force)
     with _seldom_collected():
-        parts = report_parts(gather(rungs, diagnosis), recordings, films, provenance or {})
+        parts = report_parts(
+            gather(rungs, diagnosis), recordings, films, provenance or {}, beside or Beside(cores=1)
+        )
     if path.suffix.lower() == ".pdf":
         from gyrotrack.report.pdf import pdf
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fitting.typesetting import probability, typeset
+from gyrotrack.report.beside import Beside
 from gyrotrack.report.content import Content
 from gyrotrack.report.origin import origin_rows
 from gyrotrack.report.sections import section
@@ -45,9 +46,13 @@ class Added:
 
 
 def report_parts(
-    content: Content, recordings: Sequence[Case], films: Sequence[Path], provenance: Mapping[str, str]
+    content: Content,
+    recordings: Sequence[Case],
+    films: Sequence[Path],
+    provenance: Mapping[str, str],
+    beside: Beside,
 ) -> dict[str, Any]:
-    """Return everything that stands in a report, ready to be laid out."""
+    """Return everything that stands in a report, ready to be laid out; `beside` draws the later half of the cases."""
     from gyrotrack.report import tables
     from gyrotrack.report.boards import case_board
     from gyrotrack.report.figures.candidates import candidates_picture
@@ -60,7 +65,14 @@ def report_parts(
     by_label = {case.label: case for case in recordings}
     tracks = {label: tracks_of(case) for label, case in by_label.items()}
     steps = tuple(s.change for s in content.steps)
-    return {
+    several = len(content.cases) > 1
+    cases = [
+        (v, i, steps, v.label if several else "", by_label.get(v.label), tracks.get(v.label), films)
+        for i, v in enumerate(content.cases)
+    ]
+    here = len(cases) // 2
+    later = [beside.begin(section, *case) for case in cases[here:]]
+    parts: dict[str, Any] = {
         "content": content,
         "title": ", ".join(v.label for v in content.cases),
         "verdict": _headline(content),
@@ -68,10 +80,7 @@ def report_parts(
         "outcome": outcome(content),
         "failures": _failures(content),
         "ladder": ladder_picture(content),
-        "sections": [
-            section(content, v, i, by_label.get(v.label), tracks.get(v.label), films)
-            for i, v in enumerate(content.cases)
-        ],
+        "sections": [section(*case) for case in cases[:here]],
         "boards": [case_board(v, tracks.get(v.label), steps) for v in content.cases],
         "candidates": candidates_picture(content.candidates),
         "tried": "Effects that were tried, and are not needed"
@@ -88,6 +97,8 @@ def report_parts(
         "clips": clips,
         "provenance": origin_rows(content.base, provenance),
     }
+    parts["sections"] += [result() for result in later]
+    return parts
 
 
 def outcome(content: Content) -> str:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gyrotrack.report.case_view import CaseView
-from gyrotrack.report.content import Content
 from gyrotrack.report.figures import Picture
 
 if TYPE_CHECKING:
@@ -32,24 +31,27 @@ class Section:
 
 
 def section(
-    content: Content,
     view: CaseView,
     index: int,
+    changes: tuple[str, ...],
+    heading: str,
     case: Case | None,
     tracks: Tracks | None,
     films: Sequence[Path],
 ) -> Section:
-    """Return the figures of the case at `index`; those of tracking and films if there is a `case` with its clips."""
+    """Return the figures of the case at `index`; those of tracking and films if there is a `case` with its clips.
+
+    `changes` are the names of the ladder's rungs.
+    """
     from gyrotrack.report.figures.misfit import misfit_picture
     from gyrotrack.report.figures.motion import casing_picture, rotor_picture
     from gyrotrack.report.figures.numbers import energy_picture
     from gyrotrack.report.figures.torque import torque_picture
     from gyrotrack.report.frames import contact_sheets
 
-    changes = tuple(s.change for s in content.steps)
     stretches = [(f.t_start, f.t_stop) for f in view.failures]
     return Section(
-        heading=view.label if len(content.cases) > 1 else "",
+        heading=heading,
         surface=view.surface,
         misfit=(misfit_picture(view, f"misfit{index}"),),
         motion=(
