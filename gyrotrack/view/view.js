@@ -75,7 +75,8 @@
       board.set({ ...state.board, charts: [...charts, ...fixed] });
     }
     at("effects").replaceChildren(...state.effects.map((e) => element("li", {},
-      element("strong", {}, e.name), element("span", { class: "law" }, `${e.joint}: ${e.law}`),
+      element("strong", {}, e.name),
+      element("span", { class: "law" }, e.name === `${e.joint}: ${e.law}` ? "" : `${e.joint}: ${e.law}`),
       button("drop", `drop ${e.name}`, () => change({ drop: e.name })))));
     at("parameters").replaceChildren(...state.parameters.map((p) => element("tr", {},
       element("th", { scope: "row" }, p.name), element("td", {}, p.value + (p.at_bound ? " (on its bound)" : "")))));
@@ -121,10 +122,12 @@
     at("searching").textContent = shown.length ? "" : "No candidate scores.";
     at("sentence").textContent = found.diagnosis.sentence;
     at("ranking").replaceChildren(...shown.map((c) => element("tr", c.significant ? {} : { class: "pale" },
-      element("th", { scope: "row" }, c.effect + (c.kind === "measurement" ? " (artefact)" : "")),
+      element("th", { scope: "row" }, c.effect, element("span", { class: "more" }, [
+        ...(c.kind === "measurement" ? ["artefact"] : []),
+        ...(c.indistinguishable_from.length ? [`not told from ${c.indistinguishable_from.join(", ")}`] : []),
+      ].join("; "))),
       element("td", {}, told(c.score, 3)), element("td", {}, c.delta_bic === null ? "\u2013" : told(c.delta_bic, 3)),
       element("td", {}, c.p_value < 1e-30 ? "< 10\u207b\u00b3\u2070" : told(c.p_value, 1)),
-      element("td", {}, c.indistinguishable_from.join(", ") || "\u2013"),
       element("td", {}, free.has(c.effect) ? "in every fit"
         : button("add", `add ${c.effect}`, () => change({ add: c.effect }))))));
   }

@@ -126,7 +126,9 @@ def test_a_click_adds_what_the_ranking_puts_first(visit):
     before = _rms(visit)
     add = visit.get_by_role("button", name=f"add {FOUND}", exact=True)
     add.wait_for(timeout=60_000)
-    assert visit.locator("#ranking th").first.inner_text() == FOUND
+    assert visit.locator("#ranking th").first.inner_text().splitlines()[0] == FOUND
+    ranking = visit.locator("[aria-label='ranking of candidates']")
+    assert ranking.evaluate("(t) => t.scrollWidth <= t.clientWidth")  # the buttons are not cut off
     assert FOUND in visit.locator("#sentence").inner_text()
     assert _after(visit, add.click) < 20
     assert _rms(visit) < 0.7 * before
