@@ -52,7 +52,7 @@ def diagnosis_html(d: Diagnosis) -> str:
             f.label,
             f.called,
             f"{f.t_start:.1f} – {f.t_stop:.1f}",
-            short(f.residual_torque_Nm, 2),
+            short(f.residual_torque_Nm),
             short(f.residual_rad_s, 2),
             f"{f.size_sigma:.0f}",
         )

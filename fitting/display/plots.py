@@ -39,7 +39,7 @@ def plot_fit(fit: Fit) -> Figure:
         record = data.record
         _speed(axes[0, i], fit, i, CASING, [speeds(record.casing, record.quantity)])
         _left(axes[1, i], [casing])
-        axes[0, i].set_title(_plain(record.label))
+        axes[0, i].set_title(_plain(record.label), loc="left")
         axes[0, i].set_ylabel(r"$\omega_c$ [rad/s]")
         axes[1, i].set_ylabel(r"$\omega_c$: data $-$ model [rad/s]")
         if not alone:
@@ -49,7 +49,9 @@ def plot_fit(fit: Fit) -> Figure:
             axes[3, i].set_ylabel(r"$\omega_r$: data $-$ model [rad/s]")
         for ax in axes[:, i]:
             ax.set_xlabel("time [s]")
-            ax.legend(fontsize="small", frameon=False)
+            # above the axes, where it covers nothing
+            above = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.1}
+            ax.legend(fontsize="small", frameon=False, ncols=2, **above)
     return figure
 
 
@@ -60,8 +62,9 @@ def plot_diagnosis(d: Diagnosis) -> Figure:
     figure = _figure(9.0, 2.6 * len(labels) + 0.35 * len(shown) + 1.2)
     heights = [2.6] * len(labels) + ([0.35 * len(shown) + 0.7] if shown else [])
     axes = figure.subplots(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
+    called = {c.record.label: c.record.body for c in d.fit.problem.data}
     for ax, label in zip(axes, labels, strict=False):
-        _torques(ax, [t for t in d.torques if t.label == label])
+        _torques(ax, [t for t in d.torques if t.label == label], called[label])
         for f in d.failures:
             if f.label == label:
                 ax.axvspan(f.t_start, f.t_stop, color=YELLOW, alpha=0.25, linewidth=0, zorder=0)
@@ -118,13 +121,14 @@ def _left(ax: Axes, runs: Sequence[Misfit]) -> None:
     ax.axhline(0, color="#777777", linewidth=0.8)
 
 
-def _torques(ax: Axes, curves: Sequence[ResidualTorque]) -> None:
+def _torques(ax: Axes, curves: Sequence[ResidualTorque], called: str) -> None:
     for curve, colour in zip(curves, (VERMILLION, BLUE), strict=False):
         known = curve.sigma <= 3 * curve.sigma.min()
         torque = np.where(known, curve.torque, np.nan)
         edges: dict[str, Any] = {"color": colour, "alpha": 0.25, "linewidth": 0}
         ax.fill_between(curve.time, torque - 2 * curve.sigma, torque + 2 * curve.sigma, **edges)
-        ax.plot(curve.time, torque, color=colour, label=f"on the {curve.body} ± 2 σ")
+        body = called if curve.body == "casing" else curve.body
+        ax.plot(curve.time, torque, color=colour, label=f"on the {body} ± 2 σ")
     ax.axhline(0, color="#777777", linewidth=0.8)
     ax.set_xlabel("time [s]")
     ax.set_ylabel("torque [N m]")
