@@ -23,6 +23,8 @@ LEAST_BYTES = 1 << 18
 """Size of a table from which it is worth a file."""
 STRETCH = 4096
 """Rows that are worked on at a time."""
+_TOGETHER = 8
+"""Stretches after which columns are set down: the system takes its time for it."""
 MOST_FILES = 128
 """Files at a time: each takes a handle, of which a process may have some hundred."""
 _ALIGNED = 64
@@ -65,10 +67,11 @@ def put_away(columns: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def stretches(rows: int) -> Iterator[slice]:
-    """Yield slices of some thousand rows that cover all, and set down what was touched meanwhile."""
-    for start in range(0, rows, STRETCH):
+    """Yield slices of some thousand rows that cover all, and set down now and then what was touched meanwhile."""
+    for count, start in enumerate(range(0, rows, STRETCH), start=1):
         yield slice(start, min(start + STRETCH, rows))
-        set_down()
+        if count % _TOGETHER == 0:
+            set_down()
 
 
 def set_down() -> None:
