@@ -101,6 +101,66 @@ def rungs(folder):
     return len(json.loads((folder / "run.fits.json").read_text())["fits"])
 
 
+def prepared(work, verbs):
+    """Lay out a folder for each command, with an earlier output in it; return the words of each."""
+    clips, place = films(work), work / "kill"
+    for verb in verbs:
+        shutil.rmtree(place / verb, ignore_errors=True)
+        (place / verb).mkdir(parents=True)
+    sources = tracked(clips, place / f"sources_{verbs[0]}")
+    film, output = clips / "rotor_1.mp4", place / "extract/r.h5"
+    if "extract" in verbs:
+        shutil.copy(sources / "rotor_1.h5", output)
+    if "fit" in verbs:
+        shutil.copy(work / "run.h5", place / "fit" / "run.h5")
+    few = place / "few"
+    few.mkdir(exist_ok=True)
+    shutil.copy(film, few / "a_500fps.mp4")
+    shutil.copy(clips / "rotor_2.mp4", few / "b_500fps.mp4")
+    both = [sources / "casing.h5", sources / "rotor_1.h5"]
+    return {
+        "extract": ["extract", film, "--capture-fps", "500", "-o", output, "--force", "--resume"],
+        "sync": ["sync", *both, "-o", place / "sync/c.h5", "--force"],
+        "fit": ["fit", place / "fit/run.h5", "--model", "reduced"],
+        "batch": ["batch", few, "-o", place / "batch", "--until", "extract", "--workers", "2"],
+    }
+
+
+def tracked(clips, sources):
+    """Track a casing film and a rotor film, unless that is done; return where the recordings are."""
+    sources.mkdir(exist_ok=True)
+    for name, fps in (("casing", "260"), ("rotor_1", "500")):
+        output = sources / f"{name}.h5"
+        if not output.exists():
+            code, said = gyrotrack("extract", clips / f"{name}.mp4", "--capture-fps", fps, "-o", output)
+            ensure(code == 0, str(said))
+    return sources
+
+
+def kills(verb, words, folder, record, chance):
+    """Kill one command again and again; yield after each trial, which is a line of the record."""
+    seconds = timed(verb, words)
+    while True:
+        if verb == "batch":  # something to do each time, and something done before
+            (folder / "b_500fps" / "b_500fps.h5").unlink()
+        rungs.before = rungs(folder) if verb == "fit" else 0
+        moment = chance.uniform(0.0, seconds)
+        how, wrong, whole = trial(verb, words, folder, moment, rungs)
+        seconds = whole or seconds
+        line = {"verb": verb, "how": how, "moment": round(moment, 3), "wrong": wrong, "commit": commit()}
+        with record.open("a") as stream:
+            stream.write(json.dumps(line) + "\n")
+        yield
+
+
+def summed_up(record, began):
+    """Print what the record holds."""
+    moments = told(record)
+    bad = [line for line in map(json.loads, record.read_text().splitlines()) if line["wrong"]]
+    killed = sum(c["killed"] for c in moments.values())
+    report("kill -9", began, kills=killed, moments=moments, failures=len(bad), first_failures=bad[:10])
+
+
 def main():
     """Run and report."""
     parser = argparse.ArgumentParser()
@@ -113,64 +173,17 @@ def main():
     )
     asked = parser.parse_args()
     began = time.monotonic()
-    clips = films(asked.work)
+    words = prepared(asked.work, asked.verbs)
     record = asked.work / "kill.jsonl"  # a line a trial, so that a run can be cut into pieces
     done = sum(sum(c.values()) for c in told(record).values())
     chance = random.Random(1000 * asked.seed + done)  # noqa: S311 - moments, not secrets
-    place = asked.work / "kill"
-    jobs = {}
     for verb in asked.verbs:
-        shutil.rmtree(place / verb, ignore_errors=True)
-        (place / verb).mkdir(parents=True)
-    sources = place / f"sources_{asked.verbs[0]}"
-    sources.mkdir(exist_ok=True)
-    for name, fps in (("casing", "260"), ("rotor_1", "500")):
-        if (sources / f"{name}.h5").exists():
+        if told(record)[verb]["killed"] >= asked.count:
             continue
-        code, said = gyrotrack(
-            "extract", clips / f"{name}.mp4", "--capture-fps", fps, "-o", sources / f"{name}.h5"
-        )
-        ensure(code == 0, str(said))
-    if "extract" in asked.verbs:
-        shutil.copy(sources / "rotor_1.h5", place / "extract" / "r.h5")
-    film = clips / "rotor_1.mp4"
-    jobs["extract"] = [
-        "extract",
-        film,
-        "--capture-fps",
-        "500",
-        "-o",
-        place / "extract/r.h5",
-        "--force",
-        "--resume",
-    ]
-    both = [sources / "casing.h5", sources / "rotor_1.h5"]
-    jobs["sync"] = ["sync", *both, "-o", place / "sync/c.h5", "--force"]
-    if "fit" in asked.verbs:
-        shutil.copy(asked.work / "run.h5", place / "fit" / "run.h5")
-    jobs["fit"] = ["fit", place / "fit/run.h5", "--model", "reduced"]
-    few = place / "few"
-    few.mkdir(exist_ok=True)
-    shutil.copy(film, few / "a_500fps.mp4")
-    shutil.copy(clips / "rotor_2.mp4", few / "b_500fps.mp4")
-    jobs["batch"] = ["batch", few, "-o", place / "batch", "--until", "extract", "--workers", "2"]
-    for verb in asked.verbs:
-        folder = place / verb
-        seconds = timed(verb, jobs[verb])
-        while told(record)[verb]["killed"] < asked.count and time.monotonic() - began < 60 * asked.minutes:
-            if verb == "batch":  # something to do each time, and something done before
-                (folder / "b_500fps" / "b_500fps.h5").unlink()
-            rungs.before = rungs(folder) if verb == "fit" else 0
-            moment = chance.uniform(0.0, seconds)
-            how, wrong, whole = trial(verb, jobs[verb], folder, moment, rungs)
-            seconds = whole or seconds
-            line = {"verb": verb, "how": how, "moment": round(moment, 3), "wrong": wrong, "commit": commit()}
-            with record.open("a") as stream:
-                stream.write(json.dumps(line) + "\n")
-    moments = told(record)
-    killed = sum(c["killed"] for c in moments.values())
-    bad = [line for line in map(json.loads, record.read_text().splitlines()) if line["wrong"]]
-    report("kill -9", began, kills=killed, moments=moments, failures=len(bad), first_failures=bad[:10])
+        for _ in kills(verb, words[verb], asked.work / "kill" / verb, record, chance):
+            if told(record)[verb]["killed"] >= asked.count or time.monotonic() - began > 60 * asked.minutes:
+                break
+    summed_up(record, began)
 
 
 def timed(verb, words):
