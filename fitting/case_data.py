@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.compression import BLOCKS, CASING_DEGREE, NOISE_ROWS, ROTOR_DEGREE, Compressed, compress
+from fitting.late_starts import LateStarts
 from fitting.record import Record, Samples
 from fitting.rough_speeds import rough_speeds
 from fitting.simulation import Path, Sampler
@@ -76,7 +77,13 @@ class CaseData:
     @cached_property
     def z(self) -> Array:
         """Return the measured rows."""
-        return np.concatenate([self.casing.z, *(w.z for w in self.rotor), self.casing.harmonic])
+        rows = np.concatenate([self.casing.z, *(w.z for w in self.rotor), self.casing.harmonic])
+        return self.late_starts.whitened(rows)
+
+    @cached_property
+    def late_starts(self) -> LateStarts:
+        """What the uncertain starts of the rotor's windows make of the rows."""
+        return LateStarts.of(self.rotor, self.record.start_sigma, len(self.casing.z), angle=self.is_angle)
 
     @cached_property
     def slices(self) -> dict[str, slice]:
@@ -135,6 +142,9 @@ class CaseData:
 
     def rows(self, casing: Array, rotor: Sequence[Array]) -> Array:
         """Return the rows of a smooth function given at the nodes of the casing and of each window."""
+        return self.late_starts.whitened(self._rows(casing, rotor))
+
+    def _rows(self, casing: Array, rotor: Sequence[Array]) -> Array:
         parts = [
             self.casing.at_nodes(casing),
             *(w.at_nodes(v) for w, v in zip(self.rotor, rotor, strict=True)),
@@ -166,8 +176,8 @@ class CaseData:
             sampler = Sampler(path.mesh, times)
             values.append(self._seen(sampler, path, state, nodes))
         ends = np.cumsum([len(w.node_times) for w in self.rotor])[:-1]
-        rows = self.rows(values[0], [] if self.record.single else np.split(values[1], ends))
-        return self._mend_kinks(path, nodes, rows)
+        rows = self._rows(values[0], [] if self.record.single else np.split(values[1], ends))
+        return self.late_starts.whitened(self._mend_kinks(path, nodes, rows))
 
     def _seen(self, sampler: Sampler, path: Path, state: int, nodes: Array | None) -> Array:
         if nodes is None:

@@ -53,6 +53,18 @@ def column(path: Path, file: Any, group: str, name: str) -> Array:
     return np.asarray(data[()], dtype=float)
 
 
+def number(file: Any, group: str, name: str) -> float:
+    """Return a number that is told of a group; nan where there is none."""
+    import h5py
+
+    parts = group.split("/")
+    places = ["/".join(parts[: i + 1]) for i in range(len(parts))]
+    if not all(isinstance(file.get(p, getlink=True), h5py.HardLink) for p in places):
+        return float("nan")
+    value = np.asarray(file[group].attrs.get(name, np.nan))
+    return float(value) if value.ndim == 0 and value.dtype.kind in "fiu" else float("nan")
+
+
 def text(value: Any) -> str:
     """Return an attribute as text, nothing if it is missing."""
     if isinstance(value, bytes):

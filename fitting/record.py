@@ -7,7 +7,9 @@ rad and unwrapped, speeds in rad/s. What was measured is the `quantity`: angles,
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import compress
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.errors import RecordError
-from fitting.hdf5 import column, series, text
+from fitting.hdf5 import column, number, series, text
 from fitting.intact import check_intact
 
 Array = NDArray[np.float64]
@@ -65,6 +67,8 @@ class Record:
         The rotor is a curve that was generated, not measured (see `fitting.rotor_curve`).
     windows : tuple of Samples
         Where it is, what was measured of it.
+    start_sigma : tuple of float
+        Uncertainty of the start of each rotor window on the casing's clock [s]; empty if it is known.
     digest : str
         SHA-256 of the numbers.
     """
@@ -81,6 +85,7 @@ class Record:
     gradients: bool = False
     generated: bool = False
     windows: tuple[Samples, ...] = ()
+    start_sigma: tuple[float, ...] = ()
     digest: str = field(default="")
 
     def __post_init__(self) -> None:
@@ -172,6 +177,7 @@ def _read(path: Path, file: Any) -> Record:
         casing=casing,
         rotor=rotor,
         single=single,
+        start_sigma=[] if single else _start_sigma(file, column(path, file, "rotor", "window")),
         quantity=quantity,
         source=str(path),
         tracked=text(file["casing"].attrs.get("sigma_source")) == "measured",
@@ -190,10 +196,12 @@ def make_record(
     source: str = "",
     tracked: bool = False,
     single: bool = False,
+    start_sigma: Sequence[float] = (),
 ) -> Record:
     """Make a record from arrays of (time, value, sigma); samples that are not finite are left out.
 
     With `single` there is one body only: it stands in the casing's place, and nothing is known of a rotor.
+    `start_sigma` is the uncertainty of each rotor run's start on the casing's clock [s], none if it is known.
 
     Raises
     ------
@@ -204,15 +212,17 @@ def make_record(
     if len(runs[0]) < 60:
         body = "body" if single else "casing"
         raise RecordError(f"{label}: the {body} has {len(runs[0])} usable samples; at least 60 are needed")
-    windows = tuple(r for r in runs[1:] if len(r) >= _FEWEST[quantity])
+    kept = [len(r) >= _FEWEST[quantity] for r in runs[1:]]
+    windows = tuple(compress(runs[1:], kept))
     if not windows and not single:
         raise RecordError(
             f"{label}: no rotor window with at least {_FEWEST[quantity]} usable samples",
             "give at least one rotor clip",
         )
     return Record(
-        label, I_rotor, I_casing, runs[0], windows, quantity, surface=surface, source=source, tracked=tracked
-    )
+        label, I_rotor, I_casing, runs[0], windows, quantity, surface=surface, source=source, tracked=tracked,
+        start_sigma=tuple(compress(map(float, start_sigma), kept)),
+    )  # fmt: skip
 
 
 def _clean(time: Array, value: Array, sigma: Array, *, what: str) -> Samples:
@@ -231,9 +241,17 @@ def _windows(rotor: tuple[Array, Array, Array], window: Array) -> list[tuple[Arr
     return [(rotor[0][window == w], rotor[1][window == w], rotor[2][window == w]) for w in np.unique(window)]
 
 
+def _start_sigma(file: Any, window: Array) -> list[float]:
+    """Return the uncertainty of each window's start on the casing's clock [s], zero where no camera is known."""
+    sigma = [number(file, f"recording/rotor_{int(w)}", "clock_offset_sigma") for w in np.unique(window)]
+    return [s if np.isfinite(s) and s > 0 else 0.0 for s in sigma]
+
+
 def _digest(record: Record) -> str:
     hasher = hashlib.sha256(f"{record.I_rotor!r} {record.I_casing!r} {record.quantity}".encode())
     for samples in (record.casing, *record.rotor):
         for a in (samples.time, samples.value, samples.sigma):
             hasher.update(np.ascontiguousarray(a).tobytes())
+    if any(record.start_sigma):
+        hasher.update(repr(record.start_sigma).encode())
     return hasher.hexdigest()

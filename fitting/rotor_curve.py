@@ -45,7 +45,7 @@ def with_generated_rotor(record: Record) -> Record:
         for w, c in ((w, _calibrated(w)) for w in record.rotor)
     )
     curve = Samples(times, omega, np.full(len(times), float(np.sqrt(len(times) / weight))))
-    return replace(record, rotor=(curve,), windows=record.rotor, generated=True, digest="")
+    return replace(record, rotor=(curve,), windows=record.rotor, generated=True, start_sigma=(), digest="")
 
 
 @dataclass(frozen=True)

@@ -53,8 +53,9 @@ def misfits(fit: Fit, case: int) -> tuple[Misfit, tuple[Misfit, ...]]:
     prediction = fit.predictions[case]
     moving = ~fit.problem.layout.at_bound(fit.theta)
     free = np.concatenate([prediction.jacobian[:, moving], data.nuisance], axis=1)
-    residual = _without(noise.whitener, data.nuisance, data.z - prediction.rows)
-    spread = _spread(noise.whitener.at(noise.pure), free)
+    plain = data.late_starts.plain
+    residual = plain(_without(noise.whitener, data.nuisance, data.z - prediction.rows))
+    spread = plain(_spread(noise.whitener.at(noise.pure), free))
     found, first = [], 0
     for body, run in (("casing", data.casing), *(("rotor", w) for w in data.rotor)):
         count = len(run.z)

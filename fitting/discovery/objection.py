@@ -19,7 +19,6 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
 from fitting.discovery.chance import over_many
 from fitting.estimation import Fit
@@ -78,6 +77,8 @@ def _beside(columns: Array, basis: Array) -> Array:
 
 def _p_values(looks: list[Array], rows: Array) -> Array:
     """Return the p-value of each look (rows) at each set of data (columns)."""
+    from scipy.special import chdtrc
+
     return np.array([chdtrc(len(look), np.sum((look @ rows) ** 2, axis=0)) for look in looks])
 
 

@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 
+from fitting.record import read_record
 from gyrotrack.cli import app
 from gyrotrack.dataset import read_case, write_recording
 from gyrotrack.errors import SyncError, UsageError
@@ -119,6 +120,9 @@ class TestCommand:
         kept = read_case(files / "case.h5").extra["sync_covariance"]
         assert sorted(kept) == ["rotor_0", "rotor_1"]
         assert read_case(files / "case.h5").label == "case"
+        # what a fit makes of it
+        told = {c["source"]: c["offset_sigma_s"] for c in said["clips"]}
+        assert read_record(files / "case.h5").start_sigma == (told["b.h5"], told["a.h5"])
 
     def test_table(self, files, capsys):
         assert app.run(["sync", "casing.h5", "b.h5", "-o", "case.h5"]) == 0
