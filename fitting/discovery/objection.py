@@ -39,7 +39,7 @@ _DRAWS = 2000
 
 @dataclass(frozen=True)
 class Objection:
-    """Whose speed a remaining torque follows best, and the probability of as much by noise."""
+    """Whose speed a remaining torque follows best, and the probability of as much by noise (at most)."""
 
     body: str
     p_value: float
