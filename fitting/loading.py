@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fitting.record import Record, read_record
+from fitting.case_file import read_record
+from fitting.record import Record
 
 
 def load(path: str | Path, *, data: str | None = None, rotor: str = "windows") -> Record:

@@ -26,8 +26,8 @@ LIMIT_S = 30.0
 
 def readings(path, kind):
     """Yield what each reader of the program says of a file: a hash of all that it read, or a sentence."""
+    from fitting.case_file import read_record
     from fitting.errors import FittingError
-    from fitting.record import read_record
     from gyrotrack.dataset import read_case, read_recording
     from gyrotrack.dataset.inspection import inspect_file
     from gyrotrack.errors import GyrotrackError

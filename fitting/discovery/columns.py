@@ -30,6 +30,8 @@ _PHASE_STEP = 1.5
 # and up to the frequency that the cells resolve [rad per cell]
 _FASTEST = 1.0
 _MAX_FREQUENCIES = 1500
+# times of a break are tried this many times finer than their grid says
+_FINER = 8
 
 
 @dataclass(frozen=True)
@@ -99,13 +101,11 @@ class CaseColumns:
             count = int(min(_MAX_FREQUENCIES, fastest * reach / _PHASE_STEP))
             return np.linspace(fastest / max(count, 1), fastest, max(count, 1))
         grid = np.array(p.grid or (p.start,))
-        return (
-            first + grid * (last - first)
-            if p.symbol == effect.breakpoint
-            else grid * (last - first)
-            if p.relative
-            else grid
-        )
+        if p.symbol == effect.breakpoint:
+            # the clearer a break, the narrower the hollow about its time
+            finer = np.interp(np.arange((len(grid) - 1) * _FINER + 1) / _FINER, np.arange(len(grid)), grid)
+            return np.asarray(first + finer * (last - first))
+        return grid * (last - first) if p.relative else grid
 
     def _torque(self, effect: Effect, shape: dict[str, float]) -> tuple[Array, Array]:
         values = self._known | {p.symbol: p.start for p in effect.parameters} | shape

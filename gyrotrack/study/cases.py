@@ -135,7 +135,7 @@ def read_cases(
 ) -> tuple[CaseData, ...]:
     """Read cases and project them: what was measured, or the paper's velocities and generated rotor curve."""
     from fitting.case_data import CaseData
-    from fitting.record import read_record
+    from fitting.case_file import read_record
 
     _known("--data", data or "angle", ("angle", "velocity"))
     _known("--rotor", rotor, ("windows", "generated"))

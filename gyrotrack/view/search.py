@@ -18,10 +18,10 @@ from fitting.plain import plain
 
 def _answer(line: str, case: Path) -> dict[str, Any]:
     from fitting.case_data import CaseData
+    from fitting.case_file import read_record
     from fitting.discovery import diagnose
     from fitting.errors import FittingError
     from fitting.ledger import Entry
-    from fitting.record import read_record
     from fitting.summary import diagnosis_document
 
     try:

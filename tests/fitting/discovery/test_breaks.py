@@ -7,6 +7,8 @@ import twobody
 
 from fitting.case_data import CaseData
 from fitting.discovery.breaks import better_breaks, distant_breaks
+from fitting.discovery.columns import CaseColumns
+from fitting.discovery.screen import screen
 from fitting.effects import LIBRARY, REDUCED
 from fitting.estimation import fit
 from fitting.model import Model
@@ -46,3 +48,17 @@ def test_a_step_far_off_is_found_by_what_it_leaves():
     assert found["touchpoint.step.k"] == pytest.approx(1.5e-6, rel=0.3)
     quiet = replace(far, noise=tuple(replace(n, level=n.pure) for n in far.noise))
     assert distant_breaks(quiet, LIBRARY["touchpoint.step"]) == {}
+
+
+@pytest.mark.parametrize("at", [0.35, 0.57, 0.61])
+def test_a_strong_step_is_seen_in_its_narrow_hollow(at):
+    par = {**twobody.PAPER, "a2": 1.97e-10, "b1": 3e-6, "b2": 3.7e-7, "d": 3.2e-8, "f": 4.86e-7, "g": 0.62}
+    span = 60.0
+    hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -4e-6 if t >= at * span else 0.0)
+    motion = twobody.simulate(par, (566.0, 25.0), span, hidden=hidden, seed=1, step=0.01)
+    cameras = twobody.Cameras(span, windows=tuple(w * span for w in (0.08, 0.32, 0.8)), window_length=1.5)
+    base = fit(Model.of(REDUCED), [CaseData.of(make_record(**twobody.film(motion, 1, cameras)))])
+    step = LIBRARY["touchpoint.step"]
+    (seen,) = screen(base, [step], [CaseColumns(base, 0)])
+    assert seen.score > 100
+    assert seen.shape[0]["t0"] == pytest.approx(at * span, abs=0.3)

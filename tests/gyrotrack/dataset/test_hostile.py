@@ -6,8 +6,8 @@ import h5py
 import numpy as np
 import pytest
 
+from fitting.case_file import read_record
 from fitting.errors import RecordError
-from fitting.record import read_record
 from gyrotrack.dataset import read_case, write_case
 from gyrotrack.dataset.inspection import inspect_file
 from gyrotrack.errors import DatasetError

@@ -7,8 +7,8 @@ import h5py
 import numpy as np
 import pytest
 
+from fitting.case_file import read_record
 from fitting.errors import RecordError
-from fitting.record import read_record
 from gyrotrack.cli import app
 from gyrotrack.dataset import read_case, read_recording, write_recording
 from gyrotrack.dataset.heap import has_endless_heap

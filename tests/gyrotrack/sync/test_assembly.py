@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from fitting.record import read_record
+from fitting.case_file import read_record
 from gyrotrack.cli import app
 from gyrotrack.dataset import read_case, write_recording
 from gyrotrack.errors import SyncError, UsageError
