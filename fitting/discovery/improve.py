@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fitting.beside import Beside
 from fitting.discovery.polish import polished
 from fitting.discovery.ranking import ALWAYS_FREE, Candidate, rank
 from fitting.effects import Effect
@@ -56,6 +57,7 @@ def improve(
     max_steps: int = _MAX_STEPS,
     progress: Callable[[int, int | None], None] | None = None,
     first: Sequence[Candidate] | None = None,
+    beside: Beside | None = None,
 ) -> Ladder:
     """Go on adding the best effect while one is significant, then drop what is not needed.
 
@@ -71,20 +73,23 @@ def improve(
         Called with (steps done, None).
     first : sequence of Candidate, optional
         The ranking of the base, if it is known already.
+    beside : Beside, optional
+        A second process that takes its share of the work.
 
     Returns
     -------
     Ladder
         A list of rungs, the base first, the final model last.
     """
-    rungs = Ladder([Rung("", base, tuple(first) if first is not None else tuple(rank(base, extra)))])
+    known = first if first is not None else rank(base, extra, beside=beside)
+    rungs = Ladder([Rung("", base, tuple(known))])
     for step in range(max_steps):
         chosen = best(rungs[-1].candidates)
         if chosen is None or chosen.fit is None:
             break
         rungs.append(Rung(f"+{chosen.effect.name}", polished(chosen.fit), ()))
         rungs[-1] = _backward(rungs)
-        rungs[-1] = Rung(rungs[-1].change, rungs[-1].fit, tuple(rank(rungs[-1].fit, extra)))
+        rungs[-1] = Rung(rungs[-1].change, rungs[-1].fit, tuple(rank(rungs[-1].fit, extra, beside=beside)))
         if progress is not None:
             progress(step + 1, None)
     return rungs

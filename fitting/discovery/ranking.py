@@ -14,7 +14,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.case_data import CAMERA_COLUMNS
+from fitting.beside import Beside
+from fitting.case_data import CAMERA_COLUMNS, CaseData
 from fitting.discovery.chance import Chance, Family
 from fitting.discovery.columns import CaseColumns
 from fitting.discovery.refit import refit, with_one_value, with_own_values
@@ -85,7 +86,9 @@ class Candidate:
         return self.effect.kind == "physical"
 
 
-def rank(base: Fit, extra: Sequence[Effect] = (), *, refitting: bool = True) -> list[Candidate]:
+def rank(
+    base: Fit, extra: Sequence[Effect] = (), *, refitting: bool = True, beside: Beside | None = None
+) -> list[Candidate]:
     """Return all candidates for a fit, best first.
 
     Parameters
@@ -96,6 +99,8 @@ def rank(base: Fit, extra: Sequence[Effect] = (), *, refitting: bool = True) -> 
         Effects of the user beside the library.
     refitting : bool
         Refit the promising candidates (otherwise the screen alone ranks).
+    beside : Beside, optional
+        A second process, for some of the refits.
     """
     known = {e.name: e for e in (*LIBRARY.values(), *extra)}
     names = set(base.model.names)
@@ -111,8 +116,15 @@ def rank(base: Fit, extra: Sequence[Effect] = (), *, refitting: bool = True) -> 
     rough.sort(key=lambda c: -c.score)
     if refitting:
         chance = {s.effect.name: c for s, c in zip(scores, chances, strict=True)}
-        rough = [_refitted(base, c, chance[c.effect.name], family) if w else c for c, w in _worth(rough)]
+        worth = _worth(rough)
+        promising = [(c, chance[c.effect.name], family) for c, w in worth if w]
+        refits = iter((beside or Beside()).each(_refitted, base, promising, _measured))
+        rough = [next(refits) if w else c for c, w in worth]
     return arranged(rough)
+
+
+def _measured(fit: Fit) -> Sequence[CaseData]:
+    return fit.problem.data
 
 
 def _fits_in(effect: Effect, base: Fit) -> bool:
@@ -144,8 +156,9 @@ def _order(c: Candidate) -> tuple[bool, float]:
     return (not c.significant, penalised + (0.0 if c.physical else _RARER))
 
 
-def _refitted(base: Fit, candidate: Candidate, chance: Chance, family: Family) -> Candidate:
+def _refitted(base: Fit, promising: tuple[Candidate, Chance, Family]) -> Candidate:
     """Refit base and effect together from the base's optimum."""
+    candidate, chance, family = promising
     found = refit(base, candidate.screened)
     if found is None:
         return candidate

@@ -80,12 +80,15 @@ def search_groups(
     effect: Effect,
     groups: list[Group],
     levels: list[Level],
+    *,
+    null: bool = True,
 ) -> Score:
-    """Return the best of some groups of columns over all levels of the random torque."""
+    """Return the best of some groups of columns over all levels of the random torque; `null` scores empty data too."""
     bounds = _bounds(effect)
     best: tuple[float, int, Array, Array] = (-np.inf, 0, np.zeros(1), np.zeros(1))
     absorbed = stage.mimicked([c for _, c in groups])
     turned = stage.turned(np.concatenate([c for _, c in groups], axis=1))
+    empty = np.zeros(0)
     for i, level in enumerate(levels):
         columns = level.gain[:, None] * turned
         columns = columns - level.basis @ (level.basis.T @ columns)
@@ -97,8 +100,8 @@ def search_groups(
             width = columns.shape[1] // len(groups)
             direction = columns[:, place * width : (place + 1) * width] @ gammas[place]
             best = (gain, place, gammas[place], direction / max(float(np.linalg.norm(direction)), 1e-300))
-        if i == len(levels) - 1:
-            null, _ = _solve(columns, stage.draws, len(groups), bounds)
+        if null and i == len(levels) - 1:
+            empty = _solve(columns, stage.draws, len(groups), bounds)[0].max(axis=0)
     return Score(
         effect,
         max(best[0], 0.0),
@@ -108,7 +111,7 @@ def search_groups(
         len(groups),
         bool(absorbed.all()),
         best[3],
-        np.asarray(null.max(axis=0)),
+        empty,
     )
 
 

@@ -72,7 +72,7 @@ def _sharpened(stage: Stage, score: Score, tried: list[list[Trial]], cases: Sequ
             c.trials(score.effect, [{symbol: float(x)} for x in v])
             for c, v in zip(cases, values, strict=True)
         ]
-        found = _score(stage, score.effect, fresh)
+        found = _score(stage, score.effect, fresh, null=False)
         if found.score > best.score:
             best = replace(found, null=score.null, trials=score.trials)
         reach = [_neighbours(list(v), best.shape[i][symbol]) for i, v in enumerate(values)]
@@ -103,32 +103,31 @@ def _trials(effect: Effect, cases: Sequence[CaseColumns]) -> list[list[Trial]]:
     return [first, *(c.trials(effect, shapes) for c in cases[1:])]
 
 
-def _score(stage: Stage, effect: Effect, trials: list[list[Trial]]) -> Score:
+def _score(stage: Stage, effect: Effect, trials: list[list[Trial]], *, null: bool = True) -> Score:
     own = _own(effect, len(trials))
     levels = stage.without(effect.name) if effect.name in CAMERA_COLUMNS else stage.levels
     if not own or len(trials[0]) == 1:
-        groups = _stack(trials, own)
-        return search_groups(stage, effect, groups, levels)
-    chosen, null = _choose(stage, effect, trials, levels)
-    together = search_groups(stage, effect, _stack([[t] for t in chosen], own), levels)
-    return replace(together, null=null, trials=sum(len(t) for t in trials))
+        return search_groups(stage, effect, _stack(trials, own), levels, null=null)
+    chosen, empty = _choose(stage, effect, trials, levels, null=null)
+    together = search_groups(stage, effect, _stack([[t] for t in chosen], own), levels, null=False)
+    return replace(together, null=empty, trials=sum(len(t) for t in trials))
 
 
 def _choose(
-    stage: Stage, effect: Effect, trials: list[list[Trial]], levels: list[Level]
+    stage: Stage, effect: Effect, trials: list[list[Trial]], levels: list[Level], *, null: bool
 ) -> tuple[list[Trial], Array]:
     """Let each case choose its shapes: the clearest first, then the others beside it, then all once more."""
     groups = [alone(stage, t, i) for i, t in enumerate(trials)]
-    singles = [search_groups(stage, effect, g, levels) for g in groups]
+    singles = [search_groups(stage, effect, g, levels, null=null) for g in groups]
     chosen = [_place(t, s) for t, s in zip(trials, singles, strict=True)]
     order = sorted(range(len(trials)), key=lambda i: -singles[i].score)
     if len(trials) <= _MOST_SWEPT:
         for i in [*order[1:], *order]:
             beside = [groups[j][chosen[j]][1] for j in order if j != i]
             inner = stage.beside(np.concatenate(beside, axis=1))
-            chosen[i] = _place(trials[i], search_groups(stage, effect, groups[i], inner))
-    null = np.sum([s.null for s in singles], axis=0)
-    return [t[k] for t, k in zip(trials, chosen, strict=True)], null
+            chosen[i] = _place(trials[i], search_groups(stage, effect, groups[i], inner, null=False))
+    empty = np.sum([s.null for s in singles], axis=0)
+    return [t[k] for t, k in zip(trials, chosen, strict=True)], empty
 
 
 def _place(trials: list[Trial], score: Score) -> int:

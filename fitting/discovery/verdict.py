@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from fitting.beside import Beside
 from fitting.diagnosis import (
     Failure,
     ResidualTorque,
@@ -82,7 +83,11 @@ class Diagnosis:
 
 
 def diagnose(
-    fit: Fit, extra: Sequence[Effect] = (), *, candidates: Sequence[Candidate] | None = None
+    fit: Fit,
+    extra: Sequence[Effect] = (),
+    *,
+    candidates: Sequence[Candidate] | None = None,
+    beside: Beside | None = None,
 ) -> Diagnosis:
     """Say where a fit fails and which effect is missing.
 
@@ -94,12 +99,16 @@ def diagnose(
         Effects of the user beside the library.
     candidates : sequence of Candidate, optional
         The ranking of the fit, if it is known already.
+    beside : Beside, optional
+        A second process that takes its share of the work.
 
     Returns
     -------
     Diagnosis
     """
-    candidates = rank(fit, extra) if candidates is None else candidates
+    beside = beside or Beside()
+    left, repeated = beside.begin(residual_torques, fit), beside.begin(ripples, fit)
+    candidates = rank(fit, extra, beside=beside) if candidates is None else candidates
     chosen = best(candidates)
     after: list[Rung] = []
     end = fit
@@ -113,12 +122,12 @@ def diagnose(
             if clearer is not None and clearer.fit is not None:
                 chosen, end = clearer, clearer.fit
         if end.verdict == "misfit" or quieter:
-            after = improve(fit, extra, max_steps=1 + _FOLLOW_UP, first=candidates)
+            after = improve(fit, extra, max_steps=1 + _FOLLOW_UP, first=candidates, beside=beside)
             end = after[-1].fit
     doubt = _doubt(chosen, end)
     explained = "adequate" if chosen is None else "missing_effect"
     verdict = "unexplained" if end.verdict == "misfit" or doubt is not None else explained
-    torques, waves = residual_torques(fit), ripples(fit)
+    torques, waves = left(), repeated()
     failures = find_failures(fit, torques, waves) if verdict != "adequate" else []
     words = sentence(fit, verdict, chosen, after, failures, candidates, doubt)
     rivals = [c for c in candidates if chosen and c.effect.name in chosen.indistinguishable_from]

@@ -28,6 +28,10 @@ def _power(x: Any, y: Any) -> Any:
     return np.power(x, y)
 
 
+def _heaviside(x: Any) -> Any:
+    return np.heaviside(x, 1.0)
+
+
 _OPERATIONS: dict[str, Callable[..., Any]] = {
     "add": np.add,
     "mul": np.multiply,
@@ -40,7 +44,7 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
     "sin": np.sin,
     "cos": np.cos,
     "tanh": np.tanh,
-    "heaviside": lambda x: np.heaviside(x, 1.0),
+    "heaviside": _heaviside,
 }
 
 

@@ -24,16 +24,17 @@ def command(
 
     Example: gyrotrack diagnose case1.h5
     """
+    from fitting.beside import Beside
     from fitting.discovery import diagnose
     from fitting.summary import diagnosis_document
 
     out = Output(as_json=as_json, quiet=quiet)
     study = open_study(cases, ledger)
-    with out.progress("scoring effects") as progress:
+    with Beside() as beside, out.progress("scoring effects") as progress:
         progress(0, None)
         fit, fit_id = study.base(start)
         own = own_effects(effects)
-        found = diagnose(fit, own)
+        found = diagnose(fit, own, beside=beside)
         study.keep_diagnosis(fit_id, found, own)
     out.result(diagnosis_document(found, fit_id))
     out.show(*diagnosis_tables(found, fit_id))

@@ -22,19 +22,21 @@ def command(
 
     Example: gyrotrack improve case1.h5
     """
+    from fitting.beside import Beside
     from fitting.discovery import diagnose, improve
     from fitting.summary import fit_document, ladder_verdict
 
     out = Output(as_json=as_json, quiet=quiet)
     study = open_study(cases, ledger)
-    with out.progress("adding effects") as progress:
+    with Beside() as beside, out.progress("adding effects") as progress:
         progress(0, None)
         base, parent = study.base(start)
         own = own_effects(effects)
-        rungs = improve(base, own, progress=progress)
+        rungs = improve(base, own, progress=progress, beside=beside)
         kept = study.keep(rungs, parent)
         # a report asks for it next, and most of the work is done
-        study.keep_diagnosis(parent, diagnose(base, own, candidates=rungs[0].candidates), own)
+        found = diagnose(base, own, candidates=rungs[0].candidates, beside=beside)
+        study.keep_diagnosis(parent, found, own)
     steps = [entry.document["rung"] for entry in kept]
     verdict = ladder_verdict(rungs)
     out.result({"ladder": steps, "final": fit_document(rungs[-1].fit, kept[-1].fit_id), "verdict": verdict})

@@ -34,18 +34,20 @@ def command(
 
     Example: gyrotrack report case1.h5 -o report.html
     """
+    from fitting.beside import Beside
     from gyrotrack.dataset import read_case
     from gyrotrack.dataset.writing import refuse_existing
     from gyrotrack.report import write_report
-    from gyrotrack.report.beside import Beside
+    from gyrotrack.report.figures.style import get_ready
 
     out = Output(as_json=as_json, quiet=quiet)
     refuse_existing(output, force=force)
     study = open_study(cases, ledger)
     with Beside() as beside, out.progress("writing the report") as progress:
         progress(0, None)
+        beside.begin(get_ready)
         rungs = study.rungs_to(start)
-        diagnosis = study.diagnosis(start, rungs[0].fit, own_effects(effects))
+        diagnosis = study.diagnosis(start, rungs[0].fit, own_effects(effects), beside=beside)
         recordings = [read_case(case) for case in cases]
         where = {"command": command_line(), "ledger": str(study.ledger.path)}
         write_report(

@@ -9,9 +9,9 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fitting.beside import Beside
 from fitting.typesetting import unbroken
 from gyrotrack.dataset.writing import new_file, refuse_existing
-from gyrotrack.report.beside import Beside
 from gyrotrack.report.content import gather
 from gyrotrack.report.parts import report_parts
 

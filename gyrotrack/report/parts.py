@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fitting.beside import Beside
 from fitting.typesetting import probability, typeset
-from gyrotrack.report.beside import Beside
 from gyrotrack.report.content import Content
 from gyrotrack.report.origin import origin_rows
 from gyrotrack.report.sections import section
@@ -52,7 +52,7 @@ def report_parts(
     provenance: Mapping[str, str],
     beside: Beside,
 ) -> dict[str, Any]:
-    """Return everything that stands in a report, ready to be laid out; `beside` draws the later half of the cases."""
+    """Return everything that stands in a report, ready to be laid out; `beside` draws its share."""
     from gyrotrack.report import tables
     from gyrotrack.report.boards import case_board
     from gyrotrack.report.figures.candidates import candidates_picture
@@ -72,6 +72,8 @@ def report_parts(
     ]
     here = len(cases) // 2
     later = [beside.begin(section, *case) for case in cases[here:]]
+    correlation = beside.begin(correlation_picture, content)
+    candidate_rows = beside.begin(tables.candidate_rows, content)
     parts: dict[str, Any] = {
         "content": content,
         "title": ", ".join(v.label for v in content.cases),
@@ -86,10 +88,8 @@ def report_parts(
         "tried": "Effects that were tried, and are not needed"
         if content.verdict == "adequate" and not content.improved
         else "What would mend the base model",
-        "candidate_rows": tables.candidate_rows(content),
         "parameters": tables.parameter_rows(content),
         "plausibility": plausibility_rows(content.final),
-        "correlation": correlation_picture(content),
         "base_equations": _equations(content.base, "base"),
         "final_equations": _equations(content.final, "final") if content.improved else [],
         "added": _added(content),
@@ -98,6 +98,7 @@ def report_parts(
         "provenance": origin_rows(content.base, provenance),
     }
     parts["sections"] += [result() for result in later]
+    parts["correlation"], parts["candidate_rows"] = correlation(), candidate_rows()
     return parts
 
 

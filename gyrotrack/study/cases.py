@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from gyrotrack.errors import UsageError
 
 if TYPE_CHECKING:
+    from fitting.beside import Beside
     from fitting.case_data import CaseData
     from fitting.discovery import Diagnosis, Rung
     from fitting.effects import Effect
@@ -72,7 +73,9 @@ class Study:
             chain.append(parent)
         return chain
 
-    def diagnosis(self, fit_id: str | None, fit: Fit, extra: Sequence[Effect] = ()) -> Diagnosis:
+    def diagnosis(
+        self, fit_id: str | None, fit: Fit, extra: Sequence[Effect] = (), *, beside: Beside | None = None
+    ) -> Diagnosis:
         """Return the diagnosis of the first of the rungs that led to a fit, kept if there is one, else made and kept.
 
         Parameters
@@ -83,13 +86,15 @@ class Study:
             The fit of the first.
         extra : sequence of Effect
             Effects of the user beside the library.
+        beside : Beside, optional
+            A second process that takes its share of the work.
         """
         from fitting.discovery import diagnose
 
         entry = self._chain(fit_id)[-1]
         found = entry.diagnosis(fit, extra)
         if found is None:
-            found = diagnose(fit, extra)
+            found = diagnose(fit, extra, beside=beside)
             self.keep_diagnosis(entry.fit_id, found, extra)
         return found
 

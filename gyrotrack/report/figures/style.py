@@ -151,3 +151,8 @@ def zero(axes: Axes) -> None:
 def panel(axes: Axes, letter: str, title: str) -> None:
     """Write the letter and the title of a panel."""
     axes.set_title(f"({letter})  {title}" if letter else title)
+
+
+def get_ready() -> None:
+    """Load what all figures need, in a process that will draw some."""
+    import matplotlib.backends.backend_svg  # noqa: F401

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import twobody
 
+from fitting.beside import Beside
 from fitting.case_data import CaseData
 from fitting.discovery import diagnose, improve
 from fitting.effects import LIBRARY, REDUCED, resolve
@@ -58,6 +59,17 @@ def test_a_hidden_effect_comes_first_with_its_strength(name):
     estimate = first.estimates[f"{first.effect.name}.{symbol}"]
     # 5e-5 of the value: the oracle's own grid is not finer
     assert abs(estimate.value - truth) < 4 * estimate.stderr + 5e-5 * truth
+
+
+def test_two_processes_say_the_same_as_one():
+    fit_ = base("touchpoint.stribeck")
+    with Beside(cores=2) as beside:
+        shared = diagnose(fit_, beside=beside)
+    alone = diagnose(fit_)
+    assert shared.sentence == alone.sentence
+    for a, b in zip(shared.candidates, alone.candidates, strict=True):
+        assert (a.effect.name, a.score, a.p_value) == (b.effect.name, b.score, b.p_value)
+    assert all(c.fit.problem.data[0] is fit_.problem.data[0] for c in shared.candidates if c.fit is not None)
 
 
 @pytest.mark.parametrize(("ou", "centre"), [(0.0, 0.0), (1e-7, 2e-3)])

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gyrotrack.report.beside import Beside
+from fitting.beside import Beside
 
 
 def _where(value):
@@ -49,7 +49,7 @@ def test_it_does_not_outlive_a_command_that_is_killed(tmp_path):
     script = tmp_path / "command.py"
     script.write_text(
         "import os, time\n"
-        "from gyrotrack.report.beside import Beside\n"
+        "from fitting.beside import Beside\n"
         "if __name__ == '__main__':\n"
         "    with Beside(cores=2) as beside:\n"
         "        print(beside.begin(os.getpid)(), flush=True)\n"
@@ -63,3 +63,49 @@ def test_it_does_not_outlive_a_command_that_is_killed(tmp_path):
             return
         time.sleep(0.1)
     pytest.fail("it is still there")
+
+
+class _Part:
+    pass
+
+
+def _parts(common):
+    return common
+
+
+def _first_and(common, item):
+    time.sleep(0.05)
+    return common[0], item, os.getpid()
+
+
+def test_two_processes_share_the_items_and_results_refer_to_what_is_kept():
+    common = (_Part(), _Part())
+    with Beside(cores=2) as beside:
+        beside.begin(_where, 0)()
+        found = beside.each(_first_and, common, range(8), _parts)
+    assert [item for _, item, _ in found] == list(range(8))
+    assert len({where for _, _, where in found}) == 2
+    assert all(part is common[0] for part, _, _ in found)
+
+
+def test_items_are_all_done_here_if_the_process_is_killed():
+    with Beside(cores=2) as beside:
+        _, where = beside.begin(_where, 0)()
+        os.kill(where, signal.SIGKILL)
+        found = beside.each(_first_and, ("a",), range(3))
+    assert found == [("a", i, os.getpid()) for i in range(3)]
+
+
+def _killed(common, item):
+    if os.getpid() != common:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return item
+
+
+def test_an_item_that_kills_the_process_is_done_here():
+    with Beside(cores=2) as beside:
+        assert beside.each(_killed, os.getpid(), range(4)) == [0, 1, 2, 3]
+
+
+def test_nothing_is_started_without_with():
+    assert Beside(cores=2).each(_first_and, ("a",), [1]) == [("a", 1, os.getpid())]
