@@ -9,8 +9,6 @@
 #include <math.h>
 #include <stdint.h>
 
-#define MOST_ARRAYS 16
-
 /* Arrays that are in use; all are given back together. */
 typedef struct {
     Py_buffer *view;
@@ -23,21 +21,48 @@ static void give_back(Arrays *arrays)
         PyBuffer_Release(&arrays->view[--arrays->count]);
 }
 
-/* Take an array of so many dimensions and bytes a number; `flags` as for PyObject_GetBuffer. */
-static Py_buffer *array(Arrays *arrays, PyObject *object, int ndim, Py_ssize_t itemsize, int flags)
+/* Take arrays as `kinds` says, two letters each: dimensions; b, i, d for 1, 4, 8 bytes a number, capital where they
+ * are written to. All are dense, but where the first dimension is in steps ("s" before). */
+static Py_buffer *take(Arrays *arrays, PyObject **given, const char *kinds)
 {
-    Py_buffer *view = &arrays->view[arrays->count];
-    if (object == NULL || PyObject_GetBuffer(object, view, flags) < 0)
-        return NULL;
-    arrays->count++;
-    if (view->ndim == ndim && view->itemsize == itemsize)
-        return view;
-    PyErr_SetString(PyExc_ValueError, "an array has another shape or type than is expected");
+    Py_ssize_t first = arrays->count;
+    for (; *kinds; kinds += 2, given++) {
+        int stepped = *kinds == 's';
+        kinds += stepped;
+        int ndim = kinds[0] - '0', writable = kinds[1] < 'a', letter = kinds[1] | 32;
+        Py_ssize_t itemsize = letter == 'b' ? 1 : letter == 'i' ? 4 : 8;
+        Py_buffer *view = &arrays->view[arrays->count];
+        if (PyObject_GetBuffer(*given, view, (stepped ? PyBUF_STRIDES : PyBUF_ND) | (writable ? PyBUF_WRITABLE : 0)) < 0)
+            return NULL;
+        arrays->count++;
+        int fits = view->ndim == ndim && view->itemsize == itemsize;
+        for (Py_ssize_t dense = itemsize, k = ndim - 1; fits && stepped && k > 0; dense *= view->shape[k--])
+            fits = view->strides[k] == dense;
+        if (!fits) {
+            PyErr_SetString(PyExc_ValueError, "an array has another shape or type than is expected");
+            return NULL;
+        }
+    }
+    return arrays->view + first;
+}
+
+static PyObject *misfit(void)
+{
+    PyErr_SetString(PyExc_ValueError, "arrays do not fit each other");
     return NULL;
 }
 
+#if defined(__GNUC__)
+#define FETCH(place) __builtin_prefetch(place)
+#else
+#define FETCH(place) ((void)(place))
+#endif
+#define LINE 64 /* bytes that come from memory at once */
+#define TOGETHER 64 /* samples taken at a time */
+
 typedef struct {
-    const int32_t *at, *box;
+    const uint32_t *at; /* line and column of the pixel left above each sample, 16 bits each */
+    const int32_t *box;
     const float *right, *down, *ground;
     float *score;
     Py_ssize_t rows, columns, width, stride;
@@ -49,33 +74,68 @@ typedef struct {
     float weight;
 } Plane;
 
-/* Form the score in the box that a window touches, then sample it. */
-static void cut_one(const Grid *grid, const Plane *plane, int planes, Py_ssize_t first, float *out)
+/* Form the score of two planes in the box that a window touches. */
+static void form(const Grid *grid, const Plane *plane, const int32_t *edge)
 {
-    const int32_t *edge = grid->box + 4 * first;
     for (int32_t y = edge[2]; y < edge[3]; y++) {
         float *line = grid->score + y * grid->stride;
-        const uint8_t *a = plane[0].pixels + y * plane[0].stride;
-        if (planes == 2) {
-            const uint8_t *b = plane[1].pixels + y * plane[1].stride;
-            for (int32_t x = edge[0]; x < edge[1]; x++)
-                line[x] = plane[0].weight * (float)a[x] + plane[1].weight * (float)b[x];
-        }
-        else
-            for (int32_t x = edge[0]; x < edge[1]; x++)
-                line[x] = plane[0].weight * (float)a[x];
+        const uint8_t *a = plane[0].pixels + y * plane[0].stride, *b = plane[1].pixels + y * plane[1].stride;
+        for (int32_t x = edge[0]; x < edge[1]; x++)
+            line[x] = plane[0].weight * (float)a[x] + plane[1].weight * (float)b[x];
     }
-    for (Py_ssize_t row = 0; row < grid->rows; row++) {
-        Py_ssize_t begin = row * grid->columns + first;
-        const int32_t *at = grid->at + begin;
-        const float *right = grid->right + begin, *down = grid->down + begin, *ground = grid->ground + begin;
-        for (Py_ssize_t k = 0; k < grid->width; k++) {
-            const float *s = grid->score + at[k], *t = s + grid->stride;
-            float above = s[0] + right[k] * (s[1] - s[0]);
-            float below = t[0] + right[k] * (t[1] - t[0]);
-            *out++ = above + down[k] * (below - above) - ground[k];
+}
+
+/* Sample a score, or one plane as it is; four neighbours a sample are gathered first. */
+static void sample(const Grid *grid, const Plane *plane, Py_ssize_t begin, Py_ssize_t count, float *out)
+{
+    const uint32_t *at = grid->at + begin;
+    const float *right = grid->right + begin, *down = grid->down + begin, *ground = grid->ground + begin;
+    float pair[2 * TOGETHER];
+    int32_t a[TOGETHER], b[TOGETHER], c[TOGETHER], d[TOGETHER];
+    if (plane != NULL) {
+        for (Py_ssize_t k = 0; k < count; k++) {
+            const uint8_t *s = plane->pixels + (at[k] >> 16) * plane->stride + (at[k] & 0xffff), *t = s + plane->stride;
+            a[k] = s[0], b[k] = s[1], c[k] = t[0], d[k] = t[1];
         }
+        for (Py_ssize_t k = 0; k < count; k++) {
+            float left = (float)a[k] + down[k] * (float)(c[k] - a[k]);
+            float beside = (float)b[k] + down[k] * (float)(d[k] - b[k]);
+            out[k] = plane->weight * (left + right[k] * (beside - left)) - ground[k];
+        }
+        return;
     }
+    for (Py_ssize_t k = 0; k < count; k++) {
+        const float *s = grid->score + (at[k] >> 16) * grid->stride + (at[k] & 0xffff), *t = s + grid->stride;
+        pair[2 * k] = s[0] + down[k] * (t[0] - s[0]);
+        pair[2 * k + 1] = s[1] + down[k] * (t[1] - s[1]);
+    }
+    for (Py_ssize_t k = 0; k < count; k++)
+        out[k] = pair[2 * k] + right[k] * (pair[2 * k + 1] - pair[2 * k]) - ground[k];
+}
+
+/* Ask for what the next window needs, while this one is worked on. */
+static void fetch(const Grid *grid, const Plane *plane, int planes, Py_ssize_t first)
+{
+    const int32_t *edge = grid->box + 4 * first;
+    for (int32_t y = edge[2]; y < edge[3]; y++)
+        for (int kind = 0; kind < planes; kind++) {
+            const uint8_t *line = plane[kind].pixels + y * plane[kind].stride;
+            for (int32_t x = edge[0]; x < edge[1]; x += LINE)
+                FETCH(line + x);
+            FETCH(line + edge[1] - 1);
+        }
+}
+
+static void cut_one(const Grid *grid, const Plane *plane, int planes, Py_ssize_t first, float *out)
+{
+    if (planes == 2)
+        form(grid, plane, grid->box + 4 * first);
+    for (Py_ssize_t row = 0; row < grid->rows; row++)
+        for (Py_ssize_t k = 0; k < grid->width; k += TOGETHER) {
+            Py_ssize_t count = grid->width - k < TOGETHER ? grid->width - k : TOGETHER;
+            sample(grid, planes == 1 ? plane : NULL, row * grid->columns + first + k, count, out);
+            out += count;
+        }
 }
 
 /* cut(planes, weights, at, right, down, box, ground, first, score, out) */
@@ -83,7 +143,6 @@ static PyObject *cut(PyObject *self, PyObject *args)
 {
     PyObject *given[8], *planes, *done = NULL;
     float weight[2];
-    Grid grid;
     if (!PyArg_ParseTuple(args, "O!(ff)OOOOOOOO", &PyTuple_Type, &planes, &weight[0], &weight[1], &given[0], &given[1],
                           &given[2], &given[3], &given[4], &given[5], &given[6], &given[7]))
         return NULL;
@@ -91,45 +150,41 @@ static PyObject *cut(PyObject *self, PyObject *args)
     Py_ssize_t count = kinds < 1 || kinds > 2 ? -1 : PyList_Size(PyTuple_GetItem(planes, 0));
     if (count < 0)
         return PyErr_Occurred() ? NULL : PyErr_Format(PyExc_ValueError, "one or two lists of planes are expected");
-    Arrays arrays = {PyMem_Calloc(MOST_ARRAYS + 2 * count, sizeof(Py_buffer)), 0};
+    Arrays arrays = {PyMem_Calloc(8 + 2 * count, sizeof(Py_buffer)), 0};
     Plane *plane = PyMem_Calloc(2 * count + 1, sizeof(Plane));
     if (arrays.view == NULL || plane == NULL) {
         PyErr_NoMemory();
         goto end;
     }
-    Py_buffer *at = array(&arrays, given[0], 2, 4, PyBUF_ND);
-    Py_buffer *right = at ? array(&arrays, given[1], 2, 4, PyBUF_ND) : NULL;
-    Py_buffer *down = right ? array(&arrays, given[2], 2, 4, PyBUF_ND) : NULL;
-    Py_buffer *box = down ? array(&arrays, given[3], 2, 4, PyBUF_ND) : NULL;
-    Py_buffer *ground = box ? array(&arrays, given[4], 2, 4, PyBUF_ND) : NULL;
-    Py_buffer *first = ground ? array(&arrays, given[5], 1, 8, PyBUF_ND) : NULL;
-    Py_buffer *score = first ? array(&arrays, given[6], 2, 4, PyBUF_ND | PyBUF_WRITABLE) : NULL;
-    Py_buffer *out = score ? array(&arrays, given[7], 3, 4, PyBUF_ND | PyBUF_WRITABLE) : NULL;
-    if (out == NULL)
+    Py_buffer *a = take(&arrays, given, "2i2i2i2i2i1d2I3I"), *at = a, *box = a + 3, *first = a + 5, *score = a + 6, *out = a + 7;
+    if (a == NULL)
         goto end;
-    grid = (Grid){at->buf, box->buf, right->buf, down->buf, ground->buf, score->buf,
-                  out->shape[1], at->shape[1], out->shape[2], score->shape[1]};
+    Grid grid = {at->buf, box->buf, a[1].buf, a[2].buf, a[4].buf, score->buf,
+                 out->shape[1], at->shape[1], out->shape[2], score->shape[1]};
+    const int64_t *begin = first->buf;
     int fits = at->shape[0] == grid.rows && out->shape[0] == count && first->shape[0] == count && box->shape[1] == 4 &&
-               right->len == at->len && down->len == at->len && ground->len == at->len;
+               a[1].len == at->len && a[2].len == at->len && a[4].len == at->len;
     for (Py_ssize_t k = 0; fits && k < count; k++) {
-        int64_t place = ((int64_t *)first->buf)[k];
-        fits = place >= 0 && place < box->shape[0] && place + grid.width <= grid.columns;
+        fits = begin[k] >= 0 && begin[k] < box->shape[0] && begin[k] + grid.width <= grid.columns;
         for (int kind = 0; fits && kind < kinds; kind++) {
-            Py_buffer *view = array(&arrays, PyList_GetItem(PyTuple_GetItem(planes, kind), k), 2, 1, PyBUF_STRIDES);
+            PyObject *one = PyList_GetItem(PyTuple_GetItem(planes, kind), k);
+            Py_buffer *view = one ? take(&arrays, &one, "s2b") : NULL;
             if (view == NULL)
                 goto end;
-            fits = view->shape[0] == score->shape[0] && view->shape[1] == score->shape[1] && view->strides[1] == 1;
+            fits = view->shape[0] == score->shape[0] && view->shape[1] == score->shape[1];
             plane[2 * k + kind] = (Plane){view->buf, view->strides[0], weight[kind]};
         }
     }
     if (!fits) {
-        PyErr_SetString(PyExc_ValueError, "arrays do not fit each other");
+        misfit();
         goto end;
     }
     Py_BEGIN_ALLOW_THREADS
-    for (Py_ssize_t k = 0; k < count; k++)
-        cut_one(&grid, plane + 2 * k, kinds, (Py_ssize_t)((int64_t *)first->buf)[k],
-                (float *)out->buf + k * grid.rows * grid.width);
+    for (Py_ssize_t k = 0; k < count; k++) {
+        if (k + 1 < count)
+            fetch(&grid, plane + 2 * (k + 1), kinds, (Py_ssize_t)begin[k + 1]);
+        cut_one(&grid, plane + 2 * k, kinds, (Py_ssize_t)begin[k], (float *)out->buf + k * grid.rows * grid.width);
+    }
     Py_END_ALLOW_THREADS
     done = Py_NewRef(Py_None);
 end:
@@ -181,30 +236,25 @@ static void fit_one(const Template *t, const double *profile, const uint8_t *see
     out[0] = shift, out[1] = gain, out[2] = offset, out[3] = left, out[4] = spread;
 }
 
-/* fit(profile, curve, slope, pad, start, seen, limit, stride, rounds, fineness, out) */
+/* fit(profile, curve, slope, start, seen, out, pad, limit, stride, rounds, fineness) */
 static PyObject *fit(PyObject *self, PyObject *args)
 {
     PyObject *given[6], *done = NULL;
     Template t;
     Py_buffer views[6];
     Arrays arrays = {views, 0};
-    if (!PyArg_ParseTuple(args, "OOOnOOddndO", &given[0], &given[1], &given[2], &t.pad, &given[3], &given[4], &t.limit,
-                          &t.stride, &t.rounds, &t.fineness, &given[5]))
+    if (!PyArg_ParseTuple(args, "OOOOOOnddnd", &given[0], &given[1], &given[2], &given[3], &given[4], &given[5], &t.pad,
+                          &t.limit, &t.stride, &t.rounds, &t.fineness))
         return NULL;
-    Py_buffer *profile = array(&arrays, given[0], 2, 8, PyBUF_ND);
-    Py_buffer *curve = profile ? array(&arrays, given[1], 1, 8, PyBUF_ND) : NULL;
-    Py_buffer *slope = curve ? array(&arrays, given[2], 1, 8, PyBUF_ND) : NULL;
-    Py_buffer *start = slope ? array(&arrays, given[3], 1, 8, PyBUF_ND) : NULL;
-    Py_buffer *seen = start ? array(&arrays, given[4], 2, 1, PyBUF_ND) : NULL;
-    Py_buffer *out = seen ? array(&arrays, given[5], 2, 8, PyBUF_ND | PyBUF_WRITABLE) : NULL;
-    if (out == NULL)
+    Py_buffer *profile = take(&arrays, given, "2d1d1d1d2b2D"), *start = profile + 3, *seen = profile + 4, *out = profile + 5;
+    if (profile == NULL)
         goto end;
     Py_ssize_t count = profile->shape[0];
-    t.size = profile->shape[1], t.curve = curve->buf, t.slope = slope->buf;
-    if (curve->shape[0] != t.size + 2 * t.pad || slope->len != curve->len || !(t.limit + 2.0 <= (double)t.pad) ||
-        start->shape[0] != count || seen->shape[0] != count || seen->shape[1] != t.size || out->shape[0] != count ||
-        out->shape[1] != 5) {
-        PyErr_SetString(PyExc_ValueError, "arrays do not fit each other");
+    t.size = profile->shape[1], t.curve = profile[1].buf, t.slope = profile[2].buf;
+    if (profile[1].shape[0] != t.size + 2 * t.pad || profile[2].len != profile[1].len ||
+        !(t.limit + 2.0 <= (double)t.pad) || start->shape[0] != count || seen->shape[0] != count ||
+        seen->shape[1] != t.size || out->shape[0] != count || out->shape[1] != 5) {
+        misfit();
         goto end;
     }
     Py_BEGIN_ALLOW_THREADS
@@ -218,15 +268,242 @@ end:
     return done;
 }
 
+/* The value of a rank, 0 for the least; values change places. */
+static double ranked(double *values, Py_ssize_t count, Py_ssize_t rank)
+{
+    Py_ssize_t low = 0, high = count - 1;
+    while (low < high) {
+        double pivot = values[(low + high) / 2];
+        Py_ssize_t i = low, j = high;
+        while (i <= j) {
+            while (values[i] < pivot)
+                i++;
+            while (pivot < values[j])
+                j--;
+            if (i <= j) {
+                double kept = values[i];
+                values[i++] = values[j], values[j--] = kept;
+            }
+        }
+        if (rank <= j)
+            high = j;
+        else if (rank >= i)
+            low = i;
+        else
+            break;
+    }
+    return values[rank];
+}
+
+/* The median; `near` is where it may be, so that only what lies there is put in order. */
+static double median(const double *values, Py_ssize_t count, double near, double *room)
+{
+    double low = 0.9 * near, high = 1.1 * near;
+    Py_ssize_t below = 0, within = 0, rank = (count - 1) / 2;
+    for (Py_ssize_t k = 0; k < count; k++) {
+        below += values[k] < low;
+        room[within] = values[k];
+        within += values[k] >= low && values[k] <= high;
+    }
+    if (rank < below || count / 2 >= below + within) {
+        below = 0, within = count;
+        for (Py_ssize_t k = 0; k < count; k++)
+            room[k] = values[k];
+    }
+    double middle = ranked(room, within, rank - below);
+    return count % 2 ? middle : 0.5 * (middle + ranked(room, within, rank - below + 1));
+}
+
+/* unlikely(squares, odd, shares, out, fault): see angles/oddity.py */
+static PyObject *unlikely(PyObject *self, PyObject *args)
+{
+    PyObject *given[4], *done = NULL;
+    double fault, near = 0.0, *room = NULL;
+    Py_buffer views[4];
+    Arrays arrays = {views, 0};
+    if (!PyArg_ParseTuple(args, "OOOOd", &given[0], &given[1], &given[2], &given[3], &fault))
+        return NULL;
+    Py_buffer *a = take(&arrays, given, "1d1d1d1D");
+    if (a == NULL)
+        goto end;
+    Py_ssize_t count = a->shape[0];
+    const double *squares = a[0].buf, *odd = a[1].buf, *share = a[2].buf;
+    if (count < 1 || a[1].shape[0] != count || a[3].shape[0] != a[2].shape[0]) {
+        misfit();
+        goto end;
+    }
+    room = PyMem_Calloc(2 * count, sizeof(double));
+    if (room == NULL) {
+        PyErr_NoMemory();
+        goto end;
+    }
+    Py_BEGIN_ALLOW_THREADS
+    for (Py_ssize_t which = 0; which < a[2].shape[0]; which++) {
+        double logarithm = 0.0, total = 0.0, product = 1.0;
+        for (Py_ssize_t k = 0; k < count; k++)
+            room[k] = squares[k] / (1.0 + share[which] * odd[k]);
+        for (Py_ssize_t k = 0; k < count; k++) {
+            product *= 1.0 + share[which] * odd[k];
+            if (product > 1e200 || k + 1 == count)
+                logarithm += log(product), product = 1.0;
+        }
+        near = median(room, count, near, room + count);
+        for (Py_ssize_t k = 0; k < count; k++)
+            total += fmin(room[k], fault * near);
+        ((double *)a[3].buf)[which] = log(fmax(total / (double)count, 1e-30)) + logarithm / (double)count;
+    }
+    Py_END_ALLOW_THREADS
+    done = Py_NewRef(Py_None);
+end:
+    PyMem_Free(room);
+    give_back(&arrays);
+    return done;
+}
+
+/* Find a bright disc in the score of one window, in px of it; NaN where it is hidden. */
+static void disc_one(const uint8_t *pixels, Py_ssize_t side, const double *weight, double radius, float *soft, double *few,
+                     double *out)
+{
+    Py_ssize_t size = side * side, count = 0;
+    float a = (float)weight[0], b = (float)weight[1];
+    for (Py_ssize_t k = 0; k < size; k++)
+        soft[k] = a * (float)pixels[k] + b * (float)pixels[size + k];
+    for (Py_ssize_t row = 0; row < side; row += 3)
+        for (Py_ssize_t k = 0; k < side; k += 3)
+            few[count++] = soft[row * side + k];
+    float level = (float)ranked(few, count, (Py_ssize_t)(0.97 * (double)(count - 1)));
+    float ground = (float)ranked(few, count, (Py_ssize_t)(0.5 * (double)(count - 1)));
+    float step = level - ground > 1e-6f ? level - ground : 1e-6f, low = ground + 0.3f * step, scale = 1.0f / (0.4f * step);
+    for (Py_ssize_t k = 0; k < size; k++) {
+        float s = (soft[k] - low) * scale;
+        s = s < 0.0f ? 0.0f : s;
+        soft[k] = s > 1.0f ? 1.0f : s;
+    }
+    double x = 0.5 * (double)(side - 1), y = x, total = 0.0, reach[3] = {2.2 * radius + 3.0, 1.5 * radius + 1.5, 1.35 * radius + 1.0};
+    for (int round = 0; round < 3; round++) {
+        double along = 0.0, down = 0.0;
+        total = 0.0;
+        for (Py_ssize_t row = 0; row < side; row++) {
+            double off = (double)row - y, chord = sqrt(fmax(reach[round] * reach[round] - off * off, 0.0));
+            double first = floor(x - chord) + 1.0, last = ceil(x + chord) - 1.0;
+            float here = 0.0f, turned = 0.0f;
+            if (!(chord > 0.0))
+                continue;
+            first = fmax(first, 0.0), last = fmin(last, (double)(side - 1));
+            for (Py_ssize_t k = (Py_ssize_t)first; k <= (Py_ssize_t)last; k++)
+                here += soft[row * side + k], turned += soft[row * side + k] * (float)k;
+            total += here, along += turned, down += (double)here * (double)row;
+        }
+        total = fmax(total, 1e-9);
+        x = along / total, y = down / total;
+    }
+    double expected = 3.14159265358979323846 * radius * radius;
+    int hidden = total < 0.6 * expected || total > 1.7 * expected || step < 0.3f;
+    out[0] = hidden ? NAN : x, out[1] = hidden ? NAN : y;
+}
+
+/* disc(pixels, out, weights, radius): see geometry/disc.py */
+static PyObject *disc(PyObject *self, PyObject *args)
+{
+    PyObject *given[2], *done = NULL;
+    double weight[2], radius, *few = NULL;
+    Py_buffer views[2];
+    Arrays arrays = {views, 0};
+    if (!PyArg_ParseTuple(args, "OO(dd)d", &given[0], &given[1], &weight[0], &weight[1], &radius))
+        return NULL;
+    Py_buffer *pixels = take(&arrays, given, "4b2D"), *out = pixels + 1;
+    if (pixels == NULL)
+        goto end;
+    Py_ssize_t count = pixels->shape[0], side = pixels->shape[2];
+    if (side < 1 || pixels->shape[1] != 2 || pixels->shape[3] != side || out->shape[0] != count || out->shape[1] != 2) {
+        misfit();
+        goto end;
+    }
+    few = PyMem_Calloc(side * side, sizeof(double) + sizeof(float));
+    if (few == NULL) {
+        PyErr_NoMemory();
+        goto end;
+    }
+    Py_BEGIN_ALLOW_THREADS
+    for (Py_ssize_t k = 0; k < count; k++)
+        disc_one((uint8_t *)pixels->buf + 2 * k * side * side, side, weight, radius, (float *)(few + side * side), few,
+                 (double *)out->buf + 2 * k);
+    Py_END_ALLOW_THREADS
+    done = Py_NewRef(Py_None);
+end:
+    PyMem_Free(few);
+    give_back(&arrays);
+    return done;
+}
+
+/* near(windows, column, out, room, rows, step, half, reach): see `Strip.beside` of geometry/strip.py */
+static PyObject *near(PyObject *self, PyObject *args)
+{
+    PyObject *given[4], *done = NULL;
+    Py_buffer views[4];
+    Arrays arrays = {views, 0};
+    Py_ssize_t begin, end, step, half, reach;
+    if (!PyArg_ParseTuple(args, "OOOO(nnn)nn", &given[0], &given[1], &given[2], &given[3], &begin, &end, &step, &half, &reach))
+        return NULL;
+    Py_buffer *windows = take(&arrays, given, "s3i1d2D1D"), *out = windows + 2;
+    if (windows == NULL)
+        goto end;
+    Py_ssize_t count = windows->shape[0], width = windows->shape[2], most = width - 2 * half - 2 * reach - 2;
+    const double *column = windows[1].buf;
+    double *sum = windows[3].buf;
+    if (begin < 0 || end > windows->shape[1] || begin >= end || step < 1 || half < 0 || reach < 1 || most < 0 ||
+        windows[1].shape[0] != count || out->shape[0] != count || out->shape[1] != 2 || windows[3].shape[0] != width + 1) {
+        misfit();
+        goto end;
+    }
+    Py_ssize_t across = 2 * half + 1;
+    double share = 1.0 / (double)(((end - begin + step - 1) / step) * across);
+    Py_BEGIN_ALLOW_THREADS
+    for (Py_ssize_t n = 0; n < count; n++) {
+        const char *window = (const char *)windows->buf + n * windows->strides[0];
+        sum[0] = 0.0;
+        for (Py_ssize_t k = 0; k < width; k++)
+            sum[k + 1] = 0.0;
+        for (Py_ssize_t row = begin; row < end; row += step)
+            for (Py_ssize_t k = 0; k < width; k++)
+                sum[k + 1] += (double)((const float *)window)[row * width + k];
+        for (Py_ssize_t k = 0; k < width; k++)
+            sum[k + 1] += sum[k];
+        double whole = fmin(fmax(floor(column[n]), 0.0), (double)most), part = fmin(fmax(column[n] - whole, 0.0), 1.0);
+        const double *from = sum + (Py_ssize_t)whole;
+        Py_ssize_t top = 0;
+        double height = -HUGE_VAL, beside[2];
+#define HEIGHT(k) (share * ((1.0 - part) * (from[(k) + across] - from[k]) + part * (from[(k) + across + 1] - from[(k) + 1])))
+        for (Py_ssize_t k = 0; k <= 2 * reach; k++)
+            if (HEIGHT(k) > height)
+                height = HEIGHT(k), top = k;
+        double *found = (double *)out->buf + 2 * n;
+        found[0] = (double)(top - reach), found[1] = 0.0;
+        if (top == 0 || top == 2 * reach)
+            continue;
+        beside[0] = HEIGHT(top - 1), beside[1] = HEIGHT(top + 1);
+        double bend = fmin(beside[0] - 2.0 * height + beside[1], -1e-9);
+        found[0] += fmin(fmax(0.5 * (beside[0] - beside[1]) / bend, -0.5), 0.5), found[1] = height;
+    }
+    Py_END_ALLOW_THREADS
+    done = Py_NewRef(Py_None);
+end:
+    give_back(&arrays);
+    return done;
+}
+
 static PyMethodDef methods[] = {
     {"cut", cut, METH_VARARGS, "Sample windows of a polar grid."},
+    {"near", near, METH_VARARGS, "Find papers in windows."},
     {"fit", fit, METH_VARARGS, "Fit a template to profiles."},
+    {"disc", disc, METH_VARARGS, "Find discs."},
+    {"unlikely", unlikely, METH_VARARGS, "Weigh how unlikely residuals are."},
     {NULL, NULL, 0, NULL},
 };
 
 static int set_edition(PyObject *module)
 {
-    return PyModule_AddIntConstant(module, "EDITION", 1);
+    return PyModule_AddIntConstant(module, "EDITION", 2);
 }
 
 static PyModuleDef_Slot slots[] = {{Py_mod_exec, set_edition}, {0, NULL}};

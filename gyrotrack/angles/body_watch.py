@@ -130,17 +130,11 @@ class BodyWatch:
 
         A marker that is partly hidden stands out less, and counts with the eighth power of that.
         """
-        count, reach = len(coarse), self._coloured[0].slack
-        total, weight = np.zeros(count), np.full(count, 1e-9)
-        frame = np.arange(count)
+        total, weight = np.zeros(len(coarse)), np.full(len(coarse), 1e-9)
+        expected = np.nan_to_num(coarse)
         for strip in self._coloured:
-            height = strip.near(np.nan_to_num(coarse) + strip.paper.mount, place, reach)
-            top = np.argmax(height, axis=1)
-            inner = np.clip(top, 1, 2 * reach - 1)
-            left, middle, right = (height[frame, inner + k] for k in (-1, 0, 1))
-            bend = np.minimum(left - 2.0 * middle + right, -1e-9)
-            off = inner - reach + np.clip(0.5 * (left - right) / bend, -0.5, 0.5)
-            own = np.where((middle > SEEN) & (inner == top), np.minimum(middle, 1.2) ** 8, 0.0)
+            off, height = strip.beside(expected + strip.paper.mount, place)
+            own = np.where(height > SEEN, np.minimum(height, 1.2) ** 8, 0.0)
             total, weight = total + own * off, weight + own
         seen = (weight > 1e-6) & np.isfinite(coarse)
         return np.where(seen, coarse + total / weight * self._step, coarse), seen

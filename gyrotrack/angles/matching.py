@@ -71,8 +71,8 @@ def match(profile: Floats, template: Floats, start: Floats, seen: Mask) -> Match
         pad = int(np.ceil(limit)) + 2
         padded = (np.pad(line, pad, mode="edge") for line in (template, slope))
         found = np.empty((len(shift), 5))
-        given = np.ascontiguousarray(profile), *padded, pad, shift, np.ascontiguousarray(seen)
-        loops.fit(*given, limit, stride, ROUNDS, FINENESS, found)
+        given = np.ascontiguousarray(profile), *padded, shift, np.ascontiguousarray(seen)
+        loops.fit(*given, found, pad, limit, stride, ROUNDS, FINENESS)
         shift, gain, offset, left, spread = found.T.copy()
     misfit = np.sqrt(np.maximum(left, 0.0) / np.maximum(seen.sum(axis=1), 1)) / np.maximum(np.abs(gain), 1e-3)
     open_ = _moments(np.ones((1, len(template))), template[None], slope[None])

@@ -10,6 +10,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack.compiled import loops
+
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
@@ -39,12 +41,19 @@ def most_likely_share(off: Floats, excess: Floats) -> float:
     known = np.isfinite(off)
     if known.sum() < FEWEST:
         return 0.0
-    squares, odd = off[known] ** 2, excess[known]
-    return float(_SHARES[int(np.argmin([_unlikely(squares, 1.0 + share * odd) for share in _SHARES]))])
+    return float(_SHARES[int(np.argmin(_unlikely(off[known] ** 2, excess[known])))])
 
 
-def _unlikely(squares: Floats, variance: Floats) -> float:
-    """Return minus twice the mean log-likelihood of squared residuals, but for a constant."""
+def _unlikely(squares: Floats, odd: Floats) -> Floats:
+    """Return minus twice the mean log-likelihood of squared residuals for every share, but for a constant."""
+    if loops is None:
+        return np.array([_unlikely_as(squares, 1.0 + share * odd) for share in _SHARES])
+    found = np.empty(len(_SHARES))
+    loops.unlikely(squares, odd, _SHARES, found, _FAULT**2 / 0.4549)
+    return found
+
+
+def _unlikely_as(squares: Floats, variance: Floats) -> float:
     squares = squares / variance
     squares = np.minimum(squares, _FAULT**2 * np.median(squares) / 0.4549)
     return float(np.log(max(squares.mean(), 1e-30)) + np.log(variance).mean())

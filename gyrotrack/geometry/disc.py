@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack.compiled import loops
 from gyrotrack.geometry.scene import Disc
 from gyrotrack.segmentation.ring import CHROMA_SHIFT
 from gyrotrack.video.planes import Frame
@@ -55,14 +56,16 @@ class DiscWindow:
         """Measure the disc's centre in the first `count` frames, (count, 2) in px; NaN where hidden."""
         u, v = self.disc.chroma
         norm = u * u + v * v
-        x, y = np.empty((2, count))
-        for first in range(0, count, _TOGETHER):
-            part = slice(first, min(first + _TOGETHER, count))
-            pixels = self._pixels[part].astype(np.float32)
-            score = pixels[:, 0] * np.float32(u / norm) + pixels[:, 1] * np.float32(v / norm)
-            x[part], y[part] = _disc_centroid(score, self.disc.radius / 2.0)
-        place = np.stack([x + self._corner[0], y + self._corner[1]], axis=1)
-        return np.asarray(2.0 * place + np.array(CHROMA_SHIFT))
+        place = np.empty((count, 2))
+        if loops is not None:
+            loops.disc(self._pixels[:count], place, (u / norm, v / norm), self.disc.radius / 2.0)
+        else:
+            for first in range(0, count, _TOGETHER):
+                part = slice(first, min(first + _TOGETHER, count))
+                pixels = self._pixels[part].astype(np.float32)
+                score = pixels[:, 0] * np.float32(u / norm) + pixels[:, 1] * np.float32(v / norm)
+                place[part] = np.stack(_disc_centroid(score, self.disc.radius / 2.0), axis=1)
+        return np.asarray(2.0 * (place + self._corner) + np.array(CHROMA_SHIFT))
 
 
 def _disc_centroid(score: npt.NDArray[np.float32], radius: float) -> tuple[Floats, Floats]:

@@ -100,12 +100,12 @@ class Grid:
 
     @cached_property
     def _places(self) -> tuple[npt.NDArray[np.int32], Singles, Singles]:
-        """Index of the pixel left above each sample, and how far right of and below it the sample lies."""
+        """Row (upper 16 bits) and column of the pixel left above each sample, and how far right and below it lies."""
         rows, columns = self.score.buffer.shape
         x, y = np.clip(self.x, 0, columns - 1), np.clip(self.y, 0, rows - 1)
         left = np.minimum(np.floor(x), columns - 2).astype(np.int32)
         above = np.minimum(np.floor(y), rows - 2).astype(np.int32)
-        return above * np.int32(columns) + left, x - left.astype(np.float32), y - above.astype(np.float32)
+        return above << 16 | left, x - left.astype(np.float32), y - above.astype(np.float32)
 
 
 def _reach(place: Singles, width: int, size: int) -> npt.NDArray[np.int32]:

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
+from gyrotrack.compiled import loops
 from gyrotrack.geometry.coloured import LONGEST_STAY
 from gyrotrack.geometry.grid import Grid, Score
 from gyrotrack.geometry.samples import Samples
@@ -137,20 +138,35 @@ class Strip:
         mean: Singles = seen - self._ground_mean[: self.ring.columns]
         return mean
 
-    def near(self, angle: Floats, place: slice, reach: int) -> Floats:
-        """Return the mean score of the paper if it lay beside given angles (n,) [rad] in frames of the batch.
+    def beside(self, angle: Floats, place: slice) -> tuple[Floats, Floats]:
+        """Return by how many columns the paper lies beside given angles (n,) [rad] in frames of the batch.
 
-        The columns are displacements by -`reach` to `reach` columns: (n, 2 reach + 1).
+        It is looked for as far as the margin goes. The second array is its mean score there, 0 if the best place is
+        the farthest one.
         """
+        half, reach = max(int(self.paper.half_width / self.ring.step), 1), self.slack
+        column = angle / self.ring.step - self.starts[place] + (self.half - half - reach)
+        if loops is not None:
+            found, room = np.empty((len(angle), 2)), np.empty(self.width + 1)
+            loops.near(self.windows[place], column, found, room, (*self._rows, 2), half, reach)
+            return found[:, 0], found[:, 1]
+        height, frame = self._near(column, place, half, reach), np.arange(len(angle))
+        top = np.argmax(height, axis=1)
+        inner = np.clip(top, 1, 2 * reach - 1)
+        left, middle, right = (height[frame, inner + k] for k in (-1, 0, 1))
+        bend = np.minimum(left - 2.0 * middle + right, -1e-9)
+        off = np.where(inner == top, np.clip(0.5 * (left - right) / bend, -0.5, 0.5), 0.0)
+        return top - reach + off, np.where(inner == top, middle, 0.0)
+
+    def _near(self, column: Floats, place: slice, half: int, reach: int) -> Floats:
+        """Return the mean score of a paper with its near edge at given columns or up to `2 reach` beyond them."""
         profile = self._mixing @ self.windows[place]
-        half = max(int(self.paper.half_width / self.ring.step), 1)
         total = np.zeros((len(profile), self.width + 1))
         np.cumsum(profile, axis=1, out=total[:, 1:])
         box = (total[:, 2 * half + 1 :] - total[:, : -2 * half - 1]) / (2 * half + 1)
-        column = angle / self.ring.step - self.starts[place] + (self.half - half - reach)
         low = np.clip(np.floor(column).astype(np.int64), 0, box.shape[1] - 2 * reach - 2)
         part = np.clip(column - low, 0.0, 1.0)[:, None]
-        cut = sliding_window_view(box, 2 * reach + 2, axis=1)[np.arange(len(angle)), low]
+        cut = sliding_window_view(box, 2 * reach + 2, axis=1)[np.arange(len(column)), low]
         found: Floats = (1.0 - part) * cut[:, :-1] + part * cut[:, 1:]
         return found
 

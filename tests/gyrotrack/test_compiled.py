@@ -13,10 +13,14 @@ import numpy as np
 import pytest
 
 import gyrotrack.compiled
-from gyrotrack.angles import matching
-from gyrotrack.geometry import grid
+from gyrotrack.angles import matching, oddity
+from gyrotrack.geometry import disc, grid
+from gyrotrack.geometry import strip as strip_module
+from gyrotrack.geometry.disc import DiscWindow
 from gyrotrack.geometry.grid import Grid, Score
-from gyrotrack.segmentation.ring import Ring
+from gyrotrack.geometry.scene import Disc
+from gyrotrack.geometry.strip import Strip
+from gyrotrack.segmentation.ring import CHROMA_SHIFT, Ring
 from gyrotrack.video import Frame
 
 SOURCE = Path(gyrotrack.compiled.__file__).with_name("_compiled.c")
@@ -121,14 +125,14 @@ def test_arrays_of_another_type_are_refused(loops):
         loops.fit(
             np.zeros((2, 5), np.float32),
             *[np.zeros(5)] * 2,
-            0,
             np.zeros(2),
             np.ones((2, 5), bool),
+            np.zeros((2, 5)),
+            0,
             1,
             1,
             1,
             8,
-            0,
         )
 
 
@@ -165,6 +169,63 @@ def test_what_is_no_number_does_no_harm(loops, monkeypatch):
         profile, matching.flat_top(6, 31), np.array([0.0, np.nan]), np.ones((2, 31), dtype=bool)
     )
     assert found.shift.shape == (2,)
+
+
+def _both(monkeypatch, loops, module, work):
+    found = []
+    for here in (loops, None):
+        monkeypatch.setattr(module, "loops", here)
+        found.append(work())
+    return found
+
+
+def test_papers_are_found_where_opencv_and_numpy_find_them(monkeypatch, loops):
+    rng = np.random.default_rng(3)
+    strip = Strip.__new__(Strip)
+    strip.paper, strip.ring = SimpleNamespace(half_width=0.2), Ring((40.0, 30.0), 10.0, 20.0, 12, 200)
+    strip.half, strip.width, strip.slack, strip._rows = 25, 51, 6, (2, 9)
+    strip._mixing = np.zeros(12, np.float32)
+    strip._mixing[2:9:2] = 0.25
+    middle = rng.uniform(-5, 5, 300)
+    middle[:10] = 20.0  # beyond reach
+    paper = np.abs(np.arange(51) - 25 - middle[:, None]) <= 0.2 / strip.ring.step
+    strip.windows = (paper[:, None, :] + rng.normal(0, 0.1, (300, 12, 51))).astype(np.float32)
+    strip.starts = rng.integers(-400, 400, 300)
+    place = slice(1, 300, 2)
+    angle = (strip.starts[place] + 0.3) * strip.ring.step
+    ours, theirs = _both(monkeypatch, loops, strip_module, lambda: strip.beside(angle, place))
+    for mine, other in zip(ours, theirs, strict=True):
+        np.testing.assert_allclose(mine, other, atol=2e-5)
+    assert (ours[1][:5] < 0.3).all()
+    assert np.abs(ours[0] - (middle[place] - 0.3))[5:].max() < 1.2
+
+
+def test_discs_are_those_of_numpy_and_where_they_are(monkeypatch, loops):
+    rng = np.random.default_rng(4)
+    window = DiscWindow(Disc((60.0, 60.0), 14.0, (-20.0, 70.0)), 200)
+    side = 2 * window.half + 1
+    true = window.half + rng.uniform(-3, 3, (200, 2))
+    y, x = np.mgrid[:side, :side]
+    away = np.hypot(x - true[:, 0, None, None], y - true[:, 1, None, None])
+    cover = np.clip(7.5 - away, 0.0, 1.0)
+    cover[:5] = 0.0  # hidden
+    seen = (
+        120 + cover[:, None] * np.array([-20.0, 70.0])[:, None, None] + rng.normal(0, 2, (200, 2, side, side))
+    )
+    window._pixels[:] = np.rint(seen)
+    ours, theirs = _both(monkeypatch, loops, disc, lambda: window.centres(200))
+    np.testing.assert_allclose(ours, theirs, atol=1e-4)
+    assert np.isnan(ours[:5]).all()
+    assert np.abs(ours[5:] - (2.0 * true[5:] + CHROMA_SHIFT)).max() < 0.4
+
+
+@pytest.mark.parametrize("count", [1, 2, 30, 4001])
+def test_likelihoods_are_those_of_numpy(monkeypatch, loops, count):
+    rng = np.random.default_rng(count)
+    squares, odd = rng.standard_t(3, count) ** 2, np.clip(rng.normal(0, 6, count), 0, 24)
+    squares[::7] = 0.0
+    ours, theirs = _both(monkeypatch, loops, oddity, lambda: oddity._unlikely(squares, odd))
+    np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9)
 
 
 def test_a_build_of_an_older_source_is_not_used(monkeypatch):
