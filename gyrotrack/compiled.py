@@ -6,7 +6,7 @@ from contextlib import suppress
 from importlib import import_module
 from types import ModuleType
 
-EDITION = 2
+EDITION = 4
 """What this source needs; an older build that was left in place is not used."""
 
 loops: ModuleType | None = None

@@ -179,7 +179,7 @@ class BodyWatch:
         """Return the joint score of all directions, (n, columns)."""
         total = np.zeros((len(frames), self._coloured[0].ring.columns))
         for strip in self._coloured:
-            around = np.clip(np.stack([strip.whole(frame) for frame in frames]), -0.2, 1.3)
+            around = np.clip(strip.whole(frames), -0.2, 1.3)
             half = max(int(strip.paper.half_width / self._step), 1)
             total += np.roll(boxed(around, half), -round(strip.paper.mount / self._step), axis=1)
         return total

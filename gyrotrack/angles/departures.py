@@ -11,7 +11,7 @@ from gyrotrack.angles.evenness import line_through, whole_turns
 from gyrotrack.angles.oddity import most_likely_share
 from gyrotrack.angles.scatter import FAR, core_scatter
 from gyrotrack.dataset.columns import put_away, set_down, stretches
-from gyrotrack.geometry.local import local_fit
+from gyrotrack.geometry.local import local_fit, median_of
 
 Floats = npt.NDArray[np.float64]
 
@@ -118,7 +118,7 @@ class Departures:
         off -= smooth
         off = off[self.use[name] & np.isfinite(off)]
         set_down()
-        return float(np.median(off)) if len(off) else 0.0
+        return median_of(off) if len(off) else 0.0
 
     def judge(self, smooth: Floats, leverage: Floats) -> None:
         """Measure each marker's scatter about the smooth motion, and drop what lies far off."""
@@ -251,4 +251,4 @@ def _weight(sigma: Floats) -> Floats:
     known = np.isfinite(sigma)
     if not known.any():
         return np.zeros(len(sigma))
-    return np.where(known, (np.median(sigma[known]) / np.where(known, sigma, 1.0)) ** 2, 0.0)
+    return np.where(known, (median_of(sigma[known]) / np.where(known, sigma, 1.0)) ** 2, 0.0)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
+from gyrotrack.geometry.bands import Windows
 from gyrotrack.geometry.strip import Strip
 
 Floats = npt.NDArray[np.float64]
@@ -44,18 +47,17 @@ class Look:
         rows = np.arange(strip.rows.start, strip.rows.stop)
         parts = np.array_split(rows, min(LAYERS, len(rows)))
         self._sizes = np.array([len(part) for part in parts]) / len(rows)
-        mixing = np.zeros((len(parts), self.window.shape[1]), dtype=np.float32)
+        mixing = np.zeros((len(parts), self.window.shape[1]))
         for line, part in zip(mixing, parts, strict=True):
             line[part] = 1.0 / len(part)
-        self.layers = (mixing @ self.window).astype(np.float64)
+        self.layers = Windows.plain(self.window).rows(mixing)
         self.raw: Floats = np.einsum("l,nlm->nm", self._sizes, self.layers)
         self.profile = self.raw
         self._light: Floats | None = None
 
     def column(self, columns: int) -> Integers:
         """Return the columns of the ring in the windows, (n, m)."""
-        found: Integers = (self.first[:, None] + np.arange(self.raw.shape[1])) % columns
-        return found
+        return np.asarray(self.here(np.arange(columns)))
 
     def apply_light(self, light: Floats) -> None:
         """Divide the profiles by the relative brightness of every column of the ring."""
@@ -70,15 +72,10 @@ class Look:
     def along(self, weight: Floats) -> Floats:
         """Return the mean over the columns with weights (n, m), of sum 1, under even light: (n, rows)."""
         lit = weight if self._light is None else weight * self._light
-        found: Floats = np.matmul(self.window, lit.astype(np.float32)[:, :, None])[:, :, 0].astype(np.float64)
-        return found
+        plain = Windows.plain(self.window)
+        return replace(plain, light=lit).columns(np.ones((1, weight.shape[1])))[:, 0]
 
-    def shaped(self, use: npt.NDArray[np.bool_], gain: Floats, offset: Floats) -> npt.NDArray[np.float32]:
+    def shaped(self, use: npt.NDArray[np.bool_], gain: Floats, offset: Floats) -> Windows:
         """Return the windows of some frames under even light, background at 0 and marker at 1."""
-        scale = (1.0 / gain)[:, None, None].astype(np.float32)
-        lit = self.window[use]
-        if self._light is not None:
-            lit *= self._light[use][:, None, :].astype(np.float32)
-        lit -= offset[:, None, None].astype(np.float32)
-        lit *= scale
-        return lit
+        light = np.ones((len(gain), self.window.shape[2])) if self._light is None else self._light[use]
+        return Windows(self.window, np.flatnonzero(use), light, offset, 1.0 / gain)

@@ -10,6 +10,7 @@ from gyrotrack.angles.matching import Match, displaced, flat_top, match, mean_pr
 from gyrotrack.angles.sightings import Sightings
 from gyrotrack.angles.surroundings import AngleMap, even_light, unlit
 from gyrotrack.geometry.corners import near_corners
+from gyrotrack.geometry.local import median_of
 from gyrotrack.geometry.scene import Paper
 from gyrotrack.geometry.strip import Strip
 
@@ -143,9 +144,10 @@ class MarkerWatch:
     def _likely(self, radius: Floats, angle: Floats, fine: Floats) -> Mask:
         """Tell which pairs of corners fit the marker in place and width, (n, 1)."""
         half, middle = 0.5 * (angle[:, 1] - angle[:, 0]), angle.mean(axis=1)
-        if not np.isfinite(half).any():
+        known = np.isfinite(half)
+        if not known.any():
             return np.zeros((len(half), 1), dtype=np.bool_)
-        usual = float(np.nanmedian(half))
+        usual = median_of(half[known])
         length = self.paper.outer - self.paper.inner
         with np.errstate(invalid="ignore"):
             likely = (np.abs(middle - fine) < 0.25 * usual + 0.01) & (np.abs(half - usual) < 0.3 * usual)
@@ -169,5 +171,5 @@ def _good(found: Match, whole: Mask, known: Mask) -> Mask:
         good = usable
     if not good.any():
         return good
-    good = good & (found.gain > 0.6 * np.median(found.gain[good]))
-    return good & (found.misfit <= 1.2 * np.median(found.misfit[good]) + 1e-3)
+    good = good & (found.gain > 0.6 * median_of(found.gain[good]))
+    return good & (found.misfit <= 1.2 * median_of(found.misfit[good]) + 1e-3)

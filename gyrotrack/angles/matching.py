@@ -62,21 +62,24 @@ def match(profile: Floats, template: Floats, start: Floats, seen: Mask) -> Match
     seen : ndarray of bool, shape (n, m)
         Samples that nothing hides.
     """
-    slope = np.gradient(template)
+    slope = np.empty_like(template)
+    slope[1:-1] = 0.5 * (template[2:] - template[:-2])
+    slope[[0, -1]] = template[1] - template[0], template[-1] - template[-2]
     limit, stride = 0.3 * len(template), 0.08 * len(template)
     shift = np.clip(np.asarray(start, dtype=np.float64), -limit, limit)
     if loops is None:
         shift, gain, offset, left, spread = _fit(profile, template, slope, shift, seen, limit, stride)
     else:
         pad = int(np.ceil(limit)) + 2
-        padded = (np.pad(line, pad, mode="edge") for line in (template, slope))
+        padded = (_with_ends(line[None], pad)[0] for line in (template, slope))
         found = np.empty((len(shift), 5))
         given = np.ascontiguousarray(profile), *padded, shift, np.ascontiguousarray(seen)
         loops.fit(*given, found, pad, limit, stride, ROUNDS, FINENESS)
         shift, gain, offset, left, spread = found.T.copy()
     misfit = np.sqrt(np.maximum(left, 0.0) / np.maximum(seen.sum(axis=1), 1)) / np.maximum(np.abs(gain), 1e-3)
-    open_ = _moments(np.ones((1, len(template))), template[None], slope[None])
-    best = float(_solved(open_, np.zeros((3, 1)))[1][0])
+    open_ = np.stack([template, np.ones_like(template), slope])
+    normal = open_ @ open_.T
+    best = float(np.linalg.inv(normal + 1e-9 * (1.0 + np.trace(normal)) * np.eye(3))[2, 2])
     ratio = np.sqrt(np.maximum(spread, 0.0) / best) / np.maximum(np.abs(gain), 1e-3)
     return Match(shift, gain, offset, misfit, np.where(np.isfinite(ratio), ratio, np.inf))
 
@@ -169,7 +172,7 @@ def shifted(profile: Floats, shift: Floats) -> Floats:
     whole = np.floor(shift)
     t = (shift - whole)[:, None]
     reach = int(np.abs(whole).max(initial=0.0)) + 2
-    padded = np.pad(profile, ((0, 0), (reach, reach)), mode="edge").astype(np.float64)
+    padded = _with_ends(profile, reach)
     index = np.arange(len(padded)) * padded.shape[1] + whole.astype(np.int64) + reach
     flat, place = padded.ravel(), index[:, None] + np.arange(count)
     weights = (
@@ -184,6 +187,11 @@ def shifted(profile: Floats, shift: Floats) -> Floats:
     return out
 
 
+def _with_ends(rows: Floats, reach: int) -> Floats:
+    """Go on with the first and the last value of each row, so far to both sides."""
+    return np.concatenate([rows[:, :1].repeat(reach, 1), rows, rows[:, -1:].repeat(reach, 1)], axis=1)
+
+
 def mean_profile(profile: Floats, found: Match, use: Mask, seen: Mask, *, symmetric: bool) -> Floats | None:
     """Return the template that the open samples of the frames in `use` suggest, top at 1 and foot at 0.
 
@@ -192,7 +200,9 @@ def mean_profile(profile: Floats, found: Match, use: Mask, seen: Mask, *, symmet
     if use.sum() < 3:
         return None
     aligned = shifted(profile[use], found.shift[use])
-    whole = shifted(seen[use].astype(np.float64), found.shift[use]) > 0.99
+    whole = seen[use]
+    if not whole.all():
+        whole = shifted(whole.astype(np.float64), found.shift[use]) > 0.99
     scaled = (aligned - found.offset[use, None]) / found.gain[use, None]
     template = _clipped_mean(scaled, whole)
     if symmetric:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack.geometry.local import median_of
+
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
@@ -85,6 +87,8 @@ def _robust(rows: Floats, value: Floats, prior: Floats) -> tuple[Floats, Floats,
         inverse = np.linalg.inv(weighted.T @ rows + np.diag(prior) * scatter**2)
         solution = inverse @ (weighted.T @ value)
         left = np.abs(value - rows @ solution)
-        scatter = max(1.4826 * float(np.median(left)), LEAST_SCATTER)
-        weight = (left < 3.0 * scatter).astype(np.float64)
+        before, scatter = scatter, max(1.4826 * median_of(left), LEAST_SCATTER)
+        last, weight = weight, (left < 3.0 * scatter).astype(np.float64)
+        if np.array_equal(weight, last) and (scatter == before or not prior.any()):
+            break  # the next round would find the same
     return solution, np.asarray(inverse, dtype=np.float64), scatter

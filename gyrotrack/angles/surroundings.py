@@ -36,10 +36,11 @@ class AngleMap:
 
     def learn(self, layer: int, column: Integers, expected: Floats, value: Floats) -> None:
         """Add passages: arrays of column, height expected (0: do not use), height seen above the background."""
-        inside = column.ravel() % self.columns
-        weighted = expected * (value + expected * self._ground[column % self.columns])
-        self._top[layer] += np.bincount(inside, weighted.ravel(), self.columns)
-        self._bottom[layer] += np.bincount(inside, (expected**2).ravel(), self.columns)
+        use = expected > 0.0
+        column, expected, value = column[use], expected[use], value[use]
+        weighted = expected * (value + expected * self._ground[column])
+        self._top[layer] += np.bincount(column, weighted, self.columns)
+        self._bottom[layer] += np.bincount(column, expected * expected, self.columns)
 
     def heights(self, blur: int, prior: float = 0.0) -> Floats:
         """Return the heights relative to their upper middle (layers, columns); NaN where nothing has passed.
@@ -54,9 +55,9 @@ class AngleMap:
         top, bottom = (_blurred(part, blur) for part in (self._top, self._bottom))
         known = bottom > 0.5
         height = np.where(known, top / np.where(known, bottom, 1.0) - self._ground, np.nan)
-        for row, weight in zip(height, bottom, strict=True):
-            if np.isfinite(row).any():
-                row /= max(float(np.nanpercentile(row, 60)), 1e-3)
+        for row, weight, seen in zip(height, bottom, known, strict=True):
+            if seen.any():
+                row /= max(_upper_middle(row[seen]), 1e-3)
                 row[:] = (row * weight + prior) / (weight + prior)
         return height
 
@@ -110,9 +111,17 @@ def _grown(chosen: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
     return np.asarray(chosen | np.roll(chosen, 1) | np.roll(chosen, -1))
 
 
+def _upper_middle(values: Floats) -> float:
+    """Return the value that 60 % of the values do not exceed."""
+    ordered = np.sort(values)
+    place = 0.6 * (len(ordered) - 1)
+    k = int(place)
+    return float(ordered[k] + (place - k) * (ordered[min(k + 1, len(ordered) - 1)] - ordered[k]))
+
+
 def _blurred(rows: Floats, half: int) -> Floats:
     if half < 1:
         return rows
-    padded = np.concatenate([rows[:, -half:], rows, rows[:, :half]], axis=1)
-    total = np.cumsum(np.pad(padded, ((0, 0), (1, 0))), axis=1)
+    padded = np.concatenate([np.zeros((len(rows), 1)), rows[:, -half:], rows, rows[:, :half]], axis=1)
+    total = np.cumsum(padded, axis=1)
     return np.asarray(total[:, 2 * half + 1 :] - total[:, : -(2 * half + 1)])

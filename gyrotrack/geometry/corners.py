@@ -11,11 +11,15 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack.compiled import loops
+from gyrotrack.geometry.bands import Windows
+from gyrotrack.geometry.local import median_of
+
 Floats = npt.NDArray[np.float64]
-Windows = npt.NDArray[np.float32] | Floats
 
 SIDE_BANDS, NEAR_BANDS = 4, 5
 """Bands into which the rows of a side, and the columns of the near edge, are gathered."""
+_LEAST_FALL = 1e-9
 
 
 def near_corners(
@@ -25,12 +29,12 @@ def near_corners(
 
     Parameters
     ----------
-    window : ndarray, shape (n, rows, columns)
-        Score with the background at 0 and the marker at 1, the marker near the middle column.
+    window : Windows
+        Score with the background at 0 and the marker at 1, the marker near the middle column: n of them.
     radii : ndarray, shape (rows,)
-        Radii of the rows in px, increasing.
+        Radii of the rows in px, evenly increasing.
     angles : ndarray, shape (columns,)
-        Angles of the columns relative to the marker in rad, increasing.
+        Angles of the columns relative to the marker in rad, evenly increasing.
     inner, outer : float
         Typical radii of the near and the far edge in px.
 
@@ -41,12 +45,12 @@ def near_corners(
     """
     left, right = _side_edges(window, radii, angles, inner, outer)
     if not np.isfinite(left[0] + right[0]).any():
-        nothing = np.full((len(window), 2), np.nan)
+        nothing = np.full((len(left[0]), 2), np.nan)
         return nothing, nothing
     near = _near_edge(window, radii, angles, 0.5 * (right[0] - left[0]), 0.5 * (right[0] + left[0]))
-    radius, angle = np.empty((2, len(window), 2))
+    radius, angle = np.empty((2, len(left[0]), 2))
     for side, (base, lean) in enumerate((left, right)):
-        r = np.full(len(window), inner)
+        r = np.full(len(base), inner)
         for _ in range(3):
             phi = base + lean * (r - inner)
             r = near[0] + near[1] * phi + near[2] * phi**2
@@ -67,11 +71,10 @@ def _side_edges(
     if len(rows) == 0:
         rows = np.array([int(np.argmin(np.abs(radii - 0.5 * (inner + outer))))])
     mixing = _bands(rows, len(radii), SIDE_BANDS)
-    part = np.matmul(mixing.astype(window.dtype), window).astype(np.float64)
+    part = window.rows(mixing)
     middle = part.shape[2] // 2
     r = mixing @ radii - inner
-    right = _crossing(_from_beyond(part[:, :, middle:]), angles[middle:])
-    left = _crossing(_from_beyond(part[:, :, middle::-1]), angles[middle::-1])
+    right, left = _edge(part, angles, middle, 1), _edge(part, angles, middle, -1)
     return _lines(left, r), _lines(right, r)
 
 
@@ -79,19 +82,18 @@ def _near_edge(
     window: Windows, radii: Floats, angles: Floats, half: Floats, middle: Floats
 ) -> tuple[Floats, Floats, Floats]:
     """Fit r = c0 + c1 phi + c2 phi^2 to the near edge within 0.8 of the half width."""
-    typical, centre = float(np.nanmedian(half)), float(np.nanmedian(middle))
-    columns = (
-        np.flatnonzero(np.abs(angles - centre) < 0.8 * typical) if np.isfinite(typical) else np.array([], int)
-    )
-    nothing = np.full(len(window), np.nan)
+    known = np.isfinite(half)
+    typical, centre = median_of(half[known]), median_of(middle[known])
+    columns = np.flatnonzero(np.abs(angles - centre) < 0.8 * typical)
+    nothing = np.full(len(half), np.nan)
     if len(columns) < 3:
         columns = np.arange(len(angles) // 2 - 1, len(angles) // 2 + 2)
     mixing = _bands(columns, len(angles), NEAR_BANDS)
-    across = np.matmul(window, mixing.T.astype(window.dtype)).astype(np.float64)
-    top = int(np.argmax(np.median(across.mean(axis=2), axis=0)))
+    across = window.columns(mixing)
+    top = int(np.argmax(np.median(np.ascontiguousarray(across.mean(axis=1).T), axis=1)))
     if top < 1:
         return nothing, nothing, nothing
-    edge = _crossing(_from_beyond(across[:, top::-1].transpose(0, 2, 1)), radii[top::-1])
+    edge = _edge(across, radii, top, -1)
     phi = mixing @ angles
     degree = 2 if len(phi) >= 5 else 0
     known = np.isfinite(edge)
@@ -101,7 +103,7 @@ def _near_edge(
     )
     edge = np.where(known, edge, mean)
     solve = np.linalg.pinv(np.vander(phi, degree + 1, increasing=True))
-    coefficient = np.zeros((len(window), 3))
+    coefficient = np.zeros((len(half), 3))
     coefficient[:, : degree + 1] = np.where(seen[:, None], edge, np.nan) @ solve.T
     coefficient[~seen] = np.nan
     return coefficient[:, 0], coefficient[:, 1], coefficient[:, 2]
@@ -116,23 +118,32 @@ def _bands(chosen: npt.NDArray[np.integer], size: int, most: int) -> Floats:
     return mixing
 
 
-def _from_beyond(values: Floats) -> Floats:
-    """Shift and scale curves that run from the marker outwards so that what lies beyond the edge is at 0."""
-    beyond = float(np.clip(np.median(values[:, :, -2:]), -0.3, 0.6))
-    return np.asarray((values - beyond) / (1.0 - beyond))
+def _edge(values: Floats, axis: Floats, first: int, step: int) -> Floats:
+    """Return where curves (n, k, size) that leave the marker at sample `first` end at its edge, (n, k) on the axis.
+
+    That is half way down to what lies beyond the edge; NaN where it is never reached.
+    """
+    outwards = values[:, :, first::step]
+    beyond = float(np.clip(median_of(outwards[:, :, -2:]), -0.3, 0.6))
+    level = 0.5 * (1.0 + beyond)
+    if loops is None:
+        place = _crossing(outwards, level)
+    else:
+        place = np.empty(values.shape[:2])
+        loops.crossing(values, place, first, step, level, _LEAST_FALL)
+    return np.asarray(axis[first] + step * (axis[1] - axis[0]) * place)
 
 
-def _crossing(values: Floats, axis: Floats) -> Floats:
-    """Return where a curve that starts on the marker first falls below one half, (n, k); NaN where never."""
-    below = values < 0.5
+def _crossing(values: Floats, level: float) -> Floats:
+    """Return the place, in samples, where a curve that starts on the marker first falls below a level; NaN if never."""
+    below = values < level
     first = np.argmax(below, axis=2)
     valid = below.any(axis=2) & (first > 0)
     index = np.clip(first, 1, values.shape[2] - 1)
     high = np.take_along_axis(values, index[..., None] - 1, axis=2)[..., 0]
     low = np.take_along_axis(values, index[..., None], axis=2)[..., 0]
-    part = (high - 0.5) / np.maximum(high - low, 1e-9)
-    place = axis[index - 1] + np.clip(part, 0.0, 1.0) * (axis[index] - axis[index - 1])
-    return np.where(valid, place, np.nan)
+    part = (high - level) / np.maximum(high - low, _LEAST_FALL)
+    return np.where(valid, index - 1 + np.clip(part, 0.0, 1.0), np.nan)
 
 
 def _lines(edge: Floats, r: Floats) -> tuple[Floats, Floats]:

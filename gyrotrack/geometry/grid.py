@@ -98,6 +98,17 @@ class Grid:
         """Sample rows in all directions."""
         return self.score.unrolled(frame, self.whole, self.x[rows], self.y[rows])
 
+    def turns(self, frames: list[Frame], rows: slice) -> Singles:
+        """Sample rows in all directions in some frames, (n, rows, columns)."""
+        if loops is None:
+            return np.stack([self.around(frame, rows) for frame in frames])
+        score, places = self.score, tuple(np.ascontiguousarray(place[rows]) for place in self._places)
+        out = np.empty((len(frames), *places[0].shape), dtype=np.float32)
+        nothing, begin = np.zeros_like(places[1]), np.zeros(len(frames), dtype=np.int64)
+        planes = score.planes(frames)
+        loops.cut(planes, score.weights, *places, self.whole[None], nothing, begin, score.buffer, out)
+        return out
+
     @cached_property
     def _places(self) -> tuple[npt.NDArray[np.int32], Singles, Singles]:
         """Row (upper 16 bits) and column of the pixel left above each sample, and how far right and below it lies."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack.compiled import loops
 from gyrotrack.dataset.columns import stretches
 
 Floats = npt.NDArray[np.float64]
@@ -39,9 +40,11 @@ def local_fit(
     for part in stretches(n):  # a fit needs some dozen numbers for each point
         around = slice(max(part.start - half, 0), min(part.stop + half, n))
         beyond = (half - (part.start - around.start), half - (around.stop - part.stop))
-        smooth[part], leverage[part] = _fitted(
-            np.pad(value[around], beyond), np.pad(weight[around], beyond), half, degree, hole
-        )
+        padded = np.pad(value[around], beyond), np.pad(weight[around], beyond)
+        if loops is None:
+            smooth[part], leverage[part] = _fitted(*padded, half, degree, hole)
+        else:
+            loops.local(*padded, smooth[part], leverage[part], half, degree, hole)
     return smooth, leverage
 
 
@@ -91,4 +94,11 @@ def _first_row_of_inverse(matrix: Floats) -> Floats:
 def spread(residual: Floats) -> float:
     """Return the standard deviation of the core of a sample, 1.4826 times its median absolute value."""
     known = residual[np.isfinite(residual)]
-    return float(1.4826 * np.median(np.abs(known))) if len(known) else float("nan")
+    return 1.4826 * median_of(np.abs(known)) if len(known) else float("nan")
+
+
+def median_of(values: Floats) -> float:
+    """Return the median of some numbers, none of them NaN; `np.median` thinks for longer than it works."""
+    ranks = (values.size - 1) // 2, values.size // 2
+    ordered = np.partition(values, ranks, axis=None)
+    return float(0.5 * (ordered[ranks[0]] + ordered[ranks[1]]))

@@ -132,11 +132,10 @@ class Strip:
         first = (start - self.half) % grid.ring.columns
         grid.cut(frames, first, self._under, self.windows[here])
 
-    def whole(self, frame: Frame) -> Singles:
-        """Return the mean score over the rows of the paper in all directions, (columns,)."""
-        seen = self.grid.around(frame, self._every_second)[:, : self.ring.columns].mean(axis=0)
-        mean: Singles = seen - self._ground_mean[: self.ring.columns]
-        return mean
+    def whole(self, frames: list[Frame]) -> Singles:
+        """Return the mean score over the rows of the paper in all directions, (n, columns)."""
+        seen = self.grid.turns(frames, self._every_second).mean(axis=1) - self._ground_mean
+        return np.asarray(seen[:, : self.ring.columns])
 
     def beside(self, angle: Floats, place: slice) -> tuple[Floats, Floats]:
         """Return by how many columns the paper lies beside given angles (n,) [rad] in frames of the batch.
@@ -172,8 +171,10 @@ class Strip:
 
     def _background(self, samples: Samples) -> Singles:
         frames = samples.frames[: samples.head] if self.white else samples.frames
-        seen = [self.grid.around(frame, slice(None)) for frame in frames]
-        ground = np.asarray(np.median(np.stack(seen), axis=0), dtype=np.float32)
+        seen = np.stack([self.grid.around(frame, slice(None)) for frame in frames], axis=-1)
+        ranks = (len(frames) - 1) // 2, len(frames) // 2
+        seen.partition(ranks, axis=-1)
+        ground = 0.5 * (seen[..., ranks[0]] + seen[..., ranks[1]])
         if self.paper.stay > LONGEST_STAY:
             ground[:] = np.median(ground, axis=1, keepdims=True)
         return ground

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack.geometry.local import median_of
 from gyrotrack.geometry.orbit import covered_angle
 
 Floats = npt.NDArray[np.float64]
@@ -80,22 +81,7 @@ def _cover(v: Floats) -> float:
 
 def _improved(found: Flattening, positions: dict[str, Floats]) -> Flattening:
     names = list(positions)
-    blocks, values = [], []
-    for k, name in enumerate(names):
-        v = found.level(name, positions[name])
-        rho, theta = np.hypot(v[:, 0], v[:, 1]), np.arctan2(v[:, 1], v[:, 0])
-        typical = float(np.median(rho))
-        block = np.zeros((len(v), 3 * len(names) + 2))
-        block[:, 3 * k : 3 * k + 3] = np.stack([np.ones_like(theta), np.cos(theta), np.sin(theta)], axis=1)
-        block[:, -2:] = typical * np.stack([np.cos(2 * theta), np.sin(2 * theta)], axis=1)
-        blocks.append(block)
-        values.append(rho - typical)
-    design, value = np.concatenate(blocks), np.concatenate(values)
-    keep = np.ones(len(value), dtype=np.bool_)
-    for _ in range(3):
-        solution = np.linalg.solve(design[keep].T @ design[keep], design[keep].T @ value[keep])
-        left = value - design @ solution
-        keep = np.abs(left) < 4.0 * 1.4826 * np.median(np.abs(left[keep])) + 1e-9
+    solution = _robust([_model(found.level(name, positions[name])) for name in names])
     offset = {
         name: (
             found.offset[name][0] + float(solution[3 * k + 1]),
@@ -104,3 +90,29 @@ def _improved(found: Flattening, positions: dict[str, Floats]) -> Flattening:
         for k, name in enumerate(names)
     }
     return Flattening(offset, found.p + float(solution[-2]), found.q + float(solution[-1]))
+
+
+def _model(v: Floats) -> tuple[Floats, Floats]:
+    """Return the linear model of the radii of one marker, (5, n), and by how much they exceed the usual one, (n,)."""
+    rho = np.hypot(v[:, 0], v[:, 1])
+    typical = median_of(rho)
+    c, s = v[:, 0] / rho, v[:, 1] / rho
+    return np.stack([np.ones_like(c), c, s, typical * (c * c - s * s), 2.0 * typical * c * s]), rho - typical
+
+
+def _robust(models: list[tuple[Floats, Floats]]) -> Floats:
+    """Fit radius and offset of each marker, and what is common to all at the end, without what lies far off."""
+    size = 3 * len(models) + 2
+    places = [np.array([3 * k, 3 * k + 1, 3 * k + 2, size - 2, size - 1]) for k in range(len(models))]
+    keep = [np.ones(len(value), dtype=np.bool_) for _, value in models]
+    for _ in range(3):
+        normal, right = np.zeros((size, size)), np.zeros(size)
+        for at, (rows, value), use in zip(places, models, keep, strict=True):
+            kept = rows * use
+            normal[np.ix_(at, at)] += kept @ rows.T
+            right[at] += kept @ value
+        solution = np.linalg.solve(normal, right)
+        left = [np.abs(value - solution[at] @ rows) for at, (rows, value) in zip(places, models, strict=True)]
+        usual = median_of(np.concatenate([off[use] for off, use in zip(left, keep, strict=True)]))
+        keep = [off < 4.0 * 1.4826 * usual + 1e-9 for off in left]
+    return np.asarray(solution, dtype=np.float64)

@@ -14,7 +14,7 @@ import pytest
 
 import gyrotrack.compiled
 from gyrotrack.angles import matching, oddity
-from gyrotrack.geometry import disc, grid
+from gyrotrack.geometry import bands, corners, disc, grid, local
 from gyrotrack.geometry import strip as strip_module
 from gyrotrack.geometry.disc import DiscWindow
 from gyrotrack.geometry.grid import Grid, Score
@@ -226,6 +226,62 @@ def test_likelihoods_are_those_of_numpy(monkeypatch, loops, count):
     squares[::7] = 0.0
     ours, theirs = _both(monkeypatch, loops, oddity, lambda: oddity._unlikely(squares, odd))
     np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("across", [False, True])
+def test_bands_are_those_of_numpy(monkeypatch, loops, across):
+    rng = np.random.default_rng(6)
+    scores = rng.normal(0, 1, (40, 12, 31)).astype(np.float32)
+    which = np.flatnonzero(rng.random(40) < 0.6)
+    count, size = len(which), 31 if across else 12
+    mixing = np.zeros((3, size))
+    mixing[0, 2:5], mixing[1, 5:9], mixing[2, size - 1] = 1 / 3, 1 / 4, 1.0
+    light = rng.uniform(0.5, 2, (count, 31))
+    light[:, 6] = 0.0
+    windows = bands.Windows(scores, which, light, rng.normal(0, 1, count), rng.uniform(0.5, 2, count))
+    work = windows.columns if across else windows.rows
+    ours, theirs = _both(monkeypatch, loops, bands, lambda: work(mixing))
+    assert ours.shape == (count, 3, 12 if across else 31)
+    np.testing.assert_allclose(ours, theirs, atol=1e-5)
+    beyond = bands.Windows(scores, which + 40, light, windows.offset, windows.scale)
+    monkeypatch.setattr(bands, "loops", loops)
+    with pytest.raises(ValueError, match="do not fit"):
+        beyond.rows(mixing[:, :12])
+
+
+@pytest.mark.parametrize("step", [1, -1])
+def test_edges_are_those_of_numpy_and_where_they_are(monkeypatch, loops, step):
+    rng = np.random.default_rng(7)
+    place = rng.uniform(3, 16, (50, 4))
+    away = step * (np.arange(41) - 20) - place[..., None]
+    curves = np.clip(0.5 - away / 3.0, 0.0, 1.0)
+    curves[0], curves[1], curves[2] = 1.0, 0.0, np.nan  # no edge, no marker, no number
+    axis = np.linspace(100.0, 180.0, 41)
+    ours, theirs = _both(monkeypatch, loops, corners, lambda: corners._edge(curves, axis, 20, step))
+    np.testing.assert_allclose(ours, theirs, atol=1e-9)
+    assert np.isnan(ours[:3]).all()
+    np.testing.assert_allclose(ours[3:], 140.0 + 2.0 * step * place[3:], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("half", "degree", "hole"), [(20, 2, -1), (60, 3, -1), (24, 2, 8), (4, 0, -1), (7, 1, 2)]
+)
+@pytest.mark.parametrize("count", [3, 200, 5000])
+def test_local_polynomials_are_those_of_numpy(monkeypatch, loops, count, half, degree, hole):
+    rng = np.random.default_rng(count)
+    value = np.cumsum(rng.normal(0, 0.1, count)) + 1e-3 * np.arange(count) ** 1.5
+    weight = np.where(rng.random(count) < 0.3, 0.0, rng.uniform(0.2, 3.0, count))
+    weight[count // 2 : count // 2 + 3 * half] = 0.0
+    value[(weight == 0) & (rng.random(count) < 0.5)] = np.nan
+    ours, theirs = _both(
+        monkeypatch, loops, local, lambda: local.local_fit(value, weight, half, degree, hole)
+    )
+    for mine, other in zip(ours, theirs, strict=True):
+        assert (np.isnan(mine) == np.isnan(other)).all()
+        seen = (weight > 0) & np.isfinite(
+            other
+        )  # where nothing is seen, some points far off may say nearly nothing
+        np.testing.assert_allclose(mine[seen], other[seen], rtol=1e-8, atol=1e-8)
 
 
 def test_a_build_of_an_older_source_is_not_used(monkeypatch):

@@ -2,6 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
+from gyrotrack.geometry.bands import Windows
 from gyrotrack.geometry.corners import near_corners
 from gyrotrack.segmentation.ring import Ring
 
@@ -40,14 +41,14 @@ def _unrolled(near, length, base, psi, skew, ground=0.0, blur=1.0):
 @pytest.mark.parametrize("skew", [0.0, 0.06])
 def test_corners_of_a_drawn_rectangle(psi, skew):
     ring, window, (radius, angle) = _unrolled(60.0, 30.0, 22.0, psi, skew)
-    r, phi = near_corners(window[None], ring.radii, np.arange(-60, 61) * ring.step, 60.0, 90.0)
+    r, phi = near_corners(Windows.plain(window[None]), ring.radii, np.arange(-60, 61) * ring.step, 60.0, 90.0)
     np.testing.assert_allclose(r[0], radius, atol=0.6)
     np.testing.assert_allclose(phi[0], angle, atol=0.006)
 
 
 def test_a_coloured_bar_under_the_marker_does_not_move_the_corners():
     ring, window, (radius, angle) = _unrolled(60.0, 30.0, 22.0, 1.1, 0.0, ground=0.35)
-    r, phi = near_corners(window[None], ring.radii, np.arange(-60, 61) * ring.step, 60.0, 90.0)
+    r, phi = near_corners(Windows.plain(window[None]), ring.radii, np.arange(-60, 61) * ring.step, 60.0, 90.0)
     np.testing.assert_allclose(r[0], radius, atol=0.6)
     np.testing.assert_allclose(phi[0], angle, atol=0.006)
 
@@ -55,7 +56,7 @@ def test_a_coloured_bar_under_the_marker_does_not_move_the_corners():
 def test_nothing_there_gives_nothing():
     ring, window, _ = _unrolled(60.0, 30.0, 22.0, 1.1, 0.0)
     r, phi = near_corners(
-        np.zeros((3, *window.shape)), ring.radii, np.arange(-60, 61) * ring.step, 60.0, 90.0
+        Windows.plain(np.zeros((3, *window.shape))), ring.radii, np.arange(-60, 61) * ring.step, 60.0, 90.0
     )
     assert np.isnan(r).all()
     assert np.isnan(phi).all()
