@@ -8,8 +8,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from fitting.estimation import Estimate
 from fitting.estimation.metrics import CaseMetrics
-from fitting.scanning.numerals import NEARLY_NOTHING, three_digits
+from fitting.scanning.numerals import NEARLY_NOTHING, concise, three_digits
 from fitting.scanning.robustness import Robustness
 from fitting.scanning.runs import AIR_COLUMNS, BEARING_COLUMNS, COLUMNS, shade
 from fitting.scanning.scan import ModelFits, Row, Scan
@@ -23,6 +24,7 @@ _UNITS = (
     r"SI units: $[b_1]=[c]=\mathrm{N\,m}$, $[a_1]=[b_2]=[d]=\mathrm{N\,m\,s}$, $[a_2]=[e]=\mathrm{N\,m\,s^2}$, "
     r"$[f]=\mathrm{N\,m\,s}^{g}$."
 )
+_ERRORS = "In brackets the standard error in units of the last digit."
 _SPEED = r"$R^2$ of the casing's speed."
 _SHADING = r"White: $R^2\ge 0.99$; light gray: $0.99>R^2\ge 0.90$; gray: $0.90>R^2\ge 0$; dark gray: $R^2<0$."
 
@@ -40,7 +42,7 @@ def scan_latex(scan: Scan) -> str:
         parts.append(_table(_runs(rows, BEARING_COLUMNS), "c" * 9, caption, f"scan-bearing-{_key(label)}"))
     for model in scan.models:
         symbols = [s for s, c in COLUMNS.items() if c.key in model.separate[0].model.parameters]
-        caption = f"Fitted parameters of the {model.name} model" + _and_joint(model) + f" {_UNITS}"
+        caption = f"Fitted parameters of the {model.name} model" + _and_joint(model) + f" {_ERRORS} {_UNITS}"
         parts.append(
             _table(
                 _parameters(model, scan.labels, symbols), "l" + "c" * len(symbols), caption, f"{model.name}"
@@ -98,10 +100,19 @@ def _value(estimate: object, symbol: str) -> str:
     return f"${three_digits(value)}$"
 
 
+def _with_error(estimate: Estimate | None, symbol: str) -> str:
+    if estimate is None:
+        return "$0$"
+    unit = 10.0 ** COLUMNS[symbol].exponent
+    return f"${concise(estimate.value / unit, estimate.stderr / unit)}$".replace("~0", r"\approx 0")
+
+
 def _parameters(model: ModelFits, labels: Sequence[str], symbols: Sequence[str]) -> list[str]:
     lines = [_line(["", *map(_heading, symbols)]), r"\midrule"]
     for label, fit in zip(labels, model.separate, strict=True):
-        lines.append(_line([_escaped(label), *(_value(fit.estimates[COLUMNS[s].key], s) for s in symbols)]))
+        lines.append(
+            _line([_escaped(label), *(_with_error(fit.estimates[COLUMNS[s].key], s) for s in symbols)])
+        )
     if model.joint is not None:
         lines.append(r"\midrule")
         found = model.joint.estimates
@@ -109,8 +120,8 @@ def _parameters(model: ModelFits, labels: Sequence[str], symbols: Sequence[str])
             cells = [_escaped(label)]
             for s in symbols:
                 own = found.get(f"{COLUMNS[s].key}@{label}")
-                shared = rf"\multirow{{{len(labels)}}}{{*}}{{{_value(found.get(COLUMNS[s].key), s)}}}"
-                cells.append(_value(own, s) if own is not None else shared if i == 0 else "")
+                shared = rf"\multirow{{{len(labels)}}}{{*}}{{{_with_error(found.get(COLUMNS[s].key), s)}}}"
+                cells.append(_with_error(own, s) if own is not None else shared if i == 0 else "")
             lines.append(_line(cells))
     return lines
 

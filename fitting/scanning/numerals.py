@@ -1,4 +1,4 @@
-"""Numbers as the paper's tables print them: three digits, no exponent."""
+"""Numbers for tables whose headings hold the power of ten: three digits as in the paper, or with their error."""
 
 from __future__ import annotations
 
@@ -20,3 +20,17 @@ def three_digits(x: float) -> str:
     if places < -3:
         return f"{x:.1e}"
     return f"{round(x, places):.{max(0, places)}f}"
+
+
+def concise(value: float, error: float) -> str:
+    """Return a number with its standard error in units of the last digit: ``9.97(12)``, ``4080(120)``.
+
+    The error keeps two digits if they lie between 10 and 29, else one; without an error there are three digits.
+    """
+    if not (math.isfinite(value) and math.isfinite(error) and error > 0):
+        return three_digits(value)
+    leading = math.floor(math.log10(error))
+    places = -leading + (1 if error / 10.0**leading < 2.95 else 0)
+    shown = round(error, places)
+    number = f"{round(value, places):.{max(0, places)}f}"
+    return f"{number}({shown * 10.0 ** max(0, places):.0f})"

@@ -63,7 +63,7 @@ class Film:
 
     def __init__(self, path: Path, recording: Recording) -> None:
         self.recording = recording
-        self._manager = opened(path, threads=2)
+        self._manager = opened(path)  # after every winding more threads would have to fill up anew
         self._stamps = recording.pts_time
 
     def __enter__(self) -> Self:

@@ -16,7 +16,7 @@ from fitting.model import Model
 from fitting.record import make_record
 from fitting.scanning import AIR, BEARING, COLUMNS, paper_ranges, scan, scan_document, shade
 from fitting.scanning.latex import scan_latex
-from fitting.scanning.numerals import three_digits
+from fitting.scanning.numerals import concise, three_digits
 from fitting.scanning.table import scan_csv, scan_records
 from fitting.scanning.text import scan_lines
 
@@ -182,6 +182,10 @@ def test_latex_is_well_formed(found):
     dark = next(line for line in text.splitlines() if r"\cellcolor{gray!" in line)
     assert dark.count(r"\cellcolor") in {6, 9}  # the whole row
     assert text.isascii()
+    fit = found.models[0].separate[0]
+    estimate = fit.estimates[COLUMNS["b1"].key]
+    unit = 10.0 ** COLUMNS["b1"].exponent
+    assert f"${concise(estimate.value / unit, estimate.stderr / unit)}$" in text
 
 
 def test_document_is_plain(found):
@@ -229,3 +233,20 @@ def test_labels_must_differ(data):
 )
 def test_three_digits(x, text):
     assert three_digits(x) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (9.97, 0.12, "9.97(12)"),
+        (0.1263, 0.0041, "0.126(4)"),
+        (4081.0, 120.0, "4080(120)"),
+        (2.88, 0.0296, "2.88(3)"),
+        (-1.0, 3.4, "-1(3)"),
+        (0.999, 0.0999, "1.00(10)"),
+        (1.32, math.nan, "1.32"),
+        (0.0, 0.0, "0"),
+    ],
+)
+def test_concise(value, error, text):
+    assert concise(value, error) == text
