@@ -79,6 +79,30 @@ def figures(parts: dict[str, list[Line]]) -> str:
     return table(["what", "goal", "measured"], rows)
 
 
+def strong(lines: list[Line]) -> str:
+    """Return the table of strong effects on gyroscopes that were drawn by lot."""
+    rows = []
+    for words, some in (
+        ("no torque noise", [x for x in lines if not x["noise"]]),
+        ("torque noise", [x for x in lines if x["noise"]]),
+    ):
+        near = [x for x in some if in_reach(x)]
+        found = [x for x in some if x["verdict"] == "missing_effect" and right_first(x)]
+        rows.append(
+            [
+                words,
+                Share(map(right_first, some)),
+                Share(map(right_first, near)),
+                Share(right_named(x) for x in some if detected(x)),
+                Share(map(chi2_good, found)),
+                covered(found),
+            ]
+        )
+    columns = ["", "right first", "the same, in reach", "in the class, if detected", "reduced chi2 0.9-1.1",
+               "95 % intervals cover"]  # fmt: skip
+    return table(columns, rows)
+
+
 def elsewhere(lines: list[Line]) -> str:
     """Return the table of the gyroscopes that were drawn by lot."""
     alone = [x for x in lines if len(x["hidden"]) == 1 and x["hidden"][0] != "external.constant"]

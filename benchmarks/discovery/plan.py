@@ -14,7 +14,9 @@ from elsewhere import budget, gyroscopes
 from experiment import BUDGET, CASES, Hidden, record, together
 from hidden import BASE, FAULTS, LIBRARY, OUTSIDE, Draw, Maker
 
-PARTS = ("library", "nothing", "fault", "outside", "pair", "brief", "elsewhere")
+PARTS = ("library", "nothing", "fault", "outside", "pair", "brief", "elsewhere", "strong")
+# parts with gyroscopes, strength, recordings and random torque by lot
+BY_LOT = ("elsewhere", "strong")
 STRENGTHS = (0.01, 0.03, 0.003)
 NOISE = 1e-7  # N m
 # how long a random torque remembers itself; in the runs called brief it is over sooner
@@ -23,8 +25,8 @@ CENTRE = (2e-3, 1.1)  # rad, phase: in every noisy recording
 _PAIRS_A_SEED = 12
 _EMPTY_A_SEED = 4
 _PAIRS_ELSEWHERE = 6
-# elsewhere: random torques as shares of the budget, and their correlation times [s]
-_FAINT_AND_STRONG = (0.003, 0.03)
+# by lot: strengths and random torques as shares of the budget, and correlation times [s]
+_DRAWN = {"elsewhere": (0.003, 0.03), "strong": (0.03, 0.3)}
 _UNREST, _MEMORIES = (1e-4, 2e-3), (0.05, 5.0)
 _MAKERS: dict[str, Maker] = {**LIBRARY, **BASE, **OUTSIDE, **FAULTS}
 
@@ -66,14 +68,14 @@ class Planned:
     @property
     def noise_time(self) -> float:
         """Return the correlation time of the random torque [s]."""
-        if self.part == "elsewhere":
+        if self.part in BY_LOT:
             return float(np.exp(np.random.default_rng([self._seed, 4]).uniform(*np.log(_MEMORIES))))
         return _BRIEF if self.part == "brief" else _NOISE_TIME
 
     @cached_property
     def gyroscopes(self) -> tuple[dict[str, Any], ...]:
         """Return what is filmed, and how."""
-        return gyroscopes(np.random.default_rng([self._seed, 3])) if self.part == "elsewhere" else CASES
+        return gyroscopes(np.random.default_rng([self._seed, 3])) if self.part in BY_LOT else CASES
 
     @property
     def seed_of_plan(self) -> int:
@@ -147,19 +149,25 @@ def _brief(seed: int) -> Iterator[Planned]:
 
 def _elsewhere(seed: int) -> Iterator[Planned]:
     for name in (*LIBRARY, *BASE, *OUTSIDE, "", *FAULTS):
-        yield _drawn(seed, (name,) if name else ())
+        yield _drawn("elsewhere", seed, (name,) if name else ())
     for i in range(1, _EMPTY_A_SEED):
-        yield _drawn(seed, (), i)
+        yield _drawn("elsewhere", seed, (), i)
     for pair in _two_at_once(seed, 79)[:_PAIRS_ELSEWHERE]:
-        yield _drawn(seed, pair)
+        yield _drawn("elsewhere", seed, pair)
 
 
-def _drawn(seed: int, hidden: tuple[str, ...], *more: int) -> Planned:
+def _strong(seed: int) -> Iterator[Planned]:
+    for name in (*LIBRARY, *BASE):
+        if name != "external.constant":
+            yield _drawn("strong", seed, (name,))
+
+
+def _drawn(part: str, seed: int, hidden: tuple[str, ...], *more: int) -> Planned:
     """Return a run whose strength, number of recordings and random torque are drawn by lot."""
     lot = np.random.default_rng([seed, zlib.crc32(" & ".join(hidden).encode()), 78, *more])
-    strength = float(f"{np.exp(lot.uniform(*np.log(_FAINT_AND_STRONG))):.2g}")
+    strength = float(f"{np.exp(lot.uniform(*np.log(_DRAWN[part]))):.2g}")
     noise = float(f"{BUDGET * np.exp(lot.uniform(*np.log(_UNREST))):.2g}") if lot.random() < 0.5 else 0.0
-    return Planned("elsewhere", hidden, strength, int(lot.integers(1, 3)), noise, seed)
+    return Planned(part, hidden, strength, int(lot.integers(1, 3)), noise, seed)
 
 
 _PLANS = {
@@ -170,4 +178,5 @@ _PLANS = {
     "pair": _pair,
     "brief": _brief,
     "elsewhere": _elsewhere,
+    "strong": _strong,
 }

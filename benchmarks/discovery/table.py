@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from cells import each, faults, outside, pairs
-from headline import elsewhere, figures
+from headline import elsewhere, figures, strong
 from judge import Line
 from lines import RESULTS, read_lines
 from otherwise import forms as other_forms
@@ -60,6 +60,8 @@ def page(lines: list[Line], rivals: list[Line], forms: list[Line]) -> str:
         "## Other gyroscopes",
         _ELSEWHERE,
         elsewhere(parts["elsewhere"]),
+        "### Strong effects (3 to 30 %)",
+        strong(parts["strong"]),
     ]
     if rivals:
         head += ["## What one would do otherwise", _OTHERWISE, other_methods(rivals, good)]
