@@ -7,12 +7,12 @@ candidates look alike.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import replace
 
 from fitting.discovery.ranking import Candidate, arranged
+from fitting.discovery.sharpening import again, sharpest
 from fitting.errors import FittingError
-from fitting.estimation import Fit, fit
+from fitting.estimation import Fit
 from fitting.estimation.noise_levels import Noise, measure_noise
 
 # noise that falls by less when an effect is added is the same noise, measured twice
@@ -23,39 +23,12 @@ _EVIDENCE = 2.0
 
 def polished(found: Fit) -> Fit:
     """Return a fit that was made quickly, at its minimum, with the noise that its own model leaves."""
-    end = _sharpest(_again(found, found.noise))
+    end = sharpest(again(found, found.noise))
     noise = measure_noise(end.problem, end.theta)
     if all(new.pure >= _QUIETER * old.pure for new, old in zip(noise, end.noise, strict=True)):
         return end
-    quieter = _sharpest(_again(end, noise))
+    quieter = sharpest(again(end, noise))
     return quieter if quieter.bic < end.bic - _EVIDENCE else end
-
-
-def _sharpest(found: Fit) -> Fit:
-    """Return a fit, or the one from a search with no more noise than the data has if that describes the data better.
-
-    Where the noise that a model is excused with hides what is wrong about a shape, nothing moves it.
-    """
-    if all(n.level <= n.pure for n in found.noise):
-        return found
-    pure = [replace(n, level=n.pure, whitener=n.whitener.at(n.pure)) for n in found.noise]
-    # without an excuse a search may run away to where nothing can be integrated
-    with suppress(FittingError):
-        sharp = _again(found, pure)
-        return sharp if sharp.deviance < found.deviance - _EVIDENCE else found
-    return found
-
-
-def _again(found: Fit, noise: Sequence[Noise]) -> Fit:
-    layout = found.problem.layout
-    return fit(
-        found.model,
-        found.problem.data,
-        share=[k for k in found.model.free if k not in layout.per_case] if len(layout.records) > 1 else (),
-        per_case=layout.per_case,
-        start={k: e.value for k, e in found.estimates.items()},
-        noise=noise,
-    )
 
 
 def is_quieter(fit: Fit, than: Fit) -> bool:
@@ -83,7 +56,7 @@ def reconsidered(
         What it leaves.
     """
     try:
-        plain = _again(base, noise)
+        plain = again(base, noise)
     except FittingError:
         return list(candidates)
     alike = {chosen.effect.name, *chosen.indistinguishable_from}
@@ -95,7 +68,7 @@ def _refitted(c: Candidate, base: Fit, noise: Sequence[Noise]) -> Candidate:
     if c.fit is None:
         return c
     try:
-        end = _again(c.fit, noise)
+        end = again(c.fit, noise)
     except FittingError:
         return replace(c, delta_bic=float("nan"), fit=None)
     own = {k: e for k, e in end.estimates.items() if k.startswith(c.effect.name + ".")}

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,8 @@ _ALWAYS_REFITTED = 4
 # who weighs the bodies and sets the cameras errs in one study of five: twice the logarithm of those odds
 _RARER = 3.2
 _MAX_REFITS = 14
+# from this share of the best score on a candidate may turn out to be the best: where its refit fails, others are tried
+_RIVAL = 0.5
 _SAME_DIRECTION = 0.9999
 # what every fit frees anyway is found by the screen, and is no discovery
 ALWAYS_FREE = tuple(CAMERA_COLUMNS)
@@ -117,7 +120,10 @@ def rank(
     if refitting:
         chance = {s.effect.name: c for s, c in zip(scores, chances, strict=True)}
         worth = _worth(rough)
-        promising = [(c, chance[c.effect.name], family) for c, w in worth if w]
+        best = max((c.score for c, w in worth if w), default=0.0)
+        promising = [
+            _Promising(c, chance[c.effect.name], family, c.score > _RIVAL * best) for c, w in worth if w
+        ]
         refits = iter((beside or Beside()).each(_refitted, base, promising, _measured))
         rough = [next(refits) if w else c for c, w in worth]
     return arranged(rough)
@@ -156,10 +162,17 @@ def _order(c: Candidate) -> tuple[bool, float]:
     return (not c.significant, penalised + (0.0 if c.physical else _RARER))
 
 
-def _refitted(base: Fit, promising: tuple[Candidate, Chance, Family]) -> Candidate:
+class _Promising(NamedTuple):
+    candidate: Candidate
+    chance: Chance
+    family: Family
+    thorough: bool
+
+
+def _refitted(base: Fit, promising: _Promising) -> Candidate:
     """Refit base and effect together from the base's optimum."""
-    candidate, chance, family = promising
-    found = refit(base, candidate.screened)
+    candidate, chance, family, thorough = promising
+    found = refit(base, candidate.screened, thorough=thorough)
     if found is None:
         return candidate
     gain, delta_bic = base.deviance - found.deviance, found.bic - base.bic

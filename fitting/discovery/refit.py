@@ -8,15 +8,24 @@ import numpy as np
 
 from fitting.discovery.breaks import better_breaks, distant_breaks
 from fitting.discovery.scoring import Score
+from fitting.discovery.sharpening import excused, sharpest
 from fitting.effects import Effect
 from fitting.errors import FittingError
 from fitting.estimation import Fit, fit
 from fitting.estimation.layout import PER_CASE
 
+# a refit that lowers the deviance by so much less than promised has lost its way: rivals nearer than this are alike
+_SHORT = 10.0
 
-def refit(base: Fit, score: Score) -> Fit | None:
-    """Return the fit of base and candidate from the base's optimum; None if there is none."""
+
+def refit(base: Fit, score: Score, *, thorough: bool = True) -> Fit | None:
+    """Return the fit of base and candidate from the base's optimum; None if there is none.
+
+    A `thorough` one tries other ways where it falls short of what the screen promised.
+    """
     found = together(base, score)
+    if thorough and found is not None:
+        found = _as_promised(base, score, found)
     if not score.effect.breakpoint:
         return found
     for look in (distant_breaks, better_breaks):
@@ -28,10 +37,36 @@ def refit(base: Fit, score: Score) -> Fit | None:
     return found
 
 
+def _as_promised(base: Fit, score: Score, found: Fit) -> Fit:
+    """Return a refit, or if it falls short of what the screen promised the best of several ways to one.
+
+    A base that misses much excuses it with a random torque, and at that noise the search may throw away a strength,
+    or stay beside a shape, that would explain what is missed.
+    """
+
+    def short(reached: Fit) -> bool:
+        return base.deviance - reached.deviance < score.score - _SHORT
+
+    if not excused(base) or not short(found):
+        return found
+    other = together(base, score, held=True)
+    if other is not None and other.deviance < found.deviance:
+        found = other
+    return sharpest(found) if short(found) else found
+
+
 def together(
-    base: Fit, score: Score, start: Mapping[str, float] | None = None, common: Sequence[str] = ()
+    base: Fit,
+    score: Score,
+    start: Mapping[str, float] | None = None,
+    common: Sequence[str] = (),
+    *,
+    held: bool = False,
 ) -> Fit | None:
-    """Return the fit of base and candidate, with some parameters common to all cases; None if there is none."""
+    """Return the fit of base and candidate, with some parameters common to all cases; None if there is none.
+
+    `held` keeps the strength, too, where the screen saw it until all else has followed.
+    """
     layout = base.problem.layout
     own = [k for k in layout.per_case if k in base.model.free]
     shared = [k for k in base.model.free if k.startswith(PER_CASE) and k not in own]
@@ -44,7 +79,7 @@ def together(
             per_case=own if len(layout.records) > 1 else (),
             start=begin if start is None else begin | dict(start),
             noise=base.noise,
-            steady=[n for n in begin if _is_shape(score.effect, n)] if start is None else (),
+            steady=[n for n in begin if _keeps(score.effect, n, held=held)] if start is None else (),
             quick=True,
         )
     except FittingError:
@@ -52,10 +87,9 @@ def together(
     return found if np.isfinite(found.deviance) else None
 
 
-def _is_shape(effect: Effect, name: str) -> bool:
-    return any(
-        name.partition("@")[0] == f"{effect.name}.{p.symbol}" for p in effect.parameters if p.role == "shape"
-    )
+def _keeps(effect: Effect, name: str, *, held: bool) -> bool:
+    own = [p for p in effect.parameters if held or p.role == "shape"]
+    return name.partition("@")[0] in {f"{effect.name}.{p.symbol}" for p in own}
 
 
 def with_one_value(base: Fit, score: Score, found: Fit) -> Fit | None:

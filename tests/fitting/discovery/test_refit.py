@@ -1,0 +1,38 @@
+"""A refit arrives although the random torque that excuses its base would hold it."""
+
+import pytest
+import twobody
+
+from fitting.case_data import CaseData
+from fitting.discovery.columns import CaseColumns
+from fitting.discovery.refit import refit, together
+from fitting.discovery.screen import screen
+from fitting.effects import LIBRARY, REDUCED
+from fitting.estimation import fit
+from fitting.model import Model
+from fitting.record import make_record
+
+# a gyroscope whose bearing is all but linear: its power law takes the linear term over, and nearly fits
+PAR = {"a2": 1.683e-10, "b1": 1.531e-6, "b2": 1.806e-7, "d": 5.07e-9, "f": 1.39e-8, "g": 1.146}
+
+
+@pytest.fixture(scope="module")
+def base():
+    motion = twobody.simulate(PAR, (423.3, 17.96), 221.6)
+    cameras = twobody.Cameras(
+        221.6, windows=(18.0, 85.4, 144.9), window_length=1.5, rotor_rate=500.0, sigma=9.4e-4
+    )
+    data = [CaseData.of(make_record(**twobody.film(motion, 3, cameras)))]
+    return fit(Model.of([n for n in REDUCED if n != "bearing.linear"]), data)
+
+
+def test_a_refit_that_falls_short_of_its_promise_is_begun_in_another_way(base):
+    assert base.verdict == "misfit"
+    (score,) = screen(base, [LIBRARY["bearing.linear"]], [CaseColumns(base, 0)])
+    plain = together(base, score)
+    assert base.deviance - plain.deviance < 0.1 * score.score
+    found = refit(base, score)
+    assert base.deviance - found.deviance > score.score
+    assert found.verdict == "adequate"
+    estimate = found.estimates["bearing.linear.d"]
+    assert abs(estimate.value - PAR["d"]) < 4 * estimate.stderr
