@@ -7,6 +7,11 @@ With the fundamental matrix Phi(t) of the linearised equations, a torque u(t) al
 
 which needs only running sums over the times at which u is known, however fast u varies. A casing that comes
 to rest forgets what moved it; so that Phi keeps its inverse, it is taken to remember a millionth.
+
+Where one motion dies away long before the record ends, what is left of any column of Phi is the other one, and the
+inverse has lost its digits. Then the column that dies is computed backwards from the end, where it grows and nothing
+else does, and its integral is taken from there: the dichotomy of U. Ascher, R. Mattheij, R. Russell, Numerical
+Solution of Boundary Value Problems for Ordinary Differential Equations, SIAM (1995), ch. 6.
 """
 
 from __future__ import annotations
@@ -28,8 +33,8 @@ _DEPENDENT = 1e-9
 class LinearMotion:
     """The linearised motion of both speeds about a solution.
 
-    States of effects (a warmth, a phase) move with the speeds and act back on them. Where such a state forgets so
-    fast that Phi has no inverse, all of them are held.
+    States of effects (a warmth, a phase) move with the speeds and act back on them. Where anything forgets so fast that
+    Phi has no inverse, all of these states are held.
 
     Parameters
     ----------
@@ -41,12 +46,17 @@ class LinearMotion:
 
     def __init__(self, path: Path, propagator: Propagator) -> None:
         self._sense, self._mesh = path.sense, path.mesh
-        for size in dict.fromkeys((len(path.states), 2)):
-            self._nodes = _fundamental(path, propagator, size)
-            if size == 2 or _independent(self._nodes):
-                break
+        dying: list[int] = []
+        self._nodes = _fundamental(propagator)
+        if not _independent(self._nodes):
+            propagator = propagator.of_speeds()
+            self._nodes = _fundamental(propagator)
+            if not _independent(self._nodes):
+                self._nodes, dying = _parted(propagator), [1]
         steps = path.mesh.half[..., None] * np.tensordot(self._nodes, rule().w, (1, 0))
         self._starts = np.concatenate([np.zeros((1, *steps.shape[1:])), np.cumsum(steps, axis=0)])
+        self._starts[:-1, :, dying] = -np.cumsum(steps[::-1, :, dying], axis=0)[::-1]
+        self._starts[-1, :, dying] = 0.0
 
     def fundamental(self, times: Array) -> Array:
         """Return the speeds' rows of Phi at some times, shape (times, 2, n)."""
@@ -112,14 +122,27 @@ class LinearMotion:
         return speed, angle - late
 
 
-def _fundamental(path: Path, propagator: Propagator, size: int) -> Array:
-    """Return Phi of the first states at the nodes, shape (intervals, nodes, size, size)."""
-    n = len(path.states)
-    zero = np.zeros((*path.y.shape, size))
-    edges = propagator.remembering(_MEMORY).chain(
-        zero, np.zeros((path.y.shape[0], n, size)), np.eye(n)[:, :size]
-    )
-    return propagator.carried(edges)[:, :, :size]
+def _fundamental(propagator: Propagator) -> Array:
+    """Return Phi of all states at the nodes, shape (intervals, nodes, n, n)."""
+    first = np.eye(propagator.transfer.shape[-1])
+    return propagator.carried(_chained(propagator, first))
+
+
+def _chained(propagator: Propagator, first: Array) -> Array:
+    """Return what becomes of small deviations at the start, at all edges."""
+    nothing = np.zeros((*propagator.transfer.shape[:2], *first.shape))
+    return propagator.remembering(_MEMORY).chain(nothing, nothing[:, 0], first)
+
+
+def _parted(propagator: Propagator) -> Array:
+    """Return two motions of the speeds at the nodes: what is remembered longest, and what dies away before."""
+    lasting = _chained(propagator, np.array([[1.0], [0.0]]))
+    end = lasting[-1] / np.linalg.norm(lasting[-1])
+    dying = propagator.remembering(_MEMORY).back(np.array([-end[1], end[0]]))
+    size = np.linalg.norm(dying[0])
+    if not np.isfinite(size):
+        raise SimulationError(UNBOUNDED)
+    return propagator.carried(np.concatenate([lasting, dying / size], axis=2))
 
 
 def _independent(phi: Array) -> bool:

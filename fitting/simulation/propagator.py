@@ -45,7 +45,7 @@ class Propagator:
         self, mesh: Mesh, a: Array, jumps: Mapping[int, Array] | None = None, defect: Array | None = None
     ) -> None:
         intervals, k, n = a.shape[:3]
-        self._half, self._a, self._jumps = mesh.half, a, jumps or {}
+        self._mesh, self._half, self._a, self._jumps = mesh, mesh.half, a, jumps or {}
         scaled = (-mesh.half[..., None, None] * a).transpose(0, 2, 1, 3)
         # G[(k,n),(j,m)] = delta - h/2 S_kj A_j[n,m]
         g = (rule().s[:, None, :, None] * scaled[:, None]).reshape(intervals, k * n, k * n)
@@ -84,6 +84,12 @@ class Propagator:
         }
         return other
 
+    def of_speeds(self) -> Propagator:
+        """Return the equations of the first two states, the others held."""
+        if self._a.shape[-1] == 2:
+            return self
+        return Propagator(self._mesh, self._a[..., :2, :2], {i: m[:2, :2] for i, m in self._jumps.items()})
+
     def nodes(self, defect: Array) -> Array:
         """Return the response at the nodes to right-hand sides (intervals, nodes, n, columns), edges held."""
         intervals, k, n, columns = defect.shape
@@ -96,16 +102,34 @@ class Propagator:
     def chain(self, response: Array, edge_defect: Array, first: Array | None = None) -> Array:
         """Return the deviations at all edges, (intervals + 1, n, columns), from the first edge on."""
         gain = edge_defect + self._gained(response)
-        step = self._step
-        if self._jumps:
-            step = step.copy()
-            for i, jump in self._jumps.items():
-                step[i - 1], gain[i - 1] = jump @ step[i - 1], jump @ gain[i - 1]
+        for i, jump in self._jumps.items():
+            gain[i - 1] = jump @ gain[i - 1]
+        step = self._steps()
         out = np.zeros((gain.shape[0] + 1, *gain.shape[1:]))
         if first is not None:
             out[0] = first
         _fill(out, step, gain)
         return out
+
+    def back(self, last: Array) -> Array:
+        """Return the deviations at all edges, (intervals + 1, n, columns), that end as `last`, without a right side."""
+        try:
+            undone: Array = np.asarray(np.linalg.inv(self._steps()))[::-1]
+        except np.linalg.LinAlgError:
+            raise SimulationError(UNBOUNDED) from None
+        out = np.zeros((len(undone) + 1, *last.shape))
+        out[0] = last
+        _fill(out, undone, np.zeros_like(out[1:]))
+        return out[::-1]
+
+    def _steps(self) -> Array:
+        """Return the matrices that carry a deviation from edge to edge."""
+        if not self._jumps:
+            return self._step
+        step = self._step.copy()
+        for i, jump in self._jumps.items():
+            step[i - 1] = jump @ step[i - 1]
+        return step
 
 
 def _fill(out: Array, step: Array, gain: Array) -> None:

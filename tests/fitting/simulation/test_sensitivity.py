@@ -197,3 +197,26 @@ def test_a_state_that_forgets_at_once_is_held():
     kicks = motion.kicks(TIMES, np.array([0.0, 1 / INERTIA["inertia.casing"]]))
     assert kicks.shape == (len(TIMES), 2)
     assert np.isfinite(kicks).all()
+
+
+@pytest.mark.parametrize("name", ["none", "heating"])
+def test_a_light_casing_forgets_long_before_the_end(name):
+    """After forty times the span in which the casing forgets, a torque still does what the derivative by one says."""
+    p = PAPER | EXTRA[name] | {"external.constant.k": 1e-9}
+    dynamics = Dynamics(Model.of(dict.fromkeys(k.rpartition(".")[0] for k in p)))
+    light = INERTIA | {"inertia.casing": 4e-6}
+    numbers = {**p, **light, **dynamics.constants}
+    path = solve(dynamics, numbers, np.array([*START, *dynamics.start]), Mesh.uniform(0.0, 150.0, 12))
+    found = sensitivities(dynamics, numbers, path)
+    motion = LinearMotion(path, found.propagator)
+    times = np.arange(0, 150.0, 1 / 50)
+    unit = np.ones((len(times) - 1, 3, 1))
+    speed, angle = motion.driven(times, unit, np.array([0.0, 1 / light["inertia.casing"]]))
+    sampler = Sampler(path.mesh, times)
+    column = dynamics.parameters.index("external.constant.k")
+    exact = sampler.value(found.nodes[..., column])[:, 1]
+    turned = angles(sampler, path, 1, found.nodes)[:, column]
+    # a warmth that is held does not delay the answer
+    near = 1e-3 if name == "none" else 0.05
+    np.testing.assert_allclose(speed[1, :, 0], exact, atol=near * np.abs(exact).max())
+    np.testing.assert_allclose(angle[1, :, 0], turned, atol=near * np.abs(turned).max())
