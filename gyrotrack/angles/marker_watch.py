@@ -8,7 +8,7 @@ import numpy.typing as npt
 from gyrotrack.angles.look import Look
 from gyrotrack.angles.matching import Match, displaced, flat_top, match, mean_profile
 from gyrotrack.angles.sightings import Sightings
-from gyrotrack.angles.surroundings import AngleMap, even_light, unlit
+from gyrotrack.angles.surroundings import AngleMap, even_light, places_apart, unlit
 from gyrotrack.geometry.corners import near_corners
 from gyrotrack.geometry.local import median_of
 from gyrotrack.geometry.scene import Paper
@@ -87,7 +87,10 @@ class MarkerWatch:
 
     def _matched_across(self, look: Look, open_: Mask, whole: Mask) -> Match:
         rounds = 3 if self._across is None else 1
-        reach = round(self.paper.half_width / self.strip.ring.step)
+        ring = self.strip.ring
+        reach = max(
+            round(self.paper.half_width / ring.step), places_apart(look.start[look.known], ring.columns) // 2
+        )
         template = self.template(look.profile.shape[1])
         found = match(look.profile, template, look.fraction, open_)
         for _ in range(rounds):

@@ -74,9 +74,9 @@ def even_light(light: AngleMap, reach: int) -> Floats:
     Parameters
     ----------
     reach : int
-        Half the width of a marker in columns. Light is not resolved more finely: where a marker comes back to
-        the same few places turn after turn, an error of its displacement looks like a slope of the light under
-        it, and would confirm itself.
+        Half the width of a marker in columns, or half the way between places where it is seen, if that is more. Light
+        is not resolved more finely: where a marker comes back to the same few places turn after turn, or creeps about
+        them, an error of its displacement looks like a slope of the light under it, and would confirm itself.
     """
     columns = light.columns
     height = light.heights(max(reach, 1), prior=4.0)[0]
@@ -86,6 +86,23 @@ def even_light(light: AngleMap, reach: int) -> Floats:
     place = np.arange(columns)
     filled = np.interp(place, place[known], height[known], period=columns)
     return np.asarray(np.clip(filled, HIDDEN, 2.0))
+
+
+FEWEST_PLACES = 64
+"""Frames from which on the gaps between places seen at random are no wider than a marker."""
+
+
+def places_apart(column: Integers, columns: int) -> int:
+    """Return how far apart, in columns, a marker was seen that comes back to the same few places.
+
+    The widest gap but one, as the widest may be what a slow body does not reach; 0 for few frames, whose gaps are
+    chance.
+    """
+    if len(column) < FEWEST_PLACES:
+        return 0
+    here = np.unique(column % columns)
+    gaps = np.sort(np.diff(np.append(here, here[0] + columns)))
+    return int(gaps[-2]) if len(gaps) > 1 else 0
 
 
 def unlit(light: AngleMap) -> npt.NDArray[np.bool_]:

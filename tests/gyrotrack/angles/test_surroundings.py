@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack.angles.surroundings import AngleMap, even_light, open_columns
+from gyrotrack.angles.surroundings import AngleMap, even_light, open_columns, places_apart
 
 COLUMNS, REACH = 360, 14
 
@@ -51,3 +51,21 @@ def test_a_soft_shadow_far_from_the_bar_hides_nothing():
     passages(cover, height)
 
     assert open_columns(cover, shadows=True).all()
+
+
+def test_where_a_marker_creeps_about_few_places_its_displacement_is_not_taken_for_light():
+    half, creep = REACH + 4.5, np.linspace(-6.0, 6.0, 140)
+    place = np.rint(np.arange(140) % 7 * COLUMNS / 7 + creep).astype(int)
+    light = AngleMap(1, COLUMNS)
+    around = np.arange(-30, 31)
+    for middle in place:
+        template, seen = (np.clip((half - np.abs(around - shift)) / 6.0, 0.0, 1.0) for shift in (0.0, 1.0))
+        expected = np.where(template > 0.4, template, 0.0)
+        light.learn(0, (middle + around) % COLUMNS, expected, seen)
+
+    apart = places_apart(place, COLUMNS)
+
+    assert apart == pytest.approx(COLUMNS / 7 - 12, abs=3)
+    slope = [even_light(light, r)[12] - even_light(light, r)[-12] for r in (REACH, max(REACH, apart // 2))]
+    assert abs(slope[1]) < 0.7 * abs(slope[0])
+    assert places_apart(np.random.default_rng(0).integers(0, COLUMNS, 512), COLUMNS) < 2 * REACH
