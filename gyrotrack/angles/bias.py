@@ -73,3 +73,13 @@ def without_common_motion(curves: dict[str, Floats], mounts: dict[str, float]) -
     spectrum[3:] = 0.0
     common = np.fft.irfft(spectrum, KNOTS)
     return {name: curve - curve_at(common, knots - mounts[name]) for name, curve in curves.items()}
+
+
+def once_a_turn(curve: Floats) -> complex:
+    """Return by how far the axis would have to lie beside the assumed one to make a curve: x + i y over the radius.
+
+    A marker at v = e + r (cos a, sin a), y up, is seen about the axis assumed at 0 at the angle
+    a + (e_y cos a - e_x sin a) / r.
+    """
+    first = complex(np.fft.rfft(curve)[1]) * 2.0 / KNOTS
+    return complex(first.imag, first.real)

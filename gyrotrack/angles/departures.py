@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack.angles.bias import KNOTS, closed_curve, curve_at, without_common_motion
+from gyrotrack.angles.bias import KNOTS, closed_curve, curve_at, once_a_turn, without_common_motion
 from gyrotrack.angles.candidates import Candidate
 from gyrotrack.angles.evenness import line_through, whole_turns
 from gyrotrack.angles.oddity import most_likely_share
 from gyrotrack.angles.scatter import FAR, core_scatter
 from gyrotrack.dataset.columns import put_away, set_down, stretches
-from gyrotrack.geometry.local import local_fit, median_of
+from gyrotrack.geometry.local import local_fit, median_of, spread
+from gyrotrack.geometry.tilt import CELL
 
 Floats = npt.NDArray[np.float64]
 
@@ -49,6 +50,7 @@ class Departures:
         self.candidates = candidates
         self.mounts = {name: c.mount for name, c in candidates.items()}
         self.scatter = dict.fromkeys(candidates, (0.01, 0.03))
+        self.axis_off: dict[str, complex] = {}
         nothing = np.zeros(len(path))
         own = {
             name: put_away({
@@ -188,7 +190,9 @@ class Departures:
         for name, c in self.candidates.items():
             fit = self.use[name] & c.open & when
             curves[name] = self._curve(name, c.angle, self.by_neighbour[name], smooth, fit)
-        if not geometry_only:
+        if geometry_only:
+            self.axis_off = {name: once_a_turn(curve) for name, curve in curves.items()}
+        else:
             curves = without_common_motion(curves, self.mounts)
         for name, curve in curves.items():
             for part in stretches(len(self.path)):
@@ -206,11 +210,17 @@ class Departures:
             weight[part] = np.where(use[part], 1.0 / self.sigma(name, part) ** 2, 0.0)
         return closed_curve(over, off, weight)
 
-    def place_error(self) -> float:
-        """Return the root mean square of the errors by place that were learnt, of the marker that errs least [rad].
+    def places_passed(self) -> float:
+        """Return how many places with errors of their own the body passes, where it does not turn round."""
+        path = self.path[~self.turning & np.isfinite(self.path)]
+        return float(np.ptp(path)) / CELL if len(path) else 0.0
 
-        A marker that is faint or smeared errs more than the place makes it. NaN if none could be learnt, or if the
-        markers come back to the same few places.
+    def place_error(self) -> float:
+        """Return the usual size of the errors by place that were learnt, of the marker that errs least [rad].
+
+        A marker that is faint or smeared errs more than the place makes it, and so does one beside a bar that stands
+        nearly still, in some places only: then the core's standard deviation is taken. NaN if none could be learnt,
+        or if the markers come back to the same few places.
         """
         if self.turning.mean() < MOSTLY:
             return float("nan")
@@ -218,14 +228,19 @@ class Departures:
         for name, c in self.candidates.items():
             seen = self.use[name] & c.open & self.turning
             if len(np.unique(np.rint(c.angle[seen] * KNOTS / TURN))) >= KNOTS / 2:
-                learnt.append(float(np.sqrt(np.mean(self.by_place[name][seen] ** 2))))
+                error = self.by_place[name][seen]
+                learnt.append(min(float(np.sqrt(np.mean(error**2))), spread(error)))
         return min(learnt, default=float("nan"))
 
-    def learn_neighbours(self, smooth: Floats, other: Floats, *, above: bool) -> None:
+    def learn_neighbours(
+        self, smooth: Floats, other: Floats, window: tuple[int, int], *, above: bool
+    ) -> None:
         """Learn each marker's error by its angle to the other body (see `bias`).
 
         Markers below it err where it hides a part of them. Markers above it (`above`) err wherever the other body's
-        own markers pass beside them; that is learnt where these pass so fast that no motion follows them.
+        own markers pass beside them; that is learnt where these pass so fast that no motion follows them. Where they
+        pass nearly in step with the frames, a curve over their angle may creep as slowly as a motion: what of it a
+        local polynomial (`window`: half width and degree) can follow is taken for motion, and left in.
         """
         with np.errstate(invalid="ignore"):
             passing = self.turning & (np.abs(np.gradient(other - self.path)) * self._fps > FAST)
@@ -239,6 +254,9 @@ class Departures:
             for part in stretches(len(near)):
                 shown = near[part] & (above | ~c.open[part])
                 self.by_neighbour[name][part] = np.where(shown, curve_at(curve, beside[part]), 0.0)
+            if above:
+                slow, _ = local_fit(self.by_neighbour[name], near.astype(np.float64), *window)
+                self.by_neighbour[name] -= np.where(near, np.nan_to_num(slow), 0.0)
 
 
 def wrapped(angle: Floats) -> Floats:

@@ -7,7 +7,7 @@ about the smooth motion; one that departs from the others is flagged and left ou
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +15,7 @@ import numpy.typing as npt
 from gyrotrack.angles.candidates import Candidate
 from gyrotrack.angles.departures import Departures, wrapped
 from gyrotrack.angles.evenness import HALF_WINDOW, learning_window, smooth_path
-from gyrotrack.angles.scatter import correlation_factor, excess, tail_factor
+from gyrotrack.angles.scatter import correlation_factor, excess, share_of_floor, tail_factor
 from gyrotrack.dataset.columns import put_away
 
 Floats = npt.NDArray[np.float64]
@@ -36,8 +36,9 @@ class MarkerAngles:
 class BodyAngles:
     """A body: unwrapped angle as seen, uncertainty [rad], number of markers; NaN where none.
 
-    `place_error` is the root mean square of the errors by place that were learnt and taken out [rad], of the marker
-    that errs least; NaN if none could be.
+    `place_error` is the usual size of the errors by place that were learnt and taken out [rad], of the marker
+    that errs least; NaN if none could be. `axis_off` tells for each marker of a fast body how far beside the assumed
+    axis it turns, x + i y (y up) over its radius.
     """
 
     angle: Floats
@@ -45,6 +46,7 @@ class BodyAngles:
     count: npt.NDArray[np.int64]
     markers: dict[str, MarkerAngles]
     place_error: float = float("nan")
+    axis_off: dict[str, complex] = field(default_factory=dict)
 
     def at(self, index: npt.NDArray[np.int64]) -> BodyAngles:
         """Return the frames `index` alone."""
@@ -65,7 +67,8 @@ def join(
     candidates: dict[str, Candidate],
     fps: float,
     other: Floats | None = None,
-    floor: float | Floats = 0.0,
+    floor: float = 0.0,
+    axis: float | Floats = 0.0,
     *,
     above: bool = False,
 ) -> BodyAngles:
@@ -81,9 +84,9 @@ def join(
         Frames per second of the camera.
     other : ndarray, shape (n,), optional
         Angle as seen of the body that hides the markers now and then, or passes beneath them [rad].
-    floor : float or ndarray, shape (n,)
-        Uncertainty in rad of what does not show as scatter because the body does not turn round: errors by place,
-        and a centre that is off.
+    floor, axis : float or ndarray, shape (n,)
+        Uncertainties in rad of what does not show as scatter because the body does not turn round: errors by place, as
+        far as they are not seen on the way, and an axis that is off.
     above : bool
         Whether the markers lie above the other body.
     """
@@ -97,16 +100,18 @@ def join(
         state.note_turns(short, smooth, half)
         state.learn_places(smooth)
         if other is not None:
-            state.learn_neighbours(smooth, other, above=above)
+            state.learn_neighbours(smooth, other, (half, degree), above=above)
     state.judge(*state.smooth(HALF_WINDOW))
-    return _result(state, half, degree, floor)
+    return _result(state, half, degree, floor, axis)
 
 
-def _result(state: Departures, half: int, degree: int, floor: float | Floats) -> BodyAngles:
+def _result(state: Departures, half: int, degree: int, floor: float, axis: float | Floats) -> BodyAngles:
     smooth, leverage = state.smooth(half, degree)
     state.measure_scatter(smooth, leverage)
     departure, sigma, count = state.mean()
-    unlearnt = np.where(state.turning, 0.0, floor)
+    off = np.where(state.turning, np.nan, departure - smooth)
+    floor *= share_of_floor(off, sigma, floor, state.places_passed() - float(np.nansum(leverage)))
+    unlearnt = np.where(state.turning, 0.0, np.hypot(floor, axis))
 
     def calibrated(departure: Floats, sigma: Floats, share: float) -> Floats:
         """Raise or lower uncertainties until they are the size of the departures from the smooth motion.
@@ -134,4 +139,4 @@ def _result(state: Departures, half: int, degree: int, floor: float | Floats) ->
             1.0 / len(state.candidates),
         )
         markers[name] = MarkerAngles(mount=state.mounts[name], **put_away(own))
-    return BodyAngles(markers=markers, place_error=state.place_error(), **body)
+    return BodyAngles(markers=markers, place_error=state.place_error(), axis_off=state.axis_off, **body)

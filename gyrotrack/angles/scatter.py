@@ -15,6 +15,8 @@ FEWEST = 8
 STANDS_OUT = 3.5
 """Standard deviations beyond which a correlation is not taken for chance."""
 _LIGHTEST, _HEAVIEST = 1e3, 5.0
+_BORROWED = 4.0
+"""Independent departures that a borrowed uncertainty is worth: it holds to about a third."""
 
 
 def core_scatter(off: Floats, otherwise: float) -> float:
@@ -77,3 +79,27 @@ def correlation_factor(residual: Floats) -> float:
     positive = int(np.argmax(pairs <= 0)) if (pairs <= 0).any() else len(pairs)
     factor = 1 + 2 * float(pairs[:positive].sum())
     return factor if factor > 1 + 2 * STANDS_OUT / np.sqrt(size) else 1.0
+
+
+def share_of_floor(off: Floats, sigma: Floats, floor: float, places: float) -> float:
+    """Return the share, 0 to 1, of a borrowed uncertainty that a body's own departures leave to it.
+
+    A body that passes an arc passes places too, and departs from its smooth motion where it errs by them. These
+    departures and the borrowed value are two estimates of one variance, each with its degrees of freedom; departures
+    that are larger may be motion, and raise nothing.
+
+    Parameters
+    ----------
+    off, sigma : ndarray, shape (n,)
+        Departures from the smooth motion, NaN where there is none, and their uncertainty without errors by place [rad].
+    floor : float
+        The borrowed uncertainty of errors by place [rad].
+    places : float
+        Places with errors of their own that were passed, less those to which the smooth motion could be fitted.
+    """
+    known = np.isfinite(off) & np.isfinite(sigma)
+    if known.sum() < FEWEST or floor <= 0.0 or places <= 0.0:
+        return 1.0
+    own = np.minimum(np.abs(off[known]), FAR * np.hypot(sigma[known], floor))
+    seen = max(float(np.mean(own**2) - np.mean(sigma[known] ** 2)), 0.0)
+    return float(np.sqrt(min((_BORROWED + places * seen / floor**2) / (_BORROWED + places), 1.0)))

@@ -12,10 +12,10 @@ from gyrotrack.angles.joining import BodyAngles, MarkerAngles, join
 from gyrotrack.angles.sense import find_sense, net_turn, unfold
 from gyrotrack.angles.sightings import spread_out
 from gyrotrack.geometry.centre import CentrePath, smooth_path
-from gyrotrack.geometry.refining import refine_centre
 from gyrotrack.geometry.scene import Scene
-from gyrotrack.geometry.tilt import NO_FLATTENING, Flattening
+from gyrotrack.geometry.tilt import Flattening
 from gyrotrack.geometry.wander import wandering_centre
+from gyrotrack.pipeline.slant import in_perspective, pulled, slanted, usual_error_by_place
 from gyrotrack.pipeline.views import View, view
 from gyrotrack.pipeline.watch import BodySightings, Watched
 from gyrotrack.profile import Profile
@@ -23,9 +23,6 @@ from gyrotrack.profile import Profile
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
-BLOCK_ERROR, LIGHT_ERROR = 0.09, 0.8e-3
-"""Errors by place in the picture where no body turns enough to show them, root mean squares over films of many
-kinds in which one does: of the encoder's blocks in px, of uneven light in rad."""
 _FAR = 0.05
 """Share of the orbit's radius that a centre must move before it is taken to move at all."""
 
@@ -87,7 +84,7 @@ def _with_gaps(seen: Watched, index: Integers) -> Watched:
 
 def _join_even(seen: Watched, scene: Scene, profile: Profile, fps: float) -> Joint:
     views = {name: view(scene.of(name), body.markers, seen.size) for name, body in seen.bodies.items()}
-    centre, flattening = _slant(_centre(seen, scene, profile), views, profile, marked=seen.disc is not None)
+    centre, flattening = slanted(_centre(seen, scene, profile), views, profile, marked=seen.disc is not None)
     bodies, warnings = _followed(seen, views, centre, flattening, fps)
     sense = find_sense({name: net_turn(body.angle) for name, body in bodies.items()}, profile.sense)
     for name, body in bodies.items():
@@ -119,10 +116,11 @@ def _followed(
         radius = views[name].radius
         by_place = next(
             (b.place_error * views[n].radius for n, b in bodies.items() if n != name and b.place_error > 0.0),
-            float(np.hypot(BLOCK_ERROR, LIGHT_ERROR * radius)),
+            usual_error_by_place(views[name]),
         )
-        floor = np.hypot(by_place, np.nan_to_num(centre.sigma)) / radius
-        return join(seen.bodies[name].coarse, candidates[name], fps, other, floor, above=above)
+        beside = np.hypot(np.nan_to_num(centre.sigma), pulled(candidates[name], flattening[name]))
+        floor, axis = by_place / radius, beside / radius
+        return join(seen.bodies[name].coarse, candidates[name], fps, other, floor, axis, above=above)
 
     warnings: list[str] = []
     for name in views:
@@ -132,6 +130,8 @@ def _followed(
         else:
             warnings.append(f"the {name}'s markers cannot be followed; it is left out")
     if len(bodies) == 2:
+        flattening["casing"] = in_perspective(centre, views, flattening, bodies["rotor"])
+        candidates["casing"] = views["casing"].candidates(centre, flattening["casing"])
         better = joined("casing", bodies["rotor"].angle, above=True)
         bodies["casing"] = better if _credible(better) else bodies["casing"]
     return bodies, warnings
@@ -151,21 +151,6 @@ def _centre(seen: Watched, scene: Scene, profile: Profile) -> CentrePath:
     reach = float(np.ptp(moving.centre, axis=0).max())
     radius = float(np.nanmedian(np.hypot(*(place[good] - still.centre[good]).T)))
     return moving if profile.wander or reach > _FAR * radius else still
-
-
-def _slant(
-    centre: CentrePath, views: dict[str, View], profile: Profile, *, marked: bool
-) -> tuple[CentrePath, dict[str, Flattening]]:
-    """Find the slant of the view on each body's orbits; a marked centre is then corrected by the markers' radii."""
-    if not profile.tilt_correction:
-        return centre, dict.fromkeys(views, NO_FLATTENING)
-    flat = {name: look.flattening(centre.centre) for name, look in views.items()}
-    if not marked:
-        return centre, flat
-    better = refine_centre(
-        centre, (r for name, look in views.items() for r in look.radii(centre.centre, flat[name]))
-    )
-    return better, {name: look.flattening(better.centre) for name, look in views.items()}
 
 
 def _zeroed(body: BodyAngles, profile: Profile, sense: int) -> BodyAngles:

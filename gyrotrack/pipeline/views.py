@@ -14,7 +14,7 @@ from gyrotrack.dataset.columns import set_down
 from gyrotrack.geometry.centre import CentrePath
 from gyrotrack.geometry.refining import Radii
 from gyrotrack.geometry.scene import Paper
-from gyrotrack.geometry.tilt import Flattening, fit_flattening
+from gyrotrack.geometry.tilt import Flattening, fit_flattening, lent_flattening
 
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -47,6 +47,11 @@ class View:
         """Mean radius of the markers in px."""
         return float(np.mean([p.radius for p in self.papers]))
 
+    @property
+    def coloured(self) -> tuple[str, ...]:
+        """The markers seen in the planes of colour, as the disc is; luma may lie beside by half a px."""
+        return tuple(p.name for p in self.papers if p.colour != "white")
+
     def place(self, name: str, centre: Floats) -> Floats:
         """Return where a marker is relative to the centre, (n, 2) in px, y up."""
         away = self.sightings[name].position(self.whole[name])
@@ -57,7 +62,14 @@ class View:
 
     def flattening(self, centre: Floats) -> Flattening:
         """Fit tilt and offsets to the orbits of the markers."""
-        return fit_flattening({p.name: self._trusted(p.name, centre) for p in self.papers})
+        return fit_flattening(self._orbits(centre))
+
+    def lent(self, centre: Floats, lender: Flattening, shift: Floats, size: float) -> Flattening:
+        """Take the tilt from another body, and fit offsets to the arcs of the markers (see `lent_flattening`)."""
+        return lent_flattening(lender, self._orbits(centre), shift, size)
+
+    def _orbits(self, centre: Floats) -> dict[str, Floats]:
+        return {p.name: self._trusted(p.name, centre) for p in self.papers}
 
     def _trusted(self, name: str, centre: Floats) -> Floats:
         v = self.place(name, centre)

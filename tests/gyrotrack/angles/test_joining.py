@@ -105,6 +105,30 @@ def test_errors_by_what_passes_beneath_are_learnt_only_where_it_passes_fast(spee
     assert bool(np.std(error[True]) < 1.2e-3) == learnt
 
 
+def test_markers_that_pass_nearly_in_step_with_the_frames_move_nothing():
+    """Six passages a turn, creeping: a curve over their angle could follow any slow motion, or make one."""
+    z, slow = [], []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        k = np.arange(240)
+        truth, other = 0.077 * k, 0.4 + 1.13 * k
+        noise = rng.normal(0, 1e-3, 240)
+        for j in range(1, 240):
+            noise[j] = 0.6 * noise[j - 1] + 0.8 * noise[j]
+        always = np.ones(240, dtype=bool)
+        angle = np.angle(np.exp(1j * (truth + noise)))
+        one = Candidate(angle, always, always, np.ones(240), np.zeros(240), 0.0)
+        body = join(truth + rng.normal(0, 0.01, 240), {"red": one}, 260.0, other, above=True)
+        error = body.angle - truth
+        error -= np.median(error)
+        z.append(error / body.sigma)
+        slow.append(
+            np.polyval(np.polyfit(k, error, 3), k).std() / np.polyval(np.polyfit(k, noise, 3), k).std()
+        )
+    assert np.mean(slow) < 1.3
+    assert 0.8 < np.concatenate(z).std() < 1.25
+
+
 def _few_turns(seed, turns=3.4, frames=250, rho=0.0, sizes=(1.3e-3,)):
     """Markers of a slow body: errors of so many rad by place, noise of 0.7 mrad that lasts."""
     rng = np.random.default_rng(seed)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gyrotrack.angles.oddity import excess_misfit, most_likely_share
-from gyrotrack.angles.scatter import core_scatter, excess, tail_factor
+from gyrotrack.angles.scatter import core_scatter, excess, share_of_floor, tail_factor
 
 
 def test_excess_is_the_root_mean_square():
@@ -61,3 +61,18 @@ def test_one_fault_does_not_make_misfits_matter():
     off = rng.normal(size=400)
     assert most_likely_share(off, odd) < 0.5
     assert most_likely_share(off[:5], odd[:5]) == 0.0
+
+
+@pytest.mark.parametrize("true", [0.3, 1.0, 3.0])
+def test_a_borrowed_uncertainty_gives_way_to_what_is_seen_of_many_places(true):
+    sigma, floor = np.full(600, 0.5), 1.5
+    many, few = [], []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        by_place = np.interp(np.arange(600), np.arange(0, 601, 30), rng.normal(0, true, 21)) * np.sqrt(1.5)
+        off = by_place + rng.normal(0, 0.5, 600)
+        many.append(floor * share_of_floor(off, sigma, floor, 20.0))
+        few.append(floor * share_of_floor(off, sigma, floor, 0.0))
+    usual = np.sqrt(np.mean(np.square(many)))
+    assert few == [floor] * 40
+    assert usual == pytest.approx(min(np.sqrt((4 * floor**2 + 20 * true**2) / 24), floor), rel=0.15)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack.geometry.tilt import NO_FLATTENING, fit_flattening
+from gyrotrack.geometry.tilt import NO_FLATTENING, fit_flattening, lent_flattening
 
 
 def _seen(theta, rho, offset, tilt, azimuth):
@@ -31,3 +31,22 @@ def test_tilt_and_offsets_are_found_and_taken_off():
 def test_half_a_turn_is_not_enough():
     theta = np.linspace(0, 3.0, 500)
     assert fit_flattening({"red": _seen(theta, 90.0, np.zeros(2), 0.2, 0.3)}) == NO_FLATTENING
+
+
+@pytest.mark.parametrize("cover", [1.0, 2.5, 4.5])
+def test_an_arc_takes_the_tilt_of_another_orbit_and_its_offset_within_what_it_doubts(cover):
+    theta, truth = np.linspace(0.4, 0.4 + cover, 300), np.array([0.9, -0.5])
+    lender = fit_flattening({"blue": _seen(np.linspace(0, 6.2, 800), 90.0, np.array([0.5, -0.4]), 0.25, 0.8)})
+    z = []
+    for seed in range(30):
+        by_place = np.random.default_rng(seed).normal(0, 0.1, (2, 13))  # px, alike over half a radian
+        error = np.stack([np.interp(theta, np.arange(13) * np.pi / 6, row) for row in by_place], axis=1)
+        seen = _seen(theta, 120.0, truth, 0.25, 0.8) + error
+        found = lent_flattening(lender, {"red": seen}, np.array([0.5, -0.4]), 0.64)
+        off = np.array(found.offset["red"]) - truth
+        z.append(off @ np.linalg.solve(found.doubt["red"], off) / 2.0)
+        v = found.level("red", _seen(theta, 120.0, truth, 0.25, 0.8))
+        angle = np.angle(np.exp(1j * (np.arctan2(v[:, 1], v[:, 0]) - theta)))
+        assert np.all(np.abs(angle - angle.mean()) < 4.0 * found.pull("red", theta) / 120.0 + 5e-4)
+    assert (found.p, found.q) == (lender.p, lender.q)
+    assert np.mean(z) < 2.0
