@@ -9,7 +9,7 @@ from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
-SOURCE = "gyrotrack/_compiled.c"
+SOURCES = "gyrotrack/loops/*.c"
 
 
 class Compiling(BuildHookInterface):
@@ -36,7 +36,8 @@ def compiled(root: Path) -> str:
 
     extension = Extension(
         "gyrotrack._compiled",
-        [str(root / SOURCE)],
+        sorted(map(str, root.glob(SOURCES))),
+        depends=sorted(map(str, root.glob("gyrotrack/loops/*.h"))),
         extra_compile_args=[] if sysconfig.get_platform().startswith("win") else ["-O3"],
         py_limited_api=True,
     )

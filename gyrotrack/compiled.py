@@ -6,7 +6,7 @@ from contextlib import suppress
 from importlib import import_module
 from types import ModuleType
 
-EDITION = 4
+EDITION = 5
 """What this source needs; an older build that was left in place is not used."""
 
 loops: ModuleType | None = None

@@ -147,7 +147,7 @@ class Strip:
         column = angle / self.ring.step - self.starts[place] + (self.half - half - reach)
         if loops is not None:
             found, room = np.empty((len(angle), 2)), np.empty(self.width + 1)
-            loops.near(self.windows[place], column, found, room, (*self._rows, 2), half, reach)
+            loops.find(self.windows[place], column, found, room, (*self._rows, 2), half, reach)
             return found[:, 0], found[:, 1]
         height, frame = self._near(column, place, half, reach), np.arange(len(angle))
         top = np.argmax(height, axis=1)

@@ -23,14 +23,14 @@ from gyrotrack.geometry.strip import Strip
 from gyrotrack.segmentation.ring import CHROMA_SHIFT, Ring
 from gyrotrack.video import Frame
 
-SOURCE = Path(gyrotrack.compiled.__file__).with_name("_compiled.c")
+SOURCES = sorted(Path(gyrotrack.compiled.__file__).with_name("loops").glob("*.c"))
 WIDTH, HEIGHT = 96, 72
 
 
 @pytest.fixture(scope="module")
 def loops(tmp_path_factory):
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
-    if compiler is None or sys.platform == "win32" or not SOURCE.exists():
+    if compiler is None or sys.platform == "win32" or not SOURCES:
         pytest.skip("no C compiler here, or no source")
     target = tmp_path_factory.mktemp("built") / f"_compiled{sysconfig.get_config_var('EXT_SUFFIX')}"
     missing = ["-undefined", "dynamic_lookup"] if sys.platform == "darwin" else []
@@ -44,7 +44,7 @@ def loops(tmp_path_factory):
         "-fPIC",
         include,
         *missing,
-        str(SOURCE),
+        *map(str, SOURCES),
         "-o",
         str(target),
     ]
