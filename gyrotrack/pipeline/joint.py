@@ -15,7 +15,7 @@ from gyrotrack.geometry.centre import CentrePath, smooth_path
 from gyrotrack.geometry.scene import Scene
 from gyrotrack.geometry.tilt import Flattening
 from gyrotrack.geometry.wander import wandering_centre
-from gyrotrack.pipeline.slant import in_perspective, pulled, slanted, usual_error_by_place
+from gyrotrack.pipeline.slant import error_by_place, in_perspective, pulled, slanted, usual_error_by_place
 from gyrotrack.pipeline.views import View, view
 from gyrotrack.pipeline.watch import BodySightings, Watched
 from gyrotrack.profile import Profile
@@ -115,7 +115,11 @@ def _followed(
     def joined(name: str, other: Floats | None, *, above: bool = False) -> BodyAngles:
         radius = views[name].radius
         by_place = next(
-            (b.place_error * views[n].radius for n, b in bodies.items() if n != name and b.place_error > 0.0),
+            (
+                error_by_place(views[n], flattening[n], b)
+                for n, b in bodies.items()
+                if n != name and b.place_error > 0.0
+            ),
             usual_error_by_place(views[name]),
         )
         beside = np.hypot(np.nan_to_num(centre.sigma), pulled(candidates[name], flattening[name]))

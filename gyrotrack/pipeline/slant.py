@@ -46,7 +46,7 @@ def _flattening(centre: CentrePath, views: dict[str, View]) -> dict[str, Flatten
     look, lender = views[known[0]], flat[known[0]]
     p, q = _beyond(np.array([lender.p, lender.q]), usual_error_by_place(look) / look.radius)
     lender = replace(lender, p=float(p), q=float(q))
-    shift = _beyond(lender.shift(look.coloured), usual_error_by_place(look))
+    shift = _beyond(lender.shift(look.coloured), usual_error_by_place(look, len(look.coloured)))
     size = float(np.hypot(np.hypot(*shift), LEAST_SIGMA))
     return {
         name: f if f.offset else views[name].lent(centre.centre, lender, shift, size)
@@ -54,14 +54,32 @@ def _flattening(centre: CentrePath, views: dict[str, View]) -> dict[str, Flatten
     }
 
 
-def usual_error_by_place(look: View) -> float:
-    """Return the usual error by place of a body's markers in px."""
-    return float(np.hypot(BLOCK_ERROR, LIGHT_ERROR * look.radius))
+def usual_error_by_place(look: View, markers: int = 1) -> float:
+    """Return the usual error by place in px of the mean of so many markers: light pulls all of them alike."""
+    return float(np.hypot(BLOCK_ERROR / np.sqrt(markers), LIGHT_ERROR * look.radius))
 
 
 def _beyond(found: Floats, error: float) -> Floats:
     """Return what is left of a vector, (2,), when as much of its square as errors would make is taken off."""
     return np.asarray(found * max(1.0 - 2.0 * error**2 / float(found @ found + 1e-12), 0.0))
+
+
+def error_by_place(look: View, flat: Flattening, body: BodyAngles) -> float:
+    """Return the errors by place in px that a body has learnt, without the swing that perspective makes of them."""
+    swing = axis_beside(look, flat, body)
+    return float(np.sqrt(max((body.place_error * look.radius) ** 2 - 0.5 * float(swing @ swing), 0.0)))
+
+
+def axis_beside(look: View, flat: Flattening, body: BodyAngles) -> Floats:
+    """Return how far in px the angles of a fast body say that its axis lies beside where its radii do, (2,), y up.
+
+    Both err by place; what such errors would make is taken off.
+    """
+    off = [z * look.radius for m, z in body.axis_off.items() if m in flat.offset]
+    if not off:
+        return np.zeros(2)
+    error = usual_error_by_place(look, len(off))
+    return _beyond(np.mean([(z.real, z.imag) for z in off], axis=0), np.sqrt(2.0) * error)
 
 
 def in_perspective(
@@ -75,24 +93,20 @@ def in_perspective(
     heights below the disc, and is measured by its radius less the perspective. All of these err by place.
     """
     own, look, lender = flat["casing"], views["rotor"], flat["rotor"]
-    off = [
-        rotor.axis_off[m] * look.radius for m in look.coloured if m in rotor.axis_off and m in lender.offset
-    ]
-    if not off or not own.offset:
+    beside = axis_beside(look, lender, rotor)
+    if not beside.any() or not own.offset or not any(m in lender.offset for m in look.coloured):
         return own
-    error = usual_error_by_place(look)
-    beside = _beyond(np.mean([(z.real, z.imag) for z in off], axis=0), np.sqrt(2.0) * error)
-    if not beside.any():
-        return own
+    error = usual_error_by_place(look, len(rotor.axis_off))
     axis = _beyond(lender.shift(look.coloured) + beside, error)
     more = (views["casing"].radius / look.radius) ** 2
     swing, size = -more * beside, float(np.hypot(np.hypot(*axis), LEAST_SIGMA))
     if own.doubt:
         slant = replace(lender, p=own.p, q=own.q)
         return views["casing"].lent(centre.centre, slant, axis + swing, size).moved(-swing)
-    sure = size**2 / (size**2 + error**2 * (1.0 + more**2))
+    sure = size**2 / (size**2 + usual_error_by_place(look) ** 2 * (1.0 + more**2))
     shift = own.shift(own.offset)
-    return own.moved(axis + sure * (shift - swing - axis) - shift)
+    doubt = {name: (1.0 - sure) * size**2 * np.eye(2) for name in own.offset}
+    return replace(own.moved(axis + sure * (shift - swing - axis) - shift), doubt=doubt)
 
 
 def pulled(candidates: dict[str, Candidate], flat: Flattening) -> Floats:
