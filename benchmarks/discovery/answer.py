@@ -91,7 +91,7 @@ def _answered(found: Diagnosis, run: Planned) -> dict[str, Any]:
     return {
         "verdict": found.verdict,
         "named": named,
-        "kinds": [LIBRARY[n].kind for n in named],
+        "kinds": [LIBRARY[n].kind if n in LIBRARY else "unknown" for n in named],
         "ranked": _ranked(found.candidates, run),
         "added": _added(chosen, run) if chosen else None,
     }

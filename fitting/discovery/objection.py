@@ -21,16 +21,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.discovery.chance import over_many
+from fitting.discovery.speed_laws import KNOTS, hats, speeds
 from fitting.estimation import Fit
-from fitting.estimation.case_model import Prediction
 from fitting.estimation.lack import orthonormal
 from fitting.estimation.problem import Projection, turned
 from fitting.noise import TorqueResponse
-from fitting.simulation import Sampler
 
 Array = NDArray[np.float64]
 
-_KNOTS = (4, 8)
 _RANK = 1e-4
 _RANK_FREE = 1e-7
 _TINY = 1e-300
@@ -86,14 +84,14 @@ def _rows(fit: Fit) -> tuple[list[str], list[Array], Array, Array]:
     """Return names, and as whitened rows of all cases: torques that follow a speed, what is free, the residual."""
     cases = list(zip(fit.problem.data, fit.predictions, fit.noise, strict=True))
     responses = [TorqueResponse(data, p.motion) for data, p, _ in cases]
-    speeds = [_speeds(r.centres, p) for r, (_, p, _) in zip(responses, cases, strict=True)]
+    each = [speeds(r.centres, p) for r, (_, p, _) in zip(responses, cases, strict=True)]
     record = cases[0][0].record
     bodies = (record.body,) if record.single else (record.body, "rotor", "bearing")
-    choices = _choices(np.concatenate(speeds, axis=1)[: len(bodies)])
+    choices = _choices(np.concatenate(each, axis=1)[: len(bodies)])
     tried, free, residual = [], [], []
-    for response, own, (data, p, noise) in zip(responses, speeds, cases, strict=True):
+    for response, own, (data, p, noise) in zip(responses, each, cases, strict=True):
         acting = response.casing, response.casing - response.rotor
-        torques = [acting[body] @ _hats(own[which], knots) for which, knots, body in choices]
+        torques = [acting[body] @ hats(own[which], knots) for which, knots, body in choices]
         rows = np.zeros((len(data.z), sum(t.shape[1] for t in torques)))
         rows[: len(response.casing)] = np.concatenate(torques, axis=1)
         project = Projection(data, noise.whitener.at(noise.pure))
@@ -108,19 +106,9 @@ def _rows(fit: Fit) -> tuple[list[str], list[Array], Array, Array]:
     return [bodies[which] for which, _, _ in choices], joined, np.concatenate(free), np.concatenate(residual)
 
 
-def _speeds(times: Array, prediction: Prediction) -> Array:
-    """Return the speeds of casing, rotor and bearing, shape (3, times) [rad/s]."""
-    y = Sampler(prediction.path.mesh, times).value(prediction.path.y)
-    return np.stack([y[:, 1], y[:, 0], y[:, 0] - y[:, 1]])
-
-
-def _choices(speeds: Array) -> list[tuple[int, Array, int]]:
+def _choices(seen: Array) -> list[tuple[int, Array, int]]:
     """Return which speed, the knots in it [rad/s], and whether on the casing (0) or in the bearing (1)."""
     return [
         (which, np.linspace(speed.min(), speed.max(), count), body)
-        for (which, speed), count, body in product(enumerate(speeds), _KNOTS, (0, 1))
+        for (which, speed), count, body in product(enumerate(seen), KNOTS, (0, 1))
     ]
-
-
-def _hats(speed: Array, knots: Array) -> Array:
-    return np.stack([np.interp(speed, knots, row) for row in np.eye(len(knots))], axis=1)

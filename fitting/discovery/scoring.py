@@ -115,6 +115,18 @@ def search_groups(
     )
 
 
+def free_score(stage: Stage, columns: Array) -> float:
+    """Return the fall of the deviance by columns of any strengths over all levels of the random torque."""
+    turned = stage.turned(columns)
+    gains = []
+    for level in stage.levels:
+        seen = level.gain[:, None] * turned
+        seen = seen - level.basis @ (level.basis.T @ seen)
+        score, _ = _solve(seen, level.residual, 1, (-np.inf, np.inf))
+        gains.append(float(score[0]) - level.deviance)
+    return max(gains) + min(x.deviance for x in stage.levels)
+
+
 def _solve(columns: Array, r: Array, groups: int, bounds: tuple[float, float]) -> tuple[Array, Array]:
     """Return score and strengths of each group of columns, for one residual or many."""
     width = columns.shape[1] // groups

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from fitting.beside import Beside
@@ -21,8 +21,9 @@ from fitting.discovery.experiment import next_experiment
 from fitting.discovery.improve import Rung, best, improve
 from fitting.discovery.objection import Objection, objection
 from fitting.discovery.polish import is_quieter, polished, reconsidered
-from fitting.discovery.ranking import Candidate, rank
-from fitting.discovery.wording import sentence
+from fitting.discovery.ranking import CLASS_WIDTH, Candidate, rank
+from fitting.discovery.speed_laws import any_law_of_the_casing
+from fitting.discovery.wording import UNKNOWN_LAW, sentence
 from fitting.effects import Effect
 from fitting.estimation import Fit
 
@@ -127,6 +128,9 @@ def diagnose(
     doubt = _doubt(chosen, end)
     explained = "adequate" if chosen is None else "missing_effect"
     verdict = "unexplained" if end.verdict == "misfit" or doubt is not None else explained
+    if verdict == "missing_effect" and chosen is not None and _may_be_another(fit, chosen):
+        sure, chosen = chosen, replace(chosen, indistinguishable_from=(UNKNOWN_LAW,))
+        candidates = [chosen if c is sure else c for c in candidates]
     torques, waves = left(), repeated()
     failures = find_failures(fit, torques, waves) if verdict != "adequate" else []
     words = sentence(fit, verdict, chosen, after, failures, candidates, doubt)
@@ -142,6 +146,16 @@ def diagnose(
         tuple(waves),
         tuple(whiteness(fit)),
     )
+
+
+def _may_be_another(fit: Fit, chosen: Candidate) -> bool:
+    """Return whether any law of the casing's speed would do as well as a single name that is none.
+
+    An effect that swings, or sets in at a time of its own, can look like a law that the library does not have.
+    """
+    if chosen.indistinguishable_from or not chosen.physical or chosen.effect.of_casing_speed:
+        return False
+    return any_law_of_the_casing(fit) > max(chosen.score, chosen.screened.score) - CLASS_WIDTH
 
 
 def _doubt(chosen: Candidate | None, end: Fit) -> Objection | None:

@@ -13,6 +13,9 @@ from fitting.discovery.ranking import ALWAYS_FREE, Candidate
 from fitting.estimation import Fit
 from fitting.rounding import rounded
 
+# stands among the names of a class
+UNKNOWN_LAW = "a law of omega_c that the library does not have"
+
 
 def sentence(
     fit: Fit,
@@ -72,7 +75,11 @@ def _remains(rest: Fit, chosen: Candidate | None, doubt: Objection | None) -> li
 def _missing(chosen: Candidate, after: Sequence[Rung]) -> list[str]:
     names = [chosen.effect.name, *chosen.indistinguishable_from]
     what = "effect" if chosen.physical else "measurement effect"
-    if len(names) == 1:
+    if names[1:] == [UNKNOWN_LAW]:
+        parts = [
+            f"What is missing is {names[0]}{_strength(chosen)}, or {UNKNOWN_LAW}; this data cannot tell them apart."
+        ]
+    elif len(names) == 1:
         parts = [f"The missing {what} is {names[0]}{_strength(chosen)}."]
     else:
         parts = [f"One of {', '.join(names)} is missing; this data cannot tell them apart."]

@@ -164,6 +164,12 @@ class Effect:
         return self.joint in {"casing", "camera.casing"} and not names & {"omega_r", "psi_r", "delta", "tau"}
 
     @cached_property
+    def of_casing_speed(self) -> bool:
+        """Whether it is a torque on the casing that follows nothing but the casing's speed."""
+        own = {p.symbol for p in self.parameters}
+        return self.joint == "casing" and self.rate is None and symbols(self.expression) - own == {"omega_c"}
+
+    @cached_property
     def depends_on_angle(self) -> bool:
         """Whether the law follows the angle, so that it ripples once or more a turn."""
         names = symbols(self.expression)

@@ -1,0 +1,61 @@
+"""A law of the casing's speed that no library has is a rival of names that are no such law."""
+
+import math
+from functools import cache
+
+import pytest
+import twobody
+
+from fitting.case_data import CaseData
+from fitting.discovery import diagnose
+from fitting.discovery.speed_laws import any_law_of_the_casing
+from fitting.discovery.wording import UNKNOWN_LAW
+from fitting.effects import LIBRARY, REDUCED, resolve
+from fitting.estimation import fit
+from fitting.model import Model
+from fitting.record import make_record
+
+RESONANCE = "casing: -k*exp(-((omega_c - 110)/30)**2)"
+HIDDEN = {
+    "resonance": twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -4e-7 * math.exp(-(((wc - 110) / 30) ** 2))),
+    "step": twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -6e-7 if t >= 88.0 else 0.0),
+}
+
+
+@cache
+def base(name):
+    motion = twobody.simulate(hidden=HIDDEN[name], ou=1e-7, seed=5)
+    return fit(Model.of(REDUCED), [CaseData.of(make_record(**twobody.film(motion, 5)))])
+
+
+def gain(name, effect, **start):
+    found = fit(base(name).model.with_effect(effect), base(name).problem.data, start=start or None)
+    return base(name).deviance - found.deviance
+
+
+def test_any_law_is_as_good_as_the_true_one():
+    truth = gain("resonance", resolve(RESONANCE))
+    assert truth > 30
+    assert any_law_of_the_casing(base("resonance")) == pytest.approx(truth, abs=15)
+
+
+def test_a_step_is_no_law_of_the_speed():
+    step = gain("step", LIBRARY["touchpoint.step"], **{"touchpoint.step.t0": 88.0})
+    assert any_law_of_the_casing(base("step")) < 0.6 * step
+    assert diagnose(base("step")).candidates[0].indistinguishable_from == ()
+
+
+def test_laws_of_the_speed_are_no_rivals_of_themselves():
+    own = {name for name, e in LIBRARY.items() if e.of_casing_speed}
+    assert own >= {"casing.air.quadratic", "touchpoint.stribeck", "casing.air.laminar"}
+    assert not own & {"touchpoint.step", "casing.precession", "casing.windage", "bearing.drift"}
+
+
+def test_what_swings_may_be_an_unknown_law(monkeypatch):
+    """Where any law of the casing's speed does as well, the answer says so."""
+    found = base("step")
+    monkeypatch.setattr("fitting.discovery.verdict.any_law_of_the_casing", lambda _: 1e4)
+    doubtful = diagnose(found)
+    assert doubtful.verdict == "missing_effect"
+    assert doubtful.candidates[0].indistinguishable_from == (UNKNOWN_LAW,)
+    assert f"or {UNKNOWN_LAW}; this data cannot tell them apart" in doubtful.sentence
