@@ -89,12 +89,18 @@ def frame_numbers(pts: npt.NDArray[np.float64], tick: float = COARSEST_TICK) -> 
     if len(pts) < 3 or period <= 0.0 or not np.isfinite(pts).all():
         return plain
     ratio, jitter = step / period, 1.1 * min(tick, COARSEST_TICK)
-    uneven = np.abs(ratio - np.rint(ratio)) * period > np.maximum(0.2 * period, jitter)
-    if uneven.mean() > 0.1 or (step <= 0.0).mean() > 0.01:
+    if _uneven(step, tick) or (step <= 0.0).mean() > 0.01:
         return plain
     gap = (step > 1.5 * period) & (step > period + jitter)
     advance = np.where(gap, np.rint(ratio), 1.0).astype(np.int64)
     return np.concatenate([[0], np.cumsum(advance)])
+
+
+def _uneven(step: npt.NDArray[np.float64], tick: float) -> bool:
+    """Tell whether more than one step between time stamps in ten is no whole number of periods."""
+    period = float(np.median(step))
+    off = np.abs(step / period - np.rint(step / period)) * period
+    return bool((off > np.maximum(0.2 * period, 1.1 * min(tick, COARSEST_TICK))).mean() > 0.1)
 
 
 def stamp_warnings(pts: npt.NDArray[np.float64], tick: float = COARSEST_TICK) -> tuple[str, ...]:
@@ -105,6 +111,11 @@ def stamp_warnings(pts: npt.NDArray[np.float64], tick: float = COARSEST_TICK) ->
     if len(stamps) < len(pts):
         return (f"{len(pts) - len(stamps)} frames have no time stamp; times count decoded frames",)
     found = []
+    step = np.diff(stamps)
+    if float(np.median(step)) > 0.0 and (step <= 0.0).mean() <= 0.01 and _uneven(step, tick):
+        found.append(
+            "time stamps are spaced unevenly; times count decoded frames, and are wrong if the camera's rate varied"
+        )
     advance = np.diff(frame_numbers(pts, tick))
     gaps = np.flatnonzero(advance > 1)
     if len(gaps):

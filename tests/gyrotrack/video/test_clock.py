@@ -75,6 +75,14 @@ def test_stamps_without_a_rhythm_are_not_believed():
     np.testing.assert_array_equal(frame_numbers(stamps), np.arange(300))
 
 
+def test_a_varying_rate_is_told():
+    time = (np.arange(300) + 0.25 * np.sin(1.7 * np.arange(300))) / 260.0
+    (text,) = stamp_warnings(time)
+    assert "spaced unevenly" in text
+    assert "times count decoded frames" in text
+    np.testing.assert_array_equal(frame_numbers(time), np.arange(300))
+
+
 def test_frames_without_stamps_are_told():
     stamps = np.arange(50) / 260.0
     stamps[7] = np.nan
