@@ -65,9 +65,13 @@ def _beyond(found: Floats, error: float) -> Floats:
 
 
 def error_by_place(look: View, flat: Flattening, body: BodyAngles) -> float:
-    """Return the errors by place in px that a body has learnt, without the swing that perspective makes of them."""
-    swing = axis_beside(look, flat, body)
-    return float(np.sqrt(max((body.place_error * look.radius) ** 2 - 0.5 * float(swing @ swing), 0.0)))
+    """Return the errors by place in px that a body has learnt, without the swing that perspective makes of them.
+
+    Where they are mostly swing, what is left is known no better than the usual error.
+    """
+    learnt, swing = body.place_error * look.radius, axis_beside(look, flat, body)
+    left = float(np.sqrt(max(learnt**2 - 0.5 * float(swing @ swing), 0.0)))
+    return max(left, min(learnt, usual_error_by_place(look)))
 
 
 def axis_beside(look: View, flat: Flattening, body: BodyAngles) -> Floats:
@@ -99,7 +103,7 @@ def in_perspective(
     error = usual_error_by_place(look, len(rotor.axis_off))
     axis = _beyond(lender.shift(look.coloured) + beside, error)
     more = (views["casing"].radius / look.radius) ** 2
-    swing, size = -more * beside, float(np.hypot(np.hypot(*axis), LEAST_SIGMA))
+    swing, size = -more * beside, float(np.hypot(np.hypot(*axis), error))
     if own.doubt:
         slant = replace(lender, p=own.p, q=own.q)
         return views["casing"].lent(centre.centre, slant, axis + swing, size).moved(-swing)
