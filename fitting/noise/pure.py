@@ -27,6 +27,8 @@ _TIMES = (1 / 800, 1 / 400, 1 / 200, 1 / 100, 1 / 50, 1 / 20)
 _CAUTION = 0.5
 # twice the logarithm of a likelihood ratio that pure angle noise hardly ever reaches
 _SIGNIFICANT = 8.0
+# twice the logarithm of a likelihood ratio that a true level reaches in one case of twenty
+_ALLOWED = 4.0
 _OUTLIER = 14.0
 _MAX_OUTLIERS = 3
 _FEWEST = 5
@@ -58,13 +60,39 @@ def estimate_noise(responses: Sequence[TorqueResponse], residuals: Sequence[Arra
     # where there is no random torque its time is anything; what a model may leave is slow
     seen = 2 * (max(total) - quiet) > _SIGNIFICANT
     time = _cautious_time(times, total) if seen else max(times)
-    found = []
-    for response, residual, (_, kept) in zip(responses, residuals, searched, strict=True):
-        (chosen,), _ = likelihoods(response, residual, [time], kept)
-        gain = 2 * float(chosen.likelihood.max() - chosen.likelihood[0])
-        level = peak(chosen.levels, chosen.likelihood)
-        found.append(TorqueNoise(level if gain > _SIGNIFICANT else 0.0, time))
-    return found
+    chosen = [
+        likelihoods(response, residual, [time], kept)[0][0]
+        for response, residual, (_, kept) in zip(responses, residuals, searched, strict=True)
+    ]
+    heard = [c for c in chosen if _shows(c)]
+    return [TorqueNoise(_level(c, heard), time) for c in chosen]
+
+
+def _shows(curve: LevelCurve) -> bool:
+    return 2 * float(curve.likelihood.max() - curve.likelihood[0]) > _SIGNIFICANT
+
+
+def _level(curve: LevelCurve, heard: Sequence[LevelCurve]) -> float:
+    """Return the level of a case: its own if it shows, else that of the cases where it does, if this one allows it.
+
+    The same bodies turn in the same bearing: where a louder camera hides their random torque, it is there all the same,
+    and its slow part would look like something missing.
+    """
+    if _shows(curve):
+        return peak(curve.levels, curve.likelihood)
+    if not heard:
+        return 0.0
+    levels = heard[0].levels[1:]
+    each = [_at(c, levels) for c in (curve, *heard)]
+    common = int(np.argmax(np.sum(each, axis=0)))
+    allowed = 2 * (curve.likelihood.max() - each[0][common]) < _ALLOWED
+    return peak(levels, np.sum(each, axis=0)) if allowed else 0.0
+
+
+def _at(curve: LevelCurve, levels: Array) -> Array:
+    return np.interp(
+        np.log(levels), np.log(curve.levels[1:]), curve.likelihood[1:], left=float(curve.likelihood[0])
+    )
 
 
 def _cautious_time(times: Sequence[float], likelihood: Sequence[float]) -> float:

@@ -1,0 +1,36 @@
+"""A random torque that one camera is too loud to show, told by the recording in which it shows."""
+
+import pytest
+import twobody
+
+from fitting.case_data import CaseData
+from fitting.effects import REDUCED
+from fitting.estimation import fit
+from fitting.model import Model
+from fitting.record import make_record
+
+LEVEL = 1e-8
+
+
+def recorded(label, seed, level, sigma, start):
+    motion = twobody.simulate(start=start, ou=level, ou_time=0.4, seed=seed, span=100.0)
+    cameras = twobody.Cameras(100.0, windows=(5.0, 40.0, 80.0), sigma=sigma)
+    return CaseData.of(make_record(**{**twobody.film(motion, seed, cameras), "label": label}))
+
+
+@pytest.fixture(scope="module")
+def quiet_camera():
+    return recorded("quiet", 1, LEVEL, 2e-4, (900.0, 5.0))
+
+
+def test_what_a_loud_camera_hides_is_no_missing_effect(quiet_camera):
+    found = fit(Model.of(REDUCED), [quiet_camera, recorded("loud", 3, LEVEL, 1e-2, (700.0, 12.0))])
+    assert found.verdict == "adequate"
+    assert [n.pure for n in found.noise] == pytest.approx([LEVEL] * 2, rel=0.5)
+
+
+def test_a_recording_that_excludes_it_has_none(quiet_camera):
+    found = fit(Model.of(REDUCED), [quiet_camera, recorded("still", 3, 0.0, 1e-3, (700.0, 12.0))])
+    assert found.verdict == "adequate"
+    assert found.noise[0].pure == pytest.approx(LEVEL, rel=0.5)
+    assert found.noise[1].pure == 0.0
