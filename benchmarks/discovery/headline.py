@@ -107,7 +107,7 @@ def strong(lines: list[Line]) -> str:
 
 
 def elsewhere(lines: list[Line]) -> str:
-    """Return the table of the gyroscopes that were drawn by lot: all seeds, and those run after the program was made."""
+    """Return the table of the gyroscopes that were drawn by lot: all seeds, and those run after the mending."""
     fresh = [x for x in lines if x["seed"] >= FIRST_FRESH]
     both_ways = zip(_by_lot(lines), _by_lot(fresh), strict=True)
     rows = [[what, measured, of_fresh] for (what, measured), (_, of_fresh) in both_ways]
