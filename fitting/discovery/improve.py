@@ -22,8 +22,9 @@ _MAX_STEPS = 5
 _NEEDED = 3.3
 # BIC must fall by this much: "positive" evidence after R. Kass, A. Raftery, J. Am. Stat. Assoc. 90, 773 (1995)
 _EVIDENCE = 2.0
-# tracking has artefacts of its own once and twice a turn: physics there needs "very strong" evidence
-_EVIDENCE_ANGLE = 10.0
+# tracking errs in step with the turns of casing and rotor and with their beats: physics that swings needs "very strong"
+# evidence there
+_EVIDENCE_SWING = 10.0
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,7 @@ def best(candidates: Sequence[Candidate]) -> Candidate | None:
         if c.effect.name in ALWAYS_FREE:
             continue
         tracked = c.fit is not None and any(d.record.tracked for d in c.fit.problem.data)
-        needed = _EVIDENCE_ANGLE if tracked and c.physical and c.effect.depends_on_angle else _EVIDENCE
+        needed = _EVIDENCE_SWING if tracked and c.physical and c.effect.swings else _EVIDENCE
         if c.significant and c.fit is not None and c.delta_bic < -needed:
             return c
     return None

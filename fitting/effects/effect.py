@@ -175,6 +175,11 @@ class Effect:
         names = symbols(self.expression)
         return bool(names & {"psi_r", "psi_c", "psi"})
 
+    @property
+    def swings(self) -> bool:
+        """Whether it goes to and fro: with an angle, or at a phase of its own."""
+        return self.depends_on_angle or any(p.role == "phase" for p in self.parameters)
+
     def check(self) -> None:
         """Check the law: names known, units right.
 
