@@ -47,9 +47,10 @@ class Beside:
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
-            self._pool = None
+        # nothing more is handed over while what is begun comes to its end
+        pool, self._pool = self._pool, None
+        if pool is not None:
+            pool.shutdown(cancel_futures=True)
 
     def begin(self, work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> Callable[[], T]:
         """Begin a piece of work, a function of a module with what can be pickled; return what waits for its result."""
@@ -90,7 +91,7 @@ class Beside:
         left, begun, lock = deque(range(len(items))), dict[int, Future[bytes]](), RLock()
 
         def hand_over(before: Future[bytes] | None = None) -> None:
-            if before is not None and before.exception() is not None:
+            if before is not None and (before.cancelled() or before.exception() is not None):
                 return
             with lock:
                 waiting = self._submit(_there, work, common, items[left[0]], kept) if left else None
@@ -114,10 +115,11 @@ class Beside:
         return [found[i] for i in range(len(items))]
 
     def _submit(self, work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> Future[T] | None:
-        if self._pool is not None:
+        pool = self._pool
+        if pool is not None:
             try:
-                return self._pool.submit(work, *args, **kwargs)
-            except BrokenProcessPool:
+                return pool.submit(work, *args, **kwargs)
+            except RuntimeError:  # it died, or is being closed
                 self._pool = None
         return None
 

@@ -109,3 +109,18 @@ def test_an_item_that_kills_the_process_is_done_here():
 
 def test_nothing_is_started_without_with():
     assert Beside(cores=2).each(_first_and, ("a",), [1]) == [("a", 1, os.getpid())]
+
+
+def _interrupted(common, item):
+    if os.getpid() == common:
+        time.sleep(0.3)
+        raise KeyboardInterrupt
+    time.sleep(0.6)
+    return item
+
+
+def test_an_interruption_leaves_no_words_behind(caplog):
+    """What is begun there comes to its end after the pool is closed, and hands nothing more over."""
+    with pytest.raises(KeyboardInterrupt), Beside(cores=2) as beside:
+        beside.each(_interrupted, beside.begin(os.getppid)(), range(6))
+    assert caplog.records == []
