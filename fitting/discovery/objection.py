@@ -42,6 +42,11 @@ class Objection:
     body: str
     p_value: float
 
+    @property
+    def words(self) -> str:
+        """What the torque does, to be read behind the name of what leaves it."""
+        return f"follows the speed of the {self.body}"
+
 
 def objection(fit: Fit) -> Objection:
     """Return how clearly what a fit leaves follows a speed.

@@ -22,6 +22,7 @@ from fitting.discovery.improve import Rung, best, improve
 from fitting.discovery.objection import Objection, objection
 from fitting.discovery.polish import is_quieter, polished, reconsidered
 from fitting.discovery.ranking import CLASS_WIDTH, Candidate, rank
+from fitting.discovery.spectral_line import SpectralLine, spectral_line
 from fitting.discovery.speed_laws import any_law_of_the_casing
 from fitting.discovery.wording import UNKNOWN_LAW, sentence
 from fitting.effects import Effect
@@ -158,9 +159,15 @@ def _may_be_another(fit: Fit, chosen: Candidate) -> bool:
     return any_law_of_the_casing(fit) > max(chosen.score, chosen.screened.score) - CLASS_WIDTH
 
 
-def _doubt(chosen: Candidate | None, end: Fit) -> Objection | None:
-    """Return what speaks against an answer; a class of names leaves the question open by itself."""
-    if end.verdict == "misfit" or (chosen is not None and chosen.indistinguishable_from):
+def _doubt(chosen: Candidate | None, end: Fit) -> Objection | SpectralLine | None:
+    """Return what speaks against an answer."""
+    if end.verdict == "misfit":
+        return None
+    line = spectral_line(end)
+    if line is not None and line.p_value < _ALARMING:
+        return line
+    # a class of names leaves the question of the law open by itself
+    if chosen is not None and chosen.indistinguishable_from:
         return None
     found = objection(end)
     return found if found.p_value < (_ALARMING if chosen is None else _DOUBTFUL) else None

@@ -10,6 +10,7 @@ from fitting.diagnosis import Failure
 from fitting.discovery.improve import Rung
 from fitting.discovery.objection import Objection
 from fitting.discovery.ranking import ALWAYS_FREE, Candidate
+from fitting.discovery.spectral_line import SpectralLine
 from fitting.estimation import Fit
 from fitting.rounding import rounded
 
@@ -24,7 +25,7 @@ def sentence(
     after: Sequence[Rung],
     failures: Sequence[Failure],
     candidates: Sequence[Candidate],
-    doubt: Objection | None = None,
+    doubt: Objection | SpectralLine | None = None,
 ) -> str:
     """Return the answer of a diagnosis in a few sentences.
 
@@ -42,7 +43,7 @@ def sentence(
         Where the base fails, worst first.
     candidates : sequence of Candidate
         All of them.
-    doubt : Objection, optional
+    doubt : Objection or SpectralLine, optional
         What speaks against the name.
     """
     if verdict == "adequate":
@@ -57,10 +58,13 @@ def sentence(
     return " ".join([*parts, *_taken_out(chosen, candidates)])
 
 
-def _remains(rest: Fit, chosen: Candidate | None, doubt: Objection | None) -> list[str]:
+def _remains(rest: Fit, chosen: Candidate | None, doubt: Objection | SpectralLine | None) -> list[str]:
     if doubt is not None:
-        what = f"What {'it' if chosen is None else chosen.effect.name} leaves follows the speed of the {doubt.body}"
+        what = f"What {'it' if chosen is None else chosen.effect.name} leaves {doubt.words}"
         parts = [f"{what}, as noise does in {doubt.p_value:.1g} of all cases."]
+        if isinstance(doubt, SpectralLine):
+            beside = "" if chosen is None else f" beside {chosen.effect.name}"
+            return [*parts, f'No effect of the library does: take "{doubt.law}"{beside} as a hypothesis.']
         if chosen is None:
             return [*parts, "No effect of the library explains it."]
         cause = "A second effect is missing as well, or a law that the library does not have"
