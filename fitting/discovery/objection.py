@@ -20,8 +20,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.discovery.any_law import KNOTS, hats, speeds
 from fitting.discovery.chance import over_many
-from fitting.discovery.speed_laws import KNOTS, hats, speeds
 from fitting.estimation import Fit
 from fitting.estimation.lack import orthonormal
 from fitting.estimation.problem import Projection, turned

@@ -17,14 +17,14 @@ from fitting.diagnosis import (
     ripples,
     whiteness,
 )
+from fitting.discovery.any_law import any_law_of_the_casing, any_slow_torque
 from fitting.discovery.experiment import next_experiment
 from fitting.discovery.improve import Rung, best, improve
 from fitting.discovery.objection import Objection, objection
 from fitting.discovery.polish import is_quieter, polished, reconsidered
 from fitting.discovery.ranking import CLASS_WIDTH, Candidate, rank
 from fitting.discovery.spectral_line import SpectralLine, spectral_line
-from fitting.discovery.speed_laws import any_law_of_the_casing
-from fitting.discovery.wording import UNKNOWN_LAW, sentence
+from fitting.discovery.wording import UNKNOWN_IN_TIME, UNKNOWN_LAW, sentence
 from fitting.effects import Effect
 from fitting.estimation import Fit
 
@@ -129,8 +129,9 @@ def diagnose(
     doubt = _doubt(chosen, end)
     explained = "adequate" if chosen is None else "missing_effect"
     verdict = "unexplained" if end.verdict == "misfit" or doubt is not None else explained
-    if verdict == "missing_effect" and chosen is not None and _may_be_another(fit, chosen):
-        sure, chosen = chosen, replace(chosen, indistinguishable_from=(UNKNOWN_LAW,))
+    others = _unknown(fit, chosen) if verdict == "missing_effect" and chosen is not None else ()
+    if chosen is not None and others:
+        sure, chosen = chosen, replace(chosen, indistinguishable_from=others)
         candidates = [chosen if c is sure else c for c in candidates]
     torques, waves = left(), repeated()
     failures = find_failures(fit, torques, waves) if verdict != "adequate" else []
@@ -149,14 +150,21 @@ def diagnose(
     )
 
 
-def _may_be_another(fit: Fit, chosen: Candidate) -> bool:
-    """Return whether any law of the casing's speed would do as well as a single name that is none.
+def _unknown(fit: Fit, chosen: Candidate) -> tuple[str, ...]:
+    """Return what no library has and would do as well as a single name.
 
-    An effect that swings, or sets in at a time of its own, can look like a law that the library does not have.
+    An effect that swings, or sets in at a time of its own, can look like a law of the casing's speed; one that swings
+    so slowly that it hardly comes back looks like anything that changes in time.
     """
-    if chosen.indistinguishable_from or not chosen.physical or chosen.effect.of_casing_speed:
-        return False
-    return any_law_of_the_casing(fit) > max(chosen.score, chosen.screened.score) - CLASS_WIDTH
+    if chosen.indistinguishable_from or not chosen.physical:
+        return ()
+    bar = max(chosen.score, chosen.screened.score) - CLASS_WIDTH
+    found = []
+    if not chosen.effect.of_casing_speed and any_law_of_the_casing(fit) > bar:
+        found.append(UNKNOWN_LAW)
+    if chosen.effect.swings and any_slow_torque(fit) > bar:
+        found.append(UNKNOWN_IN_TIME)
+    return tuple(found)
 
 
 def _doubt(chosen: Candidate | None, end: Fit) -> Objection | SpectralLine | None:

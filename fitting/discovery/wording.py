@@ -14,8 +14,9 @@ from fitting.discovery.spectral_line import SpectralLine
 from fitting.estimation import Fit
 from fitting.rounding import rounded
 
-# stands among the names of a class
+# stand among the names of a class
 UNKNOWN_LAW = "a law of omega_c that the library does not have"
+UNKNOWN_IN_TIME = "a torque that changes slowly in time"
 
 
 def sentence(
@@ -79,9 +80,10 @@ def _remains(rest: Fit, chosen: Candidate | None, doubt: Objection | SpectralLin
 def _missing(chosen: Candidate, after: Sequence[Rung]) -> list[str]:
     names = [chosen.effect.name, *chosen.indistinguishable_from]
     what = "effect" if chosen.physical else "measurement effect"
-    if names[1:] == [UNKNOWN_LAW]:
+    if names[1:] and {UNKNOWN_LAW, UNKNOWN_IN_TIME}.issuperset(names[1:]):
+        others = ", or ".join(names[1:])
         parts = [
-            f"What is missing is {names[0]}{_strength(chosen)}, or {UNKNOWN_LAW}; this data cannot tell them apart."
+            f"What is missing is {names[0]}{_strength(chosen)}, or {others}; this data cannot tell them apart."
         ]
     elif len(names) == 1:
         parts = [f"The missing {what} is {names[0]}{_strength(chosen)}."]

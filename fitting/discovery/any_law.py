@@ -1,6 +1,8 @@
-"""Torques that are any function of a speed: piecewise linear between knots."""
+"""Torques that are any function of a speed, or of time: piecewise linear between knots."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,14 +35,23 @@ def any_law_of_the_casing(fit: Fit) -> float:
 
     The law is the same in all cases. It is scored as a candidate is, without a refit.
     """
+    return _fall(fit, lambda case, p: speeds(case.response.centres, p)[0])
+
+
+def any_slow_torque(fit: Fit) -> float:
+    """Return the fall of the deviance by a torque on the casing that changes slowly in time, scored in the same way."""
+    return _fall(fit, lambda case, _: case.response.centres)
+
+
+def _fall(fit: Fit, followed: Callable[[CaseColumns, Prediction], Array]) -> float:
     cases = [CaseColumns(fit, i) for i in range(len(fit.predictions))]
     stage = Stage(fit, 1)
-    own = [speeds(c.response.centres, p)[0] for c, p in zip(cases, fit.predictions, strict=True)]
-    slowest, fastest = min(float(s.min()) for s in own), max(float(s.max()) for s in own)
+    own = [followed(c, p) for c, p in zip(cases, fit.predictions, strict=True)]
+    least, most = min(float(x.min()) for x in own), max(float(x.max()) for x in own)
     found = []
     for count in KNOTS:
-        knots = np.linspace(slowest, fastest, count)
-        rows = [_rows(c, c.response.casing @ hats(s, knots)) for c, s in zip(cases, own, strict=True)]
+        knots = np.linspace(least, most, count)
+        rows = [_rows(c, c.response.casing @ hats(x, knots)) for c, x in zip(cases, own, strict=True)]
         found.append(free_score(stage, np.concatenate(rows)))
     return max(found)
 

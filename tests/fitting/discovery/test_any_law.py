@@ -1,6 +1,7 @@
-"""A law of the casing's speed that no library has is a rival of names that are no such law."""
+"""A law of the casing's speed, or of time, that no library has is a rival of names that are no such law."""
 
 import math
+from dataclasses import replace
 from functools import cache
 
 import pytest
@@ -8,8 +9,9 @@ import twobody
 
 from fitting.case_data import CaseData
 from fitting.discovery import diagnose
-from fitting.discovery.speed_laws import any_law_of_the_casing
-from fitting.discovery.wording import UNKNOWN_LAW
+from fitting.discovery.any_law import any_law_of_the_casing, any_slow_torque
+from fitting.discovery.ranking import rank
+from fitting.discovery.wording import UNKNOWN_IN_TIME, UNKNOWN_LAW
 from fitting.effects import LIBRARY, REDUCED, resolve
 from fitting.estimation import fit
 from fitting.model import Model
@@ -18,6 +20,8 @@ from fitting.record import make_record
 RESONANCE = "casing: -k*exp(-((omega_c - 110)/30)**2)"
 HIDDEN = {
     "resonance": twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -4e-7 * math.exp(-(((wc - 110) / 30) ** 2))),
+    "wear": twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -1.5e-6 * (t / 200) ** 2),
+    "swing": twobody.Hidden(casing=lambda t, wr, wc, pr, pc: 4e-7 * math.cos(0.5 * t)),
     "step": twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -6e-7 if t >= 88.0 else 0.0),
 }
 
@@ -43,6 +47,25 @@ def test_a_step_is_no_law_of_the_speed():
     step = gain("step", LIBRARY["touchpoint.step"], **{"touchpoint.step.t0": 88.0})
     assert any_law_of_the_casing(base("step")) < 0.6 * step
     assert diagnose(base("step")).candidates[0].indistinguishable_from == ()
+
+
+def test_any_slow_torque_is_as_good_as_the_true_one():
+    truth = gain("wear", resolve("casing: -k*t**2"))
+    assert truth > 30
+    assert any_slow_torque(base("wear")) == pytest.approx(truth, abs=15)
+
+
+def test_a_swing_that_comes_back_is_no_slow_torque():
+    assert any_slow_torque(base("swing")) < 0.1 * gain("swing", resolve("casing: k*cos(0.5*t + phi)"))
+
+
+def test_a_swing_that_hardly_comes_back_may_be_any_slow_torque():
+    found = base("wear")
+    (swing,) = (c for c in rank(found) if c.effect.name == "casing.precession")
+    answer = diagnose(found, candidates=[replace(swing, indistinguishable_from=())])
+    assert answer.verdict == "missing_effect"
+    assert UNKNOWN_IN_TIME in answer.candidates[0].indistinguishable_from
+    assert f"or {UNKNOWN_IN_TIME}; this data cannot tell them apart" in answer.sentence
 
 
 def test_laws_of_the_speed_are_no_rivals_of_themselves():
