@@ -11,6 +11,7 @@ from fitting.case_data import CaseData
 from fitting.estimation.case_model import CaseModel, Prediction
 from fitting.estimation.coordinates import Valley, find_valleys, from_physical, to_physical
 from fitting.estimation.layout import Layout
+from fitting.estimation.waves import find_waves, from_polar, to_polar
 from fitting.noise import WHITE, Whitener
 
 Array = NDArray[np.float64]
@@ -92,21 +93,30 @@ class Problem:
 
     def __call__(self, u: Array) -> tuple[Array, Array]:
         """Return residuals and Jacobian by the straight variables u."""
+        waves = find_waves(self.layout)
         theta, slope = to_physical(u, self.valleys)
+        theta, turn = to_polar(theta, waves)
         r, j = self.residuals(self.predict(theta))
+        if waves:
+            j = j @ turn
         return r, j @ slope if self.valleys else j
 
     def straight(self, theta: Array) -> Array:
         """Return the straight variables of physical ones."""
-        return from_physical(theta, self.valleys)
+        return from_physical(from_polar(theta, find_waves(self.layout)), self.valleys)
 
     def physical(self, u: Array) -> Array:
         """Return the physical variables of straight ones."""
-        return to_physical(u, self.valleys)[0]
+        return to_polar(to_physical(u, self.valleys)[0], find_waves(self.layout))[0]
 
     def straight_bounds(self, lower: Array, upper: Array) -> tuple[Array, Array]:
-        """Return the bounds of the straight variables: d and f may leave theirs on the way, a lone f only upwards."""
+        """Return the bounds of the straight variables: d and f may leave theirs on the way, a lone f only upwards.
+
+        A strength with a phase has none.
+        """
         lower, upper = lower.copy(), upper.copy()
+        for w in find_waves(self.layout):
+            lower[w.strength], upper[w.strength] = -np.inf, np.inf
         for v in self.valleys:
             if v.held:
                 free = v.f if v.held == "d" else v.d
