@@ -10,12 +10,16 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from fitting.effects import resolve
+from fitting.expression import Tape
+
 HERE = Path(__file__).parents[1] / "benchmarks" / "discovery"
 if not HERE.is_dir():
     pytest.skip("the benchmark is not part of a source package", allow_module_level=True)
 sys.path.insert(0, str(HERE))
 
 import experiment  # noqa: E402
+import foreign  # noqa: E402
 import hidden  # noqa: E402
 import judge  # noqa: E402
 import lines  # noqa: E402
@@ -55,7 +59,9 @@ def test_the_random_torque_has_its_size_and_its_memory(time):
 def test_a_run_is_made_from_its_key_alone_and_no_two_are_alike():
     everything = plan.plan(10)
     assert len({r.key for r in everything}) == len(everything)
-    assert {n for r in everything for n in r.hidden} >= {*hidden.LIBRARY, *hidden.BASE, *hidden.OUTSIDE}
+    assert {n for r in everything for n in r.hidden} >= {
+        *hidden.LIBRARY, *hidden.BASE, *hidden.OUTSIDE, *foreign.FOREIGN
+    }  # fmt: skip
     one, other = (
         r for r in plan.plan(2, ("library",)) if r.key.startswith("library|touchpoint.step|0.01|1|0|")
     )
@@ -64,6 +70,20 @@ def test_a_run_is_made_from_its_key_alone_and_no_two_are_alike():
     assert one.worlds()[0].truth["t0"] != other.worlds()[0].truth["t0"]
     a, b = (r.records()[0]["casing"][1] for r in (one, again))
     assert np.array_equal(a, b)
+
+
+@pytest.mark.parametrize("name", [*hidden.OUTSIDE, *foreign.FOREIGN])
+def test_a_law_and_its_formula_are_the_same(name):
+    draw = hidden.Draw.of(200.0, np.random.default_rng(1), np.random.default_rng(2))
+    world = {**hidden.OUTSIDE, **foreign.FOREIGN}[name](2e-6, draw)
+    effect = resolve(world.law)
+    (torque,) = getattr(world, effect.joint)
+    for t in np.linspace(1.0, 199.0, 23):
+        wr, wc = 900.0 - 3 * t, 160.0 - 0.6 * t
+        known = {"t": t, "omega_r": wr, "omega_c": wc, "delta": wr - wc, "k": world.truth["k"]}
+        assert Tape([effect.expression])(known)[0] == pytest.approx(
+            torque(t, wr, wc, 0.0), rel=1e-5, abs=1e-15
+        )
 
 
 def line(r, named, verdict="missing_effect", **more):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from hidden import BASE, FAULTS, LIBRARY, OUTSIDE, TAKEN_OUT
 from judge import (
@@ -79,9 +81,9 @@ def faults(parts: dict[str, list[Line]]) -> str:
     return table(["hidden", "right is", "right", "physics named first", "and the fault not named"], rows)
 
 
-def outside(lines: list[Line]) -> str:
+def outside(lines: list[Line], names: Iterable[str] = OUTSIDE) -> str:
     rows = []
-    for name in OUTSIDE:
+    for name in names:
         some = [x for x in lines if x["hidden"] == [name]]
         rows.append([
             name,

@@ -64,6 +64,11 @@ def figures(parts: dict[str, list[Line]]) -> str:
             Share(not single_wrong(x) for x in outside),
         ],
         [
+            "the same of laws that were written later",
+            "90 %",
+            Share(not single_wrong(x) for x in parts["foreign"] if detected(x)),
+        ],
+        [
             "two effects at once: both found, none extra",
             "80 %",
             Share(map(both, parts["pair"])),

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 from elsewhere import budget, gyroscopes
 from experiment import BUDGET, CASES, Hidden, record, together
+from foreign import FOREIGN
 from hidden import BASE, FAULTS, LIBRARY, OUTSIDE, Draw, Maker
 
-PARTS = ("library", "nothing", "fault", "outside", "pair", "brief", "elsewhere", "strong")
+PARTS = ("library", "nothing", "fault", "outside", "pair", "brief", "elsewhere", "strong", "foreign")
 # parts with gyroscopes, strength, recordings and random torque by lot
 BY_LOT = ("elsewhere", "strong")
 STRENGTHS = (0.01, 0.03, 0.003)
@@ -28,7 +29,7 @@ _PAIRS_ELSEWHERE = 6
 # by lot: strengths and random torques as shares of the budget, and correlation times [s]
 _DRAWN = {"elsewhere": (0.003, 0.03), "strong": (0.03, 0.3)}
 _UNREST, _MEMORIES = (1e-4, 2e-3), (0.05, 5.0)
-_MAKERS: dict[str, Maker] = {**LIBRARY, **BASE, **OUTSIDE, **FAULTS}
+_MAKERS: dict[str, Maker] = {**LIBRARY, **BASE, **OUTSIDE, **FOREIGN, **FAULTS}
 
 
 @dataclass(frozen=True)
@@ -162,6 +163,11 @@ def _strong(seed: int) -> Iterator[Planned]:
             yield _drawn("strong", seed, (name,))
 
 
+def _foreign(seed: int) -> Iterator[Planned]:
+    for cases, noise, name in itertools.product((2, 1), (0.0, NOISE), FOREIGN):
+        yield Planned("foreign", (name,), STRENGTHS[0], cases, noise, seed)
+
+
 def _drawn(part: str, seed: int, hidden: tuple[str, ...], *more: int) -> Planned:
     """Return a run whose strength, number of recordings and random torque are drawn by lot."""
     lot = np.random.default_rng([seed, zlib.crc32(" & ".join(hidden).encode()), 78, *more])
@@ -179,4 +185,5 @@ _PLANS = {
     "brief": _brief,
     "elsewhere": _elsewhere,
     "strong": _strong,
+    "foreign": _foreign,
 }

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from cells import each, faults, outside, pairs
+from foreign import FOREIGN
 from headline import elsewhere, figures, strong
 from judge import Line
 from lines import RESULTS, read_lines
@@ -33,6 +34,11 @@ by any of them. The seeds from 3 on came after that. In seed 3 one resonance was
 recording was called unexplained; both were mended as well, in general ways, and run again: these two are no fresh
 sample."""
 
+_FOREIGN = """\
+Written down when the search was finished (`foreign.py`). At commit 2ad712f a table that swings was called noise, and
+the square of the time was named a precession in two of four runs; both were mended, in general ways, before these
+runs."""
+
 _OTHERWISE = """\
 Two recordings, 1 %, effects that show in the casing's equation. PySINDy (STLSQ, threshold by BIC) and a stepwise BIC
 see speeds made from the same angles, with the base's terms given to them, the power of its bearing included, and the
@@ -56,6 +62,9 @@ def page(lines: list[Line], rivals: list[Line], forms: list[Line]) -> str:
         faults(parts),
         "## From outside the library",
         outside(parts["outside"]),
+        "### Laws written later",
+        _FOREIGN,
+        outside(parts["foreign"], FOREIGN),
         "## Two effects at once",
         pairs(parts["pair"]),
         "## Other gyroscopes",
