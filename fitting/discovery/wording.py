@@ -64,8 +64,10 @@ def _remains(rest: Fit, chosen: Candidate | None, doubt: Objection | SpectralLin
         what = f"What {'it' if chosen is None else chosen.effect.name} leaves {doubt.words}"
         parts = [f"{what}, as noise does in {doubt.p_value:.1g} of all cases."]
         if isinstance(doubt, SpectralLine):
-            beside = "" if chosen is None else f" beside {chosen.effect.name}"
-            return [*parts, f'No effect of the library does: take "{doubt.law}"{beside} as a hypothesis.']
+            return [
+                *parts,
+                f'No effect of the library does: add "{doubt.law}" as a hypothesis, and diagnose again.',
+            ]
         if chosen is None:
             return [*parts, "No effect of the library explains it."]
         cause = "A second effect is missing as well, or a law that the library does not have"
