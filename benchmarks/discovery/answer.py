@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import subprocess
 import time
 from collections.abc import Sequence
@@ -117,7 +118,10 @@ def _added(chosen: Candidate, run: Planned) -> dict[str, Any]:
         i = int(label.removeprefix("case")) - 1 if label else 0
         truth = worlds[i].truth.get(name.rsplit(".", 1)[1]) if worlds else None
         # told before the numbers are shortened: a strength may be known to more than four digits
-        pull = (e.value - truth) / e.stderr if truth is not None and e.stderr else None
+        off = e.value - truth if truth is not None else None
+        if off is not None and name.endswith(".phi"):
+            off = math.remainder(off, 2 * math.pi)
+        pull = off / e.stderr if off is not None and e.stderr else None
         rows.append([key, e.value, e.stderr, truth, pull])
     refit = {} if chosen.fit is None else quality(chosen.fit) | {"verdict": chosen.fit.verdict}
     return {"name": chosen.effect.name, "parameters": rows, **refit}

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from fitting.discovery.columns import CaseColumns
-from fitting.discovery.refit import start_of
+from fitting.discovery.refit import refit, start_of
+from fitting.discovery.scoring import Score
 from fitting.discovery.screen import screen
 from fitting.effects import Effect
 from fitting.estimation import Fit
@@ -14,9 +15,9 @@ _DRAWS = 2
 
 
 def needs_search(effect: Effect) -> bool:
-    """Return whether an effect swings: beside its frequency and phase the misfit has many minima."""
+    """Return whether the misfit has many minima: an effect that swings at a rate, or sets in at a time, of its own."""
     roles = {p.role for p in effect.parameters}
-    return {"phase", "shape"} <= roles
+    return {"phase", "shape"} <= roles or bool(effect.breakpoint)
 
 
 def found_starts(base: Fit, effects: Sequence[Effect]) -> dict[str, float]:
@@ -36,4 +37,12 @@ def found_starts(base: Fit, effects: Sequence[Effect]) -> dict[str, float]:
     """
     cases = [CaseColumns(base, i) for i in range(len(base.problem.cases))]
     scores = screen(base, effects, cases, draws=_DRAWS)
-    return {k: v for s in scores if not s.absorbed for k, v in start_of(base, s).items()}
+    return {k: v for s in scores if not s.absorbed for k, v in _start(base, s).items()}
+
+
+def _start(base: Fit, score: Score) -> dict[str, float]:
+    found = refit(base, score) if score.effect.breakpoint else None
+    if found is None:
+        return start_of(base, score)
+    prefix = f"{score.effect.name}."
+    return {name: e.value for name, e in found.estimates.items() if name.startswith(prefix)}

@@ -41,7 +41,7 @@ def unbalance(phase, angle):
 
 
 def test_which_laws_need_a_search_of_their_own():
-    assert [e.name for e in LIBRARY.values() if needs_search(e)] == ["casing.precession"]
+    assert [e.name for e in LIBRARY.values() if needs_search(e)] == ["touchpoint.step", "casing.precession"]
 
 
 @pytest.fixture(scope="module")
