@@ -29,6 +29,8 @@ VARIABLES: dict[str, str] = {
     "psi": "1",
     "omega": "s-1",
 }
+# shares of the record at which a law may set in, tried one by one
+MOMENTS = tuple(round(0.04 + 0.02 * i, 3) for i in range(47))
 _RESULT: dict[str, str] = {
     "rotor": "N m",
     "casing": "N m",

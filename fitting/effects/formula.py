@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
 
-from fitting.effects.effect import VARIABLES, Effect, Joint, Parameter, Role
+from fitting.effects.effect import MOMENTS, VARIABLES, Effect, Joint, Parameter, Role
 from fitting.errors import EffectError, ExpressionError
 from fitting.expression import Expr, Tape, derivative, parse, symbols
 from fitting.expression.dimension import NONE, Dimension, dimension, format_unit, parse_unit
-from fitting.expression.nodes import ZERO, substitute
+from fitting.expression.nodes import ZERO, sub, substitute, sym
 
 # the unit of a strength that cannot be worked out because other units were not given
 UNKNOWN_UNIT = "SI"
+# of the moments those that are tried where a law has other shape constants as well
+_COARSE = 5
 _BODIES = ("rotor", "casing", "bearing")
 _NOT_FOR_USERS = {"temperature", "chirp", "tau", "psi", "omega"}
 
@@ -53,9 +55,14 @@ def formula(
     roles: dict[str, Role] = {s: "phase" if _is_phase(expression, s) else "shape" for s in own}
     roles[amplitude] = "amplitude"
     parameters = tuple(_parameter(s, declared.get(s, {}), roles[s]) for s in own)
+    given = {symbol for symbol, keys in declared.items() if {"grid", "start"} & set(keys)}
+    timed, jump = _timed(parameters, expression)
+    parameters = tuple(p if p.symbol in given else t for p, t in zip(parameters, timed, strict=True))
     unit = declared.get(amplitude, {}).get("unit") or _amplitude_unit(expression, amplitude, parameters)
     parameters = tuple(replace(p, unit=unit) if p.symbol == amplitude else p for p in parameters)
-    effect = Effect(name, cast("Joint", body), law, parameters, signature=signature, source=source)
+    effect = Effect(
+        name, cast("Joint", body), law, parameters, signature=signature, source=source, breakpoint=jump
+    )
     _check(effect)
     return effect
 
@@ -75,6 +82,31 @@ def _check(effect: Effect) -> None:
                 f"the units of the law {effect.law!r} do not agree: {fault.message}",
                 "give the unit of every parameter, or of none",
             ) from None
+
+
+def _timed(parameters: Sequence[Parameter], expression: Expr) -> tuple[tuple[Parameter, ...], str]:
+    """Return parameters of which those that are moments are sought in the whole record, and the moment of a jump.
+
+    A moment stands in t - t0; the law jumps there if that is in heaviside(t - t0), and t0 in no other jump.
+    """
+    nodes = list(_nodes(expression))
+    alone = [p.role for p in parameters].count("shape") == 1
+    jump, found = "", []
+    for p in parameters:
+        since = sub(sym("t"), sym(p.symbol))
+        own = [n for n in nodes if n.op == "heaviside" and p.symbol in symbols(n)]
+        jumps = bool(own) and all(n.args[0] == since for n in own)
+        jump = jump or (p.symbol if jumps else "")
+        if p.role == "shape" and since in nodes:
+            p = replace(p, grid=MOMENTS if jumps or alone else MOMENTS[::_COARSE], relative=True)
+        found.append(p)
+    return tuple(found), jump
+
+
+def _nodes(expression: Expr) -> Iterator[Expr]:
+    yield expression
+    for argument in expression.args:
+        yield from _nodes(argument)
 
 
 def _parameter(symbol: str, keys: Mapping[str, Any], role: Role) -> Parameter:

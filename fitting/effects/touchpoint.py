@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from fitting.effects.effect import Effect, Parameter
+from fitting.effects.effect import MOMENTS, Effect, Parameter
 
 _ANY = -math.inf
 
@@ -67,7 +67,7 @@ TOUCHPOINT = (
                 "t0",
                 "s",
                 "shape",
-                grid=tuple(round(0.04 + 0.02 * i, 3) for i in range(47)),
+                grid=MOMENTS,
                 relative=True,
                 meaning="when it jumps",
             ),

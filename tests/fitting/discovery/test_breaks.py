@@ -10,7 +10,7 @@ from fitting.discovery import found_starts
 from fitting.discovery.breaks import better_breaks, distant_breaks
 from fitting.discovery.columns import CaseColumns
 from fitting.discovery.screen import screen
-from fitting.effects import LIBRARY, REDUCED
+from fitting.effects import LIBRARY, REDUCED, resolve
 from fitting.estimation import fit
 from fitting.model import Model
 from fitting.record import make_record
@@ -65,15 +65,16 @@ def test_a_strong_step_is_seen_in_its_narrow_hollow(at):
     assert seen.shape[0]["t0"] == pytest.approx(at * span, abs=0.3)
 
 
-def test_a_step_that_is_added_to_a_fit_is_searched_first():
+@pytest.mark.parametrize("name", ["touchpoint.step", "casing: -k*heaviside(t - t0)"])
+def test_a_step_that_is_added_to_a_fit_is_searched_first(name):
     hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -1.2e-5 if t >= 126.4 else 0.0)
     data = [CaseData.of(make_record(**twobody.film(twobody.simulate(hidden=hidden, ou=1e-7, seed=4), 4)))]
     base = fit(Model.of(REDUCED), data)
-    step = LIBRARY["touchpoint.step"]
+    step = resolve(name)
     parent = {name: e.value for name, e in base.estimates.items()}
     found = fit(base.model.with_effect(step), data, start=parent | found_starts(base, [step]))
     assert found.verdict == "adequate"
-    t0, k = (found.estimates[f"touchpoint.step.{s}"] for s in ("t0", "k"))
+    t0, k = (found.estimates[f"{name}.{s}"] for s in ("t0", "k"))
     assert t0.value == pytest.approx(126.4, abs=0.1)
     assert k.value == pytest.approx(1.2e-5, abs=4 * k.stderr)
     # from the parent's values alone the search stays in another hollow

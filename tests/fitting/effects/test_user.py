@@ -221,3 +221,39 @@ def test_files_that_cannot_be_read(tmp_path):
     path.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(EffectError, match="not a TOML file"):
         read_effects(path)
+
+
+@pytest.mark.parametrize(
+    ("law", "jump"),
+    [
+        ("-k*heaviside(t - t0)", "t0"),
+        ("-k*omega_c*heaviside(-a + t)", ""),
+        ("-k*heaviside(t0 - t)", ""),
+        ("-k*heaviside(t - t0)*heaviside(t0 + 10 - t)", ""),
+        ("-k*heaviside(omega_c - w)", ""),
+        ("-k*exp(-((t - t0)/w)**2)", ""),
+    ],
+)
+def test_the_moment_of_a_jump_is_known_as_such(law, jump):
+    assert resolve(f"casing: {law}").breakpoint == jump
+
+
+def test_moments_are_sought_in_the_whole_record():
+    bump = {p.symbol: p for p in resolve("casing: -k*exp(-((t - t0)/w)**2)").parameters}
+    assert bump["t0"].relative
+    assert max(bump["t0"].grid) < 1
+    assert not bump["w"].relative
+    drift = resolve("casing: -k*exp(-t/tau0)")
+    assert not any(p.relative for p in drift.parameters)
+
+
+def test_a_moment_that_was_told_is_believed(tmp_path):
+    file = tmp_path / "own.toml"
+    file.write_text(
+        '[[effect]]\nname = "own.step"\nbody = "casing"\nlaw = "-k*heaviside(t - t0)"\n'
+        "[effect.parameters.t0]\nstart = 61.0\n"
+    )
+    (step,) = read_effects(file)
+    (t0,) = (p for p in step.parameters if p.symbol == "t0")
+    assert step.breakpoint == "t0"
+    assert (t0.start, t0.relative) == (61.0, False)

@@ -123,3 +123,21 @@ def test_a_missing_torque_is_a_misfit_and_its_size_is_told():
     result = fitted(seed=0, hidden="step")
     assert result.verdict == "misfit"
     assert 3e-8 < result.torque_noise < 1e-6
+
+
+BUMP = "casing: -k*exp(-((t - t0)/w)**2)"
+
+
+def test_a_bump_that_a_user_writes_is_found_wherever_it_is():
+    """Nothing is told of its moment and its width."""
+    true = {"k": 1.5e-6, "t0": 141.0, "w": 9.0}
+    hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -1.5e-6 * np.exp(-(((t - 141.0) / 9.0) ** 2)))
+    measured = case({}, 31, "case1", hidden=hidden)
+    base = fit(Model.of(REDUCED), [measured])
+    start = {name: e.value for name, e in base.estimates.items()}
+    found = fit(base.model.with_effect(resolve(BUMP)), [measured], start=start)
+    assert found.verdict == "adequate"
+    for symbol, value in true.items():
+        e = found.estimates[f"{BUMP}.{symbol}"]
+        assert e.value == pytest.approx(value, abs=4.5 * e.stderr)
+        assert e.stderr < 0.2 * value
