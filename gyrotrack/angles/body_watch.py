@@ -24,7 +24,6 @@ from gyrotrack.segmentation.ring import boxed
 from gyrotrack.video.planes import Frame
 
 Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
 SEEN = 0.4
@@ -66,7 +65,7 @@ class BodyWatch:
         self._coloured = [strip for strip in strips.values() if not strip.white]
         self._step = self._coloured[0].ring.step
         self._coarse = np.full(capacity, np.nan)
-        self._frame = 0
+        self._frame = 0.0
         self._motion: Motion | None = None
         self._missed: int | None = None
         self._prediction = Prediction()
@@ -78,27 +77,27 @@ class BodyWatch:
         for watch in self.markers.values():
             watch.strip.aim(centre)
 
-    def take(self, frames: list[Frame], place: int, advance: Integers) -> None:
+    def take(self, frames: list[Frame], place: int, advance: Floats) -> None:
         """Follow the body through some consecutive frames and cut its markers out, from `place` of the batch on.
 
-        `advance` (n,) counts the camera's frames from each frame to the next.
+        `advance` (n,) counts the camera's frames to each frame from the one before it, in parts where its rate varied.
         """
-        number = self._frame + np.concatenate([[0], np.cumsum(advance)])
-        found = self._predicted(frames, place, number[:-1])
+        number = self._frame + np.cumsum(advance)
+        found = self._predicted(frames, place, number)
         if found is None:
-            self._motion = self._motion_at(self._frame) or self._motion
-            coarse = self._follow(self._searched(frames), advance)
+            self._motion = self._motion_at(float(number[0])) or _moved(self._motion, float(advance[0]))
+            coarse = self._follow(self._searched(frames), np.append(advance[1:], 0.0))
             self._cut(frames, place, coarse)
             found = self._refined(coarse, slice(place, place + len(frames)))
             if np.isnan(coarse).any():
                 self._prediction.forget()
-            self._prediction.note(number[:-1], *found)
+            self._prediction.note(number, *found)
         else:
             self._missed = int(np.argmax(found[1][::-1]))
-        self._frame = int(number[-1])
+        self._frame = float(number[-1])
         self._coarse[place : place + len(frames)] = found[0]
 
-    def _predicted(self, frames: list[Frame], place: int, number: Integers) -> tuple[Floats, Mask] | None:
+    def _predicted(self, frames: list[Frame], place: int, number: Floats) -> tuple[Floats, Mask] | None:
         """Look where the body should be; None if that is not sure, or if it is not there."""
         prediction = self._prediction.at(number)
         if prediction is None or SURE * prediction[1] > MARGIN:
@@ -112,9 +111,9 @@ class BodyWatch:
         off = float(np.median((angle - prediction[0][few])[seen]))
         return prediction[0] + off, np.repeat(seen, LOOK_EVERY)[: len(frames)]
 
-    def _motion_at(self, number: int) -> Motion | None:
+    def _motion_at(self, number: float) -> Motion | None:
         """Return the predicted motion at a frame in terms of `following`, when predictions were used so far."""
-        ahead = self._prediction.at(np.array([number, number + 1])) if self._missed is not None else None
+        ahead = self._prediction.at(np.array([number, number + 1.0])) if self._missed is not None else None
         if ahead is None or self._missed is None:
             return None
         missed, self._missed = self._missed, None
@@ -184,7 +183,7 @@ class BodyWatch:
             total += np.roll(boxed(around, half), -round(strip.paper.mount / self._step), axis=1)
         return total
 
-    def _follow(self, score: Floats, advance: Integers) -> Floats:
+    def _follow(self, score: Floats, advance: Floats) -> Floats:
         """Return the coarse angle in each frame of a batch; `advance` is as for `following.follow`."""
         count = len(score)
         coarse = np.full(count, np.nan)
@@ -204,27 +203,33 @@ class BodyWatch:
     def _motion_now(self) -> Motion:
         return self._motion if self._motion is not None else Motion(0.0, 0.0)
 
-    def _lock(self, score: Floats, begin: int, advance: Integers, coarse: Floats) -> int:
+    def _lock(self, score: Floats, begin: int, advance: Floats, coarse: Floats) -> int:
         """Find the body anew from frame `begin` on; fill in the frames before the lock by going backwards.
 
         Without a lock the old motion runs on, so that its turns are still counted when the body comes back.
         """
         old = self._motion
-        lock = find_lock(score[begin:], SEEN, old.step if old else 0.0)
+        place = np.cumsum(np.append(0.0, advance[begin:-1]))
+        lock = find_lock(score[begin:], SEEN, old.step if old else 0.0, place)
         if lock is None:
-            self._motion = old and _run_on(old, int(advance[begin:].sum()))
+            self._motion = old and _run_on(old, float(advance[begin:].sum()))
             return len(score)
         frame, motion = begin + lock[0], lock[1]
         if old is not None:
-            ahead = _run_on(old, int(advance[begin:frame].sum())).angle - motion.angle
+            ahead = _run_on(old, float(advance[begin:frame].sum())).angle - motion.angle
             motion = replace(motion, angle=motion.angle + 2.0 * np.pi * round(ahead / (2.0 * np.pi)))
         if frame > begin:
-            back = Motion(motion.angle - motion.step, -motion.step)
-            angle, here, _ = follow(score[begin:frame][::-1], back, SEEN)
+            before = advance[begin:frame][::-1]
+            back = Motion(motion.angle - float(before[0]) * motion.step, -motion.step)
+            angle, here, _ = follow(score[begin:frame][::-1], back, SEEN, np.append(before[1:], 0.0))
             coarse[begin:frame] = np.where(here, angle, np.nan)[::-1]
         self._motion = motion
         return frame
 
 
-def _run_on(motion: Motion, frames: int) -> Motion:
-    return Motion(motion.angle + frames * motion.step, motion.step, motion.missed + frames)
+def _moved(motion: Motion | None, frames: float) -> Motion | None:
+    return motion and replace(motion, angle=motion.angle + frames * motion.step)
+
+
+def _run_on(motion: Motion, frames: float) -> Motion:
+    return Motion(motion.angle + frames * motion.step, motion.step, motion.missed + round(frames))

@@ -7,8 +7,9 @@ import numpy.typing as npt
 
 from gyrotrack.angles.bias import KNOTS, closed_curve, curve_at, once_a_turn, without_common_motion
 from gyrotrack.angles.candidates import Candidate
-from gyrotrack.angles.evenness import line_through, whole_turns
+from gyrotrack.angles.evenness import line_through, smooth_path, whole_turns
 from gyrotrack.angles.oddity import most_likely_share
+from gyrotrack.angles.pace import Pace
 from gyrotrack.angles.scatter import FAR, core_scatter
 from gyrotrack.dataset.columns import put_away, set_down, stretches
 from gyrotrack.geometry.local import local_fit, median_of, spread
@@ -24,6 +25,7 @@ MOSTLY = 0.5
 """Share of the frames in which a body must turn round for its errors by place to be known."""
 ENOUGH = 0.2
 """Share of the frames that must be fast for curves to be learnt from these alone."""
+_LEFT = 0.2
 
 
 class Departures:
@@ -31,22 +33,26 @@ class Departures:
 
     Parameters
     ----------
-    path : ndarray, shape (n,)
-        Smooth coarse path of the body as seen [rad], NaN where it was lost.
+    coarse : ndarray, shape (n,)
+        Coarse path of the body as seen [rad], NaN where it was lost.
     candidates : dict of Candidate
         Its markers.
     fps : float
         Frames per second of the camera.
+    pace : Pace, optional
+        When the frames were taken, if that was not evenly.
     """
 
-    def __init__(self, path: Floats, candidates: dict[str, Candidate], fps: float) -> None:
-        self._fps = fps
+    def __init__(
+        self, coarse: Floats, candidates: dict[str, Candidate], fps: float, pace: Pace | None = None
+    ) -> None:
+        self._fps, self._pace = fps, pace
+        path, even = (smooth_path(coarse),) * 2 if pace is None else pace.path(coarse)
         with np.errstate(invalid="ignore"):
-            fast = np.abs(np.gradient(path)) * fps > FAST
-        of_body = put_away({
-            "path": path, "bend": path - line_through(path), "fast": fast, "turning": np.zeros_like(fast)
-        })  # fmt: skip
-        self.path, self.bend, self.fast, self.turning = of_body.values()
+            fast = self._speed(path) > FAST
+        of_body = put_away({"path": path, "fast": fast, "turning": np.zeros_like(fast)})
+        self.path, self.fast, self.turning = of_body.values()
+        (self.bend,) = put_away({"bend": even - line_through(even)}).values()
         self.candidates = candidates
         self.mounts = {name: c.mount for name, c in candidates.items()}
         self.scatter = dict.fromkeys(candidates, (0.01, 0.03))
@@ -65,6 +71,17 @@ class Departures:
             {name: columns[what] for name, columns in own.items()}
             for what in ("weak", "place", "neighbour", "use")
         )
+
+    def _speed(self, path: Floats) -> Floats:
+        """Return how fast a path changes [rad/s], (n,)."""
+        step = np.gradient(path) if self._pace is None else self._pace.speed(path)
+        return np.asarray(np.abs(step) * self._fps)
+
+    def late(self) -> Floats | float:
+        """Return what the uncertainty of a frame's time is as one of the angle [rad]."""
+        if self._pace is None or self._pace.sigma == 0.0:
+            return 0.0
+        return np.abs(self._pace.speed(self.path)) * self._pace.sigma
 
     def departure(self, name: str, part: slice = ALL) -> Floats:
         """Return by how much a marker puts the body ahead of its path [rad]."""
@@ -103,6 +120,8 @@ class Departures:
     def smooth(self, half: int, degree: int = 2) -> tuple[Floats, Floats]:
         """Fit a smooth curve to the body's angle; return its departure from the path, and leverages."""
         mean, sigma, _ = self.mean()
+        if self._pace is not None:
+            return self._pace.smooth(mean, _weight(sigma), self.bend, half, degree)
         mean += self.bend
         fitted, leverage = local_fit(mean, _weight(sigma), half, degree)
         fitted -= self.bend
@@ -159,6 +178,13 @@ class Departures:
                 float(np.clip(core_scatter(off[self.use[name] & part & self.turning], s), s, 2.5 * s))
                 for part, s in zip((c.open, ~c.open), short, strict=True)
             )
+            self.scatter[name] = (clear, partly)
+
+    def set_apart(self, late: Floats) -> None:
+        """Take out of the scatter what frames that are late add to it: all markers share that."""
+        shared = float(np.nanmean(late**2))
+        for name, scatter in self.scatter.items():
+            clear, partly = (float(np.sqrt(max(s**2 - shared, (_LEFT * s) ** 2))) for s in scatter)
             self.scatter[name] = (clear, partly)
 
     def _standardised(self, name: str, smooth: Floats, leverage: Floats) -> Floats:
@@ -243,7 +269,7 @@ class Departures:
         local polynomial (`window`: half width and degree) can follow is taken for motion, and left in.
         """
         with np.errstate(invalid="ignore"):
-            passing = self.turning & (np.abs(np.gradient(other - self.path)) * self._fps > FAST)
+            passing = self.turning & (self._speed(other - self.path) > FAST)
         if above and passing.sum() <= ENOUGH * self.turning.sum():
             return
         for name, c in self.candidates.items():

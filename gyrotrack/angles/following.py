@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 LOCK_FRAMES = 24
 LONGEST_COAST = 40
@@ -31,7 +30,9 @@ class Motion:
     missed: int = 0
 
 
-def find_lock(score: Floats, threshold: float, hint: float = 0.0) -> tuple[int, Motion] | None:
+def find_lock(
+    score: Floats, threshold: float, hint: float = 0.0, place: Floats | None = None
+) -> tuple[int, Motion] | None:
     """Find the first run of frames whose best directions advance evenly.
 
     Parameters
@@ -42,6 +43,8 @@ def find_lock(score: Floats, threshold: float, hint: float = 0.0) -> tuple[int, 
         Least score that counts as seen.
     hint : float
         Step in rad a frame that is expected: of steps that differ by whole turns the nearest is taken.
+    place : ndarray, shape (n,), optional
+        When the frames were taken, in frames of the camera; evenly, if not given.
 
     Returns
     -------
@@ -57,30 +60,33 @@ def find_lock(score: Floats, threshold: float, hint: float = 0.0) -> tuple[int, 
     best = np.argmax(score, axis=1)
     seen = score[np.arange(len(score)), best] > threshold
     angle = 2.0 * np.pi * best / columns
+    when = np.arange(len(score), dtype=np.float64) if place is None else place
     for start in range(0, max(len(score) - 5, 1), 6):
         chunk = slice(start, min(start + LOCK_FRAMES, len(score)))
         use = np.flatnonzero(seen[chunk])
         if len(use) < min(6, max(len(score) // 2, 3)):
             continue
-        motion = _even_advance(angle[chunk][use], use, hint)
+        motion = _even_advance(angle[chunk][use], when[chunk][use] - when[start], hint)
         if motion is not None:
             return start, motion
     return None
 
 
-def _even_advance(angle: Floats, frame: Integers, hint: float) -> Motion | None:
+def _even_advance(angle: Floats, frame: Floats, hint: float) -> Motion | None:
     span = int(frame[-1]) + 1
     phasor = np.exp(1j * angle)
 
     def power(steps: Floats) -> Floats:
         return np.asarray(np.abs(np.exp(-1j * np.outer(steps, frame)) @ phasor) / len(frame))
 
-    steps = np.linspace(-np.pi, np.pi, 16 * span, endpoint=False)
+    even = bool((frame == np.rint(frame)).all())  # only then do steps that differ by a turn look alike
+    steps = np.linspace(-np.pi, np.pi, 16 * span, endpoint=False) + (0.0 if even else hint)
     step, width = float(steps[np.argmax(power(steps))]), float(steps[1] - steps[0])
     for _ in range(3):
         steps = step + np.linspace(-width, width, 21)
         step, width = float(steps[np.argmax(power(steps))]), 0.1 * width
-    step += 2.0 * np.pi * round((hint - step) / (2.0 * np.pi))
+    if even:
+        step += 2.0 * np.pi * round((hint - step) / (2.0 * np.pi))
     start = float(np.angle(np.mean(phasor * np.exp(-1j * step * frame))))
     off = np.abs(np.angle(phasor * np.exp(-1j * (start + step * frame))))
     if np.mean(off < 0.25) < 0.7:
@@ -89,7 +95,7 @@ def _even_advance(angle: Floats, frame: Integers, hint: float) -> Motion | None:
 
 
 def follow(
-    score: Floats, motion: Motion, threshold: float, advance: Integers | None = None
+    score: Floats, motion: Motion, threshold: float, advance: Floats | None = None
 ) -> tuple[Floats, npt.NDArray[np.bool_], Motion]:
     """Follow a body through consecutive frames from a known motion.
 
@@ -101,8 +107,9 @@ def follow(
         The prediction for frame 0.
     threshold : float
         Least score that counts as seen.
-    advance : ndarray of int, shape (n,), optional
-        Frames of the camera from each frame to the next; more than 1 where frames are missing.
+    advance : ndarray, shape (n,), optional
+        Frames of the camera from each frame to the next: more than 1 where frames are missing, 0 before one that
+        repeats it, and no whole number where the camera's rate varied.
 
     Returns
     -------
@@ -128,7 +135,7 @@ def follow(
         else:
             angle[k] = motion.angle
             motion = replace(motion, missed=motion.missed + 1)
-        frames = 1 if advance is None else int(advance[k])
+        frames = 1.0 if advance is None else float(advance[k])
         motion = replace(motion, angle=motion.angle + frames * motion.step)
     return angle, seen, motion
 

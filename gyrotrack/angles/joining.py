@@ -14,7 +14,8 @@ import numpy.typing as npt
 
 from gyrotrack.angles.candidates import Candidate
 from gyrotrack.angles.departures import Departures, wrapped
-from gyrotrack.angles.evenness import HALF_WINDOW, learning_window, smooth_path
+from gyrotrack.angles.evenness import HALF_WINDOW, learning_window
+from gyrotrack.angles.pace import Pace
 from gyrotrack.angles.scatter import correlation_factor, excess, share_of_floor, tail_factor
 from gyrotrack.dataset.columns import put_away
 
@@ -71,6 +72,7 @@ def join(
     axis: float | Floats = 0.0,
     *,
     above: bool = False,
+    pace: Pace | None = None,
 ) -> BodyAngles:
     """Join the markers of one body; its zero is the angle of the first one.
 
@@ -89,8 +91,10 @@ def join(
         far as they are not seen on the way, and an axis that is off.
     above : bool
         Whether the markers lie above the other body.
+    pace : Pace, optional
+        When the frames were taken, if that was not evenly.
     """
-    state = Departures(smooth_path(coarse), candidates, fps)
+    state = Departures(coarse, candidates, fps, pace)
     half, degree = learning_window(state.path)
     for _ in range(ROUNDS):
         short, leverage = state.smooth(HALF_WINDOW)
@@ -108,6 +112,9 @@ def join(
 def _result(state: Departures, half: int, degree: int, floor: float, axis: float | Floats) -> BodyAngles:
     smooth, leverage = state.smooth(half, degree)
     state.measure_scatter(smooth, leverage)
+    late = state.late()
+    if isinstance(late, np.ndarray):
+        state.set_apart(late)
     departure, sigma, count = state.mean()
     off = np.where(state.turning, np.nan, departure - smooth)
     floor *= share_of_floor(off, sigma, floor, state.places_passed() - float(np.nansum(leverage)))
@@ -119,7 +126,7 @@ def _result(state: Departures, half: int, degree: int, floor: float, axis: float
         Errors that stay alike for some frames look like motion in part: the smooth motion follows them by its leverage
         times their correlation factor.
         """
-        whole = np.hypot(sigma, unlearnt)
+        whole = np.hypot(np.hypot(sigma, unlearnt), late)
         off = np.where(state.turning, (departure - smooth) / whole, np.nan)
         alike = correlation_factor(np.nan_to_num(off))
         off = off / np.sqrt(np.clip(1.0 - share * alike * leverage, 0.5, 1.0))

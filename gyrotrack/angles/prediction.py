@@ -8,7 +8,6 @@ import numpy.typing as npt
 from gyrotrack.geometry.local import median_of
 
 Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
 MEMORY = 128
@@ -33,15 +32,15 @@ class Prediction:
     """
 
     def __init__(self) -> None:
-        self._frame: Integers = np.zeros(0, dtype=np.int64)
+        self._frame: Floats = np.zeros(0)
         self._angle: Floats = np.zeros(0)
-        self._origin: int | None = None
+        self._origin: float | None = None
         self._scale = self._base = self._scatter = 1.0
         self._even: Floats = np.zeros(3)
         self._solution: Floats = np.zeros(7)
         self._inverse: Floats = np.eye(7)
 
-    def note(self, frame: Integers, angle: Floats, seen: Mask) -> None:
+    def note(self, frame: Floats, angle: Floats, seen: Mask) -> None:
         """Add the unwrapped angles of frames in which the body was seen."""
         self._frame = np.concatenate([self._frame, frame[seen]])[-MEMORY:]
         self._angle = np.concatenate([self._angle, angle[seen]])[-MEMORY:]
@@ -50,7 +49,7 @@ class Prediction:
         """Start anew, after a loss."""
         self._frame, self._angle, self._origin = self._frame[:0], self._angle[:0], None
 
-    def at(self, frame: Integers) -> tuple[Floats, float] | None:
+    def at(self, frame: Floats) -> tuple[Floats, float] | None:
         """Return the angles at some frames and the largest uncertainty among them; None if too little is known."""
         if len(self._frame) < FEWEST:
             return None
@@ -61,18 +60,18 @@ class Prediction:
         return self._base + rows @ self._solution, self._scatter * float(spread)
 
     def _fit(self) -> None:
-        self._origin, self._base = int(self._frame[-1]), float(self._angle[-1])
+        self._origin, self._base = float(self._frame[-1]), float(self._angle[-1])
         self._scale = float(self._frame[-1] - self._frame[0])
         angle = self._angle - self._base
         self._even, _, _ = _robust(self._parabola(self._frame), angle, np.zeros(3))
         prior = np.array([0.0] * 3 + [1.0 / SWING**2] * 4)
         self._solution, self._inverse, self._scatter = _robust(self._rows(self._frame), angle, prior)
 
-    def _parabola(self, frame: Integers) -> Floats:
+    def _parabola(self, frame: Floats) -> Floats:
         x = (frame - (self._origin or 0)) / self._scale
         return np.stack([np.ones_like(x), x, x * x], axis=1)
 
-    def _rows(self, frame: Integers) -> Floats:
+    def _rows(self, frame: Floats) -> Floats:
         rows = self._parabola(frame)
         psi = self._base + rows @ self._even
         return np.column_stack([rows, np.cos(psi), np.sin(psi), np.cos(2.0 * psi), np.sin(2.0 * psi)])

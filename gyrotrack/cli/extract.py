@@ -26,6 +26,14 @@ class Body(StrEnum):
     both = "both"
 
 
+class Times(StrEnum):
+    """Where the times of the frames are from."""
+
+    auto = "auto"
+    stamps = "stamps"
+    frames = "frames"
+
+
 def command(
     video: Annotated[Path, typer.Argument(metavar="VIDEO", help="The film.")],
     *,
@@ -34,6 +42,13 @@ def command(
         float | None,
         typer.Option("--capture-fps", metavar="N", help="Frames per second of the camera (slow motion)."),
     ] = None,
+    times: Annotated[
+        Times,
+        typer.Option(
+            "--times",
+            help="Count frames, or take the time stamps; auto: these where the camera's rate varied.",
+        ),
+    ] = Times.auto,
     profile: Annotated[
         Path | None,
         typer.Option("--profile", metavar="P.toml", help="Markers and colours; the paper's, if not given."),
@@ -77,7 +92,7 @@ def command(
     out = Output(as_json=as_json, quiet=quiet)
     target = output if output is not None else video.with_suffix(".h5")
     chosen = load(profile) if profile is not None else PAPER
-    task = Task(video, target, chosen, capture_fps, body.value if body else None)
+    task = Task(video, target, chosen, capture_fps, body.value if body else None, times.value)
     done = task.earlier() if resume and not force else None
     if done is None:
         refuse_existing(target, force=force)
@@ -135,6 +150,7 @@ def _document(target: Path, recording: Recording, fps: float) -> dict[str, Any]:
         "sense": recording.sense,
         "capture_fps": recording.capture_fps,
         "capture_fps_from": recording.extra.get("capture_rate_from", ""),
+        "times_from": recording.extra.get("times_from", "frames"),
         "frames_declared": recording.frames_declared,
         "fps": fps,
         "warnings": list(recording.warnings),
@@ -156,6 +172,7 @@ def _lines(document: dict[str, Any]) -> str:
     source = {"asked for": "as asked for", "profile": "by the profile"}.get(
         document["capture_fps_from"], f"by the {document['capture_fps_from']}"
     )
-    lines.append(f"captured at {document['capture_fps']:g} fps, {source}")
+    stamped = "; times from the time stamps" if document["times_from"] == "stamps" else ""
+    lines.append(f"captured at {document['capture_fps']:g} fps, {source}{stamped}")
     lines.append(f"{document['frames']} frames{pace}; written: {document['output']}")
     return "\n".join(lines)

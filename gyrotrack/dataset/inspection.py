@@ -89,6 +89,7 @@ def describe_recording(recording: Recording) -> dict[str, Any]:
     """Return size, duration, markers and bodies of a clip in numbers."""
     names = ("source", "width", "height", "capture_fps", "container_fps", "sense", "body")
     out: dict[str, Any] = {name: getattr(recording, name) for name in names}
+    out["times_from"] = str(recording.extra.get("times_from", "frames"))
     out["frames"] = len(recording.frame_index)
     out["duration_s"] = _duration(recording.time)
     out["markers"] = {

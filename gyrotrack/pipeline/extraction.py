@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,9 @@ from gyrotrack.geometry.samples import FEWEST, take_samples
 from gyrotrack.geometry.scene import Scene
 from gyrotrack.pipeline.assembly import body_track, marker_track
 from gyrotrack.pipeline.freed import give_back
-from gyrotrack.pipeline.joint import Joint, join_bodies
+from gyrotrack.pipeline.joint import Joint, join_bodies, trusted_times
 from gyrotrack.pipeline.notes import Notes
+from gyrotrack.pipeline.timing import FrameTimes, Timing
 from gyrotrack.pipeline.watch import Progress, Tracker, Watched, watch
 from gyrotrack.profile import PAPER, Profile
 from gyrotrack.segmentation.single_thread import single_threaded
@@ -34,6 +36,7 @@ def extract(
     *,
     capture_fps: float | None = None,
     body: str | None = None,
+    times: str = "auto",
     threads: int = 2,
     progress: Progress | None = None,
     journal: Journal | None = None,
@@ -52,6 +55,9 @@ def extract(
     body : {"casing", "rotor", "both"}, optional
         "casing" looks at nothing else. "rotor" and "both" fail when that body is not seen; with "rotor" the
         casing is kept where it is seen, because synchronising needs it. Without it all that is seen is kept.
+    times : {"auto", "stamps", "frames"}
+        Where the times are from: counted frames over the capture rate; the film's time stamps; or the stamps where
+        they are spaced as unevenly as a camera's whose rate varied, in a film that is not in slow motion.
     threads : int
         Threads of the decoder.
     progress : callable, optional
@@ -79,14 +85,16 @@ def extract(
     video = Path(video)
     info = probe(video)
     rate = capture_rate(info, capture_fps, profile.capture_fps)
+    timing = Timing(times, rate.fps)
     if body == "casing":
         profile = _only_casing(profile)
-    scene, seen = _seen(video, profile, threads, progress, Notes(journal))
+    scene, seen = _seen(video, profile, threads, progress, timing, Notes(journal))
     give_back()
     if len(seen.pts_time) < FEWEST:  # damage may leave fewer than the samples promised
         raise VideoError(
             f"only {len(seen.pts_time)} frames of {video} can be decoded", "copy it from the camera again"
         )
+    seen = replace(seen, times=trusted_times(seen, scene))
     joint = join_bodies(seen, scene, profile, rate.fps)
     _check_bodies(joint, body, video)
     sha256 = str(journal.facts["film"]) if journal else file_sha256(video)
@@ -94,7 +102,7 @@ def extract(
 
 
 def _seen(
-    video: Path, profile: Profile, threads: int, progress: Progress | None, notes: Notes
+    video: Path, profile: Profile, threads: int, progress: Progress | None, timing: Timing, notes: Notes
 ) -> tuple[Scene, Watched]:
     """Find the markers and watch them through the film; what they need is let go of with the end of this."""
     samples = take_samples(video)
@@ -103,14 +111,14 @@ def _seen(
         tracker = Tracker(scene, samples)
         del samples  # as large as all that is held on the way
         give_back()
-        return scene, watch(video, scene, tracker, threads, progress, notes)
+        return scene, watch(video, scene, tracker, threads, progress, timing, notes)
 
 
 def _recording(
     info: ClipInfo, sha256: str, rate: CaptureRate, scene: Scene, seen: Watched, joint: Joint
 ) -> Recording:
     """Put together what the dataset keeps of a film."""
-    time = seen.index / rate.fps
+    time = (seen.times.number if seen.times.place is None else seen.times.place) / rate.fps
     markers = {
         paper.name: marker_track(
             paper, seen.bodies[name].markers[paper.name], found, joint.centre.centre, joint.sense, seen.size
@@ -122,7 +130,8 @@ def _recording(
         name: body_track(name, found, markers, time, joint.sense) for name, found in joint.bodies.items()
     }
     still = _stillness(joint, info.path, marked=scene.disc is not None)
-    told = (*still, *rate.warnings, *seen.warnings, *scene.warnings, *joint.warnings, *_odd_frames(markers))
+    film = (*rate.warnings, *seen.warnings, *seen.times.told)
+    told = (*still, *film, *scene.warnings, *joint.warnings, *_odd_frames(markers))
     return Recording(
         source=info.path.name,
         source_sha256=sha256,
@@ -134,7 +143,7 @@ def _recording(
         frames_decoded=len(time),
         sense=joint.sense,
         body="both" if len(bodies) == 2 else next(iter(bodies)),
-        frame_index=seen.index,
+        frame_index=seen.times.number,
         time=time,
         pts_time=seen.pts_time,
         centre=joint.centre.centre,
@@ -142,17 +151,18 @@ def _recording(
         markers=markers,
         bodies=bodies,
         warnings=told,
-        extra=_extra(scene, joint, rate.source),
+        extra=_extra(scene, joint, rate.source, seen.times),
     )
 
 
-def run_facts(video: Path, profile: Profile, body: str | None) -> dict[str, Any]:
+def run_facts(video: Path, profile: Profile, body: str | None, times: str = "auto") -> dict[str, Any]:
     """Return by what a run is known again: the film's content, what was asked for, and the program."""
     probe(video)
     return {
         "film": file_sha256(video),
         "profile": profile.model_dump(mode="json"),
         "body": body,
+        "times": times,
         "version": __version__,
     }
 
@@ -203,8 +213,9 @@ def _odd_frames(markers: dict[str, Any]) -> tuple[str, ...]:
     )
 
 
-def _extra(scene: Scene, joint: Joint, rate_source: str) -> dict[str, Any]:
+def _extra(scene: Scene, joint: Joint, rate_source: str, times: FrameTimes) -> dict[str, Any]:
     return {
+        "times_from": "frames" if times.place is None else "stamps",
         "capture_rate_from": rate_source,
         "centre_from": "disc" if scene.disc else "orbit",
         "centre_smoothing_reach": joint.centre.reach,

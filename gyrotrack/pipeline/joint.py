@@ -8,7 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack.angles.candidates import plausible
+from gyrotrack.angles.departures import wrapped
 from gyrotrack.angles.joining import BodyAngles, MarkerAngles, join
+from gyrotrack.angles.pace import Pace, jitter_is_real
 from gyrotrack.angles.sense import find_sense, net_turn, unfold
 from gyrotrack.angles.sightings import spread_out
 from gyrotrack.geometry.centre import CentrePath, smooth_path
@@ -16,6 +18,7 @@ from gyrotrack.geometry.scene import Scene
 from gyrotrack.geometry.tilt import Flattening
 from gyrotrack.geometry.wander import wandering_centre
 from gyrotrack.pipeline.slant import error_by_place, in_perspective, pulled, slanted, usual_error_by_place
+from gyrotrack.pipeline.timing import FrameTimes
 from gyrotrack.pipeline.views import View, view
 from gyrotrack.pipeline.watch import BodySightings, Watched
 from gyrotrack.profile import Profile
@@ -58,12 +61,30 @@ def join_bodies(seen: Watched, scene: Scene, profile: Profile, fps: float) -> Jo
     Frames that are missing in the film get empty places, so that the motion is even in between; the result has
     the film's frames only.
     """
-    index = seen.index
+    if seen.times.place is not None:
+        return _join_even(seen, scene, profile, fps, Pace(seen.times.place, seen.times.sigma))
+    index = seen.times.number
     joint = _join_even(_with_gaps(seen, index), scene, profile, fps)
     if len(index) == 0 or index[-1] + 1 == len(index):
         return joint
     centre = CentrePath(joint.centre.centre[index], joint.centre.sigma[index], joint.centre.reach)
     return replace(joint, centre=centre, bodies={name: body.at(index) for name, body in joint.bodies.items()})
+
+
+def trusted_times(seen: Watched, scene: Scene) -> FrameTimes:
+    """Return the times of a film without jitter of its stamps that the body that turns most does not follow."""
+    times = seen.times
+    turns = {name: abs(net_turn(body.coarse)) for name, body in seen.bodies.items()}
+    if times.place is None or times.smooth is None or not turns:
+        return times
+    body = seen.bodies[max(turns, key=lambda name: turns[name])]
+    mounts = {p.name: p.mount for name in seen.bodies for p in scene.of(name)}
+    best = max(body.markers, key=lambda m: int((plausible(body.markers[m]) & body.markers[m].open).sum()))
+    sights = body.markers[best]
+    ahead = np.where(
+        plausible(sights) & sights.open, wrapped(sights.angle - mounts[best] - body.coarse), np.nan
+    )
+    return times if jitter_is_real(times.place, times.smooth, body.coarse + ahead) else times.even()
 
 
 def _with_gaps(seen: Watched, index: Integers) -> Watched:
@@ -82,10 +103,10 @@ def _with_gaps(seen: Watched, index: Integers) -> Watched:
     return replace(seen, bodies=bodies, disc=disc)
 
 
-def _join_even(seen: Watched, scene: Scene, profile: Profile, fps: float) -> Joint:
+def _join_even(seen: Watched, scene: Scene, profile: Profile, fps: float, pace: Pace | None = None) -> Joint:
     views = {name: view(scene.of(name), body.markers, seen.size) for name, body in seen.bodies.items()}
     centre, flattening = slanted(_centre(seen, scene, profile), views, profile, marked=seen.disc is not None)
-    bodies, warnings = _followed(seen, views, centre, flattening, fps)
+    bodies, warnings = _followed(seen, views, centre, flattening, fps, pace)
     sense = find_sense({name: net_turn(body.angle) for name, body in bodies.items()}, profile.sense)
     for name, body in bodies.items():
         angle, changed = unfold(body.angle, sense)
@@ -101,7 +122,12 @@ def _join_even(seen: Watched, scene: Scene, profile: Profile, fps: float) -> Joi
 
 
 def _followed(
-    seen: Watched, views: dict[str, View], centre: CentrePath, flattening: dict[str, Flattening], fps: float
+    seen: Watched,
+    views: dict[str, View],
+    centre: CentrePath,
+    flattening: dict[str, Flattening],
+    fps: float,
+    pace: Pace | None,
 ) -> tuple[dict[str, BodyAngles], list[str]]:
     """Join the markers of each body; the casing twice, since the rotor's markers pass beneath its own.
 
@@ -124,7 +150,8 @@ def _followed(
         )
         beside = np.hypot(np.nan_to_num(centre.sigma), pulled(candidates[name], flattening[name]))
         floor, axis = by_place / radius, beside / radius
-        return join(seen.bodies[name].coarse, candidates[name], fps, other, floor, axis, above=above)
+        coarse = seen.bodies[name].coarse
+        return join(coarse, candidates[name], fps, other, floor, axis, above=above, pace=pace)
 
     warnings: list[str] = []
     for name in views:

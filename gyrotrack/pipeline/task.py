@@ -34,6 +34,8 @@ class Task:
         Frames a second of the camera; the profile's or the film's own, if not given.
     body : str, optional
         Track only this body.
+    times : {"auto", "stamps", "frames"}
+        Where the times of the frames are from.
     """
 
     video: Path
@@ -41,6 +43,7 @@ class Task:
     profile: Profile
     capture_fps: float | None = None
     body: str | None = None
+    times: str = "auto"
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -49,6 +52,7 @@ class Task:
             "video": self.video,
             "capture_fps": self.capture_fps,
             "body": self.body,
+            "times": self.times,
             "profile": self.profile.model_dump(mode="json"),
         }
 
@@ -106,7 +110,9 @@ class Task:
         VideoError, TrackingError, OutputError
             The film cannot be read, shows no markers, or the output cannot be written.
         """
-        with Journal(self.target, run_facts(self.video, self.profile, self.body), resume=resume) as journal:
+        with Journal(
+            self.target, run_facts(self.video, self.profile, self.body, self.times), resume=resume
+        ) as journal:
             taken = frames_kept(journal)
             if resume:
                 tell(_resumed(journal, taken))
@@ -118,6 +124,7 @@ class Task:
                         self.profile,
                         capture_fps=self.capture_fps,
                         body=self.body,
+                        times=self.times,
                         progress=progress,
                         journal=journal,
                     )

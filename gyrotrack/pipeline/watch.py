@@ -15,7 +15,8 @@ from gyrotrack.geometry.disc import DiscWindow
 from gyrotrack.geometry.samples import Samples
 from gyrotrack.geometry.scene import Scene
 from gyrotrack.pipeline.notes import Notes, Rows
-from gyrotrack.video import Frame, Reader, frame_numbers, read_raw_stamps
+from gyrotrack.pipeline.timing import FrameTimes, Timing
+from gyrotrack.video import Frame, Reader, read_raw_stamps
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -49,8 +50,8 @@ class Watched:
         The disc's centre in every frame [px].
     pts_time : ndarray, shape (n,)
         The stream's own time stamps [s].
-    index : ndarray of int, shape (n,)
-        Numbers of the frames, those of missing frames left out.
+    times : FrameTimes
+        When the frames were taken.
     warnings : tuple of str
         What the reader found.
     size : tuple of int
@@ -60,7 +61,7 @@ class Watched:
     bodies: dict[str, BodySightings]
     disc: Floats | None
     pts_time: Floats
-    index: Integers
+    times: FrameTimes
     warnings: tuple[str, ...]
     size: tuple[int, int]
 
@@ -86,8 +87,8 @@ class Tracker:
         """Whether enough frames are held to take them in."""
         return len(self.held) == min(self.hold, BATCH - self.filled)
 
-    def take(self, advance: Integers) -> None:
-        """Take in the frames that are held; `advance` (n,) counts the camera's frames from each to the next."""
+    def take(self, advance: Floats) -> None:
+        """Take in the frames that are held; `advance` (n,) counts the camera's frames to each from the one before."""
         if self.filled == 0 and self.disc is not None:
             self.disc.aim(self.centre, self.held[0])
         for body in self.bodies.values():
@@ -126,18 +127,19 @@ class Tracker:
 
 
 class _Advance:
-    """How many frames of the camera lie between frames of the film, by the stamps of the whole film."""
+    """How many usual periods lie between frames of the film, by the stamps of the whole film."""
 
-    def __init__(self, stamps: Integers, time_base: float) -> None:
-        steps = np.diff(frame_numbers(np.asarray(stamps * time_base, dtype=np.float64), time_base))
-        long = np.flatnonzero(steps != 1)
-        self._long: dict[int | None, int] = dict(
-            zip(stamps[long].tolist(), steps[long].tolist(), strict=True)
+    def __init__(self, stamps: Integers, time_base: float, timing: Timing) -> None:
+        steps = np.diff(timing.of(np.asarray(stamps * time_base, dtype=np.float64), time_base).places)
+        steps /= np.median(steps) if len(steps) else 1.0
+        odd = np.flatnonzero(steps != 1.0)
+        self._odd: dict[int | None, float] = dict(
+            zip(stamps[odd + 1].tolist(), steps[odd].tolist(), strict=True)
         )
 
-    def steps(self, frames: list[Frame]) -> Integers:
-        """Return the step from each frame to the next, (n,)."""
-        return np.array([self._long.get(frame.pts, 1) for frame in frames], dtype=np.int64)
+    def steps(self, frames: list[Frame]) -> Floats:
+        """Return the step to each frame from the one before it, (n,); 0 to the first one of the film."""
+        return np.array([self._odd.get(f.pts, 1.0) if f.index else 0.0 for f in frames])
 
 
 def watch(
@@ -146,6 +148,7 @@ def watch(
     work: Tracker,
     threads: int,
     progress: Progress | None,
+    timing: Timing,
     notes: Notes | None = None,
 ) -> Watched:
     """Read a film once, from its first frame to its last, and measure everything in it.
@@ -154,13 +157,16 @@ def watch(
     ----------
     work : Tracker
         New, of this scene.
+    timing : Timing
+        Where the times of the frames are from.
     notes : Notes, optional
         Keeps what was measured, and goes on with what an earlier process has put there; memory, if not given.
     """
     notes = notes or Notes()
     stamps = read_raw_stamps(path)
     with Reader(path, threads) as reader:
-        clock = _Advance(stamps, float(reader.info.time_base))
+        tick = float(reader.info.time_base)
+        clock = _Advance(stamps, tick, timing)
         total = max(reader.info.frames_declared, len(stamps)) or None
         frames = notes.take_up(work, reader)
         if progress is not None and reader.decoded:
@@ -179,10 +185,11 @@ def watch(
             notes.add(work.digest(), work, reader, frame, end=True)
         if progress is not None:
             progress(reader.decoded, total)
-        return _watched(scene, work.size, reader, notes.rows(reader.decoded))
+        times = timing.of(reader.pts_seconds(), tick)
+        return _watched(scene, work.size, reader, times, notes.rows(reader.decoded))
 
 
-def _watched(scene: Scene, size: tuple[int, int], reader: Reader, rows: Rows) -> Watched:
+def _watched(scene: Scene, size: tuple[int, int], reader: Reader, times: FrameTimes, rows: Rows) -> Watched:
     bodies = {}
     for name in scene.bodies:
         markers = {
@@ -196,7 +203,7 @@ def _watched(scene: Scene, size: tuple[int, int], reader: Reader, rows: Rows) ->
         bodies,
         rows.get("disc"),
         reader.pts_seconds(),
-        reader.frame_numbers(),
+        times,
         reader.warnings,
         size,
     )

@@ -103,28 +103,24 @@ def _uneven(step: npt.NDArray[np.float64], tick: float) -> bool:
     return bool((off > np.maximum(0.2 * period, 1.1 * min(tick, COARSEST_TICK))).mean() > 0.1)
 
 
-def stamp_warnings(pts: npt.NDArray[np.float64], tick: float = COARSEST_TICK) -> tuple[str, ...]:
-    """Tell of missing frames and of time stamps that do not grow; arguments as for `frame_numbers`."""
+def gap_warnings(number: npt.NDArray[np.int64]) -> tuple[str, ...]:
+    """Tell of missing frames by the numbers of the others."""
+    advance = np.diff(number)
+    gaps = np.flatnonzero(advance > 1)
+    told = (
+        f"time stamps show {int((advance - 1).sum())} missing frames at {len(gaps)} places, "
+        f"the first after frame {int(gaps[0]) if len(gaps) else 0}; their times are left out"
+    )
+    return (told,) if len(gaps) else ()
+
+
+def stamp_warnings(pts: npt.NDArray[np.float64]) -> tuple[str, ...]:
+    """Tell of time stamps (n,) [s] that are missing (NaN) or do not grow."""
     if len(pts) < 3:
         return ()
     stamps = pts[np.isfinite(pts)]
     if len(stamps) < len(pts):
         return (f"{len(pts) - len(stamps)} frames have no time stamp; times count decoded frames",)
-    found = []
-    step = np.diff(stamps)
-    if float(np.median(step)) > 0.0 and (step <= 0.0).mean() <= 0.01 and _uneven(step, tick):
-        found.append(
-            "time stamps are spaced unevenly; times count decoded frames, and are wrong if the camera's rate varied"
-        )
-    advance = np.diff(frame_numbers(pts, tick))
-    gaps = np.flatnonzero(advance > 1)
-    if len(gaps):
-        found.append(
-            f"time stamps show {int((advance - 1).sum())} missing frames at {len(gaps)} places, "
-            f"the first after frame {int(gaps[0])}; their times are left out"
-        )
     backwards = int(np.sum(np.diff(stamps) <= 0.0))
-    if backwards:
-        counted = "; times count decoded frames" if backwards > 0.01 * (len(stamps) - 1) else ""
-        found.append(f"{backwards} time stamps do not grow{counted}")
-    return tuple(found)
+    counted = "; times count decoded frames" if backwards > 0.01 * (len(stamps) - 1) else ""
+    return (f"{backwards} time stamps do not grow{counted}",) if backwards else ()

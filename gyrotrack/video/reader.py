@@ -201,7 +201,7 @@ class Reader:
             found.append(f"{self._bad_packets} damaged packets were skipped")
         if self._corrupt:
             found.append(f"{self._corrupt} frames are marked as damaged by the decoder")
-        return (*found, *stamp_warnings(seconds, float(self.info.time_base)))
+        return (*found, *stamp_warnings(seconds))
 
 
 def _check(frame: Frame) -> int:

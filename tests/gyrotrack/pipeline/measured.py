@@ -7,6 +7,7 @@ import numpy as np
 from gyrotrack.angles.sightings import Sightings
 from gyrotrack.dataset.columns import put_away
 from gyrotrack.geometry.scene import Disc, Paper, Scene
+from gyrotrack.pipeline.timing import FrameTimes
 from gyrotrack.pipeline.watch import BodySightings, Watched
 
 CENTRE, SIZE, FPS = (320.0, 180.0), (640, 360), 260.0
@@ -43,7 +44,7 @@ def watched(count, seed=0):
             seen.gain[np.isnan(coarse)] = np.nan
         bodies[body] = BodySightings(coarse, markers)
     disc = centre + rng.normal(0.0, 0.1, centre.shape)
-    return Watched(bodies, disc, time, np.arange(count), (), SIZE)
+    return Watched(bodies, disc, time, FrameTimes(np.arange(count)), (), SIZE)
 
 
 def _marker(paper, body, casing, centre, rng):

@@ -23,7 +23,9 @@ _spec.loader.exec_module(measured)
 def recording(seen, scene):
     """Return what the dataset keeps of these measurements."""
     joint = join_bodies(seen, scene, PAPER, measured.FPS)
-    info = SimpleNamespace(path=Path("film.mp4"), container_fps=measured.FPS, frames_declared=len(seen.index))
+    info = SimpleNamespace(
+        path=Path("film.mp4"), container_fps=measured.FPS, frames_declared=len(seen.times.number)
+    )
     rate = SimpleNamespace(fps=measured.FPS, source="", warnings=())
     return _recording(info, "", rate, scene, seen, joint)
 
