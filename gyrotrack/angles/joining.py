@@ -17,6 +17,7 @@ from gyrotrack.angles.departures import Departures, wrapped
 from gyrotrack.angles.evenness import HALF_WINDOW, learning_window
 from gyrotrack.angles.pace import Pace
 from gyrotrack.angles.scatter import correlation_factor, excess, share_of_floor, tail_factor
+from gyrotrack.angles.sightings import spread_out
 from gyrotrack.dataset.columns import put_away
 
 Floats = npt.NDArray[np.float64]
@@ -48,6 +49,17 @@ class BodyAngles:
     markers: dict[str, MarkerAngles]
     place_error: float = float("nan")
     axis_off: dict[str, complex] = field(default_factory=dict)
+
+    def spread_out(self, index: npt.NDArray[np.int64], count: int) -> BodyAngles:
+        """Put the frames at the places `index` of `count`; what lies between has no angle."""
+        number = np.zeros(count, dtype=np.int64)
+        number[index] = self.count
+        angle, sigma = (spread_out(a, index, count) for a in (self.angle, self.sigma))
+        markers = {
+            name: MarkerAngles(spread_out(m.angle, index, count), spread_out(m.sigma, index, count), m.mount)
+            for name, m in self.markers.items()
+        }
+        return replace(self, angle=angle, sigma=sigma, count=number, markers=markers)
 
     def at(self, index: npt.NDArray[np.int64]) -> BodyAngles:
         """Return the frames `index` alone."""

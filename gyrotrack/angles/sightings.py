@@ -57,6 +57,10 @@ class Sightings:
             **put_away({f.name: spread_out(getattr(self, f.name), index, count) for f in fields(Sightings)})
         )
 
+    def picked(self, index: npt.NDArray[np.int64]) -> Sightings:
+        """Return the frames `index` alone."""
+        return Sightings(**put_away({f.name: getattr(self, f.name)[index] for f in fields(Sightings)}))
+
     def at(self, part: slice) -> Sightings:
         """Return some of the frames."""
         return Sightings(**{f.name: getattr(self, f.name)[part] for f in fields(Sightings)})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from gyrotrack.pipeline.assembly import body_track, marker_track
 from gyrotrack.pipeline.freed import give_back
 from gyrotrack.pipeline.joint import Joint, join_bodies, trusted_times
 from gyrotrack.pipeline.notes import Notes
+from gyrotrack.pipeline.repeated import judge_repeats, left_out, without_repeats
 from gyrotrack.pipeline.timing import FrameTimes, Timing
 from gyrotrack.pipeline.watch import Progress, Tracker, Watched, watch
 from gyrotrack.profile import PAPER, Profile
@@ -94,7 +94,9 @@ def extract(
         raise VideoError(
             f"only {len(seen.pts_time)} frames of {video} can be decoded", "copy it from the camera again"
         )
-    seen = replace(seen, times=trusted_times(seen, scene))
+    found = judge_repeats(seen, scene)
+    when, rate = without_repeats(trusted_times(seen, scene), found, rate, info)
+    seen = left_out(seen, when)
     joint = join_bodies(seen, scene, profile, rate.fps)
     _check_bodies(joint, body, video)
     sha256 = str(journal.facts["film"]) if journal else file_sha256(video)
@@ -118,7 +120,7 @@ def _recording(
     info: ClipInfo, sha256: str, rate: CaptureRate, scene: Scene, seen: Watched, joint: Joint
 ) -> Recording:
     """Put together what the dataset keeps of a film."""
-    time = (seen.times.number if seen.times.place is None else seen.times.place) / rate.fps
+    time = seen.times.seconds(rate.fps)
     markers = {
         paper.name: marker_track(
             paper, seen.bodies[name].markers[paper.name], found, joint.centre.centre, joint.sense, seen.size
@@ -216,6 +218,7 @@ def _odd_frames(markers: dict[str, Any]) -> tuple[str, ...]:
 def _extra(scene: Scene, joint: Joint, rate_source: str, times: FrameTimes) -> dict[str, Any]:
     return {
         "times_from": "frames" if times.place is None else "stamps",
+        "repeated_frames": 0 if times.again is None else int(times.again.sum()),
         "capture_rate_from": rate_source,
         "centre_from": "disc" if scene.disc else "orbit",
         "centre_smoothing_reach": joint.centre.reach,

@@ -8,7 +8,6 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack.angles.candidates import plausible
-from gyrotrack.angles.departures import wrapped
 from gyrotrack.angles.joining import BodyAngles, MarkerAngles, join
 from gyrotrack.angles.pace import Pace, jitter_is_real
 from gyrotrack.angles.sense import find_sense, net_turn, unfold
@@ -17,6 +16,7 @@ from gyrotrack.geometry.centre import CentrePath, smooth_path
 from gyrotrack.geometry.scene import Scene
 from gyrotrack.geometry.tilt import Flattening
 from gyrotrack.geometry.wander import wandering_centre
+from gyrotrack.pipeline.repeated import seen_angle, turning_most
 from gyrotrack.pipeline.slant import error_by_place, in_perspective, pulled, slanted, usual_error_by_place
 from gyrotrack.pipeline.timing import FrameTimes
 from gyrotrack.pipeline.views import View, view
@@ -59,8 +59,29 @@ def join_bodies(seen: Watched, scene: Scene, profile: Profile, fps: float) -> Jo
     """Find the centre's path, and join the markers of each body about it.
 
     Frames that are missing in the film get empty places, so that the motion is even in between; the result has
-    the film's frames only.
+    the film's frames only. A frame that repeats the one before it tells nothing new, and gets no angle.
     """
+    if seen.times.again is None:
+        return _join_fresh(seen, scene, profile, fps)
+    fresh, count = np.flatnonzero(~seen.times.again), len(seen.times.again)
+    joint = _join_fresh(_picked(seen, fresh), scene, profile, fps)
+    row = np.searchsorted(fresh, np.arange(count), side="right") - 1
+    centre = CentrePath(joint.centre.centre[row], joint.centre.sigma[row], joint.centre.reach)
+    bodies = {name: body.spread_out(fresh, count) for name, body in joint.bodies.items()}
+    return replace(joint, centre=centre, bodies=bodies)
+
+
+def _picked(seen: Watched, index: Integers) -> Watched:
+    """Return the frames `index` alone."""
+    bodies = {
+        name: BodySightings(body.coarse[index], {m: s.picked(index) for m, s in body.markers.items()})
+        for name, body in seen.bodies.items()
+    }
+    disc = None if seen.disc is None else seen.disc[index]
+    return replace(seen, bodies=bodies, disc=disc, times=seen.times.at(index))
+
+
+def _join_fresh(seen: Watched, scene: Scene, profile: Profile, fps: float) -> Joint:
     if seen.times.place is not None:
         return _join_even(seen, scene, profile, fps, Pace(seen.times.place, seen.times.sigma))
     index = seen.times.number
@@ -74,17 +95,13 @@ def join_bodies(seen: Watched, scene: Scene, profile: Profile, fps: float) -> Jo
 def trusted_times(seen: Watched, scene: Scene) -> FrameTimes:
     """Return the times of a film without jitter of its stamps that the body that turns most does not follow."""
     times = seen.times
-    turns = {name: abs(net_turn(body.coarse)) for name, body in seen.bodies.items()}
-    if times.place is None or times.smooth is None or not turns:
+    if times.place is None or times.smooth is None or not seen.bodies:
         return times
-    body = seen.bodies[max(turns, key=lambda name: turns[name])]
-    mounts = {p.name: p.mount for name in seen.bodies for p in scene.of(name)}
-    best = max(body.markers, key=lambda m: int((plausible(body.markers[m]) & body.markers[m].open).sum()))
-    sights = body.markers[best]
-    ahead = np.where(
-        plausible(sights) & sights.open, wrapped(sights.angle - mounts[best] - body.coarse), np.nan
+    return (
+        times
+        if jitter_is_real(times.place, times.smooth, seen_angle(seen, scene, turning_most(seen)))
+        else times.even()
     )
-    return times if jitter_is_real(times.place, times.smooth, body.coarse + ahead) else times.even()
 
 
 def _with_gaps(seen: Watched, index: Integers) -> Watched:

@@ -17,6 +17,7 @@ from gyrotrack.video.clock import COARSEST_TICK, frame_numbers, gap_warnings
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
 
 SOURCES = ("auto", "stamps", "frames")
 LIVE = 0.05
@@ -43,6 +44,8 @@ class FrameTimes:
         The places without what jitters from frame to frame beyond rounding, in case that is not the camera's.
     told : tuple of str
         What the user should know.
+    again : ndarray of bool, shape (n,), or None
+        Frames that repeat the one before them; None if there are none.
     """
 
     number: Integers
@@ -50,6 +53,7 @@ class FrameTimes:
     sigma: float = 0.0
     smooth: Floats | None = None
     told: tuple[str, ...] = ()
+    again: Mask | None = None
 
     def even(self) -> FrameTimes:
         """Return the same without what jitters, and say so."""
@@ -57,6 +61,23 @@ class FrameTimes:
             return self
         told = (*self.told, "the markers move evenly where the stamps jitter; the stamps are smoothed")
         return replace(self, place=self.smooth, sigma=0.0, smooth=None, told=told)
+
+    def at(self, index: Integers) -> FrameTimes:
+        """Return the times of some frames, none of which repeats another."""
+        some = (None if a is None else a[index] for a in (self.place, self.smooth))
+        return FrameTimes(self.number[index], next(some), self.sigma, next(some), self.told)
+
+    def seconds(self, fps: float) -> Floats:
+        """Return the times in s at a capture rate, (n,).
+
+        A repeated frame that has no time of its own gets one between those of its neighbours.
+        """
+        time = np.asarray((self.number if self.place is None else self.place) / fps)
+        if self.again is not None and self.place is None:
+            same = self.again & (np.diff(self.number, prepend=-1) == 0)
+            run = np.arange(len(same)) - np.maximum.accumulate(np.where(same, 0, np.arange(len(same))))
+            time = np.where(same, time + (1.0 - 0.5**run) / fps, time)
+        return time
 
     @property
     def places(self) -> Floats:

@@ -16,10 +16,10 @@ from gyrotrack.geometry.samples import Samples
 from gyrotrack.geometry.scene import Scene
 from gyrotrack.pipeline.notes import Notes, Rows
 from gyrotrack.pipeline.timing import FrameTimes, Timing
-from gyrotrack.video import Frame, Reader, read_raw_stamps
+from gyrotrack.video import Frame, Reader, Repeats, read_packets
 
 Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
 Progress = Callable[[int, int | None], None]
 
 BATCH = 512
@@ -52,6 +52,8 @@ class Watched:
         The stream's own time stamps [s].
     times : FrameTimes
         When the frames were taken.
+    again : ndarray of bool, shape (n,)
+        Which frames seem to repeat the one before them.
     warnings : tuple of str
         What the reader found.
     size : tuple of int
@@ -64,6 +66,7 @@ class Watched:
     times: FrameTimes
     warnings: tuple[str, ...]
     size: tuple[int, int]
+    again: Mask
 
 
 class Tracker:
@@ -80,6 +83,10 @@ class Tracker:
         self.filled = 0
 
         self.held: list[Frame] = []
+        self.steps: list[float] = []
+        self.again = np.zeros(BATCH, dtype=np.bool_)
+        self.repeats: Repeats | None = None
+        self.owed = 0.0
         self.hold = int(np.clip(HELD_BYTES // (1.5 * samples.frames[0].y.size), 8, HOLD))
 
     @property
@@ -87,8 +94,21 @@ class Tracker:
         """Whether enough frames are held to take them in."""
         return len(self.held) == min(self.hold, BATCH - self.filled)
 
-    def take(self, advance: Floats) -> None:
-        """Take in the frames that are held; `advance` (n,) counts the camera's frames to each from the one before."""
+    def keep(self, frame: Frame, step: float, *, filled: bool) -> None:
+        """Keep the next frame of the film until enough of them are held.
+
+        `step` counts the camera's frames from the one before. A frame that repeats that one shows the same moment;
+        then its step is owed by the next one if it has filled the place of a missing frame (`filled`).
+        """
+        again = self.repeats is not None and self.repeats.same(frame)
+        self.again[self.filled + len(self.held)] = again
+        self.held.append(frame)
+        self.steps.append(0.0 if again else step + self.owed)
+        self.owed = (self.owed + step if filled else 0.0) if again else 0.0
+
+    def take(self) -> None:
+        """Take in the frames that are held."""
+        advance = np.array(self.steps)
         if self.filled == 0 and self.disc is not None:
             self.disc.aim(self.centre, self.held[0])
         for body in self.bodies.values():
@@ -97,10 +117,13 @@ class Tracker:
             self.disc.take(self.held, self.filled)
         self.filled += len(self.held)
         self.held.clear()
+        self.steps.clear()
 
     def digest(self) -> Rows:
         """Measure the frames taken since the last time; one row a frame of every quantity."""
-        rows: Rows = {}
+        rows: Rows = {"again": self.again[: self.filled].copy()}
+        if self.repeats is not None:
+            self.repeats.settle()
         casing: Floats | None = None
         for name, body in self.bodies.items():
             coarse, markers = body.digest(self.filled, casing)
@@ -129,17 +152,19 @@ class Tracker:
 class _Advance:
     """How many usual periods lie between frames of the film, by the stamps of the whole film."""
 
-    def __init__(self, stamps: Integers, time_base: float, timing: Timing) -> None:
-        steps = np.diff(timing.of(np.asarray(stamps * time_base, dtype=np.float64), time_base).places)
+    def __init__(self, stamps: npt.NDArray[np.int64], time_base: float, timing: Timing) -> None:
+        times = timing.of(np.asarray(stamps * time_base, dtype=np.float64), time_base)
+        self.stamped = times.place is not None
+        steps = np.diff(times.places)
         steps /= np.median(steps) if len(steps) else 1.0
         odd = np.flatnonzero(steps != 1.0)
         self._odd: dict[int | None, float] = dict(
             zip(stamps[odd + 1].tolist(), steps[odd].tolist(), strict=True)
         )
 
-    def steps(self, frames: list[Frame]) -> Floats:
-        """Return the step to each frame from the one before it, (n,); 0 to the first one of the film."""
-        return np.array([self._odd.get(f.pts, 1.0) if f.index else 0.0 for f in frames])
+    def step(self, frame: Frame) -> float:
+        """Return the step to a frame from the one before it; 0 to the first one of the film."""
+        return self._odd.get(frame.pts, 1.0) if frame.index else 0.0
 
 
 def watch(
@@ -163,24 +188,26 @@ def watch(
         Keeps what was measured, and goes on with what an earlier process has put there; memory, if not given.
     """
     notes = notes or Notes()
-    stamps = read_raw_stamps(path)
+    packets = read_packets(path)
+    work.repeats = Repeats(packets)
     with Reader(path, threads) as reader:
         tick = float(reader.info.time_base)
-        clock = _Advance(stamps, tick, timing)
-        total = max(reader.info.frames_declared, len(stamps)) or None
+        clock = _Advance(packets.stamps, tick, timing)
+        filled = clock.stamped or not work.repeats.regular
+        total = max(reader.info.frames_declared, len(packets.stamps)) or None
         frames = notes.take_up(work, reader)
         if progress is not None and reader.decoded:
             progress(reader.decoded, total)
         for frame in frames:
-            work.held.append(frame)
+            work.keep(frame, clock.step(frame), filled=filled)
             if work.full:
-                work.take(clock.steps(work.held))
+                work.take()
             if work.filled == BATCH:
                 notes.add(work.digest(), work, reader, frame)
                 if progress is not None:
                     progress(reader.decoded, total)
         if work.held:
-            work.take(clock.steps(work.held))
+            work.take()
         if work.filled:
             notes.add(work.digest(), work, reader, frame, end=True)
         if progress is not None:
@@ -206,4 +233,5 @@ def _watched(scene: Scene, size: tuple[int, int], reader: Reader, times: FrameTi
         times,
         reader.warnings,
         size,
+        rows["again"],
     )

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from gyrotrack.video.clock import CaptureRate, capture_rate, frame_numbers, stamp_warnings
 from gyrotrack.video.container import ClipInfo, file_sha256, probe
-from gyrotrack.video.packets import keyframes, read_raw_stamps
+from gyrotrack.video.packets import keyframes, read_packets, read_raw_stamps
 from gyrotrack.video.picking import frames_at
 from gyrotrack.video.planes import Frame
 from gyrotrack.video.reader import Mark, Reader
+from gyrotrack.video.repeats import Repeats
 
 __all__ = [
     "CaptureRate",
@@ -20,12 +21,14 @@ __all__ = [
     "Frame",
     "Mark",
     "Reader",
+    "Repeats",
     "capture_rate",
     "file_sha256",
     "frame_numbers",
     "frames_at",
     "keyframes",
     "probe",
+    "read_packets",
     "read_raw_stamps",
     "stamp_warnings",
 ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -50,11 +51,43 @@ def decode_past_damage(packets: Any, most_bad: int) -> Iterator[tuple[Any, int]]
     yield None, bad
 
 
+@dataclass(frozen=True)
+class Packets:
+    """The packets of a film that have a time stamp, in the order of these.
+
+    Attributes
+    ----------
+    stamps, size : ndarray of int, shape (n,)
+        Time stamps in units of the time base, and sizes in bytes.
+    key : ndarray of bool, shape (n,)
+        Which ones hold a picture by itself.
+    complete : bool
+        Whether all of the film's packets are among them.
+    """
+
+    stamps: npt.NDArray[np.int64]
+    size: npt.NDArray[np.int64]
+    key: npt.NDArray[np.bool_]
+    complete: bool
+
+
+def read_packets(path: Path) -> Packets:
+    """Read what a film's packets say of themselves, without decoding anything."""
+    with opened(path) as (container, stream):
+        found = [(p.pts, p.size, p.is_keyframe) for p in packets_of(container.demux(stream))]
+    stamped = sorted(p for p in found if p[0] is not None)
+    stamps, size, key = zip(*stamped, strict=True) if stamped else ((), (), ())
+    return Packets(
+        np.array(stamps, dtype=np.int64),
+        np.array(size, dtype=np.int64),
+        np.array(key, dtype=np.bool_),
+        len(stamped) == len(found),
+    )
+
+
 def read_raw_stamps(path: Path) -> npt.NDArray[np.int64]:
     """Return the time stamps of a film's packets in units of the time base, sorted, without decoding anything."""
-    with opened(path) as (container, stream):
-        stamps = [p.pts for p in packets_of(container.demux(stream)) if p.pts is not None]
-    return np.sort(np.array(stamps, dtype=np.int64))
+    return read_packets(path).stamps
 
 
 def key_before(path: Path, pts: int | None) -> int:

@@ -44,7 +44,7 @@ def watched(count, seed=0):
             seen.gain[np.isnan(coarse)] = np.nan
         bodies[body] = BodySightings(coarse, markers)
     disc = centre + rng.normal(0.0, 0.1, centre.shape)
-    return Watched(bodies, disc, time, FrameTimes(np.arange(count)), (), SIZE)
+    return Watched(bodies, disc, time, FrameTimes(np.arange(count)), (), SIZE, np.zeros(count, dtype=bool))
 
 
 def _marker(paper, body, casing, centre, rng):
