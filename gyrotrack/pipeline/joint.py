@@ -97,11 +97,8 @@ def trusted_times(seen: Watched, scene: Scene) -> FrameTimes:
     times = seen.times
     if times.place is None or times.smooth is None or not seen.bodies:
         return times
-    return (
-        times
-        if jitter_is_real(times.place, times.smooth, seen_angle(seen, scene, turning_most(seen)))
-        else times.even()
-    )
+    angle = seen_angle(seen, scene, turning_most(seen))
+    return times if jitter_is_real(times.place, times.smooth, angle) else times.even()
 
 
 def _with_gaps(seen: Watched, index: Integers) -> Watched:
@@ -126,7 +123,7 @@ def _join_even(seen: Watched, scene: Scene, profile: Profile, fps: float, pace: 
     bodies, warnings = _followed(seen, views, centre, flattening, fps, pace)
     sense = find_sense({name: net_turn(body.angle) for name, body in bodies.items()}, profile.sense)
     for name, body in bodies.items():
-        angle, changed = unfold(body.angle, sense)
+        angle, changed = unfold(body.angle, sense, seen.times.number if pace else None)
         if changed:
             bodies[name] = replace(body, angle=angle)
             warnings.append(

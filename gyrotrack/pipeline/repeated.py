@@ -29,7 +29,7 @@ Mask = npt.NDArray[np.bool_]
 
 AROUND = 20
 """Frames to each side from which the step of a body is known."""
-CLEAR = 5.0
+CLEAR = 3.0
 """Standard deviations by which a body must move in a frame for a repetition to be told."""
 FEWEST = 4
 

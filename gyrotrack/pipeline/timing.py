@@ -24,6 +24,7 @@ LIVE = 0.05
 """Share by which the stamps' rate may differ from the capture rate in a film that was not slowed down."""
 EVEN = 5e-3
 """Share of a period by which stamps that count as even may lie off their line, if their tick is finer than that."""
+_ROUNDED = 0.75
 _ODD = 0.01
 _HALF = 20
 
@@ -162,7 +163,7 @@ class Timing:
 def uneven(number: Integers, pts: Floats, tick: float) -> bool:
     """Tell whether more than one time stamp in a hundred lies off the line through them over the frames' numbers."""
     off = pts - np.polyval(np.polyfit(number, pts, 1), number)
-    return bool((np.abs(off) > max(1.5 * tick, EVEN * float(np.median(np.diff(pts))))).mean() > _ODD)
+    return bool((np.abs(off) > max(_ROUNDED * tick, EVEN * float(np.median(np.diff(pts))))).mean() > _ODD)
 
 
 def _growing(step: Floats) -> bool:

@@ -18,7 +18,7 @@ SAME = 0.25
 """Share of the difference between two frames before it that a repeated frame may show: noise is repeated with it."""
 _AROUND = 31
 _LARGE = 80
-_ROWS = 16
+_ROWS = 48
 _FEWEST = 4
 
 Samples = npt.NDArray[np.int16]
@@ -36,8 +36,10 @@ class Repeats:
     def __init__(self, packets: Packets) -> None:
         small = _small(packets)
         told = packets.complete and not packets.key.all()
-        # of two pictures that are alike the second may be stored first, in full
-        near = np.union1d(small, np.minimum(small + 1, len(packets.stamps) - 1))
+        # of two pictures that are alike the second may be stored first, in full; a key packet tells nothing
+        near = np.concatenate(
+            [small, np.minimum(small + 1, len(packets.stamps) - 1), np.flatnonzero(packets.key)]
+        )
         self.suspects: frozenset[int] | None = frozenset(packets.stamps[near].tolist()) if told else None
         self.regular = told and _regular(small)
         self.held: list[Frame] = []
@@ -66,16 +68,14 @@ class Repeats:
 
     def _earlier(self) -> tuple[Samples | None, Samples | None]:
         """Return samples of the last frame and of the one before it, as far as these are known."""
-        fresh = [_samples(frame) for frame in reversed(self.held)]
-        return (*fresh, self._last, self._before)[0], (*fresh, self._last, self._before)[1]
+        last, before, *_ = (*(_samples(frame) for frame in reversed(self.held)), self._last, self._before)
+        return last, before
 
 
 def _samples(frame: Frame) -> Samples:
     """Return some rows of the luma from the middle of a picture."""
     height = len(frame.y)
-    return np.asarray(
-        frame.y[height // 8 : height - height // 8 : max(height // (8 * _ROWS), 1) * 4], dtype=np.int16
-    )
+    return np.asarray(frame.y[height // 8 : height - height // 8 : max(height // _ROWS, 1)], dtype=np.int16)
 
 
 def _difference(one: Samples, other: Samples) -> float:
