@@ -58,8 +58,12 @@ class Pace:
         return path, np.asarray(CubicHermiteSpline(place, value, slope)(even))
 
     def speed(self, path: Floats) -> Floats:
-        """Return the change of a path in a period, (n,)."""
-        return np.asarray(np.gradient(path, self.place))
+        """Return the change of a path in a period, (n,); NaN where the path is not known."""
+        known = np.isfinite(path)
+        out = np.full(len(path), np.nan)
+        if known.sum() > 1:
+            out[known] = np.gradient(path[known], self.place[known])
+        return out
 
     def smooth(
         self, off: Floats, weight: Floats, bend: Floats, half: int, degree: int

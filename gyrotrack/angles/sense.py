@@ -37,15 +37,15 @@ def find_sense(turns: dict[str, float], given: int | None) -> int:
     return -1
 
 
-def unfold(angle: Floats, sense: int, number: npt.NDArray[np.int64] | None = None) -> tuple[Floats, bool]:
+def unfold(angle: Floats, sense: int) -> tuple[Floats, bool]:
     """Add a turn a frame to a body that seems to turn against the sense, as spokes do in a film.
 
     A body that turns by w between frames looks the same as one that turns by w - 2 pi. Friction carries both
-    bodies the same way round, so that the rotor's sense is the casing's. `number` (n,) counts the camera's frames,
-    where some are missing. Returns the angle, and whether it was changed.
+    bodies the same way round, so that the rotor's sense is the casing's. Returns the angle, and whether it
+    was changed.
     """
     turn = net_turn(angle)
     steps = max(int(np.isfinite(angle).sum()) - 1, 1)
     if turn * sense >= 0 or abs(turn) / steps < 0.02:
         return angle, False
-    return angle + sense * 2.0 * np.pi * (np.arange(len(angle)) if number is None else number), True
+    return angle + sense * 2.0 * np.pi * np.arange(len(angle)), True

@@ -132,7 +132,8 @@ def _recording(
         name: body_track(name, found, markers, time, joint.sense) for name, found in joint.bodies.items()
     }
     still = _stillness(joint, info.path, marked=scene.disc is not None)
-    film = (*rate.warnings, *seen.warnings, *seen.times.told)
+    of_rate = rate.warnings if seen.times.place is None else ()  # stamps have said how long a frame lasts
+    film = (*of_rate, *seen.warnings, *seen.times.told)
     told = (*still, *film, *scene.warnings, *joint.warnings, *_odd_frames(markers))
     return Recording(
         source=info.path.name,

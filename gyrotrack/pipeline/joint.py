@@ -82,14 +82,19 @@ def _picked(seen: Watched, index: Integers) -> Watched:
 
 
 def _join_fresh(seen: Watched, scene: Scene, profile: Profile, fps: float) -> Joint:
-    if seen.times.place is not None:
-        return _join_even(seen, scene, profile, fps, Pace(seen.times.place, seen.times.sigma))
     index = seen.times.number
-    joint = _join_even(_with_gaps(seen, index), scene, profile, fps)
+    joint = _join_even(_with_gaps(seen, index), scene, profile, fps, _pace(seen.times))
     if len(index) == 0 or index[-1] + 1 == len(index):
         return joint
     centre = CentrePath(joint.centre.centre[index], joint.centre.sigma[index], joint.centre.reach)
     return replace(joint, centre=centre, bodies={name: body.at(index) for name, body in joint.bodies.items()})
+
+
+def _pace(times: FrameTimes) -> Pace | None:
+    """Return when frames were taken, also those that are missing, if that is from the stamps."""
+    if times.place is None:
+        return None
+    return Pace(np.interp(np.arange(times.number[-1] + 1), times.number, times.place), times.sigma)
 
 
 def trusted_times(seen: Watched, scene: Scene) -> FrameTimes:
@@ -123,7 +128,7 @@ def _join_even(seen: Watched, scene: Scene, profile: Profile, fps: float, pace: 
     bodies, warnings = _followed(seen, views, centre, flattening, fps, pace)
     sense = find_sense({name: net_turn(body.angle) for name, body in bodies.items()}, profile.sense)
     for name, body in bodies.items():
-        angle, changed = unfold(body.angle, sense, seen.times.number if pace else None)
+        angle, changed = unfold(body.angle, sense)
         if changed:
             bodies[name] = replace(body, angle=angle)
             warnings.append(

@@ -20,7 +20,7 @@ from gyrotrack.segmentation.ring import Ring
 
 _RECORDS = {kind.__name__: kind for kind in (Motion, Ring)}
 BUFFERS = frozenset({
-    "windows", "starts", "held", "steps", "again", "suspects", "_grid", "_score", "_under", "_coarse", "_pixels"
+    "windows", "starts", "held", "steps", "again", "_grid", "_score", "_under", "_coarse", "_pixels"
 })  # fmt: skip
 """Attributes that hold the batch at hand, which means nothing between batches, or follow from others."""
 

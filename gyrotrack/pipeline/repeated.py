@@ -1,9 +1,9 @@
 """Repeated frames: whether the bodies stand still in them, and whether they have a time of their own.
 
-A picture that looks like the one before may do so because nothing turns. Where the body that turns most should have
-moved, and has not, a frame is a repetition, and no measurement. The frame after it tells the rest. If the body has
-moved on by the step of the repeated frame too, the repetition stands in the place of a frame that was missed, and all
-other times are right. If it has not, the repetition was put between two frames of the camera, as a conversion to a
+A picture that looks like the one before may do so because nothing turns. Where a body should have moved by more than
+its scatter, and has not, a frame is a repetition, and no measurement. The frame after it tells the rest. If the body
+has moved on by the step of the repeated frame too, the repetition stands in the place of a frame that was missed, and
+all other times are right. If it has not, the repetition was put between two frames of the camera, as a conversion to a
 higher rate does: frames are then numbered without it.
 """
 
@@ -77,18 +77,16 @@ def seen_angle(seen: Watched, scene: Scene, name: str) -> Floats:
 
 
 def judge_repeats(seen: Watched, scene: Scene) -> Repetition:
-    """Find which frames that look repeated are so, by the body that turns most, and what they stand for."""
+    """Find which frames that look repeated are so, since a body that should move does not, and what they stand for."""
     again = seen.again.copy()
     if not again.any() or not seen.bodies:
         return Repetition(again & False)
-    steps = _Steps(seen_angle(seen, scene, turning_most(seen)), seen.again)
+    steps = [_Steps(seen_angle(seen, scene, name), seen.again) for name in seen.bodies]
     for k in np.flatnonzero(again):
-        usual, clear = steps.around(int(k))
-        again[k] = clear and not abs(steps.angle[k] - steps.angle[k - 1]) > 0.5 * abs(usual)
+        said = [body.still(int(k)) for body in steps if body.around(int(k))[1]]
+        again[k] = True in said or (None in said and False not in said)
     runs = _runs(again)
-    shares = [
-        share for name in seen.bodies for share in _shares(seen_angle(seen, scene, name), seen.again, runs)
-    ]
+    shares = [share for body in steps for share in body.shares(runs)]
     return Repetition(again, len(shares) > 0 and median_of(np.array(shares)) < 0.5, _period(runs))
 
 
@@ -110,16 +108,20 @@ class _Steps:
         usual = median_of(known)
         return usual, abs(usual) > CLEAR * (1.4826 * median_of(np.abs(known - usual)) + 1e-6)
 
+    def still(self, frame: int) -> bool | None:
+        """Tell whether the body has not moved since the frame before; None if it is not seen in both."""
+        step = abs(self.angle[frame] - self.angle[frame - 1])
+        return bool(step < 0.5 * abs(self.around(frame)[0])) if np.isfinite(step) else None
 
-def _shares(angle: Floats, again: Mask, runs: list[tuple[int, int]]) -> list[float]:
-    """Return by how many usual steps a body moves on beyond one from before a run to behind it, a repeated frame."""
-    steps, found = _Steps(angle, again), []
-    for first, after in runs:
-        usual, clear = steps.around(first)
-        over = angle[after] - angle[first - 1] if after < len(angle) else np.nan
-        if clear and np.isfinite(over):
-            found.append((over / usual - 1.0) / (after - first))
-    return found
+    def shares(self, runs: list[tuple[int, int]]) -> list[float]:
+        """Return by how many usual steps it moves on beyond one from before a run to behind it, a repeated frame."""
+        found = []
+        for first, after in runs:
+            usual, clear = self.around(first)
+            over = self.angle[after] - self.angle[first - 1] if after < len(self.angle) else np.nan
+            if clear and np.isfinite(over):
+                found.append((over / usual - 1.0) / (after - first))
+        return found
 
 
 def _period(runs: list[tuple[int, int]]) -> float:
@@ -185,6 +187,6 @@ def _slower(rate: CaptureRate, found: Repetition, info: ClipInfo) -> tuple[Captu
     of_file = abs(rate.fps / stored - 1.0) < min(LIVE, np.nan_to_num(abs(rate.fps / true - 1.0), nan=np.inf))
     if of_file and np.isfinite(true):
         told = f"a film of {true:.5g} frames/s was converted to {stored:.5g}, and times are from the former"
-        return replace(rate, fps=true, source="repeated frames"), told
+        return CaptureRate(true, "repeated frames"), told
     doubt = "; if that is not the camera's rate, give it with --capture-fps" if of_file else ""
     return rate, f"their rate is taken for {rate.fps:g} frames/s{doubt}"

@@ -157,7 +157,8 @@ class Timing:
         if best is not place:
             return FrameTimes(number, best, sigma, told=(*told, *gap_warnings(number)))
         smooth = _without_jitter(number, place)
-        return FrameTimes(np.arange(len(pts), dtype=np.int64), place, sigma, smooth, tuple(told))
+        jitters = float(np.std(place - smooth)) > tick * scale
+        return FrameTimes(number, place, sigma, smooth if jitters else None, tuple(told))
 
 
 def uneven(number: Integers, pts: Floats, tick: float) -> bool:

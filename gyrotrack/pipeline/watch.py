@@ -94,17 +94,19 @@ class Tracker:
         """Whether enough frames are held to take them in."""
         return len(self.held) == min(self.hold, BATCH - self.filled)
 
-    def keep(self, frame: Frame, step: float, *, filled: bool) -> None:
+    def keep(self, frame: Frame, step: float, *, stamped: bool) -> None:
         """Keep the next frame of the film until enough of them are held.
 
-        `step` counts the camera's frames from the one before. A frame that repeats that one shows the same moment;
-        then its step is owed by the next one if it has filled the place of a missing frame (`filled`).
+        `step` counts the camera's frames from the one before. A frame that repeats that one shows the same moment, and
+        its step is owed by the next one: it stands in the place of a missing frame, unless such frames come regularly
+        in a film that is not timed by its stamps (`stamped`).
         """
         again = self.repeats is not None and self.repeats.same(frame)
+        inserted = self.repeats is not None and self.repeats.regular and not stamped
         self.again[self.filled + len(self.held)] = again
         self.held.append(frame)
         self.steps.append(0.0 if again else step + self.owed)
-        self.owed = (self.owed + step if filled else 0.0) if again else 0.0
+        self.owed = self.owed + step if again and not inserted else 0.0
 
     def take(self) -> None:
         """Take in the frames that are held."""
@@ -193,13 +195,12 @@ def watch(
     with Reader(path, threads) as reader:
         tick = float(reader.info.time_base)
         clock = _Advance(packets.stamps, tick, timing)
-        filled = clock.stamped or not work.repeats.regular
         total = max(reader.info.frames_declared, len(packets.stamps)) or None
         frames = notes.take_up(work, reader)
         if progress is not None and reader.decoded:
             progress(reader.decoded, total)
         for frame in frames:
-            work.keep(frame, clock.step(frame), filled=filled)
+            work.keep(frame, clock.step(frame), stamped=clock.stamped)
             if work.full:
                 work.take()
             if work.filled == BATCH:

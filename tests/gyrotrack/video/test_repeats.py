@@ -1,4 +1,4 @@
-"""Which frames show the picture of the one before them, by their packets and a few of their rows."""
+"""Which frames show the picture of the one before them, by a few of their rows; a rhythm in them, by the packets."""
 
 import numpy as np
 import pytest
@@ -9,13 +9,15 @@ from gyrotrack.video.repeats import Repeats
 
 N = 260
 NONE = np.zeros((1, 1), dtype=np.uint8)
+NOTHING = Packets(np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros(0, dtype=bool), True)
 
 
-def _packets(repeated, *, key=None, complete=True, seed=0):
+def _packets(repeated, *, key=None, seed=0):
     size = np.random.default_rng(seed).integers(900, 1500, N)
-    size[repeated] = 30
-    key = np.arange(N) % 100 == 0 if key is None else key
-    return Packets(512 * np.arange(N), np.where(key & (size > 30), 6 * size, size), key, complete)
+    key = np.arange(N) == 0 if key is None else key
+    for k in repeated:
+        size[k] = size[k - 1] if key.all() else 30
+    return Packets(512 * np.arange(N), size, key, True)
 
 
 def _frames(show, noise=3.0, speed=0.2, copied=0.3, seed=1):
@@ -24,14 +26,14 @@ def _frames(show, noise=3.0, speed=0.2, copied=0.3, seed=1):
     column = np.arange(160)
     for k, number in enumerate(show):
         if k == 0 or number != show[k - 1]:
-            bar = 120.0 * np.exp(-((column - 80 - 60 * np.sin(speed * number)) ** 2) / 50.0)
+            bar = 120.0 * np.exp(-((column - (30.0 * speed * number) % 160.0) ** 2) / 50.0)
             picture = 80.0 + bar + rng.normal(0.0, noise, (120, 160))
         shown = picture + copied * rng.normal(0.0, 1.0, picture.shape)
         yield Frame(k, 512 * k, np.clip(np.rint(shown), 0, 255).astype(np.uint8), NONE, NONE)
 
 
-def _found(packets, show, **kind):
-    repeats = Repeats(packets)
+def _found(show, repeats=None, **kind):
+    repeats = repeats or Repeats(NOTHING)
     return [frame.index for frame in _frames(show, **kind) if repeats.same(frame)], repeats
 
 
@@ -42,32 +44,43 @@ def _repeating(repeated):
     return show
 
 
-@pytest.mark.parametrize("key", [None, np.ones(N, dtype=bool)], ids=["small packets", "whole pictures"])
-def test_repeated_frames_are_found(key):
+def test_repeated_frames_are_found():
     repeated = [20, 77, 78, 79, 100, 200]
-    found, repeats = _found(_packets(repeated, key=key), _repeating(repeated))
+    found, repeats = _found(_repeating(repeated))
     assert found == repeated
     assert not repeats.regular
 
 
-def test_where_packets_have_no_stamps_all_frames_are_looked_at():
-    repeated = [20, 77, 200]
-    found, repeats = _found(_packets([], complete=False), _repeating(repeated))
-    assert found == repeated
-    assert repeats.suspects is None
-
-
-def test_a_small_packet_alone_is_no_repetition():
-    found, repeats = _found(_packets([50, 120]), np.arange(N))
-    assert found == []
-    assert repeats.suspects == {512 * k for k in (0, 50, 51, 100, 120, 121, 200)}
+def test_frames_that_come_twice_are_found_though_the_first_ones_are():
+    found, repeats = _found(np.repeat(np.arange(N // 2), 2))
+    assert found == list(range(3, N, 2))
+    assert repeats.regular
 
 
 def test_a_scene_at_rest_with_noise_repeats_nothing():
-    found, _ = _found(_packets([], complete=False), np.arange(N), speed=0.0)
-    assert found == []
+    assert _found(np.arange(N), speed=0.0)[0] == []
 
 
+def test_a_flash_makes_no_repetition():
+    repeats = Repeats(NOTHING)
+    for frame in _frames(np.arange(N)):
+        frame.y[:] = np.minimum(frame.y, 200) + 50 * (frame.index == 90)
+        assert not repeats.same(frame)
+
+
+def test_it_goes_on_without_the_last_frame():
+    repeats = Repeats(NOTHING)
+    found = []
+    for frame in _frames(_repeating([50])):
+        if repeats.same(frame):
+            found.append(frame.index)
+        if frame.index == 49:
+            repeats.settle()
+            assert repeats.held == []
+    assert found == [50]
+
+
+@pytest.mark.parametrize("key", [None, np.ones(N, dtype=bool)], ids=["differences", "whole pictures"])
 @pytest.mark.parametrize(
     ("repeated", "regular"),
     [
@@ -78,5 +91,13 @@ def test_a_scene_at_rest_with_noise_repeats_nothing():
         ([12, 31, 77, 90, 171, 180, 230], False),
     ],
 )
-def test_a_conversion_is_told_by_its_rhythm(repeated, regular):
-    assert Repeats(_packets(repeated, key=np.arange(N) == 0)).regular is regular
+def test_a_conversion_is_told_by_the_rhythm_of_its_packets(repeated, regular, key):
+    assert Repeats(_packets(repeated, key=key)).regular is regular
+
+
+def test_a_rhythm_is_learnt_from_the_frames_if_packets_do_not_show_it():
+    repeats = Repeats(_packets([]))
+    assert not repeats.regular
+    found, repeats = _found(np.floor(np.arange(N) * 12 / 13 + 0.3).astype(int), repeats)
+    assert len(found) == N // 13
+    assert repeats.regular
