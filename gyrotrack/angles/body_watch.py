@@ -47,6 +47,11 @@ class BodyWatch:
         Its markers, at least one of them coloured.
     samples, centre, keep_out, capacity
         See `Strip`.
+
+    Attributes
+    ----------
+    step : float
+        How far it turned from frame to frame of late [rad]; infinite as long as that is not known.
     """
 
     def __init__(
@@ -66,6 +71,7 @@ class BodyWatch:
         self._step = self._coloured[0].ring.step
         self._coarse = np.full(capacity, np.nan)
         self._frame = 0.0
+        self.step = float("inf")
         self._motion: Motion | None = None
         self._missed: int | None = None
         self._prediction = Prediction()
@@ -95,6 +101,7 @@ class BodyWatch:
         else:
             self._missed = int(np.argmax(found[1][::-1]))
         self._frame = float(number[-1])
+        self.step = _usual_step(found[0])
         self._coarse[place : place + len(frames)] = found[0]
 
     def _predicted(self, frames: list[Frame], place: int, number: Floats) -> tuple[Floats, Mask] | None:
@@ -225,6 +232,12 @@ class BodyWatch:
             coarse[begin:frame] = np.where(here, angle, np.nan)[::-1]
         self._motion = motion
         return frame
+
+
+def _usual_step(coarse: Floats) -> float:
+    known = np.abs(np.diff(coarse))
+    known = known[np.isfinite(known)]
+    return float(known.mean()) if len(known) else float("inf")
 
 
 def _moved(motion: Motion | None, frames: float) -> Motion | None:

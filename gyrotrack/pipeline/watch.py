@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack.angles.body_watch import BodyWatch
+from gyrotrack.angles.prediction import LEAST_SCATTER
 from gyrotrack.angles.sightings import Sightings
 from gyrotrack.geometry.disc import DiscWindow
 from gyrotrack.geometry.samples import Samples
@@ -26,6 +27,8 @@ BATCH = 512
 HOLD = 64
 """Frames that are kept at a time, so that a body that is not where it was predicted can be searched in them."""
 HELD_BYTES = 64_000_000
+SLOW = 3.0 * LEAST_SCATTER
+"""Step in rad of the fastest body up to which frames that look alike are not taken for repeated ones."""
 _MOVE = 0.6
 """Distance in px from the rings' centre to the disc's beyond which the rings are moved."""
 
@@ -99,9 +102,10 @@ class Tracker:
 
         `step` counts the camera's frames from the one before. A frame that repeats that one shows the same moment, and
         its step is owed by the next one: it stands in the place of a missing frame, unless such frames come regularly
-        in a film that is not timed by its stamps (`stamped`).
+        in a film that is not timed by its stamps (`stamped`). Where hardly anything turns all pictures are alike.
         """
-        again = self.repeats is not None and self.repeats.same(frame)
+        turning = max(body.step for body in self.bodies.values()) > SLOW
+        again = self.repeats is not None and self.repeats.same(frame) and turning
         inserted = self.repeats is not None and self.repeats.regular and not stamped
         self.again[self.filled + len(self.held)] = again
         self.held.append(frame)
