@@ -157,7 +157,7 @@ class Timing:
         if best is not place:
             return FrameTimes(number, best, sigma, told=(*told, *gap_warnings(number)))
         smooth = _without_jitter(number, place)
-        jitters = float(np.std(place - smooth)) > tick * scale
+        jitters = float(np.std(place - smooth)) > max(0.5 * tick * scale, EVEN)
         return FrameTimes(number, place, sigma, smooth if jitters else None, tuple(told))
 
 
