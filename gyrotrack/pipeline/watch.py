@@ -104,8 +104,8 @@ class Tracker:
         its step is owed by the next one: it stands in the place of a missing frame, unless such frames come regularly
         in a film that is not timed by its stamps (`stamped`). Where hardly anything turns all pictures are alike.
         """
-        turning = max(body.step for body in self.bodies.values()) > SLOW
-        again = self.repeats is not None and self.repeats.same(frame) and turning
+        again = self.repeats is not None and self.repeats.same(frame)
+        again = again and max(body.step for body in self.bodies.values()) > SLOW
         inserted = self.repeats is not None and self.repeats.regular and not stamped
         self.again[self.filled + len(self.held)] = again
         self.held.append(frame)

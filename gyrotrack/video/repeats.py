@@ -19,7 +19,7 @@ SMALL = 0.35
 """Share of the usual packet around it below which one has little to tell."""
 _AROUND = 31
 _LARGE = 80
-_ROWS = 24
+_ROWS = 12
 _LATE = 5
 _FEWEST = 5
 
