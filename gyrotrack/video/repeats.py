@@ -43,7 +43,6 @@ class Repeats:
 
     def __init__(self, packets: Packets) -> None:
         self.regular = _regular(_starts(_without_news(packets)))
-        self.held: list[Frame] = []
         self._last: Rows | None = None
         self._usual: tuple[float, ...] = ()
         self._begun: tuple[int, ...] = ()
@@ -51,8 +50,7 @@ class Repeats:
 
     def same(self, frame: Frame) -> bool:
         """Tell whether a frame, the next one of the film, repeats the one before it."""
-        rows, last = _rows(frame), _rows(self.held[-1]) if self.held else self._last
-        again = False
+        rows, last, again = _rows(frame), self._last, False
         if last is not None:
             apart = cv2.norm(rows, last, cv2.NORM_L1)
             again = len(self._usual) > 0 and apart < SAME * sorted(self._usual)[len(self._usual) // 2]
@@ -61,15 +59,13 @@ class Repeats:
         if again and not self._run:
             self._begun = (*self._begun[-_FEWEST:], frame.index)
             self.regular = self.regular or _regular(np.array(self._begun))
-        self._run = again
-        self.held = [frame]
+        self._run, self._last = again, rows
         return again
 
     def settle(self) -> None:
         """Let go of the last frame, and keep what is needed of it."""
-        if self.held:
-            self._last = _rows(self.held[-1]).copy()
-        self.held = []
+        if self._last is not None:
+            self._last = self._last.copy()
 
 
 def _rows(frame: Frame) -> Rows:

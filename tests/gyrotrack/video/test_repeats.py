@@ -68,7 +68,7 @@ def test_a_flash_makes_no_repetition():
         assert not repeats.same(frame)
 
 
-def test_it_goes_on_without_the_last_frame():
+def test_it_goes_on_without_the_memory_of_the_last_frame():
     repeats = Repeats(NOTHING)
     found = []
     for frame in _frames(_repeating([50])):
@@ -76,7 +76,7 @@ def test_it_goes_on_without_the_last_frame():
             found.append(frame.index)
         if frame.index == 49:
             repeats.settle()
-            assert repeats.held == []
+            frame.y[:] = 0
     assert found == [50]
 
 
