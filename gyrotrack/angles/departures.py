@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack.angles.bias import KNOTS, closed_curve, curve_at, once_a_turn, without_common_motion
 from gyrotrack.angles.candidates import Candidate
 from gyrotrack.angles.evenness import line_through, smooth_path, whole_turns
 from gyrotrack.angles.oddity import most_likely_share
 from gyrotrack.angles.pace import Pace
 from gyrotrack.angles.scatter import FAR, core_scatter
 from gyrotrack.dataset.columns import put_away, set_down, stretches
-from gyrotrack.geometry.local import local_fit, median_of, spread
-from gyrotrack.geometry.tilt import CELL
+from gyrotrack.geometry.local import local_fit, median_of
 
 Floats = npt.NDArray[np.float64]
 
@@ -21,10 +19,6 @@ TURN = 2.0 * np.pi
 ALL = slice(None)
 FAST = 70.0
 """Speed in rad/s at which a swing of the acceleration by 10 rad/s^2, a heavy unbalance, is 2 mrad."""
-MOSTLY = 0.5
-"""Share of the frames in which a body must turn round for its errors by place to be known."""
-ENOUGH = 0.2
-"""Share of the frames that must be fast for curves to be learnt from these alone."""
 _LEFT = 0.2
 
 
@@ -49,7 +43,7 @@ class Departures:
         self._fps, self._pace = fps, pace
         path, even = (smooth_path(coarse),) * 2 if pace is None else pace.path(coarse)
         with np.errstate(invalid="ignore"):
-            fast = self._speed(path) > FAST
+            fast = self.speed(path) > FAST
         of_body = put_away({"path": path, "fast": fast, "turning": np.zeros_like(fast)})
         self.path, self.fast, self.turning = of_body.values()
         (self.bend,) = put_away({"bend": even - line_through(even)}).values()
@@ -72,7 +66,7 @@ class Departures:
             for what in ("weak", "place", "neighbour", "use")
         )
 
-    def _speed(self, path: Floats) -> Floats:
+    def speed(self, path: Floats) -> Floats:
         """Return how fast a path changes [rad/s], (n,)."""
         step = np.gradient(path) if self._pace is None else self._pace.speed(path)
         return np.asarray(np.abs(step) * self._fps)
@@ -206,83 +200,6 @@ class Departures:
         with np.errstate(invalid="ignore"):
             self.turning[:] = whole_turns(self.path, half) & (np.abs(smooth - short) < 12.0 * usual)
         set_down()
-
-    def learn_places(self, smooth: Floats) -> None:
-        """Learn each marker's error by its place in the picture (see `bias`)."""
-        fast = self.turning & self.fast
-        geometry_only = fast.sum() > ENOUGH * self.turning.sum()
-        when = fast if geometry_only else self.turning
-        curves = {}
-        for name, c in self.candidates.items():
-            fit = self.use[name] & c.open & when
-            curves[name] = self._curve(name, c.angle, self.by_neighbour[name], smooth, fit)
-        if geometry_only:
-            self.axis_off = {name: once_a_turn(curve) for name, curve in curves.items()}
-        else:
-            curves = without_common_motion(curves, self.mounts)
-        for name, curve in curves.items():
-            for part in stretches(len(self.path)):
-                place = np.nan_to_num(self.candidates[name].angle[part])
-                self.by_place[name][part] = curve_at(curve - curve.mean(), place)
-
-    def _curve(
-        self, name: str, over: Floats, known: Floats, smooth: Floats, use: npt.NDArray[np.bool_]
-    ) -> Floats:
-        """Learn a closed curve over an angle from what a marker departs from the smooth motion."""
-        off, weight = np.empty((2, len(over)))
-        for part in stretches(len(over)):
-            ahead = self.candidates[name].angle[part] - self.path[part] - self.mounts[name] - known[part]
-            off[part] = wrapped(ahead) - smooth[part]
-            weight[part] = np.where(use[part], 1.0 / self.sigma(name, part) ** 2, 0.0)
-        return closed_curve(over, off, weight)
-
-    def places_passed(self) -> float:
-        """Return how many places with errors of their own the body passes, where it does not turn round."""
-        path = self.path[~self.turning & np.isfinite(self.path)]
-        return float(np.ptp(path)) / CELL if len(path) else 0.0
-
-    def place_error(self) -> float:
-        """Return the usual size of the errors by place that were learnt, of the marker that errs least [rad].
-
-        A marker that is faint or smeared errs more than the place makes it, and so does one beside a bar that stands
-        nearly still, in some places only: then the core's standard deviation is taken. NaN if none could be learnt,
-        or if the markers come back to the same few places.
-        """
-        if self.turning.mean() < MOSTLY:
-            return float("nan")
-        learnt = []
-        for name, c in self.candidates.items():
-            seen = self.use[name] & c.open & self.turning
-            if len(np.unique(np.rint(c.angle[seen] * KNOTS / TURN))) >= KNOTS / 2:
-                error = self.by_place[name][seen]
-                learnt.append(min(float(np.sqrt(np.mean(error**2))), spread(error)))
-        return min(learnt, default=float("nan"))
-
-    def learn_neighbours(
-        self, smooth: Floats, other: Floats, window: tuple[int, int], *, above: bool
-    ) -> None:
-        """Learn each marker's error by its angle to the other body (see `bias`).
-
-        Markers below it err where it hides a part of them. Markers above it (`above`) err wherever the other body's
-        own markers pass beside them; that is learnt where these pass so fast that no motion follows them. Where they
-        pass nearly in step with the frames, a curve over their angle may creep as slowly as a motion: what of it a
-        local polynomial (`window`: half width and degree) can follow is taken for motion, and left in.
-        """
-        with np.errstate(invalid="ignore"):
-            passing = self.turning & (self._speed(other - self.path) > FAST)
-        if above and passing.sum() <= ENOUGH * self.turning.sum():
-            return
-        for name, c in self.candidates.items():
-            beside = np.nan_to_num(c.angle - other)
-            near = self.use[name] & np.isfinite(other)
-            when = near & (passing if above else self.turning)
-            curve = self._curve(name, beside, self.by_place[name], smooth, when)
-            for part in stretches(len(near)):
-                shown = near[part] & (above | ~c.open[part])
-                self.by_neighbour[name][part] = np.where(shown, curve_at(curve, beside[part]), 0.0)
-            if above:
-                slow, _ = local_fit(self.by_neighbour[name], near.astype(np.float64), *window)
-                self.by_neighbour[name] -= np.where(near, np.nan_to_num(slow), 0.0)
 
 
 def wrapped(angle: Floats) -> Floats:

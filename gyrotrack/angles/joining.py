@@ -16,6 +16,7 @@ from gyrotrack.angles.candidates import Candidate
 from gyrotrack.angles.departures import Departures, wrapped
 from gyrotrack.angles.evenness import HALF_WINDOW, learning_window
 from gyrotrack.angles.pace import Pace
+from gyrotrack.angles.repeating import learn_neighbours, learn_places, place_error, places_passed
 from gyrotrack.angles.scatter import correlation_factor, excess, share_of_floor, tail_factor
 from gyrotrack.angles.sightings import spread_out
 from gyrotrack.dataset.columns import put_away
@@ -114,9 +115,9 @@ def join(
         state.judge(short, leverage)
         smooth, _ = state.smooth(half, degree)
         state.note_turns(short, smooth, half)
-        state.learn_places(smooth)
+        learn_places(state, smooth)
         if other is not None:
-            state.learn_neighbours(smooth, other, (half, degree), above=above)
+            learn_neighbours(state, smooth, other, (half, degree), above=above)
     state.judge(*state.smooth(HALF_WINDOW))
     return _result(state, half, degree, floor, axis)
 
@@ -129,7 +130,7 @@ def _result(state: Departures, half: int, degree: int, floor: float, axis: float
         state.set_apart(late)
     departure, sigma, count = state.mean()
     off = np.where(state.turning, np.nan, departure - smooth)
-    floor *= share_of_floor(off, sigma, floor, state.places_passed() - float(np.nansum(leverage)))
+    floor *= share_of_floor(off, sigma, floor, places_passed(state) - float(np.nansum(leverage)))
     unlearnt = np.where(state.turning, 0.0, np.hypot(floor, axis))
 
     def calibrated(departure: Floats, sigma: Floats, share: float) -> Floats:
@@ -158,4 +159,4 @@ def _result(state: Departures, half: int, degree: int, floor: float, axis: float
             1.0 / len(state.candidates),
         )
         markers[name] = MarkerAngles(mount=state.mounts[name], **put_away(own))
-    return BodyAngles(markers=markers, place_error=state.place_error(), axis_off=state.axis_off, **body)
+    return BodyAngles(markers=markers, place_error=place_error(state), axis_off=state.axis_off, **body)
