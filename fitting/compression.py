@@ -16,13 +16,13 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
+from fitting.harmonics import HARMONICS, independent_harmonics, restlessness
 from fitting.record import Samples
 
 Array = NDArray[np.float64]
 
 CASING_DEGREE = 7
 ROTOR_DEGREE = 7
-HARMONICS = 4
 NOISE_ROWS = 14
 BLOCKS = 60
 _MIN_SAMPLES = 60
@@ -31,7 +31,6 @@ _AT_REST = 0.5  # rad/s
 _MOST_CUTS = 12
 _CLIP = 3.0
 _CLIPPED_VARIANCE = 0.9733  # of a standard normal variable cut off at 3
-_MIN_INDEPENDENCE = 0.2
 
 
 @dataclass(frozen=True)
@@ -134,7 +133,7 @@ def compress(
     k = degree + 1
     spread = np.full(parts[0].rows.shape[0], scale)
     if harmonics:
-        spread[k:] *= _restlessness(np.stack([p.rows[k:] @ samples.value[p.where] for p in parts]) / scale)
+        spread[k:] *= restlessness(np.stack([p.rows[k:] @ samples.value[p.where] for p in parts]) / scale)
     operators = tuple((p.where, p.rows / spread[:, None]) for p in parts)
     projected = [rows @ samples.value[where] for where, rows in operators]
     return Compressed(
@@ -194,7 +193,7 @@ def _block(samples: Samples, where: slice, degree: int, noise_rows: int, *, harm
     middle, half = 0.5 * (t[0] + t[-1]), max(0.5 * (t[-1] - t[0]), 1e-9)
     extra = min(noise_rows, max(0, len(t) - k - HARMONICS - 6))
     powers = chebyshev.chebvander((t - middle) / half, degree + extra)
-    waves = _independent_harmonics(y, powers[:, :k]) if harmonics else np.zeros((len(t), 0))
+    waves = independent_harmonics(y, powers[:, :k]) if harmonics else np.zeros((len(t), 0))
     chosen = np.flatnonzero(np.any(waves != 0, axis=0))
     design = np.concatenate([powers[:, :k], waves[:, chosen], powers[:, k:]], axis=1) / sigma[:, None]
     q, r = np.linalg.qr(design)
@@ -212,32 +211,6 @@ def _block(samples: Samples, where: slice, degree: int, noise_rows: int, *, harm
     if rest < 1e-6 * np.sum((y / sigma) ** 2):  # large angles: subtract before squaring
         rest = float(np.sum((y / sigma - q[:, :kept] @ projected[:kept]) ** 2))
     return _Block(where, middle + half * x, lift, rows, noise, rest, max(0, len(t) - kept))
-
-
-def _independent_harmonics(y: Array, polynomials: Array) -> Array:
-    """Return cos y, sin y, cos 2y, sin 2y, with zeros for those that are nearly polynomials here.
-
-    In less than a turn a harmonic says nothing of its own; what is left of it beside the polynomials would
-    be the noise of y itself, which must not be taken for a signal. Of a casing at rest nothing else is left.
-    """
-    waves = np.stack([np.cos(y), np.sin(y), np.cos(2 * y), np.sin(2 * y)], axis=1)
-    r = np.abs(np.diag(np.linalg.qr(np.concatenate([polynomials, waves], axis=1), mode="r")))
-    keep = r[polynomials.shape[1] :] > _MIN_INDEPENDENCE * np.sqrt(len(y) / 2)
-    return np.asarray(np.where(keep, waves, 0.0))
-
-
-def _restlessness(rows: Array) -> Array:
-    """Return by how much harmonics change from block to block beyond the noise, at least 1.
-
-    An artefact of tracking that wanders (a centre that is smoothed, a marker cut by the codec) does so from
-    block to block; what physics does to the harmonics is smooth in time and passes the second difference.
-    """
-    if len(rows) < 12:
-        return np.ones(rows.shape[1])
-    second = np.abs(rows[2:] - 2 * rows[1:-1] + rows[:-2]) / np.sqrt(6.0)
-    size = np.median(second, axis=0) / 0.6745
-    pairs = np.sqrt(0.5 * (size[0::2] ** 2 + size[1::2] ** 2))
-    return np.asarray(np.maximum(1.0, np.repeat(pairs, 2)))
 
 
 def _robust_variance(values: Array) -> float:
