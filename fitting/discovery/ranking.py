@@ -19,7 +19,7 @@ from fitting.beside import Beside
 from fitting.case_data import CAMERA_COLUMNS, CaseData
 from fitting.discovery.chance import Chance, Family
 from fitting.discovery.columns import CaseColumns
-from fitting.discovery.refit import refit, with_one_value, with_own_values
+from fitting.discovery.refit import at_one_phase, refit, with_one_value, with_own_values
 from fitting.discovery.scoring import Score
 from fitting.discovery.screen import screen
 from fitting.effects import LIBRARY, Effect
@@ -82,6 +82,11 @@ class Candidate:
     def significant(self) -> bool:
         """Whether empty data would hardly ever show it."""
         return self.p_value < FAMILY_LEVEL
+
+    @property
+    def apart(self) -> bool:
+        """Whether each case has a strength and a phase of its own."""
+        return self.effect.swings and any("@" in name for name in self.estimates)
 
     @property
     def physical(self) -> bool:
@@ -175,9 +180,12 @@ def _refitted(base: Fit, promising: _Promising) -> Candidate:
     found = refit(base, candidate.screened, thorough=thorough)
     if found is None:
         return candidate
+    if candidate.screened.apart:
+        one = refit(base, at_one_phase(candidate.screened), thorough=thorough)
+        found = one if one is not None and one.bic < found.bic else found
     gain, delta_bic = base.deviance - found.deviance, found.bic - base.bic
     p = chance(gain)
-    common = with_one_value(base, candidate.screened, found)
+    common = None if candidate.screened.apart else with_one_value(base, candidate.screened, found)
     if common is not None:
         if common.deviance < found.deviance:
             # with a value for each case no fit can be worse: the search had lost its way

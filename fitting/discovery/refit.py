@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -76,7 +77,7 @@ def together(
             base.model.with_effect(score.effect),
             base.problem.data,
             share=[*shared, *common] if len(layout.records) > 1 else (),
-            per_case=own if len(layout.records) > 1 else (),
+            per_case=[*own, *_apart(score)] if len(layout.records) > 1 else (),
             start=begin if start is None else begin | dict(start),
             noise=base.noise,
             steady=[n for n in begin if _keeps(score.effect, n, held=held)] if start is None else (),
@@ -85,6 +86,18 @@ def together(
     except FittingError:
         return None
     return found if np.isfinite(found.deviance) else None
+
+
+def _apart(score: Score) -> list[str]:
+    """Return the parameters of which each case has its own though the effect is common to all."""
+    roles = {"amplitude", "phase"} if score.apart else set()
+    return [f"{score.effect.name}.{p.symbol}" for p in score.effect.parameters if p.role in roles]
+
+
+def at_one_phase(score: Score) -> Score:
+    """Return a score as a start where all cases have the same strength and phase."""
+    gamma = score.gamma.reshape(-1, 2).mean(axis=0)
+    return replace(score, gamma=gamma, columns=2, apart=False)
 
 
 def _keeps(effect: Effect, name: str, *, held: bool) -> bool:
@@ -120,7 +133,7 @@ def with_own_values(base: Fit, score: Score, found: Fit, common: Fit) -> Fit:
 def start_of(base: Fit, score: Score) -> dict[str, float]:
     """Return start values of a candidate's parameters from its score."""
     effect, labels = score.effect, [r.label for r in base.problem.layout.records]
-    own = len(labels) > 1 and effect.name.startswith(PER_CASE)
+    own = len(labels) > 1 and (score.apart or effect.name.startswith(PER_CASE))
     phase = next((p.symbol for p in effect.parameters if p.role == "phase"), None)
     amplitude = next(p.symbol for p in effect.parameters if p.role == "amplitude")
     gamma = score.gamma.reshape(len(labels) if own else 1, -1)
@@ -136,5 +149,6 @@ def start_of(base: Fit, score: Score) -> dict[str, float]:
             }
         else:
             found = {**found, amplitude: float(gamma[i][0])}
-        values |= {f"{effect.name}.{k}{tail}": float(v) for k, v in found.items()}
+        common = score.shape[i] if score.apart else {}
+        values |= {f"{effect.name}.{k}{'' if k in common else tail}": float(v) for k, v in found.items()}
     return values

@@ -47,6 +47,8 @@ class Score:
         The base can mimic it completely.
     direction : ndarray
         Its whitened, projected column at the fitted strength, of unit length (for cosines).
+    apart : bool
+        Each case has a strength and a phase of its own, though not a shape.
     """
 
     effect: Effect
@@ -58,6 +60,7 @@ class Score:
     absorbed: bool
     direction: Array = field(repr=False)
     null: Array = field(repr=False)
+    apart: bool = False
 
 
 def search_alone(stage: Stage, effect: Effect, trials: list[Trial], case: int) -> Score:

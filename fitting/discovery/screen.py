@@ -23,6 +23,8 @@ _SHARPENED = 0.1
 _ROUNDS = 3
 _POINTS = 9
 _MOST_SWEPT = 4
+# by so much more of the deviance must strength and phase of its own explain for each further case
+_APART = 10.0
 
 
 def screen(
@@ -72,7 +74,7 @@ def _sharpened(stage: Stage, score: Score, tried: list[list[Trial]], cases: Sequ
             c.trials(score.effect, [{symbol: float(x)} for x in v])
             for c, v in zip(cases, values, strict=True)
         ]
-        found = _score(stage, score.effect, fresh, null=False)
+        found = _score(stage, score.effect, fresh, null=False, apart=score.apart)
         if found.score > best.score:
             best = replace(found, null=score.null, trials=score.trials)
         reach = [_neighbours(list(v), best.shape[i][symbol]) for i, v in enumerate(values)]
@@ -103,14 +105,35 @@ def _trials(effect: Effect, cases: Sequence[CaseColumns]) -> list[list[Trial]]:
     return [first, *(c.trials(effect, shapes) for c in cases[1:])]
 
 
-def _score(stage: Stage, effect: Effect, trials: list[list[Trial]], *, null: bool = True) -> Score:
+def _score(
+    stage: Stage,
+    effect: Effect,
+    trials: list[list[Trial]],
+    *,
+    null: bool = True,
+    apart: bool | None = None,
+) -> Score:
+    """Score an effect; without a word on `apart`, cases have phases of their own where that is clearly better."""
     own = _own(effect, len(trials))
     levels = stage.without(effect.name) if effect.name in CAMERA_COLUMNS else stage.levels
+    if apart is None and has_phases(effect, len(trials)):
+        gains = [
+            search_groups(stage, effect, _stack(trials, each), levels, null=False).score
+            for each in (False, True)
+        ]
+        apart = gains[1] > gains[0] + _APART * (len(trials) - 1)
+    if apart:
+        return replace(search_groups(stage, effect, _stack(trials, own=True), levels, null=null), apart=True)
     if not own or len(trials[0]) == 1:
         return search_groups(stage, effect, _stack(trials, own), levels, null=null)
     chosen, empty = _choose(stage, effect, trials, levels, null=null)
     together = search_groups(stage, effect, _stack([[t] for t in chosen], own), levels, null=False)
     return replace(together, null=empty, trials=sum(len(t) for t in trials))
+
+
+def has_phases(effect: Effect, cases: int) -> bool:
+    """Tell whether an effect swings, so that it may begin at another phase in each of several cases."""
+    return cases > 1 and effect.moves and any(p.role == "phase" for p in effect.parameters)
 
 
 def _choose(

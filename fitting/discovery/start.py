@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from fitting.discovery.columns import CaseColumns
-from fitting.discovery.refit import refit, start_of
+from fitting.discovery.refit import at_one_phase, refit, start_of
 from fitting.discovery.scoring import Score
 from fitting.discovery.screen import screen
 from fitting.effects import Effect
@@ -41,6 +41,9 @@ def found_starts(base: Fit, effects: Sequence[Effect]) -> dict[str, float]:
 
 
 def _start(base: Fit, score: Score) -> dict[str, float]:
+    if score.apart:
+        # whether strength and phase are common to all cases is not said yet
+        return start_of(base, at_one_phase(score)) | start_of(base, score)
     found = refit(base, score) if score.effect.breakpoint else None
     if found is None:
         return start_of(base, score)

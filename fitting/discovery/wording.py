@@ -91,6 +91,8 @@ def _missing(chosen: Candidate, after: Sequence[Rung]) -> list[str]:
         parts = [f"The missing {what} is {names[0]}{_strength(chosen)}."]
     else:
         parts = [f"One of {', '.join(names)} is missing; this data cannot tell them apart."]
+    if chosen.apart:
+        parts.append("Each case has a strength and a phase of its own.")
     if len(after) > 2:
         parts.append("With it " + ", ".join(r.change.lstrip("+") for r in after[2:]) + " is found as well.")
     return parts
