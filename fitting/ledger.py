@@ -52,6 +52,12 @@ class Entry:
         return [str(d) for d in self.document["digests"]]
 
     @property
+    def choices(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """What all cases were told to share, and of what each was told to have its own."""
+        share, per_case = (tuple(map(str, self.document.get(k, ()))) for k in ("share", "per_case"))
+        return share, per_case
+
+    @property
     def model(self) -> Model:
         """The model that was fitted."""
         return Model(effects_of(self.document["model"], self.document.get("own_effects", [])))
@@ -144,6 +150,8 @@ class Ledger:
         loss: str = "linear",
     ) -> Entry:
         """Append a fit and write the file, whole or not at all; what others added meanwhile is kept."""
+        if not share and not per_case:
+            share, per_case = found.problem.layout.choices
         with _alone(self.path.parent):
             if self.path.exists():
                 self.entries = _read(self.path)

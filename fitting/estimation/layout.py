@@ -61,7 +61,7 @@ class Layout:
             If a name of `share` or `per_case` is no parameter of the model.
         """
         for name in (*share, *per_case):
-            if not any(_covers(name, key) for key in model.free):
+            if not any(covers(name, key) for key in model.free):
                 raise EffectError(
                     f"{name!r} is no parameter of the model", "it has: " + ", ".join(model.free)
                 )
@@ -69,10 +69,21 @@ class Layout:
         chosen = [
             key
             for key in model.free
-            if (key in default or any(_covers(n, key) for n in per_case))
-            and not any(_covers(n, key) for n in share)
+            if (key in default or any(covers(n, key) for n in per_case))
+            and not any(covers(n, key) for n in share)
         ]
         return cls(model, tuple(records), tuple(chosen) if len(records) > 1 else (), dict(ranges or {}))
+
+    @cached_property
+    def choices(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """What is shared, and what each case has of its own, other than is usual: `of` takes both."""
+        if len(self.records) == 1:
+            return (), ()
+        usual = {key for key in self.model.free if key.startswith(PER_CASE)}
+        return (
+            tuple(k for k in self.model.free if k in usual and k not in self.per_case),
+            tuple(k for k in self.per_case if k not in usual),
+        )
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -135,5 +146,6 @@ class Layout:
         return self.parameter(name).role == "amplitude" and name not in self.ranges
 
 
-def _covers(name: str, key: str) -> bool:
+def covers(name: str, key: str) -> bool:
+    """Return whether a name stands for a parameter: its key, its effect or a part of that, or its symbol alone."""
     return key == name or key.startswith(name.rstrip(".") + ".") or key.rpartition(".")[2] == name

@@ -70,21 +70,21 @@ class Wish:
             There is no such model, or the fit `start` is not one of these cases.
         """
         wanted, entry = self._wanted(study, start)
-        ranges = _paper_ranges(study, self.share, self.per_case) if self.model == "general" else {}
+        share, per_case = self._choices(entry, wanted)
+        ranges = _paper_ranges(study, share, per_case) if self.model == "general" else {}
         previous = entry.refit(study.data) if entry is not None else None
         if previous is None and self.add and self.model is None:
             previous, fit_id = study.base(None)
             entry = study.entry(fit_id)
         values = _starts(previous, wanted) if previous is not None else None
-        found = self._fitted(study, wanted, values, ranges)
+        options: dict[str, Any] = {"share": share, "per_case": per_case, "ranges": ranges}
+        found = self._fitted(study, wanted, values, options)
         kept = study.ledger.add(
             found,
             parent=entry.fit_id if entry is not None else "",
             added=self.change,
             previous=previous,
-            share=self.share,
-            per_case=self.per_case,
-            ranges=ranges,
+            **options,
             loss=self.loss,
         )
         return found, kept.fit_id
@@ -94,12 +94,11 @@ class Wish:
         study: Study,
         wanted: Model,
         start: Mapping[str, float] | None,
-        ranges: Mapping[str, tuple[float, float]],
+        options: dict[str, Any],
     ) -> Fit:
         from fitting.errors import FittingError
         from fitting.estimation.robust import robust_fit
 
-        options: dict[str, Any] = {"share": self.share, "per_case": self.per_case, "ranges": ranges}
         try:
             return robust_fit(wanted, study.data, self.loss, start=start, **options)
         except FittingError:
@@ -107,6 +106,20 @@ class Wish:
             if start is None:
                 raise
             return robust_fit(wanted, study.data, self.loss, **options)
+
+    def _choices(self, entry: Entry | None, wanted: Model) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Return what to share and what not: as the fit that is changed does, where the wish has no other word."""
+        if entry is None:
+            return self.share, self.per_case
+        from fitting.estimation.layout import covers
+
+        share, per_case = (
+            [n for n in names if any(covers(n, key) for key in wanted.free)] for names in entry.choices
+        )
+        return (
+            (*self.share, *(n for n in share if n not in self.per_case)),
+            (*self.per_case, *(n for n in per_case if n not in self.share)),
+        )
 
     @property
     def change(self) -> str:

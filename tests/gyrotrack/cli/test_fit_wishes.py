@@ -111,3 +111,15 @@ class TestOptionsOfTheData:
         assert [p["label"] for p in said.json["predicted"]] == ["plain", "other"]
         # 40 s of one run leave its parameters uncertain by more than the noise of the other
         assert all(0.9 < p["casing"] < 30 and p["r2"] > 0.9999 for p in said.json["predicted"])
+
+
+def test_a_change_keeps_what_was_shared_unless_told_otherwise(gyrotrack, case):
+    cases = case("plain"), case("other")
+    assert gyrotrack("fit", *cases, "--joint", "--share", "b2", "--per-case", "rotor.air").code == 0
+
+    def named(*words):
+        return set(gyrotrack("fit", *cases, "--joint", *words, "--json").json["parameters"])
+
+    changed = named("--add", "casing.air.quadratic")
+    assert {"casing.air.linear.b2", "rotor.air.quadratic.a2@plain", "casing.air.quadratic.k"} <= changed
+    assert "rotor.air.quadratic.a2" in named("--drop", "casing.air.quadratic", "--share", "rotor.air")
