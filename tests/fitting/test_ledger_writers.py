@@ -18,6 +18,7 @@ class Found:
         class data:
             class record:
                 quantity, generated, digest, source = "angle", False, "0" * 64, ""
+        class layout: choices = (), ()
     class model: effects = ()
 
 Found.problem.data = (Found.problem.data,)
