@@ -12,6 +12,7 @@ from fitting.discovery.scoring import free_score
 from fitting.discovery.stage import Stage
 from fitting.estimation import Fit
 from fitting.estimation.case_model import Prediction
+from fitting.estimation.lack import block_diagonal
 from fitting.simulation import Sampler
 
 Array = NDArray[np.float64]
@@ -38,12 +39,15 @@ def any_law_of_the_casing(fit: Fit) -> float:
     return _fall(fit, lambda case, p: speeds(case.response.centres, p)[0])
 
 
-def any_slow_torque(fit: Fit) -> float:
-    """Return the fall of the deviance by a torque on the casing that changes slowly in time, scored in the same way."""
-    return _fall(fit, lambda case, _: case.response.centres)
+def any_slow_torque(fit: Fit, *, apart: bool = False) -> float:
+    """Return the fall of the deviance by a torque on the casing that changes slowly in time, scored in the same way.
+
+    It is the same in all cases, or each has one of its own (`apart`).
+    """
+    return _fall(fit, lambda case, _: case.response.centres, apart=apart)
 
 
-def _fall(fit: Fit, followed: Callable[[CaseColumns, Prediction], Array]) -> float:
+def _fall(fit: Fit, followed: Callable[[CaseColumns, Prediction], Array], *, apart: bool = False) -> float:
     cases = [CaseColumns(fit, i) for i in range(len(fit.predictions))]
     stage = Stage(fit, 1)
     own = [followed(c, p) for c, p in zip(cases, fit.predictions, strict=True)]
@@ -52,7 +56,7 @@ def _fall(fit: Fit, followed: Callable[[CaseColumns, Prediction], Array]) -> flo
     for count in KNOTS:
         knots = np.linspace(least, most, count)
         rows = [_rows(c, c.response.casing @ hats(x, knots)) for c, x in zip(cases, own, strict=True)]
-        found.append(free_score(stage, np.concatenate(rows)))
+        found.append(free_score(stage, block_diagonal(rows) if apart else np.concatenate(rows)))
     return max(found)
 
 

@@ -162,7 +162,7 @@ def _unknown(fit: Fit, chosen: Candidate) -> tuple[str, ...]:
     found = []
     if not chosen.effect.of_casing_speed and any_law_of_the_casing(fit) > bar:
         found.append(UNKNOWN_LAW)
-    if chosen.effect.swings and any_slow_torque(fit) > bar:
+    if chosen.effect.swings and any_slow_torque(fit, apart=chosen.apart) > bar:
         found.append(UNKNOWN_IN_TIME)
     return tuple(found)
 
