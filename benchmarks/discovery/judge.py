@@ -14,6 +14,7 @@ Line = dict[str, Any]
 _IDEAL_ALARMS = 0.02
 _IDEAL_CANDIDATES = 30
 _IN_REACH = 0.9
+_FOUR_DIGITS = 2e-3
 
 
 class Share:
@@ -120,11 +121,18 @@ def pulls(line: Line, *, shapes: bool = False) -> list[float]:
     if not added:
         return []
     strength = {"k", "a1", "a2", "b1", "b2", "c", "d", "e", "f", "eps", "dt"}
-    return [
-        float(pull)
-        for name, *_, pull in added["parameters"]
-        if pull is not None and (name.partition("@")[0].rsplit(".", 1)[1] in strength) != shapes
-    ]
+    found = []
+    for name, value, error, truth, pull in added["parameters"]:
+        symbol = name.partition("@")[0].rsplit(".", 1)[1]
+        if pull is None or (symbol in strength) == shapes:
+            continue
+        if symbol == "phi" and abs(pull) * error > math.pi:
+            # older lines count a phase beyond the turn; what four digits cannot tell is left out
+            if error < _FOUR_DIGITS:
+                continue
+            pull = math.remainder(value - truth, 2 * math.pi) / error
+        found.append(float(pull))
+    return found
 
 
 def covered(lines: Iterable[Line], *, shapes: bool = False) -> Share:
