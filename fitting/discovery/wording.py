@@ -92,7 +92,11 @@ def _missing(chosen: Candidate, after: Sequence[Rung]) -> list[str]:
     else:
         parts = [f"One of {', '.join(names)} is missing; this data cannot tell them apart."]
     if chosen.apart:
-        parts.append("Each case has a strength and a phase of its own.")
+        own = [
+            f"--per-case {k}"
+            for k in dict.fromkeys(k.partition("@")[0] for k in chosen.estimates if "@" in k)
+        ]
+        parts.append(f"Each case has a strength and a phase of its own: for fit, {' '.join(own)}.")
     if len(after) > 2:
         parts.append("With it " + ", ".join(r.change.lstrip("+") for r in after[2:]) + " is found as well.")
     return parts
