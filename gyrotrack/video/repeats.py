@@ -14,13 +14,13 @@ from gyrotrack.video.packets import Packets
 from gyrotrack.video.planes import Frame
 
 SAME = 0.3
-"""Share of the usual difference between other frames of late that a repeated frame may show."""
+"""Share of the usual difference between frames of late that a repeated frame may show."""
 SMALL = 0.35
 """Share of the usual packet around it below which one has little to tell."""
 _AROUND = 31
 _LARGE = 80
 _ROWS = 12
-_LATE = 5
+_MOST = 0.8
 _FEWEST = 5
 
 Rows = npt.NDArray[np.uint8]
@@ -44,7 +44,7 @@ class Repeats:
     def __init__(self, packets: Packets) -> None:
         self.regular = _regular(_starts(_without_news(packets)))
         self._last: Rows | None = None
-        self._usual: tuple[float, ...] = ()
+        self._late: tuple[float, ...] = ()
         self._begun: tuple[int, ...] = ()
         self._run = False
 
@@ -53,9 +53,8 @@ class Repeats:
         rows, last, again = _rows(frame), self._last, False
         if last is not None:
             apart = cv2.norm(rows, last, cv2.NORM_L1)
-            again = len(self._usual) > 0 and apart < SAME * sorted(self._usual)[len(self._usual) // 2]
-            if not again:
-                self._usual = (*self._usual[1 - _LATE :], apart)
+            again = len(self._late) > 1 and apart < SAME * _usual(self._late)
+            self._late = (*self._late[1 - _AROUND :], apart)
         if again and not self._run:
             self._begun = (*self._begun[-_FEWEST:], frame.index)
             self.regular = self.regular or _regular(np.array(self._begun))
@@ -66,6 +65,14 @@ class Repeats:
         """Let go of the last frame, and keep what is needed of it."""
         if self._last is not None:
             self._last = self._last.copy()
+
+
+def _usual(late: tuple[float, ...]) -> float:
+    """Return the difference between frames that do not repeat: one of the larger ones, where up to three in four do.
+
+    The largest of few may be a cut, as from a still at the beginning.
+    """
+    return sorted(late)[min(len(late) - 2, int(_MOST * len(late)))]
 
 
 def _rows(frame: Frame) -> Rows:
