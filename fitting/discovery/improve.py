@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 _MAX_STEPS = 5
 # an effect whose strength is nearer to zero than this many standard errors is taken back
 _NEEDED = 3.3
+# with so many added, each is tried without: several wrong ones can stand in for a right one that comes last
+_CROWDED = 3
 # BIC must fall by this much: "positive" evidence after R. Kass, A. Raftery, J. Am. Stat. Assoc. 90, 773 (1995)
 _EVIDENCE = 2.0
 # tracking errs in step with the turns of casing and rotor and with their beats: physics that swings needs "very strong"
@@ -111,24 +113,34 @@ def best(candidates: Sequence[Candidate]) -> Candidate | None:
 def _backward(rungs: list[Rung]) -> Rung:
     """Drop effects added before that the newest makes unnecessary."""
     newest = rungs[-1]
-    current = newest.fit
+    change, current = newest.change, newest.fit
     base_names = set(rungs[0].fit.model.names)
-    for effect in current.model.effects:
-        if effect.name in base_names or newest.change == f"+{effect.name}" or effect.amplitude is None:
-            continue
-        found = [
-            e
-            for k, e in current.estimates.items()
-            if k.partition("@")[0] == f"{effect.name}.{effect.amplitude.symbol}"
-        ]
-        if any(not np.isfinite(e.stderr) or abs(e.value) > _NEEDED * e.stderr for e in found):
-            continue
-        smaller = fit(
-            current.model.without(effect.name),
-            current.problem.data,
-            start={k: e.value for k, e in current.estimates.items()},
-            noise=current.noise,
-        )
-        if smaller.bic < current.bic:
-            return Rung(f"{newest.change} -{effect.name}", smaller, ())
-    return newest
+    while True:
+        added = [e for e in current.model.effects if e.name not in base_names and e.amplitude is not None]
+        crowded = len(added) >= _CROWDED
+        spare = [e for e in added if newest.change != f"+{e.name}" and (crowded or not _stands(current, e))]
+        tried = ((e, _without(current, e)) for e in spare)
+        gone = next(((e, found) for e, found in tried if found.bic < current.bic), None)
+        if gone is None:
+            return newest if current is newest.fit else Rung(change, current, ())
+        change, current = f"{change} -{gone[0].name}", gone[1]
+
+
+def _stands(fitted: Fit, effect: Effect) -> bool:
+    """Return whether the strength of an effect is far from zero in some case."""
+    key = f"{effect.name}.{effect.amplitude.symbol}" if effect.amplitude else ""
+    found = [e for k, e in fitted.estimates.items() if k.partition("@")[0] == key]
+    return any(not np.isfinite(e.stderr) or abs(e.value) > _NEEDED * e.stderr for e in found)
+
+
+def _without(fitted: Fit, effect: Effect) -> Fit:
+    smaller = fitted.model.without(effect.name)
+    share, per_case = ([k for k in names if k in smaller.free] for names in fitted.problem.layout.choices)
+    return fit(
+        smaller,
+        fitted.problem.data,
+        share=share,
+        per_case=per_case,
+        start={k: e.value for k, e in fitted.estimates.items()},
+        noise=fitted.noise,
+    )

@@ -1,0 +1,32 @@
+"""What was added in vain is taken back, all of it, and what is common to all cases stays so."""
+
+import twobody
+from swings import APART, records, unbalance
+
+from fitting.discovery.improve import Rung, _backward
+from fitting.effects import REDUCED
+from fitting.estimation import fit
+from fitting.model import Model
+from fitting.record import make_record
+
+DRAG = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -4e-10 * abs(wc) * wc)
+
+
+def test_all_that_stood_in_for_the_newest_is_dropped():
+    record = make_record(**twobody.film(twobody.simulate(hidden=DRAG, ou=5e-8, seed=3), 3))
+    base = fit(Model.of(REDUCED), [record])
+    vain = ("touchpoint.drift", "bearing.drift")
+    full = fit(Model.of((*REDUCED, *vain, "casing.air.quadratic")), [record])
+    rung = _backward([Rung("", base, ()), Rung("+casing.air.quadratic", full, ())])
+    assert set(rung.fit.model.names) == {*REDUCED, "casing.air.quadratic"}
+    assert all(f"-{name}" in rung.change for name in vain)
+
+
+def test_phases_of_their_own_stay_when_another_effect_is_dropped():
+    data = records(unbalance, APART)
+    base = fit(Model.of(REDUCED), data)
+    own = ["casing.unbalance.k", "casing.unbalance.phi"]
+    full = fit(Model.of((*REDUCED, "bearing.drift", "casing.unbalance")), data, per_case=own)
+    rung = _backward([Rung("", base, ()), Rung("+casing.unbalance", full, ())])
+    assert rung.change == "+casing.unbalance -bearing.drift"
+    assert "casing.unbalance.phi@case2" in rung.fit.estimates
