@@ -9,7 +9,7 @@ from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
-SOURCES = "gyrotrack/loops/*.c"
+SOURCES = "gyrotrack/_native/*.c"
 
 
 class Compiling(BuildHookInterface):
@@ -35,9 +35,9 @@ def compiled(root: Path) -> str:
     from setuptools import Distribution, Extension
 
     extension = Extension(
-        "gyrotrack._compiled",
+        "gyrotrack._native._compiled",
         sorted(map(str, root.glob(SOURCES))),
-        depends=sorted(map(str, root.glob("gyrotrack/loops/*.h"))),
+        depends=sorted(map(str, root.glob("gyrotrack/_native/*.h"))),
         extra_compile_args=[] if sysconfig.get_platform().startswith("win") else ["-O3"],
         py_limited_api=True,
     )
@@ -46,4 +46,4 @@ def compiled(root: Path) -> str:
         build.build_temp, build.build_lib, build.force = temporary, str(root), True
         build.ensure_finalized()
         build.run()
-    return str(Path(build.get_ext_fullpath("gyrotrack._compiled")).relative_to(root).as_posix())
+    return str(Path(build.get_ext_fullpath("gyrotrack._native._compiled")).relative_to(root).as_posix())

@@ -8,8 +8,8 @@ from unittest import mock
 
 from typer.main import get_command
 
-from gyrotrack.cli.app import COMMANDS, app
-from gyrotrack.cli.lazy import load
+from gyrotrack.apps.cli._app import COMMANDS, app
+from gyrotrack.apps.cli._lazy import load
 
 TARGET = Path(__file__).with_name("command-line.md")
 

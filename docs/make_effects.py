@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fitting.effects import LIBRARY, Effect
-from fitting.effects.library import GENERAL, LINEAR, REDUCED
+from fitting.effects._effect import Effect
+from fitting.effects._library import GENERAL, LIBRARY, LINEAR, REDUCED
 
 TARGET = Path(__file__).with_name("effects.md")
 

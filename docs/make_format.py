@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from gyrotrack.dataset import layout
-from gyrotrack.dataset.records import STATUS
+from gyrotrack.io import _schema as layout
+from gyrotrack.io._records import STATUS
 
 TARGET = Path(__file__).with_name("format.md")
 BEGIN, END = "<!-- made by docs/make_format.py: begin -->\n", "<!-- made by docs/make_format.py: end -->\n"

@@ -1,9 +1,9 @@
-"""Friction models of a two-body gyroscope: fit them, see where they fail, learn what is missing.
+"""Friction models of two spinning bodies: fit them, test them, find the missing effect.
 
 >>> from fitting import Model, fit, load  # doctest: +SKIP
 >>> result = fit(Model.of("reduced"), load("case1.h5"))  # doctest: +SKIP
 
-The names below are imported when they are first asked for; ``import fitting`` alone costs nothing.
+Public names are imported on first use; ``import fitting`` alone imports nothing else.
 """
 
 from __future__ import annotations
@@ -12,29 +12,117 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fitting.discovery import diagnose as diagnose
-    from fitting.discovery import improve as improve
-    from fitting.effects import resolve as effect
-    from fitting.estimation.asked import fit as fit
-    from fitting.loading import load as load
-    from fitting.model import Model as Model
-    from fitting.record import make_record as make_record
-    from fitting.saving import load_fit as load_fit
-    from fitting.scanning import scan as scan
+    from fitting._api import fit as fit
+    from fitting._api import load as load
+    from fitting._errors import EffectError as EffectError
+    from fitting._errors import EstimationError as EstimationError
+    from fitting._errors import ExpressionError as ExpressionError
+    from fitting._errors import FittingError as FittingError
+    from fitting._errors import LedgerError as LedgerError
+    from fitting._errors import RecordError as RecordError
+    from fitting._errors import SimulationError as SimulationError
+    from fitting.discovery._rank import Candidate as Candidate
+    from fitting.discovery._select import improve as improve
+    from fitting.discovery._verdict import Diagnosis as Diagnosis
+    from fitting.discovery._verdict import diagnose as diagnose
+    from fitting.dynamics._model import Model as Model
+    from fitting.effects._effect import Effect as Effect
+    from fitting.effects._effect import Parameter as Parameter
+    from fitting.effects._library import GENERAL as GENERAL
+    from fitting.effects._library import LIBRARY as LIBRARY
+    from fitting.effects._library import LINEAR as LINEAR
+    from fitting.effects._library import REDUCED as REDUCED
+    from fitting.effects._user import read_effects as read_effects
+    from fitting.effects._user import resolve as effect
+    from fitting.inference._cross_validation import predict_recordings as predict_recordings
+    from fitting.inference._profile import profile as profile_interval
+    from fitting.inference._record import Record as Record
+    from fitting.inference._record import make_record as make_record
+    from fitting.inference._result import Estimate as Estimate
+    from fitting.inference._result import Fit as Fit
+    from fitting.inference._simulation import Experiment as Experiment
+    from fitting.inference._simulation import simulate as simulate
+    from fitting.study._history import Ledger as Ledger
+    from fitting.study._scan import Scan as Scan
+    from fitting.study._scan import scan as scan
+    from fitting.study._scan_tables import scan_lines as scan_lines
+    from fitting.study._serialisation import load_fit as load_fit
 
 _PLACES = {
-    "Model": ("fitting.model", "Model"),
-    "diagnose": ("fitting.discovery", "diagnose"),
-    "effect": ("fitting.effects", "resolve"),
-    "fit": ("fitting.estimation.asked", "fit"),
-    "improve": ("fitting.discovery", "improve"),
-    "load": ("fitting.loading", "load"),
-    "load_fit": ("fitting.saving", "load_fit"),
-    "make_record": ("fitting.record", "make_record"),
-    "scan": ("fitting.scanning", "scan"),
+    "Candidate": ("fitting.discovery._rank", "Candidate"),
+    "Diagnosis": ("fitting.discovery._verdict", "Diagnosis"),
+    "Effect": ("fitting.effects._effect", "Effect"),
+    "EffectError": ("fitting._errors", "EffectError"),
+    "Estimate": ("fitting.inference._result", "Estimate"),
+    "EstimationError": ("fitting._errors", "EstimationError"),
+    "Experiment": ("fitting.inference._simulation", "Experiment"),
+    "ExpressionError": ("fitting._errors", "ExpressionError"),
+    "Fit": ("fitting.inference._result", "Fit"),
+    "FittingError": ("fitting._errors", "FittingError"),
+    "GENERAL": ("fitting.effects._library", "GENERAL"),
+    "LIBRARY": ("fitting.effects._library", "LIBRARY"),
+    "LINEAR": ("fitting.effects._library", "LINEAR"),
+    "Ledger": ("fitting.study._history", "Ledger"),
+    "LedgerError": ("fitting._errors", "LedgerError"),
+    "Model": ("fitting.dynamics._model", "Model"),
+    "Parameter": ("fitting.effects._effect", "Parameter"),
+    "REDUCED": ("fitting.effects._library", "REDUCED"),
+    "Record": ("fitting.inference._record", "Record"),
+    "RecordError": ("fitting._errors", "RecordError"),
+    "Scan": ("fitting.study._scan", "Scan"),
+    "SimulationError": ("fitting._errors", "SimulationError"),
+    "diagnose": ("fitting.discovery._verdict", "diagnose"),
+    "effect": ("fitting.effects._user", "resolve"),
+    "fit": ("fitting._api", "fit"),
+    "improve": ("fitting.discovery._select", "improve"),
+    "load": ("fitting._api", "load"),
+    "load_fit": ("fitting.study._serialisation", "load_fit"),
+    "make_record": ("fitting.inference._record", "make_record"),
+    "predict_recordings": ("fitting.inference._cross_validation", "predict_recordings"),
+    "profile_interval": ("fitting.inference._profile", "profile"),
+    "read_effects": ("fitting.effects._user", "read_effects"),
+    "scan": ("fitting.study._scan", "scan"),
+    "scan_lines": ("fitting.study._scan_tables", "scan_lines"),
+    "simulate": ("fitting.inference._simulation", "simulate"),
 }
 
-__all__ = ["Model", "diagnose", "effect", "fit", "improve", "load", "load_fit", "make_record", "scan"]
+__all__ = [
+    "GENERAL",
+    "LIBRARY",
+    "LINEAR",
+    "REDUCED",
+    "Candidate",
+    "Diagnosis",
+    "Effect",
+    "EffectError",
+    "Estimate",
+    "EstimationError",
+    "Experiment",
+    "ExpressionError",
+    "Fit",
+    "FittingError",
+    "Ledger",
+    "LedgerError",
+    "Model",
+    "Parameter",
+    "Record",
+    "RecordError",
+    "Scan",
+    "SimulationError",
+    "diagnose",
+    "effect",
+    "fit",
+    "improve",
+    "load",
+    "load_fit",
+    "make_record",
+    "predict_recordings",
+    "profile_interval",
+    "read_effects",
+    "scan",
+    "scan_lines",
+    "simulate",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -1,6 +1,6 @@
 """``python -m gyrotrack`` is `gyrotrack`."""
 
-from gyrotrack.cli.app import main
+from gyrotrack.apps.cli._app import main
 
 if __name__ == "__main__":
     main()

@@ -15,19 +15,10 @@ import time
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from gyrotrack.synthetic import (
-    PAPERS,
-    Camera,
-    Film,
-    Friction,
-    Light,
-    Motion,
-    Scene,
-    Truth,
-    Wobble,
-    render_clip,
-    two_body_motion,
-)
+from gyrotrack.synthetic._film import Film
+from gyrotrack.synthetic._motion import Friction, Motion, two_body_motion
+from gyrotrack.synthetic._scene import PAPERS, Camera, Light, Scene, Wobble
+from gyrotrack.synthetic._truth import Truth, render_clip
 
 # The run. The hidden effect is casing: -HIDDEN_K omega_c |omega_c|, 9 % of the bearing's torque at the peak.
 HIDDEN_EFFECT = "casing.air.quadratic"

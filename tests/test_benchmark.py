@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from fitting.effects import resolve
-from fitting.expression import Tape
+from fitting.effects._expression import Tape
+from fitting.effects._user import resolve
 
 HERE = Path(__file__).parents[1] / "benchmarks" / "discovery"
 if not HERE.is_dir():
@@ -226,10 +226,10 @@ def test_the_oracle_sees_the_difference_that_the_effect_makes():
     """Whole size in sigma: angles with the effect minus angles without, over the noise, sample by sample."""
     from oracle import Oracle
 
-    from fitting.effects import REDUCED
-    from fitting.estimation import fit
-    from fitting.model import Model
-    from fitting.record import make_record
+    from fitting.dynamics._model import Model
+    from fitting.effects._library import REDUCED
+    from fitting.inference._fit import fit
+    from fitting.inference._record import make_record
 
     case, rng = experiment.CASES[0], np.random.default_rng
     drawn = hidden.Draw.of(case["span"], rng(1), rng(2))

@@ -8,10 +8,10 @@ from pathlib import Path
 import h5py
 import pytest
 
-from fitting.effects import LIBRARY
-from fitting.errors import FittingError
-from gyrotrack.cli import app
-from gyrotrack.errors import GyrotrackError
+from fitting._errors import FittingError
+from fitting.effects._library import LIBRARY
+from gyrotrack._errors import GyrotrackError
+from gyrotrack.apps.cli import _app as app
 
 DOCS = Path(__file__).parents[1] / "docs"
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from gyrotrack.cli.app import COMMANDS
-from gyrotrack.cli.lazy import load
+from gyrotrack.apps.cli._app import COMMANDS
+from gyrotrack.apps.cli._lazy import load
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]

@@ -16,12 +16,14 @@ from hidden import twins
 from oracle import Oracle
 from plan import Planned
 
-from fitting.discovery import Candidate, Diagnosis, Rung, diagnose, improve
-from fitting.discovery.improve import best
-from fitting.effects import LIBRARY, REDUCED
-from fitting.estimation import Fit, fit
-from fitting.model import Model
-from fitting.record import make_record
+from fitting.discovery._rank import Candidate
+from fitting.discovery._select import Rung, best, improve
+from fitting.discovery._verdict import Diagnosis, diagnose
+from fitting.dynamics._model import Model
+from fitting.effects._library import LIBRARY, REDUCED
+from fitting.inference._fit import fit
+from fitting.inference._record import make_record
+from fitting.inference._result import Fit
 
 _KEPT = 6
 

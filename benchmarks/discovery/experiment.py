@@ -136,7 +136,7 @@ def record(
     rng: np.random.Generator,
     label: str,
 ) -> dict[str, Any]:
-    """Integrate and film one run; return what `fitting.record.make_record` takes."""
+    """Integrate and film one run; return what `fitting.inference._record.make_record` takes."""
     made = run(case, hidden, torque_noise=torque_noise, torque_time=torque_time, rng=rng)
     psi, sigma = made.casing, case["sigma"]
     seen = (

@@ -27,9 +27,11 @@ from experiment import CASES, LIGHT, Hidden, integrate, record, shake
 from hidden import LIBRARY, Draw
 from lines import append, read_lines
 
-from fitting.record import make_record
-from gyrotrack.simulated import write_record
-from gyrotrack.synthetic import Camera, Light, Motion, Renderer, Scene
+from fitting.inference._record import make_record
+from gyrotrack.apps._simulation import write_record
+from gyrotrack.synthetic._motion import Motion
+from gyrotrack.synthetic._render import Renderer
+from gyrotrack.synthetic._scene import Camera, Light, Scene
 
 TARGET = Path(__file__).parent / "forms.jsonl"
 _HIDDEN = ("casing.air.quadratic", "touchpoint.step", "bearing.drift", "")

@@ -17,12 +17,14 @@ from experiment import Hidden
 from hidden import TWINS
 from scipy.optimize import nnls
 
-from fitting.discovery.columns import CaseColumns, Trial
-from fitting.discovery.stage import block_diagonal
-from fitting.effects import LIBRARY, Effect, resolve
-from fitting.estimation import Fit
-from fitting.estimation.layout import PER_CASE
-from fitting.noise import TorqueNoise
+from fitting.discovery._score import CaseColumns, Trial
+from fitting.effects._effect import Effect
+from fitting.effects._library import LIBRARY
+from fitting.effects._user import resolve
+from fitting.inference._lack_of_fit import block_diagonal
+from fitting.inference._noise import TorqueNoise
+from fitting.inference._parameters import PER_CASE
+from fitting.inference._result import Fit
 
 # rivals at no more shapes than these: enough for the nearest one to a tenth of a sigma or so
 _MOST_SHAPES = 50

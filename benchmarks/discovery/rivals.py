@@ -27,11 +27,11 @@ from laws import BASE_TERMS, Speeds, generic, laws
 from lines import append, read_lines
 from plan import STRENGTHS, Planned, plan
 
-from fitting.effects import REDUCED
-from fitting.estimation import fit
-from fitting.model import Model
-from fitting.record import make_record
-from fitting.simulation import Sampler
+from fitting.dynamics._mesh import Sampler
+from fitting.dynamics._model import Model
+from fitting.effects._library import REDUCED
+from fitting.inference._fit import fit
+from fitting.inference._record import make_record
 
 TARGET = Path(__file__).parent / "rivals.jsonl"
 _SMOOTHED, _KEPT_EVERY = 51, 13

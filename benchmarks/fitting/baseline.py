@@ -13,7 +13,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
-from fitting.case_data import camera_columns
+from fitting.inference._case_data import camera_columns
 
 REFERENCE = 400.0
 # a2, b1, b2, T1, K, g, omega_r, omega_c

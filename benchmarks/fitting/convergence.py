@@ -19,10 +19,10 @@ for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
 import numpy as np
 from recordings import RUNS, recording, truth
 
-from fitting.case_data import CaseData
-from fitting.effects import REDUCED
-from fitting.estimation import fit
-from fitting.model import Model
+from fitting.dynamics._model import Model
+from fitting.effects._library import REDUCED
+from fitting.inference._case_data import CaseData
+from fitting.inference._fit import fit
 
 
 def corners(true: dict[str, float]):

@@ -20,11 +20,11 @@ import numpy as np
 import recordings  # noqa: F401  (finds the oracle)
 import twobody
 
-from fitting.effects import REDUCED
-from fitting.estimation import fit
-from fitting.model import Model
-from fitting.paper_data import prepared
-from fitting.record import make_record
+from fitting.dynamics._model import Model
+from fitting.effects._library import REDUCED
+from fitting.inference._fit import fit
+from fitting.inference._record import make_record
+from fitting.study._paper import prepared
 
 TRUTH = twobody.truth()
 _NORMAL_95 = 1.959964

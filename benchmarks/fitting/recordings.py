@@ -10,7 +10,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "fitting"))
 
 import twobody
 
-from fitting.record import Record, make_record
+from fitting.inference._record import Record, make_record
 
 # three runs of one gyroscope on three surfaces: friction of the touch point, drag, start, length, noise
 RUNS = {

@@ -24,11 +24,11 @@ import numpy as np
 from baseline import SCALE, Baseline, straight
 from recordings import RUNS, recording, truth
 
-from fitting.case_data import CaseData
-from fitting.effects import LIBRARY, REDUCED
-from fitting.estimation import fit
-from fitting.model import Model
-from fitting.noise import WHITE
+from fitting.dynamics._model import Model
+from fitting.effects._library import LIBRARY, REDUCED
+from fitting.inference._case_data import CaseData
+from fitting.inference._fit import fit
+from fitting.inference._noise import WHITE
 
 ROOT = Path(__file__).parents[2]
 
@@ -129,9 +129,9 @@ def _true(name: str) -> np.ndarray:
 
 def core(repeats: int) -> list[str]:
     """The least squares alone: known white noise, as the plain way has it."""
-    from fitting.estimation.layout import Layout
-    from fitting.estimation.problem import Problem
-    from fitting.estimation.search import search
+    from fitting.inference._optimisation import search
+    from fitting.inference._parameters import Layout
+    from fitting.inference._problem import Problem
 
     record = recording("glass")
     start = factor_two("glass", 0) | {"initial.omega_r@glass": 870.0, "initial.omega_c@glass": 6.0}
@@ -180,7 +180,7 @@ def shell(repeats: int) -> list[str]:
 
 def scan(repeats: int) -> list[str]:
     """The paper's tables of two cases."""
-    from fitting.scanning import scan as run_scan
+    from fitting.study._scan import scan as run_scan
 
     data = [recording(n) for n in ("glass", "steel")]
     _, cpu, wall = best(lambda: run_scan([CaseData.of(r) for r in data]), repeats)
@@ -269,8 +269,8 @@ def nist(repeats: int) -> list[str]:
     from nist import PROBLEMS
     from test_levenberg import TRAPS, problem_of
 
-    from fitting.estimation.covariance import covariance_of
-    from fitting.estimation.levenberg import minimise
+    from fitting.inference._optimisation import minimise
+    from fitting.inference._problem import covariance_of
 
     digits, errors, runs = [], [], 0
     for name, certified in PROBLEMS.items():

@@ -14,8 +14,8 @@ from pathlib import Path
 from common import ROOT, report
 from mutations import mutate
 
-from gyrotrack.batch.child import Child
-from gyrotrack.dataset.inspection import inspect_file
+from gyrotrack.apps.batch._workers import Child
+from gyrotrack.io._inspection import inspect_file
 
 LIMIT_S = 30.0
 LIMIT_MB = 1000.0

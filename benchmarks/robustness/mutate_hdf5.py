@@ -26,11 +26,11 @@ LIMIT_S = 30.0
 
 def readings(path, kind):
     """Yield what each reader of the program says of a file: a hash of all that it read, or a sentence."""
-    from fitting.case_file import read_record
-    from fitting.errors import FittingError
-    from gyrotrack.dataset import read_case, read_recording
-    from gyrotrack.dataset.inspection import inspect_file
-    from gyrotrack.errors import GyrotrackError
+    from fitting._errors import FittingError
+    from fitting.inference._case_file import read_record
+    from gyrotrack._errors import GyrotrackError
+    from gyrotrack.io._hdf5 import read_case, read_recording
+    from gyrotrack.io._inspection import inspect_file
 
     def verified(path):
         return inspect_file(path, verify=True).holds

@@ -14,12 +14,11 @@ from pathlib import Path
 
 from common import report
 
-from fitting.case_data import CaseData
-from fitting.effects import REDUCED
-from fitting.effects.typical import typical_of_model
-from fitting.estimation import fit
-from fitting.model import Model
-from fitting.simulation.recording import Experiment, simulate
+from fitting.dynamics._model import Model
+from fitting.effects._library import REDUCED, typical_of_model
+from fitting.inference._case_data import CaseData
+from fitting.inference._fit import fit
+from fitting.inference._simulation import Experiment, simulate
 
 
 def recordings(count):

@@ -28,12 +28,14 @@ import numpy as np
 from clips import CAMERAS, LIGHT, SCENE, film, motion_of
 from speed import commit
 
-from gyrotrack.dataset import Recording
-from gyrotrack.pipeline import extract
-from gyrotrack.segmentation.ring import CHROMA_SHIFT
-from gyrotrack.synthetic import Motion, Renderer, Truth
-from gyrotrack.synthetic.chroma import to_planes
-from gyrotrack.video import Reader
+from gyrotrack.io._records import Recording
+from gyrotrack.synthetic._film import to_planes
+from gyrotrack.synthetic._motion import Motion
+from gyrotrack.synthetic._render import Renderer
+from gyrotrack.synthetic._truth import Truth
+from gyrotrack.tracking._extract import extract
+from gyrotrack.tracking._polar import CHROMA_SHIFT
+from gyrotrack.video._decoder import Reader
 
 FRAMES = {"casing": 3000, "rotor": 2000, "small rotor": 2000}
 STEPS = (1e-2, 4e-3)

@@ -8,7 +8,7 @@ import av
 import cv2
 import numpy as np
 
-from gyrotrack.pipeline import extract
+from gyrotrack.tracking._extract import extract
 
 HUES = {"red": (170, 8), "green": (50, 85), "blue": (100, 130)}  # OpenCV's, 0 to 180; red goes round
 FEWEST_PX = 30

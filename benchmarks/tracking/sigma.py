@@ -24,9 +24,12 @@ for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
 import numpy as np
 from speed import commit
 
-from gyrotrack.errors import GyrotrackError
-from gyrotrack.pipeline import extract
-from gyrotrack.synthetic import Camera, Film, Light, Motion, Scene, Wobble, render_clip
+from gyrotrack._errors import GyrotrackError
+from gyrotrack.synthetic._film import Film
+from gyrotrack.synthetic._motion import Motion
+from gyrotrack.synthetic._scene import Camera, Light, Scene, Wobble
+from gyrotrack.synthetic._truth import render_clip
+from gyrotrack.tracking._extract import extract
 
 SPAN = np.linspace(-0.1, 4.0, 60)
 LIGHT = Light(gradient=(0.2, -0.1), vignette=0.15, flicker=0.04, glint=0.1, shadow=0.3)

@@ -29,10 +29,10 @@ import cv2
 import numpy as np
 from clips import CAMERAS, film, repeated
 
-from gyrotrack.compiled import loops
-from gyrotrack.geometry.acquisition import acquire
-from gyrotrack.geometry.samples import take_samples
-from gyrotrack.profile import PAPER
+from gyrotrack._native._kernels import loops
+from gyrotrack.tracking._acquisition import acquire
+from gyrotrack.tracking._profile import PAPER
+from gyrotrack.tracking._scene import take_samples
 
 FRAMES = {"casing": 3000, "rotor": 2000}
 FEW = {"scikit-image regionprops": 12, "trackpy.locate": 4}
@@ -40,7 +40,7 @@ FEW = {"scikit-image regionprops": 12, "trackpy.locate": 4}
 _PEAK = """
 import sys
 from pathlib import Path
-from gyrotrack.cli.app import run
+from gyrotrack.apps.cli._app import run
 assert run(["extract", sys.argv[1], "-o", sys.argv[2], "-q", "--force", "--capture-fps", sys.argv[3]]) == 0
 lines = Path("/proc/self/status").read_text().splitlines()
 print(next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024)

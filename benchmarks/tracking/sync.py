@@ -26,7 +26,7 @@ for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
 import numpy as np
 from speed import commit
 
-from gyrotrack.sync import match_clips
+from gyrotrack.synchronisation._decision import match_clips
 
 TURN = 2 * np.pi
 

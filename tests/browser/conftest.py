@@ -70,9 +70,10 @@ def case(tmp_path_factory):
     """A case of which the reduced model misses the casing's quadratic drag, with 0.5 s of film beside it."""
     import av
 
-    from gyrotrack.cli.app import run
-    from gyrotrack.dataset import Placement, read_case, write_case
-    from gyrotrack.pipeline import extract
+    from gyrotrack.apps.cli._app import run
+    from gyrotrack.io._hdf5 import read_case, write_case
+    from gyrotrack.io._records import Placement
+    from gyrotrack.tracking._extract import extract
 
     folder = tmp_path_factory.mktemp("case")
     options = "--duration 60 --casing-fps 60 --rotor-fps 250 --window 3 --window 25 --window 52 --sigma 5e-4"

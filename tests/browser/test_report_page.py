@@ -7,7 +7,7 @@ from .conftest import HOSTILE, Visit, accessibility
 
 @pytest.fixture(scope="module")
 def report(case, tmp_path_factory):
-    from gyrotrack.cli.app import run
+    from gyrotrack.apps.cli._app import run
 
     folder = tmp_path_factory.mktemp("report")
     ledger = ["--ledger", str(folder / "fits.json"), "--json", "-q"]
@@ -59,7 +59,7 @@ def test_it_prints_without_what_needs_a_screen(visit):
 
 
 def test_sixty_thousand_points_are_thinned_with_their_peaks(chromium):
-    from gyrotrack.charts import script
+    from gyrotrack.plotting._interactive import script
 
     page = chromium.new_page()
     page.add_script_tag(content=f"{script()}; window.charts = Charts;")

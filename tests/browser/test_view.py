@@ -221,7 +221,7 @@ def test_frames_play_and_the_overlay_goes(visit):
 
 @pytest.mark.slow
 def test_picked_colours_make_a_profile_that_extract_reads(visit, tmp_path):
-    from gyrotrack.profile import load
+    from gyrotrack.tracking._profile import load
 
     _shown(visit, 0)
     visit.locator("#picker summary").click()

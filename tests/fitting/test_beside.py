@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from fitting.beside import Beside
+from fitting._workers import Beside
 
 
 def _where(value):
@@ -49,7 +49,7 @@ def test_it_does_not_outlive_a_command_that_is_killed(tmp_path):
     script = tmp_path / "command.py"
     script.write_text(
         "import os, time\n"
-        "from fitting.beside import Beside\n"
+        "from fitting._workers import Beside\n"
         "if __name__ == '__main__':\n"
         "    with Beside(cores=2) as beside:\n"
         "        print(beside.begin(os.getpid)(), flush=True)\n"

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import twobody
 
-from fitting.compression import CASING_DEGREE, ROTOR_DEGREE, compress
-from fitting.record import Samples, make_record
+from fitting.inference._compression import CASING_DEGREE, ROTOR_DEGREE, compress
+from fitting.inference._record import Samples, make_record
 
 SIGMA = 1e-3
 

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 import twobody
 
-from fitting.case_data import CaseData
-from fitting.effects import REDUCED
-from fitting.estimation import fit
-from fitting.late_starts import LateStarts, acceleration
-from fitting.model import Model
-from fitting.record import Samples, make_record
+from fitting.dynamics._model import Model
+from fitting.effects._library import REDUCED
+from fitting.inference._case_data import CaseData, LateStarts, acceleration
+from fitting.inference._fit import fit
+from fitting.inference._record import Samples, make_record
 
 LATE = 1e-3
 TRUTH = {"touchpoint.constant.b1": 3e-6, "casing.air.linear.b2": 3.7e-7, "bearing.linear.d": 3.2e-8}

@@ -10,8 +10,8 @@ ROOT = Path(__file__).parents[2]
 WRITER = """
 import sys
 from pathlib import Path
-from fitting.ledger import Ledger
-import fitting.ledger as module
+from fitting.study._history import Ledger
+import fitting.study._history as module
 
 class Found:
     class problem:

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from fitting.dynamics import INERTIA_CASING, INERTIA_ROTOR, Dynamics
-from fitting.effects import LIBRARY, REDUCED, find, resolve
-from fitting.errors import EffectError
-from fitting.model import Model
+from fitting._errors import EffectError
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
+from fitting.effects._library import LIBRARY, REDUCED, find
+from fitting.effects._user import resolve
 
 
 def test_a_model_is_its_effects():

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from cases import fitted
 
-from fitting.noise import WHITE, TorqueNoise, TorqueResponse, Whitener, remaining_level
-from fitting.simulation.linear import LinearMotion
+from fitting.dynamics._sensitivities import LinearMotion
+from fitting.inference._noise import WHITE, TorqueNoise, TorqueResponse, Whitener, remaining_level
 
 
 def strength(noise):
@@ -72,7 +72,7 @@ def test_response_to_a_torque_in_all_cells_is_that_of_a_constant_torque(response
     data, path = response.data, result.predictions[0].path
     est = {k.rpartition(".")[2]: e.value for k, e in result.estimates.items() if "@" not in k}
     knots = np.linspace(*data.record.span, 4001)
-    from fitting.simulation import Sampler
+    from fitting.dynamics._mesh import Sampler
 
     wr, wc = Sampler(path.mesh, knots).value(path.y)[:, :2].T
     stiff = est["d"] + est["f"] * est["g"] * (wr - wc) ** (est["g"] - 1)

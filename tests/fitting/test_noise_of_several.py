@@ -3,11 +3,11 @@
 import pytest
 import twobody
 
-from fitting.case_data import CaseData
-from fitting.effects import REDUCED
-from fitting.estimation import fit
-from fitting.model import Model
-from fitting.record import make_record
+from fitting.dynamics._model import Model
+from fitting.effects._library import REDUCED
+from fitting.inference._case_data import CaseData
+from fitting.inference._fit import fit
+from fitting.inference._record import make_record
 
 LEVEL = 1e-8
 

@@ -4,16 +4,15 @@ import numpy as np
 import pytest
 import twobody
 
-from fitting.case_data import CaseData
-from fitting.effects import REDUCED
-from fitting.errors import RecordError
-from fitting.estimation import fit
-from fitting.model import Model
-from fitting.paper_data import prepared
-from fitting.record import make_record
-from fitting.rotor_curve import _decay, curve_bias, with_generated_rotor
-from fitting.smoothing import running_median
-from fitting.velocities import as_velocities, median_noise
+from fitting._errors import RecordError
+from fitting.dynamics._model import Model
+from fitting.effects._library import REDUCED
+from fitting.inference._case_data import CaseData
+from fitting.inference._fit import fit
+from fitting.inference._metrics import as_velocities, median_noise
+from fitting.inference._record import make_record
+from fitting.inference._velocity import running_median
+from fitting.study._paper import _decay, curve_bias, prepared, with_generated_rotor
 
 
 @pytest.fixture(scope="module")

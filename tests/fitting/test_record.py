@@ -4,9 +4,9 @@ import h5py
 import numpy as np
 import pytest
 
-from fitting.case_file import read_record
-from fitting.errors import RecordError
-from fitting.record import make_record
+from fitting._errors import RecordError
+from fitting.inference._case_file import read_record
+from fitting.inference._record import make_record
 
 N = 700
 

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from fitting.typesetting import measured, probability, scaled, short, typeset, unit_text
+from fitting._numbers import measured, probability, scaled, short, typeset, unit_text
 
 
 @pytest.mark.parametrize(
@@ -80,6 +80,6 @@ def test_scale_keeps_the_size_readable():
     ],
 )
 def test_a_number_stays_with_its_unit(text, lines):
-    from fitting.typesetting import unbroken
+    from fitting._numbers import unbroken
 
     assert [w.replace("\u00a0", " ") for w in unbroken(text).split(" ")] == lines

@@ -145,7 +145,7 @@ class Cameras:
 
 
 def film(motion, seed=0, cameras=None, **more):
-    """Return the measured arrays as keywords of `fitting.record.make_record`."""
+    """Return the measured arrays as keywords of `fitting.inference._record.make_record`."""
     cameras = cameras or Cameras()
     rng = np.random.default_rng(1000 + seed)
     which = 0 if cameras.quantity == "angle" else 1

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack.angles import angular_velocity, median_smooth
+from gyrotrack._smoothing import angular_velocity, median_smooth
 
 
 def test_median_is_the_middle_of_the_points_around():

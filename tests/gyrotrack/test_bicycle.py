@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrotrack.dataset.records import STATUS
-from gyrotrack.pipeline import extract
-from gyrotrack.profile import load
+from gyrotrack.io._records import STATUS
+from gyrotrack.tracking._extract import extract
+from gyrotrack.tracking._profile import load
 
 ROOT = Path(__file__).parents[2]
 FILM = ROOT.parent / "shared" / "real" / "bicycle_wheel_300fps.mp4"

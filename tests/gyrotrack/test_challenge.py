@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from gyrotrack.challenge import OUTSIDE, Seal, draw_effect, grade, seal, unseal
-from gyrotrack.cli import app
-from gyrotrack.errors import DatasetError
+from gyrotrack._errors import DatasetError
+from gyrotrack.apps._challenge import OUTSIDE, Seal, draw_effect, grade, seal, unseal
+from gyrotrack.apps.cli import _app as app
 
 
 def test_a_seal_gives_back_what_was_sealed_and_shows_nothing(tmp_path):

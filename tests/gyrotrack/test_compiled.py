@@ -12,18 +12,22 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-import gyrotrack.compiled
-from gyrotrack.angles import matching, oddity
-from gyrotrack.geometry import bands, corners, disc, grid, local
-from gyrotrack.geometry import strip as strip_module
-from gyrotrack.geometry.disc import DiscWindow
-from gyrotrack.geometry.grid import Grid, Score
-from gyrotrack.geometry.scene import Disc
-from gyrotrack.geometry.strip import Strip
-from gyrotrack.segmentation.ring import CHROMA_SHIFT, Ring
-from gyrotrack.video import Frame
+import gyrotrack._native._kernels as kernels
+from gyrotrack import _smoothing as local
+from gyrotrack.tracking import _corners as corners
+from gyrotrack.tracking import _hub as disc
+from gyrotrack.tracking import _marker_window as strip_module
+from gyrotrack.tracking import _matching as matching
+from gyrotrack.tracking import _observations as oddity
+from gyrotrack.tracking import _polar as bands
+from gyrotrack.tracking import _polar as grid
+from gyrotrack.tracking._hub import DiscWindow
+from gyrotrack.tracking._marker_window import Strip
+from gyrotrack.tracking._polar import CHROMA_SHIFT, Grid, Ring, Score
+from gyrotrack.tracking._scene import Disc
+from gyrotrack.video._container import Frame
 
-SOURCES = sorted(Path(gyrotrack.compiled.__file__).with_name("loops").glob("*.c"))
+SOURCES = sorted(Path(kernels.__file__).parent.glob("*.c"))
 WIDTH, HEIGHT = 96, 72
 
 
@@ -49,7 +53,7 @@ def loops(tmp_path_factory):
         str(target),
     ]
     subprocess.run([*words, "-lm"], check=True)
-    spec = importlib.util.spec_from_file_location("gyrotrack._compiled", target)
+    spec = importlib.util.spec_from_file_location("gyrotrack._native._compiled", target)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
@@ -285,14 +289,14 @@ def test_local_polynomials_are_those_of_numpy(monkeypatch, loops, count, half, d
 
 
 def test_a_build_of_an_older_source_is_not_used(monkeypatch):
-    old = SimpleNamespace(EDITION=gyrotrack.compiled.EDITION - 1)
-    monkeypatch.setitem(sys.modules, "gyrotrack._compiled", old)
+    old = SimpleNamespace(EDITION=kernels.EDITION - 1)
+    monkeypatch.setitem(sys.modules, "gyrotrack._native._compiled", old)
     try:
-        assert importlib.reload(gyrotrack.compiled).loops is None
+        assert importlib.reload(kernels).loops is None
     finally:
         monkeypatch.undo()
-        importlib.reload(gyrotrack.compiled)
+        importlib.reload(kernels)
 
 
 def test_source_and_package_are_of_one_edition(loops):
-    assert loops.EDITION == gyrotrack.compiled.EDITION
+    assert loops.EDITION == kernels.EDITION

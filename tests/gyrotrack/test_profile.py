@@ -2,8 +2,8 @@ from pathlib import Path
 
 import pytest
 
-from gyrotrack.errors import ProfileError
-from gyrotrack.profile import PAPER, Profile, load, parse, to_toml
+from gyrotrack._errors import ProfileError
+from gyrotrack.tracking._profile import PAPER, Profile, load, parse, to_toml
 
 ROOT = Path(__file__).parents[2]
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import twobody
 
-from fitting.case_data import CaseData
-from fitting.diagnosis import find_failures, residual_torques, ripples
-from fitting.effects import REDUCED
-from fitting.estimation import fit
-from fitting.model import Model
-from fitting.record import make_record
+from fitting.discovery._residuals import find_failures, residual_torques, ripples
+from fitting.dynamics._model import Model
+from fitting.effects._library import REDUCED
+from fitting.inference._case_data import CaseData
+from fitting.inference._fit import fit
+from fitting.inference._record import make_record
 
 AMPLITUDE, PHASE = 4e-6, 0.9
 

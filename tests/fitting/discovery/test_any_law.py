@@ -7,15 +7,15 @@ from functools import cache
 import pytest
 import twobody
 
-from fitting.case_data import CaseData
-from fitting.discovery import diagnose
-from fitting.discovery.any_law import any_law_of_the_casing, any_slow_torque
-from fitting.discovery.ranking import rank
-from fitting.discovery.wording import UNKNOWN_IN_TIME, UNKNOWN_LAW
-from fitting.effects import LIBRARY, REDUCED, resolve
-from fitting.estimation import fit
-from fitting.model import Model
-from fitting.record import make_record
+from fitting.discovery._lack_of_fit import any_law_of_the_casing, any_slow_torque
+from fitting.discovery._rank import rank
+from fitting.discovery._verdict import UNKNOWN_IN_TIME, UNKNOWN_LAW, diagnose
+from fitting.dynamics._model import Model
+from fitting.effects._library import LIBRARY, REDUCED
+from fitting.effects._user import resolve
+from fitting.inference._case_data import CaseData
+from fitting.inference._fit import fit
+from fitting.inference._record import make_record
 
 RESONANCE = "casing: -k*exp(-((omega_c - 110)/30)**2)"
 HIDDEN = {
@@ -77,7 +77,7 @@ def test_laws_of_the_speed_are_no_rivals_of_themselves():
 def test_what_swings_may_be_an_unknown_law(monkeypatch):
     """Where any law of the casing's speed does as well, the answer says so."""
     found = base("step")
-    monkeypatch.setattr("fitting.discovery.verdict.any_law_of_the_casing", lambda _: 1e4)
+    monkeypatch.setattr("fitting.discovery._verdict.any_law_of_the_casing", lambda _: 1e4)
     doubtful = diagnose(found)
     assert doubtful.verdict == "missing_effect"
     assert doubtful.candidates[0].indistinguishable_from == (UNKNOWN_LAW,)

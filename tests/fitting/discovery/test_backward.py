@@ -3,11 +3,11 @@
 import twobody
 from swings import APART, records, unbalance
 
-from fitting.discovery.improve import Rung, _backward
-from fitting.effects import REDUCED
-from fitting.estimation import fit
-from fitting.model import Model
-from fitting.record import make_record
+from fitting.discovery._select import Rung, _backward
+from fitting.dynamics._model import Model
+from fitting.effects._library import REDUCED
+from fitting.inference._fit import fit
+from fitting.inference._record import make_record
 
 DRAG = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -4e-10 * abs(wc) * wc)
 

@@ -6,13 +6,13 @@ from functools import cache
 import pytest
 import twobody
 
-from fitting.case_data import CaseData
-from fitting.discovery.improve import best
-from fitting.discovery.ranking import rank
-from fitting.effects import LIBRARY, REDUCED
-from fitting.estimation import fit
-from fitting.model import Model
-from fitting.record import make_record
+from fitting.discovery._rank import rank
+from fitting.discovery._select import best
+from fitting.dynamics._model import Model
+from fitting.effects._library import LIBRARY, REDUCED
+from fitting.inference._case_data import CaseData
+from fitting.inference._fit import fit
+from fitting.inference._record import make_record
 
 
 @cache

@@ -5,15 +5,16 @@ from dataclasses import replace
 import pytest
 import twobody
 
-from fitting.case_data import CaseData
-from fitting.discovery import found_starts
-from fitting.discovery.breaks import better_breaks, distant_breaks
-from fitting.discovery.columns import CaseColumns
-from fitting.discovery.screen import screen
-from fitting.effects import LIBRARY, REDUCED, resolve
-from fitting.estimation import fit
-from fitting.model import Model
-from fitting.record import make_record
+from fitting.discovery._refine import better_breaks, distant_breaks
+from fitting.discovery._score import CaseColumns
+from fitting.discovery._screen import screen
+from fitting.discovery._select import found_starts
+from fitting.dynamics._model import Model
+from fitting.effects._library import LIBRARY, REDUCED
+from fitting.effects._user import resolve
+from fitting.inference._case_data import CaseData
+from fitting.inference._fit import fit
+from fitting.inference._record import make_record
 
 T0 = 88.0
 

@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 import twobody
 
-from fitting.beside import Beside
-from fitting.case_data import CaseData
-from fitting.discovery import diagnose, improve
-from fitting.effects import LIBRARY, REDUCED, resolve
-from fitting.estimation import fit
-from fitting.model import Model
-from fitting.record import make_record
+from fitting._workers import Beside
+from fitting.discovery._select import improve
+from fitting.discovery._verdict import diagnose
+from fitting.dynamics._model import Model
+from fitting.effects._library import LIBRARY, REDUCED
+from fitting.effects._user import resolve
+from fitting.inference._case_data import CaseData
+from fitting.inference._fit import fit
+from fitting.inference._record import make_record
 
 TORQUE = 2e-6  # N m where it is largest: 1.5 % of the torque budget, the misfit of the paper
 HIDDEN = {

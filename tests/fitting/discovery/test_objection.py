@@ -8,14 +8,14 @@ import pytest
 import twobody
 from scipy import stats
 
-from fitting.case_data import CaseData
-from fitting.discovery import diagnose
-from fitting.discovery.objection import objection
-from fitting.discovery.ranking import rank
-from fitting.effects import REDUCED
-from fitting.estimation import fit
-from fitting.model import Model
-from fitting.record import make_record
+from fitting.discovery._lack_of_fit import objection
+from fitting.discovery._rank import rank
+from fitting.discovery._verdict import diagnose
+from fitting.dynamics._model import Model
+from fitting.effects._library import REDUCED
+from fitting.inference._case_data import CaseData
+from fitting.inference._fit import fit
+from fitting.inference._record import make_record
 
 NOTHING = twobody.Hidden()
 # a drag at one speed of the casing only: no law of the library

@@ -5,10 +5,12 @@ import math
 import pytest
 from swings import ALIKE, APART, RATE, STRENGTH, precession, records, unbalance
 
-from fitting.discovery import diagnose, found_starts, rank
-from fitting.effects import LIBRARY, REDUCED
-from fitting.estimation import fit
-from fitting.model import Model
+from fitting.discovery._rank import rank
+from fitting.discovery._select import found_starts
+from fitting.discovery._verdict import diagnose
+from fitting.dynamics._model import Model
+from fitting.effects._library import LIBRARY, REDUCED
+from fitting.inference._fit import fit
 
 
 def off(estimate, phi):

@@ -3,14 +3,14 @@
 import pytest
 import twobody
 
-from fitting.case_data import CaseData
-from fitting.discovery.columns import CaseColumns
-from fitting.discovery.refit import refit, together
-from fitting.discovery.screen import screen
-from fitting.effects import LIBRARY, REDUCED
-from fitting.estimation import fit
-from fitting.model import Model
-from fitting.record import make_record
+from fitting.discovery._refine import refit, together
+from fitting.discovery._score import CaseColumns
+from fitting.discovery._screen import screen
+from fitting.dynamics._model import Model
+from fitting.effects._library import LIBRARY, REDUCED
+from fitting.inference._case_data import CaseData
+from fitting.inference._fit import fit
+from fitting.inference._record import make_record
 
 # a gyroscope whose bearing is all but linear: its power law takes the linear term over, and nearly fits
 PAR = {"a2": 1.683e-10, "b1": 1.531e-6, "b2": 1.806e-7, "d": 5.07e-9, "f": 1.39e-8, "g": 1.146}

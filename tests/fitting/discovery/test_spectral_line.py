@@ -8,12 +8,13 @@ import pytest
 import twobody
 from scipy import stats
 
-from fitting.discovery import diagnose
-from fitting.discovery.spectral_line import by_noise, spectral_line
-from fitting.effects import REDUCED, resolve
-from fitting.estimation import fit
-from fitting.model import Model
-from fitting.record import make_record
+from fitting.discovery._lack_of_fit import by_noise, spectral_line
+from fitting.discovery._verdict import diagnose
+from fitting.dynamics._model import Model
+from fitting.effects._library import REDUCED
+from fitting.effects._user import resolve
+from fitting.inference._fit import fit
+from fitting.inference._record import make_record
 
 TORQUE, RATE, PHASE = 8e-7, 2.3, 0.7
 SHAKEN = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: TORQUE * math.cos(RATE * t + PHASE))

@@ -6,14 +6,14 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from fitting.case_data import CaseData
-from fitting.diagnosis.modelled import CASING, ROTOR, modelled_speed
-from fitting.discovery import Ladder, diagnose, improve
-from fitting.dynamics import INERTIA_CASING, INERTIA_ROTOR
-from fitting.effects import REDUCED
-from fitting.estimation import fit
-from fitting.model import Model
-from fitting.simulation.recording import Experiment, simulate, simulate_path
+from fitting.discovery._residuals import CASING, ROTOR, modelled_speed
+from fitting.discovery._select import Ladder, improve
+from fitting.discovery._verdict import diagnose
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
+from fitting.effects._library import REDUCED
+from fitting.inference._case_data import CaseData
+from fitting.inference._fit import fit
+from fitting.inference._simulation import Experiment, simulate, simulate_path
 
 HOSTILE = "<script>alert(1)</script> $x_ & \"q\" 'q'"
 NUMBERS = {
@@ -84,7 +84,7 @@ def test_figures_have_units_and_bands(story):
 
 
 def test_modelled_speed_and_its_error_hold_the_true_speed(story):
-    from fitting.simulation import Sampler
+    from fitting.dynamics._mesh import Sampler
 
     *_, ladder, path = story
     found = ladder[-1].fit
@@ -106,5 +106,5 @@ def test_error_of_the_modelled_speed_follows_the_parameters(story):
 
 
 def test_matplotlib_is_not_imported_before_something_is_drawn():
-    code = "import sys, fitting.discovery, fitting.display.html; sys.exit('matplotlib' in sys.modules)"
+    code = "import sys, fitting.discovery, fitting.study._notebook; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from fitting.effects import Effect, Parameter, find
-from fitting.effects.effect import State
-from fitting.errors import EffectError, ExpressionError
+from fitting._errors import EffectError, ExpressionError
+from fitting.effects._effect import Effect, Parameter, State
+from fitting.effects._library import find
 
 
 def test_unknown_name_offers_the_closest():

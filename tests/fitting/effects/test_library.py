@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from fitting.dynamics import INERTIA_CASING, INERTIA_ROTOR, Dynamics
-from fitting.effects import GENERAL, LIBRARY, LINEAR, REDUCED, find
-from fitting.expression import Tape, derivative, parse, symbols
-from fitting.expression.dimension import parse_unit
-from fitting.model import Model
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
+from fitting.effects._dimension import parse_unit
+from fitting.effects._expression import Tape, derivative, parse, symbols
+from fitting.effects._library import GENERAL, LIBRARY, LINEAR, REDUCED, find
 
 
 def sgn(x):

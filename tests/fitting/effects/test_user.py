@@ -4,9 +4,10 @@ import math
 
 import pytest
 
-from fitting.effects import find, read_effects, resolve
-from fitting.errors import EffectError, ExpressionError
-from fitting.expression.dimension import parse_unit
+from fitting._errors import EffectError, ExpressionError
+from fitting.effects._dimension import parse_unit
+from fitting.effects._library import find
+from fitting.effects._user import read_effects, resolve
 
 
 def parts(effect):

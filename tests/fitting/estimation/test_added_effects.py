@@ -5,10 +5,11 @@ import pytest
 import twobody
 from cases import case, fitted, pulls
 
-from fitting.effects import REDUCED, resolve
-from fitting.estimation import fit
-from fitting.model import Model
-from fitting.record import make_record
+from fitting.dynamics._model import Model
+from fitting.effects._library import REDUCED
+from fitting.effects._user import resolve
+from fitting.inference._fit import fit
+from fitting.inference._record import make_record
 
 TRUTH = twobody.truth()
 

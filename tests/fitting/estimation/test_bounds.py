@@ -5,9 +5,9 @@ import pytest
 import twobody
 from cases import case, data, fitted, pulls
 
-from fitting.effects import GENERAL, LINEAR, REDUCED
-from fitting.estimation import fit
-from fitting.model import Model
+from fitting.dynamics._model import Model
+from fitting.effects._library import GENERAL, LINEAR, REDUCED
+from fitting.inference._fit import fit
 
 TRUTH = twobody.truth()
 

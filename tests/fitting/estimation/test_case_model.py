@@ -5,11 +5,11 @@ import pytest
 import twobody
 from cases import data, fitted
 
-from fitting.effects import REDUCED
-from fitting.estimation.case_model import CaseModel
-from fitting.estimation.layout import Layout
-from fitting.estimation.start import start_values
-from fitting.model import Model
+from fitting.dynamics._model import Model
+from fitting.effects._library import REDUCED
+from fitting.inference._case_model import CaseModel
+from fitting.inference._initial_values import start_values
+from fitting.inference._parameters import Layout
 
 EXTRA = {
     "touchpoint.step": {"k": 2e-6, "t0": 88.37},
@@ -73,8 +73,8 @@ def test_rippling_torque_moves_the_rows_as_the_oracle_says():
         return 2e-6 * np.sin(pc - 0.9)
 
     cameras = twobody.Cameras(span=40.0, windows=(5.0, 20.0, 35.0))
-    from fitting.case_data import CaseData
-    from fitting.record import make_record
+    from fitting.inference._case_data import CaseData
+    from fitting.inference._record import make_record
 
     calm, shaken = (
         twobody.simulate(span=40.0, step=0.002, hidden=h)

@@ -4,11 +4,11 @@ from cases import data
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from fitting.effects import REDUCED, resolve
-from fitting.estimation.coordinates import Valley, find_valleys, from_physical, to_physical
-from fitting.estimation.layout import Layout
-from fitting.model import Model
-from fitting.record import Record
+from fitting.dynamics._model import Model
+from fitting.effects._library import REDUCED
+from fitting.effects._user import resolve
+from fitting.inference._parameters import Layout, Valley, find_valleys, from_physical, to_physical
+from fitting.inference._record import Record
 
 VALLEYS = (Valley(1, 3, 2, 400.0),)
 SQUARE = (Valley(1, 3, 2, 90.0, 2.0),)

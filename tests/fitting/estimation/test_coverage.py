@@ -5,11 +5,11 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.stats import binom
 
-from fitting.effects import REDUCED
-from fitting.estimation import fit
-from fitting.model import Model
-from fitting.paper_data import prepared
-from fitting.record import make_record
+from fitting.dynamics._model import Model
+from fitting.effects._library import REDUCED
+from fitting.inference._fit import fit
+from fitting.inference._record import make_record
+from fitting.study._paper import prepared
 
 RECORDINGS = 80
 SPAN, RATE, WINDOWS = 200.0, 260.0, (5.0, 70.0, 150.0)

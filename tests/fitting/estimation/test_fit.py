@@ -7,12 +7,12 @@ import pytest
 import twobody
 from cases import data, fitted, pulls
 
-from fitting.case_data import CaseData
-from fitting.effects import LINEAR, REDUCED
-from fitting.errors import EffectError
-from fitting.estimation import fit
-from fitting.model import Model
-from fitting.record import make_record
+from fitting._errors import EffectError
+from fitting.dynamics._model import Model
+from fitting.effects._library import LINEAR, REDUCED
+from fitting.inference._case_data import CaseData
+from fitting.inference._fit import fit
+from fitting.inference._record import make_record
 
 TRUTH = twobody.truth()
 
@@ -61,7 +61,7 @@ def test_figures_of_the_paper_are_what_they_say():
 
 
 def test_the_paths_are_the_true_motion():
-    from fitting.simulation import Sampler
+    from fitting.dynamics._mesh import Sampler
 
     motion, path = twobody.simulate(seed=0), fitted(seed=0).predictions[0].path
     times = np.linspace(1, 199, 500)

@@ -6,15 +6,15 @@ import pytest
 import twobody
 from cases import case, data, pulls
 
-from fitting.case_data import CaseData
-from fitting.effects import GENERAL, LINEAR, REDUCED
-from fitting.errors import EstimationError
-from fitting.estimation import fit
-from fitting.estimation.layout import Layout
-from fitting.estimation.problem import Problem
-from fitting.estimation.start import first_values
-from fitting.model import Model
-from fitting.record import make_record
+from fitting._errors import EstimationError
+from fitting.dynamics._model import Model
+from fitting.effects._library import GENERAL, LINEAR, REDUCED
+from fitting.inference._case_data import CaseData
+from fitting.inference._fit import fit
+from fitting.inference._initial_values import first_values
+from fitting.inference._parameters import Layout
+from fitting.inference._problem import Problem
+from fitting.inference._record import make_record
 
 
 def test_joint_fit_of_two_surfaces():

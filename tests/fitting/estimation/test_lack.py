@@ -7,12 +7,12 @@ import pytest
 import twobody
 from scipy import stats
 
-from fitting.case_data import CaseData
-from fitting.effects import REDUCED
-from fitting.estimation import fit
-from fitting.estimation.lack import LackOfFit
-from fitting.model import Model
-from fitting.record import make_record
+from fitting.dynamics._model import Model
+from fitting.effects._library import REDUCED
+from fitting.inference._case_data import CaseData
+from fitting.inference._fit import fit
+from fitting.inference._lack_of_fit import LackOfFit
+from fitting.inference._record import make_record
 
 
 @pytest.mark.parametrize("dof", [15, 40, 82])

@@ -2,12 +2,11 @@ import numpy as np
 import pytest
 from cases import data
 
-from fitting.dynamics import INERTIA_CASING, INERTIA_ROTOR
-from fitting.effects import LINEAR, REDUCED
-from fitting.errors import EffectError
-from fitting.estimation.layout import Layout
-from fitting.model import Model
-from fitting.record import Record
+from fitting._errors import EffectError
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
+from fitting.effects._library import LINEAR, REDUCED
+from fitting.inference._parameters import Layout
+from fitting.inference._record import Record
 
 
 @pytest.fixture(scope="module")

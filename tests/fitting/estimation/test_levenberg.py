@@ -5,10 +5,10 @@ import pytest
 from nist import PROBLEMS
 from scipy.optimize import lsq_linear
 
-from fitting.errors import EstimationError, SimulationError
-from fitting.estimation.covariance import covariance_of
-from fitting.estimation.levenberg import minimise
-from fitting.expression import Tape, derivative, parse
+from fitting._errors import EstimationError, SimulationError
+from fitting.effects._expression import Tape, derivative, parse
+from fitting.inference._optimisation import minimise
+from fitting.inference._problem import covariance_of
 
 
 def problem_of(certified):

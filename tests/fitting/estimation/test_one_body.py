@@ -4,13 +4,15 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from fitting.discovery import diagnose, improve
-from fitting.discovery.objection import objection
-from fitting.effects import REDUCED, resolve
-from fitting.errors import EstimationError, RecordError
-from fitting.estimation import fit
-from fitting.model import Model
-from fitting.record import make_record
+from fitting._errors import EstimationError, RecordError
+from fitting.discovery._lack_of_fit import objection
+from fitting.discovery._select import improve
+from fitting.discovery._verdict import diagnose
+from fitting.dynamics._model import Model
+from fitting.effects._library import REDUCED
+from fitting.effects._user import resolve
+from fitting.inference._fit import fit
+from fitting.inference._record import make_record
 
 INERTIA = 2e-3
 DRY, LINEAR, SQUARE = 2e-4, 3e-5, 4e-7

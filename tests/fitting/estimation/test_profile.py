@@ -6,12 +6,12 @@ import twobody
 from cases import data, fitted
 from scipy.optimize import least_squares
 
-from fitting.effects import GENERAL, REDUCED
-from fitting.errors import EffectError
-from fitting.estimation import fit
-from fitting.estimation.covariance import loose_directions
-from fitting.estimation.profile import profile, weakly_determined
-from fitting.model import Model
+from fitting._errors import EffectError
+from fitting.dynamics._model import Model
+from fitting.effects._library import GENERAL, REDUCED
+from fitting.inference._fit import fit
+from fitting.inference._problem import loose_directions
+from fitting.inference._profile import profile, weakly_determined
 
 TRUTH = twobody.truth()
 

@@ -5,9 +5,8 @@ import pytest
 import twobody
 from cases import fitted
 
-from fitting.estimation.energy import energy_balance
-from fitting.estimation.problem import Projection
-from fitting.estimation.validation import _casing_folds, _error, _rotor_folds
+from fitting.inference._metrics import _casing_folds, _error, _rotor_folds, energy_balance
+from fitting.inference._problem import Projection
 
 
 def parts(result, level):

@@ -7,12 +7,12 @@ from cases import pulls
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
-from fitting.effects import LINEAR, REDUCED
-from fitting.errors import EstimationError
-from fitting.estimation import fit
-from fitting.estimation.robust import cauchy, huber, robust_fit
-from fitting.model import Model
-from fitting.record import make_record
+from fitting._errors import EstimationError
+from fitting.dynamics._model import Model
+from fitting.effects._library import LINEAR, REDUCED
+from fitting.inference._fit import fit
+from fitting.inference._record import make_record
+from fitting.inference._robust import cauchy, huber, robust_fit
 
 TRUTH = twobody.truth()
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import twobody
 
-from fitting.case_data import CaseData
-from fitting.effects import LIBRARY, REDUCED, resolve
-from fitting.estimation import fit
-from fitting.estimation.layout import Layout
-from fitting.estimation.waves import Wave, find_waves, from_polar, to_polar
-from fitting.model import Model
-from fitting.record import make_record
+from fitting.dynamics._model import Model
+from fitting.effects._library import LIBRARY, REDUCED
+from fitting.effects._user import resolve
+from fitting.inference._case_data import CaseData
+from fitting.inference._fit import fit
+from fitting.inference._parameters import Layout, Wave, find_waves, from_polar, to_polar
+from fitting.inference._record import make_record
 
 STRENGTH, PHASE = 6e-6, 4.1
 HIDDEN = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: STRENGTH * math.sin(pc - PHASE))

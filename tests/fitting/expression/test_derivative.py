@@ -7,8 +7,22 @@ import sympy
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-from fitting.expression import Tape, derivative, parse
-from fitting.expression.nodes import MINUS_ONE, ONE, ZERO, add, call, mul, neg, num, power, substitute, sym
+from fitting.effects._expression import (
+    MINUS_ONE,
+    ONE,
+    ZERO,
+    Tape,
+    add,
+    call,
+    derivative,
+    mul,
+    neg,
+    num,
+    parse,
+    power,
+    substitute,
+    sym,
+)
 
 SYMBOLS = {name: sympy.Symbol(name, real=True) for name in ("x", "y", "g")}
 FUNCTIONS = {

@@ -2,9 +2,9 @@
 
 import pytest
 
-from fitting.errors import ExpressionError
-from fitting.expression import parse
-from fitting.expression.dimension import dimension, format_unit, parse_unit
+from fitting._errors import ExpressionError
+from fitting.effects._dimension import dimension, format_unit, parse_unit
+from fitting.effects._expression import parse
 
 UNITS = {
     "omega": "s-1",

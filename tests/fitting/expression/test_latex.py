@@ -4,9 +4,10 @@ import re
 
 import pytest
 
-from fitting.effects import GENERAL, LIBRARY
-from fitting.expression import latex, parse
-from fitting.model import Model
+from fitting.dynamics._model import Model
+from fitting.effects._expression import parse
+from fitting.effects._latex import latex
+from fitting.effects._library import GENERAL, LIBRARY
 
 BACKTICKED = re.compile(
     r"\\(?!omega|psi|varphi|varepsilon|tau|chi|left|right|frac|sqrt|mathrm|operatorname|times|dot|sin|cos|exp|log|tanh)[A-Za-z]+"
@@ -104,7 +105,7 @@ def test_signs_and_fractions_keep_their_meaning(text, reader):
         plain = re.sub(r"\\frac\{([^{}]*)\}\{([^{}]*)\}", r"((\1)/(\2))", plain)
     plain = re.sub(r"\^\{([^{}]*)\}", r"**(\1)", plain)
     plain = re.sub(r"(?<=[xyz)]) (?=[xyz(])", "*", plain)
-    from fitting.expression import Tape
+    from fitting.effects._expression import Tape
 
     place = {"x": 1.3, "y": 0.4, "z": 2.2}
     assert Tape([parse(plain)])(place)[0] == pytest.approx(Tape([parse(text)])(place)[0])

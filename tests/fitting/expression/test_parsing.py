@@ -6,8 +6,8 @@ import time
 import numpy as np
 import pytest
 
-from fitting.errors import ExpressionError
-from fitting.expression import Tape, derivative, parse, symbols
+from fitting._errors import ExpressionError
+from fitting.effects._expression import Tape, derivative, parse, symbols
 
 X = {"x": 1.7, "y": 0.6, "omega_c": 30.0, "k": 2.5e-7, "t": 11.0}
 

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from fitting.scanning.latex import _escaped
+from fitting.study._scan_tables import _escaped
 
 
 @pytest.mark.parametrize(

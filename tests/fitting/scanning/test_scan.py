@@ -8,17 +8,22 @@ import re
 import pytest
 import twobody
 
-from fitting.case_data import CaseData
-from fitting.effects import GENERAL, REDUCED
-from fitting.errors import EstimationError
-from fitting.estimation import fit
-from fitting.model import Model
-from fitting.record import make_record
-from fitting.scanning import AIR, BEARING, COLUMNS, paper_ranges, scan, scan_document, shade
-from fitting.scanning.latex import scan_latex
-from fitting.scanning.numerals import concise, three_digits
-from fitting.scanning.table import scan_csv, scan_records
-from fitting.scanning.text import scan_lines
+from fitting._errors import EstimationError
+from fitting.dynamics._model import Model
+from fitting.effects._library import GENERAL, REDUCED
+from fitting.inference._case_data import CaseData
+from fitting.inference._fit import fit
+from fitting.inference._record import make_record
+from fitting.study._scan import AIR, BEARING, COLUMNS, paper_ranges, scan, shade
+from fitting.study._scan_tables import (
+    concise,
+    scan_csv,
+    scan_document,
+    scan_latex,
+    scan_lines,
+    scan_records,
+    three_digits,
+)
 
 CAMERAS = twobody.Cameras(span=60.0, windows=(2.0, 25.0, 50.0), window_length=2.0)
 

@@ -5,11 +5,10 @@ import pytest
 from reference import EXTRA, INERTIA, PAPER, integrate
 from scipy.linalg import expm
 
-from fitting.dynamics import Dynamics
-from fitting.errors import SimulationError
-from fitting.model import Model
-from fitting.simulation import Mesh, Sampler, solve
-from fitting.simulation.mesh import rule
+from fitting._errors import SimulationError
+from fitting.dynamics._events import solve
+from fitting.dynamics._mesh import Mesh, Sampler, rule
+from fitting.dynamics._model import Dynamics, Model
 
 TIMES = np.linspace(0, 200, 1501)
 

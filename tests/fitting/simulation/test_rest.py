@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from reference import I_C, INERTIA, PAPER, integrate_through_rest
 
-from fitting.dynamics import Dynamics
-from fitting.model import Model
-from fitting.simulation import Mesh, Sampler, respond, sensitivities, solve
-from fitting.simulation.linear import LinearMotion
-from fitting.simulation.sensitivity import angles
+from fitting.dynamics._events import solve
+from fitting.dynamics._mesh import Mesh, Sampler
+from fitting.dynamics._model import Dynamics, Model
+from fitting.dynamics._sensitivities import LinearMotion, angles, respond, sensitivities
 
 START = (900.0, 5.0)
 # what happens, parameters beside the paper's, start, length [s]

@@ -5,12 +5,10 @@ import pytest
 from reference import EXTRA, INERTIA, PAPER, integrate
 from scipy.integrate import solve_ivp
 
-from fitting.dynamics import Dynamics
-from fitting.model import Model
-from fitting.simulation import Mesh, Sampler, respond, sensitivities, solve
-from fitting.simulation.linear import LinearMotion
-from fitting.simulation.mesh import rule
-from fitting.simulation.sensitivity import angles
+from fitting.dynamics._events import solve
+from fitting.dynamics._mesh import Mesh, Sampler, rule
+from fitting.dynamics._model import Dynamics, Model
+from fitting.dynamics._sensitivities import LinearMotion, angles, respond, sensitivities
 
 TIMES = np.linspace(0, 150, 301)
 START = (900.0, 5.0)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack.angles.following import LONGEST_COAST, Motion, find_lock, follow
+from gyrotrack.tracking._association import LONGEST_COAST, Motion, find_lock, follow
 
 COLUMNS = 256
 

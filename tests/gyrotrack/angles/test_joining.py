@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from gyrotrack.angles.candidates import Candidate
-from gyrotrack.angles.joining import join
+from gyrotrack.tracking._fusion import join
+from gyrotrack.tracking._observations import Candidate
 
 N = 1500
 MOUNTS = {"blue": 0.0, "white": 2.1, "green": -2.0}

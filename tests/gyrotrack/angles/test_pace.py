@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack.angles.pace import Pace, jitter_is_real, local_parabola
+from gyrotrack._smoothing import Pace, jitter_is_real, local_parabola
 
 
 @pytest.fixture

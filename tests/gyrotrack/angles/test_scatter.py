@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gyrotrack.angles.oddity import excess_misfit, most_likely_share
-from gyrotrack.angles.scatter import core_scatter, excess, share_of_floor, tail_factor
+from gyrotrack._smoothing import core_scatter, excess, share_of_floor, tail_factor
+from gyrotrack.tracking._observations import excess_misfit, most_likely_share
 
 
 def test_excess_is_the_root_mean_square():

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack.angles.sense import find_sense, net_turn, unfold
+from gyrotrack.tracking._association import find_sense, net_turn, unfold
 
 
 def test_the_casing_decides():

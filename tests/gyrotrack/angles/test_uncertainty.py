@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack.angles.uncertainty import paper_angle, paper_sigma
+from gyrotrack.tracking._corners import paper_angle, paper_sigma
 
 CENTRE = np.tile([100.0, 80.0], (3, 1))
 ALL = np.ones(3, dtype=bool)

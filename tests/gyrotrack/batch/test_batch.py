@@ -10,10 +10,9 @@ import time
 
 import pytest
 
-from gyrotrack.batch.child import Child, run_once
-from gyrotrack.batch.workers import LocalWorkers
-from gyrotrack.cli import app
-from gyrotrack.dataset import read_recording
+from gyrotrack.apps.batch._workers import Child, LocalWorkers, run_once
+from gyrotrack.apps.cli import _app as app
+from gyrotrack.io._hdf5 import read_recording
 
 
 @pytest.fixture(scope="module")

@@ -6,11 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gyrotrack.batch.experiment import Clip, Experiment, folder_name, named
-from gyrotrack.batch.folder import read_folder
-from gyrotrack.batch.manifest import read_manifest
-from gyrotrack.batch.steps import Wishes, plan
-from gyrotrack.errors import ConfigurationError
+from gyrotrack._errors import ConfigurationError
+from gyrotrack.apps.batch._experiments import Clip, Experiment, folder_name, named, read_folder, read_manifest
+from gyrotrack.apps.batch._steps import Wishes, plan
 
 TOML = """
 [defaults]

@@ -8,13 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from gyrotrack.batch.experiment import Clip, Experiment, named
-from gyrotrack.batch.journal import Journal
-from gyrotrack.batch.lock import held
-from gyrotrack.batch.run import Run
-from gyrotrack.batch.steps import Wishes, plan
-from gyrotrack.batch.summary import lines, summarise, write_summary
-from gyrotrack.errors import OutputError
+from gyrotrack._errors import OutputError
+from gyrotrack.apps.batch._experiments import Clip, Experiment, named
+from gyrotrack.apps.batch._journal import Journal, held
+from gyrotrack.apps.batch._runner import Run, lines, summarise, write_summary
+from gyrotrack.apps.batch._steps import Wishes, plan
 
 
 class Pretend:
@@ -145,7 +143,7 @@ def test_a_fit_by_hand_spoils_nothing(lab):
 
 def test_another_version_does_all_again(lab, monkeypatch):
     lab()
-    monkeypatch.setattr("gyrotrack.batch.journal.__version__", "9.9")
+    monkeypatch.setattr("gyrotrack.apps.batch._journal.__version__", "9.9")
     assert len(lab()[1]) == 15
 
 

@@ -6,7 +6,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gyrotrack.charts import Board, Chart, Mark, Trace, as_data, board_document, content_policy, script
+from gyrotrack.plotting._interactive import (
+    Board,
+    Chart,
+    Mark,
+    Trace,
+    as_data,
+    board_document,
+    content_policy,
+    script,
+)
 
 
 def _unpacked(column):

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from gyrotrack.cli import app
+from gyrotrack.apps.cli import _app as app
 
 # one run of 40 s: about 10,000 samples of the casing and 9,000 of the rotor
 LENGTH = ["--duration", "40"]

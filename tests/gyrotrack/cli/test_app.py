@@ -12,9 +12,10 @@ from pathlib import Path
 import pytest
 
 import gyrotrack
-from gyrotrack.cli import app, lazy
-from gyrotrack.cli.output import Output
-from gyrotrack.errors import DatasetError
+from gyrotrack._errors import DatasetError
+from gyrotrack.apps.cli import _app as app
+from gyrotrack.apps.cli import _lazy as lazy
+from gyrotrack.apps.cli._output import Output
 
 
 @pytest.fixture
@@ -25,7 +26,7 @@ def failing(monkeypatch):
         def raise_it(*args, **kwargs):
             raise error
 
-        monkeypatch.setattr("gyrotrack.dataset.inspection.inspect_file", raise_it)
+        monkeypatch.setattr("gyrotrack.io._inspection.inspect_file", raise_it)
 
     return make
 
@@ -42,7 +43,7 @@ class FittingError(Exception):
 def test_help_lists_every_command_and_imports_nothing_heavy():
     start = time.process_time()
     code = (
-        "import sys; from gyrotrack.cli.app import run; run(['--help']); "
+        "import sys; from gyrotrack.apps.cli._app import run; run(['--help']); "
         "heavy = {'numpy', 'scipy', 'h5py', 'cv2', 'av', 'matplotlib', 'pydantic', 'rich'}; "
         "print(sorted(heavy & set(sys.modules)))"
     )
@@ -56,8 +57,9 @@ def test_help_lists_every_command_and_imports_nothing_heavy():
 
 @pytest.mark.parametrize("entry", app.COMMANDS, ids=lambda entry: entry.name)
 def test_every_command_exists_and_explains_itself(entry, capsys):
-    module = importlib.import_module(entry.module)
-    assert entry.help.split()[0].rstrip(".,:") == inspect.getdoc(module.command).split()[0].rstrip(".,:")
+    assert entry.help.split()[0].rstrip(".,:") == inspect.getdoc(lazy.function_of(entry)).split()[0].rstrip(
+        ".,:"
+    )
     assert app.run([entry.name, "--help"]) == 0
     said = capsys.readouterr()
     assert "--json" in said.out
@@ -156,7 +158,7 @@ def test_out_of_memory(failing, capsys):
 
 
 def test_a_reader_that_leaves_early_is_no_error():
-    code = "from gyrotrack.cli.app import main; main()"
+    code = "from gyrotrack.apps.cli._app import main; main()"
     command = [sys.executable, "-c", code, "--help"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         process.stdout.close()
@@ -164,13 +166,13 @@ def test_a_reader_that_leaves_early_is_no_error():
 
 
 def test_a_command_can_say_not_to_be_trusted(monkeypatch):
-    module = importlib.import_module("gyrotrack.cli.info")
-    monkeypatch.setattr(module, "command", lambda: 3)
+    module = importlib.import_module("gyrotrack.apps.cli._data")
+    monkeypatch.setattr(module, "info_command", lambda: 3)
     assert app.run(["info"]) == 3
 
 
 def test_adding_a_command_is_one_line():
-    entry = lazy.Entry("info", "gyrotrack.cli.info", "Section", "Line.")
+    entry = lazy.Entry("info", "gyrotrack.apps.cli._data", "Section", "Line.")
     group = lazy.lazy_group((entry,))
     assert group.__mro__[1].__name__ == "TyperGroup"
     assert lazy.load(entry).name == "info"

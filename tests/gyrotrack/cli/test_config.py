@@ -6,9 +6,10 @@ import re
 import h5py
 import pytest
 
-from gyrotrack import __version__ as gyrotrack_version
-from gyrotrack.cli import app, settings
-from gyrotrack.cli.lazy import load
+from gyrotrack._versions import __version__ as gyrotrack_version
+from gyrotrack.apps.cli import _app as app
+from gyrotrack.apps.cli import _settings as settings
+from gyrotrack.apps.cli._lazy import load
 
 
 @pytest.fixture

@@ -4,12 +4,12 @@ import inspect
 import re
 import shlex
 import shutil
-from importlib import import_module
 from pathlib import Path
 
 import pytest
 
-from gyrotrack.cli.app import COMMANDS
+from gyrotrack.apps.cli._app import COMMANDS
+from gyrotrack.apps.cli._lazy import function_of
 
 CLIPS = Path(__file__).parents[3] / "sample_clips"
 LONG = {"demo", "extract", "sync", "batch", "profile", "improve", "scan", "figures"}  # minutes, or films
@@ -18,14 +18,14 @@ SERVED = {"view"}  # runs until it is stopped; it has tests of its own
 
 def example(entry):
     """Return the words of the example in a command's help."""
-    (line,) = re.findall(r"Example: gyrotrack (.*)", inspect.getdoc(import_module(entry.module).command))
+    (line,) = re.findall(r"Example: gyrotrack (.*)", inspect.getdoc(function_of(entry)))
     return shlex.split(line)
 
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory, simulated):
     """A folder with all that the examples name: cases, tables, a seal."""
-    from gyrotrack.cli import app
+    from gyrotrack.apps.cli import _app as app
 
     folder = tmp_path_factory.mktemp("lab")
     for name, kind in (("case1", "drag"), ("case2", "other")):

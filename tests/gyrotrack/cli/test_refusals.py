@@ -6,7 +6,7 @@ import h5py
 import numpy as np
 import pytest
 
-from gyrotrack.cli.app import COMMANDS
+from gyrotrack.apps.cli._app import COMMANDS
 
 STUDIES = ("fit", "diagnose", "improve", "ladder", "report")
 

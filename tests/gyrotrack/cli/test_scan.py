@@ -4,7 +4,7 @@ import csv
 
 import pytest
 
-from gyrotrack.cli import app
+from gyrotrack.apps.cli import _app as app
 
 
 @pytest.fixture(scope="module")
@@ -14,7 +14,7 @@ def scanned(simulated, tmp_path_factory, request):
     outputs = ["--csv", str(folder / "s.csv"), "--latex", str(folder / "s.tex")]
     with pytest.MonkeyPatch.context() as patch:
         said = []
-        patch.setattr("gyrotrack.cli.output.print_json", said.append)
+        patch.setattr("gyrotrack.apps.cli._output.print_json", said.append)
         code = app.run(["scan", str(simulated / "plain.h5"), *outputs, "--json", "-q"])
     (document,) = said
     return code, document, folder

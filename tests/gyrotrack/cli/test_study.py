@@ -10,8 +10,8 @@ import h5py
 import numpy as np
 import pytest
 
-from fitting.effects import LIBRARY
-from gyrotrack.cli import app
+from fitting.effects._library import LIBRARY
+from gyrotrack.apps.cli import _app as app
 
 DRAG = 5e-10  # of the case `drag`
 

@@ -6,10 +6,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from gyrotrack.configuration import read_document
-from gyrotrack.configuration.lines import line_of
-from gyrotrack.errors import ConfigurationError, ProfileError
-from gyrotrack.profile import Profile, load
+from gyrotrack._errors import ConfigurationError, ProfileError
+from gyrotrack._toml import line_of, read_document
+from gyrotrack.tracking._profile import Profile, load
 
 TEXT = """\
 name = "x"           # 1

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack.dataset import BodyTrack, Case, GeneratedCurve, MarkerTrack, Placement, Recording, Series
+from gyrotrack.io._records import BodyTrack, Case, GeneratedCurve, MarkerTrack, Placement, Recording, Series
 
 
 def make_recording(frames=300, seed=0):

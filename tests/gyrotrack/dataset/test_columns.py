@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrotrack.dataset import columns
-from gyrotrack.dataset.columns import new_columns, put_away, set_down, stretches
+from gyrotrack import _column_store as columns
+from gyrotrack._column_store import new_columns, put_away, set_down, stretches
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="mapped files are used on Linux")
 

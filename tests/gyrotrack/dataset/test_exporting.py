@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrotrack.cli import app
-from gyrotrack.dataset import read_case, read_recording, write_case, write_recording
-from gyrotrack.errors import DatasetError, UsageError
-from gyrotrack.exporting import columns, export_file
-from gyrotrack.exporting.files import plain_cell
+from gyrotrack._errors import DatasetError, UsageError
+from gyrotrack.apps.cli import _app as app
+from gyrotrack.io._export import columns, export_file, plain_cell
+from gyrotrack.io._hdf5 import read_case, read_recording, write_case, write_recording
 
 pd = pytest.importorskip("pandas")
 xr = pytest.importorskip("xarray")

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from gyrotrack.cli import app
-from gyrotrack.dataset import read_recording, write_recording
-from gyrotrack.dataset.writing import new_file
-from gyrotrack.errors import OutputError
+from gyrotrack._errors import OutputError
+from gyrotrack.apps.cli import _app as app
+from gyrotrack.io._atomic import new_file
+from gyrotrack.io._hdf5 import read_recording, write_recording
 
 
 @pytest.fixture(scope="module")

@@ -6,12 +6,12 @@ import h5py
 import numpy as np
 import pytest
 
-from fitting.case_file import read_record
-from fitting.errors import RecordError
-from gyrotrack.dataset import read_case, write_case
-from gyrotrack.dataset.inspection import inspect_file
-from gyrotrack.errors import DatasetError
-from gyrotrack.exporting import export_file
+from fitting._errors import RecordError
+from fitting.inference._case_file import read_record
+from gyrotrack._errors import DatasetError
+from gyrotrack.io._export import export_file
+from gyrotrack.io._hdf5 import read_case, write_case
+from gyrotrack.io._inspection import inspect_file
 
 SECRET = b"the secret of the neighbour's file " * 400
 
@@ -114,7 +114,7 @@ def test_other_layouts_by_rule(path, version, words):
 
 
 def test_a_name_is_shown_and_not_obeyed(path, capsys):
-    from gyrotrack.cli import app
+    from gyrotrack.apps.cli import _app as app
 
     with h5py.File(path, "r+") as file:
         file.attrs["label"] = "\x1b]0;owned\x07\u202egnp.exe"

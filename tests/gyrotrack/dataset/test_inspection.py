@@ -4,9 +4,9 @@ import h5py
 import numpy as np
 import pytest
 
-from gyrotrack.dataset import write_case, write_recording
-from gyrotrack.dataset.inspection import inspect_file
-from gyrotrack.errors import DatasetError
+from gyrotrack._errors import DatasetError
+from gyrotrack.io._hdf5 import write_case, write_recording
+from gyrotrack.io._inspection import inspect_file
 
 
 def test_recording_in_numbers(tmp_path, recording):

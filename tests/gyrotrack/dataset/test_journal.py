@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gyrotrack.dataset.journal import Journal, journal_path
-from gyrotrack.errors import OutputError, TrackingError
+from gyrotrack._errors import OutputError, TrackingError
+from gyrotrack.io._journal import Journal, journal_path
 
 FACTS = {"film": "abc", "profile": {"name": "paper", "marker": [1, 2]}, "body": None}
 

@@ -9,8 +9,9 @@ import h5py
 import numpy as np
 import pytest
 
-from gyrotrack.dataset import STATUS, read_case, read_kind, read_recording, write_case, write_recording
-from gyrotrack.errors import DatasetError
+from gyrotrack._errors import DatasetError
+from gyrotrack.io._hdf5 import read_case, read_kind, read_recording, write_case, write_recording
+from gyrotrack.io._records import STATUS
 
 
 def assert_same(a, b, where="root"):

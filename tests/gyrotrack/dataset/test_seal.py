@@ -7,13 +7,12 @@ import h5py
 import numpy as np
 import pytest
 
-from fitting.case_file import read_record
-from fitting.errors import RecordError
-from gyrotrack.cli import app
-from gyrotrack.dataset import read_case, read_recording, write_recording
-from gyrotrack.dataset.heap import has_endless_heap
-from gyrotrack.dataset.seal import LENGTH, sealed
-from gyrotrack.errors import DatasetError
+from fitting._errors import RecordError
+from fitting.inference._case_file import read_record
+from gyrotrack._errors import DatasetError
+from gyrotrack.apps.cli import _app as app
+from gyrotrack.io._hdf5 import read_case, read_recording, write_recording
+from gyrotrack.io._validation import LENGTH, has_endless_heap, sealed
 
 
 @pytest.fixture
@@ -72,7 +71,7 @@ def test_a_heap_that_runs_in_circles_is_not_entered(file, seal):
 def test_a_heap_is_found_where_blocks_of_the_file_meet(tmp_path, monkeypatch):
     heap = b"GCOL\x01\x00\x00\x00" + (4096).to_bytes(8, "little") + bytes(4080)
     sound = heap[:24] + (4080).to_bytes(8, "little") + heap[32:]
-    monkeypatch.setattr("gyrotrack.dataset.heap._BLOCK", 64)
+    monkeypatch.setattr("gyrotrack.io._validation._BLOCK", 64)
     for before in range(50, 70):
         (tmp_path / "f").write_bytes(bytes(before) + heap)
         assert has_endless_heap(tmp_path / "f")

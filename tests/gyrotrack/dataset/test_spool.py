@@ -10,13 +10,13 @@ from io import FileIO
 import numpy as np
 import pytest
 
-from gyrotrack.dataset.spool import Spool, interrupts_wait
+from gyrotrack.io._atomic import Spool, interrupts_wait
 
 _RUN = """
 import errno, signal, sys
 from io import FileIO
 import h5py, numpy as np
-from gyrotrack.dataset.spool import Spool, interrupts_wait
+from gyrotrack.io._atomic import Spool, interrupts_wait
 
 class Disk(FileIO):
     count, mode_, at = 0, sys.argv[2], int(sys.argv[3])

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from gyrotrack.dataset import read_recording, write_recording
-from gyrotrack.dataset.writing import new_file, new_hdf5
-from gyrotrack.errors import DatasetError, OutputError
+from gyrotrack._errors import DatasetError, OutputError
+from gyrotrack.io._atomic import new_file, new_hdf5
+from gyrotrack.io._hdf5 import read_recording, write_recording
 
 
 def names(folder):
@@ -90,7 +90,7 @@ def test_a_file_made_meanwhile_is_not_overwritten(tmp_path):
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_full_disk_is_one_sentence(tmp_path, monkeypatch):
     with Path("/dev/full").open("wb", buffering=0) as full:
-        monkeypatch.setattr("gyrotrack.dataset.writing._open_part", lambda part: full)
+        monkeypatch.setattr("gyrotrack.io._atomic._open_part", lambda part: full)
         with pytest.raises(OutputError, match="disk is full"):
             write(tmp_path / "a", b"x" * 100_000)
 
@@ -112,7 +112,7 @@ import sys
 from pathlib import Path
 sys.path.insert(0, {tests!r})
 from conftest import make_recording
-from gyrotrack.dataset import write_recording
+from gyrotrack.io._hdf5 import write_recording
 one = make_recording(20000)
 print("ready", flush=True)
 while True:

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack.geometry.centre import smooth_path
+from gyrotrack.tracking._hub import smooth_path
 
 
 def _error(path, truth):

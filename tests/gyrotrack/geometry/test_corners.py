@@ -2,9 +2,8 @@ import cv2
 import numpy as np
 import pytest
 
-from gyrotrack.geometry.bands import Windows
-from gyrotrack.geometry.corners import near_corners
-from gyrotrack.segmentation.ring import Ring
+from gyrotrack.tracking._corners import near_corners
+from gyrotrack.tracking._polar import Ring, Windows
 
 CENTRE = (150.0, 150.0)
 

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from gyrotrack.dataset.columns import STRETCH
-from gyrotrack.geometry.local import local_fit, spread
+from gyrotrack._column_store import STRETCH
+from gyrotrack._smoothing import local_fit, spread
 
 
 def test_a_parabola_is_reproduced_also_across_gaps():

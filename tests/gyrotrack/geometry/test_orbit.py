@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack.geometry.orbit import circumcentre, common_centre, covered_angle, fit_common_centre
+from gyrotrack.tracking._orbit import circumcentre, common_centre, covered_angle, fit_common_centre
 
 CENTRE = np.array([201.3, 148.7])
 

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from gyrotrack.geometry.centre import CentrePath
-from gyrotrack.geometry.refining import Radii, refine_centre
+from gyrotrack.tracking._acquisition import Radii, refine_centre
+from gyrotrack.tracking._hub import CentrePath
 
 
 def _scene(seed=0, noise=0.15):

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack.geometry.tilt import NO_FLATTENING, fit_flattening, lent_flattening
+from gyrotrack.tracking._orbit import NO_FLATTENING, fit_flattening, lent_flattening
 
 
 def _seen(theta, rho, offset, tilt, azimuth):

@@ -3,7 +3,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from gyrotrack.geometry.wander import wandering_centre
+from gyrotrack.tracking._hub import wandering_centre
 
 
 @pytest.mark.parametrize("still", [False, True])

@@ -8,11 +8,12 @@ import h5py
 import numpy as np
 import pytest
 
-from gyrotrack.errors import DatasetError, UsageError
-from gyrotrack.importing import Wanted, import_case, read_names
-from gyrotrack.importing.listed_names import listed_names
-from gyrotrack.importing.points import circle_centre
-from gyrotrack.importing.table import read_table
+from gyrotrack._errors import DatasetError, UsageError
+from gyrotrack.io.readers._import_case import import_case
+from gyrotrack.io.readers._point_files import listed_names
+from gyrotrack.io.readers._points import Wanted, circle_centre
+from gyrotrack.io.readers._series import read_table
+from gyrotrack.io.readers._text import read_names
 
 N = 400
 FPS = 100.0

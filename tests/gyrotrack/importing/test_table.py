@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gyrotrack.errors import DatasetError
-from gyrotrack.importing.table import read_table
+from gyrotrack._errors import DatasetError
+from gyrotrack.io.readers._series import read_table
 
 ROWS = [(0.1 * k, 1.5 * k, 0.01) for k in range(12)]
 

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gyrotrack.importing.unwrapping import TURN, is_wrapped, pieces, unwrap
+from gyrotrack.io.readers._import_case import TURN, is_wrapped, pieces, unwrap
 
 
 def wrapped(angle, low=0.0):

@@ -4,11 +4,11 @@ from dataclasses import fields
 
 import numpy as np
 
-from gyrotrack.angles.sightings import Sightings
-from gyrotrack.dataset.columns import put_away
-from gyrotrack.geometry.scene import Disc, Paper, Scene
-from gyrotrack.pipeline.timing import FrameTimes
-from gyrotrack.pipeline.watch import BodySightings, Watched
+from gyrotrack._column_store import put_away
+from gyrotrack.tracking._film_tracker import BodySightings, Watched
+from gyrotrack.tracking._observations import Sightings
+from gyrotrack.tracking._scene import Disc, Paper, Scene
+from gyrotrack.video._time_base import FrameTimes
 
 CENTRE, SIZE, FPS = (320.0, 180.0), (640, 360), 260.0
 PAPERS = tuple(

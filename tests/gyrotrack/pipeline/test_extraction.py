@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from gyrotrack.dataset.records import STATUS
-from gyrotrack.errors import TrackingError, UsageError, VideoError
-from gyrotrack.pipeline import extract
-from gyrotrack.profile import parse
+from gyrotrack._errors import TrackingError, UsageError, VideoError
+from gyrotrack.io._records import STATUS
+from gyrotrack.tracking._extract import extract
+from gyrotrack.tracking._profile import parse
 
 SMALL = {"width": 320, "height": 240, "radius": 105.0, "frames": 120}
 
@@ -287,7 +287,7 @@ def test_a_film_of_which_less_is_left_than_its_samples_promise(casing_clip, monk
     """As after damage that one way of decoding survives and the other does not."""
     from dataclasses import replace
 
-    from gyrotrack.pipeline import extraction
+    from gyrotrack.tracking import _extract as extraction
 
     watched = extraction.watch
 

@@ -3,10 +3,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrotrack.pipeline import extract
-from gyrotrack.pipeline.drawing import colour_picture
-from gyrotrack.pipeline.film import Film, find_film
-from gyrotrack.video import Reader
+from gyrotrack.plotting._frames import Film, colour_picture, find_film
+from gyrotrack.tracking._extract import extract
+from gyrotrack.video._decoder import Reader
 
 CLIP = Path(__file__).parents[3] / "sample_clips" / "rotor_1.mp4"
 

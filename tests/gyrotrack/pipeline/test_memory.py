@@ -10,10 +10,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gyrotrack.dataset import columns
-from gyrotrack.pipeline.extraction import _recording
-from gyrotrack.pipeline.joint import join_bodies
-from gyrotrack.profile import PAPER
+from gyrotrack import _column_store as columns
+from gyrotrack.tracking._body_angles import join_bodies
+from gyrotrack.tracking._extract import _recording
+from gyrotrack.tracking._profile import PAPER
 
 _spec = importlib.util.spec_from_file_location("measured", Path(__file__).with_name("measured.py"))
 measured = importlib.util.module_from_spec(_spec)
@@ -67,7 +67,7 @@ _WRITE = """
 import sys
 from pathlib import Path
 import numpy as np
-from gyrotrack.dataset.writing import new_hdf5
+from gyrotrack.io._atomic import new_hdf5
 
 def most():
     lines = Path("/proc/self/status").read_text().splitlines()

@@ -10,10 +10,11 @@ import h5py
 import numpy as np
 import pytest
 
-from gyrotrack.cli.app import run
-from gyrotrack.dataset.journal import Journal, journal_path
-from gyrotrack.pipeline import extract, frames_kept, run_facts
-from gyrotrack.profile import PAPER
+from gyrotrack.apps.cli._app import run
+from gyrotrack.io._journal import Journal, journal_path
+from gyrotrack.tracking._extract import extract, run_facts
+from gyrotrack.tracking._film_tracker import frames_kept
+from gyrotrack.tracking._profile import PAPER
 
 
 def stopping(at):
@@ -39,8 +40,8 @@ def content(path):
 
 @pytest.fixture
 def every_batch(monkeypatch):
-    monkeypatch.setattr("gyrotrack.pipeline.notes.BATCHES", 1)
-    monkeypatch.setattr("gyrotrack.pipeline.watch.BATCH", 128)
+    monkeypatch.setattr("gyrotrack.tracking._film_tracker.BATCHES", 1)
+    monkeypatch.setattr("gyrotrack.tracking._film_tracker.BATCH", 128)
 
 
 @pytest.mark.parametrize(("clip", "at"), [("casing_clip", 128), ("rotor_clip", 256)])
@@ -103,7 +104,7 @@ def test_an_interrupted_command_says_how_to_go_on(every_batch, casing_clip, tmp_
     def interrupted(*words, **settings):
         return whole(*words, **{**settings, "progress": stopping(256)})
 
-    monkeypatch.setattr("gyrotrack.pipeline.task.extract", interrupted)
+    monkeypatch.setattr("gyrotrack.tracking._extract.extract", interrupted)
     assert run(["extract", str(casing_clip[0]), "-o", str(tmp_path / "o.h5")]) == 130
     assert "256 frames are kept; the same command with --resume" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["o.h5.unfinished"]
@@ -170,7 +171,7 @@ def test_killed_at_random_moments_it_ends_with_the_same_numbers(long_film, tmp_p
 _PEAK = """
 import sys
 from pathlib import Path
-from gyrotrack.cli.app import run
+from gyrotrack.apps.cli._app import run
 assert run(["extract", sys.argv[1], "-o", sys.argv[2], "-q", "--force"]) == 0
 lines = Path("/proc/self/status").read_text().splitlines()
 print(next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024)

@@ -4,7 +4,7 @@ import av
 import numpy as np
 import pytest
 
-from gyrotrack.pipeline import extract
+from gyrotrack.tracking._extract import extract
 
 
 @pytest.mark.parametrize("quarter", [90, 180])

@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrotrack.pipeline import extract
-from gyrotrack.synthetic import Camera, Light, Motion, Scene, Wobble, render_clip
+from gyrotrack.synthetic._motion import Motion
+from gyrotrack.synthetic._scene import Camera, Light, Scene, Wobble
+from gyrotrack.synthetic._truth import render_clip
+from gyrotrack.tracking._extract import extract
 
 CAMERA = Camera(320, 240, 1000.0, exposure=0.4e-3, scale=3.4, tilt=0.25, tilt_azimuth=0.7, noise=3.0)
 LIGHT = Light(gradient=(0.2, -0.1), flicker=0.04, shadow=0.3)

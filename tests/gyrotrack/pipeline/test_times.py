@@ -6,13 +6,14 @@ import av
 import numpy as np
 import pytest
 
-from gyrotrack.dataset.journal import Journal
-from gyrotrack.dataset.records import STATUS
-from gyrotrack.pipeline import extract, run_facts
-from gyrotrack.profile import PAPER
-from gyrotrack.synthetic import Camera, Light, Motion, Scene
-from gyrotrack.synthetic.chroma import to_planes
-from gyrotrack.synthetic.render import Renderer
+from gyrotrack.io._journal import Journal
+from gyrotrack.io._records import STATUS
+from gyrotrack.synthetic._film import to_planes
+from gyrotrack.synthetic._motion import Motion
+from gyrotrack.synthetic._render import Renderer
+from gyrotrack.synthetic._scene import Camera, Light, Scene
+from gyrotrack.tracking._extract import extract, run_facts
+from gyrotrack.tracking._profile import PAPER
 
 SIZE = (320, 240)
 FPS, N = 260.0, 320
@@ -224,8 +225,8 @@ class TestRepeatedFrames:
         assert (recording.frame_index == np.arange(N)).all()
 
     def test_a_run_goes_on_across_repeated_frames(self, shoot, tmp_path, monkeypatch):
-        monkeypatch.setattr("gyrotrack.pipeline.notes.BATCHES", 1)
-        monkeypatch.setattr("gyrotrack.pipeline.watch.BATCH", 128)
+        monkeypatch.setattr("gyrotrack.tracking._film_tracker.BATCHES", 1)
+        monkeypatch.setattr("gyrotrack.tracking._film_tracker.BATCH", 128)
         film = shoot("filled.mp4", EVEN, FILLED, EVEN)
         whole = extract(film)
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gyrotrack.errors import UsageError, VideoError
-from gyrotrack.pipeline.timing import Timing
+from gyrotrack._errors import UsageError, VideoError
+from gyrotrack.video._time_base import Timing
 
 FPS, TICK = 260.0, 1 / 90000
 EVEN = np.arange(600) / FPS

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from gyrotrack.pipeline import extract
-from gyrotrack.synthetic import Camera, Light, Motion, Scene, Wobble, render_clip
+from gyrotrack.synthetic._motion import Motion
+from gyrotrack.synthetic._scene import Camera, Light, Scene, Wobble
+from gyrotrack.synthetic._truth import render_clip
+from gyrotrack.tracking._extract import extract
 
 pytestmark = pytest.mark.slow
 

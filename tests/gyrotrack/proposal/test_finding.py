@@ -7,11 +7,11 @@ import av
 import numpy as np
 import pytest
 
-from gyrotrack.cli.app import run
-from gyrotrack.errors import TrackingError
-from gyrotrack.pipeline import extract
-from gyrotrack.profile import PAPER, Profile, load, parse
-from gyrotrack.proposal import propose
+from gyrotrack._errors import TrackingError
+from gyrotrack.apps.cli._app import run
+from gyrotrack.tracking._extract import extract
+from gyrotrack.tracking._profile import PAPER, Profile, load, parse
+from gyrotrack.tracking._proposal import propose
 
 ROOT = Path(__file__).parents[3]
 WHEEL = ROOT.parent / "shared" / "real" / "bicycle_wheel_300fps.mp4"

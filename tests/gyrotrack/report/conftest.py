@@ -8,15 +8,15 @@ from dataclasses import dataclass
 
 import pytest
 
-from fitting.case_data import CaseData
-from fitting.discovery import Diagnosis, Rung, diagnose, improve
-from fitting.dynamics import INERTIA_CASING, INERTIA_ROTOR
-from fitting.effects import REDUCED
-from fitting.estimation import fit
-from fitting.model import Model
-from fitting.record import Record
-from fitting.simulation import Path
-from fitting.simulation.recording import Experiment, simulate, simulate_path
+from fitting.discovery._select import Rung, improve
+from fitting.discovery._verdict import Diagnosis, diagnose
+from fitting.dynamics._mesh import Path
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
+from fitting.effects._library import REDUCED
+from fitting.inference._case_data import CaseData
+from fitting.inference._fit import fit
+from fitting.inference._record import Record
+from fitting.inference._simulation import Experiment, simulate, simulate_path
 
 MISSING = "casing.air.quadratic"
 NUMBERS = {

@@ -9,10 +9,10 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from fitting.discovery import Rung
-from gyrotrack.dataset import BodyTrack, Case, MarkerTrack, Placement, Recording, Series
-from gyrotrack.errors import OutputError
-from gyrotrack.report import write_report
+from fitting.discovery._select import Rung
+from gyrotrack._errors import OutputError
+from gyrotrack.apps.report._page import write_report
+from gyrotrack.io._records import BodyTrack, Case, MarkerTrack, Placement, Recording, Series
 
 HOSTILE = "<script>alert(1)</script> $\\frac{$ & \"quoted\" 'single' \u202e\U0001f300"
 _TAGS = """

@@ -5,8 +5,8 @@ import re
 
 import pytest
 
-from gyrotrack.cli.app import run
-from gyrotrack.report.paper.writing import FORMATS
+from gyrotrack.apps.cli._app import run
+from gyrotrack.apps.report._paper import FORMATS
 
 OPTIONS = "--duration 40 --casing-fps 40 --rotor-fps 200 --window 3 --window 30 --sigma 1e-3 --json -q"
 NAMES = {"angular-positions", "rotor-data", "rotor-fits", "casing-fits", "residuals", "energy"}

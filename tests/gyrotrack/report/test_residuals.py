@@ -1,11 +1,11 @@
 import numpy as np
 
-from fitting.diagnosis.misfit import misfits
-from fitting.effects import REDUCED
-from fitting.estimation import fit
-from fitting.model import Model
-from fitting.simulation import Sampler
-from gyrotrack.report.floor import smoothing_floor
+from fitting.discovery._residuals import misfits
+from fitting.dynamics._mesh import Sampler
+from fitting.dynamics._model import Model
+from fitting.effects._library import REDUCED
+from fitting.inference._fit import fit
+from gyrotrack.plotting._study_data import smoothing_floor
 
 
 def _mean_difference(path, other, state, misfit):

@@ -5,12 +5,12 @@ import json
 import numpy as np
 import pytest
 
-from fitting import restoring
-from fitting.case_data import CaseData
-from fitting.discovery import Rung
-from fitting.ledger import Ledger
-from gyrotrack.report.content import gather
-from gyrotrack.study import Study
+from fitting.discovery._select import Rung
+from fitting.inference._case_data import CaseData
+from fitting.study import _serialisation as restoring
+from fitting.study._history import Ledger
+from gyrotrack.apps._study import Study
+from gyrotrack.plotting._study_data import gather
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def never(*_args, **_kwargs):
 
 
 def test_fits_are_not_searched_again(story, study, monkeypatch):
-    monkeypatch.setattr("fitting.ledger.robust_fit", never)
+    monkeypatch.setattr("fitting.study._history.robust_fit", never)
     for old, new in zip(story.rungs, study.rungs_to(None), strict=True):
         assert new.change == old.change
         np.testing.assert_array_equal(new.fit.theta, old.fit.theta)
@@ -40,7 +40,7 @@ def test_fits_are_not_searched_again(story, study, monkeypatch):
 
 
 def test_a_diagnosis_is_not_made_again(story, study, monkeypatch):
-    monkeypatch.setattr("fitting.discovery.diagnose", never)
+    monkeypatch.setattr("fitting.discovery._verdict.diagnose", never)
     rungs = study.rungs_to(None)
     new, old = study.diagnosis(None, rungs[0].fit), story.diagnosis
     for name in ("verdict", "sentence", "failures", "next_experiment"):

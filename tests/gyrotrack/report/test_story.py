@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from gyrotrack.errors import OutputError
-from gyrotrack.report import story_picture
+from gyrotrack._errors import OutputError
+from gyrotrack.apps.report._story import story_picture
 
 
 @pytest.mark.parametrize("suffix", [".png", ".svg"])

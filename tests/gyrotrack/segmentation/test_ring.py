@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack.segmentation.ring import CHROMA_SHIFT, Ring, boxed, ring_for, unroll
+from gyrotrack.tracking._polar import CHROMA_SHIFT, Ring, boxed, ring_for, unroll
 
 
 def test_columns_are_angles_counter_clockwise_as_seen():

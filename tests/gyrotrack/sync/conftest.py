@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from gyrotrack.dataset import BodyTrack, Recording
-from gyrotrack.sync.curves import Curve
+from gyrotrack.io._records import BodyTrack, Recording
+from gyrotrack.synchronisation._curves import Curve
 
 TURN = 2 * np.pi
 

@@ -6,11 +6,11 @@ import json
 import numpy as np
 import pytest
 
-from fitting.case_file import read_record
-from gyrotrack.cli import app
-from gyrotrack.dataset import read_case, write_recording
-from gyrotrack.errors import SyncError, UsageError
-from gyrotrack.sync import synchronise
+from fitting.inference._case_file import read_record
+from gyrotrack._errors import SyncError, UsageError
+from gyrotrack.apps.cli import _app as app
+from gyrotrack.io._hdf5 import read_case, write_recording
+from gyrotrack.synchronisation._assembly import synchronise
 
 NAMES = ["casing.h5", "a.h5", "b.h5", "c.h5"]
 

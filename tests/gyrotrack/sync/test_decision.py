@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from gyrotrack.errors import SyncError
-from gyrotrack.sync.curves import Curve
-from gyrotrack.sync.decision import match_clips
+from gyrotrack._errors import SyncError
+from gyrotrack.synchronisation._curves import Curve
+from gyrotrack.synchronisation._decision import match_clips
 
 STARTS = (3.2, 44.1, 100.3)
 

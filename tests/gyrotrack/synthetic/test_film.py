@@ -14,19 +14,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gyrotrack.errors import OutputError
-from gyrotrack.synthetic import (
-    Camera,
-    Film,
-    Light,
-    Motion,
-    Scene,
-    Wobble,
-    load_truth,
-    render_clip,
-    write_film,
-)
-from gyrotrack.synthetic.chroma import to_planes
+from gyrotrack._errors import OutputError
+from gyrotrack.synthetic._film import Film, to_planes, write_film
+from gyrotrack.synthetic._motion import Motion
+from gyrotrack.synthetic._scene import Camera, Light, Scene, Wobble
+from gyrotrack.synthetic._truth import load_truth, render_clip
 
 Frame = NDArray[np.uint8]
 SMALL = Camera(width=128, height=96, scale=1.3, fps=1000.0, container_fps=25.0)

@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from gyrotrack.video.ahead import CHUNK, WAITING, Ahead
+from gyrotrack.video._decoder import CHUNK, WAITING, Ahead
 
 
 def decoders():

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrotrack.errors import VideoError
-from gyrotrack.video import ClipInfo, capture_rate, frame_numbers, stamp_warnings
-from gyrotrack.video.clock import gap_warnings
+from gyrotrack._errors import VideoError
+from gyrotrack.video._container import ClipInfo
+from gyrotrack.video._timestamps import capture_rate, frame_numbers, gap_warnings, stamp_warnings
 
 INFO = ClipInfo(Path("a.mp4"), 640, 360, 260.0, 100, None, "h264", "yuv420p", Fraction(1, 90000))
 

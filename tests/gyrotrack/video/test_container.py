@@ -2,9 +2,8 @@ import av
 import numpy as np
 import pytest
 
-from gyrotrack.errors import VideoError
-from gyrotrack.video import probe
-from gyrotrack.video.container import opened
+from gyrotrack._errors import VideoError
+from gyrotrack.video._container import opened, probe
 
 
 def _film(path, size=(64, 48), frames=3, rate=30, codec="libx264", fmt="yuv420p"):
@@ -79,6 +78,6 @@ def test_too_small_a_picture_is_refused(tmp_path):
 
 def test_a_huge_picture_is_not_decoded(tmp_path, monkeypatch):
     path = _film(tmp_path / "big.mp4", size=(256, 256))
-    monkeypatch.setattr("gyrotrack.video.container.MAX_PIXELS", 1000)
+    monkeypatch.setattr("gyrotrack.video._container.MAX_PIXELS", 1000)
     with pytest.raises(VideoError, match="too large"), opened(path):
         pass

@@ -4,9 +4,11 @@ import av
 import numpy as np
 import pytest
 
-from gyrotrack.errors import VideoError
-from gyrotrack.video import Reader, capture_rate, frame_numbers, frames_at, probe, read_raw_stamps
-from gyrotrack.video.clock import gap_warnings
+from gyrotrack._errors import VideoError
+from gyrotrack.video._container import probe, read_raw_stamps
+from gyrotrack.video._decoder import Reader
+from gyrotrack.video._frames import frames_at
+from gyrotrack.video._timestamps import capture_rate, frame_numbers, gap_warnings
 
 BITS = 9
 

@@ -2,8 +2,8 @@ import av
 import numpy as np
 import pytest
 
-from gyrotrack.video import Reader, keyframes
-from gyrotrack.video.planes import Orientation
+from gyrotrack.video._container import Orientation, keyframes
+from gyrotrack.video._decoder import Reader
 
 BITS = 8
 

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from gyrotrack.video.packets import Packets
-from gyrotrack.video.planes import Frame
-from gyrotrack.video.repeats import Repeats
+from gyrotrack.video._container import Frame, Packets
+from gyrotrack.video._repeated_frames import Repeats
 
 N = 260
 NONE = np.zeros((1, 1), dtype=np.uint8)

@@ -2,10 +2,10 @@ import colorsys
 
 import pytest
 
-from gyrotrack.errors import ProfileError
-from gyrotrack.profile import load
-from gyrotrack.segmentation.colour import colour_name
-from gyrotrack.view.films import profile_text
+from gyrotrack._errors import ProfileError
+from gyrotrack.apps.workbench._films import profile_text
+from gyrotrack.tracking._colour import colour_name
+from gyrotrack.tracking._profile import load
 
 
 @pytest.mark.parametrize(

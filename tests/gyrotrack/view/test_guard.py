@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from gyrotrack.view.guard import Guard
+from gyrotrack.apps.workbench._server import Guard
 
 TOKEN, PORT = "secret-token", 4711
 _ELSEWHERE = ThreadPoolExecutor(max_workers=1)

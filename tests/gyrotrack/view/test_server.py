@@ -6,7 +6,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from gyrotrack.view.server import serve
+from gyrotrack.apps.workbench._server import serve
 
 
 class _EnoughError(Exception):

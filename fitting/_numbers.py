@@ -1,0 +1,118 @@
+"""Numbers, uncertainties and units as printed: (7.16 ± 0.04) × 10⁻⁷ N m s."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Any
+
+# from so many digits on, a number with a power of ten keeps them all
+_LONG = 3
+_RAISED = str.maketrans("0123456789+-g.", "⁰¹²³⁴⁵⁶⁷⁸⁹⁺⁻ᵍ·")
+_UNIT = re.compile(r"(?<![\w.])(kg m|N m s|N m|rad s|s|K|m)\^?(-?\d(?:\.\d+)?|g)(?!\w|\.\d)")
+_POWER = re.compile(r"x 10\^(-?\d+)")
+# a number of a sentence: followed by its error, its unit, or a bracket; a number in a formula is not
+_SCIENTIFIC = re.compile(r"(?<![\w.*])(\d+(?:\.\d+)?)e([+-]\d+)(?=\)| \+-| N m| rad| s\b)")
+# what holds a number together: its error, its power of ten, and the inside of a unit
+_JOINED = re.compile(r"(?<=\d) [±×] (?=\d)|(?<=\)) × (?=10)|\bN m(?: s[⁻⁰-⁹¹²³]*)?(?![\w])")
+_AFTER_NUMBER = re.compile(r"(?<=[\d)⁰-⁹¹²³]) (?=(?:m?rad|N|kg|J|K|s|ms|px|%|σ|sigma|times)(?![\w.]))")
+POWERS = {"": "", "m": "$10^{-3}$", "µ": "$10^{-6}$", "n": "$10^{-9}$", "p": "$10^{-12}$"}
+_PREFIXES = ((1.0, ""), (1e3, "m"), (1e6, "µ"), (1e9, "n"), (1e12, "p"))
+
+
+def raised(number: int) -> str:
+    """Return an integer as an exponent: -7 becomes ⁻⁷."""
+    return str(number).translate(_RAISED)
+
+
+def unit_text(unit: str) -> str:
+    """Return a unit with raised exponents: ``N m s2`` becomes N m s²; a pure number has none."""
+    if unit == "1":
+        return ""
+    return _UNIT.sub(lambda m: m[1] + m[2].translate(_RAISED), unit)
+
+
+def typeset(text: str) -> str:
+    """Return a sentence or a rounded number with ±, × and raised exponents."""
+    text = _SCIENTIFIC.sub(lambda m: f"{m[1]} × 10{raised(int(m[2]))}", text)
+    text = _POWER.sub(lambda m: f"× 10{raised(int(m[1]))}", text)
+    return unit_text(text.replace(" +- ", " ± "))
+
+
+def unbroken(text: str) -> str:
+    """Return text whose numbers stay on one line with their errors, powers of ten and units."""
+    text = _JOINED.sub(lambda m: m[0].replace(" ", "\u00a0"), text)
+    return _AFTER_NUMBER.sub("\u00a0", text)
+
+
+def measured(value: float, error: float, unit: str) -> str:
+    """Return a value with its error, rounded together."""
+    text = typeset(rounded(value, error, "" if unit == "1" else unit))
+    return text.replace("-", "−", 1) if text.startswith(("-", "(-")) else text
+
+
+def short(value: float, digits: int = 3) -> str:
+    """Return a number of a table in few digits: 0.0462, 6.6 × 10⁵, or a dash for none."""
+    if not math.isfinite(value):
+        return "–" if math.isnan(value) else "∞"
+    if value != 0 and not 1e-3 <= abs(value) < 1e5:
+        places = digits - 1 if digits > _LONG else max(0, digits - 2)
+        mantissa, _, exponent = f"{value:.{places}e}".partition("e")
+        text = f"{mantissa} × 10{raised(int(exponent))}"
+    else:
+        text = f"{value:#.{digits}g}".rstrip(".") if 0 < abs(value) < 10.0**digits else f"{value:.0f}"
+    return text.replace("-", "−", 1) if text.startswith("-") else text
+
+
+def probability(p: float) -> str:
+    """Return a p-value: 0.34, 2 × 10⁻⁷, or < 10⁻³⁰."""
+    if math.isfinite(p) and p < 1e-30:
+        return f"< 10{raised(-30)}"
+    return short(p, 2)
+
+
+def scaled(largest: float) -> tuple[float, str]:
+    """Return a factor and the prefix of the unit that bring a size between 0.5 and 500."""
+    for factor, prefix in _PREFIXES:
+        if largest * factor >= 0.5:
+            return factor, prefix
+    return _PREFIXES[0]
+
+
+def rounded(value: float, error: float, unit: str = "") -> str:
+    """Return ``(7.16 +- 0.04) x 10^-7 N m s``.
+
+    The error keeps two digits if they lie between 10 and 29, else one; the value is rounded to the same place.
+    """
+    if not math.isfinite(value):
+        return "not a number"
+    tail = f" {unit}" if unit and unit != "1" else ""
+    if not math.isfinite(error) or error <= 0:
+        return f"{value:.4g}{tail}"
+    leading = math.floor(math.log10(error))
+    digits = -leading + (1 if error / 10.0**leading < 2.95 else 0)
+    exponent = math.floor(math.log10(max(abs(value), error)))
+    if -3 < exponent < 5:
+        places = max(0, digits)
+        return f"{round(value, digits):.{places}f} +- {round(error, digits):.{places}f}{tail}"
+    places = max(0, digits + exponent)
+    scale = 10.0**exponent
+    return f"({value / scale:.{places}f} +- {error / scale:.{places}f}) x 10^{exponent}{tail}"
+
+
+def plain(value: Any) -> Any:
+    """Return what JSON can hold: nan becomes None, infinities become words."""
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None if math.isnan(value) else ("inf" if value > 0 else "-inf")
+    return value
+
+
+def number(value: Any) -> float:
+    """Return a number that `plain` wrote."""
+    return math.nan if value is None else float(value)

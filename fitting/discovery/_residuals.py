@@ -1,0 +1,538 @@
+"""Residuals of a fit: velocity residuals, autocorrelation, residual torque, failing intervals.
+
+A fit compares rows: the measured angles of a block projected on polynomials, minus those of the model,
+r = z - m. The polynomial behind the rows of a block has a mean slope in each part of it, which is the misfit
+of the speed there; this is linear, D r. With the noise covariance C of the rows and the columns X of all
+that the fit was free to move, the covariance of r is C - X (X' C^-1 X)^-1 X', and the band follows from it:
+angle noise, random torque, and what the fit has absorbed are all in it.
+
+Given the residual rows r = W_c u_c + W_r u_r + noise and a smooth random prior for the torques u on casing and rotor
+(an Ornstein-Uhlenbeck process of long correlation time whose level is taken from the residuals themselves), the
+posterior mean and its spread are those of a Gaussian process (C. Rasmussen, C. Williams, Gaussian
+Processes for Machine Learning, 2.2); start angles and phases are free.
+
+With the whitened response S of the rows to torques sin(n psi), cos(n psi) of 1 N m, n = 1, 2, and what is left of
+it beside all that is free (parameters, phases, a centre offset, a tilt, a rolling shutter) and beside slow torques of
+any shape, because what a model misses elsewhere leaks into the few turns in which the casing is slow,
+
+    gamma = (S'S)^-1 S'r,   cov(gamma) = (S'S)^-1,   torque(psi) = sum_n gamma_2n-1 sin(n psi) + gamma_2n cos(n psi).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import NDArray
+
+from fitting.dynamics._mesh import Sampler
+from fitting.effects._library import LIBRARY
+from fitting.inference._case_data import CaseData
+from fitting.inference._lack_of_fit import orthonormal, slow_responses
+from fitting.inference._noise import TorqueNoise, TorqueResponse, decaying_sums, remaining_level
+from fitting.inference._parameters import START_CASING, START_ROTOR
+from fitting.inference._problem import Projection
+from fitting.inference._result import Fit
+from fitting.inference._velocity import speeds
+
+if TYPE_CHECKING:
+    from fitting.inference._compression import Compressed
+    from fitting.inference._noise import Whitener
+
+
+Array = NDArray[np.float64]
+
+ROTOR, CASING = 0, 1
+
+
+def modelled_speed(fit: Fit, case: int, body: int, time: Array) -> tuple[Array, Array]:
+    """Return the speed of a body and its standard deviation, sqrt(s' C s) with the sensitivities s [rad/s].
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit.
+    case : int
+        Which of its cases.
+    body : int
+        `ROTOR` or `CASING`.
+    time : ndarray, shape (n,)
+        Times within the run [s].
+    """
+    prediction, model = fit.predictions[case], fit.problem.cases[case]
+    sampler = Sampler(prediction.path.mesh, time)
+    places = fit.problem.layout.places(case, (*model.dynamics.parameters, START_ROTOR, START_CASING))
+    slope = sampler.value(prediction.sensitivity.nodes[:, :, body])
+    covariance = fit.covariance[np.ix_(places, places)]
+    # a parameter that moves nothing has no finite variance and does not matter here
+    covariance = np.where(np.isfinite(covariance), covariance, 0.0)
+    variance = np.einsum("tp,pq,tq->t", slope, covariance, slope)
+    return sampler.value(prediction.path.y[..., body]), np.sqrt(np.maximum(variance, 0.0))
+
+
+_PARTS = {"casing": 2, "rotor": 5}
+_POINTS = 40
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """Measured minus modelled speed of a run.
+
+    Attributes
+    ----------
+    time, width : ndarray, shape (n,)
+        Middle and length of each part [s].
+    value : ndarray
+        Mean misfit of the speed in it [rad/s].
+    sigma : ndarray
+        What noise alone would make of it, one standard deviation [rad/s].
+    """
+
+    time: Array
+    width: Array
+    value: Array
+    sigma: Array
+
+
+def misfits(fit: Fit, case: int) -> tuple[Misfit, tuple[Misfit, ...]]:
+    """Return the misfit of the casing and of the rotor in each of its windows."""
+    data, noise = fit.problem.data[case], fit.noise[case]
+    prediction = fit.predictions[case]
+    moving = ~fit.problem.layout.at_bound(fit.theta)
+    free = np.concatenate([prediction.jacobian[:, moving], data.nuisance], axis=1)
+    plain = data.late_starts.plain
+    residual = plain(_without(noise.whitener, data.nuisance, data.z - prediction.rows))
+    spread = plain(_spread(noise.whitener.at(noise.pure), free))
+    found, first = [], 0
+    for body, run in (("casing", data.casing), *(("rotor", w) for w in data.rotor)):
+        count = len(run.z)
+        rows = slice(first, first + count)
+        first += count
+        time, width, d = _slopes(run, _PARTS[body], is_angle=data.is_angle)
+        sigma = np.linalg.norm(d @ spread[rows], axis=1)
+        found.append(Misfit(time, width, d @ residual[rows], sigma))
+    return found[0], tuple(found[1:])
+
+
+def _without(whitener: Whitener, columns: Array, rows: Array) -> Array:
+    """Return rows without what free nuisances explain of them."""
+    size = np.linalg.norm(columns, axis=0)
+    columns = columns[:, size > 0] / size[size > 0]
+    found = np.linalg.lstsq(whitener(columns), whitener(rows), rcond=1e-10)[0]
+    return np.asarray(rows - columns @ found)
+
+
+def _spread(whitener: Whitener, free: Array) -> Array:
+    """Return a root of the covariance of the residual rows: C^(1/2) (1 - Q Q')."""
+    size = np.linalg.norm(free, axis=0)
+    u, s, _ = np.linalg.svd(whitener(free[:, size > 0] / size[size > 0]), full_matrices=False)
+    q = u[:, s > 1e-10 * s[0]]
+    inner = np.eye(len(q)) - q @ q.T
+    m = len(whitener.values)
+    if whitener.level == 0 or m == 0:
+        return np.asarray(inner)
+    root = np.sqrt(1 + whitener.level**2 * whitener.values)
+    upper = whitener.vectors @ (root[:, None] * (whitener.vectors.T @ inner[:m]))
+    return np.concatenate([upper, inner[m:]])
+
+
+def _slopes(run: Compressed, parts: int, *, is_angle: bool) -> tuple[Array, Array, Array]:
+    """Return middles, lengths and the operator D (parts of all blocks, rows)."""
+    blocks, k, _ = run.lift.shape
+    nodes = run.node_times.reshape(blocks, k)
+    times = run.samples.time
+    operator = np.zeros((blocks * parts, blocks * k))
+    middles, lengths = np.zeros(blocks * parts), np.zeros(blocks * parts)
+    for i, (where, _) in enumerate(run.operators):
+        inside = times[where]
+        edges = np.linspace(inside[0], inside[-1], parts + 1)
+        centre, half = 0.5 * (edges[0] + edges[-1]), 0.5 * (edges[-1] - edges[0])
+        back = np.linalg.inv(run.lift[i] @ legendre.legvander((nodes[i] - centre) / half, k - 1))
+        for j in range(parts):
+            t = np.linspace(edges[j], edges[j + 1], _POINTS)
+            weight = t - t.mean()
+            weight = weight / (weight @ weight) if is_angle else np.full(_POINTS, 1 / _POINTS)
+            row = i * parts + j
+            operator[row, i * k : (i + 1) * k] = (
+                weight @ legendre.legvander((t - centre) / half, k - 1) @ back
+            )
+            middles[row], lengths[row] = t.mean(), t[-1] - t[0]
+    return middles, lengths, operator
+
+
+_LAGS = 12
+_POWERS = 4
+
+
+@dataclass(frozen=True)
+class Whiteness:
+    """Ljung-Box test of the casing's whitened residuals, block by block.
+
+    Attributes
+    ----------
+    label : str
+        Case.
+    p_value : float
+        Of the Ljung-Box statistic (G. Ljung, G. Box, Biometrika 65, 297 (1978)).
+    """
+
+    label: str
+    p_value: float
+
+
+def whiteness(fit: Fit) -> list[Whiteness]:
+    """Return the test for each case of a fit."""
+    from scipy.special import chdtrc
+
+    results = []
+    for data, n, p in zip(fit.problem.data, fit.noise, fit.predictions, strict=True):
+        # a level of noise that has swallowed what the model misses would whiten that too
+        project = Projection(data, n.whitener.at(n.pure))
+        blocks, k, _ = data.casing.lift.shape
+        rows = project(p.rows - data.z)[data.slices["casing"]].reshape(blocks, k)[:, :_POWERS]
+        lags = min(_LAGS, blocks // 4)
+        rows = rows - rows.mean(axis=0)
+        power = float((rows**2).sum())
+        rho = (
+            np.array([float((rows[m:] * rows[:-m]).sum()) / power for m in range(1, lags + 1)])
+            if lags
+            else np.zeros(0)
+        )
+        weights = _POWERS / (blocks - np.arange(1, lags + 1))
+        statistic = float(blocks * (blocks + 2) * (rho**2 * weights).sum())
+        results.append(Whiteness(data.record.label, float(chdtrc(max(lags, 1), statistic))))
+    return results
+
+
+_SHARE = 1 / 30
+_FLOOR = 3e-3
+
+
+@dataclass(frozen=True)
+class ResidualTorque:
+    """What is missing on one body: time [s], torque and its standard deviation [N m], and both speeds there."""
+
+    label: str
+    body: str
+    time: Array
+    torque: Array
+    sigma: Array
+    omega_r: Array
+    omega_c: Array
+
+
+def residual_torques(fit: Fit) -> list[ResidualTorque]:
+    """Return the residual torque of each body of each case of a fit."""
+    curves = []
+    for i in range(len(fit.problem.cases)):
+        curves += _case(fit, i)
+    return curves
+
+
+def _case(fit: Fit, index: int) -> list[ResidualTorque]:
+    from fitting.dynamics._mesh import Sampler
+
+    data, prediction, noise = fit.problem.data[index], fit.predictions[index], fit.noise[index]
+    response = TorqueResponse(data, prediction.motion)
+    smooth = data.slices["smooth"]
+    residual = data.z - prediction.rows
+    time = _SHARE * float(response.edges[-1] - response.edges[0])
+    slow = response.whitener(TorqueNoise(0.0, time))
+    level, _ = remaining_level(slow, residual, data.nuisance, noise.pure)
+    floor = noise.pure**2 * response.covariance(noise.time) if noise.pure > 0 else 0.0
+    covariance = np.eye(smooth.stop) + floor
+    shaped = {
+        "casing": _smear(response.casing, response, time),
+        "rotor": _smear(response.rotor, response, time),
+    }
+    for name, w in (("casing", response.casing), ("rotor", response.rotor)):
+        covariance = covariance + level**2 * shaped[name] @ w.T
+    gain = _without_nuisance(covariance, data.nuisance[smooth])
+    seen = gain @ residual[smooth]
+    y = Sampler(prediction.path.mesh, response.centres).value(prediction.path.y)
+    curves = []
+    for body in ("casing",) if data.record.single else ("casing", "rotor"):
+        mean = level**2 * shaped[body].T @ seen
+        learned = level**4 * np.einsum("ic,ij,jc->c", shaped[body], gain, shaped[body], optimize=True)
+        # rounding sets a floor where the data says almost everything
+        sigma = np.sqrt(np.maximum(level**2 - learned, (_FLOOR * level) ** 2))
+        seen_at = _seen(response.centres, data, body)
+        curves.append(
+            ResidualTorque(
+                data.record.label,
+                body,
+                *(v[seen_at] for v in (response.centres, mean, sigma, y[:, 0], y[:, 1])),
+            )
+        )
+    return curves
+
+
+def _seen(times: Array, data: CaseData, body: str) -> NDArray[np.bool_]:
+    """Return when a body was filmed; the rotor between its windows counts, before and after them does not."""
+    runs = (data.casing,) if body == "casing" else data.rotor
+    first = min(float(r.samples.time[0]) for r in runs)
+    last = max(float(r.samples.time[-1]) for r in runs)
+    return np.asarray((times >= first) & (times <= last))
+
+
+def _smear(w: Array, response: TorqueResponse, time: float) -> Array:
+    """Return W R for a unit Ornstein-Uhlenbeck process."""
+    decay = float(np.exp(-(response.edges[1] - response.edges[0]) / time))
+    later, earlier = decaying_sums(w.T, decay), decaying_sums(w.T[::-1], decay)[::-1]
+    return np.asarray((later + earlier).T - w)
+
+
+def _without_nuisance(covariance: Array, nuisance: Array) -> Array:
+    """Return C^-1 with the columns of free nuisances projected out."""
+    inverse = np.linalg.inv(0.5 * (covariance + covariance.T))
+    size = np.linalg.norm(nuisance, axis=0)
+    columns = nuisance[:, size > 0] / size[size > 0]
+    weighted = inverse @ columns
+    return np.asarray(inverse - weighted @ np.linalg.pinv(columns.T @ weighted, hermitian=True) @ weighted.T)
+
+
+_LAWS = ("casing.unbalance", "casing.asymmetry")
+_ANGLE_POINTS = 73
+_RANK = 1e-6
+
+
+@dataclass(frozen=True)
+class Ripple:
+    """What follows the angle of the casing of one case.
+
+    Attributes
+    ----------
+    label : str
+        Case.
+    gamma : ndarray, shape (4,)
+        Amplitudes of sin psi, -cos psi, sin 2 psi, -cos 2 psi [N m].
+    covariance : ndarray, shape (4, 4)
+        Their covariance [N2 m2].
+    """
+
+    label: str
+    gamma: Array
+    covariance: Array
+
+    @property
+    def angle(self) -> Array:
+        """Angles of one turn [rad]."""
+        return np.linspace(0.0, 2 * np.pi, _ANGLE_POINTS)
+
+    def _waves(self) -> Array:
+        psi = self.angle
+        return np.stack([np.sin(psi), -np.cos(psi), np.sin(2 * psi), -np.cos(2 * psi)], axis=1)
+
+    @property
+    def torque(self) -> Array:
+        """Torque at `angle` [N m]."""
+        return np.asarray(self._waves() @ self.gamma)
+
+    @property
+    def sigma(self) -> Array:
+        """Its standard deviation [N m]."""
+        waves = self._waves()
+        return np.asarray(np.sqrt(np.einsum("ai,ij,aj->a", waves, self.covariance, waves)))
+
+    def size(self, n: int) -> tuple[float, float]:
+        """Return the amplitude [N m] of the n-th harmonic and its distance from zero in standard deviations."""
+        part = slice(2 * n - 2, 2 * n)
+        gamma = self.gamma[part]
+        square = float(gamma @ np.linalg.solve(self.covariance[part, part], gamma))
+        return float(np.hypot(*gamma)), float(np.sqrt(square))
+
+
+def ripples(fit: Fit) -> list[Ripple]:
+    """Return the ripple of each case of a fit; none where speeds were measured and not angles."""
+    found = []
+    cases = zip(fit.problem.cases, fit.problem.projections, fit.predictions, strict=True)
+    for index, (case, project, p) in enumerate(cases):
+        if not case.data.is_angle:
+            continue
+        numbers = fit.problem.layout.numbers(fit.theta, index)
+        columns = [
+            column
+            for name in _LAWS
+            for column in case.unit_columns(LIBRARY[name], p.path, p.sensitivity, numbers)
+        ]
+        both = project(np.concatenate([np.stack(columns, axis=1), (case.data.z - p.rows)[:, None]], axis=1))
+        slow = slow_responses(case.data, p)
+        basis = orthonormal(project(np.concatenate([p.jacobian, slow], axis=1)), _RANK)
+        both = both - basis @ (basis.T @ both)
+        seen, residual = both[:, :-1], both[:, -1]
+        covariance = np.linalg.pinv(seen.T @ seen, hermitian=True)
+        gamma = covariance @ (seen.T @ residual)
+        found.append(Ripple(case.data.record.label, np.asarray(gamma), np.asarray(covariance)))
+    return found
+
+
+_BAND = 1.96
+_CLEAR = 4.0
+# two amplitudes at once: noise alone is as large once in ten thousand, exp(-4.3**2 / 2)
+_CLEAR_RIPPLE = 4.3
+_TURNS = {1: "once a turn", 2: "twice a turn"}
+_SHORTEST = 1 / 100
+_MOST = 6
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A stretch where the model fails.
+
+    Attributes
+    ----------
+    label, body : str
+        Case and body.
+    t_start, t_stop : float
+        When [s].
+    kind : str
+        "loses torque" or "gains torque" against the model; "ripple" for a torque that follows the angle.
+    where : str
+        In words: in the rise, near the peak, in the tail; once or twice a turn.
+    size_sigma : float
+        Largest distance from zero in standard deviations.
+    residual_rad_s : float
+        Largest misfit of the speed in the stretch, with its sign; of a ripple, where the casing is slowest.
+    residual_torque_Nm : float
+        Mean torque that the model lacks; amplitude of a ripple.
+    omega_c : tuple of float
+        The casing's lowest and highest speed in the stretch [rad/s].
+    called : str
+        What people call the body: "body" in the casing's place where only one was recorded.
+    """
+
+    label: str
+    body: str
+    t_start: float
+    t_stop: float
+    kind: str
+    where: str
+    size_sigma: float
+    residual_rad_s: float
+    residual_torque_Nm: float  # noqa: N815 - the unit's own capitals
+    omega_c: tuple[float, float]
+    called: str
+
+    def __str__(self) -> str:
+        if self.kind == "ripple":
+            return (
+                f"{self.where} the {self.called} feels a torque of {self.residual_torque_Nm:.2g} N m that the model "
+                f"does not have ({self.size_sigma:.0f} sigma)"
+            )
+        verb = "loses" if self.residual_torque_Nm < 0 else "gains"
+        return (
+            f"from {self.t_start:.1f} s to {self.t_stop:.1f} s, {self.where}, the {self.called} {verb} "
+            f"{abs(self.residual_torque_Nm):.2g} N m more than the model says ({self.size_sigma:.0f} sigma)"
+        )
+
+
+def find_failures(fit: Fit, curves: Sequence[ResidualTorque], waves: Sequence[Ripple] = ()) -> list[Failure]:
+    """Return the stretches in which a model fails, and what follows the angle, worst first.
+
+    A ripple is told only where it is clearer than any stretch: a torque that lasts less than a turn cannot be told from
+    one that follows the angle, and leaks into the turns in which the casing is slow. Stretches are to be mended first.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fitted model.
+    curves : sequence of ResidualTorque
+        Its residual torques.
+    waves : sequence of Ripple
+        What it leaves against the angle.
+    """
+    found = [f for curve in curves for f in _stretches(fit, curve)]
+    worst = {c.label: 0.0 for c in curves}
+    for f in found:
+        worst[f.label] = max(worst[f.label], f.size_sigma)
+    found += [
+        f
+        for wave in waves
+        for n in _TURNS
+        for f in _ripple(fit, wave, n)
+        if f.size_sigma > worst.get(f.label, 0.0)
+    ]
+    return sorted(found, key=lambda f: -f.size_sigma)[:_MOST]
+
+
+def _ripple(fit: Fit, wave: Ripple, n: int) -> list[Failure]:
+    amplitude, size = wave.size(n)
+    if size < _CLEAR_RIPPLE:
+        return []
+    index = fit.labels.index(wave.label)
+    record, path = fit.problem.data[index].record, fit.predictions[index].path
+    t = record.casing.time
+    speed = np.abs(Sampler(path.mesh, t).value(path.y[..., 1]))
+    # the speed swings by torque / (inertia n omega), most where the casing is slowest but still turns
+    slowest = max(float(speed.min()), float(np.sqrt(amplitude / record.I_casing)), 1e-3)
+    swing = amplitude / (record.I_casing * n * slowest)
+    span = float(t[0]), float(t[-1])
+    return [
+        Failure(
+            wave.label, "casing", *span, "ripple", _TURNS[n], size, swing, amplitude,
+            (float(speed.min()), float(speed.max())), record.body,
+        )
+    ]  # fmt: skip
+
+
+def _stretches(fit: Fit, curve: ResidualTorque) -> list[Failure]:
+    ratio = curve.torque / np.maximum(curve.sigma, 1e-300)
+    outside = np.abs(ratio) > _BAND
+    record = fit.problem.data[fit.labels.index(curve.label)].record
+    called = record.body if curve.body == "casing" else curve.body
+    change = np.flatnonzero(np.diff(np.sign(ratio) * outside) != 0) + 1
+    edges = np.concatenate([[0], change, [len(ratio)]])
+    span = curve.time[-1] - curve.time[0]
+    failures = []
+    for a, b in pairwise(edges):
+        if not outside[a] or curve.time[b - 1] - curve.time[a] < _SHORTEST * span:
+            continue
+        size = float(np.abs(ratio[a:b]).max())
+        if size < _CLEAR:
+            continue
+        mean = float(curve.torque[a:b].mean())
+        failures.append(
+            Failure(
+                curve.label,
+                curve.body,
+                float(curve.time[a]),
+                float(curve.time[b - 1]),
+                "gains torque" if mean > 0 else "loses torque",
+                _place(curve, a, b),
+                size,
+                _speed_misfit(fit, curve, a, b),
+                mean,
+                (float(curve.omega_c[a:b].min()), float(curve.omega_c[a:b].max())),
+                called,
+            )
+        )
+    return failures
+
+
+def _place(curve: ResidualTorque, a: int, b: int) -> str:
+    peak = int(np.argmax(np.abs(curve.omega_c)))
+    top = 0.9 * abs(curve.omega_c[peak])
+    if a == 0 and b == len(curve.time):
+        return "all the time"
+    if np.abs(curve.omega_c[a:b]).max() > top and a <= peak + (b - a) and b >= peak - (b - a):
+        return "near the peak"
+    return "in the rise" if b <= peak else "in the tail" if a >= peak else "around the peak"
+
+
+def _speed_misfit(fit: Fit, curve: ResidualTorque, a: int, b: int) -> float:
+    index = fit.labels.index(curve.label)
+    record, path = fit.problem.data[index].record, fit.predictions[index].path
+    runs, state = ((record.casing,), 1) if curve.body == "casing" else (record.rotor, 0)
+    worst = 0.0
+    for samples in runs:
+        time, omega = speeds(samples, record.quantity)
+        inside = (time >= curve.time[a]) & (time <= curve.time[b - 1])
+        if inside.any():
+            misfit = omega[inside] - Sampler(path.mesh, time[inside]).value(path.y[..., state])
+            low, high = np.percentile(misfit, [5, 95])
+            worst = max((worst, float(low), float(high)), key=abs)
+    return worst

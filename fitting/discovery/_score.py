@@ -1,0 +1,475 @@
+"""Score test of all candidate effects at once, without a refit.
+
+The covariance of the rows of a case is C = V (1 + s^2 L) V' with the same V at every level s. So rows are turned by V'
+once, and whitened at each level by a factor a row.
+
+A small torque u(t) on a body moves the rows by W u, with the response W of the linearised motion to a torque
+in each of many short cells. So one matrix product gives the rows of all candidates and of all values of
+their shape constants; only laws that follow an angle, and what cameras do, are computed on the samples.
+
+With rows whitened by the noise, residuals r, Jacobian J (parameters and nuisances) and columns s of a candidate,
+
+    M = 1 - J (J'J)^-1 J',   gamma = (s'Ms)^-1 s'Mr,   S = gamma' (s'Ms) gamma,
+
+is the fall of chi-square that a refit would bring (C. R. Rao, Proc. Camb. Phil. Soc. 44, 50 (1948)). The level
+of the random torque competes with the effect for the same residuals, so it is profiled: the score
+is the fall of the deviance, minimised over the level without and with the effect.
+
+A candidate that tries many shapes amounts to N independent trials, p = 1 - (1 - p1)^N, with the N that reproduces the
+tail of its largest scores in empty data; the whole list amounts to so many independent candidates in the same sense.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.dynamics._mesh import Sampler
+from fitting.dynamics._model import INERTIA_CASING
+from fitting.effects._effect import Effect, Parameter
+from fitting.effects._expression import Tape, derivative
+from fitting.inference._case_data import CAMERA_COLUMNS
+from fitting.inference._case_model import CaseModel, Prediction
+from fitting.inference._lack_of_fit import block_diagonal
+from fitting.inference._noise import TorqueResponse, Whitener
+from fitting.inference._result import Fit
+
+Array = NDArray[np.float64]
+
+_LEVELS = 9
+_CAMERA_WIDTH = 6
+# share of a column that is left beside the base, angles taken as exact, below which the base mimics it
+_ABSORBED = 1e-7
+_SEED = 7
+
+
+class Level(NamedTuple):
+    """One level of the random torque: factor of each row, basis of what is free, what is left, and the deviance."""
+
+    gain: Array
+    basis: Array
+    residual: Array
+    deviance: float
+
+
+class Stage:
+    """Whitened residuals, Jacobian and empty data at several levels of the random torque."""
+
+    def __init__(self, fit: Fit, draws: int) -> None:
+        self.fit = fit
+        data = fit.problem.data
+        self.ends = np.cumsum([0, *(len(d.z) for d in data)])
+        random = np.random.default_rng(_SEED)
+        shares = np.linspace(0, 1, _LEVELS) if any(n.level > n.pure for n in fit.noise) else np.array([1.0])
+        self._turns = [n.whitener.vectors for n in fit.noise]
+        self._whiteners = [[n.whitener.at(_between(n.pure, n.level, x)) for n in fit.noise] for x in shares]
+        # a parameter on its bound is held there: what an effect would free is left to the refit
+        moving = ~fit.problem.layout.at_bound(fit.theta)
+        free = np.concatenate([p.jacobian[:, moving] for p in fit.predictions])
+        nuisance = block_diagonal([d.nuisance for d in data])
+        residual = np.concatenate([d.z - p.rows for d, p in zip(data, fit.predictions, strict=True)])
+        everything = np.concatenate([free, nuisance], axis=1)
+        self._free = self.turned(everything)
+        self._nuisance_at = free.shape[1] + np.cumsum([0, *(d.nuisance.shape[1] for d in data)])
+        self._residual = self.turned(residual)
+        self._plain = _orthonormal(everything[:, : self._nuisance_at[0]])
+        self.levels = [self._level(w, self._free) for w in self._whiteners]
+        self.draws = self.turned(random.standard_normal((len(residual), draws)))
+
+    def turned(self, rows: Array) -> Array:
+        """Turn rows of all cases into the axes of their noise."""
+        parts = []
+        for v, a, b in zip(self._turns, self.ends, self.ends[1:], strict=False):
+            parts += [v.T @ rows[a : a + len(v)], rows[a + len(v) : b]]
+        return np.concatenate(parts)
+
+    def mimicked(self, groups: Sequence[Array]) -> NDArray[np.bool_]:
+        """Return which groups of columns lie within what is free."""
+        everything = np.concatenate(groups, axis=1)
+        left = everything - self._plain @ (self._plain.T @ everything)
+        share = np.linalg.norm(left, axis=0) / np.maximum(np.linalg.norm(everything, axis=0), 1e-300)
+        return np.asarray(share.reshape(len(groups), -1).max(axis=1) < _ABSORBED)
+
+    def _level(self, whiteners: Sequence[Whitener], free: Array) -> Level:
+        gain = np.concatenate([
+            np.concatenate([1 / np.sqrt(1 + w.level**2 * w.values), np.ones(b - a - len(w.values))])
+            for w, a, b in zip(whiteners, self.ends, self.ends[1:], strict=False)
+        ])  # fmt: skip
+        q = _orthonormal(gain[:, None] * free)
+        r = gain * self._residual
+        r = r - q @ (q.T @ r)
+        return Level(gain, q, r, float(r @ r) + sum(w.log_determinant for w in whiteners))
+
+    def beside(self, columns: Array) -> list[Level]:
+        """Return the levels with further columns free."""
+        free = np.concatenate([self._free, self.turned(columns)], axis=1)
+        return [self._level(w, free) for w in self._whiteners]
+
+    def without(self, name: str) -> list[Level]:
+        """Return the levels with a camera's nuisance taken out of what is free."""
+        skip = [int(end) - _CAMERA_WIDTH + i for end in self._nuisance_at[1:] for i in CAMERA_COLUMNS[name]]
+        free = np.delete(self._free, skip, axis=1)
+        return [self._level(w, free) for w in self._whiteners]
+
+
+def _between(pure: float, level: float, share: float) -> float:
+    if level <= pure:
+        return pure
+    floor = max(pure, 1e-3 * level)
+    return float(floor * (level / floor) ** share)
+
+
+def _orthonormal(columns: Array) -> Array:
+    size = np.linalg.norm(columns, axis=0)
+    u, s, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
+    return np.asarray(u[:, s > 1e-10 * s[0]])
+
+
+# an oscillation is looked for at frequencies so near that its phase drifts by this much in between [rad]
+_PHASE_STEP = 1.5
+# and up to the frequency that the cells resolve [rad per cell]
+_FASTEST = 1.0
+_MAX_FREQUENCIES = 1500
+# times of a break are tried this many times finer than their grid says
+_FINER = 8
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A candidate with one choice of its shape constants: its columns in the rows of one case."""
+
+    shape: dict[str, float]
+    columns: Array
+
+
+class CaseColumns:
+    """Makes the columns of candidates for one case of a fit.
+
+    Parameters
+    ----------
+    fit : Fit
+        The base.
+    index : int
+        Which of its cases.
+    """
+
+    def __init__(self, fit: Fit, index: int) -> None:
+        self.case: CaseModel = fit.problem.cases[index]
+        self.prediction: Prediction = fit.predictions[index]
+        self.numbers = fit.problem.layout.numbers(fit.theta, index)
+        self.response = TorqueResponse(self.case.data, self.prediction.motion)
+        path = self.prediction.path
+        y = Sampler(path.mesh, self.response.centres).value(path.y)
+        self._known: dict[str, Any] = {name: y[:, i] for i, name in enumerate(path.states)}
+        self._known |= {"t": self.response.centres, "delta": y[:, 0] - y[:, 1]}
+        tau = Tape([self.case.dynamics.bearing_torque])(
+            self._known | self.case.dynamics.constants | self.numbers
+        )
+        self._known["tau"] = np.asarray(tau[0]) * np.ones(len(y))
+        rates = self.case.dynamics.rates(self.response.centres, y, self.numbers)
+        # the whole torque on a body is its inertia times its acceleration
+        self._whole = {"factor": self._known["tau"], "inertia": self.numbers[INERTIA_CASING] * rates[:, 1]}
+
+    def trials(self, effect: Effect, choices: list[dict[str, float]] | None = None) -> list[Trial]:
+        """Return the columns of a candidate for every choice of its shape constants, or for the choices given."""
+        if not effect.moves or effect.depends_on_angle:
+            sine, cosine = self.case.unit_columns(
+                effect, self.prediction.path, self.prediction.sensitivity, self.numbers
+            )
+            pair = [sine, cosine] if _phase(effect) else [sine]
+            return [Trial({}, np.stack(pair, axis=1))]
+        if choices is None:
+            shapes = [p for p in effect.parameters if p.role == "shape"]
+            grids = [self._grid(effect, p) for p in shapes]
+            symbols = [p.symbol for p in shapes]
+            choices = [dict(zip(symbols, map(float, v), strict=True)) for v in itertools.product(*grids)]
+        torques = [self._torque(effect, choice) for choice in choices]
+        rotor = np.concatenate([t[0] for t in torques], axis=1)
+        casing = np.concatenate([t[1] for t in torques], axis=1)
+        rows = self.response.rotor @ rotor + self.response.casing @ casing
+        rows = np.concatenate([rows, np.zeros((len(self.case.data.z) - len(rows), rows.shape[1]))])
+        width = torques[0][0].shape[1]
+        return [Trial(c, rows[:, i * width : (i + 1) * width]) for i, c in enumerate(choices)]
+
+    def _grid(self, effect: Effect, p: Parameter) -> Array:
+        first, last = self.case.data.record.span
+        if effect.state is not None and _phase(effect):
+            # phase of the oscillation per unit of its frequency parameter, over the whole record
+            turns = self._state(effect, {p.symbol: 1.0})
+            reach = float(np.ptp(turns))
+            fastest = _FASTEST / max(float(np.abs(np.diff(turns)).max()), 1e-300)
+            count = int(min(_MAX_FREQUENCIES, fastest * reach / _PHASE_STEP))
+            return np.linspace(fastest / max(count, 1), fastest, max(count, 1))
+        grid = np.array(p.grid or (p.start,))
+        if p.symbol == effect.breakpoint:
+            # the clearer a break, the narrower the hollow about its time
+            finer = np.interp(np.arange((len(grid) - 1) * _FINER + 1) / _FINER, np.arange(len(grid)), grid)
+            return np.asarray(first + finer * (last - first))
+        return grid * (last - first) if p.relative else grid
+
+    def _torque(self, effect: Effect, shape: dict[str, float]) -> tuple[Array, Array]:
+        values = self._known | {p.symbol: p.start for p in effect.parameters} | shape
+        if effect.state is not None:
+            values[effect.state.symbol] = self._state(effect, shape)
+        amplitude = next(p.symbol for p in effect.parameters if p.role == "amplitude")
+        if effect.joint in self._whole:
+            values[amplitude] = 0.0
+            slope = Tape([derivative(effect.expression, amplitude)])(values)[0]
+            law = [self._whole[effect.joint] * np.asarray(slope)]
+        else:
+            values[amplitude] = 1.0
+            tape, phase = Tape([effect.expression]), _phase(effect)
+            law = [
+                np.asarray(tape(values | ({phase: phi} if phase else {}))[0])
+                for phi in ((0.0, np.pi / 2) if phase else (0.0,))
+            ]
+        unit = np.stack([v * np.ones(len(self.response.centres)) for v in law], axis=1)
+        if effect.breakpoint:
+            self._part_of_cell(effect, values, unit)
+        on_rotor = {"rotor": 1.0, "casing": 0.0, "inertia": 0.0}.get(effect.joint, -1.0)
+        on_casing = {"rotor": 0.0, "casing": 1.0}.get(effect.joint, 1.0)
+        return on_rotor * unit, on_casing * unit
+
+    def _part_of_cell(self, effect: Effect, values: dict[str, Any], unit: Array) -> None:
+        """Let a jump within a cell act for the part of the cell that comes after it."""
+        edges = self.response.edges
+        cell = int(np.searchsorted(edges, values[effect.breakpoint], side="right")) - 1
+        if not 0 <= cell < len(unit):
+            return
+        late = (edges[cell + 1] - values[effect.breakpoint]) / (edges[cell + 1] - edges[cell])
+        here = {k: v[cell] if isinstance(v, np.ndarray) and v.ndim else v for k, v in values.items()}
+        before, after = (
+            Tape([effect.expression])(here | {"t": float(t)})[0]
+            for t in (edges[cell] - 1e-9, edges[cell + 1] + 1e-9)
+        )
+        unit[cell] = (1 - late) * before + late * after
+
+    def _state(self, effect: Effect, shape: dict[str, float]) -> Array:
+        """Integrate the effect's own state along the base's path (Crank-Nicolson on the cells)."""
+        if effect.state is None or effect.rate is None:
+            return np.zeros(0)
+        symbol = effect.state.symbol
+        tape = Tape([effect.rate, derivative(effect.rate, symbol)])
+        values = self._known | {p.symbol: p.start for p in effect.parameters} | shape | {symbol: 0.0}
+        n = len(self.response.centres)
+        source, decay = (np.asarray(v) * np.ones(n) for v in tape(values))
+        h = self.response.edges[1] - self.response.edges[0]
+        push = 0.5 * h * (source[1:] + source[:-1])
+        if not decay.any():
+            return np.asarray(
+                effect.state.start + np.concatenate([[0.0], np.cumsum(push)]) + 0.5 * h * source[0]
+            )
+        keep = (1 + 0.5 * h * decay[:-1]) / (1 - 0.5 * h * decay[1:])
+        gain = push / (1 - 0.5 * h * decay[1:])
+        state = np.empty(n)
+        state[0] = effect.state.start + 0.5 * h * source[0]
+        for i in range(n - 1):
+            state[i + 1] = keep[i] * state[i] + gain[i]
+        return state
+
+
+def _phase(effect: Effect) -> str:
+    return next((p.symbol for p in effect.parameters if p.role == "phase"), "")
+
+
+# shape constants, one set a case, and the columns over the rows of all cases
+Group = tuple[tuple[dict[str, float], ...], Array]
+
+
+@dataclass(frozen=True)
+class Score:
+    """A candidate's best trial.
+
+    Attributes
+    ----------
+    effect : Effect
+        The candidate.
+    score : float
+        Predicted fall of the deviance.
+    gamma : ndarray
+        Strength of each column (sine and cosine; one per case where a case has its own).
+    shape : tuple of dict
+        Shape constants, for each case.
+    columns : int
+        Degrees of freedom of its strengths.
+    trials : int
+        How many choices of its shape constants were tried.
+    absorbed : bool
+        The base can mimic it completely.
+    direction : ndarray
+        Its whitened, projected column at the fitted strength, of unit length (for cosines).
+    apart : bool
+        Each case has a strength and a phase of its own, though not a shape.
+    """
+
+    effect: Effect
+    score: float
+    gamma: Array = field(repr=False)
+    shape: tuple[dict[str, float], ...]
+    columns: int
+    trials: int
+    absorbed: bool
+    direction: Array = field(repr=False)
+    null: Array = field(repr=False)
+    apart: bool = False
+
+
+def search_alone(stage: Stage, effect: Effect, trials: list[Trial], case: int) -> Score:
+    """Return the best trial of an effect in one case, beside all that is free in every case."""
+    return search_groups(stage, effect, alone(stage, trials, case), stage.levels)
+
+
+def alone(stage: Stage, trials: list[Trial], case: int) -> list[Group]:
+    """Return the columns of one case among the rows of all."""
+    groups: list[Group] = []
+    for t in trials:
+        rows = np.zeros((stage.ends[-1], t.columns.shape[1]))
+        rows[stage.ends[case] : stage.ends[case + 1]] = t.columns
+        groups.append(((t.shape,), rows))
+    return groups
+
+
+def search_groups(
+    stage: Stage,
+    effect: Effect,
+    groups: list[Group],
+    levels: list[Level],
+    *,
+    null: bool = True,
+) -> Score:
+    """Return the best of some groups of columns over all levels of the random torque; `null` scores empty data too."""
+    bounds = _bounds(effect)
+    best: tuple[float, int, Array, Array] = (-np.inf, 0, np.zeros(1), np.zeros(1))
+    absorbed = stage.mimicked([c for _, c in groups])
+    turned = stage.turned(np.concatenate([c for _, c in groups], axis=1))
+    empty = np.zeros(0)
+    for i, level in enumerate(levels):
+        columns = level.gain[:, None] * turned
+        columns = columns - level.basis @ (level.basis.T @ columns)
+        scores, gammas = _solve(columns, level.residual, len(groups), bounds)
+        scores = np.where(absorbed, 0.0, scores)
+        place = int(np.argmax(scores))
+        gain = float(scores[place]) - (level.deviance - min(x.deviance for x in levels))
+        if gain > best[0]:
+            width = columns.shape[1] // len(groups)
+            direction = columns[:, place * width : (place + 1) * width] @ gammas[place]
+            best = (gain, place, gammas[place], direction / max(float(np.linalg.norm(direction)), 1e-300))
+        if null and i == len(levels) - 1:
+            empty = _solve(columns, stage.draws, len(groups), bounds)[0].max(axis=0)
+    return Score(
+        effect,
+        max(best[0], 0.0),
+        best[2],
+        groups[best[1]][0],
+        groups[0][1].shape[1],
+        len(groups),
+        bool(absorbed.all()),
+        best[3],
+        empty,
+    )
+
+
+def free_score(stage: Stage, columns: Array) -> float:
+    """Return the fall of the deviance by columns of any strengths over all levels of the random torque."""
+    turned = stage.turned(columns)
+    gains = []
+    for level in stage.levels:
+        seen = level.gain[:, None] * turned
+        seen = seen - level.basis @ (level.basis.T @ seen)
+        score, _ = _solve(seen, level.residual, 1, (-np.inf, np.inf))
+        gains.append(float(score[0]) - level.deviance)
+    return max(gains) + min(x.deviance for x in stage.levels)
+
+
+def _solve(columns: Array, r: Array, groups: int, bounds: tuple[float, float]) -> tuple[Array, Array]:
+    """Return score and strengths of each group of columns, for one residual or many."""
+    width = columns.shape[1] // groups
+    c = columns.reshape(len(columns), groups, width)
+    seen = np.einsum("rgw,r...->gw...", c, r) if r.ndim == 1 else (columns.T @ r).reshape(groups, width, -1)
+    gram = np.einsum("rgw,rgv->gwv", c, c)
+    size = np.sqrt(np.maximum(np.einsum("gww->gw", gram), 1e-300))
+    scaled = gram / (size[:, :, None] * size[:, None, :])
+    inverse = np.linalg.pinv(scaled, rcond=1e-9, hermitian=True)
+    seen = seen / size.reshape(size.shape + (1,) * (seen.ndim - 2))
+    gamma = np.einsum("gwv,gv...->gw...", inverse, seen)
+    if bounds != (-np.inf, np.inf):
+        edge = size.reshape(size.shape + (1,) * (seen.ndim - 2))
+        gamma = np.clip(gamma, bounds[0] * edge, bounds[1] * edge)
+    score = np.einsum("gw...,gw...->g...", gamma, 2 * seen - np.einsum("gwv,gv...->gw...", scaled, gamma))
+    return np.asarray(score), np.asarray(gamma / size.reshape(size.shape + (1,) * (gamma.ndim - 2)))
+
+
+def _bounds(effect: Effect) -> tuple[float, float]:
+    if any(p.role == "phase" for p in effect.parameters):
+        return (-np.inf, np.inf)
+    return (effect.amplitude.lower, effect.amplitude.upper) if effect.amplitude else (-np.inf, np.inf)
+
+
+class Chance:
+    """Tail probability of a candidate's score in empty data."""
+
+    def __init__(self, score: Score) -> None:
+        self._columns = score.columns
+        self.draws = score.null
+        middle = float(np.median(self.draws))
+        tail = float(np.quantile(self.draws, 0.9))
+        self._trials = max(
+            _trials(float(_beyond(middle, score.columns)), 0.5),
+            _trials(float(_beyond(tail, score.columns)), 0.1),
+        )
+
+    def __call__(self, score: float) -> float:
+        """Return the probability of a score at least as large in empty data."""
+        return self.of(score, self._columns)
+
+    def of(self, score: float, columns: int) -> float:
+        """Return the probability of a score with fewer strengths, searched over as many shapes."""
+        single = float(_beyond(score, max(columns, 1)))
+        return float(-np.expm1(self._trials * np.log1p(-min(single, 1 - 1e-12))))
+
+    def of_draws(self) -> Array:
+        """Return the p-value of each empty data set."""
+        single = np.minimum(_beyond(self.draws, self._columns), 1 - 1e-12)
+        return np.asarray(-np.expm1(self._trials * np.log1p(-single)))
+
+
+def _beyond(chi2: float | Array, columns: int) -> Array:
+    """Return the probability of a larger chi-square."""
+    from scipy.special import chdtrc
+
+    return np.asarray(chdtrc(columns, np.maximum(chi2, 0.0)))
+
+
+def _trials(single: float, share: float) -> float:
+    # share = 1 - (1 - single)^N, solved for N
+    return float(np.log1p(-share) / np.log1p(-min(max(single, 1e-12), 1 - 1e-12)))
+
+
+def over_many(p: float, smallest: Array) -> float:
+    """Return the probability of a p-value as small anywhere among many looks at the same data.
+
+    Parameters
+    ----------
+    p : float
+        The smallest.
+    smallest : ndarray
+        The smallest of each of many empty data sets.
+    """
+    looks = max(1.0, _trials(float(np.quantile(smallest, 0.1)), 0.1))
+    return float(-np.expm1(looks * np.log1p(-min(p, 1 - 1e-12))))
+
+
+class Family:
+    """p-value over the whole list: calibrated on the smallest p of each empty data set."""
+
+    def __init__(self, chances: Sequence[Chance]) -> None:
+        self._smallest = np.min([c.of_draws() for c in chances], axis=0)
+
+    def __call__(self, p: float) -> float:
+        """Return the probability of a p as small anywhere in the list."""
+        return over_many(p, self._smallest)

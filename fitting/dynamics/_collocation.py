@@ -1,0 +1,199 @@
+"""Gauss-Legendre collocation of the equations of motion.
+
+On an interval of length h that starts with y0, the states at the K Gauss nodes fulfil
+
+    y_k = y0 + h/2 sum_j S_kj f(t_j, y_j),    S_kj = integral of L_j from -1 to x_k,
+
+with the Lagrange polynomials L_j of the nodes: an implicit Runge-Kutta method of order 2K
+(E. Hairer, G. Wanner, Solving ODEs II, IV.5). Newton's method treats all intervals together; the
+linear systems of the intervals are solved in one batch and chained by their transfer matrices. An
+interval whose Legendre coefficients have not decayed is halved. Here the casing turns in one sense, or rests;
+`motion` puts such stretches together.
+
+Where the casing comes to rest is one more unknown: the last stretch of the mesh grows or shrinks with each step of
+Newton's method, and the states go with its nodes along their rates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting._errors import SimulationError
+from fitting.dynamics._mesh import Mesh, Path, rule, transfer
+from fitting.dynamics._model import Dynamics
+from fitting.dynamics._sensitivities import UNBOUNDED, Propagator
+
+Array = NDArray[np.float64]
+
+_TOLERANCE = 1e-10
+_MAX_NEWTON = 25
+_MAX_INTERVALS = 40_000
+_CASING = 1
+# a step this small leaves rounding, whatever came before
+_SMALL = 1e-9
+# error that a last step may leave by the contraction of the steps before it, with a margin of ten
+_LEFT = 1e-13
+# steps shorter than this are no measure of the contraction: rounding is in them
+_MEASURED = 1e-6
+# intervals this far below the tolerance are resolved at twice their length too: by 2^9 and more
+_THIN = 1e-14
+_FEWEST = 12
+
+
+def glide(
+    dynamics: Dynamics, numbers: Mapping[str, float], first: Path, *, pivot: float | None = None
+) -> Path:
+    """Solve the equations of motion for one sense of the casing's motion, from a guess near enough.
+
+    Parameters
+    ----------
+    dynamics : Dynamics
+        The equations.
+    numbers : mapping of str to float
+        Parameters by key, and both inertias [kg m2].
+    first : Path
+        The guess; its mesh is where the search begins, its first edge the start.
+    pivot : float, optional
+        An edge of the mesh: what is later is stretched until the mesh ends where the casing comes to rest.
+
+    Raises
+    ------
+    SimulationError
+        If Newton's method does not converge or the states leave the finite numbers.
+    """
+    return refine(dynamics, numbers, settle(dynamics, numbers, first, pivot=pivot), pivot=pivot)
+
+
+def refine(
+    dynamics: Dynamics, numbers: Mapping[str, float], path: Path, *, pivot: float | None = None
+) -> Path:
+    """Halve the intervals of a solution until it is resolved."""
+    for _ in range(40):
+        rough = roughness(path) > _TOLERANCE
+        if not rough.any():
+            return path
+        edges = path.mesh.edges
+        if len(edges) + rough.sum() > _MAX_INTERVALS:
+            break
+        middle = 0.5 * (edges[1:] + edges[:-1])[rough]
+        mesh = Mesh(np.sort(np.concatenate([edges, middle])))
+        path = settle(dynamics, numbers, transfer(path, mesh, path.edges[0], path.sense[0]), pivot=pivot)
+    raise SimulationError("the equations of motion change too sharply to be integrated")
+
+
+def settle(
+    dynamics: Dynamics, numbers: Mapping[str, float], first: Path, *, pivot: float | None = None
+) -> Path:
+    """Solve the collocation equations on the mesh of a guess, by Newton's method."""
+    mesh, sense = first.mesh, first.sense[:, None]
+    y, edges = first.y.copy(), first.edges.copy()
+    gauss, bend, before = rule(), first.bend, np.inf
+    with np.errstate(all="ignore"):
+        for _ in range(_MAX_NEWTON):
+            f, a = dynamics.tangent(mesh.times, y, numbers, sense)
+            half = mesh.half
+            node_defect = edges[:-1, None] + half[..., None] * (gauss.s @ f) - y
+            edge_defect = edges[:-1] + half * (gauss.w @ f) - edges[1:]
+            shape = Propagator(mesh, a, defect=node_defect)
+            steps = shape.chain(shape.response, edge_defect[..., None])
+            move = (shape.response + shape.carried(steps))[..., 0]
+            y += move
+            edges += steps[..., 0]
+            scale = 1e-300 + np.abs(y).max(axis=(0, 1))
+            size = float((np.abs(move).max(axis=(0, 1)) / scale).max())
+            if pivot is not None:
+                mesh, change = _stretched(mesh, y, edges, f, pivot)
+                size = max(size, change)
+            if not np.isfinite(size) or size > 1e8:
+                break
+            if _MEASURED < before < 1:
+                bend = max(size / before**2, 1.0)
+            # Newton squares the error
+            if size < _SMALL or 10 * bend * size**2 < _LEFT:
+                return replace(first, mesh=mesh, y=y, edges=edges, bend=bend)
+            before = size
+    raise SimulationError(UNBOUNDED)
+
+
+def _stretched(mesh: Mesh, y: Array, edges: Array, f: Array, pivot: float) -> tuple[Mesh, float]:
+    """Return the mesh that ends where the casing's speed would vanish, and by which share of the stretch it moved.
+
+    States (changed in place) go along their rates with the times at which they stand.
+    """
+    ends = rule().ends
+    end, begin = float(mesh.edges[-1]), pivot
+    rate = float(ends[1] @ f[-1, :, _CASING])
+    move = -float(edges[-1, _CASING]) / rate if rate else np.inf
+    share = move / (end - begin)
+    if not abs(share) < 0.5:
+        raise SimulationError(UNBOUNDED)
+    i = int(np.searchsorted(mesh.edges, pivot))
+    moved = mesh.edges.copy()
+    moved[i:] = begin + (mesh.edges[i:] - begin) * (1 + share)
+    new = Mesh(moved)
+    y += f * (new.times - mesh.times)[..., None]
+    after = ends[1] @ f
+    edges[1:] += after * (new.edges - mesh.edges)[1:, None]
+    return new, abs(share)
+
+
+def roughness(path: Path) -> Array:
+    """Return how large the last Legendre coefficients are in each interval, beside the largest value of each state."""
+    coefficients = np.abs(rule().to_legendre[-2:] @ path.y)
+    scale = 1e-300 + np.abs(path.y).max(axis=(0, 1))
+    return np.asarray((coefficients.max(axis=1) / scale).max(axis=1))
+
+
+def thinned(path: Path) -> Path:
+    """Return a path without the edges that its motion does not need, for a mesh that had to be finer once."""
+    if len(path.y) <= _FEWEST:
+        return path
+    easy = roughness(path) < _THIN
+    edges = path.mesh.edges
+    spare, i = [], 0
+    while i < len(easy) - 1:
+        alike = 0.4 < (edges[i + 1] - edges[i]) / (edges[i + 2] - edges[i]) < 0.6
+        if easy[i] and easy[i + 1] and alike and edges[i + 1] not in path.kinks:
+            spare.append(i + 1)
+            i += 1
+        i += 1
+    if not spare or len(path.y) - len(spare) < _FEWEST:
+        return path
+    thin = transfer(path, Mesh(np.delete(edges, spare)), path.edges[0], float(path.sense[0]))
+    return replace(thin, kinks=path.kinks)
+
+
+def march(dynamics: Dynamics, numbers: Mapping[str, float], start: Array, mesh: Mesh, sense: float) -> Path:
+    """Return a rough solution by classical Runge-Kutta steps: a first guess for Newton's method.
+
+    It ends with the interval in which the casing comes to rest.
+    """
+    times = np.concatenate([mesh.edges[:-1, None], mesh.times], axis=1)
+    width = times.shape[1]
+    times = np.append(times.ravel(), mesh.edges[-1])
+    y = np.empty((len(times), len(start)))
+    y[0] = start
+    last = len(times) - 1
+    with np.errstate(all="ignore"):
+        for i, h in enumerate(np.diff(times)):
+            t, state = times[i], y[i]
+            k1 = dynamics.rates(t, state, numbers, sense)
+            k2 = dynamics.rates(t + h / 2, state + h / 2 * k1, numbers, sense)
+            k3 = dynamics.rates(t + h / 2, state + h / 2 * k2, numbers, sense)
+            k4 = dynamics.rates(t + h, state + h * k3, numbers, sense)
+            y[i + 1] = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+            if dynamics.dry and sense * y[i + 1, 1] < 0:
+                last = min(last, width * (i // width + 1))
+            if i + 1 == last:
+                break
+    y = y[: last + 1]
+    if not np.isfinite(y).all():
+        raise SimulationError(UNBOUNDED)
+    blocks = y[:-1].reshape(-1, width, len(start))
+    edges = np.concatenate([blocks[:, 0], y[-1:]])
+    mesh = Mesh(mesh.edges[: len(blocks) + 1])
+    return Path(mesh, blocks[:, 1:].copy(), edges, dynamics.states, np.full(len(blocks), sense))

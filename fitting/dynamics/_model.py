@@ -1,0 +1,409 @@
+"""A model: a set of effects, its equations of motion, and their derivatives.
+
+With the bearing torque tau (all laws between the bodies, times all factors),
+
+    I_r d(omega_r)/dt = -tau + sum of the torques on the rotor
+    I_c d(omega_c)/dt = +tau + sum of the torques on the casing
+
+and one more equation for each effect that has a state of its own. The structure is frozen; numbers
+travel beside it as a mapping from ``<effect>.<symbol>`` to a value.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fitting._errors import EffectError
+from fitting.effects._effect import Effect, Parameter
+from fitting.effects._expression import (
+    ONE,
+    ZERO,
+    Expr,
+    Tape,
+    call,
+    derivative,
+    div,
+    mul,
+    neg,
+    sub,
+    substitute,
+    sym,
+    symbols,
+    total,
+)
+from fitting.effects._latex import latex
+from fitting.effects._library import GENERAL, LINEAR, REDUCED, find
+from fitting.effects._user import read_effects, resolve
+
+Array = NDArray[np.float64]
+
+NAMED = {"reduced": REDUCED, "general": GENERAL, "linear": LINEAR}
+
+
+@dataclass(frozen=True)
+class Model:
+    """A set of effects.
+
+    Parameters
+    ----------
+    effects : tuple of Effect
+        The effects, each once.
+    """
+
+    effects: tuple[Effect, ...]
+
+    def __post_init__(self) -> None:
+        names = [e.name for e in self.effects]
+        if len(set(names)) != len(names):
+            twice = next(n for n in names if names.count(n) > 1)
+            raise EffectError(f"the effect {twice!r} is in the model twice")
+
+    @classmethod
+    def of(cls, names: str | Iterable[str]) -> Model:
+        """Return the model of these effects of the library, or one of the paper's by its name.
+
+        Parameters
+        ----------
+        names : str or iterable of str
+            "reduced", "general" or "linear"; or names of effects.
+
+        Raises
+        ------
+        EffectError
+            If a name is not known.
+        """
+        if isinstance(names, str):
+            if names not in NAMED:
+                raise EffectError(f"there is no model named {names[:60]!r}", "models: " + ", ".join(NAMED))
+            names = NAMED[names]
+        return cls(tuple(find(n) for n in names))
+
+    def __add__(self, effect: Effect | str) -> Model:
+        """Return the model with one more effect: by name, as a law (``"casing: -k*omega_c**3"``), or an `Effect`."""
+        return self.with_effect(resolve(effect) if isinstance(effect, str) else effect)
+
+    def __sub__(self, name: str) -> Model:
+        """Return the model without the effect of this name."""
+        return self.without(name)
+
+    def __str__(self) -> str:
+        return " + ".join(self.names)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the effects."""
+        return tuple(e.name for e in self.effects)
+
+    def with_effect(self, effect: Effect) -> Model:
+        """Return the model with one more effect."""
+        return Model((*self.effects, effect))
+
+    def without(self, name: str) -> Model:
+        """Return the model without the effect of this name.
+
+        Raises
+        ------
+        EffectError
+            If it is not in the model.
+        """
+        if name not in self.names:
+            raise EffectError(f"{name!r} is not in the model", "it has: " + ", ".join(self.names))
+        return Model(tuple(e for e in self.effects if e.name != name))
+
+    def with_fixed(self, values: Mapping[str, float]) -> Model:
+        """Return the model with some parameters held at values instead of fitted.
+
+        Parameters
+        ----------
+        values : mapping of str to float
+            By key (``bearing.power.g``), or by symbol where only one parameter has it (``g``).
+
+        Raises
+        ------
+        EffectError
+            If a name is no parameter of the model, names several, or its value is not finite.
+        """
+        held: dict[str, float] = {}
+        for name, value in values.items():
+            keys = [k for k in self.free if k == name or k.rpartition(".")[2] == name]
+            if len(keys) != 1:
+                what = "several parameters" if keys else "no parameter that could be fitted"
+                raise EffectError(f"{name[:60]!r} is {what} of the model", "it has: " + ", ".join(self.free))
+            if not np.isfinite(value):
+                raise EffectError(
+                    f"{name[:60]} cannot be held at {value}", "give a finite number, in SI units"
+                )
+            held[keys[0]] = float(value)
+        return Model(tuple(_holding(e, held) for e in self.effects))
+
+    @property
+    def alone(self) -> Model:
+        """The part of it that a body without a partner has."""
+        return Model(tuple(e for e in self.effects if e.alone))
+
+    @cached_property
+    def parameters(self) -> dict[str, Parameter]:
+        """Every parameter by its key ``<effect>.<symbol>``."""
+        return {f"{e.name}.{p.symbol}": p for e in self.effects for p in e.parameters}
+
+    @cached_property
+    def free(self) -> tuple[str, ...]:
+        """The keys of the parameters that a fit may move, in order."""
+        return tuple(f"{e.name}.{p.symbol}" for e in self.effects for p in e.free)
+
+    @cached_property
+    def constants(self) -> dict[str, float]:
+        """The parameters that are never fitted, with their values."""
+        return {k: p.start for k, p in self.parameters.items() if p.role == "fixed"}
+
+    @cached_property
+    def smooth(self) -> Model:
+        """The physical effects that do not depend on an angle."""
+        return Model(tuple(e for e in self.effects if e.moves and not e.depends_on_angle))
+
+    @cached_property
+    def rippling(self) -> tuple[Effect, ...]:
+        """The physical effects that follow an angle."""
+        return tuple(e for e in self.effects if e.moves and e.depends_on_angle)
+
+    @cached_property
+    def measurement(self) -> tuple[Effect, ...]:
+        """What the cameras add to the angles."""
+        return tuple(e for e in self.effects if not e.moves)
+
+    def equations(self, *, single: bool = False) -> tuple[str, ...]:
+        """Return the equations of motion as LaTeX: one line a body and the bearing, or that of a `single` body."""
+        laws: dict[str, list[str]] = {"rotor": [], "casing": [], "bearing": [], "factor": []}
+        for e in self.effects:
+            if e.joint in laws:
+                laws[e.joint].append(latex(e.expression))
+
+        def join(terms: list[str]) -> str:
+            return " ".join(t if t.startswith("-") else f"+ {t}" for t in terms).removeprefix("+ ")
+
+        if single:
+            return (rf"I_c \dot\omega_c = {join(laws['casing']) or '0'}",)
+        tau = join(laws["bearing"]) or "0"
+        if laws["factor"]:
+            tau = rf"\left({tau}\right) " + " ".join(rf"\left({f}\right)" for f in laws["factor"])
+        rotor = join([r"-\tau_{cr}", *laws["rotor"]])
+        casing = join([r"\tau_{cr}", *laws["casing"]])
+        return (rf"I_r \dot\omega_r = {rotor}", rf"I_c \dot\omega_c = {casing}", rf"\tau_{{cr}} = {tau}")
+
+
+def _holding(effect: Effect, held: Mapping[str, float]) -> Effect:
+    keys = {p.symbol: f"{effect.name}.{p.symbol}" for p in effect.parameters}
+    if not any(k in held for k in keys.values()):
+        return effect
+    parameters = (
+        replace(p, role="fixed", start=held[keys[p.symbol]]) if keys[p.symbol] in held else p
+        for p in effect.parameters
+    )
+    return replace(effect, parameters=tuple(parameters))
+
+
+def read_model(path: Path, own: Iterable[Effect] = ()) -> Model:
+    """Read a model from a TOML file: ``effects = ["rotor.air.quadratic", ...]`` and ``[[effect]]`` tables.
+
+    Raises
+    ------
+    EffectError
+        If the file cannot be read, has no list of effects, or names one that is unknown.
+    """
+    try:
+        with path.open("rb") as file:
+            document = tomllib.load(file)
+    except OSError as fault:
+        raise EffectError(f"{path}: {fault.strerror or fault}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
+        raise EffectError(f"{path} is not a TOML file: {fault}") from None
+    names = document.get("effects", [])
+    if not isinstance(names, list) or not all(isinstance(n, str) for n in names):
+        raise EffectError(
+            f"{path}: effects must be a list of names", 'write: effects = ["bearing.linear", ...]'
+        )
+    declared = read_effects(path) if "effect" in document else []
+    known = {e.name: e for e in (*own, *declared)}
+    chosen = [known[n] if n in known else resolve(n) for n in names]
+    chosen += [e for e in declared if e.name not in names]
+    if not chosen:
+        raise EffectError(f"{path} names no effect", 'write: effects = ["bearing.linear", ...]')
+    return Model(tuple(chosen))
+
+
+INERTIA_ROTOR = "inertia.rotor"
+INERTIA_CASING = "inertia.casing"
+# the sense in which the casing turns: +1, -1, or 0 while friction holds it
+SENSE = "sense"
+_CASING = 1
+
+
+class Dynamics:
+    """The equations of motion of a model with their derivatives, ready to evaluate.
+
+    Parameters
+    ----------
+    model : Model
+        Measurement effects are left out: they do not move bodies.
+    angles : bool
+        Carry both angles as states, as laws that follow an angle need.
+
+    Attributes
+    ----------
+    states : tuple of str
+        ``omega_r, omega_c``, then states of effects, then the angles if asked for.
+    parameters : tuple of str
+        Keys of the parameters whose derivatives are given.
+    dry : bool
+        Whether a torque jumps where the casing stops: then rates are given for one sense of its motion.
+    """
+
+    def __init__(self, model: Model, *, angles: bool = False) -> None:
+        physical = [e for e in model.effects if e.moves]
+        own = [(e, e.state) for e in physical if e.state is not None]
+        self.states = (
+            "omega_r",
+            "omega_c",
+            *(s.symbol for _, s in own),
+            *(("psi_r", "psi_c") if angles else ()),
+        )
+        self.start = tuple(s.start for _, s in own)
+        self.parameters = tuple(f"{e.name}.{p.symbol}" for e in physical for p in e.free)
+        self.breakpoints = tuple(f"{e.name}.{e.breakpoint}" for e in physical if e.breakpoint)
+        self.constants = {
+            k: v for k, v in model.constants.items() if k.rpartition(".")[0] in {e.name for e in physical}
+        }
+        rates = [_in_one_sense(rate) for rate in self._rates(physical)]
+        self.dry = any(SENSE in symbols(rate) for rate in rates)
+        if angles:
+            rates += [sym("omega_r"), sym("omega_c")]
+        outputs = list(rates)
+        self._jacobian_at = self._collect(outputs, rates, self.states)
+        self._sensitivity_at = self._collect(outputs, rates, self.parameters)
+        self._tape = Tape(outputs)
+        self._tangent_tape = Tape(outputs[: len(rates) + len(self._jacobian_at)])
+        self._rates_tape = Tape(rates)
+
+    @staticmethod
+    def _collect(
+        outputs: list[Expr], rates: list[Expr], names: tuple[str, ...]
+    ) -> list[tuple[int, int, int]]:
+        places = []
+        for i, rate in enumerate(rates):
+            for j, name in enumerate(names):
+                slope = derivative(rate, name)
+                if slope != ZERO:
+                    places.append((i, j, len(outputs)))
+                    outputs.append(slope)
+        return places
+
+    def _rates(self, physical: list[Effect]) -> list[Expr]:
+        laws: dict[str, list[Expr]] = {"rotor": [], "casing": [], "bearing": [], "factor": [], "inertia": []}
+        difference = {"delta": sub(sym("omega_r"), sym("omega_c"))}
+        own: list[Expr] = []
+        for e in physical:
+            rename = {p.symbol: sym(f"{e.name}.{p.symbol}") for p in e.parameters} | difference
+            laws[e.joint].append(substitute(e.expression, rename))
+        tau = total(laws["bearing"])
+        for factor in laws["factor"]:
+            tau = mul(tau, factor)
+        for e in physical:
+            if e.rate is not None:
+                rename = (
+                    {p.symbol: sym(f"{e.name}.{p.symbol}") for p in e.parameters} | difference | {"tau": tau}
+                )
+                own.append(substitute(e.rate, rename))
+        inverse_rotor, inverse_casing = (div(ONE, sym(k)) for k in (INERTIA_ROTOR, INERTIA_CASING))
+        rotor = mul(total([neg(tau), *laws["rotor"]]), inverse_rotor)
+        casing = mul(total([tau, *laws["casing"]]), inverse_casing)
+        for factor in laws["inertia"]:
+            casing = mul(casing, factor)
+        self.bearing_torque = tau
+        return [rotor, casing, *own]
+
+    def _values(self, t: Array, y: Array, numbers: Mapping[str, float]) -> dict[str, object]:
+        values: dict[str, object] = {"t": t, **self.constants, **numbers}
+        for i, name in enumerate(self.states):
+            values[name] = y[..., i]
+        return values
+
+    def _sense(self, y: Array, sense: ArrayLike | None) -> Array:
+        return np.asarray(np.sign(y[..., _CASING]) if sense is None else sense, dtype=np.float64)
+
+    def rates(
+        self, t: Array, y: Array, numbers: Mapping[str, float], sense: ArrayLike | None = None
+    ) -> Array:
+        """Return dy/dt, shaped like y.
+
+        Parameters
+        ----------
+        t : ndarray
+            Times [s].
+        y : ndarray, shape (..., states)
+            States at these times.
+        numbers : mapping of str to float
+            Parameters by key, and both inertias.
+        sense : array_like, optional
+            +1 or -1 where the casing turns that way, 0 where friction holds it; from y, if not given.
+        """
+        sense = self._sense(y, sense)
+        outputs = self._rates_tape(self._values(t, y, numbers) | {SENSE: sense})
+        f = np.empty(y.shape)
+        for i, value in enumerate(outputs):
+            f[..., i] = value
+        if self.dry:
+            f[..., _CASING] *= np.abs(sense)
+        return f
+
+    def tangent(
+        self, t: Array, y: Array, numbers: Mapping[str, float], sense: ArrayLike | None = None
+    ) -> tuple[Array, Array]:
+        """Return dy/dt and its derivative by the states (..., n, n)."""
+        sense = self._sense(y, sense)
+        outputs = self._tangent_tape(self._values(t, y, numbers) | {SENSE: sense})
+        return self._tangent(outputs, y, sense)
+
+    def _tangent(self, outputs: Sequence[Any], y: Array, sense: Array) -> tuple[Array, Array]:
+        n = len(self.states)
+        f = np.empty(y.shape)
+        for i in range(n):
+            f[..., i] = outputs[i]
+        a = np.zeros((*y.shape, n))
+        for i, j, k in self._jacobian_at:
+            a[..., i, j] = outputs[k]
+        if self.dry and not sense.all():
+            turning = np.abs(sense)
+            f[..., _CASING] *= turning
+            a[..., _CASING, :] *= turning[..., None]
+        return f, a
+
+    def linearised(
+        self, t: Array, y: Array, numbers: Mapping[str, float], sense: ArrayLike | None = None
+    ) -> tuple[Array, Array, Array]:
+        """Return dy/dt, its derivative by the states (..., n, n) and by the parameters (..., n, p)."""
+        sense = self._sense(y, sense)
+        outputs = self._tape(self._values(t, y, numbers) | {SENSE: sense})
+        f, a = self._tangent(outputs, y, sense)
+        b = np.zeros((*y.shape, len(self.parameters)))
+        for i, j, k in self._sensitivity_at:
+            b[..., i, j] = outputs[k]
+        if self.dry and not sense.all():
+            b[..., _CASING, :] *= np.abs(sense)[..., None]
+        return f, a, b
+
+
+def _in_one_sense(rate: Expr) -> Expr:
+    """Return a rate with sign(omega_c) as a number given beside the state, so that it is smooth through rest."""
+    if rate == call("sign", sym("omega_c")):
+        return sym(SENSE)
+    if rate.op in {"num", "sym"}:
+        return rate
+    return Expr(rate.op, tuple(_in_one_sense(a) for a in rate.args))

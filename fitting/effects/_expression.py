@@ -1,0 +1,397 @@
+"""Formulas: safe parsing, exact derivatives, and evaluation with NumPy.
+
+The text is parsed by Python's own grammar (`ast`), and every node is held against a short allow-list:
+numbers, known names, ``+ - * / **``, unary minus, and the functions of `nodes.FUNCTIONS`. ASCII only, at most
+500 characters, nested at most 40 deep, numbers as floats (so that ``9**9**9`` costs nothing).
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting._errors import ExpressionError
+
+FUNCTIONS = ("abs", "sign", "sqrt", "exp", "log", "sin", "cos", "tanh", "heaviside")
+
+
+class Expr(NamedTuple):
+    """One node: an operation on smaller expressions, a number, or a symbol.
+
+    ``op`` is one of ``num``, ``sym``, ``add``, ``mul``, ``pow`` or the name of a function;
+    ``value`` holds the number of a ``num``, ``name`` the name of a ``sym``.
+    """
+
+    op: str
+    args: tuple[Expr, ...] = ()
+    value: float = 0.0
+    name: str = ""
+
+
+def num(value: float) -> Expr:
+    """Return a constant."""
+    return Expr("num", (), float(value))
+
+
+def sym(name: str) -> Expr:
+    """Return a symbol."""
+    return Expr("sym", (), 0.0, name)
+
+
+ZERO, ONE, MINUS_ONE = num(0.0), num(1.0), num(-1.0)
+
+
+def add(a: Expr, b: Expr) -> Expr:
+    """Return a + b, with zeros left out and numbers folded."""
+    if a == ZERO:
+        return b
+    if b == ZERO:
+        return a
+    if a.op == b.op == "num":
+        return num(a.value + b.value)
+    return Expr("add", (a, b))
+
+
+def mul(a: Expr, b: Expr) -> Expr:
+    """Return a * b, with zeros and ones left out, numbers folded, and signs drawn to the front."""
+    if ZERO in (a, b):
+        return ZERO
+    if a == ONE:
+        return b
+    if b == ONE:
+        return a
+    if a.op == b.op == "num":
+        return num(a.value * b.value)
+    if a == MINUS_ONE and _is_negated(b):
+        return b.args[1]
+    if a != MINUS_ONE and (_is_negated(a) or _is_negated(b)):
+        bare_a, bare_b = (e.args[1] if _is_negated(e) else e for e in (a, b))
+        product = mul(bare_a, bare_b)
+        return product if _is_negated(a) and _is_negated(b) else neg(product)
+    return Expr("mul", (a, b))
+
+
+def _is_negated(e: Expr) -> bool:
+    return e.op == "mul" and e.args[0] == MINUS_ONE
+
+
+def neg(a: Expr) -> Expr:
+    """Return -a."""
+    return mul(MINUS_ONE, a)
+
+
+def sub(a: Expr, b: Expr) -> Expr:
+    """Return a - b."""
+    return add(a, neg(b))
+
+
+def power(a: Expr, b: Expr) -> Expr:
+    """Return a ** b, with trivial exponents left out."""
+    if b == ZERO:
+        return ONE
+    if b == ONE:
+        return a
+    return Expr("pow", (a, b))
+
+
+def div(a: Expr, b: Expr) -> Expr:
+    """Return a / b."""
+    return mul(a, power(b, MINUS_ONE))
+
+
+def call(function: str, a: Expr) -> Expr:
+    """Return a function of `FUNCTIONS` applied to an expression."""
+    return Expr(function, (a,))
+
+
+def total(terms: list[Expr]) -> Expr:
+    """Return the sum of some expressions (zero when there are none)."""
+    result = ZERO
+    for term in terms:
+        result = add(result, term)
+    return result
+
+
+def substitute(e: Expr, values: dict[str, Expr]) -> Expr:
+    """Return the expression with symbols replaced."""
+    if e.op == "sym":
+        return values.get(e.name, e)
+    if e.op == "num":
+        return e
+    args = tuple(substitute(a, values) for a in e.args)
+    build = {"add": add, "mul": mul, "pow": power}.get(e.op)
+    return build(args[0], args[1]) if build else call(e.op, args[0])
+
+
+def symbols(e: Expr) -> set[str]:
+    """Return the names of all symbols in an expression."""
+    if e.op == "sym":
+        return {e.name}
+    names: set[str] = set()
+    for a in e.args:
+        names |= symbols(a)
+    return names
+
+
+MAX_LENGTH = 500
+MAX_DEPTH = 40
+_BINARY: dict[type[ast.operator], Callable[[Expr, Expr], Expr]] = {
+    ast.Add: add,
+    ast.Sub: sub,
+    ast.Mult: mul,
+    ast.Div: div,
+    ast.Pow: power,
+}
+_WORDS = {
+    ast.Call: "a call of anything but one of the functions",
+    ast.Attribute: "a dot after a name",
+    ast.Subscript: "an index in brackets",
+    ast.Lambda: "lambda",
+    ast.Compare: "a comparison",
+    ast.IfExp: "if ... else",
+    ast.BoolOp: "'and' and 'or'",
+}
+_ALLOWED = "numbers, the names listed, + - * / ** and " + ", ".join(FUNCTIONS)
+
+
+def parse(text: str) -> Expr:
+    """Parse a formula such as ``-k*omega_c*abs(omega_c)``.
+
+    Parameters
+    ----------
+    text : str
+        The formula. Every name but ``pi`` that is not a function becomes a symbol.
+
+    Returns
+    -------
+    Expr
+        The tree.
+
+    Raises
+    ------
+    ExpressionError
+        If the text is not a formula of the allowed kind; the sentence says what is in the way.
+    """
+    if len(text) > MAX_LENGTH:
+        raise ExpressionError(f"the formula has {len(text)} characters; {MAX_LENGTH} are allowed")
+    if not text.isascii() or not text.strip():
+        raise ExpressionError(f"the formula {text[:60]!r} is empty or has other than ASCII characters")
+    if text.count("(") > MAX_DEPTH or text.count("**") > MAX_DEPTH:
+        raise ExpressionError("the formula is nested too deeply", f"at most {MAX_DEPTH} levels are allowed")
+    try:
+        with warnings.catch_warnings():
+            # Python's own advice about odd literals is not for the person who typed a formula
+            warnings.simplefilter("ignore")
+            tree = ast.parse(text.strip(), mode="eval").body
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        raise ExpressionError(f"{text[:60]!r} is not a formula", f"a formula has {_ALLOWED}") from None
+    return _convert(tree, 0)
+
+
+def _convert(node: ast.expr, depth: int) -> Expr:
+    if depth > 4 * MAX_DEPTH:
+        raise ExpressionError("the formula is nested too deeply", f"at most {MAX_DEPTH} levels are allowed")
+    match node:
+        case ast.Constant(value=bool() | str() | bytes() | None):
+            pass
+        case ast.Constant(value=int() | float() as number):
+            return _number(number)
+        case ast.Name(id=name):
+            if name in FUNCTIONS or name.startswith("_"):
+                raise ExpressionError(f"{name!r} cannot be the name of a quantity")
+            return num(math.pi) if name == "pi" else sym(name)
+        case ast.UnaryOp(op=ast.USub(), operand=operand):
+            return neg(_convert(operand, depth + 1))
+        case ast.UnaryOp(op=ast.UAdd(), operand=operand):
+            return _convert(operand, depth + 1)
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
+            return _combine(type(op), _convert(left, depth + 1), _convert(right, depth + 1))
+        case ast.Call(func=ast.Name(id=name), args=[argument], keywords=[]) if name in FUNCTIONS:
+            return call(name, _convert(argument, depth + 1))
+        case ast.Call(func=ast.Name(id=name)):
+            raise ExpressionError(
+                f"the function {name[:30]!r} is not allowed in a formula",
+                "functions of one argument: " + ", ".join(FUNCTIONS),
+            )
+        case _:
+            pass
+    what = _WORDS.get(type(node), type(node).__name__)
+    raise ExpressionError(f"{what} is not allowed in a formula", f"a formula has {_ALLOWED}")
+
+
+def _combine(op: type[ast.operator], left: Expr, right: Expr) -> Expr:
+    if op is ast.Div and right == ZERO:
+        raise ExpressionError("the formula divides by zero")
+    result = _BINARY[op](left, right)
+    if result.op == "num" and not math.isfinite(result.value):
+        raise ExpressionError("a number in the formula is too large")
+    return result
+
+
+def _number(number: float) -> Expr:
+    try:
+        value = float(number)
+    except OverflowError:
+        value = math.inf
+    if not math.isfinite(value):
+        raise ExpressionError("a number in the formula is too large")
+    return num(value)
+
+
+# sign and heaviside are flat where they are smooth; what happens at their jumps (a casing that comes to
+# rest, a torque that sets in) is an event of the integration, not a derivative.
+_OUTER: dict[str, Callable[[Expr], Expr]] = {
+    "abs": lambda u: call("sign", u),
+    "sign": lambda u: ZERO,  # noqa: ARG005
+    "heaviside": lambda u: ZERO,  # noqa: ARG005
+    "sqrt": lambda u: div(num(0.5), call("sqrt", u)),
+    "exp": lambda u: call("exp", u),
+    "log": lambda u: div(ONE, u),
+    "sin": lambda u: call("cos", u),
+    "cos": lambda u: neg(call("sin", u)),
+    "tanh": lambda u: sub(ONE, power(call("tanh", u), num(2.0))),
+}
+
+
+def derivative(e: Expr, name: str) -> Expr:
+    """Return the partial derivative of an expression with respect to a symbol.
+
+    Parameters
+    ----------
+    e : Expr
+        The expression.
+    name : str
+        The symbol.
+
+    Returns
+    -------
+    Expr
+        d e / d name; zero where the symbol does not occur.
+    """
+    if e.op == "num":
+        return ZERO
+    if e.op == "sym":
+        return ONE if e.name == name else ZERO
+    if e.op == "add":
+        return add(derivative(e.args[0], name), derivative(e.args[1], name))
+    if e.op == "mul":
+        u, v = e.args
+        return add(mul(derivative(u, name), v), mul(u, derivative(v, name)))
+    if e.op == "pow":
+        return _power_rule(e, name)
+    inner = derivative(e.args[0], name)
+    return ZERO if inner == ZERO else mul(_OUTER[e.op](e.args[0]), inner)
+
+
+def _power_rule(e: Expr, name: str) -> Expr:
+    u, v = e.args
+    du, dv = derivative(u, name), derivative(v, name)
+    result = ZERO
+    if du != ZERO:
+        result = mul(mul(v, power(u, sub(v, ONE))), du)
+    if dv != ZERO:
+        result = add(result, mul(mul(e, call("log", u)), dv))
+    return result
+
+
+Array = NDArray[np.float64]
+_TINY = 1e-300
+
+
+def _log(x: Any) -> Any:
+    # x**g * log(x) must tend to 0 at x = 0, not to nan
+    return np.log(np.maximum(x, _TINY))
+
+
+def _power(x: Any, y: Any) -> Any:
+    if isinstance(y, float):
+        if y == 2.0:
+            return x * x
+        if y == -1.0:
+            return np.divide(1.0, x)
+    return np.power(x, y)
+
+
+def _heaviside(x: Any) -> Any:
+    return np.heaviside(x, 1.0)
+
+
+_OPERATIONS: dict[str, Callable[..., Any]] = {
+    "add": np.add,
+    "mul": np.multiply,
+    "pow": _power,
+    "abs": np.abs,
+    "sign": np.sign,
+    "sqrt": np.sqrt,
+    "exp": np.exp,
+    "log": _log,
+    "sin": np.sin,
+    "cos": np.cos,
+    "tanh": np.tanh,
+    "heaviside": _heaviside,
+}
+
+
+class Tape:
+    """A list of elementary operations that evaluates several expressions, common parts once.
+
+    Parameters
+    ----------
+    outputs : sequence of Expr
+        The expressions to evaluate.
+    """
+
+    def __init__(self, outputs: Sequence[Expr]) -> None:
+        self._slots: dict[Expr, int] = {}
+        self._inputs: list[tuple[int, str]] = []
+        self._constants: list[tuple[int, float]] = []
+        self._steps: list[tuple[int, Callable[..., Any], tuple[int, ...]]] = []
+        self._outputs = [self._place(e) for e in outputs]
+
+    def _place(self, e: Expr) -> int:
+        slot = self._slots.get(e)
+        if slot is not None:
+            return slot
+        arguments = tuple(self._place(a) for a in e.args)
+        slot = len(self._slots)
+        self._slots[e] = slot
+        if e.op == "num":
+            self._constants.append((slot, e.value))
+        elif e.op == "sym":
+            self._inputs.append((slot, e.name))
+        else:
+            self._steps.append((slot, _OPERATIONS[e.op], arguments))
+        return slot
+
+    @property
+    def names(self) -> set[str]:
+        """The symbols that must be given."""
+        return {name for _, name in self._inputs}
+
+    def __call__(self, values: Mapping[str, Any]) -> list[Any]:
+        """Evaluate all outputs.
+
+        Parameters
+        ----------
+        values : mapping of str to float or ndarray
+            A value for each symbol; arrays broadcast against each other.
+
+        Returns
+        -------
+        list of float or ndarray
+            One value per output; an output without symbols is a plain float.
+        """
+        registers: list[Any] = [None] * len(self._slots)
+        for slot, number in self._constants:
+            registers[slot] = number
+        for slot, name in self._inputs:
+            registers[slot] = values[name]
+        for slot, operation, arguments in self._steps:
+            registers[slot] = operation(*(registers[a] for a in arguments))
+        return [registers[slot] for slot in self._outputs]

@@ -1,0 +1,510 @@
+"""The library of physical and measurement effects; one law, one entry.
+
+Laminar flow over a disc takes a torque that grows as omega^1.5, turbulent flow as omega^1.8
+(Th. von Karman, Z. angew. Math. Mech. 1, 233 (1921)); a thin viscous film takes it linearly, a bluff
+body quadratically.
+
+D = omega_r - omega_c is the speed of the bearing. Two effects scale the whole bearing torque:
+a temperature of its own, fed by the heat of friction, and a slow drift.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
+from typing import Any
+
+from fitting._errors import EffectError
+from fitting.effects._effect import MOMENTS, Effect, Parameter, State
+from fitting.effects._expression import Tape
+
+_DISC = "von Karman 1921"
+
+AIR = (
+    Effect(
+        "rotor.air.linear",
+        "rotor",
+        "-a1*omega_r",
+        (Parameter("a1", "N m s", meaning="viscous drag on the rotor"),),
+        signature="the rotor slows by a constant share a second",
+        confused_with=("rotor.air.quadratic", "rotor.air.disk"),
+        source="Stokes drag; term a1 of the paper",
+    ),
+    Effect(
+        "rotor.air.quadratic",
+        "rotor",
+        "-a2*omega_r*abs(omega_r)",
+        (Parameter("a2", "N m s2", meaning="pressure drag on the rotor"),),
+        signature="the rotor slows most while it is fast",
+        confused_with=("rotor.air.disk", "rotor.air.turbulent"),
+        source="term a2 of the paper",
+    ),
+    Effect(
+        "rotor.air.disk",
+        "rotor",
+        "-k*abs(omega_r)**1.5*sign(omega_r)",
+        (Parameter("k", "N m s1.5", meaning="laminar drag of a disc in free air"),),
+        signature="between linear and quadratic drag of the rotor",
+        confused_with=("rotor.air.turbulent", "rotor.air.linear"),
+        source=_DISC,
+    ),
+    Effect(
+        "rotor.air.turbulent",
+        "rotor",
+        "-k*abs(omega_r)**1.8*sign(omega_r)",
+        (Parameter("k", "N m s1.8", meaning="turbulent drag of a disc in free air"),),
+        signature="close to quadratic drag of the rotor",
+        confused_with=("rotor.air.quadratic", "rotor.air.disk"),
+        source=_DISC,
+    ),
+    Effect(
+        "casing.air.linear",
+        "casing",
+        "-b2*omega_c",
+        (Parameter("b2", "N m s", meaning="viscous drag on the casing"),),
+        signature="the tail of the casing's speed falls exponentially",
+        confused_with=("casing.air.laminar",),
+        source="term b2 of the paper",
+    ),
+    Effect(
+        "casing.air.quadratic",
+        "casing",
+        "-k*omega_c*abs(omega_c)",
+        (Parameter("k", "N m s2", meaning="pressure drag on the casing"),),
+        signature="the casing loses torque near its peak speed and hardly any in the tail",
+        confused_with=("casing.air.laminar",),
+        source="drag of a bluff body; named and dropped in the paper",
+    ),
+    Effect(
+        "casing.air.laminar",
+        "casing",
+        "-k*abs(omega_c)**1.5*sign(omega_c)",
+        (Parameter("k", "N m s1.5", meaning="laminar drag of the casing as a disc"),),
+        signature="as quadratic drag of the casing, gentler",
+        confused_with=("casing.air.quadratic", "casing.air.linear"),
+        source=_DISC,
+    ),
+    Effect(
+        "casing.windage",
+        "casing",
+        "k*omega_r*abs(omega_r)",
+        (Parameter("k", "N m s2", meaning="air carried round by the rotor drives the casing"),),
+        signature="the casing is driven early, long before its peak",
+        confused_with=("bearing.load",),
+        source="momentum of the air that the rotor throws against the casing",
+    ),
+)
+
+
+_ANY = -math.inf
+
+BEARING = (
+    Effect(
+        "bearing.constant",
+        "bearing",
+        "c*sign(delta)",
+        (Parameter("c", "N m", meaning="dry friction of the bearing"),),
+        signature="drives the casing evenly at every speed",
+        confused_with=("touchpoint.constant", "external.constant"),
+        source="Coulomb friction; term c of the paper",
+    ),
+    Effect(
+        "bearing.linear",
+        "bearing",
+        "d*delta",
+        (Parameter("d", "N m s", meaning="viscous friction of the bearing"),),
+        signature="drives the casing in proportion to the difference of the speeds",
+        confused_with=("bearing.power",),
+        source="term d of the paper",
+    ),
+    Effect(
+        "bearing.quadratic",
+        "bearing",
+        "e*delta*abs(delta)",
+        (Parameter("e", "N m s2", meaning="churning of the lubricant"),),
+        signature="drives the casing most at the start",
+        confused_with=("bearing.power", "bearing.load"),
+        source="term e of the paper",
+    ),
+    Effect(
+        "bearing.power",
+        "bearing",
+        "f*abs(delta)**g*sign(delta)",
+        (
+            Parameter("f", "N m s^g", meaning="strength of the power law"),
+            Parameter("g", "1", "shape", 0.3, 1.4, 1.2, (0.4, 0.6, 0.8, 1.2, 1.35), meaning="its exponent"),
+        ),
+        signature="a fractional power of the difference of the speeds",
+        confused_with=("bearing.linear", "bearing.quadratic"),
+        source="rolling friction of ball bearings; terms f and g of the paper",
+    ),
+    Effect(
+        "bearing.heating",
+        "factor",
+        "exp(-k*temperature)",
+        (
+            Parameter("k", "K-1", lower=_ANY, meaning="share by which the friction falls with each kelvin"),
+            Parameter("C", "J K-1", "fixed", start=1.0, meaning="heat capacity; only k/C is observable"),
+            Parameter(
+                "tau_T",
+                "s",
+                "shape",
+                0.1,
+                1e5,
+                30.0,
+                (0.05, 0.15, 0.4, 1.2, 4.0),
+                relative=True,
+                meaning="cooling time",
+            ),
+        ),
+        signature="the bearing loosens with the heat put into it, and remembers it",
+        confused_with=("bearing.drift",),
+        source="viscosity of a lubricant against temperature",
+        state=State("temperature", "tau*delta/C - temperature/tau_T"),
+    ),
+    Effect(
+        "bearing.load",
+        "bearing",
+        "k*omega_r**2",
+        (Parameter("k", "N m s2", meaning="an unbalanced rotor loads the bearing"),),
+        signature="drives the casing early, with the square of the rotor's speed",
+        confused_with=("casing.windage",),
+        source="Coulomb friction under a centrifugal load",
+    ),
+    Effect(
+        "bearing.load_viscous",
+        "bearing",
+        "k*delta*omega_r**2",
+        (Parameter("k", "N m s3", meaning="viscous friction under a centrifugal load"),),
+        signature="steep at the start",
+        confused_with=("bearing.quadratic", "bearing.load"),
+        source="viscous friction under a centrifugal load",
+    ),
+    Effect(
+        "bearing.drift",
+        "factor",
+        "1 + k*t",
+        (Parameter("k", "s-1", lower=_ANY, meaning="share by which the friction changes each second"),),
+        signature="the bearing changes with time, whatever the speeds are",
+        confused_with=("bearing.heating", "touchpoint.drift"),
+        source="running-in or ageing, first order in time",
+    ),
+)
+
+
+TOUCHPOINT = (
+    Effect(
+        "touchpoint.constant",
+        "casing",
+        "-b1*sign(omega_c)",
+        (Parameter("b1", "N m", meaning="dry friction at the touch point"),),
+        signature="the end of the tail falls in a straight line",
+        confused_with=("external.constant",),
+        source="Coulomb friction; term b1 of the paper",
+    ),
+    Effect(
+        "touchpoint.stribeck",
+        "casing",
+        "-k*exp(-abs(omega_c)/w)*sign(omega_c)",
+        (
+            Parameter("k", "N m", meaning="extra friction at low speed"),
+            Parameter(
+                "w",
+                "s-1",
+                "shape",
+                0.2,
+                500.0,
+                5.0,
+                (1.0, 2.0, 5.0, 12.0, 30.0),
+                meaning="speed at which it has fallen to 1/e",
+            ),
+        ),
+        signature="extra loss while the casing is slow: the first seconds and the end",
+        confused_with=("touchpoint.constant",),
+        source="R. Stribeck, Z. VDI 46 (1902)",
+    ),
+    Effect(
+        "touchpoint.drift",
+        "casing",
+        "-k*t*sign(omega_c)",
+        (Parameter("k", "N m s-1", lower=_ANY, meaning="growth of the friction each second"),),
+        signature="a loss that grows with time: wear of tip or surface",
+        confused_with=("bearing.drift", "bearing.heating"),
+        source="wear, first order in time",
+    ),
+    Effect(
+        "touchpoint.load",
+        "casing",
+        "-k*omega_r**2*sign(omega_c)",
+        (Parameter("k", "N m s2", meaning="wobble of the rotor loads the touch point"),),
+        signature="a loss of the casing early on; windage with the other sign",
+        confused_with=("casing.windage",),
+        source="Coulomb friction under a load that grows with the rotor's speed",
+    ),
+    Effect(
+        "touchpoint.step",
+        "casing",
+        "-k*heaviside(t - t0)*sign(omega_c)",
+        (
+            Parameter("k", "N m", lower=_ANY, meaning="jump of the friction"),
+            Parameter(
+                "t0",
+                "s",
+                "shape",
+                grid=MOMENTS,
+                relative=True,
+                meaning="when it jumps",
+            ),
+        ),
+        signature="a kink in the casing's speed at one moment",
+        confused_with=("touchpoint.drift",),
+        source="the tip walks onto another patch of the surface",
+        breakpoint="t0",
+    ),
+)
+
+
+_PHASE = Parameter("phi", "rad", "phase", -math.inf, math.inf, meaning="phase")
+
+CASING = (
+    Effect(
+        "casing.unbalance",
+        "casing",
+        "k*sin(psi_c - phi)",
+        (Parameter("k", "N m", meaning="gravity on a tilted, unbalanced casing"), _PHASE),
+        signature="a ripple once a turn whose speed falls as 1/omega_c",
+        confused_with=("camera.centre",),
+        source="m g s sin(tilt), once a turn",
+    ),
+    Effect(
+        "casing.asymmetry",
+        "casing",
+        "k*sin(2*psi_c - phi)",
+        (Parameter("k", "N m", meaning="torque of an asymmetric casing"), _PHASE),
+        signature="a ripple twice a turn whose speed falls as 1/omega_c",
+        confused_with=("camera.tilt",),
+        source="unequal moments of inertia across the axis",
+    ),
+    Effect(
+        "casing.precession",
+        "casing",
+        "k*cos(chirp + phi)",
+        (
+            Parameter("k", "N m", meaning="torque that follows the precession"),
+            Parameter(
+                "m",
+                "s-2",
+                "shape",
+                1.0,
+                1e5,
+                200.0,
+                tuple(round(50.0 * 1.12**i, 1) for i in range(40)),
+                meaning="precession rate times rotor speed, M g l / I_r",
+            ),
+            _PHASE,
+        ),
+        signature="a chirp whose rate grows as the rotor slows, also in the tracked centre",
+        confused_with=(),
+        source="precession of a fast top at m / omega_r",
+        state=State("chirp", "m/omega_r"),
+    ),
+    Effect(
+        "external.constant",
+        "casing",
+        "k",
+        (Parameter("k", "N m", lower=_ANY, meaning="a steady draught"),),
+        signature="the same as dry friction while the casing keeps its sense",
+        confused_with=("touchpoint.constant",),
+        source="a constant outer torque",
+    ),
+)
+
+
+CAMERA = (
+    Effect(
+        "camera.clock",
+        "camera.rotor",
+        "eps*t*omega",
+        (
+            Parameter(
+                "eps", "1", lower=-0.2, upper=0.2, meaning="share by which the rotor camera's clock is off"
+            ),
+        ),
+        kind="measurement",
+        signature="all speeds of one camera are off by the same share",
+        confused_with=(),
+        source="first order of psi(t (1 + eps)), t from the start of the clip",
+    ),
+    Effect(
+        "camera.offset",
+        "camera.rotor",
+        "dt*omega",
+        (Parameter("dt", "s", lower=-0.05, upper=0.05, meaning="how late the clips start"),),
+        kind="measurement",
+        signature="the speeds of the rotor clips sit beside the curve along time",
+        confused_with=(),
+        source="first order of psi(t + dt)",
+    ),
+    Effect(
+        "camera.centre",
+        "camera.casing",
+        "eps*sin(psi - phi)",
+        (Parameter("eps", "rad", meaning="offset of the centre over the marker's radius"), _PHASE),
+        kind="measurement",
+        signature="a ripple once a turn of constant angle",
+        confused_with=("casing.unbalance", "camera.shutter"),
+        source="first order of an offset centre",
+    ),
+    Effect(
+        "camera.tilt",
+        "camera.casing",
+        "eps*sin(2*psi - phi)",
+        (Parameter("eps", "rad", meaning="a quarter of the square of the tilt"), _PHASE),
+        kind="measurement",
+        signature="a ripple twice a turn of constant angle",
+        confused_with=("casing.asymmetry",),
+        source="a circle seen as an ellipse",
+    ),
+    Effect(
+        "camera.shutter",
+        "camera.casing",
+        "-k*omega*sin(psi - phi)",
+        (Parameter("k", "s", meaning="time in which the shutter rolls over the marker's radius"), _PHASE),
+        kind="measurement",
+        signature="a ripple once a turn that grows with the speed",
+        confused_with=("camera.centre",),
+        source="rolling shutter: the lag depends on where the marker stands",
+    ),
+)
+
+SETUP = (
+    Effect(
+        "setup.inertia",
+        "inertia",
+        "1/(1 + eps)",
+        (
+            Parameter(
+                "eps", "1", lower=-0.3, upper=0.3, meaning="share by which the casing's inertia is too small"
+            ),
+        ),
+        kind="measurement",
+        signature="rotor and casing disagree on the torque between them, all the time by the same share",
+        confused_with=("touchpoint.load", "bearing.heating"),
+        source="only ratios of torque to inertia are seen; the bearing's torque is seen on both bodies",
+    ),
+)
+
+
+LIBRARY = MappingProxyType({e.name: e for e in (*AIR, *BEARING, *TOUCHPOINT, *CASING, *CAMERA, *SETUP)})
+
+LINEAR = ("rotor.air.quadratic", "touchpoint.constant", "casing.air.linear", "bearing.linear")
+REDUCED = (*LINEAR, "bearing.power")
+GENERAL = (*REDUCED, "rotor.air.linear", "bearing.constant", "bearing.quadratic")
+
+
+def find(name: str) -> Effect:
+    """Return the effect of this name.
+
+    Raises
+    ------
+    EffectError
+        If there is none; the closest names are offered.
+    """
+    if name in LIBRARY:
+        return LIBRARY[name]
+    close = difflib.get_close_matches(name, LIBRARY, n=3, cutoff=0.4)
+    raise EffectError(
+        f"there is no effect named {name[:60]!r}",
+        f"did you mean {' or '.join(close)}?" if close else "`gyrotrack effects` lists them all",
+    )
+
+
+# table 5 of the paper, case 1, the reduced model on full data
+PAPER = MappingProxyType(
+    {
+        "rotor.air.quadratic.a2": 9.97e-11,
+        "touchpoint.constant.b1": 2.88e-6,
+        "casing.air.linear.b2": 8.28e-7,
+        "bearing.linear.d": 1.57e-7,
+        "bearing.power.f": 1.26e-8,
+        "bearing.power.g": 1.32,
+        "rotor.air.linear.a1": 4.02e-8,
+        "bearing.constant.c": 1.94e-6,
+        "bearing.quadratic.e": 8.01e-11,
+    }
+)
+INERTIA_ROTOR, INERTIA_CASING = 5.54e-5, 2.06e-5
+_BUDGET = 1e-4
+
+
+def typical_values(
+    effect: Effect, share: float, *, duration: float, speeds: Mapping[str, float]
+) -> dict[str, float]:
+    """Return values of an effect's parameters so that it makes a given share of the torque budget.
+
+    Parameters
+    ----------
+    effect : Effect
+        The effect.
+    share : float
+        Its largest torque over the budget of 1e-4 N m, at typical speeds.
+    duration : float
+        Length of the recording [s], for time constants.
+    speeds : mapping
+        Typical omega_r and omega_c [rad/s].
+    """
+    values: dict[str, float] = {}
+    for p in effect.parameters:
+        if p.role == "shape":
+            middle = p.grid[len(p.grid) // 2] if p.grid else p.start
+            values[p.symbol] = middle * duration if p.relative else middle
+        else:
+            values[p.symbol] = 1.0 if p.role == "amplitude" else p.start
+    amplitude = next(p.symbol for p in effect.parameters if p.role == "amplitude")
+    at: dict[str, Any] = {
+        **values,
+        **speeds,
+        "delta": speeds["omega_r"] - speeds["omega_c"],
+        "t": duration,
+        "temperature": 1.0,
+        "chirp": 0.0,
+        "psi_c": 1.0,
+        "psi_r": 1.0,
+        "psi": 1.0,
+        "omega": speeds["omega_c"],
+        "tau": _BUDGET,
+    }
+    if effect.joint == "inertia":
+        values[amplitude] = share
+        return {f"{effect.name}.{k}": v for k, v in values.items()}
+    if effect.joint == "factor":
+        # at full share the whole bearing torque changes by `share`, over the run or in the heat of friction
+        heat = _BUDGET * at["delta"] * values.get("tau_T", duration) if effect.state else duration
+        values[amplitude] = share / heat
+        return {f"{effect.name}.{k}": v for k, v in values.items()}
+    tape, unit = Tape([effect.expression]), 0.0
+    for part in (0.05, 0.3, 1.0, 1.5):
+        slower = {"omega_c": part * speeds["omega_c"], "omega": part * speeds["omega_c"]}
+        unit = max(unit, abs(float(tape(at | slower)[0])))
+    values[amplitude] = share * _BUDGET / unit if unit > 0 and math.isfinite(unit) else share * _BUDGET
+    return {f"{effect.name}.{k}": v for k, v in values.items()}
+
+
+def typical_of_model(
+    effects: Iterable[Effect], share: float, *, duration: float, speeds: Mapping[str, float]
+) -> dict[str, float]:
+    """Return a value for each parameter of a model: the paper's where it has one, typical ones elsewhere.
+
+    Parameters
+    ----------
+    effects : iterable of Effect
+        What the model consists of.
+    share, duration, speeds
+        As for `typical_values`.
+    """
+    values: dict[str, float] = {}
+    for effect in effects:
+        values |= typical_values(effect, share, duration=duration, speeds=speeds)
+    return values | {k: v for k, v in PAPER.items() if k in values}

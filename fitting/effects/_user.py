@@ -1,0 +1,344 @@
+"""Torque laws written by users: formulas on the command line and TOML files."""
+
+from __future__ import annotations
+
+import math
+import re
+import string
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from fitting._errors import EffectError, ExpressionError, FittingError
+from fitting._numbers import number
+from fitting.effects._dimension import NONE, Dimension, dimension, format_unit, parse_unit
+from fitting.effects._effect import MOMENTS, VARIABLES, Effect, Joint, Parameter, Role, State
+from fitting.effects._expression import ZERO, Expr, Tape, derivative, parse, sub, substitute, sym, symbols
+from fitting.effects._library import LIBRARY, find
+
+# the unit of a strength that cannot be worked out because other units were not given
+UNKNOWN_UNIT = "SI"
+# of the moments those that are tried where a law has other shape constants as well
+_COARSE = 5
+_BODIES = ("rotor", "casing", "bearing")
+_NOT_FOR_USERS = {"temperature", "chirp", "tau", "psi", "omega"}
+
+
+def formula(
+    name: str,
+    body: str,
+    law: str,
+    declared: Mapping[str, Mapping[str, Any]],
+    *,
+    signature: str = "",
+    source: str = "",
+) -> Effect:
+    """Return an effect from a law; parameters that are not declared are found in the law.
+
+    Raises
+    ------
+    EffectError, ExpressionError
+        If the law is not understood, has no strength to fit, or does not come out in its unit.
+    """
+    if body not in _BODIES:
+        raise EffectError(f"{body[:30]!r} is no body", "write rotor:, casing: or bearing: before the law")
+    expression = parse(law)
+    own = sorted(symbols(expression) - set(VARIABLES))
+    for forbidden in sorted(symbols(expression) & _NOT_FOR_USERS):
+        raise EffectError(f"{forbidden!r} is not known to a law that has no state of its own", _hint())
+    if not own:
+        raise EffectError(
+            f"the law {law!r} has no parameter to fit", "write for example: casing: -k*omega_c**3"
+        )
+    for symbol in sorted(set(declared) - set(own)):
+        raise EffectError(f"the parameter {symbol!r} does not occur in the law {law!r}", _hint())
+    amplitude = _strength(law, expression, [s for s in own if not declared.get(s, {}).get("shape", False)])
+    roles: dict[str, Role] = {s: "phase" if _is_phase(expression, s) else "shape" for s in own}
+    roles[amplitude] = "amplitude"
+    parameters = tuple(_parameter(s, declared.get(s, {}), roles[s]) for s in own)
+    given = {symbol for symbol, keys in declared.items() if {"grid", "start"} & set(keys)}
+    timed, jump = _timed(parameters, expression)
+    parameters = tuple(p if p.symbol in given else t for p, t in zip(parameters, timed, strict=True))
+    unit = declared.get(amplitude, {}).get("unit") or _amplitude_unit(expression, amplitude, parameters)
+    parameters = tuple(replace(p, unit=unit) if p.symbol == amplitude else p for p in parameters)
+    effect = Effect(
+        name, cast("Joint", body), law, parameters, signature=signature, source=source, breakpoint=jump
+    )
+    _check(effect)
+    return effect
+
+
+def _check(effect: Effect) -> None:
+    shapes = [p.symbol for p in effect.parameters if p.role == "shape"]
+    if effect.depends_on_angle and shapes:
+        raise EffectError(
+            f"{shapes[0]!r} shapes a law that follows an angle, which can have a strength and a phase only",
+            f"write a number for {shapes[0]}",
+        )
+    if all(p.unit != UNKNOWN_UNIT for p in effect.parameters):
+        try:
+            effect.check()
+        except ExpressionError as fault:
+            raise EffectError(
+                f"the units of the law {effect.law!r} do not agree: {fault.message}",
+                "give the unit of every parameter, or of none",
+            ) from None
+
+
+def _timed(parameters: Sequence[Parameter], expression: Expr) -> tuple[tuple[Parameter, ...], str]:
+    """Return parameters of which those that are moments are sought in the whole record, and the moment of a jump.
+
+    A moment stands in t - t0; the law jumps there if that is in heaviside(t - t0), and t0 in no other jump.
+    """
+    nodes = list(_nodes(expression))
+    alone = [p.role for p in parameters].count("shape") == 1
+    jump, found = "", []
+    for p in parameters:
+        since = sub(sym("t"), sym(p.symbol))
+        own = [n for n in nodes if n.op == "heaviside" and p.symbol in symbols(n)]
+        jumps = bool(own) and all(n.args[0] == since for n in own)
+        jump = jump or (p.symbol if jumps else "")
+        if p.role == "shape" and since in nodes:
+            p = replace(p, grid=MOMENTS if jumps or alone else MOMENTS[::_COARSE], relative=True)
+        found.append(p)
+    return tuple(found), jump
+
+
+def _nodes(expression: Expr) -> Iterator[Expr]:
+    yield expression
+    for argument in expression.args:
+        yield from _nodes(argument)
+
+
+def _parameter(symbol: str, keys: Mapping[str, Any], role: Role) -> Parameter:
+    def number(what: str, value: Any) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
+            raise EffectError(f"parameter {symbol}: {what} must be a number")
+        return float(value)
+
+    lower, upper = number("lower", keys.get("lower", -math.inf)), number("upper", keys.get("upper", math.inf))
+    if not lower < upper:
+        raise EffectError(f"parameter {symbol}: lower {lower:g} must be less than upper {upper:g}")
+    usual = min(max(1.0 if role == "shape" else 0.0, lower), upper)
+    start = number("start", keys.get("start", usual))
+    if not lower <= start <= upper:
+        raise EffectError(f"parameter {symbol}: start {start:g} lies outside {lower:g} to {upper:g}")
+    given = tuple(number("grid", v) for v in keys.get("grid", ()))
+    grid = given or (_default_grid(start) if role == "shape" else ())
+    grid = tuple(v for v in grid if lower <= v <= upper)
+    return Parameter(
+        symbol,
+        keys.get("unit", "1"),
+        role,
+        lower,
+        upper,
+        start,
+        grid,
+        meaning=keys.get("meaning", ""),
+    )
+
+
+def _default_grid(start: float) -> tuple[float, ...]:
+    return tuple(start * factor for factor in (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0))
+
+
+def _strength(law: str, expression: Expr, candidates: list[str]) -> str:
+    """Return the first parameter that the law is proportional to."""
+    if not candidates:
+        raise EffectError(
+            f"every parameter of the law {law!r} is declared a shape", "leave out shape for its strength"
+        )
+    linear = [c for c in candidates if c not in symbols(derivative(expression, c))]
+    if not linear:
+        raise EffectError(
+            f"the law {law!r} is linear in none of {', '.join(candidates)}", "put a strength k in front of it"
+        )
+    for symbol in linear:
+        if substitute(expression, {symbol: ZERO}) == ZERO:
+            return symbol
+    raise EffectError(
+        f"the law {law!r} does not vanish with any one of {', '.join(linear)}",
+        "write a sum of laws as several effects, or put one strength in front of it",
+    )
+
+
+def _is_phase(expression: Expr, symbol: str) -> bool:
+    """Return whether the law is a sine and a cosine of a parameter: its second derivative is minus itself."""
+    slope = derivative(derivative(expression, symbol), symbol)
+    tape = Tape([expression, slope])
+    values = {name: 0.4 + 0.17 * i + np.linspace(0.0, 1.0, 5) for i, name in enumerate(sorted(tape.names))}
+    if symbol not in values:
+        return False
+    with np.errstate(all="ignore"):
+        law, curvature = (np.asarray(v) for v in tape(values))
+    size = np.abs(law).max()
+    return bool(size > 0 and np.abs(law + curvature).max() < 1e-9 * size)
+
+
+def _amplitude_unit(expression: Expr, amplitude: str, parameters: tuple[Parameter, ...]) -> str:
+    """Return the unit that makes the law a torque; where an exponent is fitted, ``N m s^p``."""
+    torque = parse_unit("N m")
+    exponents = {p.symbol: p.start for p in parameters if p.unit == "1"}
+
+    def needed(shift: str = "") -> Dimension:
+        values = exponents | ({shift: exponents[shift] + 1.0} if shift else {})
+        units: dict[str, Dimension] = {name: parse_unit(unit) for name, unit in VARIABLES.items()}
+        units |= {p.symbol: NONE if p.symbol == amplitude else parse_unit(p.unit, values) for p in parameters}
+        rest = dimension(expression, units, values)
+        return (torque[0] - rest[0], torque[1] - rest[1], torque[2] - rest[2], torque[3] - rest[3])
+
+    try:
+        unit = needed()
+        for symbol in exponents:
+            seconds = needed(symbol)[2] - unit[2]
+            if seconds != 0:
+                at_zero = unit[2] - seconds * exponents[symbol]
+                plain = len(symbol) == 1 and seconds == 1 and at_zero == torque[2]
+                return f"N m s^{symbol}" if plain else UNKNOWN_UNIT
+    except ExpressionError:
+        return UNKNOWN_UNIT
+    return format_unit(unit)
+
+
+def _hint() -> str:
+    return "a law may speak of t, omega_r, omega_c, psi_r, psi_c and delta"
+
+
+_NAME = re.compile(r"^[A-Za-z][A-Za-z0-9_.]{0,60}$")
+_PARAMETER_KEYS = {"unit", "lower", "upper", "start", "grid", "meaning", "shape"}
+_EFFECT_KEYS = {"name", "body", "law", "parameters", "signature", "source"}
+
+
+def resolve(text: str) -> Effect:
+    """Return an effect from its name in the library or from a formula ``body: law``.
+
+    Parameters
+    ----------
+    text : str
+        Such as ``casing.air.quadratic`` or ``casing: -k*omega_c**3``. Names in the law that are no
+        variables are parameters; those in which the law is linear start from a regression.
+
+    Raises
+    ------
+    EffectError, ExpressionError
+        With what is not understood.
+    """
+    body, colon, law = text.partition(":")
+    if not colon:
+        return find(text.strip())
+    return formula(text.strip(), body.strip(), law.strip(), {})
+
+
+def read_effects(path: Path) -> list[Effect]:
+    """Read effects from a TOML file with one ``[[effect]]`` table an effect.
+
+    Each has ``name``, ``body``, ``law`` and, if wished, ``signature``, ``source`` and
+    ``[effect.parameters.k]`` tables with ``unit``, ``lower``, ``upper``, ``start``, ``grid``, ``meaning``,
+    and ``shape = true`` for a parameter that is not to be taken as the law's strength.
+
+    Raises
+    ------
+    EffectError
+        If the file cannot be read or a key is unknown or missing; the key is named.
+    """
+    try:
+        with path.open("rb") as file:
+            document = tomllib.load(file)
+    except OSError as fault:
+        raise EffectError(f"{path}: {fault.strerror or fault}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
+        raise EffectError(f"{path} is not a TOML file: {fault}") from None
+    tables = document.get("effect")
+    if not isinstance(tables, list) or not tables:
+        raise EffectError(f"{path} has no [[effect]] table", "see `gyrotrack effects --help`")
+    effects = [_from_table(path, i, table) for i, table in enumerate(tables, 1)]
+    names = [e.name for e in effects]
+    for name in names:
+        if names.count(name) > 1 or name in LIBRARY:
+            raise EffectError(f"{path}: there is another effect named {name!r}", "give it a name of its own")
+    return effects
+
+
+def _from_table(path: Path, number: int, table: Any) -> Effect:
+    where = f"{path}, effect {number}"
+    if not isinstance(table, dict):
+        raise EffectError(f"{where} is not a table")
+    unknown = set(table) - _EFFECT_KEYS
+    missing = {"name", "body", "law"} - set(table)
+    if unknown or missing:
+        wrong = f"unknown key {sorted(unknown)[0]!r}" if unknown else f"missing key {sorted(missing)[0]!r}"
+        raise EffectError(f"{where}: {wrong}", "keys: " + ", ".join(sorted(_EFFECT_KEYS)))
+    for key in ("name", "body", "law", "signature", "source"):
+        if not isinstance(table.get(key, ""), str):
+            raise EffectError(f"{where}: {key} must be text")
+    if not _NAME.match(table["name"]):
+        raise EffectError(
+            f"{where}: a name has letters, digits, dots and underscores, and starts with a letter"
+        )
+    declared = table.get("parameters", {})
+    if not isinstance(declared, dict):
+        raise EffectError(f"{where}: parameters must be a table", "write [effect.parameters.k]")
+    for symbol, keys in declared.items():
+        _check_keys(f"{where}, parameter {symbol}", keys)
+    words = {k: table[k] for k in ("signature", "source") if k in table}
+    try:
+        return formula(table["name"], table["body"], table["law"], declared, **words)
+    except FittingError as fault:
+        raise EffectError(f"{where}: {fault.message}", fault.hint) from None
+
+
+def _check_keys(where: str, keys: Any) -> None:
+    if not isinstance(keys, dict):
+        raise EffectError(f"{where} must be a table", "write [effect.parameters.k]")
+    unknown = sorted(set(keys) - _PARAMETER_KEYS)
+    if unknown:
+        raise EffectError(
+            f"{where}: unknown key {unknown[0]!r}", "keys: " + ", ".join(sorted(_PARAMETER_KEYS))
+        )
+    for key, kind, word in (
+        ("unit", str, "text"),
+        ("meaning", str, "text"),
+        ("grid", list, "a list"),
+        ("shape", bool, "true or false"),
+    ):
+        if not isinstance(keys.get(key, kind()), kind):
+            raise EffectError(f"{where}: {key} must be {word}")
+    try:
+        parse_unit(keys.get("unit", "1"), dict.fromkeys(string.ascii_lowercase, 1.0))
+    except ExpressionError as fault:
+        raise EffectError(f"{where}: {fault.message}", fault.hint) from None
+
+
+_NUMBERS = ("lower", "upper", "start")
+
+
+def own_effects(effects: Iterable[Effect]) -> list[dict[str, Any]]:
+    """Return the fields of those effects that are not, or not so, in the library."""
+    return [asdict(e) for e in effects if LIBRARY.get(e.name) != e]
+
+
+def effects_of(names: Iterable[str], own: Iterable[Mapping[str, Any]]) -> tuple[Effect, ...]:
+    """Return effects by name: those of the fields given, all others from the library."""
+    known = {str(e["name"]): effect_of(e) for e in own}
+    return tuple(known[n] if n in known else LIBRARY[n] for n in names)
+
+
+def effect_of(stored: Mapping[str, Any]) -> Effect:
+    """Return an effect from its fields."""
+    fields = dict(stored)
+    fields["parameters"] = tuple(_stored_parameter(p) for p in fields["parameters"])
+    fields["confused_with"] = tuple(fields.get("confused_with", ()))
+    state = fields.get("state")
+    fields["state"] = State(**state) if state else None
+    return Effect(**fields)
+
+
+def _stored_parameter(stored: Mapping[str, Any]) -> Parameter:
+    values: dict[str, Any] = {
+        k: tuple(v) if k == "grid" else number(v) if k in _NUMBERS else v for k, v in stored.items()
+    }
+    return Parameter(**values)

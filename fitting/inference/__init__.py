@@ -1,0 +1,1 @@
+"""From measurements to parameters: data, noise, likelihood, optimisation, result."""

@@ -1,0 +1,304 @@
+"""The measurements of one case as rows of the least-squares problem.
+
+A camera that was started dt later than thought shows an angle that is off by psi'(t) dt. Beside the window's free phase
+that is c dt with c = alpha (t - mean t), alpha the rotor's acceleration; a measured speed is off by c = alpha. With the
+standard deviation s of the start the rows of a window, white otherwise, have the covariance 1 + s^2 c c'. They are
+whitened by its symmetric root, which changes one direction only:
+
+    A = 1 - (1 - 1 / sqrt(1 + |s c|^2)) u u',   u = c / |c|.
+
+Rows are in units of the measurement noise: first the polynomial rows of the casing, then of each rotor
+window, then the harmonic rows of the casing. What no one knows beforehand and no one asks about is free in
+every fit: the casing's start angle, the phase of each rotor window, and a centre offset, a tilt and a
+rolling shutter of the casing's camera that do not change through the recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.dynamics._mesh import Path, Sampler
+from fitting.dynamics._sensitivities import angles
+from fitting.inference._compression import (
+    BLOCKS,
+    CASING_DEGREE,
+    NOISE_ROWS,
+    ROTOR_DEGREE,
+    Compressed,
+    compress,
+)
+from fitting.inference._record import Record, Samples
+from fitting.inference._velocity import rough_speeds, speeds
+
+
+@dataclass(frozen=True)
+class LateStarts:
+    """Whitens the rows of rotor windows whose starts are uncertain.
+
+    Attributes
+    ----------
+    parts : tuple of (slice, ndarray, float)
+        For each such window its rows, the unit vector u, and |s c|.
+    """
+
+    parts: tuple[tuple[slice, Array, float], ...]
+
+    @classmethod
+    def of(
+        cls, windows: Sequence[Compressed], sigma: Sequence[float], first: int, *, angle: bool
+    ) -> LateStarts:
+        """Return the whitening for windows whose rows begin at `first`, with the uncertainty of each start [s]."""
+        parts = []
+        for window, s in zip(windows, sigma, strict=False):
+            rows = slice(first, first + len(window.z))
+            first = rows.stop
+            t = window.node_times
+            c = window.at_nodes(
+                acceleration(window.samples, angle=angle) * (t - t.mean() if angle else np.ones_like(t))
+            )
+            size = float(np.linalg.norm(c))
+            if s > 0 and size > 0:
+                parts.append((rows, c / size, s * size))
+        return cls(tuple(parts))
+
+    def whitened(self, rows: Array) -> Array:
+        """Return A rows."""
+        return self._scaled(rows, [1 / np.hypot(1.0, size) for *_, size in self.parts])
+
+    def plain(self, rows: Array) -> Array:
+        """Return the rows before they were whitened."""
+        return self._scaled(rows, [float(np.hypot(1.0, size)) for *_, size in self.parts])
+
+    def _scaled(self, rows: Array, factors: Sequence[float]) -> Array:
+        if not self.parts:
+            return rows
+        rows = rows.copy()
+        for (where, u, _), factor in zip(self.parts, factors, strict=True):
+            along = u @ rows[where]
+            rows[where] += (factor - 1) * (u * along if rows.ndim == 1 else np.outer(u, along))
+        return rows
+
+
+def acceleration(samples: Samples, *, angle: bool) -> float:
+    """Return the mean acceleration in a window [rad/s2]: of a parabola through angles, a line through speeds."""
+    degree = 2 if angle else 1
+    if len(samples) <= degree:
+        return 0.0
+    t = samples.time - samples.time.mean()
+    return float(np.polyfit(t, samples.value, degree)[0] * degree)
+
+
+Array = NDArray[np.float64]
+
+_GENERATED_BLOCKS = 20
+# speeds are smoothed: blocks long beside that, and in a lone window rows enough to see it
+SPEED_BLOCKS = 30
+SPEED_NOISE_ROWS = 28
+
+
+@dataclass(frozen=True)
+class CaseData:
+    """A record, projected once and used for every model."""
+
+    record: Record
+    casing: Compressed
+    rotor: tuple[Compressed, ...]
+
+    @classmethod
+    def of(cls, record: Record) -> CaseData:
+        """Project a record."""
+        angle = record.quantity == "angle"
+        casing = compress(
+            record.casing,
+            degree=CASING_DEGREE,
+            harmonics=angle,
+            blocks=BLOCKS if angle else SPEED_BLOCKS,
+        )
+        rotor = tuple(
+            compress(
+                w,
+                degree=min(ROTOR_DEGREE, (len(w) - 1) // 2),
+                harmonics=False,
+                blocks=_GENERATED_BLOCKS
+                if record.generated
+                else max(1, round((w.time[-1] - w.time[0]) / 3.0)),
+                noisy=not record.generated,
+                noise_rows=NOISE_ROWS if angle else SPEED_NOISE_ROWS,
+            )
+            for w in record.rotor
+        )
+        return cls(record, casing, rotor)
+
+    @property
+    def is_angle(self) -> bool:
+        """Whether angles were measured (and not speeds)."""
+        return self.record.quantity == "angle"
+
+    @cached_property
+    def node_times(self) -> Array:
+        """Times at which a smooth model is needed [s], casing first, then each window."""
+        return np.concatenate([self.casing.node_times, *(w.node_times for w in self.rotor)])
+
+    @cached_property
+    def z(self) -> Array:
+        """Return the measured rows."""
+        rows = np.concatenate([self.casing.z, *(w.z for w in self.rotor), self.casing.harmonic])
+        return self.late_starts.whitened(rows)
+
+    @cached_property
+    def late_starts(self) -> LateStarts:
+        """What the uncertain starts of the rotor's windows make of the rows."""
+        return LateStarts.of(self.rotor, self.record.start_sigma, len(self.casing.z), angle=self.is_angle)
+
+    @cached_property
+    def slices(self) -> dict[str, slice]:
+        """Where the rows of the casing, the rotor and the harmonics stand."""
+        a = len(self.casing.z)
+        b = a + sum(len(w.z) for w in self.rotor)
+        return {
+            "casing": slice(0, a),
+            "rotor": slice(a, b),
+            "harmonic": slice(b, len(self.z)),
+            "smooth": slice(0, b),
+        }
+
+    @cached_property
+    def rough_speeds(self) -> tuple[Array, Array]:
+        """Times and rough speeds of rotor and casing, (times, 2)."""
+        return rough_speeds(self.record)
+
+    @cached_property
+    def speeds(self) -> dict[str, tuple[Array, Array]]:
+        """Times and smoothed angular velocities of each body, as the paper has them, for figures of merit."""
+        record = self.record
+        found = {}
+        for body, runs in (("casing", (record.casing,)), ("rotor", record.rotor)):
+            parts = [speeds(run, record.quantity) for run in runs]
+            if parts:
+                found[body] = np.concatenate([t for t, _ in parts]), np.concatenate([v for _, v in parts])
+        return found
+
+    @property
+    def n_effective(self) -> float:
+        """Number of samples, reduced by their correlation."""
+        return self.casing.n_effective + sum(w.n_effective for w in self.rotor)
+
+    @property
+    def rest(self) -> tuple[float, int]:
+        """Chi-square and degrees of freedom of what no model reaches."""
+        parts = (self.casing, *self.rotor)
+        return sum(p.rest for p in parts), sum(p.rest_dof for p in parts)
+
+    @cached_property
+    def nuisance(self) -> Array:
+        """Columns of everything that is free in every fit, (rows, columns)."""
+        columns = []
+        if self.is_angle:
+            nodes = len(self.casing.node_times)
+            columns.append(self.rows(np.ones(nodes), [np.zeros(len(w.node_times)) for w in self.rotor]))
+            for i in range(len(self.rotor)):
+                ones = [np.full(len(w.node_times), float(i == j)) for j, w in enumerate(self.rotor)]
+                columns.append(self.rows(np.zeros(nodes), ones))
+            columns += list(self.casing_rows(camera_columns(self.casing.samples)).T)
+        elif self.record.gradients:
+            # in the first slow turns what a camera adds to angles is as slow as physics
+            columns += list(self.casing_rows(_gradients(self.casing.samples)).T)
+        return np.stack(columns, axis=1) if columns else np.zeros((len(self.z), 0))
+
+    def rows(self, casing: Array, rotor: Sequence[Array]) -> Array:
+        """Return the rows of a smooth function given at the nodes of the casing and of each window."""
+        return self.late_starts.whitened(self._rows(casing, rotor))
+
+    def _rows(self, casing: Array, rotor: Sequence[Array]) -> Array:
+        parts = [
+            self.casing.at_nodes(casing),
+            *(w.at_nodes(v) for w, v in zip(self.rotor, rotor, strict=True)),
+        ]
+        tail = np.zeros((len(self.casing.harmonic), *casing.shape[1:]))
+        return np.concatenate([*parts, tail])
+
+    def casing_rows(self, values: Array) -> Array:
+        """Return the rows of any function given at the samples of the casing (samples, columns)."""
+        polynomial, harmonic = self.casing.at_samples(values)
+        middle = np.zeros((self.slices["rotor"].stop - self.slices["rotor"].start, values.shape[1]))
+        return np.concatenate([polynomial, middle, harmonic])
+
+    def observe(self, path: Path, nodes: Array | None = None) -> Array:
+        """Return the rows of a solution, or of columns of a sensitivity of its states.
+
+        Parameters
+        ----------
+        path : Path
+            The solution.
+        nodes : ndarray, shape (intervals, nodes, states, columns), optional
+            A sensitivity; without it the solution itself is observed.
+        """
+        a = len(self.casing.node_times)
+        values = []
+        for state, times in ((1, self.node_times[:a]), (0, self.node_times[a:]))[
+            : 1 if self.record.single else 2
+        ]:
+            sampler = Sampler(path.mesh, times)
+            values.append(self._seen(sampler, path, state, nodes))
+        ends = np.cumsum([len(w.node_times) for w in self.rotor])[:-1]
+        rows = self._rows(values[0], [] if self.record.single else np.split(values[1], ends))
+        return self.late_starts.whitened(self._mend_kinks(path, nodes, rows))
+
+    def _seen(self, sampler: Sampler, path: Path, state: int, nodes: Array | None) -> Array:
+        if nodes is None:
+            if self.is_angle:
+                return sampler.integral(*path.angle(path.states[state]))
+            return sampler.value(path.y[..., state])
+        return angles(sampler, path, state, nodes) if self.is_angle else sampler.value(nodes[:, :, state])
+
+    def _mend_kinks(self, path: Path, nodes: Array | None, rows: Array) -> Array:
+        # a block with a kink inside is no polynomial: project it sample by sample
+        if not path.kinks:
+            return rows
+        first = 0
+        for state, run in ((1, self.casing), *((0, w) for w in self.rotor)):
+            k = run.lift.shape[1]
+            for i, (where, operator) in enumerate(run.operators):
+                t = run.samples.time[where]
+                if any(t[0] < time < t[-1] for time in path.kinks):
+                    seen = self._seen(Sampler(path.mesh, t), path, state, nodes)
+                    rows[first + i * k : first + (i + 1) * k] = operator[:k] @ seen
+            first += len(run.z)
+        return rows
+
+
+def _gradients(speeds: Samples) -> Array:
+    """Return the same by time, for the casing's speeds: of the angle that they add up to, from any start."""
+    steps = 0.5 * (speeds.value[1:] + speeds.value[:-1]) * np.diff(speeds.time)
+    turned = Samples(speeds.time, np.concatenate([[0.0], np.cumsum(steps)]), speeds.sigma)
+    return np.asarray(np.gradient(camera_columns(turned), speeds.time, axis=0))
+
+
+# columns of `camera_columns` that belong to each measurement effect
+CAMERA_COLUMNS = {"camera.centre": (0, 1), "camera.tilt": (2, 3), "camera.shutter": (4, 5)}
+_SMOOTHED = 25
+
+
+def camera_columns(samples: Samples) -> Array:
+    """Return cos and sin of the angle, of twice the angle, and of the angle times the speed, (samples, 6)."""
+    psi = samples.value
+    width = min(_SMOOTHED, len(psi) // 4)
+    knots = np.arange(0, len(psi), width)
+    omega = np.interp(samples.time, samples.time[knots], np.gradient(psi[knots], samples.time[knots]))
+    omega = omega / np.abs(omega).max()
+    return np.stack(
+        [
+            np.cos(psi),
+            np.sin(psi),
+            np.cos(2 * psi),
+            np.sin(2 * psi),
+            omega * np.cos(psi),
+            omega * np.sin(psi),
+        ],
+        axis=1,
+    )

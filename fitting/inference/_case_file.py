@@ -1,0 +1,204 @@
+"""Reading a case file (HDF5), which may be damaged or hostile."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting._errors import RecordError
+from fitting.inference._record import Quantity, Record, make_record
+
+Array = NDArray[np.float64]
+
+_MAX_SAMPLES = 50_000_000
+# deflate cannot do better than 1032 : 1; chunks are padded
+_INFLATION, _SLACK = 1100, 2**22
+
+
+def series(path: Path, file: Any, group: str, key: tuple[str, str]) -> tuple[Array, Array, Array]:
+    """Return time, value and sigma of a group; `key` names the last two."""
+    value, sigma = key
+    return (
+        column(path, file, group, "time"),
+        column(path, file, group, value),
+        column(path, file, group, sigma),
+    )
+
+
+def column(path: Path, file: Any, group: str, name: str) -> Array:
+    """Return a column, if it is a plain one of the length of its group, and no link or bomb."""
+    import h5py
+
+    for place in (group, f"{group}/{name}"):
+        # a link that leads out of the file would read what its author chose, not what was measured
+        if not isinstance(file.get(place, getlink=True), h5py.HardLink):
+            raise RecordError(f"{path} has no {place}", "`gyrotrack info` tells what it holds")
+    data = file[f"{group}/{name}"]
+    if not isinstance(data, h5py.Dataset) or data.ndim != 1 or data.is_virtual or data.external:
+        raise RecordError(f"{path}: {group}/{name} is not a plain column")
+    if data.dtype.kind not in "fiu":
+        raise RecordError(f"{path}: {group}/{name} holds no real numbers")
+    if data.size != file[f"{group}/time"].size:
+        raise RecordError(f"{path}: {group}/{name} and {group}/time have different lengths")
+    chunk = int(np.prod(data.chunks or (0,), dtype=object)) * data.dtype.itemsize
+    held = data.id.get_storage_size()
+    if data.size > _MAX_SAMPLES or max(data.nbytes, chunk) > held * _INFLATION + _SLACK:
+        raise RecordError(f"{path}: {group}/{name} claims {data.size} samples")
+    plist = data.id.get_create_plist()
+    filters = {plist.get_filter(i)[0] for i in range(plist.get_nfilters())}
+    if not filters <= {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}:
+        raise RecordError(f"{path}: {group}/{name} is packed in an unknown way", "write it with gzip")
+    return np.asarray(data[()], dtype=float)
+
+
+def number(file: Any, group: str, name: str) -> float:
+    """Return a number that is told of a group; nan where there is none."""
+    import h5py
+
+    parts = group.split("/")
+    places = ["/".join(parts[: i + 1]) for i in range(len(parts))]
+    if not all(isinstance(file.get(p, getlink=True), h5py.HardLink) for p in places):
+        return float("nan")
+    value = np.asarray(file[group].attrs.get(name, np.nan))
+    return float(value) if value.ndim == 0 and value.dtype.kind in "fiu" else float("nan")
+
+
+def text(value: Any) -> str:
+    """Return an attribute as text, nothing if it is missing."""
+    if isinstance(value, bytes):
+        return value.decode("utf-8", "replace")
+    return "" if value is None else str(value)
+
+
+_MARK = b"\ngyrotrack sha256 "
+_SEAL = len(_MARK) + 65
+_HEAP = b"GCOL\x01\x00\x00\x00"
+_HEADER = 16
+
+
+def check_intact(path: Path) -> None:
+    """Refuse a file whose last line, a hash of all before it, is not true, or in whose texts HDF5 would be caught.
+
+    Raises
+    ------
+    RecordError
+        It is damaged.
+    """
+    content = path.read_bytes()
+    seal = content[-_SEAL:]
+    told = seal[len(_MARK) : -1] if seal.startswith(_MARK) else None
+    if told is not None and told != hashlib.sha256(content[:-_SEAL]).hexdigest().encode():
+        raise RecordError(
+            f"{path} is damaged: its checksum is not that of its contents", "fetch a fresh copy"
+        )
+    place = content.find(_HEAP)
+    while place >= 0:
+        if _is_endless(content, place):
+            raise RecordError(f"{path} is damaged: its texts run in circles", "fetch a fresh copy")
+        place = content.find(_HEAP, place + 1)
+
+
+def _is_endless(content: bytes, place: int) -> bool:
+    """Tell whether a piece of free space in a heap of texts is empty: HDF5 2.0 then never comes to the next."""
+    size = int.from_bytes(content[place + 8 : place + 16], "little")
+    at, end = place + _HEADER, min(place + size, len(content))
+    while at + _HEADER <= end:
+        index, length = (int.from_bytes(content[at + a : at + b], "little") for a, b in ((0, 2), (8, 16)))
+        step = length if index == 0 else _HEADER + (length + 7) // 8 * 8
+        if step == 0:
+            return True
+        at += step
+    return False
+
+
+FORMAT = "gyrotrack"
+MAJOR = 1
+
+
+def read_record(path: str | Path) -> Record:
+    """Read a case file.
+
+    Parameters
+    ----------
+    path : str or Path
+        An HDF5 file of kind "case", layout version 1.
+
+    Raises
+    ------
+    RecordError
+        If the file is missing, not of this format, newer, damaged, or holds too little to fit.
+    """
+    import h5py
+
+    path = Path(path)
+    if not path.is_file():
+        raise RecordError(f"{path}: there is no such file")
+    try:
+        check_intact(path)
+        with h5py.File(path, "r") as file:
+            return _read(path, file)
+    except (OSError, KeyError, ValueError, TypeError, RuntimeError) as fault:
+        if isinstance(fault, RecordError):
+            raise
+        if not h5py.is_hdf5(path):
+            raise RecordError(
+                f"{path} is not an HDF5 file", "make a case with `gyrotrack sync` or `gyrotrack import`"
+            ) from None
+        raise RecordError(
+            f"{path} is damaged or incomplete: {fault}", "`gyrotrack info` tells what it holds"
+        ) from None
+
+
+def _read(path: Path, file: Any) -> Record:
+    attributes = dict(file.attrs)
+    if text(attributes.get("format")) != FORMAT:
+        raise RecordError(
+            f"{path} was not written by gyrotrack", "make a case with `gyrotrack sync` or `gyrotrack import`"
+        )
+    version = text(attributes.get("format_version", "1.0"))
+    if not version.split(".")[0].isdigit() or int(version.split(".")[0]) > MAJOR:
+        raise RecordError(
+            f"{path} has layout version {version[:12]}; this program reads {MAJOR}.x", "update gyrotrack"
+        )
+    if text(attributes.get("kind")) != "case":
+        raise RecordError(
+            f"{path} holds a {text(attributes.get('kind'))[:20] or 'file'}, not a case",
+            "make a case with `gyrotrack sync`",
+        )
+    quantity: Quantity = "omega" if text(attributes.get("quantity", "angle")) == "omega" else "angle"
+    key = ("omega", "omega_sigma") if quantity == "omega" else ("angle", "sigma")
+    casing = series(path, file, "casing", key)
+    single = text(attributes.get("bodies")) == "one"
+    rotor = (
+        [] if single else _windows(series(path, file, "rotor", key), column(path, file, "rotor", "window"))
+    )
+    inertias = [float(np.asarray(attributes[k])) for k in ("I_rotor", "I_casing")]
+    if not all(np.isfinite(i) and i > 0 for i in inertias):
+        raise RecordError(f"{path}: the moments of inertia {inertias} are not positive")
+    return make_record(
+        label=text(attributes.get("label")) or path.stem,
+        surface=text(attributes.get("surface")),
+        I_rotor=inertias[0],
+        I_casing=inertias[1],
+        casing=casing,
+        rotor=rotor,
+        single=single,
+        start_sigma=[] if single else _start_sigma(file, column(path, file, "rotor", "window")),
+        quantity=quantity,
+        source=str(path),
+        tracked=text(file["casing"].attrs.get("sigma_source")) == "measured",
+    )
+
+
+def _windows(rotor: tuple[Array, Array, Array], window: Array) -> list[tuple[Array, Array, Array]]:
+    return [(rotor[0][window == w], rotor[1][window == w], rotor[2][window == w]) for w in np.unique(window)]
+
+
+def _start_sigma(file: Any, window: Array) -> list[float]:
+    """Return the uncertainty of each window's start on the casing's clock [s], zero where no camera is known."""
+    sigma = [number(file, f"recording/rotor_{int(w)}", "clock_offset_sigma") for w in np.unique(window)]
+    return [s if np.isfinite(s) and s > 0 else 0.0 for s in sigma]

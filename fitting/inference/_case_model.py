@@ -1,0 +1,304 @@
+"""One case under one model: predicted rows and their derivatives.
+
+The noise of an angle, put into a sine of that very angle, is a torque that wanders. So the angle is that of the model,
+and beside it what the measurement differs by, smoothed by cubics in as few pieces as it allows,
+
+    BIC(pieces) = N log(sum of squares left) + 4 pieces log(N)
+
+(G. Schwarz, Ann. Stat. 6, 461 (1978)): a model that fails by much is followed closely, one that holds is believed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.polynomial.legendre import legvander
+from numpy.typing import NDArray
+
+from fitting.dynamics._events import solve
+from fitting.dynamics._mesh import Mesh, Path, Sampler, rule
+from fitting.dynamics._model import Dynamics
+from fitting.dynamics._sensitivities import LinearMotion, Sensitivity, sensitivities
+from fitting.effects._effect import Effect
+from fitting.effects._expression import Tape
+from fitting.inference._case_data import CaseData
+from fitting.inference._compression import Compressed
+from fitting.inference._parameters import START_CASING, START_ROTOR, Layout
+from fitting.inference._velocity import hermite
+
+_GAUSS = 3
+_PIECES = (480, 240, 120, 60, 30, 15)
+_MIN_PIECE = 12
+_CUBIC = 4
+
+
+def ripple_rows(
+    data: CaseData, effect: Effect, path: Path, motion: LinearMotion, numbers: Mapping[str, float]
+) -> tuple[Array, Array]:
+    """Return the rows that a law gives at strength 1, at phase 0 and at a quarter turn.
+
+    Parameters
+    ----------
+    data : CaseData
+        The case.
+    effect : Effect
+        A law that follows an angle.
+    path : Path
+        The solution without it.
+    motion : LinearMotion
+        Small motions about the solution.
+    numbers : mapping of str to float
+        Parameters by key. A law of some strength meets the ripple that it makes itself, which gives a mean torque of
+        second order.
+    """
+    record = data.record
+    t = record.casing.time
+    half = 0.5 * np.diff(t)
+    inner = ((t[:-1] + half)[:, None] + half[:, None] * rule(_GAUSS).x).ravel()
+    sampler = Sampler(path.mesh, inner)
+    known = {name: sampler.value(path.y[..., i]) for i, name in enumerate(path.states[:2])}
+    known["delta"] = known["omega_r"] - known["omega_c"]
+    known["psi_r"] = sampler.integral(*path.angle("omega_r"))
+    known["psi_c"] = sampler.integral(*path.angle("omega_c"))
+    known["t"] = inner
+    pieces = 0
+    if data.is_angle:
+        left = record.casing.value - Sampler(path.mesh, t).integral(*path.angle("omega_c"))
+        pieces = pieces_needed(t, left)
+        known["psi_c"] = known["psi_c"] + np.interp(inner, t, smoothed(t, left, pieces))
+    tape = Tape([effect.expression])
+    on_rotor = {"rotor": 1.0, "casing": 0.0, "bearing": -1.0}[effect.joint]
+    on_casing = {"rotor": 0.0, "casing": 1.0, "bearing": 1.0}[effect.joint]
+    direction = np.array([on_rotor / record.I_rotor, on_casing / record.I_casing])
+    laws, strength = _unit_laws(effect, numbers)
+
+    def driven() -> tuple[Array, Array]:
+        torque = [np.asarray(tape({**law, **known})[0]) * np.ones(len(inner)) for law in laws]
+        return motion.driven(t, np.stack(torque, axis=-1).reshape(len(half), _GAUSS, -1), direction)
+
+    speed, angle = driven()
+    if pieces and strength.any():
+        known["psi_c"] = known["psi_c"] + _swing(t, angle[1] @ strength, speed[1] @ strength, inner, pieces)
+        speed, angle = driven()
+    rows = data.casing_rows(angle[1] if data.is_angle else speed[1]) + _rotor_rows(data, speed[0], angle[0])
+    return rows[:, 0], rows[:, 1]
+
+
+def pieces_needed(time: Array, values: Array) -> int:
+    """Return in how many pieces a noisy curve is to be smoothed."""
+    n = len(time)
+    counts = sorted({max(1, min(c, n // _MIN_PIECE)) for c in _PIECES})
+    left = [float(np.sum((values - smoothed(time, values, c)) ** 2)) for c in counts]
+    bic = [n * np.log(x + 1e-300) + _CUBIC * c * np.log(n) for x, c in zip(left, counts, strict=True)]
+    return counts[int(np.argmin(bic))]
+
+
+def smoothed(time: Array, values: Array, pieces: int) -> Array:
+    """Return a curve smoothed by a cubic in each of some pieces of equally many samples."""
+    ends = np.array([len(part) for part in np.array_split(np.empty(len(time)), pieces)]).cumsum()
+    first, last = np.concatenate([[0], ends[:-1]]), ends - 1
+    piece = np.repeat(np.arange(pieces), ends - first)
+    middle, reach = 0.5 * (time[first] + time[last]), np.maximum(0.5 * (time[last] - time[first]), 1e-9)
+    powers = legvander((time - middle[piece]) / reach[piece], _CUBIC - 1)
+    gram = np.add.reduceat(powers[:, :, None] * powers[:, None, :], first)
+    seen = np.add.reduceat(powers * values[:, None], first)
+    cubic = (np.linalg.pinv(gram, hermitian=True) @ seen[..., None])[..., 0]
+    return np.asarray(np.sum(powers * cubic[piece], axis=1))
+
+
+def _unit_laws(effect: Effect, numbers: Mapping[str, float]) -> tuple[Sequence[dict[str, float]], Array]:
+    """Return the parameters of the law at strength 1 and both phases, and the present strengths of the two."""
+    values = {p.symbol: numbers.get(f"{effect.name}.{p.symbol}", p.start) for p in effect.parameters}
+    symbol = {p.role: p.symbol for p in effect.parameters}
+    # what is held has another role: then it stands in the law as it is
+    phase, amplitude = symbol.get("phase", ""), symbol.get("amplitude", "")
+    unit = {amplitude: 1.0} if amplitude else {}
+    laws = [values | unit | ({phase: phi} if phase else {}) for phi in (0.0, np.pi / 2)]
+    k = numbers.get(f"{effect.name}.{amplitude}", 0.0) if amplitude else 1.0
+    phi = values.get(phase, 0.0)
+    return laws, k * np.array([np.cos(phi), np.sin(phi)])
+
+
+def _swing(t: Array, angle: Array, speed: Array, times: Array, pieces: int) -> Array:
+    """Return by how much a law's own ripple of the angle exceeds what the smoothed angle shows of it."""
+    seen = np.interp(times, t, smoothed(t, angle, pieces))
+    return hermite(t, angle, speed, times) - seen
+
+
+def _rotor_rows(data: CaseData, speed: Array, angle: Array) -> Array:
+    # the bearing passes on what is slow; the ripple itself moves the rotor by less than can be seen
+    t = data.record.casing.time
+    times = [np.clip(w.node_times, t[0], t[-1]) for w in data.rotor]
+    seen = [hermite(t, angle, speed, w, slopes=not data.is_angle) for w in times]
+    return data.rows(np.zeros((len(data.casing.node_times), angle.shape[1])), seen)
+
+
+Array = NDArray[np.float64]
+
+_INTERVALS = 12
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Rows that a model predicts, their derivatives by the variables of the fit, and the solution behind.
+
+    Attributes
+    ----------
+    rows : ndarray, shape (rows,)
+        What the model predicts.
+    columns : ndarray, shape (rows, own)
+        Derivatives by the variables that this case has to do with.
+    places : ndarray, shape (own,)
+        Which these are.
+    count : int
+        Number of all variables of the fit.
+    path, sensitivity
+        The solution and its derivatives.
+    """
+
+    rows: Array
+    columns: Array
+    places: NDArray[np.intp]
+    count: int
+    path: Path
+    sensitivity: Sensitivity
+
+    @property
+    def jacobian(self) -> Array:
+        """Derivatives by all variables of the fit, (rows, variables)."""
+        dense = np.zeros((len(self.rows), self.count))
+        dense[:, self.places] = self.columns
+        return dense
+
+    @property
+    def motion(self) -> LinearMotion:
+        """Small motions about the solution."""
+        return LinearMotion(self.path, self.sensitivity.propagator)
+
+
+class CaseModel:
+    """Predicts the rows of one case; remembers its last solution as the guess for the next.
+
+    Parameters
+    ----------
+    data : CaseData
+        The case.
+    layout : Layout
+        The variables.
+    case : int
+        Which of the layout's cases it is.
+    """
+
+    def __init__(self, data: CaseData, layout: Layout, case: int) -> None:
+        self.data, self.layout, self.case = data, layout, case
+        self.dynamics = Dynamics(layout.model.smooth)
+        moving = layout.places(case, (*self.dynamics.parameters, START_ROTOR, START_CASING))
+        added = [
+            f"{e.name}.{p.symbol}"
+            for e in (*layout.model.rippling, *layout.model.measurement)
+            for p in e.free
+        ]
+        # the variables that this case has to do with; the first ones move it
+        self.places = np.concatenate([moving, layout.places(case, added)])
+        self._own = {int(k): i for i, k in enumerate(self.places)}
+        self._moving = len(moving)
+        self._guess: Path | None = None
+        self._columns: dict[str, tuple[Array, Array]] = {}
+
+    def solve(self, theta: Array) -> Path:
+        """Integrate the smooth part of the model."""
+        first = np.array([*self.layout.start(theta, self.case), *self.dynamics.start])
+        guess = self._guess or self._measured(first)
+        self._guess = solve(self.dynamics, self.layout.numbers(theta, self.case), first, self._mesh, guess)
+        return self._guess
+
+    @cached_property
+    def _mesh(self) -> Mesh:
+        return Mesh.uniform(*self.data.record.span, _INTERVALS)
+
+    def _measured(self, first: Array) -> Path:
+        """Return the measured motion as a first guess."""
+        times, speeds = self.data.rough_speeds
+        mesh, n = self._mesh, len(first)
+        y, edges = (np.tile(first, (*t.shape, 1)) for t in (mesh.times, mesh.edges))
+        for i in range(2):
+            y[..., i] = np.interp(mesh.times, times, speeds[:, i])
+            edges[:, i] = np.interp(mesh.edges, times, speeds[:, i])
+        return Path(mesh, y, edges, self.dynamics.states[:n], np.ones(len(y)), exact=False)
+
+    def predict(self, theta: Array) -> Prediction:
+        """Return rows and derivatives at these variables."""
+        path = self.solve(theta)
+        numbers = self.layout.numbers(theta, self.case)
+        sensitivity = sensitivities(self.dynamics, numbers, path)
+        seen = self.data.observe(path, np.concatenate([path.y[..., None], sensitivity.nodes], axis=3))
+        rows = seen[:, 0].copy()
+        columns = np.zeros((len(rows), len(self.places)))
+        columns[:, : self._moving] = seen[:, 1:]
+        for effect in (*self.layout.model.rippling, *self.layout.model.measurement):
+            if effect.name not in self._columns:
+                self._columns[effect.name] = self.unit_columns(effect, path, sensitivity, numbers)
+            self._add(effect, numbers, rows, columns)
+        return Prediction(rows, columns, self.places, len(theta), path, sensitivity)
+
+    def forget_columns(self) -> None:
+        """Compute the responses to laws that follow an angle anew at the next prediction."""
+        self._columns.clear()
+
+    def _add(self, effect: Effect, numbers: dict[str, float], rows: Array, columns: Array) -> None:
+        sine, cosine = self._columns[effect.name]
+        # what is held has neither role nor column
+        own = {p.role: f"{effect.name}.{p.symbol}" for p in effect.parameters}
+        places = {role: int(self.layout.places(self.case, [key])[0]) for role, key in own.items()}
+        k = numbers[own["amplitude"]] if "amplitude" in own else 1.0
+        phi = numbers[own["phase"]] if "phase" in own else 0.0
+        wave = np.cos(phi) * sine + np.sin(phi) * cosine
+        rows += k * wave
+        if "amplitude" in own:
+            columns[:, self._own[places["amplitude"]]] = wave
+        if "phase" in own:
+            columns[:, self._own[places["phase"]]] = k * (np.cos(phi) * cosine - np.sin(phi) * sine)
+
+    def unit_columns(
+        self, effect: Effect, path: Path, sensitivity: Sensitivity, numbers: dict[str, float]
+    ) -> tuple[Array, Array]:
+        """Return the rows for strength 1 at phase 0 and at a quarter turn."""
+        if effect.moves:
+            return ripple_rows(self.data, effect, path, LinearMotion(path, sensitivity.propagator), numbers)
+        rows = []
+        for phi in (0.0, np.pi / 2):
+            values = {p.symbol: numbers.get(f"{effect.name}.{p.symbol}", p.start) for p in effect.parameters}
+            values |= {p.symbol: 1.0 for p in effect.parameters if p.role == "amplitude"}
+            values |= {p.symbol: phi for p in effect.parameters if p.role == "phase"}
+            rows.append(self._camera(effect, path, values))
+        return rows[0], rows[1]
+
+    def _camera(self, effect: Effect, path: Path, values: dict[str, float]) -> Array:
+        tape = Tape([effect.expression])
+
+        def law(compressed: Compressed, state: int, from_start: float) -> Array:
+            t = compressed.samples.time
+            sampler = Sampler(path.mesh, t)
+            psi = (
+                compressed.samples.value
+                if self.data.is_angle
+                else sampler.integral(*path.angle(path.states[state]))
+            )
+            known: dict[str, Any] = {
+                "t": t - from_start,
+                "omega": sampler.value(path.y[..., state]),
+                "psi": psi,
+            }
+            seen = np.asarray(tape(values | known)[0]) * np.ones(len(t))
+            return seen if self.data.is_angle else np.gradient(seen, t)
+
+        if effect.joint == "camera.casing":
+            return self.data.casing_rows(law(self.data.casing, 1, 0.0)[:, None])[:, 0]
+        out = np.zeros(len(self.data.z))
+        parts = [w.at_samples(law(w, 0, w.samples.time[0])[:, None])[0][:, 0] for w in self.data.rotor]
+        out[self.data.slices["rotor"]] = np.concatenate(parts)
+        return self.data.late_starts.whitened(out)

@@ -1,0 +1,105 @@
+"""Cross-validation over recordings.
+
+What the recordings share is taken from the others as it is. Only what no other recording can know is free: the
+touch point (another surface) and the start speeds.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from fitting._errors import EstimationError
+from fitting.dynamics._model import Model
+from fitting.inference._case_data import CaseData
+from fitting.inference._fit import fit
+from fitting.inference._metrics import BodyMetrics
+from fitting.inference._noise_level import Noise
+from fitting.inference._result import Fit
+
+# of one surface, so each recording has its own
+_OWN = "touchpoint."
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """One recording, predicted from the others.
+
+    Attributes
+    ----------
+    label : str
+        The recording.
+    casing, rotor : float
+        Rms error over the noise; 1 is as good as can be.
+    r2, rmse : float
+        Of the casing's smoothed speed [1, rad/s].
+    others : Fit
+        The fit of the others, from which the shared parameters come.
+    """
+
+    label: str
+    casing: float
+    rotor: float
+    r2: float
+    rmse: float
+    others: Fit
+
+
+def predict_recordings(
+    model: Model, data: Sequence[CaseData], noise: Sequence[Noise], *, alone: Sequence[Fit] = ()
+) -> tuple[Predicted, ...]:
+    """Predict each recording from a fit of the others.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    data : sequence of CaseData
+        At least two recordings.
+    noise : sequence of Noise
+        Of each, as an earlier fit found it.
+    alone : sequence of Fit
+        Fits of the model to each recording alone, if they are known already (saves time for two recordings).
+
+    Raises
+    ------
+    EstimationError
+        If there is only one recording.
+    """
+    if len(data) < 2:
+        raise EstimationError(
+            "one recording cannot be predicted from others", "give several cases, or look at held-out times"
+        )
+    found = []
+    for i, held in enumerate(data):
+        rest = [k for k in range(len(data)) if k != i]
+        others = (
+            alone[rest[0]]
+            if len(rest) == 1 and alone
+            else fit(
+                model,
+                [data[k] for k in rest],
+                # another recording has no value of its own for what is free per case: one value for all others
+                share=[key for key in model.free if not key.startswith(_OWN)],
+                noise=[noise[k] for k in rest],
+            )
+        )
+        held_values = {key: others.estimates[key].value for key in model.free if not key.startswith(_OWN)}
+        free = fit(model.with_fixed(held_values), [held], noise=[noise[i]])
+        (case,) = free.cases
+        found.append(
+            Predicted(
+                held.record.label,
+                _prediction_error(case.casing),
+                _prediction_error(case.rotor),
+                case.casing.r2,
+                case.casing.rmse,
+                others,
+            )
+        )
+    return tuple(found)
+
+
+def _prediction_error(body: BodyMetrics) -> float:
+    return math.sqrt(body.reduced_chi2)

@@ -1,0 +1,321 @@
+"""Initial values that need no guess from the user.
+
+The laws are linear in their strengths gamma_k, so along the rough speeds
+
+    I_c [omega_c(t) - omega_c(0)] = sum_k gamma_k integral_0^t law_k dt,
+
+and the same for the rotor: a linear least-squares problem with bounds.
+
+A law whose strength is nothing has no gradient by its shape, and from a wrong shape the search may not find back. So
+the model is fitted without the law; then, for every shape on a grid, the derivative of the rows by the strength tells
+how far the deviance would fall (a score test), and the best shape is where the full search starts. The random torque
+that a model without the law is excused with would excuse any shape: its level competes with the law for what is left.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting._errors import EstimationError, SimulationError
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
+from fitting.effects._effect import Effect
+from fitting.effects._library import LIBRARY
+from fitting.inference._case_model import Prediction
+from fitting.inference._noise_level import Noise, measure_noise
+from fitting.inference._optimisation import minimise, search
+from fitting.inference._parameters import START_CASING, START_ROTOR, Layout, is_power_law
+from fitting.inference._problem import Problem, turned
+
+Array = NDArray[np.float64]
+
+_FIRST_SHARE = 0.1
+# a casing slower than this share of its largest speed is taken to stand still, for start values
+_AT_REST = 0.01
+
+
+def first_values(problem: Problem, given: Mapping[str, float] | None) -> Array:
+    """Return where a fit starts: what was given, and the start values of all else."""
+    layout = problem.layout
+    known = dict(given or {})
+    if not set(layout.names) <= set(known):
+        rough = [d.rough_speeds for d in problem.data]
+        guessed = dict(
+            zip(layout.names, start_values(layout, problem.reference, rough).tolist(), strict=True)
+        )
+        known = guessed | {k: v for k, v in known.items() if k in guessed}
+    return np.array([known[n] for n in layout.names])
+
+
+def start_values(layout: Layout, reference: float, rough: Sequence[tuple[Array, Array]]) -> Array:
+    """Return start values of all variables.
+
+    Parameters
+    ----------
+    layout : Layout
+        The variables.
+    rough : sequence of (times, speeds)
+        Of each case, as `fitting.inference._velocity` gives them.
+    reference : float
+        Speed difference [rad/s] at which a power law starts with a tenth of the linear law's torque.
+    """
+    theta = np.array([_resting(layout, name) for name in layout.names])
+    parts = []
+    for case, (times, speeds) in enumerate(rough):
+        keys, design, target = _equations(layout, case, times, speeds, theta)
+        parts.append((layout.places(case, keys), design, target))
+    # what cases share is sought in all of them at once: a mean of what each says alone need not suit any
+    places, values = _regress(layout, parts)
+    theta[places] = values
+    for case, (_, speeds) in enumerate(rough):
+        theta[layout.places(case, (START_ROTOR, START_CASING))] = speeds[0]
+    pair = ("bearing.linear.d", "bearing.power.f", "bearing.power.g")
+    if all(k in layout.model.free for k in pair):
+        # each bearing once, however many cases share it
+        for d, f, g in dict.fromkeys(tuple(layout.places(i, pair).tolist()) for i in range(len(rough))):
+            if theta[f] > 0:
+                continue
+            torque = max(theta[d] * reference, 1e-9)
+            theta[f] = _FIRST_SHARE * torque / reference ** theta[g]
+            theta[d] = (1 - _FIRST_SHARE) * torque / reference
+    return theta
+
+
+def _resting(layout: Layout, name: str) -> float:
+    p = layout.parameter(name)
+    if p.relative and p.grid:
+        first, last = layout.records[0].span
+        return first + p.grid[len(p.grid) // 2] * (last - first)
+    return p.start
+
+
+def _equations(
+    layout: Layout, case: int, times: Array, speeds: Array, theta: Array
+) -> tuple[list[str], Array, Array]:
+    """Return the strengths of one case, and the linear equations for them with both start speeds free."""
+    dynamics = Dynamics(layout.model.smooth)
+    numbers = layout.numbers(theta, case)
+    state = np.concatenate([speeds, np.zeros((len(times), len(dynamics.states) - 2))], axis=1)
+    linear = _strengths(layout, dynamics.parameters)
+    with np.errstate(all="ignore"):
+        # without the strengths that are sought: what parameters held at a value do
+        still, _, b = dynamics.linearised(times, state, numbers | dict.fromkeys(linear, 0.0))
+    columns = np.array([dynamics.parameters.index(k) for k in linear])
+    weight = np.array([numbers[INERTIA_ROTOR], numbers[INERTIA_CASING]])
+    rates = b[:, :2][:, :, columns]
+    wild = ~np.isfinite(rates).all(axis=(0, 1))
+    if wild.any():
+        name = linear[int(np.flatnonzero(wild)[0])].rpartition(".")[0]
+        raise EstimationError(
+            f"the law of {name[:80]!r} has no finite value at the measured speeds",
+            "look for a division by zero or a huge exponent",
+        )
+    integrals = _integral(times, rates)
+    held = _integral(times, still[:, :2])
+    # while friction holds the casing its torque is what it has to be, and says nothing
+    seen = [np.ones(len(times), dtype=bool), _turning(speeds[:, 1])]
+    blocks, targets = [], []
+    for i in (0, 1):
+        columns = np.column_stack([integrals[:, i], speeds[:, i] - held[:, i]])[seen[i]] * weight[i]
+        columns = columns - columns.mean(axis=0)
+        blocks.append(columns[:, :-1])
+        targets.append(columns[:, -1])
+    return linear, np.concatenate(blocks), np.concatenate(targets)
+
+
+def _strengths(layout: Layout, parameters: Sequence[str]) -> list[str]:
+    """Return the parameters in which the equations are linear, and which the data can tell apart so."""
+    every = [k for k in parameters if layout.model.parameters[k].role == "amplitude"]
+    # linear in its strength, but hardly to be told from the linear law while its power is free
+    curved = ("bearing.heating.", *(("bearing.power.",) if "bearing.power.g" in parameters else ()))
+    linear = [k for k in every if not k.startswith(curved)] or every
+    if not {"bearing.linear.d", "bearing.power.f"} & {*linear} and "bearing.power.f" in parameters:
+        linear.append("bearing.power.f")
+    return linear
+
+
+def _regress(
+    layout: Layout, parts: Sequence[tuple[NDArray[np.intp], Array, Array]]
+) -> tuple[NDArray[np.intp], Array]:
+    """Return the places of all strengths and their values within bounds, by linear least squares."""
+    places = np.unique(np.concatenate([own for own, _, _ in parts]))
+    rows, aims = [], []
+    for own, design, target in parts:
+        few = turned(np.column_stack([design, target]))
+        rows.append(np.zeros((len(few), len(places))))
+        rows[-1][:, np.searchsorted(places, own)] = few[:, :-1]
+        aims.append(few[:, -1])
+    stacked, aim = np.concatenate(rows), np.concatenate(aims)
+    size = np.linalg.norm(stacked, axis=0)
+    size[size == 0] = 1.0
+    scale = float(np.linalg.norm(aim)) or 1.0
+    unit, aim = stacked / size, aim / scale
+    lower, upper = (bound[places] for bound in layout.declared_bounds())
+    solution = minimise(
+        lambda x: (unit @ x - aim, unit), np.zeros(len(size)), lower, upper, tolerance=1e-10, absolute=1e-14
+    )
+    return places, solution.x / size * scale
+
+
+def _turning(omega_c: Array) -> NDArray[np.bool_]:
+    """Return the longest stretch in which the casing does not rest."""
+    slow = np.abs(omega_c) < _AT_REST * np.abs(omega_c).max(initial=0.0)
+    ends = np.flatnonzero(np.diff(np.concatenate([[True], slow, [True]]).astype(int)))
+    if not len(ends):
+        return np.ones(len(omega_c), dtype=bool)
+    start, stop = max(zip(ends[::2], ends[1::2], strict=True), key=lambda pair: pair[1] - pair[0])
+    inside = np.zeros(len(omega_c), dtype=bool)
+    inside[start:stop] = True
+    return inside
+
+
+def _integral(times: Array, rates: Array) -> Array:
+    steps = np.diff(times).reshape(-1, *[1] * (rates.ndim - 1))
+    middle = 0.5 * (rates[1:] + rates[:-1]) * steps
+    return np.concatenate([np.zeros((1, *rates.shape[1:])), np.cumsum(middle, axis=0)])
+
+
+_POWERS = (0.25, 0.5, 0.75, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0)
+_MOST = 80
+_COLLINEAR = 1e-7
+# of the level of random torque without the law
+_SHARES = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3)
+
+
+def unknown_shapes(layout: Layout, given: Mapping[str, float] | None) -> list[Effect]:
+    """Return the effects of a model whose shape constants were not given and need a search of their own."""
+    known = {name.partition("@")[0] for name in given or {}}
+    effects = []
+    for e in layout.model.smooth.effects:
+        roles = {p.role for p in e.parameters}
+        shapes = [f"{e.name}.{p.symbol}" for p in e.parameters if p.role == "shape"]
+        # the exponent of the bearing's own power law has straight variables and a start that serves
+        alone = e.joint == "bearing" and sum(o.joint == "bearing" for o in layout.model.effects) == 1
+        searched = (
+            not alone and e.name != "bearing.power" and "phase" not in roles and e.amplitude is not None
+        )
+        if shapes and searched and not known.intersection(shapes):
+            effects.append(e)
+    return effects
+
+
+def start_shapes(
+    problem: Problem,
+    theta: Array,
+    effects: list[Effect],
+    *,
+    fitted: bool,
+    noise: Sequence[Noise] | None = None,
+) -> Array:
+    """Return variables with the shapes of some effects on the best point of their grids.
+
+    The problem's noise is then what they leave.
+
+    Parameters
+    ----------
+    problem : Problem
+        The fit, at a cautious noise.
+    theta : ndarray
+        Variables so far.
+    effects : list of Effect
+        The effects.
+    fitted : bool
+        Whether the others are at the best fit without these effects already.
+    noise : sequence of Noise, optional
+        The noise without these effects, if it is known.
+    """
+    layout = problem.layout
+    theta = theta.copy()
+    for effect in effects:
+        theta[_places(layout, effect, "amplitude")] = 0.0
+    if not fitted:
+        theta = _without(problem, theta, effects)
+    noise = measure_noise(problem, theta) if noise is None else noise
+    for effect in effects:
+        theta = _best(problem, theta, effect, noise)
+    return theta
+
+
+def _without(problem: Problem, theta: Array, effects: list[Effect]) -> Array:
+    layout = problem.layout
+    names = {e.name for e in effects}
+    model = Model(tuple(e for e in layout.model.effects if e.name not in names))
+    smaller = Layout(model, layout.records, layout.per_case, layout.ranges)
+    rest = Problem(smaller, problem.data)
+    rest.set_noise([p.whitener for p in problem.projections])
+    places = [layout.index[n] for n in smaller.names]
+    out = theta.copy()
+    out[places] = search(rest, theta[places])[1]
+    return out
+
+
+def _best(problem: Problem, theta: Array, effect: Effect, noise: Sequence[Noise]) -> Array:
+    """Return variables with the best shape of one effect; the noise of the problem is then what it leaves."""
+    layout = problem.layout
+    starts = []
+    for values in _grid(problem, effect):
+        begin = theta.copy()
+        for symbol, value in values.items():
+            for case in range(len(layout.records)):
+                begin[layout.places(case, [f"{effect.name}.{symbol}"])] = value
+        with suppress(SimulationError):
+            starts.append((begin, problem.predict(begin)))
+    ends = []
+    for share in _SHARES:
+        whiteners = [n.whitener.at(max(n.pure, share * n.level)) for n in noise]
+        problem.set_noise(whiteners)
+        loud = sum(w.log_determinant for w in whiteners)
+        for begin, predictions in starts:
+            found = _stepped(problem, begin, predictions, _places(layout, effect, "amplitude"))
+            if found is not None:
+                ends.append((loud + found[0], found[1], whiteners))
+    if not ends:
+        problem.set_noise([n.whitener for n in noise])
+        return theta
+    _, chosen, whiteners = min(ends, key=lambda end: end[0])
+    problem.set_noise(whiteners)
+    return chosen
+
+
+def _stepped(
+    problem: Problem, begin: Array, predictions: Sequence[Prediction], strength: NDArray[np.intp]
+) -> tuple[float, Array] | None:
+    """Return chi-square after one linear step of all variables, and variables with the strength it gives."""
+    lower, upper = problem.layout.bounds()
+    r, j = problem.residuals(predictions)
+    size = np.linalg.norm(j, axis=0)
+    moving = size > 0
+    if not np.isfinite(size).all() or not moving[strength].all():
+        return None
+    step = np.zeros(len(begin))
+    step[moving] = np.linalg.lstsq(j[:, moving] / size[moving], -r, rcond=_COLLINEAR)[0] / size[moving]
+    if (step[strength] < lower[strength]).any() or (step[strength] > upper[strength]).any():
+        return None
+    end = begin.copy()
+    end[strength] = step[strength]
+    return float(np.sum((r + j @ step) ** 2)), end
+
+
+def _grid(problem: Problem, effect: Effect) -> Iterator[dict[str, float]]:
+    first, last = problem.layout.records[0].span
+    axes = []
+    for p in effect.parameters:
+        if p.role != "shape":
+            continue
+        grid = np.array(p.grid or (p.start,))
+        if effect.name not in LIBRARY and is_power_law(effect, *problem.data[0].rough_speeds):
+            grid = np.array([v for v in _POWERS if p.lower <= v <= p.upper] or [p.start])
+        if p.relative:
+            grid = grid * (last - first) + (first if p.symbol == effect.breakpoint else 0.0)
+        axes.append([(p.symbol, float(v)) for v in grid])
+    for values in itertools.islice(itertools.product(*axes), _MOST):
+        yield dict(values)
+
+
+def _places(layout: Layout, effect: Effect, role: str) -> NDArray[np.intp]:
+    keys = [f"{effect.name}.{p.symbol}" for p in effect.parameters if p.role == role]
+    return np.unique(np.concatenate([layout.places(i, keys) for i in range(len(layout.records))]))

@@ -1,0 +1,280 @@
+"""Figures of merit of a fitted case: smoothed velocities, cross-validation error, energy balance.
+
+K(t) + integral_0^t [ tau_cr D + (a1 w_r + a2 w_r^2) w_r + (b1 + b2 w_c) w_c ] dt = K(0),
+
+every friction term a loss; for any model the loss is minus the power of its torques on both bodies,
+-(tau_r w_r + tau_c w_c). As in the paper, the casing's *measured* speed enters, so that a model that
+misses a torque does not balance; the rotor's speed is the model's, held to its windows by the fit.
+
+For a linear model with noise covariance C, leaving out the rows h changes the prediction so that the error is
+
+    e_h = (G_hh)^-1 (G r)_h,   cov(e_h) = (G_hh)^-1,   G = C^-1 - C^-1 X (X' C^-1 X)^-1 X' C^-1,
+
+with the residuals r of the full fit and the columns X of parameters and nuisances: the exact result of
+refitting without them, without refitting (leave-block-out; O. Dubrule, Math. Geol. 15, 687 (1983)).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.polynomial import hermite_e
+from numpy.typing import NDArray
+
+from fitting.dynamics._mesh import Path, Sampler
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
+from fitting.inference._case_data import SPEED_BLOCKS, CaseData
+from fitting.inference._case_model import CaseModel, Prediction
+from fitting.inference._compression import CASING_DEGREE
+from fitting.inference._problem import Projection
+from fitting.inference._record import Record, Samples
+from fitting.inference._velocity import median_width, speeds
+
+Array = NDArray[np.float64]
+
+_TERMS = 21
+
+
+def as_velocities(record: Record) -> Record:
+    """Return the record with the paper's velocities in place of angles: median, gradient, median, ends dropped.
+
+    Their sigma is that of independent samples which would leave as much slow noise (`median_noise`): neighbours share
+    most of theirs, and the fit sees only what is slow.
+    """
+    if record.quantity == "omega":
+        return record
+    runs = [_velocities(record.casing, SPEED_BLOCKS), *(_velocities(s, 1) for s in record.rotor)]
+    return replace(record, casing=runs[0], rotor=tuple(runs[1:]), quantity="omega", gradients=True, digest="")
+
+
+def _velocities(samples: Samples, blocks: int) -> Samples:
+    time, omega = speeds(samples, "angle")
+    width = median_width(len(samples))
+    step = np.gradient(samples.time)
+    noise = np.hypot(*(np.roll(samples.sigma, k) for k in (-1, 1))) / (2 * step)
+    noise = np.interp(time, samples.time, noise)
+    rise = np.abs(np.gradient(np.convolve(omega, np.full(width, 1 / width), mode="same"), time))
+    # the mean runs into nothing at both ends
+    rise[: width // 2 + 1], rise[-width // 2 :] = rise[width // 2 + 1], rise[-width // 2 - 1]
+    reach = 0.5 * width * float(np.median(step)) * rise / noise
+    # a block of gradients e_(i+1) - e_(i-1) keeps the e of both its ends: on the Legendre polynomials of degree k, as
+    # large there as (2 k + 1) / samples, mean (degree + 1) / samples
+    ends = 2 * (CASING_DEGREE + 1) * blocks / len(samples)
+    return Samples(time, omega, noise * np.sqrt(median_noise(reach) + ends))
+
+
+def median_noise(reach: Array) -> Array:
+    """Return the slow noise of a running median of gradients, as a variance over that of one gradient.
+
+    Where the speed rises, sample j beside the middle counts as long as its noise does not lift it over the slope: in
+    sums over many medians every gradient v counts as psi(v), cut off at c = slope x half the width. So the spectral
+    density at frequency nothing is that of Huber's estimate,
+
+        S = sum over lags of cov[psi(v_0), psi(v_k)] / P(|v| < c)^2,
+
+    and gradients (e_(i+1) - e_(i-1)) / 2h of independent e correlate by -1/2 at lag 2 and at no other. By Hermite
+    polynomials (Mehler's formula) cov = sum_k (2 phi(c) He_(k-2)(c))^2 (-1/2)^k / k! over odd k, the first term being
+    P^2 / 2.
+
+    Parameters
+    ----------
+    reach : ndarray
+        c, in standard deviations of the noise of one gradient.
+    """
+    c = np.clip(reach, 0.02, 5.0)
+    density = np.exp(-0.5 * c**2) / np.sqrt(2 * np.pi)
+    inside = np.vectorize(math.erf, otypes=[float])(c / np.sqrt(2))
+    variance = inside - 2 * c * density + c**2 * (1 - inside)
+    opposed, factorial = 0.5 * inside**2, 1.0
+    for k in range(3, _TERMS, 2):
+        factorial *= (k - 1) * k
+        polynomial = hermite_e.hermeval(c, np.eye(k - 1)[k - 2])
+        opposed = opposed + (2 * density * polynomial) ** 2 * 0.5**k / factorial
+    return np.asarray(np.maximum(variance - 2 * opposed, 0.0) / inside**2)
+
+
+_POINTS = 2000
+
+
+@dataclass(frozen=True)
+class EnergyBalance:
+    """Time [s], balance K + losses [J] (constant for a right model), and its largest relative drift."""
+
+    time: Array
+    energy: Array
+    drift: float
+
+
+def energy_balance(case: CaseModel, theta: Array, path: Path) -> EnergyBalance:
+    """Return the energy balance of a fitted case.
+
+    Parameters
+    ----------
+    case : CaseModel
+        The case.
+    theta : ndarray
+        Variables of the fit.
+    path : Path
+        Its solution.
+
+    Returns
+    -------
+    EnergyBalance
+    """
+    time, omega = case.data.speeds["casing"]
+    t = np.linspace(time[0], time[-1], min(_POINTS, len(time)))
+    state = Sampler(path.mesh, t).value(path.y)
+    state[:, 1] = np.interp(t, time, omega)
+    numbers = case.layout.numbers(theta, case.case)
+    rates = case.dynamics.rates(t, state, numbers)
+    inertia = np.array([numbers[INERTIA_ROTOR], numbers[INERTIA_CASING]])
+    kinetic = 0.5 * (state[:, :2] ** 2) @ inertia
+    power = -np.sum(rates[:, :2] * inertia * state[:, :2], axis=1)
+    lost = np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(t))])
+    energy = kinetic + lost
+    return EnergyBalance(t, energy, float(np.max(np.abs(energy / energy[0] - 1))))
+
+
+FOLDS = 6
+
+
+def held_out(data: CaseData, project: Projection, prediction: Prediction) -> dict[str, float]:
+    """Return the rms error of held-out stretches over their noise, for each body.
+
+    Parameters
+    ----------
+    data : CaseData
+        The case.
+    project : Projection
+        Its noise and nuisances.
+    prediction : Prediction
+        The fitted model.
+
+    Returns
+    -------
+    dict
+        ``casing``: each of six stretches of time predicted from the others; ``rotor``: each
+        window predicted from all else. 1 means as good as the noise allows.
+    """
+    jacobian = project(prediction.columns)
+    size = np.linalg.norm(jacobian, axis=0)
+    used = np.concatenate([project.basis, np.linalg.qr(jacobian[:, size > 0] / size[size > 0])[0]], axis=1)
+    residual = project(prediction.rows - data.z)
+    residual = residual - used @ (used.T @ residual)
+    weighted = project.whitener(residual)
+    result = {}
+    for body, folds, rest, count in (
+        ("casing", _casing_folds(data), data.casing.rest, data.casing.n_effective),
+        (
+            "rotor",
+            _rotor_folds(data),
+            sum(w.rest for w in data.rotor),
+            sum(w.n_effective for w in data.rotor),
+        ),
+    ):
+        total = rest + sum(_error(project, used, weighted, fold) for fold in folds)
+        result[body] = float(np.sqrt(total / max(count, 1.0)))
+    return result
+
+
+def _error(project: Projection, used: Array, weighted: Array, fold: Array) -> float:
+    columns = np.zeros((len(weighted), len(fold)))
+    columns[fold, np.arange(len(fold))] = 1.0
+    white = project.whitener(columns)
+    inner = used.T @ white
+    values, vectors = np.linalg.eigh(white.T @ white - inner.T @ inner)
+    keep = values > 1e-9 * values[-1]
+    seen = vectors[:, keep].T @ weighted[fold]
+    return float(np.sum(seen**2 / values[keep]))
+
+
+def _casing_folds(data: CaseData) -> list[Array]:
+    blocks, k, _ = data.casing.lift.shape
+    harmonics = len(data.casing.harmonic) // blocks
+    first = data.slices["harmonic"].start
+    folds = []
+    for part in np.array_split(np.arange(blocks), min(FOLDS, blocks)):
+        rows = (part[:, None] * k + np.arange(k)).ravel()
+        tail = first + (part[:, None] * harmonics + np.arange(harmonics)).ravel()
+        folds.append(np.concatenate([rows, tail]))
+    return folds
+
+
+def _rotor_folds(data: CaseData) -> list[Array]:
+    ends = data.slices["rotor"].start + np.cumsum([0, *(len(w.z) for w in data.rotor)])
+    return [np.arange(a, b) for a, b in pairwise(ends)]
+
+
+_SPEED = {"casing": "omega_c", "rotor": "omega_r"}
+
+
+@dataclass(frozen=True)
+class BodyMetrics:
+    """How well one body is described.
+
+    Attributes
+    ----------
+    r2, rmse : float
+        Of the angular velocity smoothed as in the paper [1, rad/s].
+    reduced_chi2 : float
+        Chi-square of what was fitted over the effective number of samples.
+    held_out : float
+        Rms error of held-out stretches over the noise; 1 is as good as can be.
+    """
+
+    r2: float
+    rmse: float
+    reduced_chi2: float
+    held_out: float
+
+
+@dataclass(frozen=True)
+class CaseMetrics:
+    """How well one case is described; `misfit` is chi2 per row of what a model can reach."""
+
+    label: str
+    casing: BodyMetrics
+    rotor: BodyMetrics
+    energy_drift: float
+    misfit: float
+
+
+def case_metrics(case: CaseModel, project: Projection, prediction: Prediction, theta: Array) -> CaseMetrics:
+    """Return the figures of merit of one case."""
+    data = case.data
+    residual = project(prediction.rows - data.z)
+    chi2 = {name: float(np.sum(residual[where] ** 2)) for name, where in data.slices.items()}
+    outside = held_out(data, project, prediction)
+    quality = {
+        "casing": (chi2["casing"] + chi2["harmonic"] + data.casing.rest, data.casing.n_effective),
+        "rotor": (chi2["rotor"] + sum(w.rest for w in data.rotor), sum(w.n_effective for w in data.rotor)),
+    }
+    bodies = {}
+    for body in _SPEED:
+        if body not in data.speeds:
+            bodies[body] = BodyMetrics(*[float("nan")] * 4)
+            continue
+        r2, rmse = _speed_quality(data, prediction.path, body)
+        total, count = quality[body]
+        reduced = total / max(1.0, count)
+        if body == "rotor" and data.record.generated:  # no noise to measure against
+            reduced = outside[body] = float("nan")
+        bodies[body] = BodyMetrics(r2, rmse, reduced, outside[body])
+    rows = max(1, len(data.z) - project.basis.shape[1])
+    return CaseMetrics(
+        data.record.label,
+        bodies["casing"],
+        bodies["rotor"],
+        energy_balance(case, theta, prediction.path).drift,
+        float(np.sum(residual**2)) / rows,
+    )
+
+
+def _speed_quality(data: CaseData, path: Path, body: str) -> tuple[float, float]:
+    t, y = data.speeds[body]
+    error = y - Sampler(path.mesh, t).value(path.y[..., path.states.index(_SPEED[body])])
+    spread = float(np.sum((y - y.mean()) ** 2))
+    return 1 - float(error @ error) / spread if spread > 0 else 0.0, float(np.sqrt(np.mean(error**2)))

@@ -1,0 +1,370 @@
+"""Nonlinear least squares with bounds: Levenberg-Marquardt, and the search for the minimum of a fit.
+
+J. J. More, The Levenberg-Marquardt algorithm, Lect. Notes Math. 630 (1978), with H. B. Nielsen's update of
+the damping (IMM-REP-1999-05). A variable on its bound whose gradient points outward is held for the step.
+
+Where a search ends far from anything that noise explains, the start was at fault, or the model is: it is repeated
+from the program's own start, and from other exponents.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting._errors import EstimationError, SimulationError
+from fitting.inference._parameters import Valley
+from fitting.inference._problem import Problem
+
+Array = NDArray[np.float64]
+ResidualFunction = Callable[[Array], tuple[Array, Array]]
+
+# a fall of the sum of squares, in variances of the noise, that moves no parameter by a tenth of its error
+_WORTH_WHILE = 0.01
+_HARDLY_DAMPED = 1e-20
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """Where the search ended: variables, residuals, Jacobian, sum of squares, and whether it converged."""
+
+    x: Array
+    residual: Array
+    jacobian: Array
+    cost: float
+    converged: bool
+    iterations: int
+    at_bound: NDArray[np.bool_]
+
+
+def minimise(
+    problem: ResidualFunction,
+    start: Array,
+    lower: Array,
+    upper: Array,
+    *,
+    tolerance: float = 1e-9,
+    absolute: float = 1e-7,
+    max_iterations: int = 200,
+) -> Minimum:
+    """Minimise the sum of squares of residuals.
+
+    Parameters
+    ----------
+    problem : callable
+        x -> (residuals (m,), Jacobian (m, n)); may raise `SimulationError` where it has no value.
+    start, lower, upper : ndarray, shape (n,)
+        Start and bounds.
+    tolerance : float
+        The search ends when the sum of squares is predicted to fall, and falls, by less than this
+        share of itself, or by less than `absolute` in all.
+    absolute : float
+        See `tolerance`.
+    max_iterations : int
+        Steps tried at most.
+
+    Returns
+    -------
+    Minimum
+
+    Raises
+    ------
+    EstimationError
+        If the problem has no value at the start.
+    """
+    x = np.clip(start, lower, upper)
+    try:
+        r, j = problem(x)
+    except SimulationError as fault:
+        raise EstimationError(
+            f"the model cannot be computed at its start values: {fault.message}", fault.hint
+        ) from None
+    cost = float(r @ r)
+    damping, growth = 1e-3, 2.0
+    scale = np.linalg.norm(j, axis=0)
+    converged = False
+    iteration = 0
+    for iteration in range(1, max_iterations + 1):  # noqa: B007
+        scale = np.maximum(scale, np.linalg.norm(j, axis=0))
+        unit = np.where(scale > 0, scale, 1.0)
+        step = _step(r, j, unit, damping, lower - x, upper - x)
+        predicted = cost - float(np.sum((r + j @ step) ** 2))
+        enough = max(tolerance * cost, absolute)
+        if damping <= 1 and predicted < 1e-3 * enough:
+            if _undamped(r, j, unit, lower - x, upper - x) < _WORTH_WHILE + enough:
+                converged = True
+                break
+            damping *= 0.01
+            continue
+        try:
+            r_new, j_new = problem(np.clip(x + step, lower, upper))
+            with np.errstate(over="ignore"):
+                cost_new = float(r_new @ r_new)
+        except SimulationError:
+            cost_new = np.inf
+        fall = cost - cost_new
+        if fall > 0:
+            x, r, j, cost = np.clip(x + step, lower, upper), r_new, j_new, cost_new
+            ratio = min(fall / max(predicted, 1e-300), 2.0)
+            damping *= max(1 / 5, 1 - (2 * ratio - 1) ** 3)
+            growth = 2.0
+            if damping <= 1 and max(fall, predicted) < enough:
+                if _undamped(r, j, unit, lower - x, upper - x) < _WORTH_WHILE + enough:
+                    converged = True
+                    break
+                damping *= 0.01
+        elif damping > 1e14:
+            # no step helps, however short: rounding has the last word
+            converged = _undamped(r, j, unit, lower - x, upper - x) < _WORTH_WHILE + enough
+            break
+        else:
+            damping *= growth
+            growth *= 2
+    return Minimum(x, r, j, cost, converged, iteration, (x <= lower) | (x >= upper))
+
+
+def _undamped(r: Array, j: Array, unit: Array, down: Array, up: Array) -> float:
+    """Return by how much the sum of squares would fall with no damping, if the problem were linear.
+
+    Where variables are nearly collinear a damped step promises little although the valley still falls.
+    """
+    step = _step(r, j, unit, _HARDLY_DAMPED, down, up)
+    return float(r @ r) - float(np.sum((r + j @ step) ** 2))
+
+
+def _step(r: Array, j: Array, scale: Array, damping: float, down: Array, up: Array) -> Array:
+    """Return the damped Gauss-Newton step within the room `down` to `up`; who hits a bound stays there."""
+    gradient = j.T @ r
+    step = np.zeros(len(scale))
+    free = ~(((down >= 0) & (gradient > 0)) | ((up <= 0) & (gradient < 0)))
+    while free.any():
+        # scaled columns: units of the variables differ by ten orders of magnitude and more
+        a = np.concatenate([j[:, free] / scale[free], np.sqrt(damping) * np.eye(int(free.sum()))])
+        b = np.concatenate([-r - j[:, ~free] @ step[~free], np.zeros(int(free.sum()))])
+        step[free] = np.linalg.lstsq(a, b, rcond=None)[0] / scale[free]
+        crossing = free & ((step < down) | (step > up))
+        if not crossing.any():
+            break
+        step = np.clip(step, down, up)
+        free &= ~crossing
+    return step
+
+
+# a chi-square this near to its minimum moves no parameter by a hundredth of its error
+_ENOUGH = 1e-5
+_ENOUGH_TO_RANK = 3e-3
+# chi2 per row above which a search is repeated from elsewhere
+_LOST = 10.0
+_PATIENCE = 60
+# steps tried at most where only an order is asked for
+_QUICK = 40
+# exponents tried for the slope of a law
+_POWERS = 241
+_ALIKE = 1e-3
+
+
+def search_widely(problem: Problem, theta: Array, others: Iterable[Array], *, quick: bool = False) -> Array:
+    """Return the variables of the best of several searches; the others are tried only if the first is lost."""
+    best: tuple[float, Array] | None = None
+    for begin in (theta, *others):
+        try:
+            minimum, end = search(problem, begin, quick=quick, most=_PATIENCE)
+        except EstimationError:
+            continue
+        # two starts that end alike: the model is at fault
+        alike = best is not None and abs(minimum.cost - best[0]) < _ALIKE * best[0]
+        if best is None or minimum.cost < best[0]:
+            best = minimum.cost, end
+        if alike or (minimum.converged and minimum.cost < _LOST * problem.rows):
+            break
+    if best is None:
+        # the fault of the first start, told by the solver
+        return search(problem, theta, quick=quick)[1]
+    return best[1]
+
+
+def search(problem: Problem, theta: Array, *, quick: bool = False, most: int = 200) -> tuple[Minimum, Array]:
+    """Return the minimum of a fit at its present noise, and its physical variables.
+
+    Parameters
+    ----------
+    problem : Problem
+        The fit.
+    theta : ndarray
+        Where to start.
+    quick : bool
+        Stop where chi-square is within about 0.01 of its minimum.
+    most : int
+        Steps tried at most.
+    """
+    enough, most = (_ENOUGH_TO_RANK, min(_QUICK, most)) if quick else (_ENOUGH, most)
+    lower, upper = problem.layout.bounds()
+    if problem.edge is not None:
+        edge = _Edge(*problem.edge)
+        found = _along(problem, theta, edge, enough, most)
+        if (
+            found is not None
+            and found[0].converged
+            and not _broken(edge.valleys, found[1], lower, upper)
+            and _pushed(problem, found[1], edge.held, enough)
+        ):
+            return found
+        problem.edge = None
+    follows_angle = bool(problem.layout.model.rippling or problem.layout.model.measurement)
+    for _ in range(2 if follows_angle else 1):
+        for case in problem.cases:
+            case.forget_columns()
+        minimum = _minimise(problem, theta, lower, upper, enough, most)
+        theta = problem.physical(minimum.x)
+    # the box around d and f is none in straight variables: whether they kept to it is seen afterwards
+    if not _broken(problem.valleys, theta, lower, upper):
+        return minimum, theta
+    if not minimum.converged and minimum.cost > _LOST * problem.rows:
+        return minimum, np.clip(theta, lower, upper)
+    return _on_the_edge(problem, minimum, theta, enough, most)
+
+
+def search_around(problem: Problem, theta: Array, held: Iterable[str]) -> Array:
+    """Return the variables of a quick search in which some are held: a start for the search of all.
+
+    A law that is added to a fitted model is far from the data at first, because the others have not yet made
+    room for it. A step from there would throw its shape away, about which the data says nothing so far from it.
+    """
+    layout = problem.layout
+    values = {name: float(theta[layout.index[name]]) for name in held}
+    problem.layout = replace(layout, ranges={**layout.ranges, **{n: (v, v) for n, v in values.items()}})
+    try:
+        return search(problem, theta, quick=True)[1]
+    finally:
+        problem.layout = layout
+
+
+@dataclass(frozen=True)
+class _Edge:
+    """A part of the bounds of d and f: the valleys that remain there, and which variables are held."""
+
+    valleys: tuple[Valley, ...]
+    held: tuple[int, ...] = ()
+
+
+def _minimise(
+    problem: Problem, theta: Array, lower: Array, upper: Array, enough: float, most: int
+) -> Minimum:
+    least, greatest = problem.straight_bounds(lower, upper)
+    start = problem.straight(theta)
+    return minimise(problem, start, least, greatest, absolute=enough, max_iterations=most)
+
+
+def _along(
+    problem: Problem, theta: Array, edge: _Edge, enough: float, most: int
+) -> tuple[Minimum, Array] | None:
+    """Return the minimum along an edge, from variables on it; None if there is no value there."""
+    lower, upper = problem.layout.bounds()
+    held = list(edge.held)
+    lower[held] = upper[held] = theta[held]
+    valleys, problem.valleys = problem.valleys, edge.valleys
+    try:
+        minimum = _minimise(problem, theta, lower, upper, enough, most)
+        end = problem.physical(minimum.x)
+    except EstimationError:
+        return None
+    finally:
+        problem.valleys = valleys
+    return minimum, end
+
+
+def _pushed(problem: Problem, theta: Array, held: Sequence[int], enough: float) -> bool:
+    """Return whether chi-square would not fall if what is held at a bound moved into its range."""
+    lower, upper = problem.layout.bounds()
+    r, j = problem.residuals(problem.predict(theta))
+    others = [i for i in range(len(theta)) if i not in held and lower[i] < theta[i] < upper[i]]
+    size = np.linalg.norm(j[:, others], axis=0)
+    basis = np.linalg.qr(j[:, others] / np.where(size > 0, size, 1.0))[0]
+    for i in held:
+        own = j[:, i] - basis @ (basis.T @ j[:, i])
+        slope = float(own @ r)
+        inward = slope < 0 if theta[i] <= lower[i] else slope > 0
+        if inward and slope**2 > enough * float(own @ own):
+            return False
+    return True
+
+
+def _on_the_edge(
+    problem: Problem, minimum: Minimum, theta: Array, enough: float, most: int
+) -> tuple[Minimum, Array]:
+    """Return the best fit with d and f within their bounds when the free one breaks them.
+
+    One of the two then lies on a bound, or both do: a quick search along every bound, and the best one to its end.
+    """
+    lower, upper = problem.layout.bounds()
+    ends = list(_ranked(problem, theta, _Edge(problem.valleys), min(_QUICK, most)))
+    if ends:
+        _, theta, edge = min(ends, key=lambda end: end[0])
+        found = _along(problem, theta, edge, enough, most)
+        if found is not None and not _broken(edge.valleys, found[1], lower, upper):
+            problem.edge = edge.valleys, edge.held
+            return found
+    return replace(minimum, converged=False), np.clip(theta, lower, upper)
+
+
+def _ranked(problem: Problem, theta: Array, edge: _Edge, most: int) -> Iterator[tuple[float, Array, _Edge]]:
+    """Yield where quick searches along the bounds of the first valley that breaks them end: chi-square, variables."""
+    lower, upper = problem.layout.bounds()
+    (v, *_) = _broken(edge.valleys, theta, lower, upper)
+    for side, begin in _sides(v, edge, theta, lower, upper):
+        found = _along(problem, begin, side, _ENOUGH_TO_RANK, most)
+        if found is None:
+            continue
+        if _broken(side.valleys, found[1], lower, upper):
+            yield from _ranked(problem, found[1], side, most)
+        else:
+            yield found[0].cost, found[1], side
+
+
+def _broken(valleys: Sequence[Valley], theta: Array, lower: Array, upper: Array) -> list[Valley]:
+    """Return the valleys whose d or f is out of its bounds."""
+    broken = []
+    for v in valleys:
+        places = [i for i in (v.d, v.f) if i is not None]
+        if np.any(theta[places] < lower[places]) or np.any(theta[places] > upper[places]):
+            broken.append(v)
+    return broken
+
+
+def _sides(v: Valley, edge: _Edge, theta: Array, lower: Array, upper: Array) -> Iterator[tuple[_Edge, Array]]:
+    """Yield the bounds of d and f, each with variables on it: torque and slope at the reference speed are kept."""
+    rest = tuple(w for w in edge.valleys if w.f != v.f)
+    if v.d is None:
+        # a lone power law: with f within its range, in f itself
+        yield _Edge(rest, edge.held), np.clip(theta, lower, upper)
+        return
+    if v.held:
+        place = v.f if v.held == "d" else v.d
+        begin = theta.copy()
+        begin[place] = np.clip(theta[place], lower[place], upper[place])
+        yield _Edge(rest, (*edge.held, place)), begin
+        return
+    d, f, g = theta[v.d], theta[v.f], theta[v.g]
+    straight = v.reference**v.order
+    torque = max(d * straight + f * v.reference**g, 1e-12)
+    curvature = (g - v.order) * f * v.reference**g
+    powers = (
+        np.linspace(lower[v.g], upper[v.g], _POWERS)
+        if np.isfinite(upper[v.g] - lower[v.g])
+        else np.array([g])
+    )
+    for bound in {float(b[v.d]) for b in (lower, upper) if np.isfinite(b[v.d])}:
+        begin = theta.copy()
+        left = max(torque - bound * straight, 1e-3 * torque)
+        begin[v.d], begin[v.g] = bound, np.clip(v.order + curvature / left, lower[v.g], upper[v.g])
+        begin[v.f] = left / v.reference ** begin[v.g]
+        yield _Edge((*rest, replace(v, held="d")), (*edge.held, v.d)), begin
+    for bound in {float(b[v.f]) for b in (lower, upper) if np.isfinite(b[v.f])}:
+        begin = theta.copy()
+        bent = (powers - v.order) * bound * v.reference**powers
+        begin[v.f], begin[v.g] = bound, powers[np.argmin(np.abs(bent - curvature))]
+        begin[v.d] = (torque - bound * v.reference ** begin[v.g]) / straight
+        yield _Edge((*rest, replace(v, held="f")), (*edge.held, v.f)), begin

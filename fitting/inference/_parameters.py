@@ -1,0 +1,416 @@
+"""The parameter vector of a fit, and the variables in which its least-squares valley is straight.
+
+A law d x^m and a power law f x^g on the same body have a curved valley in (d, f, g): near g = m both are the same.
+With X = x / x_ref they read T1 X^m + K (X^g - X^m) / (g - m), where T1 is the torque at x_ref and K its curvature:
+
+    T1 = d x_ref^m + f x_ref^g,    K = (g - m) f x_ref^g.
+
+So it is for the bearing's d D + f D^g, with m = 1, and for any power law that a user adds to a law of fixed power.
+A power law without such a one beside it has the torque F = f x_ref^g for f. Where d or f is held at a bound, the other
+is replaced by T1, which the data know well.
+
+A law of strength k and phase phi is k [cos(phi) s + sin(phi) c] with its responses s and c at phase 0 and at a quarter
+turn. In k and phi a search that begins at k = 0 has no slope by phi, cannot turn round once k is at its bound, and
+moves the others, above all the start speed, which have to make room for both. In
+
+    a = k cos(phi),   b = k sin(phi)
+
+there is neither a bound nor a bend.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting._errors import EffectError
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
+from fitting.effects._effect import Effect, Parameter
+from fitting.effects._expression import Tape
+from fitting.inference._record import Record
+
+Array = NDArray[np.float64]
+
+START_ROTOR, START_CASING = "initial.omega_r", "initial.omega_c"
+# the surface may differ from case to case, and the paper frees the casing's drag with it
+PER_CASE = ("touchpoint.", "casing.air.linear.")
+_START = Parameter("omega", "rad s-1", "shape", -np.inf, np.inf)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The names of all variables of a fit of some cases.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    records : tuple of Record
+        The cases.
+    per_case : tuple of str
+        Parameters (keys, effects or prefixes) with a value for each case.
+    ranges : mapping
+        Bounds, by name, within the declared ones.
+    """
+
+    model: Model
+    records: tuple[Record, ...]
+    per_case: tuple[str, ...]
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls,
+        model: Model,
+        records: Sequence[Record],
+        share: Iterable[str] = (),
+        per_case: Iterable[str] = (),
+        ranges: Mapping[str, tuple[float, float]] | None = None,
+    ) -> Layout:
+        """Return the layout: the paper's per-case parameters, changed by `share` and `per_case`.
+
+        Raises
+        ------
+        EffectError
+            If a name of `share` or `per_case` is no parameter of the model.
+        """
+        for name in (*share, *per_case):
+            if not any(covers(name, key) for key in model.free):
+                raise EffectError(
+                    f"{name!r} is no parameter of the model", "it has: " + ", ".join(model.free)
+                )
+        default = [key for key in model.free if key.startswith(PER_CASE)]
+        chosen = [
+            key
+            for key in model.free
+            if (key in default or any(covers(n, key) for n in per_case))
+            and not any(covers(n, key) for n in share)
+        ]
+        return cls(model, tuple(records), tuple(chosen) if len(records) > 1 else (), dict(ranges or {}))
+
+    @cached_property
+    def choices(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """What is shared, and what each case has of its own, other than is usual: `of` takes both."""
+        if len(self.records) == 1:
+            return (), ()
+        usual = {key for key in self.model.free if key.startswith(PER_CASE)}
+        return (
+            tuple(k for k in self.model.free if k in usual and k not in self.per_case),
+            tuple(k for k in self.per_case if k not in usual),
+        )
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """The name of each variable: `key`, `key@label`, and the start speeds of each case."""
+        names: list[str] = []
+        for key in self.model.free:
+            names += [f"{key}@{r.label}" for r in self.records] if key in self.per_case else [key]
+        for record in self.records:
+            names += [f"{START_ROTOR}@{record.label}", f"{START_CASING}@{record.label}"]
+        return tuple(names)
+
+    @cached_property
+    def index(self) -> dict[str, int]:
+        """The place of each name."""
+        return {name: i for i, name in enumerate(self.names)}
+
+    def places(self, case: int, keys: Sequence[str]) -> NDArray[np.intp]:
+        """Return where the parameters of one case stand."""
+        label = self.records[case].label
+        return np.array([self.index.get(f"{k}@{label}", self.index.get(k, -1)) for k in keys], dtype=np.intp)
+
+    def numbers(self, theta: Array, case: int) -> dict[str, float]:
+        """Return parameters by key, constants and inertias of one case."""
+        record = self.records[case]
+        values = dict(zip(self.model.free, theta[self.places(case, self.model.free)].tolist(), strict=True))
+        inertias = {INERTIA_ROTOR: record.I_rotor, INERTIA_CASING: record.I_casing}
+        return values | self.model.constants | inertias
+
+    def start(self, theta: Array, case: int) -> tuple[float, float]:
+        """Return the start speeds of one case [rad/s]."""
+        i, j = self.places(case, (START_ROTOR, START_CASING))
+        return float(theta[i]), float(theta[j])
+
+    def parameter(self, name: str) -> Parameter:
+        """Return the declaration behind a name."""
+        return self.model.parameters.get(name.partition("@")[0], _START)
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Return lower and upper bounds of all variables."""
+        lower, upper = self.declared_bounds()
+        for name, (least, most) in self.ranges.items():
+            if name in self.index:
+                i = self.index[name]
+                lower[i], upper[i] = max(lower[i], least), min(upper[i], most)
+        return lower, upper
+
+    def declared_bounds(self) -> tuple[Array, Array]:
+        """Return the bounds that effects declare, whatever range is asked for."""
+        declared = [self.parameter(n) for n in self.names]
+        return np.array([p.lower for p in declared]), np.array([p.upper for p in declared])
+
+    def at_bound(self, theta: Array) -> NDArray[np.bool_]:
+        """Return which variables lie on a bound."""
+        lower, upper = self.bounds()
+        near = 1e-9 * np.maximum(np.abs(theta), 1e-30)
+        return np.asarray((theta - lower <= near) | (upper - theta <= near))
+
+    def is_physical_bound(self, name: str) -> bool:
+        """Return whether nature sets the bounds of a variable (friction takes energy), not habit or a range."""
+        return self.parameter(name).role == "amplitude" and name not in self.ranges
+
+
+def covers(name: str, key: str) -> bool:
+    """Return whether a name stands for a parameter: its key, its effect or a part of that, or its symbol alone."""
+    return key == name or key.startswith(name.rstrip(".") + ".") or key.rpartition(".")[2] == name
+
+
+# closer to m the two terms cancel too many digits; the torque itself hardly changes from here to m
+_NEAREST = 3e-3
+_SAME = 1e-9
+
+
+@dataclass(frozen=True)
+class Valley:
+    """A power law, alone (d is None) or beside a law of fixed power m: places among the variables, x_ref, and m.
+
+    `held` tells which of d and f stays what it is.
+    """
+
+    d: int | None
+    f: int
+    g: int
+    reference: float
+    order: float = 1.0
+    held: Literal["", "d", "f"] = ""
+
+
+def to_physical(u: Array, valleys: Sequence[Valley]) -> tuple[Array, Array]:
+    """Return (d, f, g, ...) and their derivatives by (T1, K, g, ...)."""
+    theta, slope = u.copy(), np.eye(len(u))
+    for v in valleys:
+        if v.d is None:
+            full = v.reference ** u[v.g]
+            theta[v.f] = u[v.f] / full
+            slope[v.f, v.f] = 1 / full
+            slope[v.f, v.g] = -theta[v.f] * np.log(v.reference)
+            continue
+        if v.held:
+            _beside_held(theta, slope, u, v, v.d)
+            continue
+        t1, curvature, g = u[v.d], u[v.f], _away(u[v.g], v.order)
+        beyond, full, unit = g - v.order, v.reference**g, v.reference**v.order
+        theta[v.g] = g
+        theta[v.f] = curvature / (beyond * full)
+        theta[v.d] = (t1 - curvature / beyond) / unit
+        slope[v.f, v.f] = 1 / (beyond * full)
+        slope[v.f, v.g] = -theta[v.f] * (1 / beyond + np.log(v.reference))
+        slope[v.d, v.d] = 1 / unit
+        slope[v.d, v.f] = -1 / (beyond * unit)
+        slope[v.d, v.g] = curvature / (beyond**2 * unit)
+    return theta, slope
+
+
+def _beside_held(theta: Array, slope: Array, u: Array, v: Valley, d: int) -> None:
+    full, unit = v.reference ** u[v.g], v.reference**v.order
+    if v.held == "d":
+        theta[v.f] = (u[v.f] - u[d] * unit) / full
+        slope[v.f, v.f], slope[v.f, d] = 1 / full, -unit / full
+        slope[v.f, v.g] = -theta[v.f] * np.log(v.reference)
+    else:
+        theta[d] = (u[d] - u[v.f] * full) / unit
+        slope[d, d], slope[d, v.f] = 1 / unit, -full / unit
+        slope[d, v.g] = -u[v.f] * full / unit * np.log(v.reference)
+
+
+def from_physical(theta: Array, valleys: Sequence[Valley]) -> Array:
+    """Return (T1, K, g, ...) from (d, f, g, ...)."""
+    u = theta.copy()
+    for v in valleys:
+        if v.d is None:
+            u[v.f] = theta[v.f] * v.reference ** theta[v.g]
+            continue
+        if v.held:
+            u[v.f if v.held == "d" else v.d] = (
+                theta[v.d] * v.reference**v.order + theta[v.f] * v.reference ** theta[v.g]
+            )
+            continue
+        g = _away(theta[v.g], v.order)
+        power = theta[v.f] * v.reference**g
+        u[v.d] = theta[v.d] * v.reference**v.order + power
+        u[v.f] = (g - v.order) * power
+        u[v.g] = g
+    return u
+
+
+def _away(g: float, order: float) -> float:
+    if abs(g - order) >= _NEAREST:
+        return float(g)
+    return order + _NEAREST if g >= order else order - _NEAREST
+
+
+def find_valleys(layout: Layout, rough: Sequence[tuple[Array, Array]]) -> tuple[Valley, ...]:
+    """Return the pairs of laws of a model that need straight variables.
+
+    Parameters
+    ----------
+    layout : Layout
+        The variables. A pair whose f or g is a case's own while the other, or d, is shared has none.
+    rough : sequence of (times, speeds)
+        Of each case, for x_ref: the median of x.
+    """
+    known = [_variables(*r) for r in rough]
+    valleys: list[Valley] = []
+    taken: set[str] = set()
+    for power in layout.model.smooth.effects:
+        shape = exponent(power)
+        if shape is None:
+            continue
+        found = [
+            (abs(order - shape.start), order, straight)
+            for straight in layout.model.smooth.effects
+            if straight.name not in taken and (order := _order(power, straight, known[0])) is not None
+            if shape.lower <= order <= shape.upper
+        ]
+        typical = [float(np.median(x)) for k in known if (x := _base(power, k)) is not None]
+        if not typical:
+            continue
+        reference = max(float(np.mean(typical)), 1e-3)
+        _, order, straight = min(found, key=lambda pair: pair[0], default=(0.0, 1.0, None))
+        if straight is not None:
+            taken.add(straight.name)
+        valleys += _places(layout, power, straight, reference, order)
+    return tuple(valleys)
+
+
+def exponent(effect: Effect) -> Parameter | None:
+    """Return the parameter of an effect that may be the exponent of its law: its only shape, a pure number."""
+    shapes = [p for p in effect.parameters if p.role == "shape"]
+    if effect.state or effect.joint not in {"rotor", "casing", "bearing"} or effect.depends_on_angle:
+        return None
+    if len(effect.parameters) != 2 or len(shapes) != 1 or shapes[0].unit != "1" or effect.amplitude is None:
+        return None
+    return shapes[0]
+
+
+def is_power_law(effect: Effect, times: Array, speeds: Array) -> bool:
+    """Return whether a law is k x^n, with x a positive quantity, along these speeds."""
+    return exponent(effect) is not None and _base(effect, _variables(times, speeds)) is not None
+
+
+def _variables(times: Array, speeds: Array) -> dict[str, Array]:
+    rotor, casing = speeds.T
+    return {"t": times, "omega_r": rotor, "omega_c": casing, "delta": rotor - casing}
+
+
+def _law(effect: Effect, known: dict[str, Array], n: float | None = None) -> Array:
+    values = {p.symbol: 1.0 if p.role == "amplitude" or n is None else n for p in effect.parameters}
+    with np.errstate(all="ignore"):
+        return np.asarray(Tape([effect.expression])(known | values)[0] * np.ones(len(known["t"])))
+
+
+def _base(effect: Effect, known: dict[str, Array]) -> Array | None:
+    """Return x of a law k x^n, or None if it is none."""
+    at = [_law(effect, known, n) for n in (0.0, 1.0, 2.0)]
+    with np.errstate(all="ignore"):
+        x, again = at[1] / at[0], at[2] / at[1]
+    sound = np.isfinite(x) & np.isfinite(again)
+    if sound.sum() < len(x) / 2 or (x[sound] <= 0).any():
+        return None
+    return x[sound] if np.allclose(x[sound], again[sound], rtol=_SAME, atol=0) else None
+
+
+def _order(power: Effect, straight: Effect, known: dict[str, Array]) -> float | None:
+    """Return the exponent m at which a power law is the other law, or None."""
+    if straight.joint != power.joint or straight.state or straight.depends_on_angle:
+        return None
+    if len(straight.parameters) != 1 or straight.amplitude is None or _base(power, known) is None:
+        return None
+    at = [_law(power, known, n) for n in (0.0, 1.0)]
+    with np.errstate(all="ignore"):
+        x, share = at[1] / at[0], _law(straight, known) / at[0]
+        m = np.log(share) / np.log(x)
+    sound = np.isfinite(m) & (np.abs(np.log(np.where(x > 0, x, 1.0))) > 0.1)
+    if sound.sum() < len(x) / 2 or np.ptp(m[sound]) > 1e-6:
+        return None
+    return round(float(np.median(m[sound])), 9)
+
+
+def _places(
+    layout: Layout, power: Effect, straight: Effect | None, reference: float, order: float
+) -> list[Valley]:
+    shape, strength = exponent(power), power.amplitude
+    if shape is None or strength is None:
+        return []
+    keys = [f"{power.name}.{strength.symbol}", f"{power.name}.{shape.symbol}"]
+    if straight is not None and straight.amplitude is not None:
+        keys.append(f"{straight.name}.{straight.amplitude.symbol}")
+    own = [k in layout.per_case for k in keys]
+    if own[0] != own[1] or (own[0] and not own[-1]):
+        return []
+    places = dict.fromkeys(tuple(layout.places(i, keys).tolist()) for i in range(len(layout.records)))
+    return [Valley(d[0] if d else None, f, g, reference, order) for f, g, *d in places]
+
+
+# a strength that moves nothing, but still has a phase
+_TINY = 1e-30
+
+
+@dataclass(frozen=True)
+class Wave:
+    """Places of a strength and of its phase among the variables."""
+
+    strength: int
+    phase: int
+
+
+def find_waves(layout: Layout) -> tuple[Wave, ...]:
+    """Return the pairs of strength and phase that nothing holds or limits.
+
+    A law whose shape is free as well has none: about its shape the data say nothing while its strength is small. Nor
+    has one whose strength is each case's own while all share the phase, or the other way round.
+    """
+    found: dict[Wave, None] = {}
+    for effect in layout.model.effects:
+        keys = {p.role: f"{effect.name}.{p.symbol}" for p in effect.free}
+        if set(keys) != {"amplitude", "phase"}:
+            continue
+        pair = [keys["amplitude"], keys["phase"]]
+        if len(set(pair) & set(layout.per_case)) == 1:
+            continue
+        for case in range(len(layout.records)):
+            found[Wave(*layout.places(case, pair).tolist())] = None
+    if not found:
+        return ()
+    lower, upper = layout.bounds()
+    return tuple(w for w in found if lower[w.strength] <= 0 and np.isinf(_ends(w, lower, upper)).all())
+
+
+def _ends(w: Wave, lower: Array, upper: Array) -> list[float]:
+    return [float(upper[w.strength]), float(lower[w.phase]), float(upper[w.phase])]
+
+
+def to_polar(u: Array, waves: Sequence[Wave]) -> tuple[Array, Array]:
+    """Return (k, phi) in place of (a, b), the other variables as they are, and the derivatives of all."""
+    theta, slope = u.copy(), np.eye(len(u))
+    for w in waves:
+        a, b = u[w.strength], u[w.phase]
+        k, phi = max(float(np.hypot(a, b)), _TINY), float(np.arctan2(b, a))
+        theta[w.strength], theta[w.phase] = k, phi
+        pair = [w.strength, w.phase]
+        slope[np.ix_(pair, pair)] = [[np.cos(phi), np.sin(phi)], [-np.sin(phi) / k, np.cos(phi) / k]]
+    return theta, slope
+
+
+def from_polar(theta: Array, waves: Sequence[Wave]) -> Array:
+    """Return (a, b) in place of (k, phi)."""
+    u = theta.copy()
+    for w in waves:
+        k, phi = theta[w.strength], theta[w.phase]
+        u[w.strength], u[w.phase] = k * np.cos(phi), k * np.sin(phi)
+    return u

@@ -1,0 +1,218 @@
+"""All cases of a fit as one least-squares problem, and the covariance of its variables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.inference._case_data import CaseData
+from fitting.inference._case_model import CaseModel, Prediction
+from fitting.inference._noise import WHITE, Whitener
+from fitting.inference._parameters import (
+    Layout,
+    Valley,
+    find_valleys,
+    find_waves,
+    from_physical,
+    from_polar,
+    to_physical,
+    to_polar,
+)
+
+Array = NDArray[np.float64]
+
+_ROUNDING = 1e-11
+
+
+class Projection:
+    """Whitens the rows of a case and takes out what its nuisances can explain."""
+
+    def __init__(self, data: CaseData, whitener: Whitener) -> None:
+        self.whitener = whitener
+        columns = whitener(data.nuisance)
+        size = np.linalg.norm(columns, axis=0)
+        u, s, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
+        self.basis = u[:, s > 1e-7 * s.max(initial=1.0)]
+
+    def __call__(self, rows: Array) -> Array:
+        """Return the whitened rows, orthogonal to the nuisances."""
+        white = self.whitener(rows)
+        return np.asarray(white - self.basis @ (self.basis.T @ white))
+
+    def unexplained(self, columns: Array) -> Array:
+        """Return the same of columns, nothing where a nuisance explains a column down to rounding."""
+        white = self.whitener(columns)
+        left = white - self.basis @ (self.basis.T @ white)
+        size = np.linalg.norm(white, axis=0)
+        return np.asarray(np.where(np.linalg.norm(left, axis=0) > _ROUNDING * size, left, 0.0))
+
+
+class Problem:
+    """Residuals and Jacobian of all cases.
+
+    Parameters
+    ----------
+    layout : Layout
+        The variables.
+    data : sequence of CaseData
+        The cases, in the order of the layout.
+    """
+
+    def __init__(self, layout: Layout, data: Sequence[CaseData]) -> None:
+        self.layout, self.data = layout, tuple(data)
+        self.cases = [CaseModel(d, layout, i) for i, d in enumerate(data)]
+        self.projections = [Projection(d, WHITE) for d in data]
+        self.reference = reference_speed(self.data)
+        self.valleys = find_valleys(layout, [d.rough_speeds for d in data])
+        # where the last search ended on bounds of d or f: its valleys, and which variables are held
+        self.edge: tuple[tuple[Valley, ...], tuple[int, ...]] | None = None
+
+    def set_noise(self, whiteners: Sequence[Whitener]) -> None:
+        """Weigh the rows by this noise from now on."""
+        self.projections = [Projection(d, w) for d, w in zip(self.data, whiteners, strict=True)]
+
+    def predict(self, theta: Array) -> list[Prediction]:
+        """Return the prediction of each case at physical variables."""
+        return [case.predict(theta) for case in self.cases]
+
+    def residuals(self, predictions: Sequence[Prediction]) -> tuple[Array, Array]:
+        """Return whitened, projected residuals and their Jacobian by the physical variables.
+
+        The rows of each case are turned so that a few hold all: a case with p variables has p + 1 rows. Sums of
+        squares and of products, all that least squares knows, stay what they are.
+        """
+        r, j = [], []
+        for data, project, p in zip(self.data, self.projections, predictions, strict=True):
+            both = project.unexplained(np.concatenate([p.columns, (p.rows - data.z)[:, None]], axis=1))
+            few = turned(both)
+            r.append(few[:, -1])
+            dense = np.zeros((len(few), p.count))
+            dense[:, p.places] = few[:, :-1]
+            j.append(dense)
+        return np.concatenate(r), np.concatenate(j)
+
+    @property
+    def rows(self) -> int:
+        """Number of rows of all cases that nuisances leave."""
+        return sum(len(d.z) - p.basis.shape[1] for d, p in zip(self.data, self.projections, strict=True))
+
+    def __call__(self, u: Array) -> tuple[Array, Array]:
+        """Return residuals and Jacobian by the straight variables u."""
+        waves = find_waves(self.layout)
+        theta, slope = to_physical(u, self.valleys)
+        theta, turn = to_polar(theta, waves)
+        r, j = self.residuals(self.predict(theta))
+        if waves:
+            j = j @ turn
+        return r, j @ slope if self.valleys else j
+
+    def straight(self, theta: Array) -> Array:
+        """Return the straight variables of physical ones."""
+        return from_physical(from_polar(theta, find_waves(self.layout)), self.valleys)
+
+    def physical(self, u: Array) -> Array:
+        """Return the physical variables of straight ones."""
+        return to_polar(to_physical(u, self.valleys)[0], find_waves(self.layout))[0]
+
+    def straight_bounds(self, lower: Array, upper: Array) -> tuple[Array, Array]:
+        """Return the bounds of the straight variables: d and f may leave theirs on the way, a lone f only upwards.
+
+        A strength with a phase has none.
+        """
+        lower, upper = lower.copy(), upper.copy()
+        for w in find_waves(self.layout):
+            lower[w.strength], upper[w.strength] = -np.inf, np.inf
+        for v in self.valleys:
+            if v.held:
+                free = v.f if v.held == "d" else v.d
+                lower[free], upper[free] = -np.inf, np.inf
+            elif v.d is not None:
+                lower[[v.d, v.f]], upper[[v.d, v.f]] = -np.inf, np.inf
+            else:
+                lower[v.f], upper[v.f] = 0.0 if lower[v.f] >= 0 else -np.inf, np.inf
+        return lower, upper
+
+
+def turned(columns: Array) -> Array:
+    """Return columns turned into as many rows as there are columns: all their products stay the same."""
+    return np.asarray(np.linalg.qr(columns, mode="r") if np.isfinite(columns).all() else columns)
+
+
+def reference_speed(data: Sequence[CaseData]) -> float:
+    """Return a typical speed of the bearing in these cases [rad/s]."""
+    typical = []
+    for d in data:
+        _, speeds = d.rough_speeds
+        typical.append(np.median(np.abs(speeds[:, 0] - speeds[:, 1])))
+    return float(max(np.mean(typical), 1e-3))
+
+
+# a bound counts as the truth when the best value lies so many standard errors beyond it
+_SURELY = 3.0
+_MATTERS = 0.2
+
+
+def surely_at_bound(layout: Layout, at_bound: NDArray[np.bool_], r: Array, j: Array) -> NDArray[np.bool_]:
+    """Return which variables are known to be what their bound says.
+
+    A friction whose best value is far below zero is nothing. One that is hardly below, or an exponent on the
+    edge of what is tried, is not known to be there: the errors of all that goes with it must leave it free.
+    """
+    dead = np.linalg.norm(j, axis=0) == 0
+    covariance = covariance_of(j, ~dead)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        beyond = np.abs(covariance @ (j.T @ r)) / np.sqrt(np.diag(covariance))
+    physical = np.array([layout.is_physical_bound(name) for name in layout.names])
+    return np.asarray(dead | (at_bound & physical & (np.nan_to_num(beyond) > _SURELY)))
+
+
+def loose_directions(names: Sequence[str], theta: Array, covariance: Array) -> list[dict[str, float]]:
+    """Return combinations of parameters that the data does not hold although each alone may seem to matter.
+
+    Parameters
+    ----------
+    names : sequence of str
+        The variables that are looked at.
+    theta, covariance : ndarray, shapes (n,) and (n, n)
+        Their values and covariance.
+
+    Returns
+    -------
+    list of dict
+        By name the relative changes, the largest +1, that together cost less than one standard error;
+        changes under a fifth of the largest are left out, and directions of one parameter too.
+    """
+    error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    kept = np.flatnonzero((theta != 0) & np.isfinite(error) & (error > 0))
+    if not len(kept):
+        return []
+    relative = covariance[np.ix_(kept, kept)] / np.outer(theta[kept], theta[kept])
+    values, vectors = np.linalg.eigh(relative)
+    directions = []
+    for i in np.flatnonzero(values > 1.0)[::-1]:
+        weights = vectors[:, i] / vectors[np.argmax(np.abs(vectors[:, i])), i]
+        chosen = {names[kept[k]]: float(w) for k, w in enumerate(weights) if abs(w) > _MATTERS}
+        if len(chosen) > 1:
+            directions.append(chosen)
+    return directions
+
+
+def covariance_of(j: Array, free: NDArray[np.bool_]) -> Array:
+    """Return (J'J)^-1 over the free columns of a Jacobian, zero for the others, infinite for what moves nothing."""
+    n = j.shape[1]
+    covariance = np.zeros((n, n))
+    size = np.linalg.norm(j, axis=0)
+    size[size == 0] = np.inf
+    scaled = (j / size)[:, free]
+    _, s, vt = np.linalg.svd(scaled, full_matrices=False)
+    # directions that the data does not determine keep a huge, honest variance
+    inner = (vt.T / np.maximum(s, 1e-12 * s.max(initial=1.0)) ** 2) @ vt
+    # a parameter that moves nothing has no error to speak of: it is not determined at all
+    unknown = ~np.isfinite(size[free])
+    scale = np.where(unknown, 1.0, size[free])
+    inner = inner / np.outer(scale, scale)
+    inner[unknown, unknown] = np.inf
+    covariance[np.ix_(free, free)] = inner
+    return covariance

@@ -1,0 +1,155 @@
+"""Profile likelihood intervals.
+
+The deviance with one parameter held and all others fitted anew rises by q = 3.84 (95 %) at the ends of the interval
+(S. S. Wilks, Ann. Math. Statist. 9, 60 (1938)); the noise is that of the fit. Its square root is nearly straight, so a
+few fits find each end. A side on which the deviance never rises so far is open: the data set no limit there.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting._errors import EffectError, EstimationError, SimulationError
+from fitting.inference._optimisation import search
+from fitting.inference._parameters import Layout
+from fitting.inference._problem import Problem
+from fitting.inference._result import Fit
+
+Array = NDArray[np.float64]
+
+LEVEL = 0.95
+_QUANTILE = 3.841459
+_NEAR = 0.02
+_STEPS = 20
+_PATIENCE = 300
+# a parameter is weakly known if its error is more than this share of it
+_WEAK = 0.3
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A 95 % interval; an open end is where the range of the parameter ends, or where the search gave up.
+
+    Attributes
+    ----------
+    lower, upper : float
+        Its ends, in the unit of the parameter.
+    lower_open, upper_open : bool
+        The data set no limit on this side.
+    """
+
+    lower: float
+    upper: float
+    lower_open: bool
+    upper_open: bool
+
+
+def profile(fit: Fit, name: str) -> Interval:
+    """Return the 95 % interval of one parameter of a fit by its profile likelihood.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit; its noise is kept.
+    name : str
+        A key of `fit.estimates` that was fitted.
+
+    Returns
+    -------
+    Interval
+
+    Raises
+    ------
+    EffectError
+        If the fit has no such free parameter.
+    """
+    names = fit.problem.layout.names
+    if name not in names:
+        raise EffectError(f"{name[:80]!r} is no free parameter of this fit", "it has: " + ", ".join(names))
+    held = _Held(fit, name)
+    ends = [held.end(sign) for sign in (-1.0, 1.0)]
+    return Interval(ends[0][0], ends[1][0], ends[0][1], ends[1][1])
+
+
+def weakly_determined(fit: Fit) -> list[str]:
+    """Return the parameters that need a profile: an error that is no small share of the value, or a bound nearby."""
+    weak = []
+    for name, e in fit.estimates.items():
+        if name.startswith("initial.") or name not in fit.problem.layout.index:
+            continue
+        if e.at_bound or e.stderr > _WEAK * abs(e.value):
+            weak.append(name)
+    return weak
+
+
+class _Held:
+    """The deviance of a fit with one parameter held."""
+
+    def __init__(self, fit: Fit, name: str) -> None:
+        old = fit.problem.layout
+        self._ranges = dict(old.ranges)
+        layout = Layout(old.model, old.records, old.per_case, self._ranges)
+        self._name, self._place = name, layout.index[name]
+        lower, upper = layout.bounds()
+        self._range = float(lower[self._place]), float(upper[self._place])
+        self._problem = Problem(layout, fit.problem.data)
+        self._problem.set_noise([n.whitener for n in fit.noise])
+        # the straight variables mix d and f: one that is held must stand for itself
+        self._problem.valleys = tuple(
+            v for v in self._problem.valleys if self._place not in {v.d, v.f} or v.d is None
+        )
+        self._problem.valleys = tuple(v for v in self._problem.valleys if self._place != v.f)
+        self._best, self._theta = fit.chi2, fit.theta
+        self._value = float(fit.theta[self._place])
+        self._scale = max(1.0, fit.chi2 / max(1, fit.rows - len(fit.theta)))
+        error = math.sqrt(max(float(fit.covariance[self._place, self._place]), 0.0))
+        usable = math.isfinite(error) and error > 0
+        self._step = 1.96 * error if usable else 0.05 * max(abs(self._value), 1e-12)
+
+    def _root(self, value: float, begin: Array) -> tuple[float, Array]:
+        """Return the square root of the rise of the deviance, and the variables there."""
+        theta = begin.copy()
+        theta[self._place] = value
+        self._ranges[self._name] = (value, value)
+        try:
+            minimum, end = search(self._problem, theta, most=_PATIENCE)
+        except (EstimationError, SimulationError):
+            return math.inf, begin
+        return math.sqrt(max(minimum.cost - self._best, 0.0) / self._scale), end
+
+    def end(self, sign: float) -> tuple[float, bool]:
+        """Return one end of the interval, and whether it is open."""
+        target = math.sqrt(_QUANTILE)
+        limit = self._range[1] if sign > 0 else self._range[0]
+        inside, z_inside, theta = self._value, 0.0, self._theta
+        outside, z_outside = math.nan, math.nan
+        step, repeated, within = self._step, 0, True
+        for _ in range(_STEPS):
+            if math.isnan(outside):
+                trial = inside + sign * step
+            elif math.isinf(z_outside) or repeated > 1:
+                trial = 0.5 * (inside + outside)
+            else:
+                # the root of the rise is nearly straight
+                share = float(np.clip((target - z_inside) / (z_outside - z_inside), 0.1, 0.9))
+                trial = inside + share * (outside - inside)
+            if sign * (limit - trial) <= 0:
+                trial = limit
+            z, end = self._root(trial, theta)
+            if abs(z - target) < _NEAR:
+                return trial, False
+            # where the rise is far from straight one end would creep: then halve
+            repeated = repeated + 1 if (z < target) == within else 1
+            within = z < target
+            if z < target:
+                if trial == limit:
+                    return limit, True
+                step = max(step, abs(trial - inside)) * (2.0 if z < 0.5 * target else 1.3)
+                inside, z_inside, theta = trial, z, end
+            else:
+                outside, z_outside = trial, z
+        return (inside, True) if math.isnan(outside) else (inside + (outside - inside) * 0.5, False)

@@ -1,0 +1,167 @@
+"""Measured angles or angular velocities of one experiment.
+
+A `Record` is made from arrays (`make_record`) or a case file (`fitting.inference._case_file`). Times are on one clock
+[s], angles in rad and unwrapped, speeds in rad/s. What was measured is the `quantity`: angles, or angular velocities.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import compress
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting._errors import RecordError
+
+Array = NDArray[np.float64]
+Quantity = Literal["angle", "omega"]
+
+# an angle tells a speed only over several samples; a measured speed tells it at once
+_FEWEST: dict[str, int] = {"angle": 8, "omega": 1}
+
+
+@dataclass(frozen=True)
+class Samples:
+    """A run of measured values without a break: time [s], value [rad or rad/s], sigma (same unit)."""
+
+    time: Array
+    value: Array
+    sigma: Array
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+@dataclass(frozen=True)
+class Record:
+    """One experiment on one clock.
+
+    Parameters
+    ----------
+    label, surface : str
+        Names for people; the label tells the cases of a joint fit apart.
+    I_rotor, I_casing : float
+        Moments of inertia [kg m2].
+    casing : Samples
+        The casing through the whole run.
+    rotor : tuple of Samples
+        The rotor in each window.
+    quantity : {"angle", "omega"}
+        What the values are.
+    source : str
+        The file, for provenance.
+    tracked : bool
+        The angles come from film, with tracking's own artefacts once and twice a turn.
+    gradients : bool
+        The speeds are gradients of filmed angles, with what the camera added to those.
+    generated : bool
+        The rotor is a curve that was generated, not measured (see `fitting.study._paper`).
+    windows : tuple of Samples
+        Where it is, what was measured of it.
+    start_sigma : tuple of float
+        Uncertainty of the start of each rotor window on the casing's clock [s]; empty if it is known.
+    digest : str
+        SHA-256 of the numbers.
+    """
+
+    label: str
+    I_rotor: float
+    I_casing: float
+    casing: Samples
+    rotor: tuple[Samples, ...]
+    quantity: Quantity = "angle"
+    surface: str = ""
+    source: str = ""
+    tracked: bool = False
+    gradients: bool = False
+    generated: bool = False
+    windows: tuple[Samples, ...] = ()
+    start_sigma: tuple[float, ...] = ()
+    digest: str = field(default="")
+
+    def __post_init__(self) -> None:
+        if not self.digest:
+            object.__setattr__(self, "digest", _digest(self))
+
+    @property
+    def single(self) -> bool:
+        """Whether it is the record of one body alone, which stands in the casing's place."""
+        return not self.rotor
+
+    @property
+    def body(self) -> str:
+        """What people call the body in the casing's place: "casing", or "body" where only one was recorded."""
+        return "body" if self.single else "casing"
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """The first and the last time of any sample [s]."""
+        ends = [(s.time[0], s.time[-1]) for s in (self.casing, *self.rotor)]
+        return float(min(a for a, _ in ends)), float(max(b for _, b in ends))
+
+
+def make_record(
+    *,
+    casing: tuple[Array, Array, Array],
+    rotor: list[tuple[Array, Array, Array]],
+    I_rotor: float,
+    I_casing: float,
+    label: str = "case",
+    surface: str = "",
+    quantity: Quantity = "angle",
+    source: str = "",
+    tracked: bool = False,
+    single: bool = False,
+    start_sigma: Sequence[float] = (),
+) -> Record:
+    """Make a record from arrays of (time, value, sigma); samples that are not finite are left out.
+
+    With `single` there is one body only: it stands in the casing's place, and nothing is known of a rotor.
+    `start_sigma` is the uncertainty of each rotor run's start on the casing's clock [s], none if it is known.
+
+    Raises
+    ------
+    RecordError
+        If too few samples are left, or times do not grow.
+    """
+    runs = [_clean(*casing, what="body" if single else "casing"), *(_clean(*r, what="rotor") for r in rotor)]
+    if len(runs[0]) < 60:
+        body = "body" if single else "casing"
+        raise RecordError(f"{label}: the {body} has {len(runs[0])} usable samples; at least 60 are needed")
+    kept = [len(r) >= _FEWEST[quantity] for r in runs[1:]]
+    windows = tuple(compress(runs[1:], kept))
+    if not windows and not single:
+        raise RecordError(
+            f"{label}: no rotor window with at least {_FEWEST[quantity]} usable samples",
+            "give at least one rotor clip",
+        )
+    return Record(
+        label, I_rotor, I_casing, runs[0], windows, quantity, surface=surface, source=source, tracked=tracked,
+        start_sigma=tuple(compress(map(float, start_sigma), kept)),
+    )  # fmt: skip
+
+
+def _clean(time: Array, value: Array, sigma: Array, *, what: str) -> Samples:
+    time, value, sigma = (np.asarray(a, dtype=float) for a in (time, value, sigma))
+    keep = np.isfinite(time) & np.isfinite(value)
+    time, value, sigma = time[keep], value[keep], sigma[keep]
+    if len(time) > 1 and not (np.diff(time) > 0).all():
+        raise RecordError(f"the times of the {what} do not grow from sample to sample")
+    good = np.isfinite(sigma) & (sigma > 0)
+    # where no uncertainty is known all samples weigh the same; the level is measured from the data
+    typical = float(np.median(sigma[good])) if good.any() else 1e-3
+    return Samples(time, value, np.where(good, sigma, typical))
+
+
+def _digest(record: Record) -> str:
+    hasher = hashlib.sha256(f"{record.I_rotor!r} {record.I_casing!r} {record.quantity}".encode())
+    for samples in (record.casing, *record.rotor):
+        for a in (samples.time, samples.value, samples.sigma):
+            hasher.update(np.ascontiguousarray(a).tobytes())
+    if any(record.start_sigma):
+        hasher.update(repr(record.start_sigma).encode())
+    return hasher.hexdigest()

@@ -1,0 +1,307 @@
+"""The result of a fit: parameters, uncertainties, figures of merit, verdict.
+
+Figures that cost more than a step of the search (held-out errors, the test of lack of fit, energy) are computed when
+they are first asked for: of many candidates most are only ranked.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from textwrap import wrap
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting._errors import EstimationError
+from fitting._numbers import rounded
+from fitting.dynamics._model import Model
+from fitting.inference._case_model import Prediction
+from fitting.inference._lack_of_fit import LackOfFit, lack_of_fit
+from fitting.inference._metrics import CaseMetrics, EnergyBalance, case_metrics, energy_balance
+from fitting.inference._noise_level import Noise
+from fitting.inference._parameters import START_ROTOR, Layout
+from fitting.inference._problem import Problem, Projection, covariance_of, surely_at_bound
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+WORDS = {
+    "adequate": "adequate; what the model leaves is noise",
+    "misfit": "the model misses something; `gyrotrack diagnose` says where",
+    "not converged": "not converged; do not trust these numbers",
+}
+
+
+# what a fit to such a curve has to say of itself
+GENERATED = (
+    "the rotor's curve was generated, not measured: the errors leave out how wrong it may be, which is often more "
+    "than ten of them; fit the windows instead"
+)
+
+
+class Account:
+    """The readable side of a fit."""
+
+    model: Model
+    estimates: Mapping[str, Estimate]
+    n_eff: float
+    bic: float
+
+    if TYPE_CHECKING:
+
+        @property
+        def cases(self) -> tuple[CaseMetrics, ...]:
+            """Figures of merit of each case."""
+            ...
+
+        @property
+        def verdict(self) -> str:
+            """One of the keys of `WORDS`."""
+            ...
+
+    def __repr__(self) -> str:
+        return "\n".join([f"fit: {WORDS[self.verdict]}", "", *account_lines(self)])
+
+    def to_dataframe(self) -> Any:
+        """Return the parameters as a pandas data frame, one row each, indexed by name.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns value, stderr (nan on a bound and for what is held), unit, at_bound.
+
+        Raises
+        ------
+        EstimationError
+            If pandas is not installed.
+        """
+        try:
+            import pandas as pd
+        except ImportError:
+            raise EstimationError(
+                "a data frame needs pandas, which is not installed", 'pip install "gyrotrack[notebook]"'
+            ) from None
+        rows = {k: (e.value, e.stderr, e.unit, e.at_bound) for k, e in self.estimates.items()}
+        frame = pd.DataFrame.from_dict(rows, orient="index", columns=["value", "stderr", "unit", "at_bound"])
+        return frame.rename_axis("parameter")
+
+    def save(self, path: str | Path) -> None:
+        """Write the fit as JSON, whole or not at all; `fitting.load_fit` reads it back."""
+        from fitting.study._serialisation import save_fit
+
+        save_fit(self, Path(path))
+
+
+def account_lines(fit: Account) -> list[str]:
+    """Return how well a fit describes its data, then its parameters, as lines of at most 80 columns."""
+    lines = [f"{'':<12}{'R2':>10}{'rmse [rad/s]':>14}{'chi2/n':>12}{'held out':>11}"]
+    for case in fit.cases:
+        alone = math.isnan(case.rotor.rmse)  # the record of one body has none of a rotor
+        for name, body in (("body" if alone else "casing", case.casing), ("rotor", case.rotor)):
+            if math.isnan(body.rmse):
+                continue
+            title = f"{case.label[:5]} {name}" if len(fit.cases) > 1 else name
+            lines.append(
+                f"{title:<12}{body.r2:>10.6f}{body.rmse:>14.4g}{body.reduced_chi2:>12.4g}{body.held_out:>11.4g}"
+            )
+    lines.append(
+        f"energy drift {max(c.energy_drift for c in fit.cases):.2g}, "
+        f"effective samples {fit.n_eff:.0f}, BIC {fit.bic:.1f}"
+    )
+    left = ", ".join(f"{level:.2g}" for level in _levels(fit))
+    lines += [f"random torque that this model leaves: {left} N m rms", ""]
+    held = fit.model.constants
+    for name, e in fit.estimates.items():
+        note = " (on its bound)" if e.at_bound else " (held)" if name in held else ""
+        value = rounded(e.value, e.stderr, e.unit)
+        lines += (
+            [f"  {name:<32}{value}{note}"] if len(name) < 32 else [f"  {name}", f"  {'':<32}{value}{note}"]
+        )
+    if getattr(fit, "generated", False):
+        lines += ["", *wrap(GENERATED, 79)]
+    weak = not_determined(fit.estimates)
+    if weak:
+        lines += ["", *wrap(f"not determined by this data: {', '.join(weak)}", 79)]
+    return lines
+
+
+def _levels(fit: Account) -> Sequence[float]:
+    return [n.level for n in getattr(fit, "noise", ())]
+
+
+def not_determined(estimates: Mapping[str, Estimate]) -> list[str]:
+    """Return the parameters whose error is larger than their value: the data does not hold them."""
+    return [
+        k
+        for k, e in estimates.items()
+        if not k.startswith("initial.") and math.isfinite(e.stderr) and e.stderr > abs(e.value)
+    ]
+
+
+Array = NDArray[np.float64]
+
+# chi2 per reachable row above which the model is said to miss something (2000 rows: 1.0 +- 0.03)
+_MISFIT = 1.4
+# probability of the slow torque that a model leaves, if that is noise, below which it is said to miss something
+_IMPROBABLE = 1e-5
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A fitted number: value, standard error (nan on a bound), unit, and whether it lies on a bound."""
+
+    value: float
+    stderr: float
+    unit: str
+    at_bound: bool
+
+
+@dataclass(frozen=True, repr=False)
+class Fit(Account):
+    """A fitted model.
+
+    Attributes
+    ----------
+    model : Model
+        What was fitted.
+    estimates : dict of str to Estimate
+        Every parameter and start speed by name.
+    chi2, rows, n_eff, deviance, bic : float
+        Chi-square over the rows a model can reach and their number; effective number of samples;
+        minus twice the log-likelihood (up to a constant of the data); deviance + p ln rows: only the
+        rows can tell one model from another, all other combinations of the samples are noise to both.
+    converged : bool
+        Whether the search came to its end.
+    """
+
+    model: Model
+    labels: tuple[str, ...]
+    estimates: dict[str, Estimate]
+    chi2: float
+    rows: int
+    n_eff: float
+    deviance: float
+    bic: float
+    converged: bool
+    covariance: Array = field(repr=False)
+    theta: Array = field(repr=False)
+    noise: tuple[Noise, ...] = field(repr=False)
+    problem: Problem = field(repr=False)
+    predictions: tuple[Prediction, ...] = field(repr=False)
+
+    @cached_property
+    def cases(self) -> tuple[CaseMetrics, ...]:
+        """Figures of merit of each case."""
+        pure = (
+            Projection(d, n.whitener.at(n.pure)) for d, n in zip(self.problem.data, self.noise, strict=True)
+        )
+        return tuple(
+            case_metrics(c, project, p, self.theta)
+            for c, project, p in zip(self.problem.cases, pure, self.predictions, strict=True)
+        )
+
+    @cached_property
+    def lack(self) -> LackOfFit:
+        """What slow torques would still take away, against what noise alone would give them."""
+        return lack_of_fit(self.problem, self.predictions, self.noise)
+
+    @cached_property
+    def verdict(self) -> str:
+        """One of "adequate", "misfit" and "not converged"."""
+        if not self.converged:
+            return "not converged"
+        left = self.lack.p_value < _IMPROBABLE or any(c.misfit > _MISFIT for c in self.cases)
+        return "misfit" if left else "adequate"
+
+    @property
+    def reduced_chi2(self) -> float:
+        """Chi-square of the casings over their effective number of samples."""
+        return sum(
+            c.casing.reduced_chi2 * d.casing.n_effective
+            for c, d in zip(self.cases, self.problem.data, strict=True)
+        ) / sum(d.casing.n_effective for d in self.problem.data)
+
+    @property
+    def generated(self) -> bool:
+        """Whether a rotor's curve was generated instead of measured: `fitting.study._paper` tells what that did."""
+        return any(d.record.generated for d in self.problem.data)
+
+    def plot(self) -> Figure:
+        """Draw speeds measured and modelled, and what the model leaves, with bands of 2 sigma (matplotlib)."""
+        from fitting.study._notebook import plot_fit
+
+        return plot_fit(self)
+
+    def _repr_html_(self) -> str:
+        from fitting.study._notebook import fit_html
+
+        return fit_html(self)
+
+    def energy(self, label: str | None = None) -> EnergyBalance:
+        """Return the energy balance of a case (the first, if not named): kinetic energy plus losses, as a curve.
+
+        Raises
+        ------
+        EstimationError
+            If there is no case of this label.
+        """
+        if label is not None and label not in self.labels:
+            raise EstimationError(f"there is no case {label[:40]!r}", "it has: " + ", ".join(self.labels))
+        i = 0 if label is None else self.labels.index(label)
+        return energy_balance(self.problem.cases[i], self.theta, self.predictions[i].path)
+
+    @property
+    def torque_noise(self) -> float:
+        """Rms of the random torque that this model leaves [N m]."""
+        return max(n.level for n in self.noise)
+
+
+def outcome(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, converged: bool) -> Fit:
+    """Return the fit at these variables."""
+    layout = problem.layout
+    predictions = tuple(problem.predict(theta))
+    r, j = problem.residuals(predictions)
+    chi2 = float(r @ r)
+    rows = problem.rows
+    at_bound = layout.at_bound(theta)
+    covariance = covariance_of(j, ~surely_at_bound(layout, at_bound, r, j))
+    free = int((~at_bound).sum())
+    # a model that fails has errors of its own beside the noise's
+    covariance *= max(1.0, chi2 / max(1, rows - free))
+    deviance = chi2 + sum(n.whitener.log_determinant for n in noise)
+    return Fit(
+        model=layout.model,
+        labels=tuple(r.label for r in layout.records),
+        estimates=_estimates(layout, theta, np.sqrt(np.diag(covariance)), at_bound),
+        chi2=chi2,
+        rows=rows,
+        n_eff=sum(d.n_effective for d in problem.data),
+        deviance=deviance,
+        bic=deviance + len(theta) * float(np.log(rows)),
+        converged=converged,
+        covariance=covariance,
+        theta=theta,
+        noise=noise,
+        problem=problem,
+        predictions=predictions,
+    )
+
+
+def _estimates(
+    layout: Layout, theta: Array, errors: Array, at_bound: NDArray[np.bool_]
+) -> dict[str, Estimate]:
+    units = [layout.parameter(name).unit for name in layout.names]
+    estimates = {
+        name: Estimate(float(x), float("nan") if bound else float(error), unit, bool(bound))
+        for name, x, error, unit, bound in zip(layout.names, theta, errors, units, at_bound, strict=True)
+        if not (layout.records[0].single and name.startswith(START_ROTOR))
+    }
+    for key, value in layout.model.constants.items():
+        estimates[key] = Estimate(value, float("nan"), layout.parameter(key).unit, at_bound=False)
+    return estimates

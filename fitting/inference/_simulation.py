@@ -1,0 +1,198 @@
+"""Simulated recordings: a model integrated exactly, sampled as the cameras do, with noise.
+
+The smooth torques are integrated with all others; a random torque, small as it is, enters through the
+linearised motion about that solution.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting._errors import SimulationError
+from fitting.dynamics._events import solve
+from fitting.dynamics._mesh import Mesh, Path, Sampler
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
+from fitting.dynamics._sensitivities import LinearMotion, sensitivities
+from fitting.inference._record import Record, Samples
+
+Array = NDArray[np.float64]
+
+# intervals per turn that a law following the casing's angle needs at least
+_PER_TURN = 0.5
+_NOISE_STEP = 0.02
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """How a run is filmed.
+
+    Attributes
+    ----------
+    omega_rotor, omega_casing : float
+        Speeds at the start [rad/s].
+    duration : float
+        Length of the casing's recording [s].
+    casing_fps, rotor_fps : float
+        Frame rates.
+    windows : tuple of float
+        Starts of the rotor clips [s].
+    window_length : float
+        Their length [s].
+    sigma : float
+        Noise of each angle [rad].
+    torque_noise, torque_time : float
+        Rms [N m] on the casing and in the bearing, and correlation time [s], of a random torque.
+    centre_offset : float
+        Once-a-turn error of the casing's angle [rad].
+    """
+
+    omega_rotor: float = 900.0
+    omega_casing: float = 5.0
+    duration: float = 200.0
+    casing_fps: float = 260.0
+    rotor_fps: float = 1000.0
+    windows: tuple[float, ...] = field(default=(5.0, 70.0, 150.0))
+    window_length: float = 3.0
+    sigma: float = 1e-3
+    torque_noise: float = 0.0
+    torque_time: float = 1.0
+    centre_offset: float = 0.0
+
+
+def simulate_path(
+    model: Model, numbers: Mapping[str, float], experiment: Experiment
+) -> tuple[Dynamics, Path]:
+    """Integrate a model over the length of an experiment.
+
+    Raises
+    ------
+    SimulationError
+        If the motion has no bounded solution.
+    """
+    angles = bool(model.rippling)
+    dynamics = Dynamics(model, angles=angles)
+    first = np.array(
+        [experiment.omega_rotor, experiment.omega_casing, *dynamics.start, *((0.0, 0.0) if angles else ())]
+    )
+    smooth = Dynamics(model.smooth)
+    path = solve(smooth, numbers, first[: len(smooth.states)], Mesh.uniform(0.0, experiment.duration, 12))
+    if angles:
+        turns = float(np.ptp(path.angle("omega_c")[0])) / (2 * np.pi)
+        path = solve(
+            dynamics, numbers, first, Mesh.uniform(0.0, experiment.duration, int(20 + turns / _PER_TURN))
+        )
+    return dynamics, path
+
+
+def simulate(
+    model: Model,
+    numbers: Mapping[str, float],
+    experiment: Experiment,
+    *,
+    inertia_rotor: float,
+    inertia_casing: float,
+    seed: int = 0,
+    label: str = "simulated",
+) -> Record:
+    """Return a recording of a model.
+
+    Parameters
+    ----------
+    model : Model
+        Physical effects.
+    numbers : mapping of str to float
+        Its parameters by key.
+    experiment : Experiment
+        How it is filmed.
+    inertia_rotor, inertia_casing : float
+        Moments of inertia [kg m2].
+    seed : int
+        Of all noise.
+    label : str
+        Name of the case.
+
+    Returns
+    -------
+    Record
+        Angles with noise; each rotor window starts at an arbitrary phase.
+
+    Raises
+    ------
+    SimulationError
+        As `simulate_path`; or a window lies outside the recording.
+    """
+    random = np.random.default_rng(seed)
+    values = {**model.constants, **numbers, INERTIA_ROTOR: inertia_rotor, INERTIA_CASING: inertia_casing}
+    if any(w < 0 or w + experiment.window_length > experiment.duration for w in experiment.windows):
+        raise SimulationError("a rotor window lies outside the recording", "move it or record for longer")
+    dynamics, path = simulate_path(model, values, experiment)
+    # ripples hardly change how the speeds answer to a torque: the smooth motion stands in for the whole
+    smooth = (dynamics, path) if not model.rippling else simulate_path(model.smooth, values, experiment)
+    shake = _RandomTorque(*smooth, values, experiment, random)
+    time = np.arange(0.0, experiment.duration, 1 / experiment.casing_fps)
+    psi = _angle(path, "omega_c", time) + shake(time, 1)
+    psi = psi + experiment.centre_offset * np.sin(psi - 0.7)
+    casing = _noisy(time, psi, experiment.sigma, random)
+    rotor = []
+    for start in experiment.windows:
+        t = start + np.arange(0.0, experiment.window_length, 1 / experiment.rotor_fps)
+        turned = _angle(path, "omega_r", t) + shake(t, 0)
+        rotor.append(_noisy(t, turned - turned[0] + random.uniform(0, 2 * np.pi), experiment.sigma, random))
+    return Record(label, inertia_rotor, inertia_casing, casing, tuple(rotor))
+
+
+def _angle(path: Path, state: str, time: Array) -> Array:
+    return Sampler(path.mesh, time).integral(*path.angle(state))
+
+
+def _noisy(time: Array, angle: Array, sigma: float, random: np.random.Generator) -> Samples:
+    return Samples(
+        time, angle + sigma * random.standard_normal(len(time)), np.full(len(time), max(sigma, 1e-9))
+    )
+
+
+class _RandomTorque:
+    """The change of an angle by Ornstein-Uhlenbeck torques on the casing and in the bearing."""
+
+    def __init__(
+        self,
+        dynamics: Dynamics,
+        path: Path,
+        values: Mapping[str, float],
+        experiment: Experiment,
+        random: np.random.Generator,
+    ) -> None:
+        self._quiet = experiment.torque_noise == 0
+        if self._quiet:
+            return
+        self._times = np.arange(0.0, experiment.duration + _NOISE_STEP, _NOISE_STEP)
+        self._times[-1] = min(self._times[-1], path.mesh.edges[-1])
+        self._motion = LinearMotion(path, sensitivities(dynamics, values, path).propagator)
+        inverse = 1 / values[INERTIA_ROTOR], 1 / values[INERTIA_CASING]
+        self._parts = [
+            (_ornstein_uhlenbeck(len(self._times) - 1, experiment, random), np.array(direction))
+            for direction in ((0.0, inverse[1]), (-inverse[0], inverse[1]))
+        ]
+
+    def __call__(self, time: Array, state: int) -> Array:
+        if self._quiet:
+            return np.zeros(len(time))
+        total = np.zeros(len(self._times))
+        for torque, direction in self._parts:
+            total += self._motion.driven(self._times, torque[:, None, None], direction)[1][state, :, 0]
+        from scipy.interpolate import CubicSpline
+
+        return np.asarray(CubicSpline(self._times, total)(time))
+
+
+def _ornstein_uhlenbeck(n: int, experiment: Experiment, random: np.random.Generator) -> Array:
+    from scipy.signal import lfilter
+
+    keep = float(np.exp(-_NOISE_STEP / experiment.torque_time))
+    pushes = random.standard_normal(n) * experiment.torque_noise * np.sqrt(1 - keep**2)
+    pushes[0] = random.standard_normal() * experiment.torque_noise
+    return np.asarray(lfilter([1.0], [1.0, -keep], pushes))

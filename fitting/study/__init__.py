@@ -1,0 +1,1 @@
+"""Studies: history of fits, serialisation, tables of the paper."""

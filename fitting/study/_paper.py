@@ -1,0 +1,196 @@
+"""The data as the paper takes them, and one rotor curve through all windows.
+
+The default is neither: angles are fitted as measured, and the rotor in its windows only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting._errors import RecordError
+from fitting.inference._case_data import SPEED_NOISE_ROWS
+from fitting.inference._compression import ROTOR_DEGREE, Compressed, compress
+from fitting.inference._fit import fit
+from fitting.inference._metrics import as_velocities
+from fitting.inference._optimisation import minimise
+from fitting.inference._record import Record, Samples
+from fitting.inference._result import Fit
+from fitting.inference._velocity import hermite
+
+Array = NDArray[np.float64]
+
+_POINTS = 2000
+_STEPS = 400
+# slopes guide the curve between the windows; through the windows it has to go
+_SLOPES = 0.01
+
+
+def with_generated_rotor(record: Record) -> Record:
+    """Return the record with one curve of the rotor's speed in place of its windows.
+
+    The curve solves d omega/dt = -(k0 + k1 omega + k2 omega^2), the decay of a rotor under dry, linear and
+    quadratic friction, fitted to speed and slope of each window. Its samples together weigh as much as the
+    measured ones did. As the paper says of its own curve, it has no noise: chi-square of the rotor means nothing.
+
+    Parameters
+    ----------
+    record : Record
+        One of velocities.
+    """
+    seen = [_line(w) for w in record.rotor]
+    start, stop = record.span
+    grid = np.linspace(start, stop, _STEPS)
+    found = _decay(np.array(seen), grid)
+    times = np.linspace(start, stop, _POINTS)
+    omega = hermite(grid, found, np.gradient(found, grid, edge_order=2), times)
+    weight = sum(
+        len(w) / (c.scale * float(np.median(w.sigma))) ** 2
+        for w, c in ((w, _calibrated(w)) for w in record.rotor)
+    )
+    curve = Samples(times, omega, np.full(len(times), float(np.sqrt(len(times) / weight))))
+    return replace(record, rotor=(curve,), windows=record.rotor, generated=True, start_sigma=(), digest="")
+
+
+@dataclass(frozen=True)
+class CurveBias:
+    """A parameter from a generated curve beside what the rotor's windows say, with the error that the curve claims."""
+
+    generated: float
+    claimed: float
+    measured: float
+    stderr: float
+
+    @property
+    def errors(self) -> float:
+        """How far the curve moved the parameter, in the error that it claims (or, on a bound, that of the windows)."""
+        known = self.claimed if np.isfinite(self.claimed) and self.claimed > 0 else self.stderr
+        return abs(self.generated - self.measured) / known if known > 0 else float("nan")
+
+
+def curve_bias(found: Fit) -> dict[str, CurveBias]:
+    """Return by how much a generated rotor curve moved each parameter: the same model is fitted to the windows.
+
+    The curve's law is not the model's. What it says between the windows, and how exactly, nobody measured.
+
+    Returns
+    -------
+    dict
+        By parameter, the largest shift first; empty if no rotor was generated.
+    """
+    layout = found.problem.layout
+    if not any(r.generated for r in layout.records):
+        return {}
+    records = [
+        replace(r, rotor=r.windows, windows=(), generated=False, digest="") if r.generated else r
+        for r in layout.records
+    ]
+    own = [k for k in layout.model.free if k in layout.per_case]
+    shared = [k for k in layout.model.free if k not in own] if len(records) > 1 else []
+    true = fit(layout.model, records, share=shared, per_case=own, ranges=layout.ranges)
+    bias = {
+        name: CurveBias(e.value, e.stderr, true.estimates[name].value, true.estimates[name].stderr)
+        for name, e in found.estimates.items()
+        if name not in layout.model.constants and not name.startswith("initial.")
+    }
+    return dict(sorted(bias.items(), key=lambda item: -np.nan_to_num(item[1].errors)))
+
+
+def _calibrated(window: Samples) -> Compressed:
+    degree = min(ROTOR_DEGREE, (len(window) - 1) // 2)
+    return compress(window, degree=degree, harmonics=False, blocks=1, noise_rows=SPEED_NOISE_ROWS)
+
+
+def _line(window: Samples) -> tuple[float, float, float]:
+    """Return middle, speed and slope of a window (slope nan of a single sample)."""
+    middle = float(window.time.mean())
+    if len(window) < 2:
+        return middle, float(window.value[0]), float("nan")
+    slope, speed = np.polyfit(window.time - middle, window.value, 1)
+    return middle, float(speed), float(slope)
+
+
+def _decay(seen: Array, grid: Array) -> Array:
+    """Return the speed on the grid; `seen` holds (time, speed, slope) of each window."""
+    time, speed, slope = seen[np.argsort(seen[:, 0])].T
+    scale = float(np.abs(speed).max())
+    span = float(grid[-1] - grid[0])
+    sloped = np.isfinite(slope)
+
+    def curves(u: Array) -> tuple[Array, Array]:
+        start, k = u[0], u[1:, ...]
+
+        def rate(x: Array) -> Array:
+            return np.asarray(-(k[0] + k[1] * x + k[2] * x**2) / span)
+
+        h = grid[1] - grid[0]
+        x = np.empty((len(grid), *np.shape(start)))
+        x[0] = start
+        for i in range(len(grid) - 1):
+            a = rate(x[i])
+            b = rate(x[i] + h / 2 * a)
+            c = rate(x[i] + h / 2 * b)
+            x[i + 1] = x[i] + h / 6 * (a + 2 * b + 2 * c + rate(x[i] + h * c))
+        return x, rate(x)
+
+    def residuals(u: Array) -> Array:
+        x, v = curves(u)
+        parts = [
+            np.stack([np.interp(time, grid, column) for column in values.reshape(len(grid), -1).T], axis=-1)
+            for values in (x, v)
+        ]
+        pulls = np.concatenate(
+            [
+                parts[0] - (speed / scale)[:, None],
+                _SLOPES * span * (parts[1] - slope[:, None] / scale)[sloped],
+            ]
+        )
+        # what the windows leave open stays small
+        return np.concatenate([pulls, 1e-4 * u[1:].reshape(3, -1)])
+
+    def problem(u: Array) -> tuple[Array, Array]:
+        step = 1e-6
+        moved = u[:, None] + step * np.concatenate([np.zeros((4, 1)), np.eye(4)], axis=1)
+        r = residuals(moved)
+        return r[:, 0], (r[:, 1:] - r[:, :1]) / step
+
+    begin = np.array([speed[0] / scale, 0.0, 1.0, 0.0])
+    lower = np.array([-np.inf, 0.0, 0.0, 0.0])
+    best = minimise(problem, begin, lower, np.full(4, np.inf), tolerance=1e-12, absolute=1e-14)
+    return np.asarray(scale * curves(best.x)[0])
+
+
+def prepared(record: Record, data: str | None = None, rotor: str = "windows") -> Record:
+    """Return a record as it is to be fitted.
+
+    Parameters
+    ----------
+    record : Record
+        What was measured.
+    data : {"angle", "velocity"}, optional
+        What is fitted; what was measured, if not given.
+    rotor : {"windows", "generated"}
+        The rotor's windows as measured, or a generated curve, which is one of velocities.
+
+    Raises
+    ------
+    RecordError
+        If angles are asked for and velocities were measured, or a generated curve beside angles.
+    """
+    if data not in (None, "angle", "velocity") or rotor not in ("windows", "generated"):
+        raise RecordError(
+            f"data {data!r} or rotor {rotor!r} is not known", "angle or velocity; windows or generated"
+        )
+    if data == "angle" and record.quantity == "omega":
+        raise RecordError(f"{record.label} holds velocities, no angles", "leave out --data angle")
+    if rotor == "generated" and data == "angle":
+        raise RecordError(
+            "a generated rotor curve is one of velocities", "take --data velocity with --rotor generated"
+        )
+    if rotor == "generated" and record.single:
+        raise RecordError(f"{record.label} has no rotor", "leave out --rotor generated")
+    if data == "velocity" or rotor == "generated":
+        record = as_velocities(record)
+    return with_generated_rotor(record) if rotor == "generated" else record

@@ -1,0 +1,87 @@
+"""Exceptions of the package `gyrotrack`, one tree.
+
+::
+
+    GyrotrackError                 code, message, hint; exit code 1
+    ├── VideoError                 "video":   a film that cannot be read, or not as asked
+    ├── ProfileError               "profile": a profile that is not valid
+    ├── ConfigurationError         "configuration": a manifest, study or settings file that is not valid
+    ├── TrackingError              "tracking": no markers, no centre, no angle
+    ├── DatasetError               "dataset": an HDF5 or CSV file that is not ours or not sound
+    ├── SyncError                  "sync":    clips that do not belong together
+    ├── OutputError                "output":  a result that cannot be written
+    └── UsageError                 "usage":   options that contradict each other; exit code 2
+
+A poor result is not an error: it is a result with a verdict.
+"""
+
+from __future__ import annotations
+
+
+class GyrotrackError(Exception):
+    """A fault of the input or of the environment, told in one sentence.
+
+    Parameters
+    ----------
+    message : str
+        What is wrong, with the name of the file, and the place in it.
+    hint : str
+        What to do next; may be empty.
+    """
+
+    code = "error"
+    exit_code = 1
+
+    def __init__(self, message: str, hint: str = "") -> None:
+        super().__init__(message)
+        self.message = message
+        self.hint = hint
+
+
+class VideoError(GyrotrackError):
+    """A film that cannot be read, or not in the way that was asked for."""
+
+    code = "video"
+
+
+class ProfileError(GyrotrackError):
+    """A marker profile that is not valid."""
+
+    code = "profile"
+
+
+class ConfigurationError(GyrotrackError):
+    """A manifest, a study or a file of settings that is not valid."""
+
+    code = "configuration"
+
+
+class TrackingError(GyrotrackError):
+    """A sound film in which no marker, centre or angle is found."""
+
+    code = "tracking"
+
+
+class DatasetError(GyrotrackError):
+    """A data file that is not ours, is not sound, or lacks what is needed."""
+
+    code = "dataset"
+
+
+class SyncError(GyrotrackError):
+    """Clips that do not belong to one run, or cannot be put on one clock."""
+
+    code = "sync"
+
+
+class OutputError(GyrotrackError):
+    """A result that cannot be written where it was asked for."""
+
+    code = "output"
+
+
+class UsageError(GyrotrackError):
+    """Options that contradict each other or are not understood."""
+
+    code = "usage"
+    exit_code = 2

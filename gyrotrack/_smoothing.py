@@ -1,0 +1,483 @@
+"""Local polynomials, smooth motion on even and uneven time bases, angular velocities.
+
+The paper takes the median over 51 points of the angles, differentiates, takes the median over 51 points of
+the velocities, and drops the first and last 50.
+
+A body's path is made from the coarse angles by parabolas in time about each frame. What a marker departs from it is
+small, and is put into the even place nearest to its frame to be smoothed together with the path there.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack._column_store import stretches
+from gyrotrack._native._kernels import loops
+
+Floats = npt.NDArray[np.float64]
+
+
+def local_fit(
+    value: Floats, weight: Floats, half: int, degree: int = 2, hole: int = -1
+) -> tuple[Floats, Floats]:
+    """Fit a polynomial about every point of an even series, over `half` points to both sides.
+
+    Parameters
+    ----------
+    value : ndarray, shape (n,)
+        The series; entries of weight 0 may be NaN.
+    weight : ndarray, shape (n,)
+        Weights, 0 where there is no value.
+    half : int
+        Reach of the window; its weights fall off as (1 - (x/(half + 1))^2).
+    degree : int
+        Of the polynomial.
+    hole : int
+        Points up to this distance are left out, to predict each point from others; -1: none.
+
+    Returns
+    -------
+    smooth, leverage : ndarray, shape (n,)
+        The fitted value, and the share with which a point of weight 1 enters its own fitted value. NaN where
+        the window holds too few points.
+    """
+    n = len(value)
+    smooth, leverage = np.empty(n), np.empty(n)
+    for part in stretches(n):  # a fit needs some dozen numbers for each point
+        around = slice(max(part.start - half, 0), min(part.stop + half, n))
+        beyond = (half - (part.start - around.start), half - (around.stop - part.stop))
+        padded = np.pad(value[around], beyond), np.pad(weight[around], beyond)
+        if loops is None:
+            smooth[part], leverage[part] = _fitted(*padded, half, degree, hole)
+        else:
+            loops.local(*padded, smooth[part], leverage[part], half, degree, hole)
+    return smooth, leverage
+
+
+def _fitted(value: Floats, weight: Floats, half: int, degree: int, hole: int) -> tuple[Floats, Floats]:
+    """Fit about the points of a stretch, (n,); values and weights reach beyond it by `half` points, (n + 2 half,)."""
+    n = len(value) - 2 * half
+    x = np.arange(-half, half + 1, dtype=np.float64) / (half + 1)
+    bell = np.where(np.abs(np.arange(-half, half + 1)) <= hole, 0.0, 1.0 - x**2)
+    clean = np.where(weight > 0, value, 0.0) * weight
+
+    def moment(series: Floats, power: int) -> Floats:
+        return np.convolve(series, (bell * x**power)[::-1], mode="valid")
+
+    s = [moment(weight, k) for k in range(2 * degree + 1)]
+    t = np.stack([moment(clean, k) for k in range(degree + 1)], axis=1)
+    matrix = np.empty((n, degree + 1, degree + 1))
+    for i in range(degree + 1):
+        for j in range(degree + 1):
+            matrix[:, i, j] = s[i + j]
+    held = np.convolve((weight > 0).astype(float), np.ones(2 * half + 1), mode="valid")
+    enough = held > degree + 2.5
+    matrix[~enough] = np.eye(degree + 1)
+    matrix += 1e-9 * np.maximum(s[0], 1e-12)[:, None, None] * np.eye(degree + 1)
+    row = _first_row_of_inverse(matrix)
+    smooth = np.where(enough, (row * t).sum(axis=1), np.nan)
+    return smooth, np.where(enough, row[:, 0] * bell[half], np.nan)
+
+
+def _first_row_of_inverse(matrix: Floats) -> Floats:
+    """Solve A x = (1, 0, ...) for many small symmetric positive definite matrices, (n, p, p), by elimination."""
+    p = matrix.shape[1]
+    a = np.ascontiguousarray(np.moveaxis(matrix, 0, 2))
+    right = np.zeros((p, a.shape[2]))
+    right[0] = 1.0
+    for k in range(p):
+        for i in range(k + 1, p):
+            part = a[i, k] / a[k, k]
+            a[i, k + 1 :] -= part * a[k, k + 1 :]
+            right[i] -= part * right[k]
+    for k in reversed(range(p)):
+        for j in range(k + 1, p):
+            right[k] -= a[k, j] * right[j]
+        right[k] /= a[k, k]
+    return right.T
+
+
+def spread(residual: Floats) -> float:
+    """Return the standard deviation of the core of a sample, 1.4826 times its median absolute value."""
+    known = residual[np.isfinite(residual)]
+    return 1.4826 * median_of(np.abs(known)) if len(known) else float("nan")
+
+
+def median_of(values: Floats) -> float:
+    """Return the median of some numbers, none of them NaN; `np.median` thinks for longer than it works."""
+    ranks = (values.size - 1) // 2, values.size // 2
+    ordered = np.partition(values, ranks, axis=None)
+    return float(0.5 * (ordered[ranks[0]] + ordered[ranks[1]]))
+
+
+FAR = 6.0
+"""Standard deviations beyond which a sighting is taken for a fault."""
+FEWEST = 8
+STANDS_OUT = 3.5
+"""Standard deviations beyond which a correlation is not taken for chance."""
+_LIGHTEST, _HEAVIEST = 1e3, 5.0
+_BORROWED = 4.0
+"""Independent departures that a borrowed uncertainty is worth: it holds to about a third."""
+
+
+def core_scatter(off: Floats, otherwise: float) -> float:
+    """Return the standard deviation of the core of residuals; `otherwise`, if there are too few of them."""
+    return max(spread(off), 1e-5) if np.isfinite(off).sum() >= FEWEST else otherwise
+
+
+def excess(off: Floats) -> float:
+    """Return by how much normalised residuals scatter more than they should: their root mean square.
+
+    A fault counts as no more than `FAR`; the result is between 0.5 and 3, and 1 if there are too few residuals.
+    """
+    known = off[np.isfinite(off)]
+    if len(known) < FEWEST:
+        return 1.0
+    limit = FAR * core_scatter(known, 1.0)
+    return float(np.clip(np.sqrt(np.mean(np.minimum(known**2, limit**2))), 0.5, 3.0))
+
+
+def tail_factor(off: Floats) -> Floats:
+    """Return by how much each residual raises its own uncertainty where large ones are too frequent, (n,).
+
+    The noise is taken as normal with a variance of its own in each frame, inverse-gamma distributed: residuals
+    then follow Student's t with nu degrees of freedom, their excess kurtosis is 6 / (nu - 4), and a residual of r
+    standard deviations says that its variance was (nu - 2 + r^2) / (nu - 1) of the mean one. Where nothing is
+    known (NaN) the factor is 1.
+
+    Parameters
+    ----------
+    off : ndarray, shape (n,)
+        Residuals of unit root mean square.
+
+    Examples
+    --------
+    >>> tail_factor(np.array([-1.0, 1.0] * 50)).round(3).max()
+    np.float64(1.0)
+    """
+    known = np.minimum(np.abs(off[np.isfinite(off)]), FAR)
+    if len(known) < FEWEST:
+        return np.ones(len(off))
+    kurtosis = float(np.mean(known**4) / max(np.mean(known**2), 1e-12) ** 2 - 3.0)
+    nu = float(np.clip(4.0 + 6.0 / max(kurtosis, 1e-6), _HEAVIEST, _LIGHTEST))
+    return np.asarray(np.where(np.isfinite(off), np.sqrt((nu - 2.0 + off**2) / (nu - 1.0)), 1.0))
+
+
+def correlation_factor(residual: Floats) -> float:
+    """Return by how much correlation raises the variance of averages: 1 + 2 sum of autocorrelations.
+
+    The sum ends where a pair of neighbouring lags is no longer positive (Geyer's initial sequence); what is
+    within 3.5 sigma of independent samples counts as independent.
+    """
+    size = len(residual)
+    power = np.abs(np.fft.rfft(residual - residual.mean(), 2 * size))
+    power **= 2
+    autocovariance = np.fft.irfft(power)[:size].copy()
+    if autocovariance[0] <= 0:
+        return 1.0
+    rho = autocovariance[1:] / autocovariance[0]
+    pairs = rho[: len(rho) // 2 * 2].reshape(-1, 2).sum(axis=1)
+    positive = int(np.argmax(pairs <= 0)) if (pairs <= 0).any() else len(pairs)
+    factor = 1 + 2 * float(pairs[:positive].sum())
+    return factor if factor > 1 + 2 * STANDS_OUT / np.sqrt(size) else 1.0
+
+
+def share_of_floor(off: Floats, sigma: Floats, floor: float, places: float) -> float:
+    """Return the share, 0 to 1, of a borrowed uncertainty that a body's own departures leave to it.
+
+    A body that passes an arc passes places too, and departs from its smooth motion where it errs by them. These
+    departures and the borrowed value are two estimates of one variance, each with its degrees of freedom; departures
+    that are larger may be motion, and raise nothing.
+
+    Parameters
+    ----------
+    off, sigma : ndarray, shape (n,)
+        Departures from the smooth motion, NaN where there is none, and their uncertainty without errors by place [rad].
+    floor : float
+        The borrowed uncertainty of errors by place [rad].
+    places : float
+        Places with errors of their own that were passed, less those to which the smooth motion could be fitted.
+    """
+    known = np.isfinite(off) & np.isfinite(sigma)
+    if known.sum() < FEWEST or floor <= 0.0 or places <= 0.0:
+        return 1.0
+    own = np.minimum(np.abs(off[known]), FAR * np.hypot(sigma[known], floor))
+    seen = max(float(np.mean(own**2) - np.mean(sigma[known] ** 2)), 0.0)
+    return float(np.sqrt(min((_BORROWED + places * seen / floor**2) / (_BORROWED + places), 1.0)))
+
+
+Mask = npt.NDArray[np.bool_]
+
+HALF_WINDOW = 20
+"""Frames to each side over which a body's motion is taken to be a parabola."""
+
+
+def smooth_path(coarse: Floats) -> Floats:
+    """Smooth a coarse path, so that departures from it are departures from an even motion.
+
+    Local parabolas replace it wherever they stay within 0.3 rad of it, so that turns are kept.
+    """
+    known = np.isfinite(coarse)
+    if known.sum() < 8:
+        return coarse
+    trend = line_through(coarse)
+    smooth, _ = local_fit(coarse - trend, known.astype(float), HALF_WINDOW)
+    near = np.abs(smooth + trend - coarse) < 0.3
+    return np.where(known, np.where(near, smooth + trend, coarse), np.nan)
+
+
+def learning_window(path: Floats) -> tuple[int, int]:
+    """Return half width and degree of the local polynomials against which repeating errors are learnt.
+
+    A little more than a turn to each side, so that an error that repeats with the turn is not taken for
+    motion; and never so short that an error is followed which creeps because the turn and the film's rate
+    are in step.
+    """
+    step = np.abs(np.diff(path))
+    step = step[np.isfinite(step)]
+    typical = float(np.median(step)) if len(step) else 0.0
+    half = int(np.clip(1.2 * 2.0 * np.pi / max(typical, 1e-3), 3 * HALF_WINDOW, 6 * HALF_WINDOW))
+    return half, 3
+
+
+def whole_turns(path: Floats, half: int) -> Mask:
+    """Return where `half` frames to both sides hold a whole turn, so that what repeats with it shows.
+
+    Nowhere in a path of less than two turns: a place that was passed once tells nothing of what repeats there.
+    """
+    known = path[np.isfinite(path)]
+    if len(known) == 0 or np.ptp(known) < 4.0 * np.pi:
+        return np.zeros(len(path), dtype=np.bool_)
+    ahead, behind = np.roll(path, -half), np.roll(path, half)
+    swept = np.abs(ahead - behind)
+    swept[:half] = 2.0 * np.abs(ahead - path)[:half]
+    swept[len(path) - half :] = 2.0 * np.abs(path - behind)[len(path) - half :]
+    return np.asarray(np.nan_to_num(swept) > 2.0 * np.pi)
+
+
+def line_through(path: Floats) -> Floats:
+    """Return the straight line through a path, to keep numbers small."""
+    known = np.isfinite(path)
+    if known.sum() < 2:
+        return np.zeros(len(path))
+    index = np.arange(len(path), dtype=np.float64)
+    return np.asarray(np.polyval(np.polyfit(index[known], path[known], 1), index))
+
+
+WIDTH = 51
+
+
+def median_smooth(x: npt.ArrayLike, width: int = WIDTH) -> Floats:
+    """Return the running median of a series.
+
+    Parameters
+    ----------
+    x : array_like, shape (n,)
+        The series; NaN are passed over and stay NaN.
+    width : int
+        Points of the median, odd.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        The median of the `width` points around each point; beyond an end the end point is repeated.
+
+    Raises
+    ------
+    ValueError
+        `width` is even or not positive.
+    """
+    if width < 1 or width % 2 == 0:
+        raise ValueError(f"the width of a median must be odd and positive, not {width}")
+    from scipy.ndimage import median_filter
+
+    series = np.asarray(x, dtype=float)
+    smooth = np.full_like(series, np.nan)
+    known = np.isfinite(series)
+    if known.any():
+        smooth[known] = median_filter(series[known], size=width, mode="nearest")
+    return smooth
+
+
+def angular_velocity(
+    time: npt.ArrayLike, angle: npt.ArrayLike, sigma: npt.ArrayLike, width: int = WIDTH
+) -> tuple[Floats, Floats]:
+    """Return the paper's angular velocity of one piece without large gaps, and its uncertainty.
+
+    The uncertainty is that of a running median of central differences d_i = (x_{i+1} - x_{i-1}) / 2 dt with a
+    trend from one to the next: var = N / D^2, with D the sum of the densities of d_i at the median and N the
+    sum of the covariances of the events d_i < median; d_i and d_{i+2} share one angle and have the
+    correlation -1/2. Without trend this is (pi / 6 n) var(d). The noise of the angles must be independent.
+
+    Parameters
+    ----------
+    time, angle, sigma : array_like, shape (n,)
+        Times [s], increasing; unwrapped angles [rad]; their uncertainties [rad].
+    width : int
+        Points of the medians, odd.
+
+    Returns
+    -------
+    omega, omega_sigma : ndarray, shape (n,)
+        Angular velocity and uncertainty [rad s-1]; NaN in the first and last ``width - 1`` points.
+    """
+    t, x, s = (np.asarray(a, dtype=float) for a in (time, angle, sigma))
+    omega, omega_sigma = np.full_like(t, np.nan), np.full_like(t, np.nan)
+    margin = width - 1
+    if len(t) <= 2 * margin:
+        return omega, omega_sigma
+    smooth = median_smooth(x, width)
+    raw = np.full_like(t, np.nan)
+    span = t[2:] - t[:-2]
+    raw[1:-1] = (smooth[2:] - smooth[:-2]) / span
+    raw_sigma = np.full_like(t, np.nan)
+    raw_sigma[1:-1] = np.hypot(s[2:], s[:-2]) / span
+    inner = slice(margin, len(t) - margin)
+    omega[inner] = median_smooth(raw, width)[inner]
+    trend = np.gradient(omega[inner]) if len(omega[inner]) > 1 else np.zeros(1)
+    omega_sigma[inner] = _median_sigma(
+        median_smooth(raw_sigma, width)[inner], median_smooth(trend, width), width
+    )
+    return omega, omega_sigma
+
+
+def _median_sigma(sigma: Floats, trend: Floats, width: int) -> Floats:
+    """Return the uncertainty of a median of `width` central differences with a linear trend."""
+    from scipy.special import ndtr
+
+    half = width // 2
+    out = np.full_like(sigma, np.nan)
+    for start in range(0, len(sigma), 512):  # 512 x 51 values at a time
+        part = slice(start, start + 512)
+        u = np.outer(trend[part] / sigma[part], np.arange(-half, half + 1))
+        p, density = ndtr(u), np.exp(-(u**2) / 2) / np.sqrt(2 * np.pi)
+        a, b = u[:, 2:], u[:, :-2]
+        series = -1 / 2 + a * b / 8 - (a**2 - 1) * (b**2 - 1) / 48  # tetrachoric, at the correlation -1/2
+        shared = 2 * np.sum(series * density[:, 2:] * density[:, :-2], axis=1)
+        variance = np.sum(p * (1 - p), axis=1) + shared
+        out[part] = sigma[part] * np.sqrt(variance) / np.sum(density, axis=1)
+    return out
+
+
+Integers = npt.NDArray[np.int64]
+
+_FEWEST = 6
+_SOME = 1024
+_REAL = 0.5
+_CLEAR = 5.0
+
+
+class Pace:
+    """When the frames of a film were taken, where that was not evenly.
+
+    Parameters
+    ----------
+    place : ndarray, shape (n,)
+        Times of the frames in periods of the capture rate, increasing.
+    sigma : float
+        Their standard deviation, independent from frame to frame.
+    """
+
+    def __init__(self, place: Floats, sigma: float = 0.0) -> None:
+        self.place = place - place[0]
+        self.sigma = sigma
+
+    @cached_property
+    def _slot(self) -> Integers:
+        return np.asarray(np.rint(self.place), dtype=np.int64)
+
+    def path(self, coarse: Floats) -> tuple[Floats, Floats]:
+        """Smooth a coarse path: values at the frames (n,), NaN where it has none, and at the even places [rad]."""
+        known = np.isfinite(coarse)
+        if known.sum() < _FEWEST:
+            return coarse, np.zeros(int(self._slot[-1]) + 1)
+        from scipy.interpolate import CubicHermiteSpline
+
+        place = self.place[known]
+        value, slope = local_parabola(place, coarse[known])
+        near = np.abs(value - coarse[known]) < 0.3
+        path = np.full(len(coarse), np.nan)
+        path[known] = np.where(near, value, coarse[known])
+        even = np.clip(np.arange(int(self._slot[-1]) + 1, dtype=np.float64), place[0], place[-1])
+        return path, np.asarray(CubicHermiteSpline(place, value, slope)(even))
+
+    def speed(self, path: Floats) -> Floats:
+        """Return the change of a path in a period, (n,); NaN where the path is not known."""
+        known = np.isfinite(path)
+        out = np.full(len(path), np.nan)
+        if known.sum() > 1:
+            out[known] = np.gradient(path[known], self.place[known])
+        return out
+
+    def smooth(
+        self, off: Floats, weight: Floats, bend: Floats, half: int, degree: int
+    ) -> tuple[Floats, Floats]:
+        """Fit polynomials in time to departures from a path; return their values and leverages at the frames.
+
+        Parameters
+        ----------
+        off, weight : ndarray, shape (n,)
+            Departures [rad] and their weights, 0 where there is none.
+        bend : ndarray
+            The path at the even places, less a straight line [rad].
+        half, degree : int
+            See `local_fit`; in periods.
+        """
+        total = np.bincount(self._slot, weight, len(bend)).astype(np.float64)
+        clean = np.where(weight > 0.0, off, 0.0) * weight
+        mean = np.bincount(self._slot, clean, len(bend)) / np.where(total > 0.0, total, 1.0)
+        fitted, leverage = local_fit(mean + bend, total, half, degree)
+        fitted = np.interp(self.place, np.arange(len(bend)), fitted - bend)
+        return fitted, leverage[self._slot]
+
+
+def local_parabola(place: Floats, value: Floats, half: int = HALF_WINDOW) -> tuple[Floats, Floats]:
+    """Fit a parabola about every point of an uneven series, over `half` points to both sides: value and slope, (n,)."""
+    out = np.empty((2, len(place)))
+    reach = np.arange(-half, half + 1)
+    bell = 1.0 - (reach / (half + 1.0)) ** 2
+    for start in range(0, len(place), _SOME):
+        i = np.arange(start, min(start + _SOME, len(place)))
+        j = i[:, None] + reach
+        weight = np.where((j >= 0) & (j < len(place)), bell, 0.0)
+        j = np.clip(j, 0, len(place) - 1)
+        x, y = (place[j] - place[i, None]) / half, value[j] - value[i, None]
+        powers = np.stack([np.ones_like(x), x, x * x], axis=1)
+        matrix = (powers * weight[:, None]) @ powers.transpose(0, 2, 1) + 1e-9 * np.eye(3)
+        right = (powers * (weight * y)[:, None]).sum(axis=2)
+        found = np.linalg.solve(matrix, right[:, :, None])[:, :, 0]
+        out[0, i], out[1, i] = value[i] + found[:, 0], found[:, 1] / half
+    return out[0], out[1]
+
+
+def jitter_is_real(place: Floats, smooth: Floats, angle: Floats) -> bool:
+    """Tell whether a body has moved on in frames that are late by their stamps, or turns as if these were even.
+
+    Parameters
+    ----------
+    place, smooth : ndarray, shape (n,)
+        Times of the frames, and the same without what jitters.
+    angle : ndarray, shape (n,)
+        Unwrapped angle of a body, NaN where it is not known [rad].
+
+    Notes
+    -----
+    What an angle departs from a parabola in the smooth times is b w (place - smooth), with w the speed. The least
+    squares b is near 1 where the camera was late, and near 0 where only the stamp is. One that is not known to a
+    fifth leaves the stamps as they are.
+    """
+    known = np.isfinite(angle)
+    if known.sum() < 2 * HALF_WINDOW:
+        return True
+    value, slope = local_parabola(smooth[known], angle[known])
+    late = place[known] - smooth[known]
+    late = slope * (late - local_parabola(smooth[known], late)[0])
+    off = angle[known] - value
+    core = np.abs(off) < 6.0 * 1.4826 * median_of(np.abs(off)) + 1e-9
+    power = float(np.sum(late[core] ** 2))
+    share = float(np.sum(late[core] * off[core])) / max(power, 1e-30)
+    scatter = float(np.std(off[core] - share * late[core]))
+    return scatter / np.sqrt(max(power, 1e-30)) > 1.0 / _CLEAR or share > _REAL

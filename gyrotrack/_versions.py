@@ -1,0 +1,40 @@
+"""Versions of the libraries in use."""
+
+from __future__ import annotations
+
+import platform
+import sys
+from importlib.metadata import PackageNotFoundError, version
+
+__version__ = "0.1.0"
+
+LIBRARIES = (
+    "numpy",
+    "scipy",
+    "h5py",
+    "av",
+    "opencv-contrib-python-headless",
+    "scikit-image",
+    "matplotlib",
+    "pydantic",
+    "typer",
+    "xarray",
+    "pandas",
+    "pyarrow",
+    "distributed",
+)
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of the program, of Python with its platform, and of the libraries that are installed."""
+    found = {
+        "gyrotrack": __version__,
+        "python": platform.python_version(),
+        "platform": f"{sys.platform} {platform.machine()}",
+    }
+    for name in LIBRARIES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found

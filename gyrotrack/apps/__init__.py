@@ -1,0 +1,1 @@
+"""Applications: command line, report, workbench, batch. Here tracking and fitting meet."""

@@ -1,0 +1,334 @@
+"""Cases studied together, the history of their fits, and the next fit.
+
+What fits is imported where it is needed: the commands that take a study must come up fast.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gyrotrack._errors import UsageError
+
+if TYPE_CHECKING:
+    from fitting._workers import Beside
+    from fitting.discovery._select import Rung
+    from fitting.discovery._verdict import Diagnosis
+    from fitting.dynamics._model import Model
+    from fitting.effects._effect import Effect
+    from fitting.inference._case_data import CaseData
+    from fitting.inference._result import Fit
+    from fitting.study._history import Entry, Ledger
+
+
+@dataclass(frozen=True)
+class Study:
+    """Cases that are looked at together, and their fits so far."""
+
+    data: tuple[CaseData, ...]
+    ledger: Ledger
+
+    def entry(self, fit_id: str | None) -> Entry | None:
+        """Return the rung asked for, or the latest one of these cases, or None."""
+        if fit_id is not None:
+            found = self.ledger.find(fit_id)
+            if sorted(found.digests) != sorted(d.record.digest for d in self.data):
+                raise UsageError(
+                    f"The fit {fit_id} is not one of these cases.", "`gyrotrack ladder` lists them."
+                )
+            return found
+        entries = self.ledger.of(self.data)
+        return entries[-1] if entries else None
+
+    def model(self, names: Iterable[str]) -> Model:
+        """Return the model of these effects, or the part of it that one body alone has if there is but one."""
+        from fitting.dynamics._model import Model
+
+        whole = Model.of(names)
+        return whole.alone if self.data[0].record.single else whole
+
+    def rungs_to(self, fit_id: str | None) -> list[Rung]:
+        """Return the fit asked for, or the latest, and those that it was made from, the first one first."""
+        from fitting.discovery._select import Rung
+
+        if self.entry(fit_id) is None:
+            fit, _ = self.base(None)
+            return [Rung("", fit, ())]
+        chain = self._chain(fit_id)
+        return [Rung(str(e.document.get("added", "")), e.shown(self.data), ()) for e in reversed(chain)]
+
+    def _chain(self, fit_id: str | None) -> list[Entry]:
+        """Return the rung asked for, or the latest, and those that it was made from, the first one last."""
+        entry = self.entry(fit_id)
+        if entry is None:
+            return []
+        known = {e.fit_id: e for e in self.ledger.of(self.data)}
+        chain = [entry]
+        while (
+            parent := known.get(str(chain[-1].document.get("parent", "")))
+        ) is not None and parent not in chain:
+            chain.append(parent)
+        return chain
+
+    def diagnosis(
+        self, fit_id: str | None, fit: Fit, extra: Sequence[Effect] = (), *, beside: Beside | None = None
+    ) -> Diagnosis:
+        """Return the diagnosis of the first of the rungs that led to a fit, kept if there is one, else made and kept.
+
+        Parameters
+        ----------
+        fit_id : str or None
+            The last of the rungs, as for `rungs_to`.
+        fit : Fit
+            The fit of the first.
+        extra : sequence of Effect
+            Effects of the user beside the library.
+        beside : Beside, optional
+            A second process that takes its share of the work.
+        """
+        from fitting.discovery._verdict import diagnose
+
+        entry = self._chain(fit_id)[-1]
+        found = entry.diagnosis(fit, extra)
+        if found is None:
+            found = diagnose(fit, extra, beside=beside)
+            self.keep_diagnosis(entry.fit_id, found, extra)
+        return found
+
+    def keep_diagnosis(self, fit_id: str, found: Diagnosis, extra: Sequence[Effect] = ()) -> None:
+        """Keep a diagnosis with its rung, where the ledger can be written; it can be found again without."""
+        from fitting._errors import LedgerError
+
+        with suppress(LedgerError):
+            self.ledger.keep_diagnosis(fit_id, found, extra)
+
+    def keep(self, rungs: Sequence[Rung], first: str) -> list[Entry]:
+        """Keep the rungs of a ladder whose first one is the fit `first` of the ledger; return all of them."""
+        entries = [self.ledger.find(first)]
+        for before, rung in pairwise(rungs):
+            parent = entries[-1].fit_id
+            entries.append(self.ledger.add(rung.fit, parent=parent, added=rung.change, previous=before.fit))
+        return entries
+
+    def base(self, fit_id: str | None) -> tuple[Fit, str]:
+        """Return the fit to start from and its name; without any the reduced model is fitted and kept."""
+        from fitting.effects._library import REDUCED
+        from fitting.inference._fit import fit
+
+        entry = self.entry(fit_id)
+        if entry is not None:
+            return entry.refit(self.data), entry.fit_id
+        found = fit(self.model(REDUCED), self.data)
+        return found, self.ledger.add(found).fit_id
+
+
+def open_study(
+    cases: Sequence[Path], ledger: Path | None, *, data: str | None = None, rotor: str = "windows"
+) -> Study:
+    """Read cases and their ledger."""
+    from fitting.study._history import Ledger
+
+    read = read_cases(cases, data=data, rotor=rotor)
+    return Study(read, Ledger(ledger) if ledger is not None else Ledger.beside(Path(cases[0])))
+
+
+def read_cases(
+    cases: Sequence[Path], *, data: str | None = None, rotor: str = "windows"
+) -> tuple[CaseData, ...]:
+    """Read cases and project them: what was measured, or the paper's velocities and generated rotor curve."""
+    from fitting.inference._case_data import CaseData
+    from fitting.inference._case_file import read_record
+
+    _known("--data", data or "angle", ("angle", "velocity"))
+    _known("--rotor", rotor, ("windows", "generated"))
+    records = [read_record(path) for path in cases]
+    if data is not None or rotor != "windows":
+        from fitting.study._paper import prepared
+
+        records = [prepared(r, data, rotor) for r in records]
+    return tuple(CaseData.of(r) for r in records)
+
+
+def _known(option: str, word: str, words: tuple[str, ...]) -> None:
+    if word not in words:
+        raise UsageError(f"{option} {word[:40]!r} is not known.", f"It is one of: {', '.join(words)}.")
+
+
+_NAMED = ("reduced", "general", "linear")
+
+
+@dataclass(frozen=True)
+class Wish:
+    """A model to be fitted to the cases of a study.
+
+    Attributes
+    ----------
+    model : str, optional
+        reduced, general, linear, or the name of a TOML file. Without it the wish is a change of an earlier fit, and
+        if there is none the reduced model.
+    add, drop : tuple of str
+        Effects by name, and for `add` also laws such as ``casing: -k*omega_c**3``.
+    own : sequence of Effect
+        Effects of the user, which `add` may name.
+    share, per_case : tuple of str
+        Parameters with one value for all cases, or with a value for each.
+    held : mapping
+        Values of parameters that are not fitted [SI].
+    loss : str
+        linear, huber or cauchy.
+    """
+
+    model: str | None = None
+    add: tuple[str, ...] = ()
+    drop: tuple[str, ...] = ()
+    own: Sequence[Effect] = ()
+    share: tuple[str, ...] = ()
+    per_case: tuple[str, ...] = ()
+    held: Mapping[str, float] = field(default_factory=dict)
+    loss: str = "linear"
+
+    def fit(self, study: Study, start: str | None = None) -> tuple[Fit, str]:
+        """Fit, and keep the result in the ledger.
+
+        Parameters
+        ----------
+        study : Study
+            The cases.
+        start : str, optional
+            Name of the fit that is changed; the latest, if not given.
+
+        Returns
+        -------
+        tuple of (Fit, str)
+            What was found, and its name in the ledger.
+
+        Raises
+        ------
+        UsageError
+            There is no such model, or the fit `start` is not one of these cases.
+        """
+        wanted, entry = self._wanted(study, start)
+        share, per_case = self._choices(entry, wanted)
+        ranges = _paper_ranges(study, share, per_case) if self.model == "general" else {}
+        previous = entry.refit(study.data) if entry is not None else None
+        if previous is None and self.add and self.model is None:
+            previous, fit_id = study.base(None)
+            entry = study.entry(fit_id)
+        values = _starts(previous, wanted) if previous is not None else None
+        options: dict[str, Any] = {"share": share, "per_case": per_case, "ranges": ranges}
+        found = self._fitted(study, wanted, values, options)
+        kept = study.ledger.add(
+            found,
+            parent=entry.fit_id if entry is not None else "",
+            added=self.change,
+            previous=previous,
+            **options,
+            loss=self.loss,
+        )
+        return found, kept.fit_id
+
+    def _fitted(
+        self,
+        study: Study,
+        wanted: Model,
+        start: Mapping[str, float] | None,
+        options: dict[str, Any],
+    ) -> Fit:
+        from fitting._errors import FittingError
+        from fitting.inference._robust import robust_fit
+
+        try:
+            return robust_fit(wanted, study.data, self.loss, start=start, **options)
+        except FittingError:
+            # what suited the parent may be no start for the new model: the program's own then
+            if start is None:
+                raise
+            return robust_fit(wanted, study.data, self.loss, **options)
+
+    def _choices(self, entry: Entry | None, wanted: Model) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Return what to share and what not: as the fit that is changed does, where the wish has no other word."""
+        if entry is None:
+            return self.share, self.per_case
+        from fitting.inference._parameters import covers
+
+        share, per_case = (
+            [n for n in names if any(covers(n, key) for key in wanted.free)] for names in entry.choices
+        )
+        return (
+            (*self.share, *(n for n in share if n not in self.per_case)),
+            (*self.per_case, *(n for n in per_case if n not in self.share)),
+        )
+
+    @property
+    def change(self) -> str:
+        """The wish in few words, as the ladder shows it."""
+        steps = [
+            *(f"+{a}" for a in self.add),
+            *(f"-{d}" for d in self.drop),
+            *(f"{k}={v:g}" for k, v in self.held.items()),
+            *([self.loss] if self.loss != "linear" else []),
+        ]
+        return " ".join(steps) or (self.model or "")
+
+    def _wanted(self, study: Study, start: str | None) -> tuple[Model, Entry | None]:
+        """Return the model, and the rung of which it is a change."""
+        from fitting.effects._library import REDUCED
+
+        follows = self.model is None and (self.add or self.drop or start)
+        entry = study.entry(start) if follows else None
+        if entry is not None:
+            base = entry.model
+        elif self.model is None:
+            base = study.model(REDUCED)
+        else:
+            base = self._named(self.model, study)
+        return changed(base, self.add, self.drop, self.own).with_fixed(dict(self.held)), entry
+
+    def _named(self, name: str, study: Study) -> Model:
+        from fitting.dynamics._model import read_model
+        from fitting.effects._library import GENERAL, LINEAR, REDUCED
+
+        if name in _NAMED:
+            return study.model({"reduced": REDUCED, "general": GENERAL, "linear": LINEAR}[name])
+        path = Path(name)
+        if not path.is_file():
+            raise UsageError(
+                f"{name} is no model.", f"Models: {', '.join(_NAMED)}, or the name of a TOML file."
+            )
+        return read_model(path, self.own)
+
+
+def changed(model: Model, add: Sequence[str], drop: Sequence[str], own: Sequence[Effect]) -> Model:
+    """Return a model with effects added (by name or as `body: law`) and dropped."""
+    from fitting.effects._user import resolve
+
+    known = {e.name: e for e in own}
+    for name in add:
+        effect = known.get(name) or resolve(name)
+        model = model if effect.name in model.names else model.with_effect(effect)
+    for name in drop:
+        model = model.without(name)
+    return model
+
+
+def _starts(previous: Fit, wanted: Model) -> dict[str, float]:
+    from fitting.discovery._select import found_starts, needs_search
+
+    new = [e for e in wanted.effects if e.name not in previous.model.names and needs_search(e)]
+    found = found_starts(previous, new) if new else {}
+    return {k: e.value for k, e in previous.estimates.items()} | found
+
+
+def _paper_ranges(
+    study: Study, share: tuple[str, ...], per_case: tuple[str, ...]
+) -> dict[str, tuple[float, float]]:
+    from fitting.effects._library import REDUCED
+    from fitting.inference._fit import fit
+    from fitting.study._scan import paper_ranges
+
+    reduced = fit(study.model(REDUCED), study.data, share=share, per_case=per_case)
+    return paper_ranges([reduced], reduced.labels)

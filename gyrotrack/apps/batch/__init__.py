@@ -1,0 +1,1 @@
+"""Batches: many films and cases, processed unattended and resumable."""

@@ -1,0 +1,411 @@
+"""What a batch processes: experiments from a manifest or a folder.
+
+A folder with ``study.toml`` is that study. Else ``casing*`` and ``rotor*`` in one folder are the case of the
+folder's name, ``NAME_casing*`` and ``NAME_rotor*`` the case NAME, and any other film stands on its own. A
+capture rate may stand in the name of a film, as in ``rotor_1_1000fps.mp4``.
+
+::
+
+    [defaults]                      # for every case and film that does not say otherwise
+    casing_fps = 260
+    rotor_fps = 1000
+
+    [[case]]
+    label = "pvc 1"
+    casing = "pvc1/casing.mp4"
+    rotor = ["pvc1/rotor_1.mp4", "pvc1/rotor_2.mp4"]
+    surface = "PVC"
+
+    [[case]]
+    study = "paper/study.toml"      # an experimenter's notes beside the films
+
+    [[case]]
+    data = "old/case7.h5"           # a case that exists already
+
+    [[clip]]                        # a film on its own: it is tracked, no more
+    file = "wheel.mp4"
+    capture_fps = 300
+    profile = "wheel.toml"
+
+The same as CSV is a row a film, with the columns ``case, body, file`` and, as far as wanted, ``capture_fps,
+profile, surface, inertia_rotor, inertia_casing``. Paths are taken from the manifest's folder.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from gyrotrack._errors import ConfigurationError
+from gyrotrack._toml import check, read_document, read_text
+
+Body = Literal["casing", "rotor", ""]
+
+FILMS = {".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi"}
+_DEVICES = {"con", "prn", "aux", "nul", *(f"{d}{n}" for d in ("com", "lpt") for n in range(1, 10))}
+
+
+@dataclass(frozen=True)
+class Clip:
+    """One film: the body that it is about ("" for a film on its own), its capture rate [fps], its profile."""
+
+    file: Path
+    body: Body = ""
+    capture_fps: float | None = None
+    profile: Path | None = None
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One case to be made and studied.
+
+    Attributes
+    ----------
+    label : str
+        Its name for people.
+    clips : tuple of Clip
+        One of the casing and any number of the rotor, or a single film that is only tracked.
+    data : Path or None
+        A case file that exists already, in place of films.
+    surface : str
+        What the casing turned on.
+    inertia_rotor, inertia_casing : float or None
+        Moments of inertia [kg m2].
+    folder : str
+        Name of its folder among the results; unique.
+    """
+
+    label: str
+    clips: tuple[Clip, ...] = ()
+    data: Path | None = None
+    surface: str = ""
+    inertia_rotor: float | None = None
+    inertia_casing: float | None = None
+    folder: str = ""
+
+    @property
+    def alone(self) -> bool:
+        """Whether it is a film on its own, which is tracked and nothing more."""
+        return self.data is None and all(c.body == "" for c in self.clips)
+
+
+def named(experiments: Iterable[Experiment], where: Path) -> tuple[Experiment, ...]:
+    """Return the experiments with a folder each, whose names no label can lead out of the results.
+
+    Raises
+    ------
+    ConfigurationError
+        There is none, two have the same label, or one has not exactly one film of the casing.
+    """
+    found, folders = [], set[str]()
+    labels: set[str] = set()
+    for e in experiments:
+        if e.label in labels:
+            raise ConfigurationError(
+                f"{where}: two cases are called '{e.label[:60]}'", "give each a label of its own"
+            )
+        labels.add(e.label)
+        _check_films(e, where)
+        folder = stem = folder_name(e.label)
+        number = 1
+        while folder.casefold() in folders:
+            number += 1
+            folder = f"{stem}_{number}"
+        folders.add(folder.casefold())
+        found.append(Experiment(**{**vars(e), "folder": folder}))
+    if not found:
+        raise ConfigurationError(
+            f"{where} names no film and no case",
+            "films are called casing.mp4 and rotor_1.mp4 in a folder a case, or are listed in a manifest",
+        )
+    return tuple(found)
+
+
+def _check_films(e: Experiment, where: Path) -> None:
+    casings = sum(c.body == "casing" for c in e.clips)
+    if e.data is None and not e.alone and (casings != 1 or len(e.clips) < 2):
+        raise ConfigurationError(
+            f"{where}: the case '{e.label[:60]}' has {casings} films of the casing and "
+            f"{len(e.clips) - casings} of the rotor",
+            "a case has one film of the casing and at least one of the rotor",
+        )
+
+
+def folder_name(label: str) -> str:
+    """Return a label as the name of a folder: letters, digits, ``._-`` only, no device of any system."""
+    name = re.sub(r"[^A-Za-z0-9._-]+", "_", label).strip("._-")[:80] or "case"
+    return f"{name}_" if name.partition(".")[0].casefold() in _DEVICES else name
+
+
+class Film(BaseModel):
+    """One film."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    file: str
+    body: Literal["casing", "rotor"]
+    capture_fps: float | None = Field(default=None, gt=0)
+    profile: str | None = None
+
+
+class Study(BaseModel):
+    """The notes."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    label: str = Field(min_length=1, max_length=120)
+    surface: str = ""
+    inertia_rotor: float | None = Field(default=None, gt=0)
+    inertia_casing: float | None = Field(default=None, gt=0)
+    clip: tuple[Film, ...] = Field(min_length=1, max_length=100)
+
+
+def read_study(path: Path) -> Experiment:
+    """Read the notes of one run; the films are looked for beside them.
+
+    Raises
+    ------
+    ConfigurationError
+        Naming line and key of every fault.
+    """
+    study = read_document(path, Study, what="study")
+    root = path.resolve().parent
+    clips = tuple(
+        Clip(root / c.file, c.body, c.capture_fps, root / c.profile if c.profile is not None else None)
+        for c in sorted(study.clip, key=lambda c: c.body)
+    )
+    return Experiment(
+        study.label,
+        clips,
+        surface=study.surface,
+        inertia_rotor=study.inertia_rotor,
+        inertia_casing=study.inertia_casing,
+    )
+
+
+_RULE = re.compile(r"(?:(?P<label>.+?)[ _-])?(?P<body>casing|rotor)(?![a-z]).*", re.IGNORECASE)
+_RATE = re.compile(r"(?<![0-9.])(\d{2,5}(?:\.\d+)?) ?fps", re.IGNORECASE)
+
+
+def read_folder(
+    root: Path, *, casing_fps: float | None = None, rotor_fps: float | None = None, skip: Path | None = None
+) -> tuple[Experiment, ...]:
+    """Find the experiments below a folder.
+
+    Parameters
+    ----------
+    root : Path
+        The folder; hidden folders, and links to folders, are left out.
+    casing_fps, rotor_fps : float, optional
+        Capture rates of films whose names tell none.
+    skip : Path, optional
+        The folder of the results, which may lie inside.
+
+    Raises
+    ------
+    ConfigurationError
+        It holds no film, or films of a case that is not complete.
+    """
+    if not root.is_dir():
+        raise ConfigurationError(f"there is no folder {root}", "check the path")
+    rates = {"casing": casing_fps, "rotor": rotor_fps, "": None}
+    top, avoid = root.resolve(), skip.resolve() if skip is not None else None
+    found: list[Experiment] = []
+    for place, folders, files in os.walk(top):
+        here = Path(place)
+        folders[:] = sorted(f for f in folders if not f.startswith(".") and here / f != avoid)
+        if "study.toml" in files:
+            found.append(read_study(here / "study.toml"))
+            continue
+        films = sorted(f for f in files if Path(f).suffix.lower() in FILMS and not f.startswith("."))
+        found += _in_one_folder(here, top, films, rates)
+    return named(found, root)
+
+
+def _in_one_folder(
+    here: Path, top: Path, films: list[str], rates: dict[str, float | None]
+) -> list[Experiment]:
+    relative = here.relative_to(top).as_posix() if here != top else ""
+    cases: dict[str, list[Clip]] = {}
+    alone: list[Experiment] = []
+    for film in films:
+        stem = Path(film).stem
+        rule = _RULE.fullmatch(stem)
+        body: Body = rule["body"].lower() if rule else ""  # type: ignore[assignment]
+        told = _RATE.search(stem)
+        clip = Clip(here / film, body, float(told[1]) if told else rates[body])
+        if rule is None:
+            alone.append(Experiment("/".join(filter(None, (relative, stem))), (clip,)))
+        else:
+            label = "/".join(filter(None, (relative, rule["label"]))) or here.name
+            cases.setdefault(label, []).append(clip)
+    made = []
+    for label, clips in cases.items():
+        clips.sort(key=lambda c: c.body)  # the casing first
+        bodies = [c.body for c in clips]
+        if bodies.count("casing") == 1 and "rotor" in bodies:
+            made.append(Experiment(label, tuple(clips)))
+        else:  # no case can be made of them, but they can be tracked
+            alone += [
+                Experiment(f"{label}/{c.file.stem}", (Clip(c.file, "", c.capture_fps, c.profile),))
+                for c in clips
+            ]
+    return [*made, *alone]
+
+
+MOST = 100_000
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Defaults(_Strict):
+    """What holds for every case and film that does not say otherwise."""
+
+    casing_fps: float | None = Field(default=None, gt=0)
+    rotor_fps: float | None = Field(default=None, gt=0)
+    profile: str | None = None
+    surface: str | None = None
+    inertia_rotor: float | None = Field(default=None, gt=0)
+    inertia_casing: float | None = Field(default=None, gt=0)
+
+
+class CaseEntry(Defaults):
+    """One case: films, a study with its films, or a case file."""
+
+    label: str | None = Field(default=None, min_length=1, max_length=120)
+    casing: str | None = None
+    rotor: tuple[str, ...] = ()
+    study: str | None = None
+    data: str | None = None
+
+    @model_validator(mode="after")
+    def _one_source(self) -> CaseEntry:
+        films = self.casing is not None or bool(self.rotor)
+        if films + (self.study is not None) + (self.data is not None) != 1:
+            raise ValueError("a case has either films (casing, rotor), a study, or data")
+        if films and (self.casing is None or not self.rotor):
+            raise ValueError("a case has one film of the casing and at least one of the rotor")
+        return self
+
+
+class ClipEntry(_Strict):
+    """A film on its own."""
+
+    file: str
+    label: str | None = Field(default=None, min_length=1, max_length=120)
+    capture_fps: float | None = Field(default=None, gt=0)
+    profile: str | None = None
+
+
+class Manifest(_Strict):
+    """The whole file."""
+
+    defaults: Defaults = Defaults()
+    case: tuple[CaseEntry, ...] = Field(default=(), max_length=MOST)
+    clip: tuple[ClipEntry, ...] = Field(default=(), max_length=MOST)
+
+
+class _Row(_Strict):
+    """One row of a CSV manifest."""
+
+    case: str = ""
+    body: Body = ""
+    file: str = Field(min_length=1)
+    capture_fps: float | None = Field(default=None, gt=0)
+    profile: str | None = None
+    surface: str | None = None
+    inertia_rotor: float | None = Field(default=None, gt=0)
+    inertia_casing: float | None = Field(default=None, gt=0)
+
+
+def read_manifest(path: Path) -> tuple[Experiment, ...]:
+    """Read a manifest, TOML or (with the suffix ``.csv``) CSV.
+
+    Raises
+    ------
+    ConfigurationError
+        The file is not readable or something in it is not understood; line and key are named. Whether the films
+        exist is seen only when each is opened, so that one that is missing stops no other.
+    """
+    if path.suffix.lower() == ".csv":
+        return named(_from_rows(path), path)
+    manifest = read_document(path, Manifest, what="manifest")
+    root = path.resolve().parent
+    cases = [_case(root, entry, manifest.defaults, i) for i, entry in enumerate(manifest.case, 1)]
+    clips = [
+        Experiment(
+            c.label or Path(c.file).stem,
+            (Clip(root / c.file, "", c.capture_fps, _at(root, c.profile or manifest.defaults.profile)),),
+        )
+        for c in manifest.clip
+    ]
+    return named([*cases, *clips], path)
+
+
+def _case(root: Path, entry: CaseEntry, defaults: Defaults, number: int) -> Experiment:
+    def value(name: str) -> Any:
+        own = getattr(entry, name)
+        return own if own is not None else getattr(defaults, name)
+
+    numbers = {name: value(name) for name in ("inertia_rotor", "inertia_casing")}
+    if entry.study is not None:
+        noted = read_study(root / entry.study)
+        given = {"label": entry.label, "surface": entry.surface, **numbers}
+        return Experiment(**{**vars(noted), **{k: v for k, v in given.items() if v is not None}})
+    surface = value("surface") or ""
+    if entry.data is not None:
+        return Experiment(entry.label or Path(entry.data).stem, data=root / entry.data, surface=surface)
+    profile = _at(root, value("profile"))
+    films = [Clip(root / str(entry.casing), "casing", value("casing_fps"), profile)]
+    films += [Clip(root / f, "rotor", value("rotor_fps"), profile) for f in entry.rotor]
+    return Experiment(entry.label or f"case {number}", tuple(films), surface=surface, **numbers)
+
+
+def _from_rows(path: Path) -> list[Experiment]:
+    root = path.resolve().parent
+    text = read_text(path, what="manifest", error=ConfigurationError)
+    first = text.partition("\n")[0]
+    delimiter = next((d for d in (";", "\t") if d in first), ",")
+    reader = csv.DictReader(io.StringIO(text), delimiter=delimiter, skipinitialspace=True, restkey="?")
+    rows = []
+    try:
+        for cells in reader:
+            given = {str(k).strip(): v for k, v in cells.items() if v is not None and v != ""}
+            rows.append(check(given, _Row, what="row", where=f"{path}, line {reader.line_num}"))
+    except csv.Error as error:
+        raise ConfigurationError(
+            f"{path}, line {reader.line_num}: {error}", "write the manifest as plain CSV"
+        ) from error
+    own = [r for r in rows if not r.case]
+    made = [
+        Experiment(Path(r.file).stem, (Clip(root / r.file, "", r.capture_fps, _at(root, r.profile)),))
+        for r in own
+    ]
+    shared = sorted((r for r in rows if r.case), key=lambda r: r.case)
+    for label, group in groupby(shared, key=lambda r: r.case):
+        films = list(group)
+        facts = {
+            name: next((v for r in films if (v := getattr(r, name)) is not None), None)
+            for name in ("surface", "inertia_rotor", "inertia_casing")
+        }
+        clips = tuple(
+            Clip(root / r.file, r.body, r.capture_fps, _at(root, r.profile))
+            for r in sorted(films, key=lambda r: r.body)
+        )
+        made.append(Experiment(label, clips, **{**facts, "surface": facts["surface"] or ""}))  # type: ignore[arg-type]
+    return made
+
+
+def _at(root: Path, name: str | None) -> Path | None:
+    return root / name if name is not None else None

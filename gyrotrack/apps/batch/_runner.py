@@ -1,0 +1,431 @@
+"""Running the steps of a batch from the first to the summary."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from gyrotrack._errors import GyrotrackError
+from gyrotrack.apps.batch._experiments import Experiment
+from gyrotrack.apps.batch._journal import Journal, contents_of, fingerprint, held, key_of
+from gyrotrack.apps.batch._steps import Outcome, Step, words_for
+from gyrotrack.apps.batch._workers import ClusterWorkers, LocalWorkers, Workers, cores
+from gyrotrack.io._atomic import new_file
+from gyrotrack.io._export import plain_cell
+
+Progress = Callable[[int, int | None], None]
+Told = Callable[[Step, Outcome], None]
+
+_NOT_TRUSTED = 3
+_TRIES = 2
+_READERS = 4
+
+
+@dataclass
+class _Running:
+    step: Step
+    key: str
+    words: list[str]
+    tries: int = 1
+
+
+class Run:
+    """One run through all steps.
+
+    Parameters
+    ----------
+    steps : sequence of Step
+        Each after those that it needs.
+    results : Path
+        Folder of the results.
+    journal : Journal
+        What was done before.
+    timeout : float, optional
+        Seconds that a step may take.
+    tell : callable, optional
+        Told of each step that ended.
+    progress : callable, optional
+        Called with (steps ended, steps in all).
+    """
+
+    def __init__(
+        self,
+        steps: Sequence[Step],
+        results: Path,
+        journal: Journal,
+        *,
+        timeout: float | None = None,
+        tell: Told | None = None,
+        progress: Progress | None = None,
+    ) -> None:
+        self.steps = {s.name: s for s in steps}
+        self.results, self.journal, self.timeout = results, journal, timeout
+        self.ended: dict[str, Outcome] = {}
+        self._tell, self._progress = tell, progress
+        self._contents: dict[Path, str] = {}
+        self._followers: dict[str, list[Step]] = {}
+        for step in steps:
+            for name in {*step.needs, *step.wants}:
+                self._followers.setdefault(name, []).append(step)
+
+    def look(self) -> dict[str, str]:
+        """Return what would become of each step: "kept" or "to do"; nothing is run or written."""
+        self._read_sources()
+        for step in self.steps.values():
+            if self._ready(step) and (kept := self._kept(step)[0]) is not None:
+                self.ended[step.name] = kept
+        return {name: "kept" if name in self.ended else "to do" for name in self.steps}
+
+    def work(self, workers: Workers) -> dict[str, Outcome]:
+        """Run all steps that are not done; return how each ended."""
+        self._read_sources()
+        running: dict[Future[dict[str, Any]], _Running] = {}
+        fresh, taken = list(self.steps.values()), set[str]()
+        while fresh or running:
+            while fresh:
+                step = fresh.pop(0)
+                if step.name in taken or not self._ready(step):
+                    continue
+                taken.add(step.name)
+                begun = self._begin(step)
+                if begun is None:
+                    fresh += self._followers.get(step.name, [])
+                else:
+                    running[workers.submit([step.verb, *begun.words], self.timeout)] = begun
+            if not running:
+                break
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                done = running.pop(future)
+                answer = _answer(future)
+                if _error(answer).get("code") == "crash" and done.tries < _TRIES:
+                    done.tries += 1
+                    running[workers.submit([done.step.verb, *done.words], self.timeout)] = done
+                    continue
+                self._end(done, answer)
+                fresh += self._followers.get(done.step.name, [])
+        return self.ended
+
+    def _read_sources(self) -> None:
+        paths = list(dict.fromkeys(p for s in self.steps.values() for p in s.files))
+        with ThreadPoolExecutor(_READERS) as pool:
+            self._contents = {p: c or "" for p, c in zip(paths, pool.map(contents_of, paths), strict=True)}
+
+    def _ready(self, step: Step) -> bool:
+        return all(name in self.ended for name in (*step.needs, *step.wants))
+
+    def _blocked(self, step: Step) -> str | None:
+        lost = [name for name in step.needs if not self.ended[name].good]
+        if not lost and step.wants and not any(self.ended[name].good for name in step.wants):
+            lost = list(step.wants)
+        return lost[0] if lost else None
+
+    def _kept(self, step: Step) -> tuple[Outcome | None, str, list[str]]:
+        if self._blocked(step) is not None:
+            return None, "", []
+        words = words_for(step, self.steps, self.ended)
+        before = [self.ended[n].fingerprint for n in (*step.needs, *step.wants) if self.ended[n].good]
+        key = key_of(step, words, self.results, self._contents, before)
+        return self.journal.kept(step, key), key, words
+
+    def _begin(self, step: Step) -> _Running | None:
+        """Return what is to be submitted, or None if the step has ended already."""
+        before = self._blocked(step)
+        if before is not None:
+            cause = self.ended[before].document.get("error", {})
+            self._close(step, Outcome("blocked", {"error": {**cause, "after": before}}))
+            return None
+        kept, key, words = self._kept(step)
+        if kept is not None:
+            self._close(step, kept)
+            return None
+        folder = step.output.parent
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            told = {"code": "output", "message": f"{folder} cannot be made: {error.strerror}.", "hint": ""}
+            self._close(step, Outcome("failed", {"error": told}))
+            return None
+        return _Running(step, key, words)
+
+    def _end(self, done: _Running, answer: dict[str, Any]) -> None:
+        outcome = Outcome("failed", answer["document"], "", float(answer.get("seconds", 0.0)))
+        if error := _error(answer):
+            outcome.document = {"error": error}
+        else:
+            if done.step.verb == "diagnose":
+                outcome = self._write(done.step, outcome)
+            if "error" not in outcome.document:
+                outcome.fingerprint = fingerprint(done.step, outcome.document)
+                outcome.state = "done" if outcome.fingerprint else "failed"
+                outcome.trusted = answer["code"] != _NOT_TRUSTED
+            if outcome.state == "failed" and "error" not in outcome.document:
+                told = {
+                    "code": "output",
+                    "message": f"{done.step.output} was not found after it was written.",
+                }
+                outcome.document = {"error": {**told, "hint": "Does the worker see the same folders?"}}
+        self.journal.add(done.step, done.key, outcome)
+        self._close(done.step, outcome)
+
+    def _write(self, step: Step, outcome: Outcome) -> Outcome:
+        try:
+            with new_file(step.output, force=True) as stream:
+                stream.write(json.dumps(outcome.document, indent=1).encode())
+        except GyrotrackError as error:
+            outcome.document = {"error": {"code": error.code, "message": error.message, "hint": error.hint}}
+        return outcome
+
+    def _close(self, step: Step, outcome: Outcome) -> None:
+        self.ended[step.name] = outcome
+        if self._tell is not None:
+            self._tell(step, outcome)
+        if self._progress is not None:
+            self._progress(len(self.ended), len(self.steps))
+
+
+def _answer(future: Future[dict[str, Any]]) -> dict[str, Any]:
+    try:
+        return future.result()
+    except Exception as error:  # whatever a cluster raises when a worker is lost for good
+        told = {"code": "crash", "message": f"The worker was lost: {type(error).__name__}.", "hint": ""}
+        return {"code": 1, "document": {"error": told}}
+
+
+def _error(answer: dict[str, Any]) -> dict[str, Any]:
+    """Return the error of an answer, {} if there is none; an answer that makes no sense is a bug."""
+    found = answer["document"].get("error")
+    if isinstance(found, dict):
+        return found
+    if found is not None or answer["code"] not in {0, _NOT_TRUSTED}:
+        return {
+            "code": "bug",
+            "message": f"It ended with the exit code {answer['code']} and no word.",
+            "hint": "",
+        }
+    return {}
+
+
+@dataclass(frozen=True)
+class Row:
+    """One case.
+
+    Attributes
+    ----------
+    state : str
+        "done", "partly" (a film was lost, the rest went on) or "failed".
+    films, tracked, frames : int
+        Films given, films tracked, frames in those.
+    fit, missing, diagnosis : str
+        Verdict of the fit, effects that a diagnosis or improvement names, verdict of the diagnosis.
+    rmse_casing, reduced_chi2 : float or None
+        Of the fit [rad/s, 1].
+    trusted : bool
+        Whether no step said that its result is not to be relied on.
+    seconds : float
+        Work in all its steps, in this run or an earlier one.
+    problem : str
+        The first thing that went wrong, with its step.
+    """
+
+    label: str
+    folder: str
+    state: str
+    films: int
+    tracked: int
+    frames: int
+    fit: str
+    rmse_casing: float | None
+    reduced_chi2: float | None
+    diagnosis: str
+    missing: str
+    trusted: bool
+    warnings: int
+    seconds: float
+    problem: str
+
+
+def summarise(
+    experiments: Sequence[Experiment], steps: Sequence[Step], ended: Mapping[str, Outcome]
+) -> tuple[Row, ...]:
+    """Return a row for each case."""
+    own: dict[str, dict[str, Outcome]] = {e.folder: {} for e in experiments}
+    for step in steps:
+        if step.name in ended:
+            own[step.folder][step.name.partition("/")[2]] = ended[step.name]
+    return tuple(_row(e, own[e.folder]) for e in experiments)
+
+
+def _row(e: Experiment, outcomes: dict[str, Outcome]) -> Row:
+    films = [o for name, o in outcomes.items() if name.startswith("extract ")]
+    good = [o.document for o in films if o.good]
+    fit = outcomes["fit"].document if "fit" in outcomes and outcomes["fit"].good else {}
+    diagnosis = outcomes["diagnose"].document if "diagnose" in outcomes and outcomes["diagnose"].good else {}
+    bad = [(name, o) for name, o in outcomes.items() if o.state == "failed"]
+    blocked = any(o.state == "blocked" for o in outcomes.values())
+    casing = (fit.get("cases") or [{}])[0].get("casing", {})
+    return Row(
+        label=e.label,
+        folder=e.folder,
+        state="done"
+        if not bad and not blocked
+        else "failed"
+        if blocked or not good or "fit" in dict(bad)
+        else "partly",
+        films=len(films),
+        tracked=len(good),
+        frames=sum(int(d.get("frames", 0)) for d in good),
+        fit=str(fit.get("verdict", "")),
+        rmse_casing=casing.get("rmse"),
+        reduced_chi2=casing.get("reduced_chi2"),
+        diagnosis=str(diagnosis.get("verdict", "")),
+        missing=_missing(diagnosis, outcomes.get("improve")),
+        trusted=all(o.trusted for o in outcomes.values()),
+        warnings=sum(len(o.document.get("warnings", ())) for o in outcomes.values()),
+        seconds=round(sum(o.seconds for o in outcomes.values()), 3),
+        problem=_problem(*bad[0]) if bad else "",
+    )
+
+
+def _missing(diagnosis: dict[str, Any], improved: Outcome | None) -> str:
+    if improved is not None and improved.good:
+        return " ".join(str(r["added"]) for r in improved.document.get("ladder", [])[1:])
+    if diagnosis.get("verdict") != "missing_effect":
+        return ""
+    best = (diagnosis.get("candidates") or [{}])[0]
+    alike = [str(n) for n in best.get("indistinguishable_from", [])]
+    return " or ".join([str(best.get("effect", "")), *alike])
+
+
+def _problem(name: str, outcome: Outcome) -> str:
+    error = outcome.document.get("error", {})
+    return f"{name}: {error.get('message', 'it failed')}"
+
+
+def write_summary(folder: Path, rows: Sequence[Row], facts: Mapping[str, Any]) -> list[Path]:
+    """Write ``summary.csv`` and ``summary.json`` into the folder of the results."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(Row.__dataclass_fields__)
+    for row in rows:
+        cells = asdict(row).values()
+        writer.writerow([plain_cell(c) if isinstance(c, str) else "" if c is None else c for c in cells])
+    document = {**facts, "cases": [asdict(row) for row in rows]}
+    written = []
+    for name, content in (
+        ("summary.csv", text.getvalue()),
+        ("summary.json", json.dumps(document, indent=1, allow_nan=False) + "\n"),
+    ):
+        with new_file(folder / name, force=True) as stream:
+            stream.write(content.encode())
+        written.append(folder / name)
+    return written
+
+
+def lines(rows: Sequence[Row]) -> list[str]:
+    """Return the table for a terminal of 80 columns, and below it what went wrong."""
+    out = [f"{'case':<20}{'films':>7}{'frames':>8}  {'fit':<14}{'rmse':>9}{'chi2/n':>9}  missing"]
+    for r in rows:
+        name = r.label if len(r.label) < 20 else "..." + r.label[-16:]
+        numbers = "".join(
+            f"{v:>9.3g}" if v is not None else f"{'-':>9}" for v in (r.rmse_casing, r.reduced_chi2)
+        )
+        verdict = r.fit or ("-" if r.state == "done" else r.state)
+        out.append(
+            f"{name:<20}{f'{r.tracked}/{r.films}':>7}{r.frames:>8}  {verdict:<14}{numbers}  {r.missing}".rstrip()
+        )
+    told = [f"{r.label}: {r.problem}" for r in rows if r.problem]
+    return [*out, *(["", "what went wrong:", *(f"  {line}" for line in told)] if told else [])]
+
+
+STATES = ("done", "kept", "failed", "blocked")
+_JOURNAL = "batch.jsonl"
+
+
+@dataclass(frozen=True)
+class Ended:
+    """What a batch has come to.
+
+    Attributes
+    ----------
+    rows : sequence of Row
+        A row a case.
+    steps : dict of str to int
+        How many steps ended in each of `STATES`.
+    seconds : float
+        How long it took [s].
+    summary : sequence of Path
+        The files in which all this stands.
+    """
+
+    rows: Sequence[Row]
+    steps: dict[str, int]
+    seconds: float
+    summary: Sequence[Path]
+
+
+def foresee(steps: Sequence[Step], output: Path) -> dict[str, str]:
+    """Return the state of each step by name as a run would find it, and run nothing."""
+    return Run(tuple(steps), output, Journal(output / _JOURNAL)).look()
+
+
+def work_off(
+    cases: Sequence[Experiment],
+    steps: Sequence[Step],
+    output: Path,
+    *,
+    command: str,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    timeout: float = 7200.0,
+    tell: Callable[[Step, Outcome], None],
+    bar: Callable[[], AbstractContextManager[Callable[[int, int | None], None]]],
+) -> Ended:
+    """Do what is not done yet of a batch.
+
+    Parameters
+    ----------
+    cases, steps
+        What there is, and the steps that `plan` made of it.
+    output : Path
+        Folder for the results.
+    command : str
+        The words by which the batch was called, for the summary.
+    workers : int, optional
+        Processes on this machine; one a core, if not given.
+    scheduler : str, optional
+        Address of a Dask cluster, in place of processes here.
+    timeout : float
+        Seconds that one step may take.
+    tell : callable
+        Hears of every step that has ended.
+    bar : callable
+        Opens what shows (done, total).
+
+    Raises
+    ------
+    OutputError
+        Another run holds the folder, or it holds something else.
+    """
+    began = perf_counter()
+    with held(output):
+        journal = Journal(output / _JOURNAL)
+        place: Workers = ClusterWorkers(scheduler) if scheduler else LocalWorkers(workers or cores())
+        try:
+            with bar() as progress:
+                run = Run(tuple(steps), output, journal, timeout=timeout, tell=tell, progress=progress)
+                outcomes = run.work(place)
+        finally:
+            place.close()
+        rows = summarise(cases, steps, outcomes)
+        counts = {state: sum(o.state == state for o in outcomes.values()) for state in STATES}
+        seconds = round(perf_counter() - began, 3)
+        facts = {"command": command, "steps": counts, "seconds": seconds}
+        return Ended(rows, counts, seconds, write_summary(output, rows, facts))

@@ -1,0 +1,232 @@
+"""The program `gyrotrack`: its commands, and what happens when one fails.
+
+A new command is one line in `COMMANDS` and a module with a function ``command(...) -> int | None``: it
+parses, calls one library function, prints through `output.Output`, and returns the exit code (nothing is 0).
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import traceback
+import warnings
+from collections.abc import Sequence
+from contextvars import ContextVar
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.main import get_command
+
+from gyrotrack.apps.cli._lazy import Entry, lazy_group
+from gyrotrack.apps.cli._output import DONE, FAULT, INTERRUPTED, USAGE, report_error, running
+from gyrotrack.apps.cli._settings import Settings, find, read
+
+_DATA = "From films to data"
+_PHYSICS = "From data to physics"
+_ORACLE = "Known answers"
+
+COMMANDS = (
+    Entry(
+        "profile", "gyrotrack.apps.cli._tracking", _DATA, "Find the markers of a film and write them down."
+    ),
+    Entry(
+        "extract",
+        "gyrotrack.apps.cli._tracking",
+        _DATA,
+        "Track a film: from frames to angles and their errors.",
+    ),
+    Entry("import", "gyrotrack.apps.cli._data", _DATA, "Make a case from tables of angles or speeds (CSV)."),
+    Entry("sync", "gyrotrack.apps.cli._tracking", _DATA, "Put the clips of one experiment on one clock."),
+    Entry("batch", "gyrotrack.apps.cli._batch", _DATA, "Track, fit and report many cases, unattended."),
+    Entry("config", "gyrotrack.apps.cli._batch", _DATA, "Show the settings that hold, and where from."),
+    Entry("export", "gyrotrack.apps.cli._data", _DATA, "Hand the data on as CSV, Parquet or netCDF."),
+    Entry("info", "gyrotrack.apps.cli._data", _DATA, "Say what a file holds, and whether it is sound."),
+    Entry(
+        "fit",
+        "gyrotrack.apps.cli._fitting",
+        _PHYSICS,
+        "Fit a model: parameters, errors, how well it describes the data.",
+    ),
+    Entry(
+        "scan",
+        "gyrotrack.apps.cli._fitting",
+        _PHYSICS,
+        "Fit every combination of the paper's terms: its tables.",
+    ),
+    Entry(
+        "diagnose",
+        "gyrotrack.apps.cli._fitting",
+        _PHYSICS,
+        "Say where the fit fails and which effect is missing.",
+    ),
+    Entry("improve", "gyrotrack.apps.cli._fitting", _PHYSICS, "Add effects until what is left is noise."),
+    Entry(
+        "ladder", "gyrotrack.apps.cli._fitting", _PHYSICS, "List the fits so far and watch the error fall."
+    ),
+    Entry("report", "gyrotrack.apps.cli._presentation", _PHYSICS, "Write the study as one page."),
+    Entry(
+        "figures",
+        "gyrotrack.apps.cli._presentation",
+        _PHYSICS,
+        "Draw the paper's figures and tables of a study.",
+    ),
+    Entry(
+        "view",
+        "gyrotrack.apps.cli._presentation",
+        _PHYSICS,
+        "Look at a case in the browser and try effects on it.",
+    ),
+    Entry("effects", "gyrotrack.apps.cli._fitting", _PHYSICS, "Show the library of effects."),
+    Entry("demo", "gyrotrack.apps.cli._simulation", _ORACLE, "Run the whole story on the sample clips."),
+    Entry("simulate", "gyrotrack.apps.cli._simulation", _ORACLE, "Make data or film with chosen effects."),
+    Entry(
+        "reveal", "gyrotrack.apps.cli._simulation", _ORACLE, "Open a sealed challenge and score the answer."
+    ),
+)
+
+app = typer.Typer(
+    name="gyrotrack",
+    cls=lazy_group(COMMANDS),
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+
+
+def _print_version(asked: bool) -> None:  # noqa: FBT001 - the signature of an option's callback
+    if asked:
+        from gyrotrack._versions import versions
+
+        typer.echo("\n".join(f"{name} {number}" for name, number in versions().items()))
+        raise typer.Exit(DONE)
+
+
+@app.callback(no_args_is_help=True)
+def root(
+    *,
+    _version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the versions.")
+    ] = False,
+    _config: Annotated[
+        Path | None, typer.Option("--config", metavar="FILE", help="Settings; see `gyrotrack config`.")
+    ] = None,
+    _debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of a bug.")] = False,
+) -> None:
+    """From films of a spinning gyroscope to the physics that its model is missing."""
+
+
+def main() -> None:
+    """Run the program on the command line's arguments and leave with its exit code."""
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+        os.environ.setdefault(name, "1")  # many small matrices: threads only get into each other's way
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")  # a terminal that cannot show a letter is no reason to fail
+    sys.exit(run(sys.argv[1:]))
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run the program on `arguments` and return its exit code; no exception leaves."""
+    args, debug = _without_debug(list(arguments))
+    as_json = "--json" in _options(args)
+    try:
+        with warnings.catch_warnings(), running(arguments):
+            if not debug:
+                warnings.simplefilter("ignore")
+            code = _with_settings(args)
+            sys.stdout.flush()
+    except KeyboardInterrupt:
+        report_error("interrupted", "Interrupted.", "", as_json=as_json)
+        return INTERRUPTED
+    except BrokenPipeError:  # the reader of our output has gone, as in `gyrotrack ... | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FAULT
+    except Exception as error:  # the last line of defence: no traceback reaches a user
+        if debug:
+            traceback.print_exc()
+        return _explain(error, as_json=as_json)
+    if code == INTERRUPTED:  # typer turns a KeyboardInterrupt into this code
+        report_error("interrupted", "Interrupted.", "", as_json=as_json)
+    return code if isinstance(code, int) else DONE
+
+
+_SETTINGS: ContextVar[Settings] = ContextVar("settings")
+
+
+def settings_in_use() -> Settings:
+    """Return the settings of the file that holds for the command that runs."""
+    return _SETTINGS.get()
+
+
+def _with_settings(args: list[str]) -> Any:
+    """Run the command with the settings of a file, if there is one, as its defaults."""
+    path = find(_asked_settings(args))
+    settings = read(path, COMMANDS) if path is not None else Settings()
+    token = _SETTINGS.set(settings)
+    try:
+        return get_command(app)(
+            args=args, prog_name="gyrotrack", standalone_mode=False, default_map=settings.values
+        )
+    finally:
+        _SETTINGS.reset(token)
+
+
+def _asked_settings(args: list[str]) -> Path | None:
+    """Return the value of ``--config``, which stands before the command."""
+    for i, word in enumerate(args):
+        if word == "--config" and i + 1 < len(args):
+            return Path(args[i + 1])
+        if word.startswith("--config="):
+            return Path(word.partition("=")[2])
+        if not word.startswith("-"):
+            return None
+    return None
+
+
+def _explain(error: Exception, *, as_json: bool) -> int:
+    """Report an error in one sentence and return the exit code that belongs to it."""
+    if hasattr(error, "format_message"):  # wrong usage, as typer sees it
+        return _explain_usage(error, as_json=as_json)
+    if isinstance(error, typer.Abort):
+        report_error("interrupted", "Interrupted.", "", as_json=as_json)
+        return INTERRUPTED
+    if _is_told(error):
+        told: Any = error
+        report_error(told.code, told.message, told.hint, as_json=as_json)
+        return int(getattr(told, "exit_code", FAULT))
+    if isinstance(error, MemoryError):
+        report_error("memory", "There is not enough memory.", "Work on a shorter piece.", as_json=as_json)
+        return FAULT
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    what = f"{type(error).__name__}: {error}".splitlines()[0].rstrip(".")
+    message = f"A bug in gyrotrack, in {os.path.basename(place.filename)} line {place.lineno}: {what}."  # noqa: PTH119
+    report_error(
+        "bug", message, "Run it again with --debug to see the traceback, and report it.", as_json=as_json
+    )
+    return FAULT
+
+
+def _is_told(error: Exception) -> bool:
+    """Tell whether an error speaks for itself: `gyrotrack._errors`, and the errors of the fitting package."""
+    return all(isinstance(getattr(error, name, None), str) for name in ("code", "message", "hint"))
+
+
+def _explain_usage(error: Any, *, as_json: bool) -> int:
+    context: Any = getattr(error, "ctx", None)
+    if type(error).__name__ == "NoArgsIsHelpError":
+        sys.stderr.write(context.get_help() + "\n")
+        return USAGE
+    path = context.command_path if context is not None else "gyrotrack"
+    report_error("usage", str(error.format_message()), f"See `{path} --help`.", as_json=as_json)
+    return USAGE
+
+
+def _options(args: list[str]) -> list[str]:
+    return args[: args.index("--")] if "--" in args else args
+
+
+def _without_debug(args: list[str]) -> tuple[list[str], bool]:
+    """Take ``--debug`` out, wherever it stands before ``--``."""
+    head = _options(args)
+    return [a for a in head if a != "--debug"] + args[len(head) :], "--debug" in head

@@ -1,0 +1,321 @@
+"""Commands for data files: import, export, info."""
+
+from __future__ import annotations
+
+import json
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from gyrotrack._errors import UsageError
+from gyrotrack.apps.cli._options import (
+    I_CASING,
+    I_ROTOR,
+    Force,
+    InertiaCasing,
+    InertiaRotor,
+    Json,
+    Label,
+    OutputFile,
+    Quiet,
+    Surface,
+    Verbose,
+)
+from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output, command_line
+
+if TYPE_CHECKING:
+    from gyrotrack.io._inspection import Inspection
+
+
+_TABLE = "Table with a header, t,angle[,sigma] or t,omega[,sigma], or points"
+
+
+def import_command(
+    *,
+    casing: Annotated[Path | None, typer.Option("--casing", metavar="CSV", help=f"{_TABLE}.")] = None,
+    rotor: Annotated[
+        list[Path] | None, typer.Option("--rotor", metavar="CSV", help="The same; give it once per window.")
+    ] = None,
+    body: Annotated[
+        Path | None,
+        typer.Option("--body", metavar="CSV", help="One body that spins down by itself, in place of both."),
+    ] = None,
+    inertia: Annotated[
+        float | None, typer.Option("--inertia", metavar="X", help="Its moment of inertia [kg m2].")
+    ] = None,
+    output: OutputFile,
+    columns: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--column", metavar="OURS=THEIRS", help="What a column means: t=Zeit, 'angle=phi [deg]'."
+        ),
+    ] = None,
+    marker: Annotated[
+        str | None, typer.Option("--marker", metavar="NAME", help="The point to follow, in files of points.")
+    ] = None,
+    centre: Annotated[
+        str | None,
+        typer.Option(
+            "--centre", metavar="C", help="What it goes about: a point, a place as 320,240, or orbit."
+        ),
+    ] = None,
+    likelihood: Annotated[
+        float,
+        typer.Option("--likelihood", metavar="P", help="Leave out points that are less sure than this."),
+    ] = 0.6,
+    casing_fps: Annotated[
+        float | None,
+        typer.Option("--casing-fps", metavar="N", help="Rate of points that are counted by frame."),
+    ] = None,
+    rotor_fps: Annotated[
+        float | None, typer.Option("--rotor-fps", metavar="N", help="The same of the rotor's.")
+    ] = None,
+    rotor_start: Annotated[
+        list[float] | None,
+        typer.Option(
+            "--rotor-start", metavar="T", help="When a rotor file of points starts [s]; once per file."
+        ),
+    ] = None,
+    label: Label = None,
+    surface: Surface = "",
+    inertia_rotor: InertiaRotor = I_ROTOR,
+    inertia_casing: InertiaCasing = I_CASING,
+    force: Force = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Make a case from tables of angles or speeds (CSV), or from points that another program followed.
+
+    Times in s, all on one clock; angles in rad, wrapped or not. Other units are taken if the header names
+    them, as in `angle [deg]`. Without a sigma column the noise is estimated from the scatter. Points are
+    read from OSP Tracker (text), DeepLabCut and SLEAP (CSV or HDF5). With --body the case is a plain
+    spin-down: the body stands in the casing's place, and the effects that need a rotor are left out.
+
+    Example: gyrotrack import --casing casing.csv --rotor r1.csv --rotor r2.csv -o case1.h5
+    """
+    from gyrotrack.io._atomic import refuse_existing
+    from gyrotrack.io._hdf5 import write_case
+    from gyrotrack.io.readers._import_case import import_body, import_case, summary
+    from gyrotrack.io.readers._points import Wanted
+    from gyrotrack.io.readers._text import read_names
+
+    out = Output(as_json=as_json, quiet=quiet, verbose=verbose)
+    refuse_existing(output, force=force)
+    rotor = rotor or []
+    starts = rotor_start or [0.0] * len(rotor)
+    if len(starts) != len(rotor):
+        raise UsageError(
+            f"There are {len(rotor)} files of the rotor but {len(starts)} starts.",
+            "Give --rotor-start once per file.",
+        )
+    points = [Wanted(marker, centre, casing_fps, 0.0, likelihood)]
+    points += [Wanted(marker, centre, rotor_fps, start, likelihood) for start in starts]
+    names, title = read_names(columns or ()), output.stem if label is None else label
+    if body is not None and inertia is not None and casing is None and not rotor:
+        case = import_body(body, inertia, label=title, surface=surface, names=names, wanted=points[0])
+    elif casing is not None and body is None and inertia is None:
+        case = import_case(
+            casing,
+            rotor,
+            label=title,
+            surface=surface,
+            I_rotor=inertia_rotor,
+            I_casing=inertia_casing,
+            names=names,
+            wanted=points,
+        )
+    else:
+        raise UsageError(
+            "A case is made of --casing and --rotor, or of --body and --inertia.", "Give one of these pairs."
+        )
+    settings = {"casing": casing, "rotor": rotor, "body": body, "inertia": inertia, **case.extra}
+    write_case(output, case, command=command_line(), settings=settings, force=force)
+    for warning in case.warnings:
+        out.warn(warning)
+    for source in case.extra["sources"]:
+        out.detail(f"{source['file']}: {source['samples']} samples taken")
+    document = {"output": output, **summary(case)}
+    out.result(document)
+    out.show(_lines(document))
+
+
+def _lines(document: dict[str, Any]) -> str:
+    casing, windows = document["casing"], document["rotor"]["windows"]
+    unit = "rad" if casing["quantity"] == "angle" else "rad/s"
+    heading = f"sigma [{unit}]"
+    lines = [f"{'':<10}{'samples':>9}{'time [s]':>22}{'speed [rad/s]':>20}{heading:>16}"]
+    lines.append(_line("casing" if windows else "body", casing))
+    lines += [_line(f"rotor {window['window']}", window) for window in windows]
+    return "\n".join([*lines, f"written: {document['output']}"])
+
+
+def _line(name: str, part: dict[str, Any]) -> str:
+    time = f"{part['t_start']:.3f} to {part['t_stop']:.3f}"
+    known = part["omega_min"] is not None
+    speed = f"{part['omega_min']:.1f} to {part['omega_max']:.1f}" if known else "-"
+    return f"{name:<10}{part['samples']:>9}{time:>22}{speed:>20}{part['median_sigma']:>16.2g}"
+
+
+class Table(StrEnum):
+    """What to export."""
+
+    motion = "motion"
+    markers = "markers"
+    frames = "frames"
+
+
+def export_command(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A case or a recording.")],
+    *,
+    output: OutputFile,
+    table: Annotated[
+        Table,
+        typer.Option(
+            "--table", help="Angles of the bodies, or every marker or frame of the films (CSV, Parquet)."
+        ),
+    ] = Table.motion,
+    force: Force = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Hand the data on as CSV, Parquet or netCDF, by the suffix of the output.
+
+    Example: gyrotrack export case1.h5 -o case1.csv
+    """
+    from gyrotrack.io._export import export_file
+
+    out = Output(as_json=as_json, quiet=quiet)
+    with out.progress(f"writing {output.name}") as progress:
+        progress(0, None)
+        document = export_file(file, output, table=table.value, force=force)
+    out.result({"output": output, **document})
+    held = f"{document['rows']} rows" if "rows" in document else f"{len(document['groups'])} groups"
+    out.show(f"{held}; written: {output}")
+
+
+def info_command(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording or a case.")],
+    *,
+    verify: Annotated[
+        bool, typer.Option("--verify", help="Re-read every chunk against its checksum.")
+    ] = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> int:
+    """Say what a file holds, and whether it is sound (exit code 3 if not).
+
+    Example: gyrotrack info case1.h5 --verify
+    """
+    from gyrotrack.io._inspection import inspect_file
+
+    found = inspect_file(file, verify=verify)
+    out = Output(as_json=as_json)
+    out.result(_document(found))
+    out.show("\n".join(_verdict(found) if quiet else _verdict(found) + _contents(found)))
+    if verbose:
+        out.show("settings: " + json.dumps(found.provenance["settings"], indent=2))
+    return NOT_TRUSTED if found.problems else DONE
+
+
+def _document(found: Inspection) -> dict[str, Any]:
+    return {
+        "file": found.path,
+        "bytes": found.path.stat().st_size,
+        "kind": found.kind,
+        "sound": not found.problems,
+        "problems": found.problems,
+        "warnings": found.warnings,
+        "verified": {"datasets": found.datasets_verified, "chunks": found.chunks_verified},
+        **found.provenance,
+        **found.holds,
+    }
+
+
+def _verdict(found: Inspection) -> list[str]:
+    verdict = "sound" if not found.problems else "NOT SOUND"
+    size = found.path.stat().st_size / 1e6
+    lines = [f"{found.path}: a {found.kind}, {verdict} ({size:.1f} MB)"]
+    lines += [f"  problem: {problem}" for problem in found.problems]
+    return lines + [f"  warning: {warning}" for warning in found.warnings]
+
+
+def _contents(found: Inspection) -> list[str]:
+    lines = ["", *(_case_lines(found.holds) if found.kind == "case" else _recording_lines(found.holds))]
+    version = found.provenance["software_version"]
+    lines += ["", f"written by gyrotrack {version}, layout {found.provenance['format_version']}, "]
+    lines[-1] += found.provenance["created"]
+    lines.append(f"command: {found.provenance['command']}")
+    if found.datasets_verified:
+        lines.append(f"verified: {found.chunks_verified} chunks of {found.datasets_verified} datasets")
+    return lines
+
+
+def _case_lines(holds: dict[str, Any]) -> list[str]:
+    surface = f", on {holds['surface']}" if holds["surface"] else ""
+    lines = [
+        f"label    {holds['label'] or '-'}{surface}",
+        f"inertia  {_inertia(holds)} kg m2",
+        f"measured {'angles' if holds['quantity'] == 'angle' else 'angular velocities'}",
+        "",
+        _HEADER if holds["quantity"] == "angle" else _HEADER.replace("  sigma [mrad]", "sigma [mrad/s]"),
+        _motion_line("casing" if holds["bodies"] == "two" else "body", holds["casing"]),
+    ]
+    lines += [_motion_line(f"rotor {w['window']}", w) for w in holds["rotor"]["windows"]]
+    for name, clip in holds["recordings"].items():
+        lines += ["", f"clip '{name}'"]
+        if "placement" in clip:
+            lines.append(_placement_line(clip["placement"]))
+        lines += _recording_lines(clip)
+    return lines
+
+
+def _inertia(holds: dict[str, Any]) -> str:
+    if holds["bodies"] == "one":
+        return f"{holds['I_casing']:.4g}"
+    return f"rotor {holds['I_rotor']:.4g}, casing {holds['I_casing']:.4g}"
+
+
+def _placement_line(p: dict[str, Any]) -> str:
+    if not p["clock_rate_sigma"]:
+        return f"clock    {p['method']}"
+    doubt = ", AMBIGUOUS" if p["ambiguous"] else ""
+    sign = "+" if p["clock_rate"] >= 1 else "-"
+    return (
+        f"clock    starts at {p['clock_offset']:.6f} s +- {1e3 * p['clock_offset_sigma']:.3f} ms, "
+        f"rate 1 {sign} {abs(p['clock_rate'] - 1):.1e}{doubt}"
+    )
+
+
+def _recording_lines(holds: dict[str, Any]) -> list[str]:
+    turning = "clockwise" if holds["sense"] < 0 else "counter-clockwise"
+    stamped = ", times from the time stamps" if holds["times_from"] == "stamps" else ""
+    lines = [
+        f"film     {holds['source']}, {holds['width']} x {holds['height']} px, {holds['capture_fps']:g} fps{stamped}",
+        f"frames   {holds['frames']} in {holds['duration_s']:.3f} s, turning {turning} as seen",
+    ]
+    if holds["markers"]:
+        lines += ["", f"{'marker':<10}{'body':<10}" + "".join(f"{word:>9}" for word in _WORDS)]
+    for name, marker in holds["markers"].items():
+        lines.append(f"{name:<10}{marker['body']:<10}" + "".join(f"{marker[w]:>9}" for w in _WORDS.values()))
+    lines += ["", _HEADER]
+    lines += [_motion_line(name, body) for name, body in holds["bodies"].items()]
+    return lines
+
+
+_WORDS = {"ok": "ok", "blurred": "blurred", "occluded": "occluded", "outside": "out_of_frame", "lost": "lost"}
+_HEADER = f"{'':<10}{'samples':>9}{'time [s]':>20}{'speed [rad/s]':>20}{'sigma [mrad]':>16}"
+
+
+def _motion_line(name: str, motion: dict[str, Any]) -> str:
+    time = _span(motion["t_start"], motion["t_stop"], 3)
+    speed = _span(motion["omega_min"], motion["omega_max"], 1)
+    sigma = f"{1e3 * motion['median_sigma']:.2f}" if motion["median_sigma"] is not None else "-"
+    return f"{name:<10}{motion['samples']:>9}{time:>20}{speed:>20}{sigma:>16}"
+
+
+def _span(low: float | None, high: float | None, digits: int) -> str:
+    return "-" if low is None or high is None else f"{low:.{digits}f} to {high:.{digits}f}"

@@ -1,0 +1,410 @@
+"""Commands for fits: fit, scan, diagnose, improve, ladder, effects."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from gyrotrack._errors import DatasetError, UsageError
+from gyrotrack.apps._study import Wish, open_study, read_cases
+from gyrotrack.apps.cli._options import (
+    CaseFiles,
+    DataKind,
+    EffectsFile,
+    Force,
+    From,
+    Json,
+    LedgerFile,
+    Quiet,
+    RotorKind,
+    own_effects,
+)
+from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output
+from gyrotrack.apps.cli._tables import (
+    bias_tables,
+    diagnosis_tables,
+    fit_tables,
+    ladder_tables,
+    prediction_tables,
+)
+
+if TYPE_CHECKING:
+    from fitting.effects._effect import Effect
+    from fitting.inference._cross_validation import Predicted
+    from fitting.inference._profile import Interval
+    from fitting.inference._result import Fit
+    from fitting.study._paper import CurveBias
+
+
+_LOSSES = ("linear", "huber", "cauchy")
+
+
+def fit_command(
+    cases: CaseFiles,
+    *,
+    model: Annotated[
+        str | None,
+        typer.Option(
+            "--model",
+            metavar="M",
+            help="reduced, general, linear, or a TOML file; reduced, if nothing was fitted yet.",
+        ),
+    ] = None,
+    add: Annotated[
+        list[str] | None,
+        typer.Option("--add", metavar="E", help="Add an effect by name, or a law: 'casing: -k*omega_c**3'."),
+    ] = None,
+    drop: Annotated[list[str] | None, typer.Option("--drop", metavar="E", help="Take an effect out.")] = None,
+    effects: EffectsFile = None,
+    joint: Annotated[bool, typer.Option("--joint", help="Fit the cases together.")] = False,
+    share: Annotated[
+        list[str] | None, typer.Option("--share", metavar="P", help="One value for all cases.")
+    ] = None,
+    per_case: Annotated[
+        list[str] | None, typer.Option("--per-case", metavar="P", help="A value for each case.")
+    ] = None,
+    profile: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--profile",
+            metavar="P",
+            help="95 % interval of a parameter by its profile likelihood; 'weak' for all that are weakly known.",
+        ),
+    ] = None,
+    fix: Annotated[
+        list[str] | None, typer.Option("--fix", metavar="P=V", help="Hold a parameter at a value (SI units).")
+    ] = None,
+    data: DataKind = None,
+    rotor: RotorKind = "windows",
+    loss: Annotated[
+        str, typer.Option("--loss", metavar="L", help="linear, huber or cauchy: how much outliers count.")
+    ] = "linear",
+    hold_out: Annotated[
+        bool, typer.Option("--hold-out", help="Also predict each recording from a fit of the others.")
+    ] = False,
+    start: From = None,
+    ledger: LedgerFile = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> int:
+    """Fit a model to angles: parameters, their errors, and how well it describes the data.
+
+    With --add or --drop the latest fit is the start; the new fit is a further rung of the ladder.
+
+    Example: gyrotrack fit case1.h5 --add casing.air.quadratic
+    """
+    if (share or per_case or hold_out) and not joint:
+        raise UsageError("--share, --per-case and --hold-out speak of a joint fit.", "Add --joint.")
+    if loss not in _LOSSES:
+        raise UsageError(f"There is no loss named {loss[:40]!r}.", f"Losses: {', '.join(_LOSSES)}.")
+    out = Output(as_json=as_json, quiet=quiet)
+    groups = [cases] if joint else [[case] for case in cases]
+    wish = Wish(
+        model=model,
+        add=tuple(add or ()),
+        drop=tuple(drop or ()),
+        own=own_effects(effects),
+        share=tuple(share or ()),
+        per_case=tuple(per_case or ()),
+        held=_held(fix or ()),
+        loss=loss,
+    )
+    documents = []
+    for group in groups:
+        study = open_study(group, ledger, data=data, rotor=rotor)
+        with out.progress("fitting") as progress:
+            progress(0, None)
+            found, fit_id = wish.fit(study, start)
+            intervals = _intervals(found, profile or ())
+            predicted = _predicted(found) if hold_out else None
+            bias = _bias(found)
+        documents.append(_fits_document(found, fit_id, intervals, predicted) | _plain_bias(bias))
+        out.show(*fit_tables(found, fit_id, intervals), *bias_tables(found, bias))
+        out.show(*prediction_tables(predicted or ()))
+    out.result(documents[0] if len(documents) == 1 else {"fits": documents})
+    return NOT_TRUSTED if any(d["verdict"] == "not converged" for d in documents) else DONE
+
+
+def _bias(found: Fit) -> dict[str, CurveBias]:
+    from fitting.study._paper import curve_bias
+
+    return curve_bias(found)
+
+
+def _plain_bias(bias: Mapping[str, CurveBias]) -> dict[str, Any]:
+    from fitting.study._serialisation import bias_document
+
+    return {"generated_rotor": bias_document(bias)} if bias else {}
+
+
+def _fits_document(
+    found: Fit, fit_id: str, intervals: Mapping[str, Interval], predicted: Sequence[Predicted] | None
+) -> dict[str, Any]:
+    from fitting.study._serialisation import fit_document, interval_document
+
+    document = fit_document(found, fit_id)
+    for name, interval in intervals.items():
+        document["parameters"][name]["interval"] = interval_document(interval)
+    if predicted is not None:
+        document["predicted"] = _plain(predicted)
+    return document
+
+
+def _intervals(found: Fit, wanted: Sequence[str]) -> dict[str, Interval]:
+    from fitting.inference._profile import profile, weakly_determined
+
+    names: list[str] = []
+    for word in wanted:
+        if word == "weak":
+            names += weakly_determined(found)
+            continue
+        # a symbol, or a key without its case, stands for all that it fits
+        keys = [k for k in found.problem.layout.names if word in {k, k.partition("@")[0], _symbol(k)}]
+        names += keys or [word]
+    return {name: profile(found, name) for name in dict.fromkeys(names)}
+
+
+def _symbol(name: str) -> str:
+    return name.partition("@")[0].rpartition(".")[2]
+
+
+def _held(fix: Sequence[str]) -> dict[str, float]:
+    """Read ``bearing.power.g=0.7``."""
+    held = {}
+    for text in fix:
+        name, equals, value = text.partition("=")
+        try:
+            held[name.strip()] = float(value)
+        except ValueError:
+            equals = ""
+        if not equals:
+            raise UsageError(f"{text[:60]!r} holds no parameter.", "Write it as --fix bearing.power.g=0.7.")
+    return held
+
+
+def _predicted(found: Fit) -> Sequence[Predicted]:
+    from fitting.inference._cross_validation import predict_recordings
+
+    return predict_recordings(found.model, found.problem.data, found.noise)
+
+
+def _plain(predicted: Sequence[Predicted]) -> list[dict[str, Any]]:
+    return [{k: getattr(p, k) for k in ("label", "casing", "rotor", "r2", "rmse")} for p in predicted]
+
+
+def scan_command(
+    cases: CaseFiles,
+    *,
+    csv: Annotated[
+        Path | None, typer.Option("--csv", metavar="FILE", help="Write all fits as one flat table.")
+    ] = None,
+    latex: Annotated[
+        Path | None, typer.Option("--latex", metavar="FILE", help="Write the tables as LaTeX (booktabs).")
+    ] = None,
+    data: DataKind = None,
+    rotor: RotorKind = "windows",
+    force: Force = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> int:
+    """Fit every on/off combination of the paper's terms, and its reduced and general models.
+
+    For each case: five runs that leave out one drag each, fifteen with all choices of the bearing's laws. For all
+    cases: both models separately and together, their figures of merit, and how steady each parameter is.
+    Nothing is kept in the ledger.
+
+    Example: gyrotrack scan case1.h5 case2.h5 --latex tables.tex
+    """
+    from fitting.study._scan import scan
+    from fitting.study._scan_tables import scan_csv, scan_document, scan_latex, scan_lines
+    from gyrotrack.io._atomic import new_file, refuse_existing
+
+    out = Output(as_json=as_json, quiet=quiet)
+    targets = {path: make for path, make in ((csv, scan_csv), (latex, scan_latex)) if path is not None}
+    for path in targets:
+        refuse_existing(path, force=force)
+    read = read_cases(cases, data=data, rotor=rotor)
+    with out.progress("fitting") as progress:
+        found = scan(read, progress=progress)
+    for path, make in targets.items():
+        with new_file(path, force=force) as stream:
+            stream.write(make(found).encode("utf-8"))
+    settings = {"data": data or read[0].record.quantity, "rotor": rotor}
+    out.result(scan_document(found) | settings | {"outputs": list(targets)})
+    out.show("\n".join(scan_lines(found)))
+    for path in targets:
+        out.show(f"written: {path}")
+    return DONE if found.converged else NOT_TRUSTED
+
+
+def diagnose_command(
+    cases: CaseFiles,
+    *,
+    effects: EffectsFile = None,
+    start: From = None,
+    ledger: LedgerFile = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Say where the current fit fails, in time, speed and torque, and which effect is missing.
+
+    Several cases are looked at together. Without a fit so far the reduced model is fitted first.
+
+    Example: gyrotrack diagnose case1.h5
+    """
+    from fitting._workers import Beside
+    from fitting.discovery._verdict import diagnose
+    from fitting.study._serialisation import diagnosis_document
+
+    out = Output(as_json=as_json, quiet=quiet)
+    study = open_study(cases, ledger)
+    with Beside() as beside, out.progress("scoring effects") as progress:
+        progress(0, None)
+        fit, fit_id = study.base(start)
+        own = own_effects(effects)
+        found = diagnose(fit, own, beside=beside)
+        study.keep_diagnosis(fit_id, found, own)
+    out.result(diagnosis_document(found, fit_id))
+    out.show(*diagnosis_tables(found, fit_id))
+
+
+def improve_command(
+    cases: CaseFiles,
+    *,
+    effects: EffectsFile = None,
+    start: From = None,
+    ledger: LedgerFile = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Add effects one by one until what is left is noise, and print the ladder of fits.
+
+    Example: gyrotrack improve case1.h5
+    """
+    from fitting._workers import Beside
+    from fitting.discovery._select import improve
+    from fitting.discovery._verdict import diagnose
+    from fitting.study._serialisation import fit_document, ladder_verdict
+
+    out = Output(as_json=as_json, quiet=quiet)
+    study = open_study(cases, ledger)
+    with Beside() as beside, out.progress("adding effects") as progress:
+        progress(0, None)
+        base, parent = study.base(start)
+        own = own_effects(effects)
+        rungs = improve(base, own, progress=progress, beside=beside)
+        kept = study.keep(rungs, parent)
+        # a report asks for it next, and most of the work is done
+        found = diagnose(base, own, candidates=rungs[0].candidates, beside=beside)
+        study.keep_diagnosis(parent, found, own)
+    steps = [entry.document["rung"] for entry in kept]
+    verdict = ladder_verdict(rungs)
+    out.result({"ladder": steps, "final": fit_document(rungs[-1].fit, kept[-1].fit_id), "verdict": verdict})
+    out.show(*ladder_tables(steps, study.data[0].record.body), f"verdict: {_WORDS[verdict]}")
+
+
+_WORDS = {
+    "adequate": "the model was adequate already; nothing was added",
+    "missing_effect": "what was missing has been added; what is left is noise",
+    "unexplained": "an unexplained torque remains; see `gyrotrack diagnose`",
+}
+
+
+def ladder_command(
+    cases: CaseFiles,
+    *,
+    data: DataKind = None,
+    rotor: RotorKind = "windows",
+    ledger: LedgerFile = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """List the fits of these cases so far: a bar a rung.
+
+    Example: gyrotrack ladder case1.h5
+    """
+    out = Output(as_json=as_json, quiet=quiet)
+    study = open_study(cases, ledger, data=data, rotor=rotor)
+    entries = study.ledger.of(study.data)
+    if not entries:
+        raise DatasetError("There is no fit of these cases yet.", "Make one with `gyrotrack fit`.")
+    rungs = [{**e.document["rung"], "parent": e.document.get("parent", "")} for e in entries]
+    out.result({"ladder": rungs})
+    out.show(*ladder_tables(rungs, study.data[0].record.body))
+
+
+def effects_command(
+    name: Annotated[str | None, typer.Argument(metavar="NAME", help="One effect in full.")] = None,
+    *,
+    effects: EffectsFile = None,
+    as_json: Json = False,
+) -> None:
+    """Show the library of effects: formula, units, signature, what it is confused with.
+
+    Example: gyrotrack effects casing.air.quadratic
+    """
+    from fitting.effects._library import LIBRARY, find
+
+    out = Output(as_json=as_json)
+    own = {e.name: e for e in own_effects(effects)}
+    if name is not None:
+        effect = own.get(name) or find(name)
+        out.result(_effect_document(effect))
+        out.show(_page(effect))
+        return
+    every = [*LIBRARY.values(), *own.values()]
+    out.result({"effects": [_effect_document(e) for e in every]})
+    out.show("\n".join(f"{e.name:<22} {_where(e)}: {e.law}" for e in every))
+
+
+def _effect_document(e: Effect) -> dict[str, Any]:
+    from fitting.effects._latex import latex
+
+    return {
+        "name": e.name,
+        "kind": e.kind,
+        "joint": e.joint,
+        "law": e.law,
+        "latex": latex(e.expression),
+        "parameters": [
+            {
+                "symbol": p.symbol,
+                "unit": p.unit,
+                "role": p.role,
+                "lower": p.lower,
+                "upper": p.upper,
+                "meaning": p.meaning,
+            }
+            for p in e.parameters
+        ],
+        "signature": e.signature,
+        "confused_with": list(e.confused_with),
+        "source": e.source,
+    }
+
+
+def _where(e: Effect) -> str:
+    return {
+        "factor": "bearing, factor",
+        "inertia": "casing, factor",
+        "camera.casing": "casing camera",
+        "camera.rotor": "rotor camera",
+    }.get(e.joint, e.joint)
+
+
+def _page(e: Effect) -> str:
+    lines = [f"{e.name} ({e.kind})", f"  {_where(e)}: {e.law}"]
+    if e.state is not None:
+        lines.append(f"  d({e.state.symbol})/dt = {e.state.rate}")
+    lines += [f"  {p.symbol:<7}[{p.unit}]  {p.meaning}" for p in e.parameters]
+    if e.signature:
+        lines += textwrap.wrap(f"  seen as: {e.signature}", 79, subsequent_indent="    ")
+    if e.confused_with:
+        lines.append(f"  looks like: {', '.join(e.confused_with)}")
+    if e.source:
+        lines.append(f"  source: {e.source}")
+    return "\n".join(lines)

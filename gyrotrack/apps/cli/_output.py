@@ -1,0 +1,181 @@
+"""Output of the commands: results to stdout, messages to stderr.
+
+Under ``--json`` stdout carries one JSON document and nothing else, also when the command fails. Bars are
+drawn only for somebody who watches: stderr is a terminal, and neither ``--json``, ``-q`` nor NO_COLOR is set.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import shlex
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import asdict, dataclass, is_dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+# C0 and C1 controls but line feed and tab; marks that reorder or hide what is written; line separators
+_COMMANDS = re.compile(
+    "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b\u200e\u200f\u2028\u2029\u202a-\u202e\u2060-\u2069\ufeff]"
+)
+
+
+def printable(text: str) -> str:
+    r"""Return `text` with control and direction characters written out, as ``\x1b``.
+
+    Examples
+    --------
+    >>> printable("a\x1b[31mb")
+    'a\\x1b[31mb'
+    """
+    return _COMMANDS.sub(lambda found: ascii(found[0])[1:-1], text.encode("utf-8", "replace").decode())
+
+
+_ARGUMENTS: ContextVar[tuple[str, ...]] = ContextVar("arguments", default=())
+
+
+@contextmanager
+def running(arguments: Sequence[str]) -> Iterator[None]:
+    """Remember the arguments of the command that runs inside the block."""
+    token = _ARGUMENTS.set(tuple(arguments))
+    try:
+        yield
+    finally:
+        _ARGUMENTS.reset(token)
+
+
+def command_line() -> str:
+    """Return the command line in a form that a shell reads back."""
+    return shlex.join(["gyrotrack", *_ARGUMENTS.get()])
+
+
+DONE = 0
+FAULT = 1
+USAGE = 2
+NOT_TRUSTED = 3
+INTERRUPTED = 130
+
+Progress = Callable[[int, int | None], None]
+
+
+@dataclass(frozen=True)
+class Output:
+    """The voice of one command, tuned by its ``--json``, ``-q`` and ``-v``."""
+
+    as_json: bool = False
+    quiet: bool = False
+    verbose: bool = False
+
+    def result(self, document: Mapping[str, Any]) -> None:
+        """Print the result as JSON; without ``--json`` nothing happens (see `show`)."""
+        if self.as_json:
+            print_json(document)
+
+    def show(self, *renderables: Any) -> None:
+        """Print the result for a person: text, or anything that rich can draw; silent under ``--json``."""
+        if not self.as_json:
+            console = _console(sys.stdout)
+            for item in renderables:
+                console.print(printable(item) if isinstance(item, str) else item)
+
+    def note(self, text: str) -> None:
+        """Say something on the way."""
+        if not self.quiet:
+            _say(text)
+
+    def detail(self, text: str) -> None:
+        """Say something on the way that only ``-v`` wants to hear."""
+        if self.verbose and not self.quiet:
+            _say(text)
+
+    def warn(self, text: str) -> None:
+        """Say what the user should know before trusting the result; also with ``-q``."""
+        _say(f"warning: {text}", style="yellow")
+
+    @contextmanager
+    def progress(self, label: str, unit: str = "") -> Iterator[Progress]:
+        """Yield a callback (done, total) that draws a bar, or does nothing when nobody watches.
+
+        With a `unit` the bar also says how many of them are done in a second.
+        """
+        if self.as_json or self.quiet or not _watched():
+            yield _ignore
+            return
+        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+        from rich.progress import Progress as Bars
+
+        left = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+        right = (TextColumn("{task.fields[pace]}"), TimeRemainingColumn())
+        with Bars(*left, *right, console=_console(sys.stderr), transient=True) as bars:
+            task = bars.add_task(label, total=None, pace="")
+
+            def update(done: int, total: int | None) -> None:
+                speed = bars.tasks[0].speed
+                pace = f"{speed:.0f} {unit}/s" if unit and speed else ""
+                bars.update(task, completed=done, total=total, pace=pace)
+
+            yield update
+
+
+def _ignore(done: int, total: int | None) -> None:
+    del done, total
+
+
+def _watched() -> bool:
+    return sys.stderr.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
+
+
+def _console(stream: Any) -> Console:
+    from rich.console import Console
+
+    return Console(file=stream, highlight=False, markup=False, emoji=False, soft_wrap=not stream.isatty())
+
+
+def _say(text: str, style: str | None = None) -> None:
+    text = printable(text)
+    if _watched():
+        _console(sys.stderr).print(text, style=style)
+    else:
+        sys.stderr.write(text + "\n")
+
+
+def print_json(document: Any) -> None:
+    """Write one JSON document to stdout; what is not finite becomes null."""
+    json.dump(plain(document), sys.stdout, indent=2, allow_nan=False)
+    sys.stdout.write("\n")
+
+
+def plain(value: Any) -> Any:
+    """Turn records, paths and NumPy values into what JSON can hold; NaN and infinities into None."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return plain(asdict(value))
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [plain(item) for item in value]
+    if isinstance(value, Path):
+        return str(value)
+    if hasattr(value, "tolist"):  # NumPy scalars and arrays, without importing NumPy
+        return plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def report_error(code: str, message: str, hint: str, *, as_json: bool) -> None:
+    """Tell what went wrong: one sentence and what to do next, or the JSON document of an error."""
+    if as_json:
+        print_json({"error": {"code": code, "message": message, "hint": hint}})
+        return
+    _say(f"error: {message}", style="red")
+    if hint:
+        _say(f" hint: {hint}")

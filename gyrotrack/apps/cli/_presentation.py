@@ -1,0 +1,226 @@
+"""Commands that show a study: report, figures, view."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gyrotrack._errors import OutputError, UsageError
+from gyrotrack.apps._study import open_study, read_cases
+from gyrotrack.apps.cli._options import (
+    CaseFile,
+    CaseFiles,
+    EffectsFile,
+    Films,
+    Force,
+    From,
+    Json,
+    LedgerFile,
+    Quiet,
+    film_folders,
+    own_effects,
+)
+from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output, command_line
+
+
+def report_command(
+    cases: CaseFiles,
+    *,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="FILE", help="The report to write: .html or .pdf.")
+    ] = Path("report.html"),
+    films: Films = None,
+    effects: EffectsFile = None,
+    start: From = None,
+    ledger: LedgerFile = None,
+    force: Force = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write a report of the latest fit and the rungs that led to it: one HTML file or a PDF, no network.
+
+    Frames of the films are shown where the films are found.
+
+    Example: gyrotrack report case1.h5 -o report.html
+    """
+    from fitting._workers import Beside
+    from gyrotrack.apps.report._page import write_report
+    from gyrotrack.io._atomic import refuse_existing
+    from gyrotrack.io._hdf5 import read_case
+    from gyrotrack.plotting._style import get_ready
+
+    out = Output(as_json=as_json, quiet=quiet)
+    refuse_existing(output, force=force)
+    study = open_study(cases, ledger)
+    with Beside() as beside, out.progress("writing the report") as progress:
+        progress(0, None)
+        beside.begin(get_ready)
+        rungs = study.rungs_to(start)
+        diagnosis = study.diagnosis(start, rungs[0].fit, own_effects(effects), beside=beside)
+        recordings = [read_case(case) for case in cases]
+        where = {"command": command_line(), "ledger": str(study.ledger.path)}
+        write_report(
+            output,
+            rungs,
+            diagnosis,
+            recordings=recordings,
+            films=film_folders(cases, films),
+            provenance=where,
+            force=force,
+            beside=beside,
+        )
+    out.result({"output": output, "fits": [r.change or "base" for r in rungs], "verdict": diagnosis.verdict})
+    out.show(f"written: {output}")
+
+
+def figures_command(
+    cases: CaseFiles,
+    *,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for figures and tables.")
+    ] = Path("figures"),
+    formats: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--format", metavar="F", help="pdf, svg or png; several by giving it again. pdf, if not given."
+        ),
+    ] = None,
+    films: Films = None,
+    force: Force = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> int:
+    """Draw the paper's seven figures and write its eight tables for any study, ready for LaTeX.
+
+    The fits are those of `gyrotrack scan`; nothing is kept in the ledger. The figure of the gyroscope needs a film.
+
+    Example: gyrotrack figures case1.h5 case2.h5 -o figures --format pdf --format png
+    """
+    from fitting.study._scan import scan
+    from gyrotrack.apps.report._paper import write_figures
+    from gyrotrack.io._hdf5 import read_case
+
+    wanted = _wanted(formats, output, force=force)
+    out = Output(as_json=as_json, quiet=quiet)
+    data = read_cases(cases)
+    if alone := next((d.record.label for d in data if d.record.single), None):
+        raise UsageError(
+            f"The paper's figures need a rotor and a casing; {alone} is a record of one body.",
+            "`gyrotrack report` draws it.",
+        )
+    with out.progress("fitting") as progress:
+        found = scan(data, progress=progress)
+    with out.progress("drawing") as progress:
+        progress(0, None)
+        files = write_figures(
+            output,
+            found,
+            data,
+            [read_case(case) for case in cases],
+            formats=wanted,
+            films=film_folders(cases, films),
+            force=force,
+        )
+    drawn = {f.stem for f in files if f.suffix.lstrip(".") in wanted}
+    out.result({"output": output, "files": files, "figures": len(drawn)})
+    out.show(f"written: {len(files)} files in {output}")
+    if "gyroscope" not in drawn:
+        out.note("no film was found for the figure of the gyroscope; name its folder with --films")
+    return DONE if found.converged else NOT_TRUSTED
+
+
+def _wanted(formats: list[str] | None, output: Path, *, force: bool) -> list[str]:
+    """Return the formats asked for, or say what is wrong with them or with the folder."""
+    from gyrotrack.apps.report._paper import FORMATS
+
+    wanted = list(dict.fromkeys(formats or FORMATS[:1]))
+    unknown = [f for f in wanted if f not in FORMATS]
+    if unknown:
+        raise UsageError(f"{unknown[0]} is no format of figures.", f"Formats: {', '.join(FORMATS)}.")
+    if output.exists() and not output.is_dir():
+        raise OutputError(f"{output} is a file.", "Give the name of a folder with -o.")
+    if not force and output.is_dir() and any(output.glob("tables.tex")):
+        raise OutputError(
+            f"{output} holds figures already.", "Use --force to replace them, or -o for another folder."
+        )
+    return wanted
+
+
+def view_command(
+    case: CaseFile,
+    *,
+    films: Films = None,
+    port: Annotated[
+        int,
+        typer.Option("--port", metavar="N", min=0, max=65535, help="Port of the page; 0 takes a free one."),
+    ] = 0,
+    browser: Annotated[
+        bool, typer.Option("--browser/--no-browser", help="Open the page in the browser of this desktop.")
+    ] = True,
+    start: From = None,
+    ledger: LedgerFile = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Look at a case in the browser: frames with overlay, residuals, ranking; add and drop effects and see.
+
+    The page is served on this machine's own address, to nobody but the holder of the address that is printed. It
+    ends with Ctrl-C or with the button Quit. Fits are kept in the ledger when the page is told to.
+
+    Example: gyrotrack view case1.h5
+    """
+    _look_for_packages()
+    from gyrotrack.apps.workbench._films import Clips
+    from gyrotrack.apps.workbench._ranking import Ranker
+    from gyrotrack.apps.workbench._server import Workbench, serve
+    from gyrotrack.apps.workbench._session import Session
+    from gyrotrack.io._hdf5 import read_case
+
+    out = Output(as_json=as_json, quiet=quiet)
+    tracked = read_case(case)
+    study = open_study([case], ledger)
+    with out.progress("fitting") as progress:
+        progress(0, None)
+        base, fit_id = study.base(start)
+    session = Session(study.data[0], base, fit_id, study.ledger, tracked)
+    bench = Workbench(session, Clips(tracked, film_folders([case], films)), Ranker(case))
+
+    def announce(url: str) -> None:
+        if as_json:
+            sys.stdout.write(json.dumps({"url": url}) + "\n")
+        else:
+            out.show(f"open: {url}", "end: Ctrl-C, or the button Quit")
+        sys.stdout.flush()
+        if browser and _has_desktop():
+            import webbrowser
+
+            webbrowser.open(url)
+
+    try:
+        serve(bench, port, announce)
+    except KeyboardInterrupt:  # the way to end it
+        return
+
+
+def _has_desktop() -> bool:
+    """Tell whether there is a desktop whose browser may be opened; a browser in the terminal is not meant."""
+    import os
+
+    return sys.platform in {"darwin", "win32"} or any(
+        os.environ.get(n) for n in ("DISPLAY", "WAYLAND_DISPLAY")
+    )
+
+
+def _look_for_packages() -> None:
+    """Say so if what the page is served with is not installed."""
+    try:
+        import starlette  # noqa: F401 - is it there?
+        import uvicorn  # noqa: F401
+    except ImportError:
+        raise UsageError(
+            "The workbench needs two packages that are not installed.", 'Run: pip install "gyrotrack[view]"'
+        ) from None

@@ -1,0 +1,382 @@
+"""Commands with known answers: simulate, reveal, demo."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import subprocess
+import sys
+import tomllib
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from gyrotrack._errors import DatasetError, GyrotrackError
+from gyrotrack.apps._study import changed, open_study
+from gyrotrack.apps.cli._options import (
+    I_CASING,
+    I_ROTOR,
+    EffectsFile,
+    Force,
+    InertiaCasing,
+    InertiaRotor,
+    Json,
+    LedgerFile,
+    OutputFile,
+    Quiet,
+    Surface,
+    own_effects,
+)
+from gyrotrack.apps.cli._output import Output, command_line
+from gyrotrack.apps.cli._tables import diagnosis_tables, fit_tables, ladder_tables
+
+if TYPE_CHECKING:
+    from fitting.discovery._select import Rung
+    from fitting.discovery._verdict import Diagnosis
+
+
+_WINDOWS = (0.025, 0.35, 0.75)  # when the rotor is filmed, as shares of the whole, if nothing is said
+
+
+def simulate_command(
+    *,
+    output: OutputFile,
+    add: Annotated[
+        list[str] | None,
+        typer.Option("--add", metavar="E", help="An effect beside the reduced model, by name or as a law."),
+    ] = None,
+    drop: Annotated[list[str] | None, typer.Option("--drop", metavar="E", help="Take an effect out.")] = None,
+    effects: EffectsFile = None,
+    set_values: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="A parameter, as casing.air.quadratic.k=1e-9."),
+    ] = None,
+    strength: Annotated[
+        float,
+        typer.Option(
+            "--strength",
+            help="Torque of added effects over the budget of 1e-4 N m, where --set says nothing.",
+        ),
+    ] = 0.01,
+    omega_rotor: Annotated[
+        float, typer.Option("--omega-rotor", help="Speed of the rotor at the start [rad/s].")
+    ] = 900.0,
+    omega_casing: Annotated[
+        float, typer.Option("--omega-casing", help="Speed of the casing at the start [rad/s].")
+    ] = 5.0,
+    duration: Annotated[float, typer.Option("--duration", help="Length of the recording [s].")] = 200.0,
+    window: Annotated[
+        list[float] | None, typer.Option("--window", metavar="T", help="Start of a rotor clip [s].")
+    ] = None,
+    window_length: Annotated[
+        float, typer.Option("--window-length", help="Length of the rotor clips [s].")
+    ] = 3.0,
+    casing_fps: Annotated[float, typer.Option("--casing-fps", help="Frames a second on the casing.")] = 260.0,
+    rotor_fps: Annotated[float, typer.Option("--rotor-fps", help="Frames a second on the rotor.")] = 1000.0,
+    sigma: Annotated[float, typer.Option("--sigma", help="Noise of the angles [rad].")] = 1e-3,
+    torque_noise: Annotated[
+        float, typer.Option("--torque-noise", help="Rms of a random torque [N m].")
+    ] = 0.0,
+    torque_time: Annotated[float, typer.Option("--torque-time", help="Its correlation time [s].")] = 1.0,
+    centre_offset: Annotated[
+        float, typer.Option("--centre-offset", help="Once-a-turn error of the angle [rad].")
+    ] = 0.0,
+    seed: Annotated[int, typer.Option("--seed", help="Of all noise.")] = 0,
+    film: Annotated[
+        Path | None, typer.Option("--film", metavar="DIR", help="Draw the films as well, into this folder.")
+    ] = None,
+    hide: Annotated[
+        bool, typer.Option("--hide", help="Draw an effect by lot and seal its name beside the case.")
+    ] = False,
+    label: Annotated[str | None, typer.Option("--label", metavar="L", help="Name of the case.")] = None,
+    surface: Surface = "",
+    inertia_rotor: InertiaRotor = I_ROTOR,
+    inertia_casing: InertiaCasing = I_CASING,
+    force: Force = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Make a case of the paper's gyroscope with chosen effects, as data or as film.
+
+    Example: gyrotrack simulate -o case.h5 --add casing.air.quadratic --strength 0.03
+    """
+    from fitting.dynamics._model import Model
+    from fitting.effects._library import REDUCED
+    from fitting.inference._simulation import Experiment
+    from gyrotrack.apps._challenge import hide_effect
+    from gyrotrack.apps._simulation import SimulatedRun, write_record
+    from gyrotrack.io._atomic import refuse_existing
+
+    out = Output(as_json=as_json, quiet=quiet)
+    sealed = output.with_name(f"{output.stem}.seal.json") if hide else None
+    for path in (output, sealed):
+        if path is not None:
+            refuse_existing(path, force=force)
+    experiment = Experiment(
+        omega_rotor=omega_rotor,
+        omega_casing=omega_casing,
+        duration=duration,
+        casing_fps=casing_fps,
+        rotor_fps=rotor_fps,
+        windows=tuple(window) if window else tuple(round(x * duration, 6) for x in _WINDOWS),
+        window_length=window_length,
+        sigma=sigma,
+        torque_noise=torque_noise,
+        torque_time=torque_time,
+        centre_offset=centre_offset,
+    )
+    model = changed(Model.of(REDUCED), add or (), drop or (), own_effects(effects))
+    hidden = hide_effect(model, strength) if hide else None
+    if hidden is not None:
+        model, strength, seed = hidden.model, hidden.strength, hidden.seed
+    inertias = (inertia_rotor, inertia_casing)
+    run = SimulatedRun.of(model, strength, experiment, inertias, seed, set_values or ())
+    with out.progress("simulating") as progress:
+        progress(0, None)
+        record = run.record(label if label is not None else output.stem)
+    if sealed is None or hidden is None:
+        told: dict[str, Any] = {"model": list(model.names), "parameters": run.numbers}
+        settings: dict[str, Any] = {"output": output, **told, "seed": seed}
+        lines = [f"  {key:<34}{value:.6g}" for key, value in run.numbers.items()]
+    else:
+        commitment = hidden.seal(sealed, run.numbers, force=force)
+        told, settings = {"seal": sealed, "commitment": commitment}, {"commitment": commitment}
+        lines = [f"sealed: {sealed}"]
+    settings = {"experiment": vars(experiment), **settings}
+    write_record(output, record, surface=surface, command=command_line(), settings=settings, force=force)
+    films = []
+    if film is not None:
+        with out.progress("drawing films") as progress:
+            films = run.films(film, force=force, progress=progress)
+    out.result({"output": output, **told, "films": films})
+    out.show("\n".join([*lines, *(f"written: {f}" for f in (output, *films))]))
+
+
+Answer = tuple[list[str], dict[str, tuple[float, float]]]
+
+
+def reveal_command(
+    seal: Annotated[Path, typer.Argument(metavar="SEAL.json", help="The seal, made by `simulate --hide`.")],
+    case: Annotated[
+        Path | None, typer.Argument(metavar="[CASE.h5]", help="The case; its latest fit is the answer.")
+    ] = None,
+    *,
+    answer: Annotated[
+        str | None,
+        typer.Option("--answer", metavar="E", help="The answer: an effect, several by commas, or `none`."),
+    ] = None,
+    ledger: LedgerFile = None,
+    as_json: Json = False,
+) -> None:
+    """Open a sealed challenge and score an answer: one given here, or the latest fit of the case.
+
+    Example: gyrotrack reveal case.seal.json case.h5
+    """
+    from gyrotrack._errors import UsageError
+    from gyrotrack.apps._challenge import grade, unseal
+
+    out = Output(as_json=as_json)
+    if (case is None) == (answer is None):
+        raise UsageError(
+            "An answer is needed before the seal is opened.", "Give the case with its fits, or --answer."
+        )
+    named, found = _said(answer) if case is None else _fitted(case, ledger)
+    truth = unseal(seal)
+    score = grade(truth, named, found)
+    out.result({
+        "effect": truth.effect,
+        "parameters": truth.parameters,
+        "answer": named,
+        "grade": score.grade,
+        "pulls": score.pulls,
+        "commitment": truth.commitment,
+    })  # fmt: skip
+    lines = [score.sentence, *(f"  {k} = {v:.6g}" for k, v in truth.parameters.items())]
+    lines += [f"  {k}: {z:+.1f} standard errors from the truth" for k, z in score.pulls.items()]
+    out.show("\n".join(lines))
+
+
+def _said(answer: str | None) -> Answer:
+    words = (answer or "none").strip()
+    return [] if words == "none" else [a.strip() for a in words.split(",")], {}
+
+
+def _fitted(case: Path, ledger: Path | None) -> Answer:
+    from gyrotrack._errors import DatasetError
+    from gyrotrack.apps._challenge import answer_of
+
+    study = open_study([case], ledger)
+    entries = study.ledger.of(study.data)
+    if not entries:
+        raise DatasetError("There is no fit of this case yet.", "Make one with `gyrotrack improve`.")
+    return answer_of(entries)
+
+
+_AT_ONCE = 2
+
+
+def demo_command(
+    *,
+    clips: Annotated[
+        Path | None, typer.Option("--clips", metavar="DIR", help="Folder with study.toml and the films.")
+    ] = None,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the results.")
+    ] = Path("gyrotrack_demo"),
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Run the whole story on the sample clips: film, angles, one clock, model, what is missing, report.
+
+    Example: gyrotrack demo -o gyrotrack_demo
+    """
+    out = Output(as_json=as_json, quiet=quiet)
+    began = perf_counter()
+    folder = _find(clips)
+    study = tomllib.loads((folder / "study.toml").read_text(encoding="utf-8"))
+    output.mkdir(parents=True, exist_ok=True)
+    out.show(f"1. Four films of one run, in {folder}: angles of the markers in every frame\n")
+    recordings = _extract(out, folder, study["clip"], output)
+    out.show("\n2. Both cameras on one clock, through the casing's angle that both see\n")
+    case = output / "case.h5"
+    casing = [r for r, c in zip(recordings, study["clip"], strict=True) if c["body"] == "casing"]
+    rotors = [r for r, c in zip(recordings, study["clip"], strict=True) if c["body"] != "casing"]
+    inertias = [
+        "--inertia-rotor",
+        str(study["inertia_rotor"]),
+        "--inertia-casing",
+        str(study["inertia_casing"]),
+    ]
+    names = ["--label", str(study["label"]), "--surface", str(study["surface"])]
+    _run(out, ["sync", *casing, *rotors, "-o", case, *inertias, *names, "--force"])
+    document = _study(out, case, output, folder / study["clip"][-1]["file"])
+    document["seconds"] = perf_counter() - began
+    out.result(document)
+    out.show(f"\n{document['seconds']:.0f} s in all. The report: {document['report']}")
+
+
+def _study(out: Output, case: Path, output: Path, film: Path) -> dict[str, Any]:
+    """Fit, diagnose, improve and report; return what the program says of it."""
+    from gyrotrack.apps.report._page import write_report
+    from gyrotrack.apps.report._story import story_picture
+    from gyrotrack.io._hdf5 import read_case
+
+    rungs, diagnosis, document = _found(out, case)
+    out.show(f"\n6. The report\n\n$ gyrotrack report {case} -o {output / 'report.html'}")
+    report = write_report(
+        output / "report.html",
+        rungs,
+        diagnosis,
+        recordings=[read_case(case)],
+        provenance={"command": "gyrotrack demo"},
+        force=True,
+    )
+    picture = story_picture(rungs, diagnosis, output / "story.png", frame=_frame(film), force=True)
+    return {"case": case, "report": report, "picture": picture, **document}
+
+
+def _found(out: Output, case: Path) -> tuple[list[Rung], Diagnosis, dict[str, Any]]:
+    """Fit the reduced model, diagnose and improve it; return the ladder, the diagnosis, and both in JSON."""
+    from fitting.discovery._select import improve
+    from fitting.discovery._verdict import diagnose
+    from fitting.dynamics._model import Model
+    from fitting.effects._library import REDUCED
+    from fitting.inference._fit import fit
+    from fitting.study._history import Ledger
+    from fitting.study._serialisation import diagnosis_document, fit_document, ladder_verdict
+    from gyrotrack.apps._study import open_study
+
+    ledger = Ledger.beside(case).path
+    ledger.unlink(missing_ok=True)  # the demo begins anew each time
+    study = open_study([case], None)
+    out.show("\n3. The paper's reduced model", f"\n$ gyrotrack fit {case}\n")
+    base = fit(Model.of(REDUCED), study.data)
+    first = study.ledger.add(base, added="reduced")
+    out.show(*fit_tables(base, first.fit_id))
+    out.show("\n4. Where it fails, and which effect is missing", f"\n$ gyrotrack diagnose {case}\n")
+    diagnosis = diagnose(base)
+    out.show(*diagnosis_tables(diagnosis, first.fit_id))
+    out.show("\n5. Add it, and watch the error fall", f"\n$ gyrotrack improve {case}\n")
+    rungs = improve(base, first=diagnosis.candidates)
+    kept = study.keep(rungs, first.fit_id)
+    steps = [entry.document["rung"] for entry in kept]
+    out.show(*ladder_tables(steps, study.data[0].record.body))
+    return (
+        rungs,
+        diagnosis,
+        {
+            "diagnosis": diagnosis_document(diagnosis, first.fit_id),
+            "ladder": steps,
+            "final": fit_document(rungs[-1].fit, kept[-1].fit_id),
+            "verdict": ladder_verdict(rungs),
+        },
+    )
+
+
+def _frame(film: Path) -> Any:
+    """Return the first frame of a film as red, green, blue."""
+    import av
+
+    with av.open(str(film)) as container:
+        return next(container.decode(video=0)).to_ndarray(format="rgb24")
+
+
+def _find(clips: Path | None) -> Path:
+    here = Path(__file__).resolve()
+    places = [clips] if clips is not None else [Path("sample_clips"), here.parents[3] / "sample_clips"]
+    for place in places:
+        if (place / "study.toml").is_file():
+            return place
+    raise DatasetError(
+        f"There are no sample clips in {places[0]}.",
+        "Run it in the project's folder, or name the folder with --clips.",
+    )
+
+
+def _extract(out: Output, folder: Path, clips: Sequence[dict[str, Any]], output: Path) -> list[Path]:
+    """Track all clips, two at a time, each in a process of its own."""
+    jobs, targets = [], []
+    for clip in clips:
+        target = output / f"{Path(clip['file']).stem}.h5"
+        rate = ["--capture-fps", str(clip["capture_fps"])]
+        jobs.append(["extract", folder / clip["file"], *rate, "-o", target, "--force"])
+        targets.append(target)
+    with out.progress("tracking films") as progress, ThreadPoolExecutor(_AT_ONCE) as pool:
+        for done, _ in enumerate(pool.map(lambda job: _run(out, job), jobs), 1):
+            progress(done, len(jobs))
+    return targets
+
+
+def _run(out: Output, arguments: Sequence[object]) -> None:
+    """Run one command of the program, show what it says, and pass its error on."""
+    words = [str(a) for a in arguments]
+    done = subprocess.run(  # noqa: S603 - our own program, no shell
+        [sys.executable, "-m", "gyrotrack", *words, "--json", "-q"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    document = json.loads(done.stdout or "{}")
+    if "error" in document:
+        error = document["error"]
+        raise GyrotrackError(error["message"], error["hint"])
+    out.show(f"$ gyrotrack {shlex.join(words)}\n" + _step_summary(words[0], document))
+
+
+def _step_summary(verb: str, document: dict[str, Any]) -> str:
+    if verb == "extract":
+        bodies = ", ".join(
+            f"{n} {b['samples']} angles +- {1e3 * b['median_sigma']:.2g} mrad"
+            for n, b in document["body"].items()
+        )
+        return f"  {document['frames']} frames at {document['fps']:.0f}/s: {bodies}"
+    lines = [
+        f"  {Path(c['source']).name} starts at {c['offset_s']:.5f} s +- {1e3 * c['offset_sigma_s']:.2g} ms"
+        + (" (ambiguous)" if c["ambiguous"] else "")
+        for c in document.get("clips", [])
+    ]
+    return "\n".join(lines)

@@ -1,0 +1,215 @@
+"""Fits, diagnoses and histories as text."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from fitting.discovery._residuals import ResidualTorque
+    from fitting.discovery._verdict import Diagnosis
+    from fitting.inference._cross_validation import Predicted
+    from fitting.inference._profile import Interval
+    from fitting.inference._result import Fit
+    from fitting.study._paper import CurveBias
+
+
+_BAR = 24
+_CANDIDATES = 8
+
+
+def fit_tables(fit: Fit, fit_id: str, intervals: Mapping[str, Interval] | None = None) -> list[str]:
+    """Return a fit as lines: verdict first, then how well it describes the data, then parameters."""
+    from fitting.inference._result import WORDS, account_lines
+    from fitting.study._serialisation import not_determined_together
+
+    lines = [f"fit {fit_id}: {WORDS[fit.verdict]}", "", *account_lines(fit)]
+    for direction in not_determined_together(fit):
+        parts = ", ".join(f"{n} by {100 * w:+.0f} %" for n, w in direction.items())
+        lines += _wrapped(f"not determined together: {parts}")
+    if intervals:
+        lines += ["", "95 % intervals by profile likelihood:"]
+        lines += [f"  {n:<32}{_interval(i, fit.estimates[n].unit)}" for n, i in intervals.items()]
+    return ["\n".join(lines)]
+
+
+def _interval(i: Interval, unit: str) -> str:
+    lower = "no limit below" if i.lower_open else f"{i.lower:.4g}"
+    upper = "no limit above" if i.upper_open else f"{i.upper:.4g}"
+    if i.lower_open and not i.upper_open:
+        return f"below {upper} {unit}"
+    if i.upper_open and not i.lower_open:
+        return f"above {lower} {unit}"
+    return f"{lower} to {upper} {unit}" if not i.lower_open else "no limit on either side"
+
+
+def bias_tables(fit: Fit, bias: Mapping[str, CurveBias]) -> list[str]:
+    """Return what a generated rotor curve did to each parameter, beside the same fit to the rotor's windows."""
+    from fitting._numbers import rounded
+
+    if not bias:
+        return []
+    lines = ["", "the same model fitted to the rotor's windows instead of the generated curve:"]
+    for name, b in bias.items():
+        value = rounded(b.measured, b.stderr, fit.estimates[name].unit)
+        lines.append(f"  {name:<32}{value}")
+        lines.append(f"  {'':<32}the curve moved it by {b.errors:.0f} errors")
+    return ["\n".join(lines)]
+
+
+def prediction_tables(predicted: Sequence[Predicted]) -> list[str]:
+    """Return the recordings as predicted from the others: errors over the noise, and of the casing's speed."""
+    if not predicted:
+        return []
+    lines = ["", "each recording predicted from a fit of the others (touch point and start free):"]
+    lines.append(f"{'':<12}{'casing':>10}{'rotor':>10}{'R2 casing':>12}{'rmse [rad/s]':>14}")
+    lines += [
+        f"{p.label[:11]:<12}{p.casing:>10.4g}{p.rotor:>10.4g}{p.r2:>12.6f}{p.rmse:>14.4g}" for p in predicted
+    ]
+    return ["\n".join(lines)]
+
+
+def diagnosis_tables(d: Diagnosis, fit_id: str) -> list[str]:
+    """Return a diagnosis as lines: the sentence, where it fails, what would mend it."""
+    lines = [*_wrapped(d.sentence), "", f"fit {fit_id}, verdict: {d.verdict.replace('_', ' ')}"]
+    if d.failures:
+        lines += [
+            "",
+            "where it fails:",
+            f"  {'case':<10}{'body':<8}{'time [s]':>16}{'torque [N m]':>14}{'speed [rad/s]':>15}{'sigma':>7}",
+        ]
+        for f in d.failures:
+            time = f"{f.t_start:.1f} - {f.t_stop:.1f}"
+            lines.append(
+                f"  {f.label[:9]:<10}{f.called:<8}{time:>16}"
+                f"{f.residual_torque_Nm:>14.2g}{f.residual_rad_s:>15.2g}{f.size_sigma:>7.0f}"
+            )
+        lines += _curves(d)
+    shown = [c for c in d.candidates if c.score > 0][:_CANDIDATES]
+    if shown:
+        head = "tried, and not needed:" if d.verdict == "adequate" else "what would mend it:"
+        lines += ["", head, f"  {'effect':<28}{'score':>9}{'dBIC':>9}{'p':>9}  class"]
+        classes = _classes(shown)
+        for c in shown:
+            name = c.effect.name[:25] + (" *" if c.effect.kind == "measurement" else "")
+            bic = f"{c.delta_bic:.1f}" if math.isfinite(c.delta_bic) else "-"
+            lines.append(
+                f"  {name:<28}{c.score:>9.1f}{bic:>9}{c.p_value:>9.1g}  {classes.get(c.effect.name, '')}"
+            )
+        if any(c.effect.kind == "measurement" for c in shown):
+            lines.append("  * an artefact of the measurement, not physics")
+    if d.next_experiment:
+        lines += ["", *_wrapped(f"next experiment: {d.next_experiment}")]
+    return ["\n".join(lines)]
+
+
+def _curves(d: Diagnosis) -> list[str]:
+    """Return the torque that the casing lacks in each case as one line, and below it where the model fails."""
+    lines = []
+    body = d.fit.problem.data[0].record.body
+    for t in d.torques:
+        stretches = [(f.t_start, f.t_stop) for f in d.failures if f.label == t.label and f.body == t.body]
+        if t.body != "casing" or not stretches:
+            continue
+        start, stop = float(t.time[0]), float(t.time[-1])
+        label = f", {t.label[:12]}" if len({x.label for x in d.torques}) > 1 else ""
+        lines += [
+            "",
+            f"missing torque on the {body}{label}, {_range(t)}, from {start:.0f} s to {stop:.0f} s:",
+            f"  {sparkline(t.torque)}",
+            f"  {marks(stretches, start, stop)}".rstrip() + "  fails",
+        ]
+    return lines
+
+
+def _range(t: ResidualTorque) -> str:
+    return f"{t.torque.min():.2g} to {t.torque.max():.2g} N m"
+
+
+def _classes(candidates: Sequence[Any]) -> dict[str, str]:
+    letters: dict[str, str] = {}
+    for c in candidates:
+        if c.indistinguishable_from and c.effect.name not in letters:
+            letter = chr(ord("A") + len(set(letters.values())))
+            for name in (c.effect.name, *c.indistinguishable_from):
+                letters.setdefault(name, letter)
+    return letters
+
+
+def ladder_tables(rungs: Sequence[dict[str, Any]], body: str = "casing") -> list[str]:
+    """Return a ladder as lines: a bar a rung, the error falling; `body` is what was filmed from end to end."""
+    lines = [f"{'fit':<5}{'rmse':>9} {'chi2/n':>9} {'held out':>9} {'dBIC':>9}  {'':<{_BAR}}", ""]
+    sizes = [max(r["rmse_casing"], 1e-300) for r in rungs]
+    for r, size in zip(rungs, sizes, strict=True):
+        bar = "#" * max(1, round(_BAR * size / max(sizes)))
+        added = r["added"] or "base"
+        lines.append(
+            f"{r['fit_id']:<5}{r['rmse_casing']:>9.4g} {r['reduced_chi2']:>9.3g}"
+            f" {r['held_out']:>9.3g} {r['delta_bic']:>9.1f}  {bar}"
+        )
+        lines.append(
+            f"     {added}" + (f"  (left: {r['torque_left_Nm']:.2g} N m)" if r.get("torque_left_Nm") else "")
+        )
+    lines += [
+        "",
+        f"rmse of the {body}'s speed [rad/s];",
+        "held-out error in units of the noise (1 is as good as can be)",
+    ]
+    return ["\n".join(lines)]
+
+
+def _wrapped(text: str) -> list[str]:
+    import textwrap
+
+    return textwrap.wrap(text, 79)
+
+
+Array = NDArray[np.float64]
+
+WIDTH = 64
+_BLOCKS, _PLAIN = "▁▂▃▄▅▆▇█", "_.,-~=+#"
+
+
+def sparkline(value: Array, *, width: int = WIDTH) -> str:
+    """Return a curve as one line: in each place the value that is farthest from zero, lowest to highest.
+
+    Values that are no numbers leave a space.
+    """
+    levels = _levels()
+    edges = np.linspace(0, len(value), min(width, len(value)) + 1).astype(int)
+    chosen = [_farthest(value[a:b]) for a, b in pairwise(edges)]
+    known = np.array([c for c in chosen if np.isfinite(c)])
+    if not len(known):
+        return " " * len(chosen)
+    low, span = float(known.min()), float(known.max() - known.min()) or 1.0
+    return "".join(levels[min(7, int(8 * (c - low) / span))] if np.isfinite(c) else " " for c in chosen)
+
+
+def marks(stretches: Sequence[tuple[float, float]], start: float, stop: float, *, width: int = WIDTH) -> str:
+    """Return a line with ``^`` below the stretches of time from `start` to `stop`."""
+    line = [" "] * width
+    span = (stop - start) or 1.0
+    for a, b in stretches:
+        first, last = (int(width * (t - start) / span) for t in (a, b))
+        for i in range(max(0, first), min(width - 1, last) + 1):
+            line[i] = "^"
+    return "".join(line)
+
+
+def _farthest(part: Array) -> float:
+    known = part[np.isfinite(part)]
+    return float(known[np.argmax(np.abs(known))]) if len(known) else float("nan")
+
+
+def _levels() -> str:
+    try:
+        _BLOCKS.encode(sys.stdout.encoding or "ascii")
+    except (UnicodeEncodeError, LookupError):
+        return _PLAIN
+    return _BLOCKS

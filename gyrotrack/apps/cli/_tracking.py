@@ -1,0 +1,381 @@
+"""Commands from film to case: profile, extract, sync."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from gyrotrack.apps.cli._options import (
+    I_CASING,
+    I_ROTOR,
+    Force,
+    InertiaCasing,
+    InertiaRotor,
+    Json,
+    Label,
+    OptionalOutputFile,
+    OutputFile,
+    Quiet,
+    Surface,
+    Verbose,
+)
+from gyrotrack.apps.cli._output import NOT_TRUSTED, Output, command_line
+
+if TYPE_CHECKING:
+    from gyrotrack.io._records import Recording
+    from gyrotrack.synchronisation._decision import Match
+    from gyrotrack.tracking._extract import Task
+    from gyrotrack.tracking._proposal import Proposal, ProposedMarker
+
+
+def profile_command(
+    video: Annotated[
+        Path, typer.Argument(metavar="VIDEO", help="The film; best one that shows all markers.")
+    ],
+    *,
+    output: OptionalOutputFile = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option(
+            "--picture", metavar="FILE.png", help="Also draw what was chosen into a frame of the film."
+        ),
+    ] = None,
+    capture_fps: Annotated[
+        float | None,
+        typer.Option("--capture-fps", metavar="N", help="Write the camera's rate into the profile too."),
+    ] = None,
+    force: Force = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> int | None:
+    """Find the markers of a film by themselves and write a profile that `extract --profile` reads.
+
+    Looks for colours that turn about a common centre, tells which of them sit on one body, and takes the
+    faster body for the rotor. What is in doubt is said; the profile is a text file and can be changed.
+
+    Example: gyrotrack profile rotor_1.mp4 -o mine.toml --picture mine.png
+    """
+    from gyrotrack._errors import UsageError
+    from gyrotrack.io._atomic import new_file, refuse_existing
+    from gyrotrack.plotting._proposal import write_picture
+    from gyrotrack.tracking._profile import to_toml
+    from gyrotrack.tracking._proposal import propose
+
+    out = Output(as_json=as_json, quiet=quiet)
+    target = output if output is not None else video.with_suffix(".toml")
+    if picture is not None and picture.suffix.lower() != ".png":
+        raise UsageError(f"the picture is a PNG (.png), not {picture.name}", "change its ending")
+    if capture_fps is not None and not 0 < capture_fps < 1e7:
+        raise UsageError(f"a capture rate of {capture_fps:g} fps is not possible", "give a positive number")
+    for path in (target, picture):
+        if path is not None:
+            refuse_existing(path, force=force)
+    found = propose(video, capture_fps=capture_fps)
+    comment = "".join(f"# {note}\n" for note in (f"found in {video.name} by gyrotrack profile", *found.notes))
+    with new_file(target, force=force) as stream:
+        stream.write((comment + to_toml(found.profile)).encode())
+    if picture is not None:
+        write_picture(picture, found, force=force)
+    for note in found.notes:
+        out.warn(note)
+    out.result(_profile_document(target, picture, found))
+    out.show(_profile_lines(target, found))
+    return None if found.sound else NOT_TRUSTED
+
+
+def _profile_document(target: Path, picture: Path | None, found: Proposal) -> dict[str, Any]:
+    document: dict[str, Any] = {
+        "output": target,
+        "centre": {"x": found.centre[0], "y": found.centre[1], "from": found.profile.centre},
+        "circle_colour": found.profile.circle_colour if found.disc else None,
+        "markers": [_marker(m) for m in found.markers],
+        "notes": found.notes,
+        "verdict": "not_confirmed" if not found.sound else "in_doubt" if found.notes else "clear",
+        "profile": found.profile.model_dump(mode="json"),
+    }
+    if picture is not None:
+        document["picture"] = picture
+    return document
+
+
+def _marker(marker: ProposedMarker) -> dict[str, Any]:
+    import numpy as np
+
+    paper = marker.paper
+    return {
+        "name": marker.profile.name,
+        "colour": marker.profile.colour,
+        "hue_deg": marker.profile.hue,
+        "body": marker.profile.body,
+        "inner_px": paper.inner,
+        "outer_px": paper.outer,
+        "half_width_rad": paper.half_width,
+        "contrast": float(np.hypot(*paper.contrast)),
+        "seen": marker.seen,
+        "step_rad": marker.step,
+    }
+
+
+def _profile_lines(target: Path, found: Proposal) -> str:
+    x, y = found.centre
+    mark = f"a {found.profile.circle_colour} disc" if found.disc else "the markers' orbit"
+    lines = [f"centre ({x:.1f}, {y:.1f}) px from {mark}"]
+    lines.append(f"{'marker':<16}{'colour':<10}{'body':<8}{'radius [px]':>13}{'contrast':>10}{'seen':>7}")
+    for m in map(_marker, found.markers):
+        radius = f"{m['inner_px']:.0f} - {m['outer_px']:.0f}"
+        lines.append(
+            f"{m['name']:<16}{m['colour']:<10}{m['body']:<8}{radius:>13}{m['contrast']:>10.0f}"
+            f"{100 * m['seen']:>6.0f}%"
+        )
+    return "\n".join([*lines, f"written: {target}"])
+
+
+class Body(StrEnum):
+    """Which body to track."""
+
+    casing = "casing"
+    rotor = "rotor"
+    both = "both"
+
+
+class Times(StrEnum):
+    """Where the times of the frames are from."""
+
+    auto = "auto"
+    stamps = "stamps"
+    frames = "frames"
+
+
+def extract_command(
+    video: Annotated[Path, typer.Argument(metavar="VIDEO", help="The film.")],
+    *,
+    output: OptionalOutputFile = None,
+    capture_fps: Annotated[
+        float | None,
+        typer.Option("--capture-fps", metavar="N", help="Frames per second of the camera (slow motion)."),
+    ] = None,
+    times: Annotated[
+        Times,
+        typer.Option(
+            "--times",
+            help="Count frames, or take the time stamps; auto: these where the camera's rate varied.",
+        ),
+    ] = Times.auto,
+    profile: Annotated[
+        Path | None,
+        typer.Option("--profile", metavar="P.toml", help="Markers and colours; the paper's, if not given."),
+    ] = None,
+    body: Annotated[
+        Body | None, typer.Option("--body", help="Track only this body; all that are seen, if not given.")
+    ] = None,
+    overlay: Annotated[
+        Path | None,
+        typer.Option(
+            "--overlay", metavar="FILE", help="Also draw what was found: a film (.mp4) or a sheet (.png)."
+        ),
+    ] = None,
+    contact_sheet: Annotated[
+        Path | None,
+        typer.Option(
+            "--contact-sheet",
+            metavar="FILE.png",
+            help="Also draw twelve frames with corners, angle, status, sigma.",
+        ),
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with a run that was killed; start, if there is none.")
+    ] = False,
+    force: Force = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Track the markers in a film and write the angles of casing and rotor, with uncertainties.
+
+    What is measured on the way is kept beside the output (OUT.h5.unfinished) until that is written.
+
+    Example: gyrotrack extract rotor_1.mp4 --capture-fps 1000 -o rotor_1.h5
+    """
+    from gyrotrack.io._atomic import refuse_existing
+    from gyrotrack.plotting._frames import (
+        check_contact_sheet,
+        check_overlay,
+        write_contact_sheet,
+        write_overlay,
+    )
+    from gyrotrack.tracking._extract import Task
+    from gyrotrack.tracking._profile import PAPER, load
+
+    out = Output(as_json=as_json, quiet=quiet)
+    target = output if output is not None else video.with_suffix(".h5")
+    chosen = load(profile) if profile is not None else PAPER
+    task = Task(video, target, chosen, capture_fps, body.value if body else None, times.value)
+    done = task.earlier() if resume and not force else None
+    if done is None:
+        refuse_existing(target, force=force)
+    if overlay is not None:
+        check_overlay(overlay, force=force)
+    if contact_sheet is not None:
+        check_contact_sheet(contact_sheet, force=force)
+    recording, fps = _tracked(task, done, out, resume=resume, force=force)
+    for warning in recording.warnings:
+        out.warn(warning)
+    document = _extraction_document(target, recording, fps)
+    if overlay is not None:
+        with out.progress(f"drawing {overlay.name}", "frames") as progress:
+            write_overlay(overlay, video, recording, force=force, progress=progress)
+        document["overlay"] = overlay
+    if contact_sheet is not None:
+        write_contact_sheet(contact_sheet, video, recording, force=force)
+        document["contact_sheet"] = contact_sheet
+    out.result(document)
+    out.show(_extraction_lines(document))
+
+
+def _tracked(
+    task: Task, done: Recording | None, out: Output, *, resume: bool, force: bool
+) -> tuple[Recording, float]:
+    """Return the recording, tracked now unless that is done, and the frames tracked in a second."""
+    if done is not None:
+        out.note(f"{task.target} is complete already")
+        return done, float("nan")
+    return task.run(
+        command=command_line(),
+        bar=lambda: out.progress(f"tracking {task.video.name}", "frames"),
+        tell=out.note,
+        resume=resume,
+        force=force,
+    )
+
+
+def _extraction_document(target: Path, recording: Recording, fps: float) -> dict[str, Any]:
+    import numpy as np
+
+    from gyrotrack.io._records import STATUS
+
+    return {
+        "output": target,
+        "frames": recording.frames_decoded,
+        "markers": {
+            name: {word: int(np.sum(track.status == code)) for word, code in STATUS.items()}
+            for name, track in recording.markers.items()
+        },
+        "body": {
+            name: {"samples": len(track.time), "median_sigma": float(np.median(track.sigma))}
+            for name, track in recording.bodies.items()
+        },
+        "sense": recording.sense,
+        "capture_fps": recording.capture_fps,
+        "capture_fps_from": recording.extra.get("capture_rate_from", ""),
+        "times_from": recording.extra.get("times_from", "frames"),
+        "frames_declared": recording.frames_declared,
+        "fps": fps,
+        "warnings": list(recording.warnings),
+    }
+
+
+def _extraction_lines(document: dict[str, Any]) -> str:
+    words = ("ok", "blurred", "occluded", "out_of_frame", "lost")
+    lines = [f"{'marker':<12}" + "".join(f"{word.replace('_', ' '):>14}" for word in words)]
+    lines += [
+        f"{name:<12}" + "".join(f"{counts[word]:>14}" for word in words)
+        for name, counts in document["markers"].items()
+    ]
+    lines += [
+        f"{name}: {part['samples']} angles, median uncertainty {1e3 * part['median_sigma']:.2g} mrad"
+        for name, part in document["body"].items()
+    ]
+    pace = f" at {document['fps']:.0f} frames/s" if isfinite(document["fps"]) else ""
+    source = {"asked for": "as asked for", "profile": "by the profile"}.get(
+        document["capture_fps_from"], f"by the {document['capture_fps_from']}"
+    )
+    stamped = "; times from the time stamps" if document["times_from"] == "stamps" else ""
+    lines.append(f"captured at {document['capture_fps']:g} fps, {source}{stamped}")
+    lines.append(f"{document['frames']} frames{pace}; written: {document['output']}")
+    return "\n".join(lines)
+
+
+def sync_command(
+    casing: Annotated[Path, typer.Argument(metavar="CASING.h5", help="The recording of the casing.")],
+    rotors: Annotated[list[Path], typer.Argument(metavar="ROTOR.h5...", help="The recordings of the rotor.")],
+    *,
+    output: OutputFile,
+    label: Label = None,
+    surface: Surface = "",
+    inertia_rotor: InertiaRotor = I_ROTOR,
+    inertia_casing: InertiaCasing = I_CASING,
+    force: Force = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Put the clips of one experiment on one clock, and make a case of them.
+
+    The rotor clips must show the casing too: its angle, seen by both cameras, tells when each clip started.
+
+    Example: gyrotrack sync casing.h5 rotor_1.h5 rotor_2.h5 -o case1.h5 --surface "grey cardstock"
+    """
+    from gyrotrack.io._atomic import refuse_existing
+    from gyrotrack.io._hdf5 import read_recording, write_case
+    from gyrotrack.synchronisation._assembly import synchronise
+
+    out = Output(as_json=as_json, quiet=quiet, verbose=verbose)
+    refuse_existing(output, force=force)
+    recordings = [read_recording(path) for path in (casing, *rotors)]
+    with out.progress("matching clips") as progress:
+        done = synchronise(
+            recordings[0],
+            recordings[1:],
+            [path.name for path in (casing, *rotors)],
+            label=label if label is not None else output.stem,
+            surface=surface,
+            I_rotor=inertia_rotor,
+            I_casing=inertia_casing,
+            progress=progress,
+        )
+    settings = {"casing": casing, "rotors": rotors, "I_rotor": inertia_rotor, "I_casing": inertia_casing}
+    write_case(output, done.case, command=command_line(), settings=settings, force=force)
+    for warning in done.case.warnings:
+        out.warn(warning)
+    for match in done.matches:
+        out.detail(f"{match.name}: {match.method}; the cameras differ by {1e3 * match.misfit:.2f} mrad")
+    clips = [_clip(path, match) for path, match in zip(rotors, done.matches, strict=True)]
+    out.result({"output": output, "clips": clips, "warnings": done.case.warnings})
+    out.show("\n".join([_HEADER, *(_line(clip) for clip in clips), f"written: {output}"]))
+
+
+def _clip(path: Path, match: Match) -> dict[str, Any]:
+    from gyrotrack.synchronisation._curves import TURN
+
+    return {
+        "source": path,
+        "offset_s": match.start.offset,
+        "offset_sigma_s": match.offset_sigma,
+        "rate": 1 + match.start.eps,
+        "rate_sigma": match.rate_sigma,
+        "angle_offset": match.start.angle % TURN,
+        "angle_offset_sigma": match.angle_sigma,
+        "covariance": match.covariance,
+        "ambiguous": match.ambiguous,
+        "rivals": match.rivals,
+        "misfit_rad": match.misfit,
+        "outliers": match.rejected,
+        "common_rate": match.common_rate,
+        "common_direction": match.common_direction,
+    }
+
+
+_HEADER = f"{'clip':<24}{'start [s]':>12}{'+- [ms]':>10}{'rate - 1':>12}{'+-':>10}"
+
+
+def _line(clip: dict[str, Any]) -> str:
+    doubt = "ambiguous" if clip["ambiguous"] else ""
+    name = clip["source"].name
+    name = name if len(name) < 24 else "..." + name[-20:]
+    return (
+        f"{name:<24}{clip['offset_s']:>12.5f}{1e3 * clip['offset_sigma_s']:>10.3f}"
+        f"{clip['rate'] - 1:>12.2e}{clip['rate_sigma']:>10.1e}  {doubt}"
+    ).rstrip()

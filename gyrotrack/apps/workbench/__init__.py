@@ -1,0 +1,1 @@
+"""The workbench: a page in the browser, served to this machine only."""

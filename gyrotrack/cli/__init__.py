@@ -1,1 +1,0 @@
-"""The command line: every command parses, calls one library function, and prints."""

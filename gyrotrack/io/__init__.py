@@ -1,0 +1,1 @@
+"""Files: the HDF5 schema, reading, writing, validation, import and export."""

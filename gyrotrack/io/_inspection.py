@@ -1,0 +1,225 @@
+"""Contents of a file, and their soundness."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from gyrotrack.io import _schema as layout
+from gyrotrack.io._hdf5 import load_case, load_json, load_recording, open_dataset
+from gyrotrack.io._records import STATUS, BodyTrack, Case, Floats, Recording, Series
+from gyrotrack.io._tables import attribute, check_storage, load
+
+_PROVENANCE = ("format_version", "software_version", "created", "command")
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """What was found in one file.
+
+    Attributes
+    ----------
+    kind : str
+        "recording" or "case".
+    holds : dict
+        The contents in numbers, as JSON can hold them.
+    problems : tuple of str
+        What makes the file unsound; empty for a sound one.
+    datasets_verified, chunks_verified : int
+        How many were re-read because of `verify`.
+    """
+
+    path: Path
+    kind: str
+    provenance: dict[str, Any]
+    holds: dict[str, Any]
+    problems: tuple[str, ...]
+    datasets_verified: int = 0
+    chunks_verified: int = 0
+    warnings: tuple[str, ...] = field(default=())
+
+
+def inspect_file(path: Path, *, verify: bool = False) -> Inspection:
+    """Read a file of this format and say what it holds.
+
+    Parameters
+    ----------
+    path : Path
+        A recording or a case.
+    verify : bool
+        Re-read every chunk of every dataset, known or not, against its checksum.
+
+    Raises
+    ------
+    DatasetError
+        The file is not one of ours, or is damaged.
+    """
+    with open_dataset(path) as file:
+        kind = attribute(file, "kind", str)
+        provenance = {name: attribute(file, name, str, "?") for name in _PROVENANCE}
+        provenance["settings"] = load_json(file, "settings", {})
+        content: Recording | Case
+        if kind == layout.CASE:
+            content = load_case(file)
+            holds, problems = describe_case(content), _case_problems(content)
+        else:
+            content = load_recording(file)
+            holds, problems = describe_recording(content), _recording_problems(content)
+        verified = [_chunks(dataset) for dataset in _datasets(file, set())] if verify else []
+    return Inspection(
+        path=Path(path),
+        kind=kind,
+        provenance=provenance,
+        holds=holds,
+        problems=tuple(problems),
+        datasets_verified=len(verified),
+        chunks_verified=sum(verified),
+        warnings=content.warnings,
+    )
+
+
+def describe_recording(recording: Recording) -> dict[str, Any]:
+    """Return size, duration, markers and bodies of a clip in numbers."""
+    names = ("source", "width", "height", "capture_fps", "container_fps", "sense", "body")
+    out: dict[str, Any] = {name: getattr(recording, name) for name in names}
+    out["times_from"] = str(recording.extra.get("times_from", "frames"))
+    out["frames"] = len(recording.frame_index)
+    out["duration_s"] = _duration(recording.time)
+    out["markers"] = {
+        name: {"body": m.body, **{word: int(np.sum(m.status == code)) for word, code in STATUS.items()}}
+        for name, m in recording.markers.items()
+    }
+    out["bodies"] = {name: describe_motion(body) for name, body in recording.bodies.items()}
+    return out
+
+
+def describe_case(case: Case) -> dict[str, Any]:
+    """Return the label, inertias, series, windows and clips of a case in numbers."""
+    out: dict[str, Any] = {
+        name: getattr(case, name)
+        for name in ("label", "surface", "I_rotor", "I_casing", "quantity", "bodies")
+    }
+    key = "omega_sigma" if case.quantity == "omega" else "sigma"
+    out["casing"] = {**describe_motion(case.casing, key=key), "sigma_source": case.casing.sigma_source}
+    windows = (
+        case.rotor.window if case.rotor.window is not None else np.zeros(len(case.rotor.time), dtype=int)
+    )
+    out["rotor"] = {
+        "samples": len(case.rotor.time),
+        "sigma_source": case.rotor.sigma_source,
+        "windows": [
+            {"window": int(k), **describe_motion(case.rotor, windows == k, key)} for k in np.unique(windows)
+        ],
+    }
+    out["rotor_generated"] = case.rotor_generated is not None
+    out["recordings"] = {
+        name: {
+            **describe_recording(recording),
+            **({"placement": vars(case.placements[name])} if name in case.placements else {}),
+        }
+        for name, recording in case.recordings.items()
+    }
+    return out
+
+
+def describe_motion(
+    track: BodyTrack | Series, chosen: Any = slice(None), key: str = "sigma"
+) -> dict[str, Any]:
+    """Return when a body was seen, how fast it turned, and how well that is known (`key`: angle or speed)."""
+    time, omega, sigma = track.time[chosen], track.omega[chosen], getattr(track, key)[chosen]
+    fast = omega[np.isfinite(omega)]
+    known = sigma[np.isfinite(sigma)]
+    return {
+        "samples": len(time),
+        "t_start": float(time[0]) if len(time) else None,
+        "t_stop": float(time[-1]) if len(time) else None,
+        "omega_min": float(fast.min()) if len(fast) else None,
+        "omega_max": float(fast.max()) if len(fast) else None,
+        "median_sigma": float(np.median(known)) if len(known) else None,
+    }
+
+
+def _duration(time: Floats) -> float:
+    return float(time[-1] - time[0]) if len(time) else 0.0
+
+
+def _recording_problems(recording: Recording) -> list[str]:
+    found = []
+    if recording.sense not in {-1, 1}:
+        found.append(f"its sense is {recording.sense}, not +1 or -1")
+    if not len(recording.frame_index):
+        found.append("it holds no frames")
+    if recording.frames_decoded != len(recording.frame_index):
+        found.append(
+            f"{recording.frames_decoded} frames were decoded but {len(recording.frame_index)} are stored"
+        )
+    found += _time_problems("the frames", recording.time)
+    for name, marker in recording.markers.items():
+        if not np.isin(marker.status, list(STATUS.values())).all():
+            found.append(f"marker '{name}' has a status that is not defined")
+    for name, body in recording.bodies.items():
+        found += _motion_problems(name, body.time, body.angle, body.sigma)
+    return found or ([] if recording.bodies else ["no body's angle was found in it"])
+
+
+def _case_problems(case: Case) -> list[str]:
+    found = []
+    if not (case.I_rotor > 0 and case.I_casing > 0):
+        found.append("a moment of inertia is not positive")
+    found += _motion_problems("casing", case.casing.time, case.casing.angle, case.casing.sigma)
+    windows = (
+        case.rotor.window if case.rotor.window is not None else np.zeros(len(case.rotor.time), dtype=int)
+    )
+    if not len(case.rotor.time) and case.bodies != "one":
+        found.append("the rotor has no samples")
+    for k in np.unique(windows):
+        r = case.rotor
+        found += _motion_problems(
+            f"rotor window {k}", r.time[windows == k], r.angle[windows == k], r.sigma[windows == k]
+        )
+    for name, recording in case.recordings.items():
+        found += [f"clip '{name}': {problem}" for problem in _recording_problems(recording)]
+    return found
+
+
+def _motion_problems(name: str, time: Floats, angle: Floats, sigma: Floats) -> list[str]:
+    found = _time_problems(name, time)
+    seen = np.isfinite(angle)
+    if not seen.any():
+        found.append(f"{name} has no angles")
+    elif not (sigma[seen] > 0).all():
+        found.append(f"{name} has angles without a positive uncertainty")
+    return found
+
+
+def _time_problems(name: str, time: Floats) -> list[str]:
+    if not np.isfinite(time).all():
+        return [
+            f"{name} have times that are not numbers" if name == "the frames" else f"{name} lacks some times"
+        ]
+    return [f"the times of {name} do not increase"] if (np.diff(time) <= 0).any() else []
+
+
+def _datasets(group: Any, seen: set[int]) -> Iterator[Any]:
+    """Walk all datasets below `group` by hard links, each group once."""
+    for name in group:
+        if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+            continue
+        member = group[name]
+        if isinstance(member, h5py.Dataset):
+            yield member
+        elif isinstance(member, h5py.Group) and (address := h5py.h5o.get_info(member.id).addr) not in seen:
+            seen.add(address)
+            yield from _datasets(member, seen)
+
+
+def _chunks(dataset: Any) -> int:
+    """Read a dataset, which compares every chunk with its checksum, and return how many chunks it has."""
+    check_storage(dataset)
+    load(dataset)
+    return int(dataset.id.get_num_chunks()) if dataset.chunks else 1

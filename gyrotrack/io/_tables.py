@@ -1,0 +1,213 @@
+"""Tables of the schema as HDF5 datasets.
+
+Reading trusts nothing: before a byte of data is read, the dataset must be stored in the file itself, be of
+the declared kind and dimensions, and not claim more than its stored bytes can hold.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack._column_store import set_down
+from gyrotrack._errors import DatasetError
+from gyrotrack._versions import __version__, versions
+from gyrotrack.io import _schema as layout
+from gyrotrack.io._schema import ATTRIBUTE_UNITS, LENGTH_ONLY, Field, Table
+from gyrotrack.io._validation import check_bytes, own_member, place
+
+CHUNK = 8192  # values along the first dimension: 64 kB a column, whole short clips in one chunk
+
+
+def write_table(group: Any, table: Table, values: Mapping[str, npt.ArrayLike]) -> None:
+    """Write the datasets of `table` with units, dimension scales and NXdata attributes into `group`."""
+    arrays = {f.name: np.asarray(values[f.name], dtype=f.dtype) for f in table.fields}
+    for f in table.fields:
+        dataset = _create(group, f.name, arrays[f.name])
+        dataset.attrs["units"] = f.units
+        dataset.attrs["long_name"] = f.long_name
+        for key, value in f.attributes.items():
+            dataset.attrs[key] = np.asarray(value, dtype=f.dtype) if isinstance(value, list) else value
+        set_down()
+    for f in table.fields:
+        _attach_scales(group, f, arrays[f.name].shape)
+    group.attrs["NX_class"] = "NXdata"
+    group.attrs["signal"] = table.signal
+    group.attrs["axes"] = [d for f in table.fields if f.name == table.signal for d in f.dims]
+
+
+def _create(group: Any, name: str, array: npt.NDArray[Any]) -> Any:
+    chunks = (min(max(array.shape[0], 1), CHUNK), *array.shape[1:])
+    return group.create_dataset(
+        name,
+        data=array,
+        chunks=chunks,
+        maxshape=None if array.size else (None, *array.shape[1:]),
+        compression="gzip",
+        shuffle=True,
+        fletcher32=True,
+    )
+
+
+def _attach_scales(group: Any, f: Field, shape: tuple[int, ...]) -> None:
+    for axis, dim in enumerate(f.dims):
+        if dim not in group:
+            scale = group.create_dataset(dim, data=np.arange(shape[axis], dtype="i8"))
+            scale.attrs["units"] = "1"
+            scale.attrs["long_name"] = LENGTH_ONLY[dim]
+        if not group[dim].is_scale:
+            group[dim].make_scale(dim)
+        if f.name != dim:
+            group[f.name].dims[axis].attach_scale(group[dim])
+
+
+def write_attributes(group: Any, values: Mapping[str, Any]) -> None:
+    """Write scalar attributes, each with a unit beside it where `layout` gives one."""
+    for name, value in values.items():
+        group.attrs[name] = value
+        if name in ATTRIBUTE_UNITS:
+            group.attrs[f"{name}_units"] = ATTRIBUTE_UNITS[name]
+
+
+def read_table(group: Any, table: Table) -> dict[str, npt.NDArray[Any]]:
+    """Read the datasets of `table` from `group`.
+
+    Raises
+    ------
+    DatasetError
+        A dataset is missing, of another kind, stored elsewhere, too large to be true, or damaged.
+    """
+    values: dict[str, npt.NDArray[Any]] = {}
+    for f in table.fields:
+        dataset = child(group, f.name)
+        check_storage(dataset)
+        length = values[table.fields[0].name].shape[0] if values else None
+        _check_shape(dataset, f, length)
+        values[f.name] = load(dataset).astype(f.dtype, copy=False)
+    return values
+
+
+def child(group: Any, name: str) -> Any:
+    """Return a direct member of `group`; it must be there, and be no link to elsewhere."""
+    link = group.get(name, getlink=True) if name in group.keys() else None  # noqa: SIM118 - `in group` follows links
+    if link is None:
+        raise DatasetError(f"{place(group)} lacks '{name}'.", "The file is not complete; make it again.")
+    return own_member(group, name)
+
+
+def child_group(group: Any, name: str) -> Any:
+    """Return a direct member of `group` that is itself a group."""
+    member = child(group, name)
+    if not isinstance(member, h5py.Group):
+        raise DatasetError(f"{place(group)}: '{name}' is not a group.", "The file is not in this layout.")
+    return member
+
+
+def check_storage(dataset: Any) -> None:
+    """Refuse a dataset whose bytes lie in another file, or that claims more than its bytes can hold."""
+    if not isinstance(dataset, h5py.Dataset):
+        raise DatasetError(f"{place(dataset)} is not a dataset.", "The file is not in this layout.")
+    if dataset.shape is None or dataset.dtype.kind not in "iuf" or dataset.dtype.itemsize > 16:
+        raise DatasetError(
+            f"{place(dataset)} does not hold plain numbers.", "The file is not in this layout."
+        )
+    check_bytes(dataset)
+
+
+def _check_shape(dataset: Any, f: Field, length: int | None) -> None:
+    fixed = {"side": 2, "xy": 2}
+    wanted = tuple(
+        fixed.get(d, length if length is not None else dataset.shape[0]) for d in f.dims if dataset.shape
+    )
+    if len(dataset.shape) != len(f.dims) or tuple(dataset.shape) != wanted:
+        raise DatasetError(
+            f"{place(dataset)} has the shape {tuple(dataset.shape)}, not {wanted}.",
+            "The file is not in this layout.",
+        )
+    if f.dtype != "f8" and dataset.dtype.kind == "f":
+        raise DatasetError(
+            f"{place(dataset)} does not hold whole numbers.", "The file is not in this layout."
+        )
+
+
+def load(dataset: Any) -> npt.NDArray[Any]:
+    """Read all values of a dataset whose storage has been checked."""
+    try:
+        return np.asarray(dataset[()])
+    except (OSError, RuntimeError, ValueError) as error:
+        raise DatasetError(
+            f"{place(dataset)} cannot be read: the file is damaged.", "Make it again, or fetch a fresh copy."
+        ) from error
+
+
+def attribute(group: Any, name: str, kind: type[Any], default: Any = None) -> Any:
+    """Return a scalar attribute as `kind` (int, float or str).
+
+    Raises
+    ------
+    DatasetError
+        It is missing and there is no `default`, or it is of another kind.
+    """
+    if name not in group.attrs:
+        if default is not None:
+            return default
+        raise DatasetError(
+            f"{place(group)} lacks the attribute '{name}'.", "The file is not complete; make it again."
+        )
+    try:
+        return _as_kind(_scalar(group, name), kind)
+    except (TypeError, ValueError, OSError, RuntimeError, OverflowError) as error:
+        raise DatasetError(
+            f"{place(group)}: the attribute '{name}' is not a {_KIND_WORDS[kind]}.",
+            "The file is not in this layout.",
+        ) from error
+
+
+def _scalar(group: Any, name: str) -> Any:
+    if group.attrs.get_id(name).shape not in {(), (1,)}:
+        raise TypeError(name)
+    value = np.asarray(group.attrs[name]).reshape(())[()]
+    return value.decode() if isinstance(value, bytes) else value
+
+
+def _as_kind(value: Any, kind: type[Any]) -> Any:
+    if (kind is str) != isinstance(value, str):
+        raise TypeError(value)
+    return kind(value)
+
+
+_KIND_WORDS: dict[type[Any], str] = {int: "whole number", float: "number", str: "text"}
+
+
+def stamp(file: Any, kind: str, *, command: str, settings: Mapping[str, Any]) -> None:
+    """Write the root attributes that every file has."""
+    file.attrs["format"] = layout.FORMAT
+    file.attrs["format_version"] = layout.FORMAT_VERSION
+    file.attrs["kind"] = kind
+    file.attrs["software_version"] = __version__
+    file.attrs["created"] = datetime.now(UTC).isoformat(timespec="seconds")
+    file.attrs["command"] = command
+    file.attrs["settings"] = to_json(settings)
+    file.attrs["environment"] = to_json(versions())
+
+
+def to_json(value: Any) -> str:
+    """Write `value` as JSON; NumPy numbers, arrays, tuples and paths are taken as what they mean."""
+    return json.dumps(_plain(value), ensure_ascii=False)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [_plain(v) for v in value]
+    if isinstance(value, np.generic):
+        return value.item()
+    return str(value) if isinstance(value, Path) else value

@@ -1,0 +1,377 @@
+"""From imported series to a case."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack._errors import DatasetError, UsageError
+from gyrotrack._smoothing import angular_velocity, median_smooth
+from gyrotrack.io._records import Case, Floats, Series
+from gyrotrack.io.readers._points import Wanted
+from gyrotrack.io.readers._series import Table, read_table
+from gyrotrack.io.readers._text import Names
+
+TURN = 2 * np.pi
+GAP = 20.0
+_SMOOTHING = 31
+
+
+def is_wrapped(angle: Floats) -> bool:
+    """Tell whether all angles lie within one turn, as wrapped ones do."""
+    return bool(np.ptp(angle) <= TURN * (1 + 1e-6))
+
+
+def pieces(time: Floats) -> list[slice]:
+    """Return the pieces between gaps longer than 20 sample intervals."""
+    step = np.diff(time)
+    if not len(step):
+        return [slice(0, len(time))]
+    cuts = np.flatnonzero(step > GAP * np.median(step)) + 1
+    return [slice(int(a), int(b)) for a, b in zip([0, *cuts], [*cuts, len(time)], strict=True)]
+
+
+def unwrap(time: Floats, angle: Floats) -> tuple[Floats, list[float]]:
+    """Return the angles without steps of a turn, and the times of gaps in which a turn may be lost.
+
+    The speed is the running median of the wrapped differences of neighbours, which must be less than half a
+    turn apart; integrated, it predicts every sample, also across gaps, and whole turns are added to bring
+    the sample next to the prediction. A gap of length T is doubtful if the speed changes across it by so much
+    that the prediction may be off by a radian: |change| T / 8 > 1.
+    """
+    step = np.diff(time)
+    turned = np.angle(np.exp(1j * np.diff(angle)))
+    near = step < 1.5 * np.median(step)
+    middle = (time[1:] + time[:-1])[near] / 2
+    speed = np.interp(time, middle, median_smooth(turned[near] / step[near], _SMOOTHING))
+    increment = (speed[1:] + speed[:-1]) / 2 * step
+    prediction = np.concatenate([[0.0], np.cumsum(increment)])
+    unwrapped = np.unwrap(angle - prediction) + prediction
+    doubtful = np.abs(np.diff(speed)) * step / 8 > 1
+    return unwrapped, [float(t) for t in time[:-1][doubtful]]
+
+
+BLOCK = 15
+ORDER = 3
+NEIGHBOURS = 41
+FLOOR = 1e-6
+_MEDIAN_OF_CHI2 = 11 * (1 - 2 / (9 * 11)) ** 3 / 11  # median of chi2 / dof for dof = BLOCK - ORDER - 1 = 11
+
+
+def scatter(time: Floats, value: Floats) -> Floats:
+    """Return the uncertainty of each sample, from the residuals of short cubics.
+
+    In blocks of 15 samples a cubic is fitted; the running median over 41 blocks of the residual variance,
+    divided by the median of chi2 / dof, is robust against blocks with an outlier and follows slow changes.
+    What changes more slowly than a block (a centre that is off, a tilt) is not seen.
+
+    Parameters
+    ----------
+    time, value : ndarray, shape (n,)
+        The series, in pieces without 2 pi steps; n >= 8.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        One sigma, in the unit of `value`, never below 1e-6.
+    """
+    starts = np.arange(0, max(len(time) - BLOCK, 0) + 1, BLOCK)
+    centre = np.array([float(np.mean(time[i : i + BLOCK])) for i in starts])
+    variance = np.array([_residual_variance(time[i : i + BLOCK], value[i : i + BLOCK]) for i in starts])
+    half = NEIGHBOURS // 2
+    smooth = [np.median(variance[max(0, k - half) : k + half + 1]) for k in range(len(starts))]
+    sigma = np.sqrt(np.interp(time, centre, np.asarray(smooth)) / _MEDIAN_OF_CHI2)
+    floored: Floats = np.maximum(sigma, FLOOR)
+    return floored
+
+
+def _residual_variance(time: Floats, value: Floats) -> float:
+    if len(time) <= ORDER + 1:
+        return 0.0
+    width = max(float(np.ptp(time)), 1e-300)
+    basis = np.vander((time - time.mean()) / width, ORDER + 1)
+    residual = value - basis @ np.linalg.lstsq(basis, value, rcond=None)[0]
+    return float(residual @ residual) / (len(time) - ORDER - 1)
+
+
+SMOOTHING = 51  # points of the paper's medians
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One stretch of one table: s, rad and rad/s, all of shape (n,)."""
+
+    time: Floats
+    angle: Floats
+    sigma: Floats
+    omega: Floats
+    omega_sigma: Floats
+
+
+def pieces_of(table: Table, notes: list[str]) -> list[Piece]:
+    """Cut a table at its gaps and bring each piece to angles, speeds and their uncertainties.
+
+    Where the table has no sigma it is estimated from the scatter; what is doubtful is added to `notes`.
+    """
+    cuts = pieces(table.time)
+    value = table.value
+    if table.quantity == "angle" and is_wrapped(value):
+        value, doubtful = unwrap(table.time, value)
+        notes += [f"{table.path.name}: a turn may be lost in the gap after {t:.3f} s" for t in doubtful]
+    sigma = table.sigma
+    if sigma is None:
+        sigma = np.concatenate([scatter(table.time[cut], value[cut]) for cut in cuts])
+        notes.append(
+            f"{table.path.name}: sigma was estimated from the scatter, median {np.median(sigma):.2g}"
+        )
+    make = _from_angles if table.quantity == "angle" else _from_speeds
+    made = [make(table.time[cut], value[cut], sigma[cut]) for cut in cuts]
+    for piece in made:
+        if not np.isfinite(piece.omega).any():
+            start = f"{table.path.name}: the piece at {piece.time[0]:.3f} s"
+            notes.append(f"{start} is too short for the smoothed speed ({len(piece.time)} samples)")
+    return made
+
+
+def _from_angles(time: Floats, angle: Floats, sigma: Floats) -> Piece:
+    omega, omega_sigma = angular_velocity(time, angle, sigma, SMOOTHING)
+    return Piece(time, angle, sigma, omega, omega_sigma)
+
+
+def _from_speeds(time: Floats, omega: Floats, sigma: Floats) -> Piece:
+    """Integrate by the trapezium rule; the errors of the speeds add up along the way."""
+    step = np.diff(time)
+    angle = np.concatenate([[0.0], np.cumsum((omega[1:] + omega[:-1]) / 2 * step)])
+    share = np.concatenate([[step[0]], step]) * sigma
+    return Piece(time, angle, np.sqrt(np.cumsum(share**2)), omega, sigma)
+
+
+def series_of(parts: Sequence[Piece], sense: int) -> Series:
+    """Put pieces one after the other, each a window; angles and speeds are multiplied by `sense`."""
+    angle = np.concatenate([sense * part.angle for part in parts])
+    return Series(
+        time=np.concatenate([part.time for part in parts]),
+        angle=angle,
+        sigma=np.concatenate([part.sigma for part in parts]),
+        omega=np.concatenate([sense * part.omega for part in parts]),
+        omega_sigma=np.concatenate([part.omega_sigma for part in parts]),
+        turn=np.floor(angle / TURN).astype(np.int64),
+        window=np.concatenate([np.full(len(part.time), k, dtype=np.int64) for k, part in enumerate(parts)]),
+    )
+
+
+def no_series() -> Series:
+    """Return the series of a body that is not there."""
+    none, whole = np.zeros(0), np.zeros(0, dtype=np.int64)
+    return Series(none, none, none, none, none, whole, window=whole, sigma_source="given")
+
+
+def summary(case: Case) -> dict[str, Any]:
+    """Return what was imported in numbers: samples, times and sigmas of the casing and of each window."""
+    windows = (
+        case.rotor.window if case.rotor.window is not None else np.zeros(len(case.rotor.time), dtype=int)
+    )
+    key = "omega_sigma" if case.quantity == "omega" else "sigma"
+    rotor = [{"window": int(k), **_extent(case.rotor, windows == k, key)} for k in np.unique(windows)]
+    return {
+        "label": case.label,
+        "casing": {
+            **_extent(case.casing, np.ones(len(case.casing.time), dtype=bool), key),
+            "quantity": case.quantity,
+            "sigma_source": case.casing.sigma_source,
+        },
+        "rotor": {"windows": rotor, "quantity": case.quantity, "sigma_source": case.rotor.sigma_source},
+        "sense": case.extra["sense"],
+        "warnings": list(case.warnings),
+    }
+
+
+def _extent(series: Series, chosen: npt.NDArray[np.bool_], key: str) -> dict[str, Any]:
+    time, omega = series.time[chosen], series.omega[chosen]
+    known = omega[np.isfinite(omega)]
+    return {
+        "samples": len(time),
+        "t_start": float(time[0]),
+        "t_stop": float(time[-1]),
+        "omega_min": float(known.min()) if len(known) else None,
+        "omega_max": float(known.max()) if len(known) else None,
+        "median_sigma": float(np.median(getattr(series, key)[chosen])),
+    }
+
+
+I_ROTOR = 5.54e-5
+I_CASING = 2.06e-5
+
+
+def import_case(
+    casing: Path,
+    rotors: Sequence[Path],
+    *,
+    label: str = "",
+    surface: str = "",
+    I_rotor: float = I_ROTOR,
+    I_casing: float = I_CASING,
+    names: Names | None = None,
+    wanted: Sequence[Wanted] = (),
+) -> Case:
+    """Read tables of one experiment, all on one clock, and make a case of them.
+
+    Parameters
+    ----------
+    casing : Path
+        Table of the casing: time and angle, or time and angular velocity, with or without sigma.
+    rotors : sequence of Path
+        Tables of the rotor; a table with gaps longer than 20 sample intervals becomes several windows.
+    label, surface : str
+        Name of the case, and what the casing turned on.
+    I_rotor, I_casing : float
+        Moments of inertia [kg m2]; the paper's by default.
+    names : mapping, optional
+        What the columns of the tables mean, as `header.read_names` makes it.
+    wanted : sequence of Wanted, optional
+        How points become an angle: of the casing, then of each rotor table.
+
+    Returns
+    -------
+    Case
+        With angles growing in the sense in which the bodies turn; where a table had no sigma it is estimated
+        from the scatter, and where it had speeds they are kept as they are and the angle is their integral.
+
+    Raises
+    ------
+    DatasetError
+        A table is not sound, or the tables do not hold the same quantity.
+    UsageError
+        A moment of inertia is not positive, or there is no rotor table.
+    """
+    if not (I_rotor > 0 and I_casing > 0):
+        raise UsageError("A moment of inertia must be positive.", "Give it in kg m2, such as 5.54e-5.")
+    if not rotors:
+        raise UsageError("There is no table of the rotor.", "Give one with --rotor.")
+    paths = (casing, *rotors)
+    tables = [read_table(p, names, w) for p, w in zip(paths, wanted or [Wanted()] * len(paths), strict=True)]
+    quantity = _common_quantity(tables)
+    notes = [note for table in tables for note in table.notes]
+    body, *wheels = (pieces_of(table, notes) for table in tables)
+    windows = sorted((piece for wheel in wheels for piece in wheel), key=lambda piece: piece.time[0])
+    notes += _misplaced(body, windows)
+    sense, doubts = _sense(body, windows)
+    return Case(
+        I_rotor=I_rotor,
+        I_casing=I_casing,
+        label=label,
+        surface=surface,
+        casing=replace(series_of(body, sense), window=None, sigma_source=_sigma_source(tables[:1])),
+        rotor=replace(series_of(windows, sense), sigma_source=_sigma_source(tables[1:])),
+        quantity=quantity,
+        warnings=tuple(notes + doubts),
+        extra=_origins(tables, sense),
+    )
+
+
+def import_body(
+    table: Path,
+    inertia: float,
+    *,
+    label: str = "",
+    surface: str = "",
+    names: Names | None = None,
+    wanted: Wanted | None = None,
+) -> Case:
+    """Make a case of one body that spins down by itself: a wheel, or a bearing on a rig.
+
+    Parameters
+    ----------
+    table : Path
+        Its angles or speeds, as for `import_case`.
+    inertia : float
+        Its moment of inertia [kg m2].
+
+    Returns
+    -------
+    Case
+        With the body in the casing's place, `bodies` "one" and an empty rotor.
+
+    Raises
+    ------
+    DatasetError, UsageError
+        As for `import_case`.
+    """
+    if not inertia > 0:
+        raise UsageError("A moment of inertia must be positive.", "Give it in kg m2, such as 5.54e-5.")
+    read = read_table(table, names, wanted)
+    notes = list(read.notes)
+    parts = pieces_of(read, notes)
+    sense = 1 if sum(p.angle[-1] - p.angle[0] for p in parts) >= 0 else -1
+    if sense < 0:
+        notes.append("the body turns in the negative sense: all signs were reversed (sense -1)")
+    body = replace(series_of(parts, sense), window=None, sigma_source=_sigma_source([read]))
+    return Case(
+        I_rotor=inertia,
+        I_casing=inertia,
+        label=label,
+        surface=surface,
+        casing=body,
+        rotor=no_series(),
+        quantity=read.quantity,
+        bodies="one",
+        warnings=tuple(notes),
+        extra=_origins([read], sense),
+    )
+
+
+def _common_quantity(tables: list[Table]) -> str:
+    for table in tables[1:]:
+        if table.quantity != tables[0].quantity:
+            raise DatasetError(
+                f"{table.path} holds {table.quantity}, but {tables[0].path} holds {tables[0].quantity}.",
+                "Give angles in all tables, or angular velocities in all.",
+            )
+    return tables[0].quantity
+
+
+def _origins(tables: list[Table], sense: int) -> dict[str, Any]:
+    """Return what the case file keeps of the tables."""
+    return {
+        "sources": [{"file": str(t.path), "sha256": t.sha256, "samples": len(t.time)} for t in tables],
+        "sense": sense,
+        "smoothing_width": SMOOTHING if tables[0].quantity == "angle" else 1,
+    }
+
+
+def _sigma_source(tables: list[Table]) -> str:
+    origins = {"given" if table.sigma is not None else "estimated" for table in tables}
+    return origins.pop() if len(origins) == 1 else "mixed"
+
+
+def _misplaced(body: list[Piece], windows: list[Piece]) -> list[str]:
+    """Say which rotor windows overlap each other or lie outside the casing's record."""
+    found = []
+    start, stop = body[0].time[0], body[-1].time[-1]
+    for k, window in enumerate(windows):
+        if window.time[0] < start or window.time[-1] > stop:
+            span = f"{window.time[0]:.3f} to {window.time[-1]:.3f} s"
+            found.append(f"rotor window {k} ({span}) reaches beyond the casing's record")
+        if k and window.time[0] <= windows[k - 1].time[-1]:
+            found.append(f"rotor windows {k - 1} and {k} overlap in time: are all times on one clock?")
+    return found
+
+
+def _sense(body: list[Piece], windows: list[Piece]) -> tuple[int, list[str]]:
+    """Return the factor that makes the angles grow, and what is strange about the senses of rotation."""
+    turned = [[piece.angle[-1] - piece.angle[0] for piece in group] for group in (body, windows)]
+    casing, rotor = (int(np.sign(sum(angles))) for angles in turned)
+    doubts = []
+    if len({np.sign(angle) for angle in turned[1]}) > 1:
+        doubts.append("the rotor windows turn in different senses")
+    if casing * rotor < 0:
+        doubts.append("the casing turns against the rotor: check the signs of the tables")
+        return 1, doubts
+    if rotor < 0:
+        return -1, [*doubts, "both bodies turn in the negative sense: all signs were reversed (sense -1)"]
+    return 1, doubts

@@ -1,0 +1,191 @@
+"""Point files in HDF5: SLEAP, DeepLabCut.
+
+pandas stores them as a pickle, which is a program. Here its instructions are only looked at: those that make
+lists and tuples of words are followed, any other ends the reading.
+"""
+
+from __future__ import annotations
+
+import pickletools
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from gyrotrack._errors import DatasetError
+from gyrotrack.io._tables import check_storage, load
+from gyrotrack.io._validation import guarded
+from gyrotrack.io.readers._points import Points
+
+_MARK = object()
+_MOST = 10_000
+
+
+def listed_names(stored: bytes) -> list[tuple[str, ...]]:
+    """Return a stored list of tuples of words.
+
+    Raises
+    ------
+    DatasetError
+        It is anything else.
+    """
+    try:
+        found = _followed(bytes(stored))
+    except (ValueError, IndexError, KeyError, TypeError, UnicodeError) as error:
+        raise DatasetError("The names of the columns cannot be read.", "Export the points as CSV.") from error
+    if not isinstance(found, list) or not all(
+        isinstance(t, tuple) and t and all(isinstance(w, str) for w in t) for t in found
+    ):
+        raise DatasetError("The names of the columns are not a list of names.", "Export the points as CSV.")
+    return found
+
+
+def _followed(stored: bytes) -> Any:
+    stack: list[Any] = []
+    memo: dict[int, Any] = {}
+    argument: Any
+    for count, (code, argument, _) in enumerate(pickletools.genops(stored)):
+        if count > _MOST:
+            raise ValueError("too long")
+        name = code.name
+        if name in {"PROTO", "FRAME"}:
+            continue
+        if name == "STOP":
+            return stack.pop()
+        if name == "MARK":
+            stack.append(_MARK)
+        elif name in {"UNICODE", "BINUNICODE", "SHORT_BINUNICODE", "STRING", "BINSTRING", "SHORT_BINSTRING"}:
+            stack.append(str(argument))
+        elif name == "EMPTY_LIST":
+            stack.append([])
+        elif name in {"LIST", "TUPLE", "APPENDS"}:
+            _gather(stack, name)
+        elif name in {"TUPLE1", "TUPLE2", "TUPLE3"}:
+            size = int(name[-1])
+            stack[-size:] = [tuple(stack[-size:])]
+        elif name == "APPEND":
+            item = stack.pop()
+            stack[-1].append(item)
+        elif name in {"PUT", "BINPUT", "LONG_BINPUT"}:
+            memo[int(argument)] = stack[-1]
+        elif name == "MEMOIZE":
+            memo[len(memo)] = stack[-1]
+        elif name in {"GET", "BINGET", "LONG_BINGET"}:
+            stack.append(memo[int(argument)])
+        else:
+            raise ValueError(name)
+    raise ValueError("no end")
+
+
+def _gather(stack: list[Any], name: str) -> None:
+    place = max((i for i, item in enumerate(stack) if item is _MARK), default=-1)
+    if place < 0:
+        raise ValueError(name)
+    items = stack[place + 1 :]
+    del stack[place:]
+    if name == "APPENDS":
+        stack[-1].extend(items)
+    else:
+        stack.append(items if name == "LIST" else tuple(items))
+
+
+_FOREIGN = "SLEAP's analysis files and DeepLabCut's tables are read; a case is made with `gyrotrack sync`."
+
+
+def read_point_file(path: Path, sha256: str) -> Points:
+    """Read points from an HDF5 file that another program wrote.
+
+    Raises
+    ------
+    DatasetError
+        It is none of the two, is damaged, or leads out of itself.
+    """
+    try:
+        with h5py.File(path, "r", locking=False) as file:
+            guarded(file)
+            if {"tracks", "node_names"} <= set(file.keys()):
+                return _sleap(path, sha256, file)
+            table = file.get("df_with_missing/table")
+            if isinstance(table, h5py.Dataset):
+                return _deeplabcut(path, sha256, table)
+            frame = file.get("df_with_missing")
+            if isinstance(frame, h5py.Group) and "block0_values" in frame:
+                return _fixed(path, sha256, frame)
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError, IndexError) as error:
+        raise DatasetError(f"{path} cannot be read as points: {str(error)[:100]}.", _FOREIGN) from error
+    raise DatasetError(f"{path} is an HDF5 file, but holds no points of a kind that is known.", _FOREIGN)
+
+
+def _sleap(path: Path, sha256: str, file: Any) -> Points:
+    tracks, names = file["tracks"], file["node_names"]
+    check_storage(tracks)
+    if tracks.ndim != 4 or tracks.shape[1] != 2 or tracks.shape[2] != names.shape[0] or names.shape[0] > 1000:
+        raise DatasetError(
+            f"{path}: 'tracks' has the shape {tracks.shape}, not (1, 2, points, frames).", _FOREIGN
+        )
+    if tracks.shape[0] != 1:
+        raise DatasetError(
+            f"{path} holds {tracks.shape[0]} tracked instances.",
+            "Export one instance; a body is one of them.",
+        )
+    points = [n.decode("utf-8", "replace") if isinstance(n, bytes) else str(n) for n in names[()].tolist()]
+    values = np.asarray(load(tracks)[0], dtype=float)
+    sure: dict[str, Any] = {}
+    if "point_scores" in file and file["point_scores"].shape == (1, len(points), tracks.shape[3]):
+        check_storage(file["point_scores"])
+        scores = np.asarray(load(file["point_scores"])[0], dtype=float)
+        sure = dict(zip(points, scores, strict=True))
+    places = {name: values[:, i].T.copy() for i, name in enumerate(points)}
+    frames = np.arange(tracks.shape[3], dtype=float)
+    return Points(path, sha256, frames, places, sure, y_down=True, counted=True)
+
+
+def _deeplabcut(path: Path, sha256: str, table: Any) -> Points:
+    fields = set(table.dtype.names or ())
+    blocks = sorted(n for n in fields if n.startswith("values_block_"))
+    if table.ndim != 1 or "index" not in fields or blocks != ["values_block_0"]:
+        raise DatasetError(f"{path}: the table is not as DeepLabCut writes it.", "Export it as CSV.")
+    if table.nbytes > 2**31 or table.nbytes > table.id.get_storage_size() * 1100 + 2**22:
+        raise DatasetError(f"{path} claims {table.nbytes:,} bytes.", "The file is damaged or forged.")
+    names = listed_names(bytes(np.asarray(table.attrs["values_block_0_kind"])[()]))
+    rows = table[()]
+    return _points(path, sha256, names, rows["values_block_0"], rows["index"])
+
+
+def _fixed(path: Path, sha256: str, frame: Any) -> Points:
+    """Read a table in the other form that pandas has, as older DeepLabCut and `movement` write it."""
+    values, index = frame["block0_values"], frame["axis1"]
+    for dataset in (values, index):
+        check_storage(dataset)
+    if "block1_values" in frame or index.shape != values.shape[:1]:
+        raise DatasetError(f"{path}: the table is not as DeepLabCut writes it.", "Export it as CSV.")
+    levels = []
+    for k in range(int(frame.attrs["block0_items_nlevels"])):
+        words, labels = (frame[f"block0_items_{what}{k}"] for what in ("level", "label"))
+        if words.dtype.kind != "S" or labels.dtype.kind not in "iu" or labels.ndim != 1:
+            raise DatasetError(f"{path}: the table is not as DeepLabCut writes it.", "Export it as CSV.")
+        known = [w.decode("utf-8", "replace") for w in words[()].tolist()]
+        levels.append([known[i] for i in labels[()].tolist()])
+    return _points(path, sha256, list(zip(*levels, strict=True)), load(values), load(index))
+
+
+def _points(path: Path, sha256: str, names: list[tuple[str, ...]], columns: Any, index: Any) -> Points:
+    values = np.asarray(columns, dtype=float)
+    if values.ndim != 2 or len(names) != values.shape[1]:
+        raise DatasetError(f"{path}: {len(names)} names for {values.shape[1:]} columns.", "Export it as CSV.")
+    points: dict[str, dict[str, Any]] = {}
+    individuals = {name[1] for name in names if len(name) == 4}
+    first = 2 if len(individuals) == 1 else 1
+    for i, name in enumerate(names):
+        points.setdefault(".".join(name[first:-1]), {})[name[-1]] = values[:, i]
+    whole = {n: p for n, p in points.items() if {"x", "y"} <= set(p)}
+    return Points(
+        path,
+        sha256,
+        np.asarray(index, dtype=float),
+        {n: np.stack([p["x"], p["y"]], axis=1) for n, p in whole.items()},
+        {n: p["likelihood"] for n, p in whole.items() if "likelihood" in p},
+        y_down=True,
+        counted=True,
+    )

@@ -1,0 +1,188 @@
+"""Points followed by another program, and the angle of one about another."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gyrotrack._errors import DatasetError, UsageError
+from gyrotrack.io._records import Floats
+
+CENTRES = ("centre", "center", "axis", "axle", "hub", "origin", "middle", "pivot")
+ORBIT = "orbit"
+FEWEST = 8
+
+
+@dataclass(frozen=True)
+class Points:
+    """Named points in every frame.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    time : ndarray, shape (n,)
+        Times [s], or numbers of frames where `counted`.
+    places : dict of ndarray, shape (n, 2)
+        x and y of each point; NaN where it was not seen.
+    likelihood : dict of ndarray, shape (n,)
+        How sure the other program was, 0 to 1; empty if it does not say.
+    y_down : bool
+        Whether y grows downwards, as in pictures.
+    counted : bool
+        Whether `time` counts frames.
+    """
+
+    path: Path
+    sha256: str
+    time: Floats
+    places: Mapping[str, Floats]
+    likelihood: Mapping[str, Floats]
+    y_down: bool
+    counted: bool
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """How points become an angle.
+
+    Attributes
+    ----------
+    marker, centre : str or None
+        Names of points; the centre may also be a place, "12.5,40", or "orbit": the middle of the marker's path.
+    fps : float or None
+        Frames a second, where a file counts frames.
+    start : float
+        Time of the first frame [s], added to all times.
+    likelihood : float
+        Points that are less sure than this are left out.
+    """
+
+    marker: str | None = None
+    centre: str | None = None
+    fps: float | None = None
+    start: float = 0.0
+    likelihood: float = 0.6
+
+
+@dataclass(frozen=True)
+class Turning:
+    """A point's angle [rad] about a centre, counter-clockwise as seen, wrapped; NaN where it is not known."""
+
+    time: Floats
+    angle: Floats
+    notes: tuple[str, ...]
+
+
+def angle_of(points: Points, wanted: Wanted) -> Turning:
+    """Return the angle of the marker about the centre: atan2(y - y0, x - x0), with y upwards.
+
+    Raises
+    ------
+    UsageError
+        The marker or the rate is not known, or a name is none of the points.
+    DatasetError
+        The marker does not go about the centre, or is hardly ever seen.
+    """
+    time = points.time.astype(float)
+    if points.counted:
+        if not (wanted.fps and wanted.fps > 0):
+            raise UsageError(
+                f"{points.path} counts frames and does not say at what rate they were captured.",
+                "Give the rate with --casing-fps or --rotor-fps.",
+            )
+        time = time / wanted.fps
+    named_centre = _centre_name(points, wanted)
+    name = _marker_name(points, wanted, named_centre)
+    place = np.where(_sure(points, name, wanted), points.places[name].T, np.nan).T
+    centre, where = _centre(points, wanted, named_centre, place)
+    arm = place - centre
+    seen = np.isfinite(arm).all(axis=1)
+    if seen.sum() < FEWEST:
+        raise DatasetError(
+            f"{points.path}: '{name[:40]}' is seen in {seen.sum()} frames; at least {FEWEST} are needed.",
+            "Check the name of the point and the likelihood asked for.",
+        )
+    length = np.hypot(*arm.T)
+    if np.nanmin(length) < 0.2 * np.nanmedian(length):
+        raise DatasetError(
+            f"{points.path}: '{name[:40]}' does not stay away from {where}, so that its angle means nothing.",
+            "Name the centre with --centre, as a point or as a place: --centre 320,240.",
+        )
+    up = -arm[:, 1] if points.y_down else arm[:, 1]
+    notes = (f"{points.path.name}: angle of '{name}' about {where}",)
+    return Turning(time + wanted.start, np.arctan2(up, arm[:, 0]), notes)
+
+
+def _centre_name(points: Points, wanted: Wanted) -> str | None:
+    if wanted.centre is None:
+        return next((n for n in points.places if n.casefold() in CENTRES), None)
+    if wanted.centre == ORBIT or _as_place(wanted.centre) is not None:
+        return None
+    return _known(points, wanted.centre)
+
+
+def _marker_name(points: Points, wanted: Wanted, centre: str | None) -> str:
+    if wanted.marker is not None:
+        return _known(points, wanted.marker)
+    others = [n for n in points.places if n != centre]
+    if len(others) != 1:
+        raise UsageError(
+            f"{points.path} holds the points {_list(others)}.", "Say which one to follow with --marker."
+        )
+    return others[0]
+
+
+def _known(points: Points, name: str) -> str:
+    if name not in points.places:
+        raise UsageError(
+            f"{points.path} has no point '{name[:40]}'.", f"It has: {_list(list(points.places))}."
+        )
+    return name
+
+
+def _sure(points: Points, name: str, wanted: Wanted) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    if name not in points.likelihood:
+        return np.ones(len(points.time), dtype=bool)
+    return np.asarray(points.likelihood[name] >= wanted.likelihood)
+
+
+def _centre(points: Points, wanted: Wanted, name: str | None, place: Floats) -> tuple[Floats, str]:
+    if name is not None:
+        return np.where(_sure(points, name, wanted), points.places[name].T, np.nan).T, f"'{name}'"
+    fixed = _as_place(wanted.centre or "")
+    if fixed is not None:
+        return fixed, f"({fixed[0]:g}, {fixed[1]:g})"
+    found = circle_centre(place)
+    return found, f"the middle of its path, ({found[0]:.4g}, {found[1]:.4g})"
+
+
+def circle_centre(place: Floats) -> Floats:
+    """Return the centre of the circle through points (n, 2), by linear least squares (Kasa's fit).
+
+    x^2 + y^2 = 2 a x + 2 b y + c is linear in the centre (a, b); I. Kasa, IEEE Trans. Instrum. Meas. 25, 8 (1976).
+    Over whole turns its bias, of the order noise^2 / radius, is far below the noise.
+    """
+    known = place[np.isfinite(place).all(axis=1)]
+    if len(known) < 3:
+        return np.full(2, np.nan)
+    middle = known.mean(axis=0)
+    x = known - middle
+    design = np.column_stack([2 * x, np.ones(len(x))])
+    solution, *_ = np.linalg.lstsq(design, (x**2).sum(axis=1), rcond=None)
+    return np.asarray(middle + solution[:2])
+
+
+def _as_place(text: str) -> Floats | None:
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError:
+        return None
+    return np.array([x, y]) if np.isfinite(x) and np.isfinite(y) else None
+
+
+def _list(names: list[str]) -> str:
+    return ", ".join(f"'{n[:40]}'" for n in names[:12]) or "none"

@@ -1,0 +1,1 @@
+"""One clock for all cameras, from the angle of the casing, which every film shows."""

@@ -1,0 +1,270 @@
+"""The exact answers that belong to a rendered film.
+
+They are returned to whoever draws the film, and written to a file of their own only when that is asked for;
+no command reads such a file by itself.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrotrack._errors import OutputError
+from gyrotrack.synthetic._film import Film, write_film
+from gyrotrack.synthetic._motion import Motion
+from gyrotrack.synthetic._render import Renderer
+from gyrotrack.synthetic._scene import Camera, Light, Marker, Scene
+
+Array = NDArray[np.float64]
+
+COVER_STEPS = 4096  # relative angles of rotor and casing at which the hidden share of a paper is counted
+COVER_RADII = 96
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What a perfect tracker would find in a film of n frames.
+
+    Attributes
+    ----------
+    time : (n,) array
+        True time in s of the middle of each exposure.
+    clip_time : (n,) array
+        The same on the camera's own clock, ``k / fps``; ``time = clock_offset + clock_rate * clip_time``.
+    clock_offset, clock_rate : float
+        True time of frame 0 in s, and true seconds per second of the camera.
+    angle, omega : dict of (n,) arrays
+        For "rotor" and "casing": angle in rad, unwrapped, growing as the bodies turn, and speed in rad/s.
+    centre : (n, 2) array
+        Picture of the axis in px.
+    corners : dict of (n, 4, 2) arrays
+        For each paper the corners in px at the middle of the exposure: near, near, far, far, going round it.
+        The first of the near ones has the smaller angle in the sense in which the bodies turn.
+    visible : dict of (n,) arrays
+        For each paper the share of its area, 0 to 1, that is neither hidden by the casing nor outside the
+        picture; the casing's share is averaged over the exposure.
+    sense : int
+        +1 if the bodies turn counter-clockwise as seen, -1 if clockwise.
+    """
+
+    time: Array
+    clip_time: Array
+    clock_offset: float
+    clock_rate: float
+    angle: Mapping[str, Array]
+    omega: Mapping[str, Array]
+    centre: Array
+    corners: Mapping[str, Array]
+    visible: Mapping[str, Array]
+    sense: int
+
+    def save(self, path: Path) -> None:
+        """Write the truth as .npz (no pickled objects) or, by the ending of the name, as .json."""
+        path = Path(path)
+        arrays, scalars = self._flat()
+        if path.suffix == ".json":
+            lists = {name: array.tolist() for name, array in arrays.items()}
+            path.write_text(json.dumps({**scalars, **lists}), encoding="utf-8")
+            return
+        with path.open("wb") as handle:
+            np.savez_compressed(handle, allow_pickle=False, scalars=np.array(json.dumps(scalars)), **arrays)
+
+    def _flat(self) -> tuple[dict[str, Array], dict[str, Any]]:
+        arrays: dict[str, Array] = {"time": self.time, "clip_time": self.clip_time, "centre": self.centre}
+        for kind in ("angle", "omega", "corners", "visible"):
+            arrays.update({f"{kind}.{name}": array for name, array in getattr(self, kind).items()})
+        scalars = {"clock_offset": self.clock_offset, "clock_rate": self.clock_rate, "sense": self.sense}
+        return arrays, scalars
+
+
+def load_truth(path: Path) -> Truth:
+    """Read what `Truth.save` wrote."""
+    path = Path(path)
+    if path.suffix == ".json":
+        content = json.loads(path.read_text(encoding="utf-8"))
+        scalars = {key: content.pop(key) for key in ("clock_offset", "clock_rate", "sense")}
+        arrays = {name: np.asarray(values, dtype=np.float64) for name, values in content.items()}
+    else:
+        with np.load(path, allow_pickle=False) as held:
+            scalars = json.loads(str(held["scalars"]))
+            arrays = {name: held[name] for name in held.files if name != "scalars"}
+    groups: dict[str, dict[str, Array]] = {"angle": {}, "omega": {}, "corners": {}, "visible": {}}
+    for name in [n for n in arrays if "." in n]:
+        kind, _, item = name.partition(".")
+        groups[kind][item] = arrays.pop(name)
+    return Truth(
+        time=arrays["time"],
+        clip_time=arrays["clip_time"],
+        clock_offset=float(scalars["clock_offset"]),
+        clock_rate=float(scalars["clock_rate"]),
+        angle=groups["angle"],
+        omega=groups["omega"],
+        centre=arrays["centre"],
+        corners=groups["corners"],
+        visible=groups["visible"],
+        sense=int(scalars["sense"]),
+    )
+
+
+def find_truth(scene: Scene, motion: Motion, camera: Camera, frames: int) -> Truth:
+    """Compute the truth of a film of so many frames, without drawing it."""
+    time = camera.times(frames)
+    shift = scene.wobble.shift(time)
+    angle = {"rotor": motion.psi_rotor(time), "casing": motion.psi_casing(time)}
+    corners, visible = {}, {}
+    for marker in scene.markers:
+        turned = camera.turn(marker.corners(), angle[marker.body]) + shift[:, None]
+        corners[marker.name] = camera.project(turned)
+        share = _inside_picture(corners[marker.name], camera)
+        visible[marker.name] = share * _uncovered(scene, marker, motion, camera, time)
+    return Truth(
+        time=time,
+        clip_time=np.arange(frames) / camera.fps,
+        clock_offset=camera.start,
+        clock_rate=camera.rate,
+        angle=angle,
+        omega={"rotor": motion.omega_rotor(time), "casing": motion.omega_casing(time)},
+        centre=camera.project(shift),
+        corners=corners,
+        visible=visible,
+        sense=camera.sense,
+    )
+
+
+def _uncovered(scene: Scene, marker: Marker, motion: Motion, camera: Camera, time: Array) -> Array:
+    """Share of a rotor's paper that the casing leaves open, averaged over the exposure, (n,)."""
+    if marker.body == "casing":
+        return np.ones(time.shape)
+    share = _share_against_angle(scene, marker)
+    step = 2.0 * np.pi / COVER_STEPS
+    running = np.concatenate([[0.0], np.cumsum(share)]) * step
+    turn = running[-1]
+
+    def integral(relative: Array) -> Array:
+        whole, rest = np.divmod(relative + 0.5 * step, 2.0 * np.pi)  # a step is centred
+        return np.asarray(whole * turn + np.interp(rest, np.arange(COVER_STEPS + 1) * step, running))
+
+    half = 0.5 * camera.exposure
+    ends = [motion.psi_rotor(time + late) - motion.psi_casing(time + late) for late in (-half, half)]
+    swept = ends[1] - ends[0]
+    still = np.abs(swept) < step
+    middle = 0.5 * (ends[0] + ends[1])
+    narrow = (integral(middle + 0.5 * step) - integral(middle - 0.5 * step)) / step
+    wide = (integral(ends[1]) - integral(ends[0])) / np.where(still, 1.0, swept)
+    return np.where(still, narrow, wide)
+
+
+def _share_against_angle(scene: Scene, marker: Marker) -> Array:
+    """Open share of a rotor's paper at psi_r - psi_c = 2 pi k / COVER_STEPS: a cyclic correlation."""
+    reach = np.hypot(*marker.corners().T)
+    low = marker.near * np.cos(marker.skew) - 0.5 * marker.base * abs(np.sin(marker.skew))
+    edges = np.linspace(low, reach.max(), COVER_RADII + 1)
+    r = 0.5 * (edges[1:] + edges[:-1])[:, None]
+    theta = np.arange(COVER_STEPS) * (2.0 * np.pi / COVER_STEPS)
+    x, y = r * np.cos(theta), r * np.sin(theta)
+    along, across = marker.local(x, y)
+    paper = (along >= 0.0) & (along <= marker.length) & (np.abs(across) <= 0.5 * marker.base)
+    weight = np.fft.rfft(paper * r, axis=1)
+    cover = np.fft.rfft(scene.casing_covers(x, y).astype(np.float64), axis=1)
+    hidden = np.fft.irfft(np.conj(weight) * cover, COVER_STEPS, axis=1).sum(axis=0)
+    return np.asarray(np.clip(1.0 - hidden / (paper * r).sum(), 0.0, 1.0))
+
+
+def _inside_picture(corners: Array, camera: Camera) -> Array:
+    """Share of each paper's picture that lies within the frame, (n,)."""
+    low, high = np.array([-0.5, -0.5]), np.array([camera.width - 0.5, camera.height - 0.5])
+    share = np.ones(len(corners))
+    frame = np.array([low, [high[0], low[1]], high, [low[0], high[1]]], dtype=np.float32)
+    for k in np.flatnonzero(np.any((corners < low) | (corners > high), axis=(1, 2))):
+        paper = corners[k].astype(np.float32)
+        common, _ = cv2.intersectConvexConvex(paper, frame)
+        share[k] = common / cv2.contourArea(paper)
+    return share
+
+
+Progress = Callable[[int, int | None], None]
+
+
+def render_clip(
+    path: Path,
+    scene: Scene,
+    motion: Motion,
+    camera: Camera,
+    light: Light | None = None,
+    *,
+    frames: int,
+    film: Film | None = None,
+    seed: int = 0,
+    truth: Path | None = None,
+    force: bool = False,
+    progress: Progress | None = None,
+) -> Truth:
+    """Draw a film of a scene with a known motion, and return what a perfect tracker would find in it.
+
+    Parameters
+    ----------
+    path : Path
+        The mp4 file to write.
+    scene, motion, camera, light
+        What is drawn: see `Scene`, `Motion`, `Camera`, `Light`.
+    frames : int
+        Length of the film; ``camera.start`` is the true time of its first frame.
+    film : Film, optional
+        Quality and kind of the compression.
+    seed : int
+        The same seed draws the same film.
+    truth : Path, optional
+        Where to write the truth as well (.npz or .json). Without it the truth is only returned.
+    force : bool
+        Replace existing files.
+    progress : callable, optional
+        Called with (frames drawn, frames in all).
+
+    Raises
+    ------
+    OutputError
+        If a file exists already or cannot be written.
+    ValueError
+        If the motion is not known over the whole film.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from gyrotrack.synthetic import Camera, Motion, Scene, render_clip
+    >>> motion = Motion.constant(omega_rotor=400.0, omega_casing=60.0)
+    >>> truth = render_clip(Path("casing.mp4"), Scene(), motion, Camera(), frames=260)  # doctest: +SKIP
+    """
+    if truth is not None and Path(truth).exists() and not force:
+        raise OutputError(f"{truth} exists already.", "Give another name, or ask for it to be replaced.")
+    renderer = Renderer(scene, motion, camera, light, seed=seed)
+    write_film(
+        path,
+        _counted(renderer.frames(frames), frames, progress),
+        width=camera.width,
+        height=camera.height,
+        fps=camera.fps,
+        container_fps=camera.container_fps,
+        film=film,
+        force=force,
+    )
+    answers = find_truth(scene, motion, camera, frames)
+    if truth is not None:
+        answers.save(Path(truth))
+    return answers
+
+
+def _counted(
+    pictures: Iterator[NDArray[np.uint8]], total: int, progress: Progress | None
+) -> Iterator[NDArray[np.uint8]]:
+    """Pass pictures on and tell how many."""
+    for done, picture in enumerate(pictures, start=1):
+        yield picture
+        if progress is not None:
+            progress(done, total)

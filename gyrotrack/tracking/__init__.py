@@ -1,0 +1,1 @@
+"""From frames to angles: scene, markers, matching, association, uncertainty."""

@@ -1,0 +1,566 @@
+"""Acquisition: which marker turns about which centre, and how it looks.
+
+Nothing is known beforehand but the names of colours. First blobs that change from frame to frame are
+collected for each colour, and the point that they circle; then the disc at that point; then, in rings
+unrolled about it, each paper with its radii, width and true shade (`papers`).
+
+A centre that is wrong by n makes a marker's radius wrong by -n . r, with r the direction of the marker: a marker on
+one side seems too near, one on the other too far. Encoders hold the disc at the centre in place while it creeps, and
+then its own image tells nothing, but the radii of all markers over some dozen frames do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack._column_store import new_columns, stretches
+from gyrotrack._errors import TrackingError
+from gyrotrack._smoothing import spread
+from gyrotrack.tracking._colour import Blob, chroma_direction, find_blobs, hue_score
+from gyrotrack.tracking._hub import LEAST_SIGMA, CentrePath
+from gyrotrack.tracking._orbit import Orbit, common_centre
+from gyrotrack.tracking._polar import Ring, boxed
+from gyrotrack.tracking._profile import MarkerProfile, Profile
+from gyrotrack.tracking._scene import Disc, Paper, Samples, Scene
+
+Floats = npt.NDArray[np.float64]
+Strips = npt.NDArray[np.float32]
+
+REACH = 1.2
+"""Angle in rad to each side of a marker that is cut out."""
+
+
+@dataclass(frozen=True)
+class Extent:
+    """Where a patch stands above half of its height.
+
+    Attributes
+    ----------
+    rows : ndarray of bool
+        Rows of the ring on the marker.
+    inner, outer : float
+        The radii between which it lies, in px.
+    half_width : float
+        Half its width in rad.
+    lean : int
+        Columns by which its middle lies beside the middle of the patch.
+    foot : float
+        Angle in rad from its middle to where it has fallen to a tenth of its height.
+    """
+
+    rows: npt.NDArray[np.bool_]
+    inner: float
+    outer: float
+    half_width: float
+    lean: int
+    foot: float = 0.0
+
+    def core(self, columns: int, step: float) -> npt.NDArray[np.bool_]:
+        """Return the pixels of a patch that lie well on the marker, (rows, columns)."""
+        x = (np.arange(columns) - columns // 2 - self.lean) * step
+        return np.asarray(self.rows[:, None] & (np.abs(x) < 0.6 * self.half_width)[None, :])
+
+
+def aligned(score: Strips, column: npt.NDArray[np.int64], use: npt.NDArray[np.bool_]) -> Floats:
+    """Average the strips with the marker brought to the middle, `REACH` to each side: (rows, columns)."""
+    columns = score.shape[2]
+    reach = int(REACH / (2.0 * np.pi) * columns)
+    index = (column[use][:, None] + np.arange(-reach, reach + 1)) % columns
+    patch = np.take_along_axis(score[use], index[:, None, :], axis=2)
+    return np.asarray(patch.mean(axis=0), dtype=np.float64)
+
+
+def extent_of(patch: Floats, ring: Ring) -> Extent | None:
+    """Measure where a patch stands above half of its height; None where nothing stands out."""
+    middle = patch.shape[1] // 2
+    near = max(int(0.05 / ring.step), 1)
+    along = patch[:, middle - near : middle + near + 1].mean(axis=1)
+    if along.max() <= 0.0:
+        return None
+    first, last = half_maximum(along, int(np.argmax(along)))
+    rows = np.zeros(ring.rows, dtype=np.bool_)
+    rows[int(np.ceil(first)) : int(np.floor(last)) + 1] = True
+    if not rows.any():
+        rows[int(np.argmax(along))] = True
+    across = patch[rows].mean(axis=0)
+    across = across - min(float(np.median(across)), 0.3 * float(across.max()))
+    left, right = half_maximum(across, middle)
+    low, high = half_maximum(across, middle, 0.1)
+    spacing = (ring.outer - ring.inner) / (ring.rows - 1)
+    half_width = max(0.5 * (right - left), 0.5) * ring.step
+    lean = round(0.5 * (left + right)) - middle
+    foot = 0.5 * (high - low) * ring.step
+    return Extent(rows, ring.inner + first * spacing, ring.inner + last * spacing, half_width, lean, foot)
+
+
+def half_maximum(curve: Floats, start: int, part: float = 0.5) -> tuple[float, float]:
+    """Return where a curve falls to half (or another part) of its height near `start`, on both sides of it."""
+    half = part * float(curve[max(start - 1, 0) : start + 2].max())
+    return start - _fall(curve[start::-1], half), start + _fall(curve[start:], half)
+
+
+def _fall(curve: Floats, level: float) -> float:
+    """Return where a curve first falls to a level, at its end if it never does."""
+    below = np.flatnonzero(curve[1:] <= level)
+    if not len(below):
+        return float(len(curve) - 1)
+    k = int(below[0])
+    return k + float(np.clip((curve[k] - level) / max(float(curve[k] - curve[k + 1]), 1e-9), 0.0, 1.0))
+
+
+LEAST_CONTRAST = 6.0
+"""Grey levels by which a paper must differ from its surroundings."""
+LONGEST_STAY = 0.3
+"""Share of the samples beyond which a paper over one direction spoils the median as a background."""
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """One marker in the samples: the paper, its angle in each sample (rad), and where it was seen clearly."""
+
+    paper: Paper
+    angle: Floats
+    clear: npt.NDArray[np.bool_]
+
+
+class Rings:
+    """Unrolled chroma of the samples, and how it differs from what usually lies there.
+
+    Parameters
+    ----------
+    strips : ndarray of uint8, shape (2, n, rows, columns)
+        Chroma of each sample.
+    ring : Ring
+        Where they were unrolled.
+    """
+
+    def __init__(self, strips: npt.NDArray[np.uint8], ring: Ring) -> None:
+        self.strips, self.ring = strips, ring
+
+    @cached_property
+    def usual(self) -> Strips:
+        """Median of the samples at every place, (2, rows, columns)."""
+        return np.asarray(np.median(self.strips, axis=1), dtype=np.float32)
+
+    @cached_property
+    def unusual(self) -> Strips:
+        """Difference of each sample from it."""
+        return np.asarray(self.strips - self.usual[:, None], dtype=np.float32)
+
+    @cached_property
+    def uneven(self) -> Strips:
+        """Difference from the median round each ring, where something stands too long over one place."""
+        ground = np.asarray(np.median(self.strips, axis=3, keepdims=True), dtype=np.float32)
+        return np.asarray(self.strips - ground, dtype=np.float32)
+
+
+def find_coloured(rings: Rings, marker: MarkerProfile) -> Sighting | None:
+    """Find a coloured paper in rings about the centre.
+
+    The background is the median of the samples at every place; where the paper stood too long over one place,
+    the median round each ring instead.
+    """
+    seen = _sight(rings.unusual, rings.ring, marker)
+    if seen is None or seen.paper.stay > LONGEST_STAY:
+        standing = _sight(rings.uneven, rings.ring, marker)
+        seen = standing if standing is not None else seen
+    return seen
+
+
+def _sight(difference: Strips, ring: Ring, marker: MarkerProfile) -> Sighting | None:
+    direction = chroma_direction(marker.colour, marker.hue)
+    score = np.stack([hue_score(u, v, direction) for u, v in zip(*difference, strict=True)])
+    extent = Extent(np.ones(ring.rows, dtype=np.bool_), ring.inner, ring.outer, 0.15, 0)
+    for _ in range(3):
+        half = int(max(extent.half_width / ring.step, 1))
+        column, clear = _brightest(score[:, extent.rows].mean(axis=1), half)
+        patch = aligned(score, column, clear)
+        found = extent_of(patch, ring)
+        if found is None:
+            return None
+        extent = found
+    core = extent.core(patch.shape[1], ring.step)
+    u, v = (float(aligned(part, column, clear)[core].mean()) for part in difference)
+    if np.hypot(u, v) < LEAST_CONTRAST or clear.mean() < 0.1:
+        return None
+    coarse = np.asarray((column + extent.lean) * ring.step, dtype=np.float64)
+    angle = _refined(score[:, extent.rows].mean(axis=1), coarse, extent.half_width, ring)
+    paper = Paper(
+        name=marker.name,
+        body=marker.body,
+        colour=marker.colour,
+        inner=extent.inner,
+        outer=extent.outer,
+        half_width=extent.half_width,
+        contrast=(u, v),
+        foot=extent.foot,
+        stay=_stay(angle, 1.3 * extent.half_width),
+    )
+    return Sighting(paper, angle, clear)
+
+
+def _brightest(profile: Strips, half: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+    """Return the brightest direction of each sample, and where it is about as bright as in most others."""
+    mean = boxed(profile, half)
+    column = np.argmax(mean, axis=1)
+    peak = mean[np.arange(len(mean)), column]
+    return column, peak > 0.5 * float(np.median(np.sort(peak)[len(peak) // 2 :]))
+
+
+def _stay(angle: Floats, reach: float) -> float:
+    """Return the largest share of the samples that lie within `reach` of one direction."""
+    apart = np.abs(np.angle(np.exp(1j * (angle[:, None] - angle[None, :]))))
+    return float((apart < reach).mean(axis=0).max())
+
+
+def _refined(profile: Strips, angle: Floats, half_width: float, ring: Ring) -> Floats:
+    """Replace coarse angles by the centroid of the score around them."""
+    reach = int(np.ceil(1.5 * half_width / ring.step)) + 1
+    start = np.rint(angle / ring.step).astype(int)
+    offset = np.arange(-reach, reach + 1)
+    window = np.take_along_axis(profile, (start[:, None] + offset) % ring.columns, axis=1).astype(np.float64)
+    window -= window.min(axis=1, keepdims=True)
+    shift = (window @ offset) / np.maximum(window.sum(axis=1), 1e-9)
+    return np.asarray((start + shift) * ring.step)
+
+
+def find_white(samples: Samples, ring: Ring, marker: MarkerProfile, others: list[Sighting]) -> Paper | None:
+    """Find a white paper by the coloured markers of the same body, `others`.
+
+    Every frame of the head is turned back by the body's angle, after what stands still in the picture was
+    taken off; in the median of these, table, lamps and bar are gone.
+    """
+    body = _body_angles(others, samples.head)
+    use = np.isfinite(body)
+    if use.sum() < 8:
+        return None
+    luma = samples.luma_strips(ring).astype(np.float32)
+    luma -= np.median(luma, axis=0)
+    column = np.rint(body[use] / ring.step).astype(np.int64)
+    index = (column[:, None] + np.arange(ring.columns)) % ring.columns
+    turned = np.median(np.take_along_axis(luma[use], index[:, None, :], axis=2), axis=0).astype(np.float64)
+    turned -= np.median(turned, axis=1, keepdims=True)
+    for seen in others:
+        _blank(turned, ring, seen.paper)
+    return _brightest_place(turned, ring, marker, others)
+
+
+def _body_angles(others: list[Sighting], head: int) -> Floats:
+    """Combine sightings into the body's angle in each frame of the head; NaN where none is clear."""
+    total = np.zeros(head, dtype=np.complex128)
+    for seen in others:
+        total += np.where(seen.clear[:head], np.exp(1j * (seen.angle[:head] - seen.paper.mount)), 0.0)
+    return np.where(np.abs(total) > 0.5, np.angle(total), np.nan)
+
+
+def _blank(turned: Floats, ring: Ring, paper: Paper) -> None:
+    angle = np.arange(ring.columns) * ring.step
+    apart = np.abs(np.angle(np.exp(1j * (angle - paper.mount))))
+    turned[:, apart < 1.6 * paper.half_width] = 0.0
+
+
+def _brightest_place(
+    turned: Floats, ring: Ring, marker: MarkerProfile, others: list[Sighting]
+) -> Paper | None:
+    """Pick the bright patch that is most like the body's other papers in size and radius."""
+    inner = min(seen.paper.inner for seen in others)
+    outer = max(seen.paper.outer for seen in others)
+    half_width = float(np.median([seen.paper.half_width for seen in others]))
+    rows = (ring.radii >= inner) & (ring.radii <= outer)
+    if not rows.any():
+        return None
+    mean = boxed(turned[rows].mean(axis=0)[None, :], int(max(half_width / ring.step, 1)))
+    column = np.argmax(mean, axis=1)
+    patch = aligned(np.maximum(turned, 0.0)[None].astype(np.float32), column, np.array([True]))
+    extent = extent_of(patch, ring)
+    if extent is None or extent.half_width > 2.5 * half_width + 0.05:
+        return None
+    contrast = float(patch[extent.core(patch.shape[1], ring.step)].mean())
+    if contrast < max(LEAST_CONTRAST, 1.5 * float(np.std(turned[rows]))):
+        return None
+    return Paper(
+        name=marker.name,
+        body=marker.body,
+        colour=marker.colour,
+        inner=extent.inner,
+        outer=extent.outer,
+        half_width=extent.half_width,
+        contrast=(contrast, 0.0),
+        foot=extent.foot,
+        mount=float((column[0] + extent.lean) * ring.step),
+    )
+
+
+FAINTEST = 0.12
+"""Share of the strongest marker's contrast below which a colour is only a tinge."""
+LEAST_SIZE = 4.5
+"""Smallest side of a paper in px."""
+WIDEST = 0.8
+"""Half width in rad beyond which a marker is smeared too far to be followed."""
+
+
+def find_papers(
+    samples: Samples, profile: Profile, centre: tuple[float, float], disc: Disc | None, radius: float | None
+) -> dict[str, Paper]:
+    """Find the markers of a profile about a centre; those that are not seen are left out.
+
+    Parameters
+    ----------
+    centre : tuple of float
+        (x, y) in px.
+    disc : Disc or None
+        What lies at the centre and is no marker.
+    radius : float or None
+        The largest orbit that was seen, in px.
+    """
+    ring = search_ring(samples, centre, disc, radius)
+    rings = Rings(samples.strips(ring), ring)
+    sightings = {
+        marker.name: seen
+        for marker in profile.marker
+        if marker.colour != "white"
+        and (seen := find_coloured(rings, marker)) is not None
+        and is_paper(seen.paper)
+    }
+    sightings = _placed(_strong(sightings), profile)
+    papers = {name: seen.paper for name, seen in sightings.items()}
+    for marker in profile.marker:
+        others = [seen for seen in sightings.values() if seen.paper.body == marker.body]
+        if marker.colour == "white" and others:
+            paper = find_white(samples, ring, marker, others)
+            if paper is not None and is_paper(paper):
+                papers[marker.name] = paper
+    return {marker.name: papers[marker.name] for marker in profile.marker if marker.name in papers}
+
+
+def search_ring(
+    samples: Samples, centre: tuple[float, float], disc: Disc | None, radius: float | None
+) -> Ring:
+    """Lay a ring that holds all markers: from the disc to beyond the largest orbit, in the picture."""
+    width, height = samples.size
+    x, y = centre
+    border = max(min(x, y, width - 1 - x, height - 1 - y), 8.0)
+    corner = max(min(max(x, width - 1 - x), max(y, height - 1 - y)), border)
+    outer = corner if radius is None else min(1.9 * radius, corner)
+    inner = 1.35 * disc.radius if disc is not None else 0.3 * (radius or border)
+    inner = min(inner, 0.8 * outer)
+    rows = int(np.clip((outer - inner) / 2.0 + 1, 8, 96))
+    return Ring(centre, inner, outer, rows, 512)
+
+
+def is_paper(paper: Paper) -> bool:
+    """Tell whether what was found is large enough, and not smeared too far to be followed."""
+    width = 2.0 * np.tan(min(paper.half_width, 1.4)) * paper.radius
+    return bool(paper.half_width <= WIDEST and min(width, paper.outer - paper.inner) >= LEAST_SIZE)
+
+
+def _strong(sightings: dict[str, Sighting]) -> dict[str, Sighting]:
+    contrast = {name: float(np.hypot(*seen.paper.contrast)) for name, seen in sightings.items()}
+    least = FAINTEST * max(contrast.values(), default=0.0)
+    return {name: seen for name, seen in sightings.items() if contrast[name] >= least}
+
+
+def _placed(sightings: dict[str, Sighting], profile: Profile) -> dict[str, Sighting]:
+    found: dict[str, Sighting] = {}
+    for body in ("casing", "rotor"):
+        names = [marker.name for marker in profile.of(body) if marker.name in sightings]
+        found |= dict(zip(names, placed([sightings[name] for name in names]), strict=True))
+    return found
+
+
+def placed(sightings: list[Sighting]) -> list[Sighting]:
+    """Measure where the markers of one body sit relative to the first one of them."""
+    found = []
+    for seen in sightings:
+        first = sightings[0]
+        both = first.clear & seen.clear
+        apart = (seen.angle - first.angle)[both if both.sum() >= 3 else slice(None)]
+        found.append(replace(seen, paper=replace(seen.paper, mount=_circular_mode(apart))))
+    return found
+
+
+def _circular_mode(angle: Floats) -> float:
+    """Return the direction round which most angles lie: the mean of those within 0.15 rad of it."""
+    turn = np.exp(1j * angle)
+    near = np.abs(np.angle(turn[:, None] / turn[None, :])) < 0.15
+    best = int(np.argmax(near.sum(axis=0)))
+    return float(np.angle(np.mean(turn[near[:, best]])))
+
+
+_NO_DISC = "no disc at the centre: the centre is taken from the markers' orbit"
+
+
+def acquire(samples: Samples, profile: Profile, where: str) -> Scene:
+    """Find the scene in sample frames.
+
+    Raises
+    ------
+    TrackingError
+        If no marker of the profile can be found.
+    """
+    orbit = _find_orbit(samples, profile)
+    circle = chroma_direction(profile.circle_colour, profile.circle_hue)
+    disc = find_disc(samples, circle, orbit) if profile.centre == "circle" else None
+    if disc is None and orbit is None:
+        raise TrackingError(
+            f"no markers found in {where}: nothing in the profile's colours turns about a centre",
+            "check the profile's colours (--profile); where nothing turns, a disc must mark the centre",
+        )
+    centre = disc.centre if disc is not None else orbit.centre if orbit is not None else (0.0, 0.0)
+    radius = max(orbit.radii.values()) if orbit is not None else None
+    papers = find_papers(samples, profile, centre, disc, radius)
+    if not papers:
+        names = ", ".join(marker.name for marker in profile.marker)
+        raise TrackingError(
+            f"no markers found in {where}: none of {names} is seen about the centre",
+            "check the profile's colours (--profile)",
+        )
+    missing = tuple(marker.name for marker in profile.marker if marker.name not in papers)
+    warnings = (_NO_DISC,) if disc is None and profile.centre == "circle" else ()
+    return Scene(centre, disc, tuple(papers.values()), missing, warnings)
+
+
+def _find_orbit(samples: Samples, profile: Profile) -> Orbit | None:
+    chroma = samples.chroma
+    still = np.median(chroma, axis=1).astype(np.float32)
+    points: list[tuple[float, float]] = []
+    group: list[int] = []
+    colours = {chroma_direction(m.colour, m.hue): m.colour for m in profile.marker if m.colour != "white"}
+    for label, direction in enumerate(sorted(colours, key=colours.__getitem__)):
+        scores = [hue_score(u - still[0], v - still[1], direction) for u, v in zip(*chroma, strict=True)]
+        for blobs in _blobs_in(scores, most=2):
+            points += [samples.to_luma(b.x, b.y) for b in blobs]
+            group += [label] * len(blobs)
+    if not points:
+        return None
+    return common_centre(np.array(points), np.array(group, dtype=np.int64))
+
+
+def _blobs_in(scores: list[npt.NDArray[np.float32]], most: int) -> list[list[Blob]]:
+    """Find blobs above half of the typical peak of a colour, in every sample."""
+    peaks = np.array([np.percentile(score, 99.9) if score.size else 0.0 for score in scores])
+    noise = float(np.median([np.percentile(score, 90) for score in scores]))
+    threshold = max(6.0, 4.0 * noise, 0.4 * float(np.median(peaks)))
+    return [find_blobs(score, threshold, most) for score in scores]
+
+
+def find_disc(samples: Samples, direction: tuple[float, float], orbit: Orbit | None) -> Disc | None:
+    """Find a disc whose chroma lies in a direction (U, V), well inside the orbit; None where there is none."""
+    still = np.median(samples.chroma, axis=1).astype(np.float32)
+    neutral = [_neutral(plane, samples, orbit) for plane in still]
+    score = hue_score(still[0] - neutral[0], still[1] - neutral[1], direction)
+    if orbit is not None:
+        score = score * _near(score.shape, samples, orbit)
+    peak = float(np.percentile(score[score > 0], 99)) if np.any(score > 6.0) else 0.0
+    if peak < 10.0:
+        return None
+    blobs = find_blobs(score, 0.5 * peak, most=6)
+    if orbit is None:
+        blobs = [blob for blob in blobs if blob.fill > 0.7]
+    if not blobs:
+        return None
+    blob = max(blobs, key=lambda b: b.weight * b.fill**2)
+    mean = _mean_chroma(still, neutral, score, 0.5 * peak, blob)
+    return Disc(samples.to_luma(blob.x, blob.y), samples.scale * float(np.sqrt(blob.area / np.pi)), mean)
+
+
+def _neutral(plane: npt.NDArray[np.float32], samples: Samples, orbit: Orbit | None) -> float:
+    if orbit is None:
+        return float(np.median(plane))
+    near = _near(plane.shape, samples, orbit) > 0
+    return float(np.median(plane[near])) if near.any() else float(np.median(plane))
+
+
+def _near(shape: tuple[int, ...], samples: Samples, orbit: Orbit) -> npt.NDArray[np.float32]:
+    """Mask of what lies within 0.45 of the largest orbit around its centre."""
+    y, x = np.ogrid[: shape[0], : shape[1]]
+    lx, ly = samples.scale * x + (samples.scale - 1) / 2.0, samples.scale * y + (samples.scale - 1) / 2.0
+    reach = 0.45 * max(orbit.radii.values())
+    return (np.hypot(lx - orbit.centre[0], ly - orbit.centre[1]) < reach).astype(np.float32)
+
+
+def _mean_chroma(
+    still: npt.NDArray[np.float32],
+    neutral: list[float],
+    score: npt.NDArray[np.float32],
+    threshold: float,
+    blob: Blob,
+) -> tuple[float, float]:
+    reach = int(np.ceil(np.sqrt(blob.area)))
+    y0, x0 = max(int(blob.y) - reach, 0), max(int(blob.x) - reach, 0)
+    window = (slice(y0, y0 + 2 * reach + 1), slice(x0, x0 + 2 * reach + 1))
+    core = score[window] > threshold
+    return (
+        float(np.mean(still[0][window][core]) - neutral[0]),
+        float(np.mean(still[1][window][core]) - neutral[1]),
+    )
+
+
+HALF = 18
+"""Frames to both sides over which the centre's error is taken to be one and the same."""
+EXPECTED = 0.1
+"""How far in px a measured centre may be off: the weight of finding no error."""
+
+
+@dataclass(frozen=True)
+class Radii:
+    """One marker: its direction in each frame as seen (n,) [rad], and by how much its radius is too large [px].
+
+    `excess` is NaN where the marker is not to be used.
+    """
+
+    direction: Floats
+    excess: Floats
+
+
+def refine_centre(path: CentrePath, markers: Iterable[Radii]) -> CentrePath:
+    """Correct a centre by the radii of the markers about it.
+
+    Notes
+    -----
+    In a window about each frame n minimises sum w (excess + n . r)^2 / s^2 + |n|^2 / `EXPECTED`^2, with s the
+    scatter of a marker's radius and w falling off to both sides. The uncertainty is that of this fit.
+    """
+    count = len(path.centre)
+    normal, right = np.zeros((3, count)), np.zeros((2, count))
+    for marker in markers:
+        known = np.isfinite(marker.excess) & np.isfinite(marker.direction)
+        if known.sum() < 20:
+            continue
+        scatter, limits = max(spread(marker.excess[known]), 0.02), _limits(marker.excess[known])
+        for part in stretches(count):
+            weight = known[part] / scatter**2
+            angle = np.where(known[part], marker.direction[part], 0.0)
+            x, y = np.cos(angle), -np.sin(angle)
+            excess = np.clip(np.where(known[part], marker.excess[part], 0.0), *limits)
+            normal[:, part] += weight * np.stack([x * x, x * y, y * y])
+            right[:, part] -= weight * excess * np.stack([x, y])
+    for row in (*normal, *right):
+        row[:] = _windowed(row)
+    better = new_columns(count, {"centre": ((2,), "f8"), "sigma": ((), "f8")})
+    for part in stretches(count):
+        (a, b, c), (u, v) = normal[:, part], right[:, part]
+        a, c = a + 1.0 / EXPECTED**2, c + 1.0 / EXPECTED**2
+        determinant = a * c - b * b
+        error = np.stack([(c * u - b * v) / determinant, (a * v - b * u) / determinant], axis=1)
+        sigma, before = np.sqrt(0.5 * (a + c) / determinant), path.sigma[part]
+        better["centre"][part] = path.centre[part] - error
+        better["sigma"][part] = np.where(
+            np.isfinite(before), np.minimum(np.hypot(sigma, 0.4 * LEAST_SIGMA), before), np.nan
+        )
+    return CentrePath(reach=path.reach, **better)
+
+
+def _limits(excess: Floats) -> tuple[float, float]:
+    reach = 4.0 * spread(excess)
+    return -reach, reach
+
+
+def _windowed(row: Floats) -> Floats:
+    bell = 1.0 - (np.arange(-HALF, HALF + 1) / (HALF + 1)) ** 2
+    return np.asarray(np.convolve(np.pad(row, HALF), bell, mode="valid"))

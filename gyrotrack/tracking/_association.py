@@ -1,0 +1,281 @@
+"""Association: one coarse, unwrapped angle per frame.
+
+The input is a score over all directions, frame by frame: high where the body's markers would coincide with
+what is seen. A lock finds angle and speed from some frames at once; then each frame is searched only near
+its prediction, so that nothing else of the same colour can take over; after a loss the prediction runs on,
+then a new lock is sought.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack._smoothing import median_of
+
+Floats = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+MEMORY = 128
+"""Sightings that are kept."""
+FEWEST = 16
+LONGEST_USE = 130
+"""Frames for which a fit is used before it is made anew."""
+LEAST_SCATTER = 1.5e-3
+"""Scatter in rad of a coarse angle that is assumed at least."""
+SWING = 0.05
+"""How far in rad a slanted view may move a marker once and twice a turn."""
+
+
+class Prediction:
+    """The last angles of a body, and an even motion through them as a slanted camera sees it.
+
+    Notes
+    -----
+    The angle at frame x is a + b x + c x^2 + d cos psi + e sin psi + f cos 2 psi + g sin 2 psi, with psi the
+    parabola alone. With X the rows of these functions, s the scatter about the fit and P the prior of d to g,
+    it is uncertain by s sqrt(x' (X'X + P)^-1 x).
+    """
+
+    def __init__(self) -> None:
+        self._frame: Floats = np.zeros(0)
+        self._angle: Floats = np.zeros(0)
+        self._origin: float | None = None
+        self._scale = self._base = self._scatter = 1.0
+        self._even: Floats = np.zeros(3)
+        self._solution: Floats = np.zeros(7)
+        self._inverse: Floats = np.eye(7)
+
+    def note(self, frame: Floats, angle: Floats, seen: Mask) -> None:
+        """Add the unwrapped angles of frames in which the body was seen."""
+        self._frame = np.concatenate([self._frame, frame[seen]])[-MEMORY:]
+        self._angle = np.concatenate([self._angle, angle[seen]])[-MEMORY:]
+
+    def forget(self) -> None:
+        """Start anew, after a loss."""
+        self._frame, self._angle, self._origin = self._frame[:0], self._angle[:0], None
+
+    def at(self, frame: Floats) -> tuple[Floats, float] | None:
+        """Return the angles at some frames and the largest uncertainty among them; None if too little is known."""
+        if len(self._frame) < FEWEST:
+            return None
+        if self._origin is None or frame[-1] - self._origin > LONGEST_USE:
+            self._fit()
+        rows = self._rows(frame)
+        spread = np.sqrt(((rows @ self._inverse) * rows).sum(axis=1).max())
+        return self._base + rows @ self._solution, self._scatter * float(spread)
+
+    def _fit(self) -> None:
+        self._origin, self._base = float(self._frame[-1]), float(self._angle[-1])
+        self._scale = float(self._frame[-1] - self._frame[0])
+        angle = self._angle - self._base
+        self._even, _, _ = _robust(self._parabola(self._frame), angle, np.zeros(3))
+        prior = np.array([0.0] * 3 + [1.0 / SWING**2] * 4)
+        self._solution, self._inverse, self._scatter = _robust(self._rows(self._frame), angle, prior)
+
+    def _parabola(self, frame: Floats) -> Floats:
+        x = (frame - (self._origin or 0)) / self._scale
+        return np.stack([np.ones_like(x), x, x * x], axis=1)
+
+    def _rows(self, frame: Floats) -> Floats:
+        rows = self._parabola(frame)
+        psi = self._base + rows @ self._even
+        return np.column_stack([rows, np.cos(psi), np.sin(psi), np.cos(2.0 * psi), np.sin(2.0 * psi)])
+
+
+def _robust(rows: Floats, value: Floats, prior: Floats) -> tuple[Floats, Floats, float]:
+    """Fit a linear model without what lies far off: coefficients, inverse of the normal matrix, scatter."""
+    weight = np.ones(len(value))
+    scatter = SWING
+    for _ in range(3):
+        weighted = rows * weight[:, None]
+        inverse = np.linalg.inv(weighted.T @ rows + np.diag(prior) * scatter**2)
+        solution = inverse @ (weighted.T @ value)
+        left = np.abs(value - rows @ solution)
+        before, scatter = scatter, max(1.4826 * median_of(left), LEAST_SCATTER)
+        last, weight = weight, (left < 3.0 * scatter).astype(np.float64)
+        if np.array_equal(weight, last) and (scatter == before or not prior.any()):
+            break  # the next round would find the same
+    return solution, np.asarray(inverse, dtype=np.float64), scatter
+
+
+LOCK_FRAMES = 24
+LONGEST_COAST = 40
+REACH = 0.35
+"""Half width in rad of the window about a prediction."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Where a body is: unwrapped angle [rad], step [rad / frame], frames since it was seen."""
+
+    angle: float
+    step: float
+    missed: int = 0
+
+
+def find_lock(
+    score: Floats, threshold: float, hint: float = 0.0, place: Floats | None = None
+) -> tuple[int, Motion] | None:
+    """Find the first run of frames whose best directions advance evenly.
+
+    Parameters
+    ----------
+    score : ndarray, shape (n, columns)
+        Score of every direction in consecutive frames.
+    threshold : float
+        Least score that counts as seen.
+    hint : float
+        Step in rad a frame that is expected: of steps that differ by whole turns the nearest is taken.
+    place : ndarray, shape (n,), optional
+        When the frames were taken, in frames of the camera; evenly, if not given.
+
+    Returns
+    -------
+    (frame, Motion) or None
+        The motion at that frame.
+
+    Notes
+    -----
+    The step w maximises |sum exp(i (theta_k - w k))| over all w in (-pi, pi]: frames in which
+    something else is brighter only lower the sum. A lock needs 70 % of the frames that were seen in phase.
+    """
+    columns = score.shape[1]
+    best = np.argmax(score, axis=1)
+    seen = score[np.arange(len(score)), best] > threshold
+    angle = 2.0 * np.pi * best / columns
+    when = np.arange(len(score), dtype=np.float64) if place is None else place
+    for start in range(0, max(len(score) - 5, 1), 6):
+        chunk = slice(start, min(start + LOCK_FRAMES, len(score)))
+        use = np.flatnonzero(seen[chunk])
+        if len(use) < min(6, max(len(score) // 2, 3)):
+            continue
+        motion = _even_advance(angle[chunk][use], when[chunk][use] - when[start], hint)
+        if motion is not None:
+            return start, motion
+    return None
+
+
+def _even_advance(angle: Floats, frame: Floats, hint: float) -> Motion | None:
+    span = int(frame[-1]) + 1
+    phasor = np.exp(1j * angle)
+
+    def power(steps: Floats) -> Floats:
+        return np.asarray(np.abs(np.exp(-1j * np.outer(steps, frame)) @ phasor) / len(frame))
+
+    even = bool((frame == np.rint(frame)).all())  # only then do steps that differ by a turn look alike
+    steps = np.linspace(-np.pi, np.pi, 16 * span, endpoint=False) + (0.0 if even else hint)
+    step, width = float(steps[np.argmax(power(steps))]), float(steps[1] - steps[0])
+    for _ in range(3):
+        steps = step + np.linspace(-width, width, 21)
+        step, width = float(steps[np.argmax(power(steps))]), 0.1 * width
+    if even:
+        step += 2.0 * np.pi * round((hint - step) / (2.0 * np.pi))
+    start = float(np.angle(np.mean(phasor * np.exp(-1j * step * frame))))
+    off = np.abs(np.angle(phasor * np.exp(-1j * (start + step * frame))))
+    if np.mean(off < 0.25) < 0.7:
+        return None
+    return Motion(start, step)
+
+
+def follow(
+    score: Floats, motion: Motion, threshold: float, advance: Floats | None = None
+) -> tuple[Floats, npt.NDArray[np.bool_], Motion]:
+    """Follow a body through consecutive frames from a known motion.
+
+    Parameters
+    ----------
+    score : ndarray, shape (n, columns)
+        Score of every direction.
+    motion : Motion
+        The prediction for frame 0.
+    threshold : float
+        Least score that counts as seen.
+    advance : ndarray, shape (n,), optional
+        Frames of the camera from each frame to the next: more than 1 where frames are missing, 0 before one that
+        repeats it, and no whole number where the camera's rate varied.
+
+    Returns
+    -------
+    angle, seen, motion
+        Unwrapped angle (n,) [rad], whether it was seen (n,), and the prediction for frame n. From the frame
+        on where the body was missed more than `LONGEST_COAST` times in a row the angles are NaN.
+    """
+    count, columns = score.shape
+    scale = columns / (2.0 * np.pi)
+    angle = np.full(count, np.nan)
+    seen = np.zeros(count, dtype=np.bool_)
+    for k in range(count):
+        if motion.missed > LONGEST_COAST:
+            break
+        reach = int(np.ceil((REACH + 0.01 * motion.missed) * scale))
+        middle = round(motion.angle * scale)
+        window = score[k].take(np.arange(middle - reach, middle + reach + 1), mode="wrap")
+        top = int(window.argmax())
+        if window[top] > threshold and 0 < top < 2 * reach:
+            place = (middle - reach + top + _vertex(window[top - 1], window[top], window[top + 1])) / scale
+            motion = _corrected(motion, place)
+            angle[k], seen[k] = place, True
+        else:
+            angle[k] = motion.angle
+            motion = replace(motion, missed=motion.missed + 1)
+        frames = 1.0 if advance is None else float(advance[k])
+        motion = replace(motion, angle=motion.angle + frames * motion.step)
+    return angle, seen, motion
+
+
+def _corrected(motion: Motion, place: float) -> Motion:
+    """Blend a prediction with what was seen (alpha-beta filter); the step learns slowly."""
+    error = place - motion.angle
+    return Motion(motion.angle + 0.6 * error, motion.step + 0.12 * error / (1 + motion.missed), 0)
+
+
+def _vertex(left: float, middle: float, right: float) -> float:
+    """Return the offset of the top of the parabola through three neighbours."""
+    bend = left - 2.0 * middle + right
+    return 0.0 if bend >= 0.0 else float(np.clip(0.5 * (left - right) / bend, -0.5, 0.5))
+
+
+def net_turn(angle: Floats) -> float:
+    """Return by how much an unwrapped angle with gaps (NaN) has grown from its first to its last value."""
+    known = angle[np.isfinite(angle)]
+    return float(known[-1] - known[0]) if len(known) > 1 else 0.0
+
+
+def find_sense(turns: dict[str, float], given: int | None) -> int:
+    """Return the factor (+1 or -1) that makes the angles grow.
+
+    Parameters
+    ----------
+    turns : dict of float
+        By how much each body has turned as seen [rad].
+    given : int or None
+        What the profile says; it is believed.
+
+    Notes
+    -----
+    The casing decides, since it never turns by half a turn between frames; where it hardly
+    moves, the rotor. If nothing moves the bodies are taken to turn clockwise as seen, as in the paper.
+    """
+    if given is not None:
+        return given
+    for name in ("casing", "rotor"):
+        if abs(turns.get(name, 0.0)) > 0.5:
+            return 1 if turns[name] > 0 else -1
+    return -1
+
+
+def unfold(angle: Floats, sense: int) -> tuple[Floats, bool]:
+    """Add a turn a frame to a body that seems to turn against the sense, as spokes do in a film.
+
+    A body that turns by w between frames looks the same as one that turns by w - 2 pi. Friction carries both
+    bodies the same way round, so that the rotor's sense is the casing's. Returns the angle, and whether it
+    was changed.
+    """
+    turn = net_turn(angle)
+    steps = max(int(np.isfinite(angle).sum()) - 1, 1)
+    if turn * sense >= 0 or abs(turn) / steps < 0.02:
+        return angle, False
+    return angle + sense * 2.0 * np.pi * np.arange(len(angle)), True

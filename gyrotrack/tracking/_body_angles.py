@@ -1,0 +1,409 @@
+"""From the observations of one pass to the angles of the bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack._column_store import set_down
+from gyrotrack._smoothing import Pace, jitter_is_real
+from gyrotrack.tracking._acquisition import Radii, refine_centre
+from gyrotrack.tracking._association import find_sense, net_turn, unfold
+from gyrotrack.tracking._film_tracker import BodySightings, Watched
+from gyrotrack.tracking._frame_repeats import seen_angle, turning_most
+from gyrotrack.tracking._fusion import BodyAngles, MarkerAngles, join
+from gyrotrack.tracking._hub import LEAST_SIGMA, CentrePath, smooth_path, wandering_centre
+from gyrotrack.tracking._observations import Candidate, Sightings, candidate, plausible, spread_out
+from gyrotrack.tracking._orbit import NO_FLATTENING, Flattening, fit_flattening, lent_flattening
+from gyrotrack.tracking._profile import Profile
+from gyrotrack.tracking._scene import Paper, Scene
+from gyrotrack.video._time_base import FrameTimes
+
+Floats = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+# The corners of a paper reach as far as 0.7 of its smeared half width when it is not smeared.
+_CORNER = 0.7
+
+
+@dataclass(frozen=True)
+class View:
+    """The sightings of a body's markers.
+
+    Attributes
+    ----------
+    papers : tuple of Paper
+        The markers.
+    sightings : dict of Sightings
+        By name.
+    inside, whole : dict of ndarray of bool, shape (n,)
+        Where a marker lies in the picture, and where it also is open and looks as it should.
+    """
+
+    papers: tuple[Paper, ...]
+    sightings: dict[str, Sightings]
+    inside: dict[str, Mask]
+    whole: dict[str, Mask]
+
+    @property
+    def radius(self) -> float:
+        """Mean radius of the markers in px."""
+        return float(np.mean([p.radius for p in self.papers]))
+
+    @property
+    def coloured(self) -> tuple[str, ...]:
+        """The markers seen in the planes of colour, as the disc is; luma may lie beside by half a px."""
+        return tuple(p.name for p in self.papers if p.colour != "white")
+
+    def place(self, name: str, centre: Floats) -> Floats:
+        """Return where a marker is relative to the centre, (n, 2) in px, y up."""
+        away = self.sightings[name].position(self.whole[name])
+        away -= centre
+        away[:, 1] *= -1.0
+        set_down()
+        return away
+
+    def flattening(self, centre: Floats) -> Flattening:
+        """Fit tilt and offsets to the orbits of the markers."""
+        return fit_flattening(self._orbits(centre))
+
+    def lent(self, centre: Floats, lender: Flattening, shift: Floats, size: float) -> Flattening:
+        """Take the tilt from another body, and fit offsets to the arcs of the markers (see `lent_flattening`)."""
+        return lent_flattening(lender, self._orbits(centre), shift, size)
+
+    def _orbits(self, centre: Floats) -> dict[str, Floats]:
+        return {p.name: self._trusted(p.name, centre) for p in self.papers}
+
+    def _trusted(self, name: str, centre: Floats) -> Floats:
+        v = self.place(name, centre)
+        return v[self.whole[name] & np.isfinite(v).all(axis=1)]
+
+    def radii(self, centre: Floats, flat: Flattening) -> Iterator[Radii]:
+        """Yield by how much each marker's radius is too large in each frame."""
+        for paper in self.papers:
+            v = flat.level(paper.name, self.place(paper.name, centre))
+            radius = np.where(self.whole[paper.name], np.hypot(v[:, 0], v[:, 1]), np.nan)
+            usual = float(np.nanmedian(radius)) if np.isfinite(radius).any() else np.nan
+            yield Radii(np.arctan2(v[:, 1], v[:, 0]), radius - usual)
+
+    def candidates(self, centre: CentrePath, flat: Flattening) -> dict[str, Candidate]:
+        """Return the markers' angles as seen from straight above, and how far to trust them."""
+        found = {}
+        for paper in self.papers:
+            v = flat.level(paper.name, self.place(paper.name, centre.centre))
+            angle = np.asarray(np.arctan2(v[:, 1], v[:, 0]))
+            good = plausible(self.sightings[paper.name]) & self.inside[paper.name]
+            found[paper.name] = candidate(self.sightings[paper.name], angle, good, paper.mount)
+        return found
+
+
+def view(papers: tuple[Paper, ...], sightings: dict[str, Sightings], size: tuple[int, int]) -> View:
+    """Look at the sightings of a body's markers in a picture of (width, height) px."""
+    inside = {
+        p.name: ~sightings[p.name].outside(p.inner, p.outer, _CORNER * p.half_width, size) for p in papers
+    }
+    whole = {m: plausible(sightings[m]) & sightings[m].open & inside[m] for m in inside}
+    return View(papers, sightings, inside, whole)
+
+
+BLOCK_ERROR, LIGHT_ERROR = 0.09, 0.8e-3
+"""Errors by place in the picture where no body turns enough to show them, root mean squares over films of many
+kinds in which one does: of the encoder's blocks in px, of uneven light in rad."""
+
+
+def slanted(
+    centre: CentrePath, views: dict[str, View], profile: Profile, *, marked: bool
+) -> tuple[CentrePath, dict[str, Flattening]]:
+    """Find the slant of the view on each body's orbits; a marked centre is then corrected by the markers' radii."""
+    if not profile.tilt_correction:
+        return centre, dict.fromkeys(views, NO_FLATTENING)
+    flat = _flattening(centre, views)
+    if not marked:
+        return centre, flat
+    better = refine_centre(
+        centre, (r for name, look in views.items() for r in look.radii(centre.centre, flat[name]))
+    )
+    return better, _flattening(better, views)
+
+
+def _flattening(centre: CentrePath, views: dict[str, View]) -> dict[str, Flattening]:
+    """Find the slant on each body's orbits; a body that passes an arc only is given that of one that goes round."""
+    flat = {name: look.flattening(centre.centre) for name, look in views.items()}
+    known = [name for name, look in views.items() if any(m in flat[name].offset for m in look.coloured)]
+    if not known:
+        return flat
+    look, lender = views[known[0]], flat[known[0]]
+    p, q = _beyond(np.array([lender.p, lender.q]), usual_error_by_place(look) / look.radius)
+    lender = replace(lender, p=float(p), q=float(q))
+    shift = _beyond(lender.shift(look.coloured), usual_error_by_place(look, len(look.coloured)))
+    size = float(np.hypot(np.hypot(*shift), LEAST_SIGMA))
+    return {
+        name: f if f.offset else views[name].lent(centre.centre, lender, shift, size)
+        for name, f in flat.items()
+    }
+
+
+def usual_error_by_place(look: View, markers: int = 1) -> float:
+    """Return the usual error by place in px of the mean of so many markers: light pulls all of them alike."""
+    return float(np.hypot(BLOCK_ERROR / np.sqrt(markers), LIGHT_ERROR * look.radius))
+
+
+def _beyond(found: Floats, error: float) -> Floats:
+    """Return what is left of a vector, (2,), when as much of its square as errors would make is taken off."""
+    return np.asarray(found * max(1.0 - 2.0 * error**2 / float(found @ found + 1e-12), 0.0))
+
+
+def error_by_place(look: View, flat: Flattening, body: BodyAngles) -> float:
+    """Return the errors by place in px that a body has learnt, without the swing that perspective makes of them.
+
+    Where they are mostly swing, what is left is known no better than the usual error.
+    """
+    learnt, swing = body.place_error * look.radius, axis_beside(look, flat, body)
+    left = float(np.sqrt(max(learnt**2 - 0.5 * float(swing @ swing), 0.0)))
+    return max(left, min(learnt, usual_error_by_place(look)))
+
+
+def axis_beside(look: View, flat: Flattening, body: BodyAngles) -> Floats:
+    """Return how far in px the angles of a fast body say that its axis lies beside where its radii do, (2,), y up.
+
+    Both err by place; what such errors would make is taken off.
+    """
+    off = [z * look.radius for m, z in body.axis_off.items() if m in flat.offset]
+    if not off:
+        return np.zeros(2)
+    error = usual_error_by_place(look, len(off))
+    return _beyond(np.mean([(z.real, z.imag) for z in off], axis=0), np.sqrt(2.0) * error)
+
+
+def in_perspective(
+    centre: CentrePath, views: dict[str, View], flat: dict[str, Flattening], rotor: BodyAngles
+) -> Flattening:
+    """Return the slant of the casing's orbit, with what is perspective in it told from an axis that lies beside.
+
+    A circle about e seen in perspective has its near half larger: its radius swings once a turn, as if about a + e,
+    with a growing as the square of the radius, while its angles are those about e. The rotor's markers turn fast, so
+    that their angles show its e. The casing's is expected to be the same within its own size, since both come from
+    heights below the disc, and is measured by its radius less the perspective. All of these err by place.
+    """
+    own, look, lender = flat["casing"], views["rotor"], flat["rotor"]
+    beside = axis_beside(look, lender, rotor)
+    if not beside.any() or not own.offset or not any(m in lender.offset for m in look.coloured):
+        return own
+    error = usual_error_by_place(look, len(rotor.axis_off))
+    axis = _beyond(lender.shift(look.coloured) + beside, error)
+    more = (views["casing"].radius / look.radius) ** 2
+    swing, size = -more * beside, float(np.hypot(np.hypot(*axis), error))
+    if own.doubt:
+        slant = replace(lender, p=own.p, q=own.q)
+        return views["casing"].lent(centre.centre, slant, axis + swing, size).moved(-swing)
+    sure = size**2 / (size**2 + usual_error_by_place(look) ** 2 * (1.0 + more**2))
+    shift = own.shift(own.offset)
+    doubt = {name: (1.0 - sure) * size**2 * np.eye(2) for name in own.offset}
+    return replace(own.moved(axis + sure * (shift - swing - axis) - shift), doubt=doubt)
+
+
+def pulled(candidates: dict[str, Candidate], flat: Flattening) -> Floats:
+    """Return how far in px doubt about its slant leaves a body's markers uncertain along their orbit, (n,)."""
+    own = [np.nan_to_num(flat.pull(name, c.angle)) for name, c in candidates.items()]
+    return np.asarray(np.sqrt(np.mean(np.square(own), axis=0)))
+
+
+Integers = npt.NDArray[np.int64]
+
+_FAR = 0.05
+"""Share of the orbit's radius that a centre must move before it is taken to move at all."""
+
+
+@dataclass(frozen=True)
+class Joint:
+    """All bodies of a clip.
+
+    Attributes
+    ----------
+    centre : CentrePath
+        The centre in every frame.
+    bodies : dict of BodyAngles
+        Angles as seen.
+    flattening : dict of Flattening
+        What the slanted view does to each body's orbits.
+    sense : int
+        Factor that makes the angles grow.
+    warnings : tuple of str
+        What the user should know.
+    """
+
+    centre: CentrePath
+    bodies: dict[str, BodyAngles]
+    flattening: dict[str, Flattening]
+    sense: int
+    warnings: tuple[str, ...]
+
+
+def join_bodies(seen: Watched, scene: Scene, profile: Profile, fps: float) -> Joint:
+    """Find the centre's path, and join the markers of each body about it.
+
+    Frames that are missing in the film get empty places, so that the motion is even in between; the result has
+    the film's frames only. A frame that repeats the one before it tells nothing new, and gets no angle.
+    """
+    if seen.times.again is None:
+        return _join_fresh(seen, scene, profile, fps)
+    fresh, count = np.flatnonzero(~seen.times.again), len(seen.times.again)
+    joint = _join_fresh(_picked(seen, fresh), scene, profile, fps)
+    row = np.searchsorted(fresh, np.arange(count), side="right") - 1
+    centre = CentrePath(joint.centre.centre[row], joint.centre.sigma[row], joint.centre.reach)
+    bodies = {name: body.spread_out(fresh, count) for name, body in joint.bodies.items()}
+    return replace(joint, centre=centre, bodies=bodies)
+
+
+def _picked(seen: Watched, index: Integers) -> Watched:
+    """Return the frames `index` alone."""
+    bodies = {
+        name: BodySightings(body.coarse[index], {m: s.picked(index) for m, s in body.markers.items()})
+        for name, body in seen.bodies.items()
+    }
+    disc = None if seen.disc is None else seen.disc[index]
+    return replace(seen, bodies=bodies, disc=disc, times=seen.times.at(index))
+
+
+def _join_fresh(seen: Watched, scene: Scene, profile: Profile, fps: float) -> Joint:
+    index = seen.times.number
+    joint = _join_even(_with_gaps(seen, index), scene, profile, fps, _pace(seen.times))
+    if len(index) == 0 or index[-1] + 1 == len(index):
+        return joint
+    centre = CentrePath(joint.centre.centre[index], joint.centre.sigma[index], joint.centre.reach)
+    return replace(joint, centre=centre, bodies={name: body.at(index) for name, body in joint.bodies.items()})
+
+
+def _pace(times: FrameTimes) -> Pace | None:
+    """Return when frames were taken, also those that are missing, if that is from the stamps."""
+    if times.place is None:
+        return None
+    return Pace(np.interp(np.arange(times.number[-1] + 1), times.number, times.place), times.sigma)
+
+
+def trusted_times(seen: Watched, scene: Scene) -> FrameTimes:
+    """Return the times of a film without jitter of its stamps that the body that turns most does not follow."""
+    times = seen.times
+    if times.place is None or times.smooth is None or not seen.bodies:
+        return times
+    angle = seen_angle(seen, scene, turning_most(seen))
+    return times if jitter_is_real(times.place, times.smooth, angle) else times.even()
+
+
+def _with_gaps(seen: Watched, index: Integers) -> Watched:
+    """Put the frames where they belong on the camera's even grid; what lies between is NaN or False."""
+    count = int(index[-1]) + 1 if len(index) else 0
+    if count == len(index):
+        return seen
+    bodies = {
+        name: BodySightings(
+            spread_out(body.coarse, index, count),
+            {m: s.spread_out(index, count) for m, s in body.markers.items()},
+        )
+        for name, body in seen.bodies.items()
+    }
+    disc = None if seen.disc is None else spread_out(seen.disc, index, count)
+    return replace(seen, bodies=bodies, disc=disc)
+
+
+def _join_even(seen: Watched, scene: Scene, profile: Profile, fps: float, pace: Pace | None = None) -> Joint:
+    views = {name: view(scene.of(name), body.markers, seen.size) for name, body in seen.bodies.items()}
+    centre, flattening = slanted(_centre(seen, scene, profile), views, profile, marked=seen.disc is not None)
+    bodies, warnings = _followed(seen, views, centre, flattening, fps, pace)
+    sense = find_sense({name: net_turn(body.angle) for name, body in bodies.items()}, profile.sense)
+    for name, body in bodies.items():
+        angle, changed = unfold(body.angle, sense)
+        if changed:
+            bodies[name] = replace(body, angle=angle)
+            warnings.append(
+                f"the {name} turns by more than half a turn between frames; its sense is taken as known"
+            )
+    for name, body in bodies.items():
+        bodies[name] = _zeroed(body, profile, sense)
+    slants = {name: flattening[name] for name in bodies}
+    return Joint(centre, bodies, slants, sense, tuple(warnings))
+
+
+def _followed(
+    seen: Watched,
+    views: dict[str, View],
+    centre: CentrePath,
+    flattening: dict[str, Flattening],
+    fps: float,
+    pace: Pace | None,
+) -> tuple[dict[str, BodyAngles], list[str]]:
+    """Join the markers of each body; the casing twice, since the rotor's markers pass beneath its own.
+
+    A body that turns too little to show its errors by place is given those of the other one, in px: lamps, encoder and
+    picture are the same.
+    """
+    candidates = {name: look.candidates(centre, flattening[name]) for name, look in views.items()}
+
+    bodies: dict[str, BodyAngles] = {}
+
+    def joined(name: str, other: Floats | None, *, above: bool = False) -> BodyAngles:
+        radius = views[name].radius
+        by_place = next(
+            (
+                error_by_place(views[n], flattening[n], b)
+                for n, b in bodies.items()
+                if n != name and b.place_error > 0.0
+            ),
+            usual_error_by_place(views[name]),
+        )
+        beside = np.hypot(np.nan_to_num(centre.sigma), pulled(candidates[name], flattening[name]))
+        floor, axis = by_place / radius, beside / radius
+        coarse = seen.bodies[name].coarse
+        return join(coarse, candidates[name], fps, other, floor, axis, above=above, pace=pace)
+
+    warnings: list[str] = []
+    for name in views:
+        found = joined(name, bodies["casing"].angle if "casing" in bodies else None)
+        if _credible(found):
+            bodies[name] = found
+        else:
+            warnings.append(f"the {name}'s markers cannot be followed; it is left out")
+    if len(bodies) == 2:
+        flattening["casing"] = in_perspective(centre, views, flattening, bodies["rotor"])
+        candidates["casing"] = views["casing"].candidates(centre, flattening["casing"])
+        better = joined("casing", bodies["rotor"].angle, above=True)
+        bodies["casing"] = better if _credible(better) else bodies["casing"]
+    return bodies, warnings
+
+
+def _centre(seen: Watched, scene: Scene, profile: Profile) -> CentrePath:
+    if seen.disc is not None:
+        return smooth_path(seen.disc)
+    sights = [s for body in seen.bodies.values() for s in body.markers.values()]
+    best = max(sights, key=lambda s: int(plausible(s).sum()))
+    good = plausible(best) & best.open
+    place, first = best.position(good), np.array(scene.centre)
+    still = wandering_centre(place, good, first, still=True)
+    if profile.wander is False:
+        return still
+    moving = wandering_centre(place, good, first)
+    reach = float(np.ptp(moving.centre, axis=0).max())
+    radius = float(np.nanmedian(np.hypot(*(place[good] - still.centre[good]).T)))
+    return moving if profile.wander or reach > _FAR * radius else still
+
+
+def _zeroed(body: BodyAngles, profile: Profile, sense: int) -> BodyAngles:
+    """Move the body's zero to where the profile puts it by naming a mount angle, if it names one."""
+    named = {
+        m.name: m.mount_angle for m in profile.marker if m.mount_angle is not None and m.name in body.markers
+    }
+    if not named:
+        return body
+    turn = [np.exp(1j * (sense * angle - body.markers[name].mount)) for name, angle in named.items()]
+    shift = float(np.angle(np.sum(turn)))
+    markers = {name: MarkerAngles(m.angle, m.sigma, m.mount + shift) for name, m in body.markers.items()}
+    return replace(body, angle=body.angle - shift, markers=markers)
+
+
+def _credible(body: BodyAngles) -> bool:
+    """Tell whether a body was really followed: in at least a twentieth of the frames, and evenly."""
+    used = np.isfinite(body.angle)
+    return bool(used.sum() >= max(3, 0.05 * len(used)) and np.median(body.sigma[used]) < 0.2)

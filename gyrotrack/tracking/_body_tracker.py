@@ -1,0 +1,245 @@
+"""One body: followed coarsely through its markers together, then each marker measured.
+
+Where the body will be is predicted, and only the neighbourhood of each marker is looked at. When the prediction
+is not sure enough, or its markers are not where it says, the whole rings are searched.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack.tracking._association import LONGEST_COAST, Motion, Prediction, find_lock, follow
+from gyrotrack.tracking._illumination import Cover
+from gyrotrack.tracking._marker_tracker import MarkerWatch
+from gyrotrack.tracking._marker_window import Look, Strip, common_columns
+from gyrotrack.tracking._observations import Sightings
+from gyrotrack.tracking._polar import boxed
+from gyrotrack.tracking._scene import Paper, Samples
+from gyrotrack.video._container import Frame
+
+Floats = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+SEEN = 0.4
+"""Share of one marker's height that the score of a direction must reach."""
+MARGIN = 0.05
+"""By how much in rad a marker may lie beside its prediction."""
+LOOK_EVERY = 2
+"""Of so many frames one is looked at to see whether the body is where it was predicted."""
+SURE = 3.0
+"""Standard deviations of a prediction that must fit into the margin."""
+
+
+class BodyWatch:
+    """Everything that is watched on one body.
+
+    Parameters
+    ----------
+    name : str
+        "casing" or "rotor".
+    papers : tuple of Paper
+        Its markers, at least one of them coloured.
+    samples, centre, keep_out, capacity
+        See `Strip`.
+
+    Attributes
+    ----------
+    step : float
+        How far it turned from frame to frame of late [rad]; infinite as long as that is not known.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        papers: tuple[Paper, ...],
+        samples: Samples,
+        centre: tuple[float, float],
+        keep_out: float,
+        capacity: int,
+    ) -> None:
+        self.name = name
+        columns = common_columns(papers, centre)
+        strips = {p.name: Strip(p, samples, centre, keep_out, columns, MARGIN, capacity) for p in papers}
+        self.markers = {p.name: MarkerWatch(p, strips[p.name]) for p in papers}
+        self._coloured = [strip for strip in strips.values() if not strip.white]
+        self._step = self._coloured[0].ring.step
+        self._coarse = np.full(capacity, np.nan)
+        self._frame = 0.0
+        self.step = float("inf")
+        self._motion: Motion | None = None
+        self._missed: int | None = None
+        self._prediction = Prediction()
+        self._fresh = True
+        self._cover = Cover(self._step)
+
+    def aim(self, centre: tuple[float, float]) -> None:
+        """Put all rings about a centre."""
+        for watch in self.markers.values():
+            watch.strip.aim(centre)
+
+    def take(self, frames: list[Frame], place: int, advance: Floats) -> None:
+        """Follow the body through some consecutive frames and cut its markers out, from `place` of the batch on.
+
+        `advance` (n,) counts the camera's frames to each frame from the one before it, in parts where its rate varied.
+        """
+        number = self._frame + np.cumsum(advance)
+        found = self._predicted(frames, place, number)
+        if found is None:
+            self._motion = self._motion_at(float(number[0])) or _moved(self._motion, float(advance[0]))
+            coarse = self._follow(self._searched(frames), np.append(advance[1:], 0.0))
+            self._cut(frames, place, coarse)
+            found = self._refined(coarse, slice(place, place + len(frames)))
+            if np.isnan(coarse).any():
+                self._prediction.forget()
+            self._prediction.note(number, *found)
+        else:
+            self._missed = int(np.argmax(found[1][::-1]))
+        self._frame = float(number[-1])
+        self.step = _usual_step(found[0])
+        self._coarse[place : place + len(frames)] = found[0]
+
+    def _predicted(self, frames: list[Frame], place: int, number: Floats) -> tuple[Floats, Mask] | None:
+        """Look where the body should be; None if that is not sure, or if it is not there."""
+        prediction = self._prediction.at(number)
+        if prediction is None or SURE * prediction[1] > MARGIN:
+            return None
+        self._cut(frames, place, prediction[0])
+        few = slice(0, len(frames), LOOK_EVERY)
+        angle, seen = self._refined(prediction[0][few], slice(place, place + len(frames), LOOK_EVERY))
+        if seen.mean() <= 0.5:
+            return None
+        self._prediction.note(number[few], angle, seen)
+        off = float(np.median((angle - prediction[0][few])[seen]))
+        return prediction[0] + off, np.repeat(seen, LOOK_EVERY)[: len(frames)]
+
+    def _motion_at(self, number: float) -> Motion | None:
+        """Return the predicted motion at a frame in terms of `following`, when predictions were used so far."""
+        ahead = self._prediction.at(np.array([number, number + 1.0])) if self._missed is not None else None
+        if ahead is None or self._missed is None:
+            return None
+        missed, self._missed = self._missed, None
+        return Motion(float(ahead[0][0]), float(ahead[0][1] - ahead[0][0]), missed)
+
+    def _cut(self, frames: list[Frame], place: int, coarse: Floats) -> None:
+        angles = np.nan_to_num(coarse)
+        for watch in self.markers.values():
+            watch.strip.take(frames, place, angles + watch.paper.mount)
+
+    def _refined(self, coarse: Floats, place: slice) -> tuple[Floats, Mask]:
+        """Improve coarse angles by all coloured markers together: (n,) [rad], and where any of them is seen.
+
+        A marker that is partly hidden stands out less, and counts with the eighth power of that.
+        """
+        total, weight = np.zeros(len(coarse)), np.full(len(coarse), 1e-9)
+        expected = np.nan_to_num(coarse)
+        for strip in self._coloured:
+            off, height = strip.beside(expected + strip.paper.mount, place)
+            own = np.where(height > SEEN, np.minimum(height, 1.2) ** 8, 0.0)
+            total, weight = total + own * off, weight + own
+        seen = (weight > 1e-6) & np.isfinite(coarse)
+        return np.where(seen, coarse + total / weight * self._step, coarse), seen
+
+    def digest(self, count: int, casing: Floats | None) -> tuple[Floats, dict[str, Sightings]]:
+        """Measure the markers in the first `count` frames of the batch.
+
+        Parameters
+        ----------
+        count : int
+            Frames in the batch.
+        casing : ndarray, shape (count,), or None
+            Angle as seen of the other body, whose bar may hide markers [rad].
+
+        Returns
+        -------
+        coarse, sightings
+            Unwrapped coarse angle (count,) [rad], NaN where the body is lost; the markers.
+        """
+        coarse = self._coarse[:count].copy()
+        looks = {name: watch.look(coarse + watch.paper.mount) for name, watch in self.markers.items()}
+        if casing is not None:
+            for name, look in looks.items():
+                if not self.markers[name].strip.white:
+                    self._cover.learn(look, self.markers[name].expected(look), casing)
+        if self._fresh:  # the first batch is measured twice: once to learn from, once to give
+            self._fresh = False
+            self._measured(looks, casing)
+        return coarse, self._measured(looks, casing)
+
+    def _measured(self, looks: dict[str, Look], casing: Floats | None) -> dict[str, Sightings]:
+        return {
+            name: watch.measure(
+                looks[name],
+                self._cover.open(looks[name], casing),
+                self._cover.open(looks[name], casing, shadows=True) if watch.strip.white else None,
+            )
+            for name, watch in self.markers.items()
+        }
+
+    def _searched(self, frames: list[Frame]) -> Floats:
+        """Return the joint score of all directions, (n, columns)."""
+        total = np.zeros((len(frames), self._coloured[0].ring.columns))
+        for strip in self._coloured:
+            around = np.clip(strip.whole(frames), -0.2, 1.3)
+            half = max(int(strip.paper.half_width / self._step), 1)
+            total += np.roll(boxed(around, half), -round(strip.paper.mount / self._step), axis=1)
+        return total
+
+    def _follow(self, score: Floats, advance: Floats) -> Floats:
+        """Return the coarse angle in each frame of a batch; `advance` is as for `following.follow`."""
+        count = len(score)
+        coarse = np.full(count, np.nan)
+        begin = 0
+        while begin < count:
+            if self._motion is None or self._motion.missed > LONGEST_COAST:
+                begin = self._lock(score, begin, advance, coarse)
+                if begin == count:
+                    break
+            angle, _, motion = follow(score[begin:], self._motion_now(), SEEN, advance[begin:])
+            self._motion = motion
+            coarse[begin:] = angle
+            lost = np.flatnonzero(np.isnan(angle))
+            begin = begin + int(lost[0]) if len(lost) else count
+        return coarse
+
+    def _motion_now(self) -> Motion:
+        return self._motion if self._motion is not None else Motion(0.0, 0.0)
+
+    def _lock(self, score: Floats, begin: int, advance: Floats, coarse: Floats) -> int:
+        """Find the body anew from frame `begin` on; fill in the frames before the lock by going backwards.
+
+        Without a lock the old motion runs on, so that its turns are still counted when the body comes back.
+        """
+        old = self._motion
+        place = np.cumsum(np.append(0.0, advance[begin:-1]))
+        lock = find_lock(score[begin:], SEEN, old.step if old else 0.0, place)
+        if lock is None:
+            self._motion = old and _run_on(old, float(advance[begin:].sum()))
+            return len(score)
+        frame, motion = begin + lock[0], lock[1]
+        if old is not None:
+            ahead = _run_on(old, float(advance[begin:frame].sum())).angle - motion.angle
+            motion = replace(motion, angle=motion.angle + 2.0 * np.pi * round(ahead / (2.0 * np.pi)))
+        if frame > begin:
+            before = advance[begin:frame][::-1]
+            back = Motion(motion.angle - float(before[0]) * motion.step, -motion.step)
+            angle, here, _ = follow(score[begin:frame][::-1], back, SEEN, np.append(before[1:], 0.0))
+            coarse[begin:frame] = np.where(here, angle, np.nan)[::-1]
+        self._motion = motion
+        return frame
+
+
+def _usual_step(coarse: Floats) -> float:
+    known = np.abs(np.diff(coarse))
+    known = known[np.isfinite(known)]
+    return float(known.mean()) if len(known) else float("inf")
+
+
+def _moved(motion: Motion | None, frames: float) -> Motion | None:
+    return motion and replace(motion, angle=motion.angle + frames * motion.step)
+
+
+def _run_on(motion: Motion, frames: float) -> Motion:
+    return Motion(motion.angle + frames * motion.step, motion.step, motion.missed + round(frames))

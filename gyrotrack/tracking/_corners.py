@@ -1,0 +1,262 @@
+"""The near corners of a marker from fitted edges, and the uncertainty of the paper.
+
+Notation, for one frame: C the centre, P_1 and P_2 the two near corners, M their midpoint, rho = |M - C| the
+radius, delta = |P_2 - P_1| the base, beta the angle between the base and the radius; bars are averages over
+the clip. Ideally delta and rho are constant and beta is a right angle. Then
+
+    u_r  = |rho - mean(rho)| / mean(rho)                                 (relative, one for both corners)
+    u_1k = |angle(M +- mean(delta)/2 * e_base)  - angle(P_k)|            (average base, as it lies)
+    u_2k = |angle(M +- mean(delta)/2 * e_right) - angle(P_k)|            (average base at a right angle)
+    sigma_k = sqrt((30 u_r)^2 + (150 u_1k)^2 + (150 u_2k)^2)             for each corner k
+
+with e_base along the base and e_right perpendicular to the radius. The datum is the mean of the corners'
+angles. Its parts are the root mean squares of the corners' parts, and its uncertainty, by the same formula,
+the root mean square of the corners' uncertainties: both corners err from the same causes, so averaging them
+is not taken to lessen it.
+
+In the unrolled ring a paper has two upright edges and a near edge that is almost level. Each edge is where
+the score crosses half of the marker's height; lines are fitted through these crossings in several bands of rows
+and columns, and the corners are where they meet. Half way is between the marker and what lies beyond that edge:
+a bar in a colour of its own under the marker is not as dark as the rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack._column_store import new_columns, stretches
+from gyrotrack._native._kernels import loops
+from gyrotrack._smoothing import median_of
+from gyrotrack.tracking._polar import Windows
+
+Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
+
+FACTOR_R, FACTOR_1, FACTOR_2 = 30.0, 150.0, 150.0
+"""The constants of the paper's formula."""
+
+
+@dataclass(frozen=True)
+class PaperAngle:
+    """The paper's quantities for n frames; NaN where a corner is missing. px and rad."""
+
+    delta: Floats
+    rho: Floats
+    beta: Floats
+    angle: Floats
+    u_r: Floats
+    u_1: Floats
+    u_2: Floats
+    sigma: Floats
+
+
+def paper_angle(corner: Floats, centre: Floats, use: npt.NDArray[np.bool_]) -> PaperAngle:
+    """Compute angle and uncertainty from the near corners as the paper does.
+
+    Parameters
+    ----------
+    corner : ndarray, shape (n, 2, 2)
+        Frame, corner, (x, y) in px, y downwards; the first corner has the lower angle.
+    centre : ndarray, shape (n, 2)
+        Centre in px.
+    use : ndarray of bool, shape (n,)
+        Frames that enter the averages.
+
+    Returns
+    -------
+    PaperAngle
+        `angle` is counter-clockwise as seen, wrapped to (-pi, pi].
+    """
+    found = PaperAngle(**new_columns(len(corner), {f.name: ((), "f8") for f in fields(PaperAngle)}))
+    for part in stretches(len(corner)):
+        _, middle, base = _seen_from(corner[part], centre[part])
+        found.rho[part], found.delta[part] = np.abs(middle), np.abs(base)
+    use = use & np.isfinite(found.rho)
+    mean_rho = float(found.rho[use].mean()) if use.any() else np.nan
+    mean_delta = float(found.delta[use].mean()) if use.any() else np.nan
+    for part in stretches(len(corner)):
+        with np.errstate(invalid="ignore"):
+            some = _from_corners(*_seen_from(corner[part], centre[part]), mean_rho, mean_delta)
+        for f in fields(PaperAngle):
+            getattr(found, f.name)[part] = getattr(some, f.name)
+    return found
+
+
+def _seen_from(corner: Floats, centre: Floats) -> tuple[Complexes, Complexes, Complexes]:
+    """Return the corners about the centre (n, 2), their middle and the base between them (n,), as complex numbers."""
+    v = corner - centre[:, None, :]
+    z = v[..., 0] - 1j * v[..., 1]
+    middle, base = z.mean(axis=1), z[:, 1] - z[:, 0]
+    known = np.isfinite(np.abs(middle)) & (np.abs(middle) > 0) & (np.abs(base) > 0)
+    z[~known] = middle[~known] = base[~known] = np.nan + 0j
+    return z, middle, base
+
+
+def _from_corners(
+    z: Complexes, middle: Complexes, base: Complexes, mean_rho: float, mean_delta: float
+) -> PaperAngle:
+    rho, delta = np.abs(middle), np.abs(base)
+    beta = np.abs(np.angle(base / middle))
+    along = base / delta
+    across = 1j * middle / rho
+    side = np.array([-0.5, 0.5]) * mean_delta
+    u_1k = np.angle((middle[:, None] + side * along[:, None]) / z)
+    u_2k = np.angle((middle[:, None] + side * across[:, None]) / z)
+    u_r = np.abs(rho - mean_rho) / mean_rho
+    u_1, u_2 = (np.sqrt(np.mean(u**2, axis=1)) for u in (u_1k, u_2k))
+    turn = z / np.abs(z)
+    return PaperAngle(
+        delta, rho, beta, np.angle(turn[:, 0] + turn[:, 1]), u_r, u_1, u_2, paper_sigma(u_r, u_1, u_2)
+    )
+
+
+def paper_sigma(u_r: Floats, u_1: Floats, u_2: Floats) -> Floats:
+    """Return sqrt((30 u_r)^2 + (150 u_1)^2 + (150 u_2)^2) in rad."""
+    return np.asarray(np.sqrt((FACTOR_R * u_r) ** 2 + (FACTOR_1 * u_1) ** 2 + (FACTOR_2 * u_2) ** 2))
+
+
+SIDE_BANDS, NEAR_BANDS = 4, 5
+"""Bands into which the rows of a side, and the columns of the near edge, are gathered."""
+_LEAST_FALL = 1e-9
+
+
+def near_corners(
+    window: Windows, radii: Floats, angles: Floats, inner: float, outer: float
+) -> tuple[Floats, Floats]:
+    """Find the near corners in a batch of windows about a marker.
+
+    Parameters
+    ----------
+    window : Windows
+        Score with the background at 0 and the marker at 1, the marker near the middle column: n of them.
+    radii : ndarray, shape (rows,)
+        Radii of the rows in px, evenly increasing.
+    angles : ndarray, shape (columns,)
+        Angles of the columns relative to the marker in rad, evenly increasing.
+    inner, outer : float
+        Typical radii of the near and the far edge in px.
+
+    Returns
+    -------
+    radius, angle : ndarray, shape (n, 2)
+        Polar coordinates of both corners, the lower angle first; NaN where an edge is not seen.
+    """
+    left, right = _side_edges(window, radii, angles, inner, outer)
+    if not np.isfinite(left[0] + right[0]).any():
+        nothing = np.full((len(left[0]), 2), np.nan)
+        return nothing, nothing
+    near = _near_edge(window, radii, angles, 0.5 * (right[0] - left[0]), 0.5 * (right[0] + left[0]))
+    radius, angle = np.empty((2, len(left[0]), 2))
+    for side, (base, lean) in enumerate((left, right)):
+        r = np.full(len(base), inner)
+        for _ in range(3):
+            phi = base + lean * (r - inner)
+            r = near[0] + near[1] * phi + near[2] * phi**2
+        radius[:, side], angle[:, side] = r, base + lean * (r - inner)
+    return radius, angle
+
+
+def _side_edges(
+    window: Windows, radii: Floats, angles: Floats, inner: float, outer: float
+) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
+    """Fit angle = base + lean (r - inner) to each side over the nearer part of the paper."""
+    length = outer - inner
+    rows = np.flatnonzero((radii >= inner + 0.12 * length) & (radii <= inner + 0.85 * length))
+    if len(rows) < 2:
+        rows = (
+            np.flatnonzero((radii >= inner) & (radii <= outer)) if length > 0 else np.array([len(radii) // 2])
+        )
+    if len(rows) == 0:
+        rows = np.array([int(np.argmin(np.abs(radii - 0.5 * (inner + outer))))])
+    mixing = _bands(rows, len(radii), SIDE_BANDS)
+    part = window.rows(mixing)
+    middle = part.shape[2] // 2
+    r = mixing @ radii - inner
+    right, left = _edge(part, angles, middle, 1), _edge(part, angles, middle, -1)
+    return _lines(left, r), _lines(right, r)
+
+
+def _near_edge(
+    window: Windows, radii: Floats, angles: Floats, half: Floats, middle: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Fit r = c0 + c1 phi + c2 phi^2 to the near edge within 0.8 of the half width."""
+    known = np.isfinite(half)
+    typical, centre = median_of(half[known]), median_of(middle[known])
+    columns = np.flatnonzero(np.abs(angles - centre) < 0.8 * typical)
+    nothing = np.full(len(half), np.nan)
+    if len(columns) < 3:
+        columns = np.arange(len(angles) // 2 - 1, len(angles) // 2 + 2)
+    mixing = _bands(columns, len(angles), NEAR_BANDS)
+    across = window.columns(mixing)
+    top = int(np.argmax(np.median(np.ascontiguousarray(across.mean(axis=1).T), axis=1)))
+    if top < 1:
+        return nothing, nothing, nothing
+    edge = _edge(across, radii, top, -1)
+    phi = mixing @ angles
+    degree = 2 if len(phi) >= 5 else 0
+    known = np.isfinite(edge)
+    seen = known.mean(axis=1) > 0.6
+    mean = np.where(known, edge, 0.0).sum(axis=1, keepdims=True) / np.maximum(
+        known.sum(axis=1, keepdims=True), 1
+    )
+    edge = np.where(known, edge, mean)
+    solve = np.linalg.pinv(np.vander(phi, degree + 1, increasing=True))
+    coefficient = np.zeros((len(half), 3))
+    coefficient[:, : degree + 1] = np.where(seen[:, None], edge, np.nan) @ solve.T
+    coefficient[~seen] = np.nan
+    return coefficient[:, 0], coefficient[:, 1], coefficient[:, 2]
+
+
+def _bands(chosen: npt.NDArray[np.integer], size: int, most: int) -> Floats:
+    """Return weights (bands, size) that average neighbouring rows or columns in at most so many bands."""
+    parts = np.array_split(chosen, min(most, len(chosen)))
+    mixing = np.zeros((len(parts), size))
+    for line, part in zip(mixing, parts, strict=True):
+        line[part] = 1.0 / len(part)
+    return mixing
+
+
+def _edge(values: Floats, axis: Floats, first: int, step: int) -> Floats:
+    """Return where curves (n, k, size) that leave the marker at sample `first` end at its edge, (n, k) on the axis.
+
+    That is half way down to what lies beyond the edge; NaN where it is never reached.
+    """
+    outwards = values[:, :, first::step]
+    beyond = float(np.clip(median_of(outwards[:, :, -2:]), -0.3, 0.6))
+    level = 0.5 * (1.0 + beyond)
+    if loops is None:
+        place = _crossing(outwards, level)
+    else:
+        place = np.empty(values.shape[:2])
+        loops.crossing(values, place, first, step, level, _LEAST_FALL)
+    return np.asarray(axis[first] + step * (axis[1] - axis[0]) * place)
+
+
+def _crossing(values: Floats, level: float) -> Floats:
+    """Return the place, in samples, where a curve that starts on the marker first falls below a level; NaN if never."""
+    below = values < level
+    first = np.argmax(below, axis=2)
+    valid = below.any(axis=2) & (first > 0)
+    index = np.clip(first, 1, values.shape[2] - 1)
+    high = np.take_along_axis(values, index[..., None] - 1, axis=2)[..., 0]
+    low = np.take_along_axis(values, index[..., None], axis=2)[..., 0]
+    part = (high - level) / np.maximum(high - low, _LEAST_FALL)
+    return np.where(valid, index - 1 + np.clip(part, 0.0, 1.0), np.nan)
+
+
+def _lines(edge: Floats, r: Floats) -> tuple[Floats, Floats]:
+    """Fit lines through the crossings of all rows; NaN where fewer than 60 % of the rows have one."""
+    seen = np.isfinite(edge)
+    enough = seen.mean(axis=1) > 0.6
+    count = np.maximum(seen.sum(axis=1), 1)
+    value = np.where(seen, edge, 0.0)
+    mean_r = (seen * r).sum(axis=1) / count
+    mean = value.sum(axis=1) / count
+    dr = np.where(seen, r - mean_r[:, None], 0.0)
+    spread = (dr**2).sum(axis=1)
+    lean = np.where(spread > 0, (dr * (value - mean[:, None])).sum(axis=1) / np.maximum(spread, 1e-9), 0.0)
+    base = mean - lean * mean_r
+    return np.where(enough, base, np.nan), np.where(enough, lean, np.nan)

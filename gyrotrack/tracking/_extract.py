@@ -1,0 +1,471 @@
+"""Extraction of the angles of both bodies from a film."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack._column_store import new_columns, put_away, stretches
+from gyrotrack._errors import DatasetError, TrackingError, UsageError, VideoError
+from gyrotrack._smoothing import WIDTH, angular_velocity
+from gyrotrack._versions import __version__
+from gyrotrack.io._hdf5 import read_recording, read_settings, write_recording
+from gyrotrack.io._journal import Journal
+from gyrotrack.io._records import STATUS, BodyTrack, MarkerTrack, Recording
+from gyrotrack.tracking._acquisition import acquire
+from gyrotrack.tracking._body_angles import Joint, join_bodies, trusted_times
+from gyrotrack.tracking._colour import single_threaded
+from gyrotrack.tracking._corners import paper_angle
+from gyrotrack.tracking._film_tracker import Notes, Progress, Tracker, Watched, frames_kept, give_back, watch
+from gyrotrack.tracking._frame_repeats import judge_repeats, left_out, without_repeats
+from gyrotrack.tracking._fusion import BodyAngles
+from gyrotrack.tracking._observations import Sightings
+from gyrotrack.tracking._profile import PAPER, Profile
+from gyrotrack.tracking._residuals import wrapped
+from gyrotrack.tracking._scene import FEWEST, Paper, Scene, take_samples
+from gyrotrack.video._container import ClipInfo, file_sha256, probe
+from gyrotrack.video._time_base import FrameTimes, Timing
+from gyrotrack.video._timestamps import CaptureRate, capture_rate
+
+Floats = npt.NDArray[np.float64]
+Codes = npt.NDArray[np.int8]
+
+
+def marker_track(
+    paper: Paper,
+    seen: Sightings,
+    body: BodyAngles,
+    centre: Floats,
+    sense: int,
+    size: tuple[int, int],
+) -> MarkerTrack:
+    """Build the record of one marker; its corners are given only where nothing hides the marker."""
+    found = body.markers[paper.name]
+    kinds = {"corner": ((2, 2), "f8"), "status": ((), "i1"), "angle_fine": ((), "f8")}
+    own = new_columns(len(found.angle), kinds)
+    for part in stretches(len(found.angle)):
+        some, angle = seen.at(part), found.angle[part]
+        own["status"][part] = status = _status(paper, some, np.isfinite(angle), size)
+        own["corner"][part] = np.where((status == STATUS["ok"])[:, None, None], _corners(some), np.nan)
+        own["angle_fine"][part] = wrapped(sense * angle)
+    measured = paper_angle(own["corner"], centre, own["status"] == STATUS["ok"])
+    for part in stretches(len(found.angle)):
+        measured.angle[part] = wrapped(sense * measured.angle[part])
+    return MarkerTrack(
+        name=paper.name,
+        body=paper.body,
+        mount_angle=float(np.angle(np.exp(1j * sense * found.mount))),
+        corner=own["corner"] if sense > 0 else own["corner"][:, ::-1],
+        delta=measured.delta,
+        rho=measured.rho,
+        beta=measured.beta,
+        angle=measured.angle,
+        sigma=measured.sigma,
+        u_r=measured.u_r,
+        u_1=measured.u_1,
+        u_2=measured.u_2,
+        status=own["status"],
+        angle_fine=own["angle_fine"],
+        sigma_calibrated=found.sigma,
+    )
+
+
+def _corners(seen: Sightings) -> Floats:
+    """Return the near corners in the picture, (n, 2, 2) in px, the one with the lower angle as seen first."""
+    x = seen.centre[:, None, 0] + seen.corner_radius * np.cos(seen.corner_angle)
+    y = seen.centre[:, None, 1] - seen.corner_radius * np.sin(seen.corner_angle)
+    return np.stack([x, y], axis=-1)
+
+
+def _status(paper: Paper, seen: Sightings, used: npt.NDArray[np.bool_], size: tuple[int, int]) -> Codes:
+    """Say for each frame how a marker was seen.
+
+    ok: whole, with both corners. blurred: whole, but its corners are not to be made out. occluded: something
+    stands before a part of it. out_of_frame: a part lies outside the picture. lost: nothing like it where it
+    should be.
+    """
+    status = np.full(len(used), STATUS["lost"], dtype=np.int8)
+    status[np.isfinite(seen.angle) & ~seen.open] = STATUS["occluded"]
+    status[used & seen.open] = STATUS["blurred"]
+    status[used & seen.open & np.isfinite(seen.corner_angle).all(axis=1)] = STATUS["ok"]
+    status[seen.outside(paper.inner, paper.outer, 0.7 * paper.half_width, size)] = STATUS["out_of_frame"]
+    return status
+
+
+def body_track(
+    name: str, body: BodyAngles, markers: dict[str, MarkerTrack], time: Floats, sense: int
+) -> BodyTrack:
+    """Build the record of one body from the frames in which its angle is known.
+
+    `sigma_paper` is the paper's uncertainty of the mean of the markers that were whole in a frame,
+    sqrt(sum sigma_m^2) / n, and NaN where there was none.
+    """
+    use = np.isfinite(body.angle)
+    angle, sigma = sense * body.angle[use], body.sigma[use]
+    columns = {"time": time[use], "angle": angle, "sigma": sigma, "n_markers": body.count[use]}
+    columns["sigma_paper"] = _paper_sigma([markers[m].sigma for m in body.markers])[use]
+    columns["omega"], columns["omega_sigma"] = angular_velocity(columns["time"], angle, sigma, WIDTH)
+    return BodyTrack(name=name, smoothing_width=WIDTH, **put_away(columns))
+
+
+def _paper_sigma(own: list[Floats]) -> Floats:
+    """Return sqrt(sum sigma_m^2) / n over the n markers whose uncertainty is known, (n,); NaN where there is none."""
+    out = np.empty(len(own[0]))
+    for part in stretches(len(out)):
+        sigma = np.stack([one[part] for one in own])
+        known = np.isfinite(sigma)
+        count = known.sum(axis=0)
+        total = np.sqrt((np.where(known, sigma, 0.0) ** 2).sum(axis=0))
+        out[part] = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    return out
+
+
+BODIES = (None, "casing", "rotor", "both")
+HARDLY = 0.5
+"""Turn in rad of all bodies up to which a film is said to show none."""
+
+
+def extract(
+    video: Path,
+    profile: Profile = PAPER,
+    *,
+    capture_fps: float | None = None,
+    body: str | None = None,
+    times: str = "auto",
+    threads: int = 2,
+    progress: Progress | None = None,
+    journal: Journal | None = None,
+) -> Recording:
+    """Track the markers in a film.
+
+    Parameters
+    ----------
+    video : Path
+        The film.
+    profile : Profile
+        Its markers.
+    capture_fps : float, optional
+        Frames per second of the camera; without it the profile's, the camera's tag, or the container's from
+        100 fps.
+    body : {"casing", "rotor", "both"}, optional
+        "casing" looks at nothing else. "rotor" and "both" fail when that body is not seen; with "rotor" the
+        casing is kept where it is seen, because synchronising needs it. Without it all that is seen is kept.
+    times : {"auto", "stamps", "frames"}
+        Where the times are from: counted frames over the capture rate; the film's time stamps; or the stamps where
+        they are spaced as unevenly as a camera's whose rate varied, in a film that is not in slow motion.
+    threads : int
+        Threads of the decoder.
+    progress : callable, optional
+        Called with (frames done, frames declared or None).
+    journal : Journal, optional
+        Keeps what was measured on the way, and lets a run go on that was killed; made with `run_facts`.
+
+    Raises
+    ------
+    VideoError
+        The film cannot be read, or its capture rate is unknown.
+    TrackingError
+        No markers, or not the body that was asked for.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> recording = extract(Path("casing.mp4"))  # doctest: +SKIP
+    >>> recording.bodies["casing"].angle  # doctest: +SKIP
+    """
+    if body not in BODIES:
+        raise UsageError(
+            f"a body is casing, rotor or both, not {body}", "leave it out to keep all that is seen"
+        )
+    video = Path(video)
+    info = probe(video)
+    rate = capture_rate(info, capture_fps, profile.capture_fps)
+    timing = Timing(times, rate.fps)
+    if body == "casing":
+        profile = _only_casing(profile)
+    scene, seen = _seen(video, profile, threads, progress, timing, Notes(journal))
+    give_back()
+    if len(seen.pts_time) < FEWEST:  # damage may leave fewer than the samples promised
+        raise VideoError(
+            f"only {len(seen.pts_time)} frames of {video} can be decoded", "copy it from the camera again"
+        )
+    found = judge_repeats(seen, scene)
+    when, rate = without_repeats(trusted_times(seen, scene), found, rate, info)
+    seen = left_out(seen, when)
+    joint = join_bodies(seen, scene, profile, rate.fps)
+    _check_bodies(joint, body, video)
+    sha256 = str(journal.facts["film"]) if journal else file_sha256(video)
+    return _recording(info, sha256, rate, scene, seen, joint)
+
+
+def _seen(
+    video: Path, profile: Profile, threads: int, progress: Progress | None, timing: Timing, notes: Notes
+) -> tuple[Scene, Watched]:
+    """Find the markers and watch them through the film; what they need is let go of with the end of this."""
+    samples = take_samples(video)
+    with single_threaded():
+        scene = acquire(samples, profile, str(video))
+        tracker = Tracker(scene, samples)
+        del samples  # as large as all that is held on the way
+        give_back()
+        return scene, watch(video, scene, tracker, threads, progress, timing, notes)
+
+
+def _recording(
+    info: ClipInfo, sha256: str, rate: CaptureRate, scene: Scene, seen: Watched, joint: Joint
+) -> Recording:
+    """Put together what the dataset keeps of a film."""
+    time = seen.times.seconds(rate.fps)
+    markers = {
+        paper.name: marker_track(
+            paper, seen.bodies[name].markers[paper.name], found, joint.centre.centre, joint.sense, seen.size
+        )
+        for name, found in joint.bodies.items()
+        for paper in scene.of(name)
+    }
+    bodies = {
+        name: body_track(name, found, markers, time, joint.sense) for name, found in joint.bodies.items()
+    }
+    still = _stillness(joint, info.path, marked=scene.disc is not None)
+    of_rate = rate.warnings if seen.times.place is None else ()  # stamps have said how long a frame lasts
+    film = (*of_rate, *seen.warnings, *seen.times.told)
+    told = (*still, *film, *scene.warnings, *joint.warnings, *_odd_frames(markers))
+    return Recording(
+        source=info.path.name,
+        source_sha256=sha256,
+        width=seen.size[0],
+        height=seen.size[1],
+        capture_fps=rate.fps,
+        container_fps=info.container_fps,
+        frames_declared=info.frames_declared,
+        frames_decoded=len(time),
+        sense=joint.sense,
+        body="both" if len(bodies) == 2 else next(iter(bodies)),
+        frame_index=seen.times.number,
+        time=time,
+        pts_time=seen.pts_time,
+        centre=joint.centre.centre,
+        centre_sigma=joint.centre.sigma,
+        markers=markers,
+        bodies=bodies,
+        warnings=told,
+        extra=_extra(scene, joint, rate.source, seen.times),
+    )
+
+
+def run_facts(video: Path, profile: Profile, body: str | None, times: str = "auto") -> dict[str, Any]:
+    """Return by what a run is known again: the film's content, what was asked for, and the program."""
+    probe(video)
+    return {
+        "film": file_sha256(video),
+        "profile": profile.model_dump(mode="json"),
+        "body": body,
+        "times": times,
+        "version": __version__,
+    }
+
+
+def _only_casing(profile: Profile) -> Profile:
+    markers = profile.of("casing")
+    if not markers:
+        raise UsageError(f"the profile {profile.name} has no marker on the casing", "leave out --body")
+    return profile.model_copy(update={"marker": markers})
+
+
+def _check_bodies(joint: Joint, body: str | None, video: Path) -> None:
+    wanted = ("casing", "rotor") if body == "both" else (body,) if body else ()
+    for name in wanted:
+        if name not in joint.bodies:
+            raise TrackingError(
+                f"the {name} is not seen in {video}",
+                "check the profile's colours (--profile), or leave out --body",
+            )
+    if not joint.bodies:
+        raise TrackingError(
+            f"no body can be followed in {video}: its markers do not move evenly about a centre",
+            "check the profile's colours (--profile) and look at the film",
+        )
+
+
+def _stillness(joint: Joint, video: Path, *, marked: bool) -> tuple[str, ...]:
+    """Tell of a film in which nothing turns; without a disc the centre that its angles are about is a guess."""
+    turn = {name: float(np.nanmax(body.angle) - np.nanmin(body.angle)) for name, body in joint.bodies.items()}
+    if max(turn.values()) >= HARDLY:
+        return ()
+    most = " and ".join(f"the {name} by {by:.2f} rad" for name, by in turn.items())
+    about = "" if marked else ", and no disc marks their centre"
+    return (f"nothing turns in {video.name}: its angles move little ({most} in all){about}",)
+
+
+def _odd_frames(markers: dict[str, Any]) -> tuple[str, ...]:
+    """Tell of a first frame in which nothing is where the motion says: a still before the film, a cut."""
+    if any(len(m.status) < 10 for m in markers.values()):
+        return ()
+    first = [
+        m.status[0] == STATUS["lost"] and np.any(m.status[1:6] == STATUS["ok"]) for m in markers.values()
+    ]
+    return (
+        ("frame 0 does not belong to the motion that follows (a still?) and is left out",)
+        if all(first)
+        else ()
+    )
+
+
+def _extra(scene: Scene, joint: Joint, rate_source: str, times: FrameTimes) -> dict[str, Any]:
+    return {
+        "times_from": "frames" if times.place is None else "stamps",
+        "repeated_frames": 0 if times.again is None else int(times.again.sum()),
+        "capture_rate_from": rate_source,
+        "centre_from": "disc" if scene.disc else "orbit",
+        "centre_smoothing_reach": joint.centre.reach,
+        "missing_markers": list(scene.missing),
+        "tilt": {
+            name: {"p": flat.p, "q": flat.q, "angle": flat.tilt, "offset": flat.offset}
+            for name, flat in joint.flattening.items()
+        },
+        "papers": {
+            p.name: {
+                "inner": p.inner,
+                "outer": p.outer,
+                "half_width": p.half_width,
+                "contrast": list(p.contrast),
+            }
+            for p in scene.papers
+        },
+    }
+
+
+Bar = Callable[[], AbstractContextManager[Callable[[int, int | None], None]]]
+
+
+@dataclass(frozen=True)
+class Task:
+    """One film, and what is wanted of it.
+
+    Attributes
+    ----------
+    video, target : Path
+        The film, and the file to write.
+    profile : Profile
+        Its markers.
+    capture_fps : float, optional
+        Frames a second of the camera; the profile's or the film's own, if not given.
+    body : str, optional
+        Track only this body.
+    times : {"auto", "stamps", "frames"}
+        Where the times of the frames are from.
+    """
+
+    video: Path
+    target: Path
+    profile: Profile
+    capture_fps: float | None = None
+    body: str | None = None
+    times: str = "auto"
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What shaped the result, as the file keeps it."""
+        return {
+            "video": self.video,
+            "capture_fps": self.capture_fps,
+            "body": self.body,
+            "times": self.times,
+            "profile": self.profile.model_dump(mode="json"),
+        }
+
+    def earlier(self) -> Recording | None:
+        """Return the output if it is there already, of this film and these settings.
+
+        Raises
+        ------
+        VideoError
+            The film cannot be read.
+        """
+        probe(self.video)
+        try:
+            same = {**read_settings(self.target), "video": None} == {**self.settings, "video": None}
+            recording = read_recording(self.target) if same else None
+        except DatasetError:
+            return None
+        if recording is None or recording.source_sha256 != file_sha256(self.video):
+            return None
+        with Journal(self.target, {}) as journal:  # of a run that was killed just after it wrote the output
+            journal.discard()
+        return recording
+
+    def run(
+        self,
+        *,
+        command: str,
+        bar: Bar,
+        tell: Callable[[str], None],
+        resume: bool = False,
+        force: bool = False,
+    ) -> tuple[Recording, float]:
+        """Track the film and write the output.
+
+        Parameters
+        ----------
+        command : str
+            The words by which this was called, for the file.
+        bar : callable
+            Opens what shows (frames done, frames in all).
+        tell : callable
+            Hears where the run begins, and what is kept of it when it is interrupted.
+        resume : bool
+            Go on with the journal of an earlier run, if there is one.
+        force : bool
+            Replace an existing output.
+
+        Returns
+        -------
+        tuple of (Recording, float)
+            What was written, and the frames done in a second.
+
+        Raises
+        ------
+        VideoError, TrackingError, OutputError
+            The film cannot be read, shows no markers, or the output cannot be written.
+        """
+        with Journal(
+            self.target, run_facts(self.video, self.profile, self.body, self.times), resume=resume
+        ) as journal:
+            taken = frames_kept(journal)
+            if resume:
+                tell(_resumed(journal, taken))
+            start = perf_counter()
+            try:
+                with bar() as progress:
+                    recording = extract(
+                        self.video,
+                        self.profile,
+                        capture_fps=self.capture_fps,
+                        body=self.body,
+                        times=self.times,
+                        progress=progress,
+                        journal=journal,
+                    )
+            except KeyboardInterrupt:
+                if kept := frames_kept(journal):
+                    tell(f"{kept} frames are kept; the same command with --resume goes on from there")
+                raise
+            pace = (recording.frames_decoded - taken) / max(perf_counter() - start, 1e-9)
+            write_recording(self.target, recording, command=command, settings=self.settings, force=force)
+            journal.discard()
+        return recording, pace
+
+
+def _resumed(journal: Journal, taken: int) -> str:
+    if taken:
+        return f"going on after frame {taken - 1}"
+    if journal.other:
+        return f"{journal.path.name} was of another film, profile or version; starting from the first frame"
+    return "no unfinished run is there; starting from the first frame"

@@ -1,0 +1,192 @@
+"""Repeated frames: whether the bodies stand still in them.
+
+A picture that looks like the one before may do so because nothing turns. Where a body should have moved by more than
+its scatter, and has not, a frame is a repetition, and no measurement. The frame after it tells the rest. If the body
+has moved on by the step of the repeated frame too, the repetition stands in the place of a frame that was missed, and
+all other times are right. If it has not, the repetition was put between two frames of the camera, as a conversion to a
+higher rate does: frames are then numbered without it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack._smoothing import median_of
+from gyrotrack.tracking._association import net_turn
+from gyrotrack.tracking._film_tracker import BodySightings, Watched
+from gyrotrack.tracking._observations import plausible, spread_out
+from gyrotrack.tracking._residuals import wrapped
+from gyrotrack.tracking._scene import Scene
+from gyrotrack.video._container import ClipInfo
+from gyrotrack.video._time_base import LIVE, FrameTimes
+from gyrotrack.video._timestamps import CaptureRate
+
+Floats = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+AROUND = 20
+"""Frames to each side from which the step of a body is known."""
+CLEAR = 3.0
+"""Standard deviations by which a body must move in a frame for a repetition to be told."""
+FEWEST = 4
+
+
+@dataclass(frozen=True)
+class Repetition:
+    """The repeated frames of a film.
+
+    Attributes
+    ----------
+    again : ndarray of bool, shape (n,)
+        Which frames repeat the one before them.
+    inserted : bool
+        They stand between frames of the camera, not in the place of missing ones.
+    period : float
+        Frames from one run of them to the next, NaN if these do not come regularly.
+    """
+
+    again: Mask
+    inserted: bool = False
+    period: float = float("nan")
+
+    @property
+    def kept(self) -> float:
+        """The share of the frames that are the camera's own, where some are repeated regularly."""
+        run = float(self.again.sum()) / max(len(_runs(self.again)), 1)
+        return 1.0 - run / self.period
+
+
+def turning_most(seen: Watched) -> str:
+    """Return the name of the body that turns most."""
+    return max(seen.bodies, key=lambda name: abs(net_turn(seen.bodies[name].coarse)))
+
+
+def seen_angle(seen: Watched, scene: Scene, name: str) -> Floats:
+    """Return the angle of a body by all its markers that are seen well, (n,) [rad]; NaN where there is none."""
+    body = seen.bodies[name]
+    total, count = np.zeros((2, len(body.coarse)))
+    for paper in scene.of(name):
+        sights = body.markers[paper.name]
+        good = plausible(sights) & sights.open & np.isfinite(body.coarse)
+        total += np.where(good, wrapped(np.nan_to_num(sights.angle - paper.mount - body.coarse)), 0.0)
+        count += good
+    return body.coarse + np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def judge_repeats(seen: Watched, scene: Scene) -> Repetition:
+    """Find which frames that look repeated are so, since a body that should move does not, and what they stand for."""
+    again = seen.again.copy()
+    if not again.any() or not seen.bodies:
+        return Repetition(again & False)
+    steps = [_Steps(seen_angle(seen, scene, name), seen.again) for name in seen.bodies]
+    for k in np.flatnonzero(again):
+        said = [body.still(int(k)) for body in steps if body.around(int(k))[1]]
+        again[k] = True in said or (None in said and False not in said)
+    runs = _runs(again)
+    shares = [share for body in steps for share in body.shares(runs)]
+    return Repetition(again, len(shares) > 0 and median_of(np.array(shares)) < 0.5, _period(runs))
+
+
+class _Steps:
+    """An angle's steps between frames that repeat nothing."""
+
+    def __init__(self, angle: Floats, again: Mask) -> None:
+        self.angle = angle
+        self._fresh = np.flatnonzero(~again)
+        self._steps = np.diff(angle[self._fresh])
+
+    def around(self, frame: int) -> tuple[float, bool]:
+        """Return the usual step about a frame, and whether it stands out of the scatter of such steps."""
+        place = int(np.searchsorted(self._fresh, frame))
+        known = self._steps[max(place - AROUND, 0) : place + AROUND]
+        known = known[np.isfinite(known)]
+        if len(known) < FEWEST:
+            return float("nan"), False
+        usual = median_of(known)
+        return usual, abs(usual) > CLEAR * (1.4826 * median_of(np.abs(known - usual)) + 1e-6)
+
+    def still(self, frame: int) -> bool | None:
+        """Tell whether the body has not moved since the frame before; None if it is not seen in both."""
+        step = abs(self.angle[frame] - self.angle[frame - 1])
+        return bool(step < 0.5 * abs(self.around(frame)[0])) if np.isfinite(step) else None
+
+    def shares(self, runs: list[tuple[int, int]]) -> list[float]:
+        """Return by how many usual steps it moves on beyond one from before a run to behind it, a repeated frame."""
+        found = []
+        for first, after in runs:
+            usual, clear = self.around(first)
+            over = self.angle[after] - self.angle[first - 1] if after < len(self.angle) else np.nan
+            if clear and np.isfinite(over):
+                found.append((over / usual - 1.0) / (after - first))
+        return found
+
+
+def _period(runs: list[tuple[int, int]]) -> float:
+    """Return after how many frames a run follows the one before, NaN if they do not come regularly."""
+    first = np.array([run[0] for run in runs])
+    if len(first) < FEWEST:
+        return float("nan")
+    apart = np.diff(first)
+    regular = (np.abs(apart - np.median(apart)) <= 1.0).mean() > 0.8
+    return float(np.polyfit(np.arange(len(first)), first, 1)[0]) if regular else float("nan")
+
+
+def _runs(again: Mask) -> list[tuple[int, int]]:
+    """Return the runs of repeated frames: their first one, and the one after their last."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], again, [False]]).astype(np.int8)))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
+def left_out(seen: Watched, times: FrameTimes) -> Watched:
+    """Return what was seen without the sightings of repeated frames."""
+    if times.again is None:
+        return replace(seen, times=times)
+    fresh, count = np.flatnonzero(~times.again), len(times.again)
+    bodies = {
+        name: BodySightings(
+            spread_out(body.coarse[fresh], fresh, count),
+            {m: s.picked(fresh).spread_out(fresh, count) for m, s in body.markers.items()},
+        )
+        for name, body in seen.bodies.items()
+    }
+    return replace(seen, bodies=bodies, times=times)
+
+
+def without_repeats(
+    times: FrameTimes, found: Repetition, rate: CaptureRate, info: ClipInfo
+) -> tuple[FrameTimes, CaptureRate]:
+    """Tell of the repeated frames, and number the others without those that were inserted.
+
+    A regular conversion keeps the length of a film: where the capture rate is the file's, the camera's was less by the
+    share of repeated frames. Otherwise it is that of the frames that are left.
+    """
+    if not found.again.any():
+        return times, rate
+    count, first = int(found.again.sum()), int(np.argmax(found.again))
+    told = f"{count} frames repeat the one before them, the first is frame {first}; they are left out"
+    if not found.inserted:
+        told += ", and fill the places of missing frames: the bodies have moved on after them"
+    elif times.place is not None:
+        told += (
+            "; the bodies have not moved on after them, so that the time stamps are not the camera's, and times are "
+            "wrong (--times frames counts the other frames)"
+        )
+    else:
+        times = replace(times, number=times.number - np.cumsum(found.again))
+        rate, more = _slower(rate, found, info)
+        told += f", and the others are counted without them: the bodies have not moved on after them; {more}"
+    return replace(times, again=found.again, told=(*times.told, told)), rate
+
+
+def _slower(rate: CaptureRate, found: Repetition, info: ClipInfo) -> tuple[CaptureRate, str]:
+    """Return the capture rate of a film with inserted frames, and what is to be told of it."""
+    stored, true = info.container_fps, info.container_fps * found.kept
+    of_file = abs(rate.fps / stored - 1.0) < min(LIVE, np.nan_to_num(abs(rate.fps / true - 1.0), nan=np.inf))
+    if of_file and np.isfinite(true):
+        told = f"a film of {true:.5g} frames/s was converted to {stored:.5g}, and times are from the former"
+        return CaptureRate(true, "repeated frames"), told
+    doubt = "; if that is not the camera's rate, give it with --capture-fps" if of_file else ""
+    return rate, f"their rate is taken for {rate.fps:g} frames/s{doubt}"

@@ -1,0 +1,343 @@
+"""The path of the centre of rotation.
+
+The noise of a compressed film is not independent from frame to frame, so that what predicts the next frame
+best is not the true path. The path is therefore taken as a slow curve (local parabolas, their width chosen
+by how well they predict points at least `HOLE` frames away) plus whatever stands out as a line in the
+spectrum of the rest: a precession or a wobble with the turn of the casing.
+
+The marker's position is c(t) + rho A (cos theta, sin theta) (see `tilt`). Each sighting tells where c(t)
+lies along its own radius; over half a turn that fixes both coordinates. c(t) is a broken line with about one
+knot a turn.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack._column_store import stretches
+from gyrotrack._native._kernels import loops
+from gyrotrack._smoothing import local_fit
+from gyrotrack.tracking._polar import CHROMA_SHIFT
+from gyrotrack.tracking._scene import Disc
+from gyrotrack.video._container import Frame
+
+Floats = npt.NDArray[np.float64]
+
+_TOGETHER = 64
+"""Frames measured at a time: their windows fit into the processor's own memory."""
+
+
+class DiscWindow:
+    """A small chroma window about the disc, collected for a batch of frames.
+
+    Parameters
+    ----------
+    disc : Disc
+        Where it was found, how large it is, and its chroma.
+    capacity : int
+        Frames of a batch.
+    """
+
+    def __init__(self, disc: Disc, capacity: int) -> None:
+        self.disc = disc
+        self.half = int(np.ceil((1.5 * disc.radius + 6.0) / 2.0))
+        side = 2 * self.half + 1
+        self._pixels = np.zeros((capacity, 2, side, side), dtype=np.uint8)
+        self._corner = (0, 0)
+
+    def aim(self, centre: tuple[float, float], frame: Frame) -> None:
+        """Put the window about a centre (luma px), inside the picture."""
+        height, width = frame.u.shape
+        side = 2 * self.half + 1
+        x = int(np.clip(round((centre[0] - CHROMA_SHIFT[0]) / 2.0) - self.half, 0, max(width - side, 0)))
+        y = int(np.clip(round((centre[1] - CHROMA_SHIFT[1]) / 2.0) - self.half, 0, max(height - side, 0)))
+        self._corner = (x, y)
+
+    def take(self, frames: list[Frame], place: int) -> None:
+        """Store the windows of some frames, from `place` of the batch on."""
+        x, y = self._corner
+        side = 2 * self.half + 1
+        box = (slice(y, y + side), slice(x, x + side))
+        height, width = frames[0].u[box].shape
+        for frame, (u, v) in zip(frames, self._pixels[place:, :, :height, :width], strict=False):
+            u[:] = frame.u[box]
+            v[:] = frame.v[box]
+
+    def centres(self, count: int) -> Floats:
+        """Measure the disc's centre in the first `count` frames, (count, 2) in px; NaN where hidden."""
+        u, v = self.disc.chroma
+        norm = u * u + v * v
+        place = np.empty((count, 2))
+        if loops is not None:
+            loops.disc(self._pixels[:count], place, (u / norm, v / norm), self.disc.radius / 2.0)
+        else:
+            for first in range(0, count, _TOGETHER):
+                part = slice(first, min(first + _TOGETHER, count))
+                pixels = self._pixels[part].astype(np.float32)
+                score = pixels[:, 0] * np.float32(u / norm) + pixels[:, 1] * np.float32(v / norm)
+                place[part] = np.stack(_disc_centroid(score, self.disc.radius / 2.0), axis=1)
+        return np.asarray(2.0 * (place + self._corner) + np.array(CHROMA_SHIFT))
+
+
+def _disc_centroid(score: npt.NDArray[np.float32], radius: float) -> tuple[Floats, Floats]:
+    """Find the centroid of a bright disc in each image, (n, side, side), in px of the window.
+
+    The disc's level and the background's are taken from each frame; the mask rises softly between 30 % and
+    70 % of the step, so that the edge counts with the share of each pixel that it covers.
+    """
+    count, side, _ = score.shape
+    grid = np.arange(side, dtype=np.float64)
+    few = score[:, ::3, ::3].reshape(count, -1)
+    ranks = [int(part * (few.shape[1] - 1)) for part in (0.97, 0.5)]
+    level, ground = np.partition(few, ranks, axis=1)[:, ranks, None, None].transpose(1, 0, 2, 3)
+    step = np.maximum(level - ground, np.float32(1e-6))
+    soft = score - (ground + np.float32(0.3) * step)
+    soft /= np.float32(0.4) * step
+    np.clip(soft, 0.0, 1.0, out=soft)
+    middle = (side - 1) / 2.0
+    x, y = np.full(count, middle), np.full(count, middle)
+    for reach in (2.2 * radius + 3.0, 1.5 * radius + 1.5, 1.35 * radius + 1.0):
+        half_chord = np.sqrt(np.maximum(reach**2 - (grid - y[:, None]) ** 2, 0.0))[:, :, None]
+        weight = soft * (np.abs(grid - x[:, None])[:, None, :] < half_chord)
+        across = weight.sum(axis=1, dtype=np.float64)
+        total = np.maximum(across.sum(axis=1), 1e-9)
+        x = (across @ grid) / total
+        y = (weight.sum(axis=2, dtype=np.float64) @ grid) / total
+    expected = np.pi * radius**2
+    hidden = (total < 0.6 * expected) | (total > 1.7 * expected) | (step[:, 0, 0] < 0.3)
+    x[hidden] = np.nan
+    y[hidden] = np.nan
+    return x, y
+
+
+Complexes = npt.NDArray[np.complex128]
+
+HOLE = 8
+"""Frames over which the errors of a compressed film hang together."""
+_HALVES = (24, 48, 96, 192)
+_STANDS_OUT = 7.0
+_PIECES = 64
+LEAST_SIGMA = 0.05
+"""Uncertainty in px that no smoothing beats: encoders hold a disc in place while it creeps."""
+
+
+@dataclass(frozen=True)
+class CentrePath:
+    """The centre in each frame (n, 2) [px], its uncertainty per axis (n,) [px], frames of smoothing."""
+
+    centre: Floats
+    sigma: Floats
+    reach: int
+
+
+def smooth_path(measured: Floats) -> CentrePath:
+    """Smooth a measured path, (n, 2) in px, NaN where there is none."""
+    known: npt.NDArray[np.bool_] = np.asarray(np.isfinite(measured).all(axis=1))
+    if not known.any():
+        return CentrePath(measured, np.full(len(measured), np.nan), 0)
+    index = np.arange(len(measured))
+    x, y = (np.interp(index, index[known], measured[known, k]) for k in (0, 1))
+    z = x + 1j * y
+    del index, x, y
+    weight: Floats = known.astype(np.float64)
+    halves = [half for half in _HALVES if 3 * half <= len(z)]
+    if not halves:
+        return _steady(z, known)
+    half = min(halves, key=lambda h: _prediction_error(z, weight, h))
+    slow = _fitted(z, weight, half)
+    path = slow + _lines(np.where(known, z - slow, 0.0))
+    left = (z - path)[known]
+    sigma = _left_error(left, half)
+    gap = np.convolve(weight, np.ones(2 * half + 1), mode="same") > 0
+    return CentrePath(np.stack([path.real, path.imag], axis=1), np.where(gap, sigma, np.nan), half)
+
+
+def _steady(z: Complexes, known: npt.NDArray[np.bool_]) -> CentrePath:
+    """Take the mean for a clip of a few frames."""
+    mean = z[known].mean()
+    scatter = float(np.sqrt(np.mean(np.abs(z[known] - mean) ** 2) / 2.0))
+    centre = np.tile([mean.real, mean.imag], (len(z), 1))
+    return CentrePath(centre, np.full(len(z), max(scatter, LEAST_SIGMA)), len(z))
+
+
+def _fitted(z: Complexes, weight: Floats, half: int, hole: int = -1) -> Complexes:
+    origin = z.mean()
+    x, y = (local_fit(part, weight, half, 2, hole)[0] for part in ((z - origin).real, (z - origin).imag))
+    fitted = origin + x + 1j * y
+    return np.asarray(np.where(np.isfinite(fitted), fitted, z))
+
+
+def _prediction_error(z: Complexes, weight: Floats, half: int) -> float:
+    """Return the trimmed mean squared error of predicting points from others at least `HOLE` frames away."""
+    error = np.abs(z - _fitted(z, weight, half, HOLE)) ** 2
+    inner = slice(half // 2, len(z) - half // 2)
+    core = np.sort(error[inner][weight[inner] > 0])
+    return float(core[: max(int(0.95 * len(core)), 1)].mean()) if len(core) else float("inf")
+
+
+def _lines(rest: Complexes) -> Complexes:
+    """Keep what stands out of the spectrum of a series, piece by piece (Hann windows, half overlapping)."""
+    n = len(rest)
+    if n < 96:
+        return np.zeros(n, dtype=np.complex128)
+    size = 64 if n < 1024 else 128
+    hop = size // 2
+    padded = np.pad(rest, (size, size + (-n) % hop))
+    window = np.sqrt(np.hanning(size + 1)[:size])
+    starts = range(0, len(padded) - size + 1, hop)
+    inner = starts[2:-2] if len(starts) > 6 else starts
+    total = np.zeros(size)
+    for _, spectra in _spectra(padded, window, inner):
+        for power in np.abs(spectra) ** 2:
+            total += power
+    floor = _floor(total / len(inner))
+    out = np.zeros(len(padded), dtype=np.complex128)
+    for some, spectra in _spectra(padded, window, starts):
+        power = np.abs(spectra) ** 2
+        kept = spectra * np.where(power > _STANDS_OUT * floor, 1.0 - floor / np.maximum(power, 1e-12), 0.0)
+        for start, piece in zip(some, np.fft.ifft(kept, axis=1) * window, strict=True):
+            out[start : start + size] += piece
+    return out[size : size + n]
+
+
+def _spectra(series: Complexes, window: Floats, starts: range) -> Iterator[tuple[range, Complexes]]:
+    """Yield the spectra of the pieces that begin at `starts`, (m, size), some at a time."""
+    for k in range(0, len(starts), _PIECES):
+        some = starts[k : k + _PIECES]
+        yield some, np.fft.fft(np.stack([series[s : s + len(window)] * window for s in some]), axis=1)
+
+
+def _floor(power: Floats) -> Floats:
+    """Return the level of a spectrum without its lines: a running median, raised to the mean of noise."""
+    reach = 8
+    wrapped = np.concatenate([power[-reach:], power, power[:reach]])
+    around = np.stack([wrapped[k : k + len(power)] for k in range(2 * reach + 1)])
+    return np.asarray(np.median(around, axis=0) / np.log(2.0) + 1e-9)
+
+
+def _left_error(left: Complexes, half: int) -> float:
+    """Return what remains of the noise in the smoothed path: its rms, lessened by averaging."""
+    rms = float(np.sqrt(np.mean(np.abs(left) ** 2) / 2.0))
+    lags = min(48, len(left) // 4)
+    base = float(np.mean(np.abs(left) ** 2)) + 1e-12
+    chain = [float(np.mean((left[k:] * left[: len(left) - k].conj()).real)) / base for k in range(1, lags)]
+    length = 1.0 + 2.0 * sum(c for c in chain if c > 0.1)
+    return max(rms * float(np.sqrt(min(length / (1.1 * half), 1.0))), LEAST_SIGMA)
+
+
+_TURNS_PER_KNOT, _MOST_KNOTS = 1.0, 400
+_NOTHING = 1e-9
+
+
+def wandering_centre(
+    place: Floats, weight: npt.NDArray[np.bool_], start: Floats, *, still: bool = False, rounds: int = 12
+) -> CentrePath:
+    """Find the path of the centre of an orbit.
+
+    Parameters
+    ----------
+    place : ndarray, shape (n, 2)
+        Positions of the marker in px, y downwards.
+    weight : ndarray of bool, shape (n,)
+        Trusted sightings.
+    start : ndarray, shape (2,)
+        First guess of the centre in px.
+    still : bool
+        The centre stays where it is.
+
+    Notes
+    -----
+    Gauss-Newton on |place - c(t)| = rho (1 + p cos 2 theta + q sin 2 theta), linear in knots,
+    rho, p, q for given theta; outliers beyond 4 median absolute deviations are left out. The flattening is
+    free here so that it does not leak into the path, and is fitted again, with its tilt, by
+    `tilt.fit_flattening`.
+    """
+    n = len(place)
+    path = np.tile(np.asarray(start, dtype=np.float64), (n, 1))
+    use = weight & np.isfinite(place).all(axis=1)
+    if use.sum() < 12:
+        return CentrePath(path, np.full(n, np.nan), 0)
+    knots = 1 if still else _knots(place - path, use)
+    error = float("nan")
+    for _ in range(rounds):
+        solution, error = _robust(place, path, use, knots)
+        for part, ends, share in _spans(n, knots):
+            path[part] += _between(solution[: 2 * knots].reshape(knots, 2), ends, share)
+    # What is left of the radius tells how far the centre may still be off; sideways that turns the marker.
+    return CentrePath(path, np.full(n, max(error, 1e-3)), n // max(knots - 1, 1))
+
+
+def _knots(v: Floats, use: npt.NDArray[np.bool_]) -> int:
+    """Return how many knots lie about one turn apart; 1 for fewer than three."""
+    theta = np.unwrap(np.arctan2(-v[use, 1], v[use, 0]))
+    turns = float(np.abs(np.diff(theta)).sum()) / (2.0 * np.pi)
+    knots = int(np.clip(turns / _TURNS_PER_KNOT, 1, _MOST_KNOTS))
+    return knots if knots >= 3 else 1
+
+
+def _spans(n: int, knots: int) -> Iterator[tuple[slice, tuple[int, int], Floats]]:
+    """Yield the frames between each two knots: where they are, the two knots, and the share of the second one."""
+    if knots == 1:
+        for part in stretches(n):
+            yield part, (0, 0), np.zeros(part.stop - part.start)
+        return
+    begins = np.ceil(np.linspace(0, n - 1, knots)).astype(np.int64)
+    begins[-1] = n
+    for k, (begin, end) in enumerate(itertools.pairwise(begins.tolist())):
+        place = np.arange(begin, end) * ((knots - 1) / (n - 1))
+        yield slice(begin, end), (k, k + 1), np.clip(place - k, 0.0, 1.0)
+
+
+def _between(values: Floats, ends: tuple[int, int], share: Floats) -> Floats:
+    """Return the broken line between two knots, (m, 2)."""
+    low, high = (values[end] for end in ends)
+    return np.asarray((1.0 - share)[:, None] * low + share[:, None] * high)
+
+
+def _robust(place: Floats, path: Floats, use: npt.NDArray[np.bool_], knots: int) -> tuple[Floats, float]:
+    """Fit knots (x and y in turn), rho, p and q without what lies far off; return them and the scatter."""
+    away = np.full(len(place), np.nan)
+    away[use] = np.hypot(*(place[use] - path[use]).T)
+    typical = float(np.median(away[use]))
+    keep, scatter = use, 1.0
+    for _ in range(4):
+        normal, right = np.zeros((2 * knots + 3,) * 2), np.zeros(2 * knots + 3)
+        for part, at, rows in _rows(place, path, knots, typical):
+            kept = rows[keep[part]]
+            normal[np.ix_(at, at)] += kept.T @ kept
+            right[at] += kept.T @ (away[part] - typical)[keep[part]]
+        normal += _NOTHING * np.eye(
+            len(right)
+        )  # of all knots that fit as well, those nearest to where they were
+        size = np.sqrt(normal.diagonal())
+        solution = np.linalg.solve(normal / np.outer(size, size), right / size) / size
+        left = away - typical
+        for part, at, rows in _rows(place, path, knots, typical):
+            left[part] -= rows @ solution[at]
+        scatter = float(1.4826 * np.median(np.abs(left[keep]))) + 1e-9
+        with np.errstate(invalid="ignore"):
+            keep = use & (np.abs(left) < 4.0 * scatter)
+    return np.asarray(solution, dtype=np.float64), scatter
+
+
+def _rows(
+    place: Floats, path: Floats, knots: int, typical: float
+) -> Iterator[tuple[slice, npt.NDArray[np.int64], Floats]]:
+    """Yield the linear model span by span: its frames, its unknowns, and the rows (m, unknowns)."""
+    for part, ends, share in _spans(len(place), knots):
+        v = place[part] - path[part]
+        theta = np.arctan2(-v[:, 1], v[:, 0])
+        shape = [np.ones(len(theta)), typical * np.cos(2 * theta), typical * np.sin(2 * theta)]
+        c, s = np.cos(theta), -np.sin(theta)
+        bent = [2 * knots, 2 * knots + 1, 2 * knots + 2]
+        if knots == 1:
+            yield part, np.array([0, 1, *bent]), np.stack([c, s, *shape], axis=1)
+        else:
+            two = [w * d for w in (1.0 - share, share) for d in (c, s)]
+            at = np.array([2 * ends[0], 2 * ends[0] + 1, 2 * ends[1], 2 * ends[1] + 1, *bent])
+            yield part, at, np.stack([*two, *shape], axis=1)

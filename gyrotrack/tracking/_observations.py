@@ -1,0 +1,209 @@
+"""Observations of one marker, frame by frame, and which of them are usable.
+
+Glints, shadows and blocks of the encoder leave their mark on a profile and shift it too. How far they shift it
+depends on the film, and is learnt from the marker's own scatter: with x the squared misfit of a sighting relative
+to the usual one, less 1, its variance is s^2 (1 + share x), and `share` is the most likely one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack._column_store import put_away, stretches
+from gyrotrack._native._kernels import loops
+
+Floats = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """One marker in consecutive frames, about the ring's centre; NaN where its body was not followed.
+
+    Attributes
+    ----------
+    angle, radius : ndarray, shape (n,)
+        Fine angle as seen [rad], radius of the middle of the paper [px].
+    corner_angle, corner_radius : ndarray, shape (n, 2)
+        The near corners about the ring's centre.
+    gain, misfit : ndarray, shape (n,)
+        Height relative to the typical one, and rms of what the template leaves over, relative to the gain.
+    weakness : ndarray, shape (n,)
+        Factor on the uncertainty for what is hidden or dim; see `matching.Match`.
+    open : ndarray of bool, shape (n,)
+        Nothing is known to stand before any part of the marker.
+    centre : ndarray, shape (n, 2)
+        Centre of the ring in px.
+    """
+
+    angle: Floats
+    radius: Floats
+    corner_angle: Floats
+    corner_radius: Floats
+    gain: Floats
+    misfit: Floats
+    weakness: Floats
+    open: Mask
+    centre: Floats
+
+    @staticmethod
+    def joined(parts: list[Sightings]) -> Sightings:
+        """Put batches one after the other."""
+        return Sightings(
+            **{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Sightings)}
+        )
+
+    def spread_out(self, index: npt.NDArray[np.int64], count: int) -> Sightings:
+        """Put the frames at the places `index` of `count`; see `spread_out`."""
+        return Sightings(
+            **put_away({f.name: spread_out(getattr(self, f.name), index, count) for f in fields(Sightings)})
+        )
+
+    def picked(self, index: npt.NDArray[np.int64]) -> Sightings:
+        """Return the frames `index` alone."""
+        return Sightings(**put_away({f.name: getattr(self, f.name)[index] for f in fields(Sightings)}))
+
+    def at(self, part: slice) -> Sightings:
+        """Return some of the frames."""
+        return Sightings(**{f.name: getattr(self, f.name)[part] for f in fields(Sightings)})
+
+    def outside(self, inner: float, outer: float, half_width: float, size: tuple[int, int]) -> Mask:
+        """Return where a part of the marker lies outside a picture of (width, height) px."""
+        found = np.zeros(len(self.angle), dtype=np.bool_)
+        for part in stretches(len(found)):
+            for radius in (inner, outer):
+                for side in (-half_width, half_width):
+                    x = self.centre[part, 0] + radius * np.cos(self.angle[part] + side)
+                    y = self.centre[part, 1] - radius * np.sin(self.angle[part] + side)
+                    with np.errstate(invalid="ignore"):
+                        found[part] |= (x < 0) | (y < 0) | (x > size[0] - 1) | (y > size[1] - 1)
+        return found
+
+    def position(self, good: Mask) -> Floats:
+        """Return where the middle of the marker is, (n, 2) in px; at its usual radius where not good."""
+        usual = float(np.nanmedian(self.radius[good])) if good.any() else np.nan
+        r = np.where(good, self.radius, usual)
+        place = np.empty(self.centre.shape)
+        place[:, 0] = self.centre[:, 0] + r * np.cos(self.angle)
+        place[:, 1] = self.centre[:, 1] - r * np.sin(self.angle)
+        return place
+
+
+def spread_out(values: npt.NDArray[Any], index: npt.NDArray[np.int64], count: int) -> npt.NDArray[Any]:
+    """Put rows at the places `index` of `count` rows; the others are NaN, or False."""
+    out = np.zeros((count, *values.shape[1:]), dtype=values.dtype)
+    if values.dtype != np.bool_:
+        out[:] = np.nan
+    out[index] = values
+    return out
+
+
+LARGEST = 24.0
+"""Excess of a squared misfit beyond which it tells no more."""
+FEWEST = 30
+_SHARES = np.concatenate([[0.0], np.geomspace(0.01, 1.0, 21)])
+_FAULT = 5.0
+
+
+def excess_misfit(misfit: Floats, usual: float) -> Floats:
+    """Return by how much squared misfits exceed the usual one, relative to it, (n,); 0 for usual ones."""
+    ratio = np.nan_to_num(misfit, nan=0.0) / max(usual, 1e-9)
+    return np.asarray(np.clip(ratio**2 - 1.0, 0.0, LARGEST))
+
+
+def most_likely_share(off: Floats, excess: Floats) -> float:
+    """Return the share of the excess with which normal residuals are most likely, between 0 and 1.
+
+    Parameters
+    ----------
+    off : ndarray, shape (n,)
+        Residuals of any one scale; faults beyond five standard deviations count as five.
+    excess : ndarray, shape (n,)
+        From `excess_misfit`.
+    """
+    known = np.isfinite(off)
+    if known.sum() < FEWEST:
+        return 0.0
+    return float(_SHARES[int(np.argmin(_unlikely(off[known] ** 2, excess[known])))])
+
+
+def _unlikely(squares: Floats, odd: Floats) -> Floats:
+    """Return minus twice the mean log-likelihood of squared residuals for every share, but for a constant."""
+    if loops is None:
+        return np.array([_unlikely_as(squares, 1.0 + share * odd) for share in _SHARES])
+    found = np.empty(len(_SHARES))
+    loops.unlikely(squares, odd, _SHARES, found, _FAULT**2 / 0.4549)
+    return found
+
+
+def _unlikely_as(squares: Floats, variance: Floats) -> float:
+    squares = squares / variance
+    squares = np.minimum(squares, _FAULT**2 * np.median(squares) / 0.4549)
+    return float(np.log(max(squares.mean(), 1e-30)) + np.log(variance).mean())
+
+
+LARGEST_MISFIT = 0.12
+"""Misfit that light alone can cause: something that hides a tenth of a marker leaves more."""
+WEAKEST = 4.0
+"""Factor on the uncertainty beyond which a partly hidden marker is not used."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Fine angles of one marker before they are joined.
+
+    Attributes
+    ----------
+    angle : ndarray, shape (n,)
+        As seen, wrapped [rad].
+    good : ndarray of bool, shape (n,)
+        Where it is to be trusted by its looks.
+    open : ndarray of bool, shape (n,)
+        Nothing stands before any part of it.
+    weak : ndarray, shape (n,)
+        Factor on its uncertainty for what is hidden or dim.
+    odd : ndarray, shape (n,)
+        By how much its profile fits less well than usual; see `oddity`.
+    mount : float
+        First value of where it sits on the body, as seen [rad].
+    """
+
+    angle: Floats
+    good: Mask
+    open: Mask
+    weak: Floats
+    odd: Floats
+    mount: float
+
+
+def plausible(seen: Sightings) -> Mask:
+    """Frames in which a marker stands out at its usual height, with its usual profile where it is open."""
+    known = np.isfinite(seen.gain) & (seen.weakness < WEAKEST * _usual(seen, seen.weakness))
+    whole = known & seen.open
+    if not whole.any():
+        return whole
+    height = float(np.median(seen.gain[whole]))
+    known &= (seen.gain > 0.5 * height) & (seen.gain < 2.0 * height)
+    typical = float(np.median(seen.misfit[whole]))
+    scatter = 1.4826 * float(np.median(np.abs(seen.misfit[whole] - typical)))
+    return np.asarray(known & (seen.misfit < max(typical + 6.0 * scatter, LARGEST_MISFIT)))
+
+
+def candidate(seen: Sightings, angle: Floats, good: Mask, mount: float) -> Candidate:
+    """Make a candidate from sightings and their corrected angle."""
+    columns = {
+        "angle": angle,
+        "good": good,
+        "weak": seen.weakness / _usual(seen, seen.weakness),
+        "odd": excess_misfit(seen.misfit, _usual(seen, seen.misfit)),
+    }
+    return Candidate(open=seen.open, mount=mount, **put_away(columns))
+
+
+def _usual(seen: Sightings, values: Floats) -> float:
+    whole = seen.open & np.isfinite(values)
+    return float(np.median(values[whole])) if whole.any() else 1.0

@@ -1,0 +1,326 @@
+"""Circles and ellipses through the positions of markers; tilt of the camera.
+
+All points are (x, y) in px with y downwards; angles are counter-clockwise as seen.
+
+A circle seen from a slant is an ellipse, and a mark that lies higher than the disc at the centre circles a
+point beside it. With v = (x - cx, -(y - cy)) the position of a marker relative to the disc,
+
+    v = e + rho A (cos theta, sin theta),    A = [[1 + p, q], [q, 1 - p]],
+
+with e the offset of the orbit's centre and (p, q) the flattening: for a tilt t, hypot(p, q) = t^2 / 4. Both
+show in the radius and both bend the angle: uncorrected, e shifts it by |e| / rho once a turn, (p, q) by
+hypot(p, q) twice a turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack._smoothing import median_of, spread
+from gyrotrack.tracking._hub import LEAST_SIGMA
+
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Orbit:
+    """Circles with one centre: (x, y), the radius of each group, and how many points agree."""
+
+    centre: tuple[float, float]
+    radii: dict[int, float]
+    inliers: int
+    spread: float
+
+
+def common_centre(points: Floats, group: Integers, *, seed: int = 0, trials: int = 400) -> Orbit | None:
+    """Find the point that the groups of points circle, though some points belong to no circle.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 2)
+        Positions in px.
+    group : ndarray of int, shape (n,)
+        Which circle a point may lie on (its colour).
+
+    Returns
+    -------
+    Orbit or None
+        None when the points do not go round: too few, not spread over at least 1.5 rad, or no circle.
+
+    Notes
+    -----
+    Random triples of one group give circles. The centre is kept about which points that agree in
+    radius (within 5 % of their group's typical one) lie in most directions - what stands still agrees with
+    every centre, but in one direction only - and refined by least squares over these points.
+    """
+    if len(points) < 5:
+        return None
+    rng = np.random.default_rng(seed)
+    best: tuple[int, npt.NDArray[np.bool_]] | None = None
+    for _ in range(trials):
+        first = rng.integers(len(points))
+        same = np.flatnonzero(group == group[first])
+        if len(same) < 3:
+            continue
+        trial = circumcentre(points[rng.choice(same, 3, replace=False)])
+        if trial is None:
+            continue
+        inlier = _agreeing(points, group, trial)
+        around = _directions(points, group, trial, inlier)
+        if best is None or around > best[0]:
+            best = (around, inlier)
+    if best is None or best[0] < 5:
+        return None
+    inlier = best[1]
+    for _ in range(3):
+        centre, radii = fit_common_centre(points[inlier], group[inlier])
+        inlier = _agreeing(points, group, centre)
+        if inlier.sum() < 5:
+            return None
+    spread = covered_angle(_angles(points[inlier], centre))
+    if spread < 1.5:
+        return None
+    return Orbit((float(centre[0]), float(centre[1])), radii, int(inlier.sum()), spread)
+
+
+def circumcentre(triple: Floats) -> Floats | None:
+    """Return the centre of the circle through three points, (3, 2); None when they are close to a line."""
+    a, b = triple[1] - triple[0], triple[2] - triple[0]
+    cross = a[0] * b[1] - a[1] * b[0]
+    size = max(float(a @ a), float(b @ b), float((b - a) @ (b - a)))
+    if size < 16.0 or abs(cross) < 0.05 * size:
+        return None
+    offset = np.array([b[1] * (a @ a) - a[1] * (b @ b), a[0] * (b @ b) - b[0] * (a @ a)]) / (2.0 * cross)
+    return np.asarray(triple[0] + offset, dtype=np.float64)
+
+
+def fit_common_centre(points: Floats, group: Integers) -> tuple[Floats, dict[int, float]]:
+    """Fit concentric circles, one radius a group, by linear least squares.
+
+    x^2 + y^2 = 2 cx x + 2 cy y + k_g with k_g = r_g^2 - cx^2 - cy^2, about the mean point for accuracy.
+    """
+    labels, index = np.unique(group, return_inverse=True)
+    origin = points.mean(axis=0)
+    local = points - origin
+    design = np.zeros((len(points), 2 + len(labels)))
+    design[:, :2] = 2.0 * local
+    design[np.arange(len(points)), 2 + index] = 1.0
+    solution, *_ = np.linalg.lstsq(design, (local**2).sum(axis=1), rcond=None)
+    offset = solution[:2]
+    radii = np.sqrt(np.maximum(solution[2:] + offset @ offset, 0.0))
+    return origin + offset, {int(g): float(r) for g, r in zip(labels, radii, strict=True)}
+
+
+def covered_angle(angle: Floats) -> float:
+    """Return the angle in rad that a set of directions covers: a full turn less the largest empty gap."""
+    order = np.sort(np.mod(angle, 2.0 * np.pi))
+    gaps = np.diff(np.append(order, order[0] + 2.0 * np.pi))
+    return float(2.0 * np.pi - gaps.max())
+
+
+def _agreeing(points: Floats, group: Integers, centre: Floats) -> npt.NDArray[np.bool_]:
+    radius = np.hypot(points[:, 0] - centre[0], points[:, 1] - centre[1])
+    inlier = np.zeros(len(points), dtype=np.bool_)
+    for label in range(int(group.max()) + 1):
+        mine = group == label
+        if not mine.any():
+            continue
+        typical = _mode(radius[mine])
+        agree = mine & (np.abs(radius - typical) < max(1.5, 0.05 * typical)) & (typical > 6.0)
+        if agree.any() and covered_angle(_angles(points[agree], centre)) > 0.5:
+            inlier |= agree
+    return inlier
+
+
+def _directions(points: Floats, group: Integers, centre: Floats, inlier: npt.NDArray[np.bool_]) -> int:
+    """Count the directions, in steps of 10 degrees for each group, in which agreeing points lie."""
+    sector = np.floor(_angles(points[inlier], centre) * 36.0 / (2.0 * np.pi)).astype(np.int64)
+    return len(np.unique(36 * group[inlier] + sector % 36))
+
+
+def _angles(points: Floats, centre: Floats) -> Floats:
+    return np.asarray(np.arctan2(-(points[:, 1] - centre[1]), points[:, 0] - centre[0]))
+
+
+def _mode(values: Floats) -> float:
+    """Return the middle of the densest half of a sample (the half-sample mode, one step)."""
+    order = np.sort(values)
+    half = (len(order) + 1) // 2
+    widths = order[half - 1 :] - order[: len(order) - half + 1]
+    start = int(np.argmin(widths))
+    core = order[start : start + half]  # in order: its median needs no sorting
+    return float(0.5 * (core[(half - 1) // 2] + core[half // 2]))
+
+
+MOST_SIGHTINGS = 2000
+LEAST_SIGHTINGS = 30
+CELL = np.pi / 6.0
+"""Turn in rad over which errors by place hang together: they are as large in the sixth harmonic as in the first."""
+LEAST_COVER = 5.0
+"""Angle in rad that must be covered by the sightings before an orbit is trusted."""
+
+
+@dataclass(frozen=True)
+class Flattening:
+    """What a slanted view does to an orbit: offsets e per marker in px (y up), and (p, q).
+
+    `doubt` holds the covariance of e in px^2, (2, 2), of those markers whose orbit shows it in part only.
+    """
+
+    offset: dict[str, tuple[float, float]]
+    p: float
+    q: float
+    doubt: dict[str, Floats] = field(default_factory=dict, compare=False)
+
+    @property
+    def tilt(self) -> float:
+        """The tilt in rad that gives this flattening."""
+        return float(2.0 * np.sqrt(np.hypot(self.p, self.q)))
+
+    def level(self, name: str, v: Floats) -> Floats:
+        """Return A^-1 (v - e): the position as seen from straight above, (n, 2)."""
+        e = np.array(self.offset.get(name, (0.0, 0.0)))
+        matrix = np.array([[1.0 + self.p, self.q], [self.q, 1.0 - self.p]])
+        return np.asarray((v - e) @ np.linalg.inv(matrix).T)
+
+    def moved(self, by: Floats) -> Flattening:
+        """Return it with all offsets moved, by (2,) px."""
+        offset = {name: (x + float(by[0]), y + float(by[1])) for name, (x, y) in self.offset.items()}
+        return replace(self, offset=offset)
+
+    def shift(self, names: Iterable[str]) -> Floats:
+        """Return the mean of the offsets of some markers, (2,) in px."""
+        return np.asarray(np.mean([self.offset[name] for name in names if name in self.offset], axis=0))
+
+    def pull(self, name: str, angle: Floats) -> Floats:
+        """Return how far in px the doubt about e moves a marker along its orbit, less what all frames share, (n,)."""
+        if name not in self.doubt:
+            return np.zeros(len(angle))
+        along = np.stack([-np.sin(angle), np.cos(angle)])
+        along -= np.nanmean(along, axis=1, keepdims=True)
+        return np.asarray(np.sqrt(np.einsum("in,ij,jn->n", along, self.doubt[name], along)))
+
+
+NO_FLATTENING = Flattening({}, 0.0, 0.0)
+
+
+def fit_flattening(positions: dict[str, Floats], rounds: int = 6) -> Flattening:
+    """Fit offsets and flattening to the orbits of one or more markers.
+
+    Parameters
+    ----------
+    positions : dict of ndarray, shape (n, 2)
+        Positions v of each marker relative to the centre, y up, only trusted ones.
+
+    Notes
+    -----
+    Gauss-Newton on the radii: |v| = rho + e . r + rho (p cos 2 theta + q sin 2 theta) to first
+    order, with r the unit vector of theta; points beyond 4 median absolute deviations are left out in each
+    round. Markers whose sightings cover less than 5 rad take no part.
+    """
+    use = {name: v for name, v in positions.items() if len(v) >= LEAST_SIGHTINGS and _cover(v) > LEAST_COVER}
+    if not use:
+        return NO_FLATTENING
+    found = Flattening(dict.fromkeys(use, (0.0, 0.0)), 0.0, 0.0)
+    # Some thousand sightings settle a handful of numbers.
+    few = {name: v[:: max(len(v) // MOST_SIGHTINGS, 1)] for name, v in use.items()}
+    for _ in range(rounds):
+        found = _improved(found, few)
+    return found
+
+
+def lent_flattening(
+    lender: Flattening, positions: dict[str, Floats], shift: Floats, size: float
+) -> Flattening:
+    """Take the slant of the view from another body; on the arcs that the markers pass fit offsets only.
+
+    Parameters
+    ----------
+    lender : Flattening
+        Of a body that went round, in the same picture.
+    positions : dict of ndarray, shape (n, 2)
+        As for `fit_flattening`.
+    shift : ndarray, shape (2,)
+        The offset that is expected [px], here for all markers.
+    size : float
+        Standard deviation of that expectation [px].
+
+    Notes
+    -----
+    An arc tells e in part; `doubt` is what it leaves open. Errors by place, not noise, limit the fit: sightings count
+    once for each `CELL`.
+    """
+    expected = (float(shift[0]), float(shift[1]))
+    found = Flattening(dict.fromkeys(positions, expected), lender.p, lender.q)
+    for name, v in positions.items():
+        found.doubt[name] = size**2 * np.eye(2)
+        if len(v) >= LEAST_SIGHTINGS:
+            more, found.doubt[name] = _arc(found.level(name, v), size)
+            found.offset[name] = (expected[0] + float(more[0]), expected[1] + float(more[1]))
+    return found
+
+
+def _arc(v: Floats, size: float) -> tuple[Floats, Floats]:
+    """Fit the offset of an arc, expected to be 0 within `size`: (2,) and its covariance (2, 2)."""
+    few = v[:: max(len(v) // MOST_SIGHTINGS, 1)]
+    rho, theta = np.hypot(few[:, 0], few[:, 1]), np.arctan2(few[:, 1], few[:, 0])
+    design = np.stack([np.ones_like(theta), np.cos(theta), np.sin(theta)], axis=1)
+    expected = np.diag([0.0, size**-2, size**-2])
+    alike = max(len(rho) * CELL / max(covered_angle(theta), CELL), 1.0)
+    keep = np.ones(len(rho), dtype=np.bool_)
+    for _ in range(3):
+        free = np.linalg.lstsq(design[keep], rho[keep], rcond=None)[0]
+        scatter = max(spread(rho[keep] - design[keep] @ free), LEAST_SIGMA)
+        weight = 1.0 / (alike * scatter**2)
+        covariance = np.linalg.inv(weight * design[keep].T @ design[keep] + expected)
+        solution = weight * covariance @ design[keep].T @ rho[keep]
+        keep = np.abs(rho - design @ solution) < 4.0 * scatter
+    return solution[1:], np.asarray(covariance[1:, 1:])
+
+
+def _cover(v: Floats) -> float:
+    return covered_angle(np.arctan2(v[:, 1], v[:, 0]))
+
+
+def _improved(found: Flattening, positions: dict[str, Floats]) -> Flattening:
+    names = list(positions)
+    solution = _robust([_model(found.level(name, positions[name])) for name in names])
+    offset = {
+        name: (
+            found.offset[name][0] + float(solution[3 * k + 1]),
+            found.offset[name][1] + float(solution[3 * k + 2]),
+        )
+        for k, name in enumerate(names)
+    }
+    return Flattening(offset, found.p + float(solution[-2]), found.q + float(solution[-1]))
+
+
+def _model(v: Floats) -> tuple[Floats, Floats]:
+    """Return the linear model of the radii of one marker, (5, n), and by how much they exceed the usual one, (n,)."""
+    rho = np.hypot(v[:, 0], v[:, 1])
+    typical = median_of(rho)
+    c, s = v[:, 0] / rho, v[:, 1] / rho
+    return np.stack([np.ones_like(c), c, s, typical * (c * c - s * s), 2.0 * typical * c * s]), rho - typical
+
+
+def _robust(models: list[tuple[Floats, Floats]]) -> Floats:
+    """Fit radius and offset of each marker, and what is common to all at the end, without what lies far off."""
+    size = 3 * len(models) + 2
+    places = [np.array([3 * k, 3 * k + 1, 3 * k + 2, size - 2, size - 1]) for k in range(len(models))]
+    keep = [np.ones(len(value), dtype=np.bool_) for _, value in models]
+    for _ in range(3):
+        normal, right = np.zeros((size, size)), np.zeros(size)
+        for at, (rows, value), use in zip(places, models, keep, strict=True):
+            kept = rows * use
+            normal[np.ix_(at, at)] += kept @ rows.T
+            right[at] += kept @ value
+        solution = np.linalg.solve(normal, right)
+        left = [np.abs(value - solution[at] @ rows) for at, (rows, value) in zip(places, models, strict=True)]
+        usual = median_of(np.concatenate([off[use] for off, use in zip(left, keep, strict=True)]))
+        keep = [off < 4.0 * 1.4826 * usual + 1e-9 for off in left]
+    return np.asarray(solution, dtype=np.float64)

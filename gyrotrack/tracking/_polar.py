@@ -1,0 +1,270 @@
+"""Polar sampling of a frame: rings about a centre, and windows cut out of them.
+
+A marker that turns about the centre only shifts along such a strip, and its edges stand upright in it.
+Angles are counter-clockwise as seen, atan2(-(y - cy), x - cx); pixel centres are at integers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from numpy.lib.stride_tricks import sliding_window_view
+
+from gyrotrack._native._kernels import loops
+from gyrotrack.video._container import Frame, Plane
+
+Maps = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
+
+CHROMA_SHIFT = (0.0, 0.5)
+"""Where the first chroma sample lies in luma px (x, y): on the left column, between two rows."""
+
+
+@dataclass(frozen=True)
+class Ring:
+    """A polar grid.
+
+    Attributes
+    ----------
+    centre : tuple of float
+        (x, y) in luma px.
+    inner, outer : float
+        Radii of the first and last row in luma px.
+    rows, columns : int
+        Size of the strip; columns cover the full turn, the first at angle 0.
+    """
+
+    centre: tuple[float, float]
+    inner: float
+    outer: float
+    rows: int
+    columns: int
+
+    @property
+    def radii(self) -> npt.NDArray[np.float64]:
+        """Radii of the rows in luma px."""
+        return np.linspace(self.inner, self.outer, self.rows)
+
+    @property
+    def step(self) -> float:
+        """Angle from one column to the next in rad."""
+        return 2.0 * np.pi / self.columns
+
+    def moved(self, centre: tuple[float, float]) -> Ring:
+        """Return the same grid about another centre."""
+        return Ring(centre, self.inner, self.outer, self.rows, self.columns)
+
+    @cached_property
+    def chroma_maps(self) -> Maps:
+        """Maps for `cv2.remap` of a half-resolution plane."""
+        return self.maps(chroma=True)
+
+    @cached_property
+    def luma_maps(self) -> Maps:
+        """Maps for `cv2.remap` of the full-resolution plane."""
+        return self.maps(chroma=False)
+
+    def maps(self, *, chroma: bool, beyond: int = 0) -> Maps:
+        """Return the (x, y) in px of a plane of every point; `beyond` columns more than a full turn."""
+        angle = np.arange(self.columns + beyond) * self.step
+        radius = self.radii[:, None]
+        x, y = self.centre[0] + radius * np.cos(angle), self.centre[1] - radius * np.sin(angle)
+        if chroma:
+            x, y = (x - CHROMA_SHIFT[0]) / 2.0, (y - CHROMA_SHIFT[1]) / 2.0
+        return x.astype(np.float32), y.astype(np.float32)
+
+
+def ring_for(centre: tuple[float, float], inner: float, outer: float, pixel: float) -> Ring:
+    """Lay a grid with a little more than a sample per `pixel` (in luma px: 2 for chroma, 1 for luma)."""
+    columns = int(np.clip(np.ceil(1.4 * np.pi * (inner + outer) / pixel), 128, 1024))
+    rows = int(np.clip(np.ceil((outer - inner) / pixel) + 1, 6, 32))
+    return Ring(centre, inner, outer, rows, columns)
+
+
+def unroll(plane: Plane, maps: Maps, out: Plane | None = None) -> Plane:
+    """Sample a plane along a ring (bilinear); beyond the picture its border is repeated."""
+    strip = cv2.remap(plane, maps[0], maps[1], cv2.INTER_LINEAR, dst=out, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(strip, dtype=np.uint8)
+
+
+def boxed(profile: npt.NDArray[np.floating[Any]], half: int) -> npt.NDArray[np.float64]:
+    """Average profiles that close on themselves, (n, columns), over 2 half + 1 columns."""
+    width = 2 * half + 1
+    padded = np.concatenate([profile[:, -half:], profile, profile[:, :half]], axis=1).astype(np.float64)
+    total = np.cumsum(np.pad(padded, ((0, 0), (1, 0))), axis=1)
+    return np.asarray((total[:, width:] - total[:, :-width]) / width)
+
+
+Singles = npt.NDArray[np.float32]
+Integers = npt.NDArray[np.int64]
+Box = npt.NDArray[np.int32]
+"""Left, right, top and bottom edge in px of a plane; right and bottom are one beyond."""
+
+
+class Score:
+    """The weighted sum of planes in which a paper stands out; one buffer of the size of a plane.
+
+    Parameters
+    ----------
+    white : bool
+        Of luma, otherwise of both chroma planes.
+    weights : tuple of float
+        Of the planes; of luma only the first counts.
+    shape : tuple of int
+        Rows and columns of a plane.
+    """
+
+    def __init__(self, white: bool, weights: tuple[float, float], shape: tuple[int, ...]) -> None:  # noqa: FBT001
+        self.white = white
+        self.weights = weights
+        self.buffer = np.zeros(shape, dtype=np.float32)
+
+    def planes(self, frames: list[Frame]) -> tuple[list[npt.NDArray[np.uint8]], ...]:
+        """Return the planes that enter, one list for each weight."""
+        if self.white:
+            return ([frame.y for frame in frames],)
+        return ([frame.u for frame in frames], [frame.v for frame in frames])
+
+    def unrolled(self, frame: Frame, box: Box, x: Singles, y: Singles, out: Singles | None = None) -> Singles:
+        """Sample the score of a frame at places in a box; elsewhere the buffer keeps what it held."""
+        left, right, top, bottom = box.tolist()
+        part = (slice(top, bottom), slice(left, right))
+        a, b = self.weights
+        if self.white:
+            np.copyto(self.buffer[part], frame.y[part])  # what is sampled of it is scaled
+        else:
+            cv2.addWeighted(frame.u[part], a, frame.v[part], b, 0.0, dst=self.buffer[part], dtype=cv2.CV_32F)
+        seen = cv2.remap(self.buffer, x, y, cv2.INTER_LINEAR, dst=out, borderMode=cv2.BORDER_REPLICATE)
+        found: Singles = np.asarray(seen, dtype=np.float32)
+        if self.white:
+            found *= np.float32(a)
+        return found
+
+
+class Grid:
+    """Where the samples of a ring lie in a plane, and which box of the plane each window touches.
+
+    Parameters
+    ----------
+    ring : Ring
+        The samples.
+    width : int
+        Columns of a window; the grid goes on beyond the full turn by so many.
+    score : Score
+        What is sampled.
+    """
+
+    def __init__(self, ring: Ring, width: int, score: Score) -> None:
+        self.ring, self.width, self.score = ring, width, score
+        self.x, self.y = ring.maps(chroma=not score.white, beyond=width)
+        rows, columns = score.buffer.shape
+        self.boxes = np.column_stack([_reach(self.x, width, columns), _reach(self.y, width, rows)])
+        everything = self.x.shape[1]
+        self.whole = np.concatenate(
+            [_reach(self.x, everything, columns), _reach(self.y, everything, rows)], axis=1
+        )[0]
+
+    def cut(self, frames: list[Frame], first: Integers, ground: Singles, windows: Singles) -> None:
+        """Sample windows from the columns `first` (n,) on, one a frame, less the background: (n, rows, width)."""
+        if loops is not None:
+            score = self.score
+            planes = score.planes(frames)
+            loops.cut(planes, score.weights, *self._places, self.boxes, ground, first, score.buffer, windows)
+            return
+        for frame, k, window in zip(frames, first.tolist(), windows, strict=True):
+            part = (slice(None), slice(k, k + self.width))
+            self.score.unrolled(frame, self.boxes[k], self.x[part], self.y[part], window)
+            window -= ground[part]
+
+    def around(self, frame: Frame, rows: slice) -> Singles:
+        """Sample rows in all directions."""
+        return self.score.unrolled(frame, self.whole, self.x[rows], self.y[rows])
+
+    def turns(self, frames: list[Frame], rows: slice) -> Singles:
+        """Sample rows in all directions in some frames, (n, rows, columns)."""
+        if loops is None:
+            return np.stack([self.around(frame, rows) for frame in frames])
+        score, places = self.score, tuple(np.ascontiguousarray(place[rows]) for place in self._places)
+        out = np.empty((len(frames), *places[0].shape), dtype=np.float32)
+        nothing, begin = np.zeros_like(places[1]), np.zeros(len(frames), dtype=np.int64)
+        planes = score.planes(frames)
+        loops.cut(planes, score.weights, *places, self.whole[None], nothing, begin, score.buffer, out)
+        return out
+
+    @cached_property
+    def _places(self) -> tuple[npt.NDArray[np.int32], Singles, Singles]:
+        """Row (upper 16 bits) and column of the pixel left above each sample, and how far right and below it lies."""
+        rows, columns = self.score.buffer.shape
+        x, y = np.clip(self.x, 0, columns - 1), np.clip(self.y, 0, rows - 1)
+        left = np.minimum(np.floor(x), columns - 2).astype(np.int32)
+        above = np.minimum(np.floor(y), rows - 2).astype(np.int32)
+        return above << 16 | left, x - left.astype(np.float32), y - above.astype(np.float32)
+
+
+def _reach(place: Singles, width: int, size: int) -> npt.NDArray[np.int32]:
+    """Return first and last-plus-one px that windows of `width` columns touch, for each first column, (n, 2)."""
+    first = sliding_window_view(place.min(axis=0), width).min(axis=1)
+    last = sliding_window_view(place.max(axis=0), width).max(axis=1)
+    begin = np.clip(np.floor(first), 0, size - 2)
+    end = np.clip(np.ceil(last) + 1, begin + 2, size)
+    return np.column_stack([begin, end]).astype(np.int32)
+
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Some windows of a batch, which stand for (light * window - offset) * scale.
+
+    The windows themselves are not changed, and none of them is formed as a whole.
+
+    Attributes
+    ----------
+    scores : ndarray, shape (frames, rows, columns)
+        All windows.
+    which : ndarray of int, shape (n,)
+        Those that are looked at.
+    light : ndarray, shape (n, columns)
+        Factor on each column.
+    offset, scale : ndarray, shape (n,)
+        What is taken off, and the factor on what is left.
+    """
+
+    scores: Singles
+    which: Integers
+    light: Floats
+    offset: Floats
+    scale: Floats
+
+    @staticmethod
+    def plain(scores: npt.NDArray[np.floating]) -> Windows:
+        """Return all windows as they are."""
+        count, _, columns = scores.shape
+        nothing, one = np.zeros(count), np.ones(count)
+        lit = np.ones((count, columns))
+        return Windows(np.ascontiguousarray(scores, dtype=np.float32), np.arange(count), lit, nothing, one)
+
+    def rows(self, mixing: Floats) -> Floats:
+        """Return averages over rows, with weights (bands, rows) of sum 1: (n, bands, columns)."""
+        return self._mixed(mixing, across=False)
+
+    def columns(self, mixing: Floats) -> Floats:
+        """Return averages over columns, with weights (bands, columns) of sum 1: (n, bands, rows)."""
+        return self._mixed(mixing, across=True)
+
+    def _mixed(self, mixing: Floats, *, across: bool) -> Floats:
+        count, rows, columns = len(self.which), *self.scores.shape[1:]
+        weights = mixing.astype(np.float32)
+        if loops is not None:
+            found = np.empty((count, len(weights), rows if across else columns))
+            given = self.scores, self.which, self.light, self.offset, self.scale, weights
+            loops.bands(*given, found, across)
+            return found
+        lit = self.scores[self.which] * self.light[:, None, :].astype(np.float32)
+        mixed = np.matmul(lit, weights.T).transpose(0, 2, 1) if across else np.matmul(weights, lit)
+        return np.asarray((mixed - self.offset[:, None, None]) * self.scale[:, None, None])

@@ -1,0 +1,270 @@
+"""A marker profile proposed from the film alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack._errors import TrackingError
+from gyrotrack.tracking._acquisition import acquire, find_white, is_paper, placed
+from gyrotrack.tracking._colour import nearest_colour
+from gyrotrack.tracking._moving_colours import (
+    Candidate,
+    Circle,
+    Group,
+    find_candidates,
+    find_circle,
+    find_orbit,
+    group_bodies,
+    moving_colour,
+)
+from gyrotrack.tracking._polar import Ring
+from gyrotrack.tracking._profile import Body, MarkerProfile, Profile
+from gyrotrack.tracking._scene import Disc, Paper, Samples, Scene, take_samples
+from gyrotrack.video._container import Frame, read_raw_stamps
+from gyrotrack.video._frames import frames_at
+
+
+@dataclass(frozen=True)
+class ProposedMarker:
+    """A marker that was chosen: as it stands in the profile, and how it looks in the film.
+
+    Attributes
+    ----------
+    profile, paper
+        Both.
+    angle, clear : ndarray, shape (n,)
+        Its angle in each sample [rad], and whether it was seen clearly.
+    step : float
+        By how much its body turns from frame to frame [rad].
+    """
+
+    profile: MarkerProfile
+    paper: Paper
+    angle: npt.NDArray[np.float64]
+    clear: npt.NDArray[np.bool_]
+    step: float
+
+    @property
+    def seen(self) -> float:
+        """Share of the samples in which it was seen clearly."""
+        return float(self.clear.mean())
+
+
+def resting_casing(standing: list[Group], groups: list[Group], circle: Circle | None) -> Group | None:
+    """Return the marker on a casing that rests all through the film: it has the colour of the disc."""
+    if circle is None or len(groups) != 1:
+        return None
+    colour = nearest_colour(circle.hue)
+    alike = [g for g in standing if g.members[0].colour == colour]
+    moving = {c.colour for c in groups[0].members}
+    return alike[0] if alike and colour not in moving else None
+
+
+def name_bodies(
+    groups: list[Group], resting: Group | None, circle: Circle | None
+) -> tuple[dict[Body, Group], list[str]]:
+    """Name the bodies; the rotor is the one that turns faster."""
+    notes = []
+    if len(groups) > 2:
+        colours = ", ".join(c.colour for g in groups[2:] for c in g.members)
+        notes.append(f"more than two bodies seem to turn; left out: {colours}")
+    if resting is not None:
+        colour = resting.members[0].colour
+        notes.append(
+            f"the {colour} marker stands still; it is taken for the casing's, as it has the colour of the disc"
+        )
+        return {"casing": resting, "rotor": groups[0]}, notes
+    if len(groups) == 1:
+        (one,) = groups
+        alone = len(one.members) == 1
+        casing = alone and circle is not None and nearest_colour(circle.hue) == one.members[0].colour
+        name: Body = "casing" if casing else "rotor"
+        why = "it has the colour of the disc" if casing else "nothing else turns"
+        notes.append(f"only one body is seen to turn; it is taken for the {name}, as {why}")
+        return {name: one}, notes
+    slow, fast = sorted(groups[:2], key=lambda g: abs(g.pace.step))
+    if abs(fast.pace.step) < 1.25 * abs(slow.pace.step):
+        # What lies on the casing is never hidden; its bar passes over what lies on the rotor.
+        open_share = [min(float(c.sighting.clear.mean()) for c in g.members) for g in (slow, fast)]
+        if len(fast.members) < len(slow.members) or (
+            len(fast.members) == len(slow.members) and open_share[1] > open_share[0]
+        ):
+            slow, fast = fast, slow
+        notes.append("both bodies turn about equally fast: which one is the rotor is a guess")
+    return {"casing": slow, "rotor": fast}, notes
+
+
+def name_markers(bodies: dict[Body, Group], notes: list[str]) -> list[ProposedMarker]:
+    """Give every marker a name; of two of one hue on one body neither can be told from the other."""
+    found: list[ProposedMarker] = []
+    taken: set[str] = set()
+    for body, group in bodies.items():
+        papers = placed([c.sighting for c in group.members])
+        for candidate, seen in zip(group.members, papers, strict=True):
+            colour = candidate.colour
+            name = colour if colour not in taken else f"{colour}_{body}"
+            if name in taken:
+                name = f"{name}_{sum(t.startswith(name) for t in taken) + 1}"
+            if candidate.twin:
+                notes.append(
+                    f"a second {colour} marker is there beside that on the {body}; they may be taken for each "
+                    "other: give one another colour"
+                )
+            taken.add(name)
+            marker = MarkerProfile(name=name, colour=colour, body=body, hue=round(candidate.hue, 1))
+            paper = replace(seen.paper, name=name, body=body, colour=colour)
+            found.append(ProposedMarker(marker, paper, seen.angle, seen.clear, group.pace.step))
+    return found
+
+
+def left_out(candidate: Candidate) -> str:
+    """Say why a colour that moves is no marker of the profile."""
+    if candidate.twin:
+        return (
+            f"there are two {candidate.colour} markers, which cannot be told apart: give one another colour; "
+            "they are left out"
+        )
+    return f"something {candidate.colour} moves, but not evenly about the centre; it is left out"
+
+
+SPREAD = 24
+"""Frames from the whole film, beside its first ones: what rests at the start moves somewhere."""
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A profile that was found, and what led to it.
+
+    Attributes
+    ----------
+    profile : Profile
+        What `extract` needs.
+    markers : tuple of ProposedMarker
+        One for each marker of the profile.
+    centre : tuple of float
+        (x, y) in px.
+    disc : Disc or None
+        What marks the centre.
+    notes : tuple of str
+        What is in doubt, or was left out.
+    sound : bool
+        `extract` finds every marker with this profile.
+    samples : Samples
+        The frames that were looked at.
+    """
+
+    profile: Profile
+    markers: tuple[ProposedMarker, ...]
+    centre: tuple[float, float]
+    disc: Disc | None
+    notes: tuple[str, ...]
+    sound: bool
+    samples: Samples
+
+
+def propose(video: Path, *, capture_fps: float | None = None) -> Proposal:
+    """Find the markers of a film: their colours and bodies, and what marks the centre.
+
+    Raises
+    ------
+    VideoError
+        The film cannot be read.
+    TrackingError
+        Nothing coloured turns about a centre in it.
+    """
+    video = Path(video)
+    samples = _samples(video)
+    moving = moving_colour(samples)
+    orbit = find_orbit(samples, moving)
+    if orbit is None:
+        raise TrackingError(
+            f"no markers found in {video}: nothing coloured turns about a centre",
+            "film coloured papers on a turning body; where the film starts at rest, cut the start off",
+        )
+    circle = find_circle(samples, orbit)
+    disc = circle.disc if circle else None
+    ring, candidates = find_candidates(samples, moving, orbit, disc)
+    groups, uneven = group_bodies(candidates, samples.head)
+    groups, standing = [g for g in groups if not g.stands], [g for g in groups if g.stands]
+    if not groups:
+        raise TrackingError(
+            f"no markers found in {video}: what is coloured there does not turn evenly about a centre",
+            "a profile can be written by hand; see --profile of `gyrotrack extract`",
+        )
+    named, notes = name_bodies(groups, resting_casing(standing, groups, circle), circle)
+    notes += [left_out(c) for c in uneven]
+    markers = name_markers(named, notes)
+    white = _white(samples, ring, named)
+    if white is not None:
+        markers.append(white)
+    profile = Profile(
+        name=video.stem,
+        marker=tuple(m.profile for m in markers),
+        centre="circle" if circle else "orbit",
+        circle_colour=nearest_colour(circle.hue) if circle else "red",
+        circle_hue=round(circle.hue, 1) if circle else None,
+        capture_fps=capture_fps,
+    )
+    sound = _confirmed(video, profile, markers, notes)
+    centre = disc.centre if disc is not None else orbit.centre
+    return Proposal(profile, tuple(markers), centre, disc, tuple(notes), sound, samples)
+
+
+def _samples(video: Path) -> Samples:
+    """Take the first frames in a row, and others spread evenly over the film."""
+    first = take_samples(video)
+    stamps = read_raw_stamps(video)
+    chosen = np.linspace(first.head, len(stamps) - 1, SPREAD).astype(int) if len(stamps) > first.head else ()
+    found = frames_at(video, {int(stamps[k]) for k in chosen})
+    spread: list[Frame] = [found[stamp] for stamp in sorted(found)]
+    keys = spread or list(first.frames[first.head :])
+    return Samples((*first.frames[: first.head], *keys), first.head)
+
+
+def _white(samples: Samples, ring: Ring, bodies: dict[Body, Group]) -> ProposedMarker | None:
+    """Look for a white marker on the rotor, which has no colour to be found by."""
+    group = bodies.get("rotor")
+    if group is None:
+        return None
+    others = placed([c.sighting for c in group.members])
+    marker = MarkerProfile(name="white", colour="white", body="rotor")
+    paper = find_white(samples, ring, marker, others)
+    if paper is None or not is_paper(paper):
+        return None
+    lengths = [s.paper.outer - s.paper.inner for s in others]
+    widths = [s.paper.half_width for s in others]
+    alike = 0.4 < (paper.outer - paper.inner) / float(np.median(lengths)) < 2.5
+    alike &= 0.4 < paper.half_width / float(np.median(widths)) < 2.5
+    first = others[0]  # the paper itself was seen on the average of frames only
+    return (
+        ProposedMarker(marker, paper, first.angle + paper.mount, first.clear, group.pace.step)
+        if alike
+        else None
+    )
+
+
+def _confirmed(video: Path, profile: Profile, markers: list[ProposedMarker], notes: list[str]) -> bool:
+    """Find the scene anew as `extract` will, and compare."""
+    try:
+        scene: Scene = acquire(take_samples(video), profile, str(video))
+    except TrackingError as error:
+        notes.append(f"with this profile extract fails: {error.message}")
+        return False
+    again = {paper.name: paper for paper in scene.papers}
+    sound = True
+    for marker in markers:
+        paper = again.get(marker.profile.name)
+        if paper is None:
+            notes.append(f"extract does not find the {marker.profile.name} marker again with this profile")
+        elif abs(paper.radius - marker.paper.radius) > 0.5 * (marker.paper.outer - marker.paper.inner) + 2.0:
+            notes.append(
+                f"extract finds the {marker.profile.name} marker at another radius with this profile"
+            )
+        else:
+            continue
+        sound = False
+    return sound

@@ -1,0 +1,220 @@
+"""Residuals of the markers about the smooth motion of their body, and their scatter."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack._column_store import put_away, set_down, stretches
+from gyrotrack._smoothing import (
+    FAR,
+    Pace,
+    core_scatter,
+    line_through,
+    local_fit,
+    median_of,
+    smooth_path,
+    whole_turns,
+)
+from gyrotrack.tracking._observations import Candidate, most_likely_share
+
+Floats = npt.NDArray[np.float64]
+
+TURN = 2.0 * np.pi
+ALL = slice(None)
+FAST = 70.0
+"""Speed in rad/s at which a swing of the acceleration by 10 rad/s^2, a heavy unbalance, is 2 mrad."""
+_LEFT = 0.2
+
+
+class Departures:
+    """The markers' departures from the coarse path of their body, and what is thought of them so far.
+
+    Parameters
+    ----------
+    coarse : ndarray, shape (n,)
+        Coarse path of the body as seen [rad], NaN where it was lost.
+    candidates : dict of Candidate
+        Its markers.
+    fps : float
+        Frames per second of the camera.
+    pace : Pace, optional
+        When the frames were taken, if that was not evenly.
+    """
+
+    def __init__(
+        self, coarse: Floats, candidates: dict[str, Candidate], fps: float, pace: Pace | None = None
+    ) -> None:
+        self._fps, self._pace = fps, pace
+        path, even = (smooth_path(coarse),) * 2 if pace is None else pace.path(coarse)
+        with np.errstate(invalid="ignore"):
+            fast = self.speed(path) > FAST
+        of_body = put_away({"path": path, "fast": fast, "turning": np.zeros_like(fast)})
+        self.path, self.fast, self.turning = of_body.values()
+        (self.bend,) = put_away({"bend": even - line_through(even)}).values()
+        self.candidates = candidates
+        self.mounts = {name: c.mount for name, c in candidates.items()}
+        self.scatter = dict.fromkeys(candidates, (0.01, 0.03))
+        self.axis_off: dict[str, complex] = {}
+        nothing = np.zeros(len(path))
+        own = {
+            name: put_away({
+                "weak": c.weak,
+                "place": nothing,
+                "neighbour": nothing,
+                "use": c.good & np.isfinite(path) & np.isfinite(c.angle),
+            })
+            for name, c in candidates.items()
+        }  # fmt: skip
+        self.weak, self.by_place, self.by_neighbour, self.use = (
+            {name: columns[what] for name, columns in own.items()}
+            for what in ("weak", "place", "neighbour", "use")
+        )
+
+    def speed(self, path: Floats) -> Floats:
+        """Return how fast a path changes [rad/s], (n,)."""
+        step = np.gradient(path) if self._pace is None else self._pace.speed(path)
+        return np.asarray(np.abs(step) * self._fps)
+
+    def late(self) -> Floats | float:
+        """Return what the uncertainty of a frame's time is as one of the angle [rad]."""
+        if self._pace is None or self._pace.sigma == 0.0:
+            return 0.0
+        return np.abs(self._pace.speed(self.path)) * self._pace.sigma
+
+    def departure(self, name: str, part: slice = ALL) -> Floats:
+        """Return by how much a marker puts the body ahead of its path [rad]."""
+        off = self.candidates[name].angle[part] - self.path[part]
+        off -= self.mounts[name]
+        off -= self.bias(name, part)
+        return wrapped(off)
+
+    def bias(self, name: str, part: slice = ALL) -> Floats:
+        """Return what was learnt of a marker's repeating errors, in each frame [rad]."""
+        return np.asarray(self.by_place[name][part] + self.by_neighbour[name][part])
+
+    def sigma(self, name: str, part: slice = ALL) -> Floats:
+        """Return the uncertainty of each sighting: scatter of open or partly hidden ones, times their weakness."""
+        clear, partly = self.scatter[name]
+        return np.asarray(np.where(self.candidates[name].open[part], clear, partly) * self.weak[name][part])
+
+    def mean(self) -> tuple[Floats, Floats, npt.NDArray[np.int64]]:
+        """Return the weighted mean departure, its uncertainty, and the number of markers in it."""
+        mean, sigma = np.zeros((2, len(self.path)))
+        count = np.zeros(len(self.path), dtype=np.int64)
+        for part in stretches(len(self.path)):
+            weight = np.zeros(len(mean[part]))
+            for name in self.candidates:
+                w = np.where(self.use[name][part], 1.0 / self.sigma(name, part) ** 2, 0.0)
+                mean[part] += np.where(w > 0, w * self.departure(name, part), 0.0)
+                weight += w
+                count[part] += w > 0
+            seen = weight > 0
+            safe = np.where(seen, weight, 1.0)
+            nothing = np.where(seen, 0.0, np.nan)
+            mean[part] = mean[part] / safe + nothing
+            sigma[part] = 1.0 / np.sqrt(safe) + nothing
+        return mean, sigma, count
+
+    def smooth(self, half: int, degree: int = 2) -> tuple[Floats, Floats]:
+        """Fit a smooth curve to the body's angle; return its departure from the path, and leverages."""
+        mean, sigma, _ = self.mean()
+        if self._pace is not None:
+            return self._pace.smooth(mean, _weight(sigma), self.bend, half, degree)
+        mean += self.bend
+        fitted, leverage = local_fit(mean, _weight(sigma), half, degree)
+        fitted -= self.bend
+        return fitted, leverage
+
+    def replace_mounts(self, smooth: Floats) -> None:
+        """Measure anew where the markers sit; the first one stays where it is."""
+        shift = {name: self._median_off(name, smooth) for name in self.candidates}
+        zero = next(iter(shift.values()))
+        for name in self.candidates:
+            self.mounts[name] += shift[name] - zero
+
+    def _median_off(self, name: str, smooth: Floats) -> float:
+        off = self.departure(name)
+        off -= smooth
+        off = off[self.use[name] & np.isfinite(off)]
+        set_down()
+        return median_of(off) if len(off) else 0.0
+
+    def judge(self, smooth: Floats, leverage: Floats) -> None:
+        """Measure each marker's scatter about the smooth motion, and drop what lies far off."""
+        for name, c in self.candidates.items():
+            self._weigh_oddities(name, smooth, leverage)
+            off = self._standardised(name, smooth, leverage)
+            clear = core_scatter(off[self.use[name] & c.open], self.scatter[name][0])
+            partly = max(core_scatter(off[self.use[name] & ~c.open], 3.0 * clear), clear)
+            self.scatter[name] = (clear, partly)
+            limit = FAR * np.where(c.open, clear, min(partly, 5.0 * clear)) + 5e-4
+            self.use[name] &= ~(np.abs(off) > limit)
+            set_down()
+
+    def _weigh_oddities(self, name: str, smooth: Floats, leverage: Floats) -> None:
+        """Learn how much more a marker errs where its profile fits less well (see `oddity`)."""
+        c = self.candidates[name]
+        weak = self.weak[name]
+        weak[:] = c.weak
+        off = self._standardised(name, smooth, leverage)
+        for part in (c.open, ~c.open):
+            some = self.use[name] & part
+            share = most_likely_share(off[some], c.odd[some])
+            weak[part] = c.weak[part] * np.sqrt(1.0 + share * c.odd[part])
+
+    def measure_scatter(self, smooth: Floats, leverage: Floats) -> None:
+        """Measure the scatter once more about a curve that is smooth over whole turns.
+
+        Errors that repeat with the turn are no motion there, and count. What the learnt curves have taken up is
+        not given back: they have taken it out of the angles too, so that what is left over is their error. A
+        scatter far above that about the short curve is a motion in earnest and is not believed.
+        """
+        for name, c in self.candidates.items():
+            off = self._standardised(name, smooth, leverage)
+            short = self.scatter[name]
+            clear, partly = (
+                float(np.clip(core_scatter(off[self.use[name] & part & self.turning], s), s, 2.5 * s))
+                for part, s in zip((c.open, ~c.open), short, strict=True)
+            )
+            self.scatter[name] = (clear, partly)
+
+    def set_apart(self, late: Floats) -> None:
+        """Take out of the scatter what frames that are late add to it: all markers share that."""
+        shared = float(np.nanmean(late**2))
+        for name, scatter in self.scatter.items():
+            clear, partly = (float(np.sqrt(max(s**2 - shared, (_LEFT * s) ** 2))) for s in scatter)
+            self.scatter[name] = (clear, partly)
+
+    def _standardised(self, name: str, smooth: Floats, leverage: Floats) -> Floats:
+        off = np.empty(len(self.path))
+        for part in stretches(len(off)):
+            share = np.clip(1.0 - leverage[part] / max(len(self.candidates), 1), 0.1, 1.0)
+            off[part] = self.departure(name, part) - smooth[part]
+            off[part] /= self.weak[name][part]
+            off[part] /= np.sqrt(share)
+        return off
+
+    def note_turns(self, short: Floats, smooth: Floats, half: int) -> None:
+        """Note where errors that repeat with the turn can be told from motion.
+
+        There the long window holds a whole turn, and its curve follows the motion: a sudden start is in no
+        curve.
+        """
+        usual = min(clear for clear, _ in self.scatter.values())
+        with np.errstate(invalid="ignore"):
+            self.turning[:] = whole_turns(self.path, half) & (np.abs(smooth - short) < 12.0 * usual)
+        set_down()
+
+
+def wrapped(angle: Floats) -> Floats:
+    """Return angles in [-pi, pi]."""
+    return np.asarray(angle - TURN * np.rint(angle / TURN))
+
+
+def _weight(sigma: Floats) -> Floats:
+    """Return weights of the mean departures for a smooth curve through them, 1 for usual ones."""
+    known = np.isfinite(sigma)
+    if not known.any():
+        return np.zeros(len(sigma))
+    return np.where(known, (median_of(sigma[known]) / np.where(known, sigma, 1.0)) ** 2, 0.0)

@@ -1,0 +1,192 @@
+"""The scene of a film, found before tracking: sample frames, centre, markers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack._errors import VideoError
+from gyrotrack.tracking._polar import Ring, unroll
+from gyrotrack.video._container import Frame, keyframes
+from gyrotrack.video._decoder import Reader
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Disc:
+    """The coloured disc at the centre: (x, y) and radius in px, and its chroma against its surroundings."""
+
+    centre: tuple[float, float]
+    radius: float
+    chroma: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Paper:
+    """One marker as it looks in the clip.
+
+    Attributes
+    ----------
+    name, body, colour : str
+        From the profile.
+    inner, outer : float
+        Radii between which it lies, in px.
+    half_width : float
+        Half its width (with smear) as an angle at the centre, in rad.
+    foot : float
+        Angle from its middle to where nothing of it is seen any more, in rad.
+    contrast : tuple of float
+        Its difference from what lies around it: (U, V) for a colour, (Y, 0) for white, in grey levels.
+    stay : float
+        Largest share of the samples in which it lies over one direction: near 1 for a body that stands.
+    mount : float
+        Its angle relative to the body's zero, as seen (counter-clockwise), in rad.
+    """
+
+    name: str
+    body: str
+    colour: str
+    inner: float
+    outer: float
+    half_width: float
+    contrast: tuple[float, float]
+    foot: float
+    mount: float = 0.0
+    stay: float = 0.0
+
+    @property
+    def radius(self) -> float:
+        """Radius of the middle in px."""
+        return 0.5 * (self.inner + self.outer)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A clip's scene.
+
+    Attributes
+    ----------
+    centre : tuple of float
+        Where the bodies turn, (x, y) in px, at the time of acquisition.
+    disc : Disc or None
+        The disc at the centre; None where the centre is taken from the orbit.
+    papers : tuple of Paper
+        The markers that were found.
+    missing : tuple of str
+        Names of those that were not.
+    warnings : tuple of str
+        What the user should know.
+    """
+
+    centre: tuple[float, float]
+    disc: Disc | None
+    papers: tuple[Paper, ...]
+    missing: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    def of(self, body: str) -> tuple[Paper, ...]:
+        """Return the markers of one body."""
+        return tuple(paper for paper in self.papers if paper.body == body)
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """Bodies of which at least one marker was found."""
+        return tuple(body for body in ("casing", "rotor") if self.of(body))
+
+
+HEAD = 48
+"""First frames in a row: at 0.2 rad a frame they cover more than a turn."""
+KEYS = 20
+FEWEST = 8
+_BLOB_WIDTH = 400
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Sample frames; the first `head` of them are the first frames of the clip, one after the other."""
+
+    frames: tuple[Frame, ...]
+    head: int
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the picture in px."""
+        height, width = self.frames[0].y.shape
+        return width, height
+
+    @cached_property
+    def scale(self) -> int:
+        """Luma px per px of `chroma`: 2, or 4 for large pictures."""
+        return 4 if self.frames[0].u.shape[1] > _BLOB_WIDTH else 2
+
+    @cached_property
+    def chroma(self) -> npt.NDArray[np.uint8]:
+        """Chroma of a spread of frames, shape (2, n, height, width), coarse enough to look at all of it."""
+        chosen = [self.frames[i] for i in self.spread]
+        if self.scale == 2:
+            return np.stack([np.stack([f.u for f in chosen]), np.stack([f.v for f in chosen])])
+        return np.stack([np.stack([_halved(f.u) for f in chosen]), np.stack([_halved(f.v) for f in chosen])])
+
+    @cached_property
+    def spread(self) -> tuple[int, ...]:
+        """Indices of at most 32 frames: every key frame, and the head evenly."""
+        keys = range(self.head, len(self.frames))
+        most = max(12, 32 - len(keys))
+        head = np.unique(np.linspace(0, self.head - 1, min(self.head, most)).astype(int)).tolist()
+        return (*head, *keys)
+
+    def to_luma(self, x: float, y: float) -> tuple[float, float]:
+        """Turn px of `chroma` into luma px."""
+        shift = (self.scale - 1) / 2.0
+        return self.scale * x + shift, self.scale * y + shift
+
+    def strips(self, ring: Ring) -> npt.NDArray[np.uint8]:
+        """Unroll the chroma of all frames, shape (2, n, rows, columns)."""
+        maps = ring.chroma_maps
+        return np.stack([[unroll(f.u, maps) for f in self.frames], [unroll(f.v, maps) for f in self.frames]])
+
+    def luma_strips(self, ring: Ring) -> npt.NDArray[np.uint8]:
+        """Unroll the luma of the head, shape (head, rows, columns)."""
+        return np.stack([unroll(f.y, ring.luma_maps) for f in self.frames[: self.head]])
+
+
+def take_samples(path: Path) -> Samples:
+    """Decode the samples of a film.
+
+    Raises
+    ------
+    VideoError
+        If no frame can be decoded.
+    """
+    head: list[Frame] = []
+    with Reader(path) as reader:
+        for frame in reader:
+            head.append(frame.copy())
+            if len(head) == HEAD:
+                break
+    if not head:
+        raise VideoError(f"no frame of {path} can be decoded", "copy it from the camera again")
+    if len(head) < FEWEST:
+        raise VideoError(
+            f"{path} holds only {len(head)} frames; at least {FEWEST} are needed to find a motion in them",
+            "give a longer film",
+        )
+    keys = [frame for frame in keyframes(path, KEYS) if frame.y.shape == head[0].y.shape]
+    return Samples((*head, *keys), len(head))
+
+
+def _halved(plane: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    height, width = plane.shape
+    return np.asarray(
+        cv2.resize(
+            plane[: height // 2 * 2, : width // 2 * 2],
+            (width // 2, height // 2),
+            interpolation=cv2.INTER_AREA,
+        )
+    )

@@ -1,0 +1,390 @@
+"""Opening a film file safely, and its packets.
+
+Colour is read from the decoder's own planes, because turning every frame into RGB costs more than tracking
+it. The views keep the decoder's buffer alive; rows are cut at the line size, which may be padded.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack._errors import VideoError
+
+Plane = npt.NDArray[np.uint8]
+
+_PLANAR_420 = ("yuv420p", "yuvj420p")
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One frame of a film.
+
+    Attributes
+    ----------
+    index : int
+        Position among the decoded frames, counted here from 0.
+    pts : int or None
+        The stream's own time stamp in units of its time base.
+    y, u, v : ndarray of uint8
+        Luma (height, width) and chroma (ceil(height / 2), ceil(width / 2)); grey chroma is 128.
+    corrupt : bool
+        The decoder's own word that this frame is damaged.
+    """
+
+    index: int
+    pts: int | None
+    y: Plane
+    u: Plane
+    v: Plane
+    corrupt: bool = False
+
+    def copy(self) -> Frame:
+        """Return the same frame in memory of its own."""
+        return Frame(self.index, self.pts, self.y.copy(), self.u.copy(), self.v.copy(), self.corrupt)
+
+
+@dataclass(frozen=True)
+class Orientation:
+    """How the coded picture is turned for display: first mirrored left to right, then quarter turns.
+
+    `quarters` counts quarter turns counter-clockwise as `numpy.rot90` makes them.
+    """
+
+    quarters: int = 0
+    mirrored: bool = False
+
+    def apply(self, plane: Plane) -> Plane:
+        """Turn a plane; without rotation the plane itself comes back."""
+        if self.mirrored:
+            plane = plane[:, ::-1]
+        if self.quarters:
+            plane = np.rot90(plane, self.quarters)
+        return np.ascontiguousarray(plane) if self.mirrored or self.quarters else plane
+
+
+def planes_of(frame: Any, index: int, orientation: Orientation) -> Frame:
+    """Turn a decoded PyAV frame into a `Frame`; formats other than 8 bit 4:2:0 are converted first."""
+    pts = None if frame.pts is None else int(frame.pts)
+    if frame.format.name not in _PLANAR_420:
+        frame = frame.reformat(format="yuv420p")
+    y, u, v = map(_view, frame.planes)
+    if orientation.quarters or orientation.mirrored:
+        y, u, v = map(orientation.apply, (y, u, v))
+    return Frame(index, pts, y, u, v, bool(getattr(frame, "is_corrupt", False)))
+
+
+def orientation_of(frame: Any) -> Orientation:
+    """Read the display matrix of a frame: multiples of 90 degrees and mirrors; anything else is upright."""
+    data = frame.side_data.get("DISPLAYMATRIX")
+    if data is None:
+        return Orientation()
+    a, b, _, c, d, *_ = struct.unpack("<9i", bytes(data)[:36])
+    signs = tuple(int(np.sign(round(entry / 65536))) for entry in (a, b, c, d))
+    return _ORIENTATIONS.get(signs, Orientation())
+
+
+# (a, b, c, d) maps coded (x, y) to shown (a x + c y, b x + d y), y downwards.
+_ORIENTATIONS: dict[tuple[int, ...], Orientation] = {
+    (1, 0, 0, 1): Orientation(),
+    (0, 1, -1, 0): Orientation(quarters=3),
+    (-1, 0, 0, -1): Orientation(quarters=2),
+    (0, -1, 1, 0): Orientation(quarters=1),
+    (-1, 0, 0, 1): Orientation(mirrored=True),
+    (1, 0, 0, -1): Orientation(quarters=2, mirrored=True),
+    (0, -1, -1, 0): Orientation(quarters=3, mirrored=True),
+    (0, 1, 1, 0): Orientation(quarters=1, mirrored=True),
+}
+
+
+def _view(plane: Any) -> Plane:
+    return np.ndarray((plane.height, plane.width), np.uint8, plane, 0, (plane.line_size, 1))
+
+
+MAX_PIXELS = 64_000_000
+"""Largest picture that is decoded: 8000 x 8000; a small file can declare far more than memory holds."""
+MIN_SIDE = 32
+"""Smallest side of a picture in which markers can be told apart."""
+
+# Without these lists a text file named .mp4 can make the library open other files or the network.
+_CONTAINER_OPTIONS = {
+    "format_whitelist": "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi",
+    "protocol_whitelist": "file",
+}
+_RATE_TAGS = ("com.android.capture.fps", "capture_fps", "CAPTURE_FPS")
+
+# The library's logging takes locks of its own, which deadlock with decoding threads.
+av.logging.set_level(None)
+
+
+@dataclass(frozen=True)
+class ClipInfo:
+    """What a film file says about itself; nothing of it is trusted for counting frames.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    width, height : int
+        Size of the coded picture in px, before any rotation.
+    container_fps : float
+        Frames per second of the container; NaN when it names none.
+    frames_declared : int
+        Frames that the header promises; 0 when it does not say.
+    tag_fps : float or None
+        Capture rate from the camera's own tag (slow motion), if there is one.
+    codec, pixel_format : str
+        Names of both.
+    time_base : Fraction
+        Unit of the time stamps in s.
+    duration_declared : float
+        How long the film lasts by a header that counts no frames [s]; NaN where there is none, or another one.
+    """
+
+    path: Path
+    width: int
+    height: int
+    container_fps: float
+    frames_declared: int
+    tag_fps: float | None
+    codec: str
+    pixel_format: str
+    time_base: Fraction
+    duration_declared: float = float("nan")
+
+
+@contextlib.contextmanager
+def opened(path: Path, threads: int = 1) -> Iterator[tuple[Any, Any]]:
+    """Open a film and give (container, video stream); raise `VideoError` in one sentence otherwise."""
+    _check_file(path)
+    try:
+        container = av.open(
+            str(path.resolve()), options=_CONTAINER_OPTIONS, metadata_errors="replace", timeout=(10.0, 60.0)
+        )
+    except (av.error.FFmpegError, ValueError, OSError) as error:
+        raise VideoError(
+            f"{path} is not a film that can be read ({_reason(error)})",
+            "give an MP4, MOV, MKV, WebM or AVI file; a copy that was cut off while writing has no index",
+        ) from error
+    with container:
+        if not container.streams.video:
+            raise VideoError(f"{path} holds no video, only other streams", "give the film itself")
+        stream = container.streams.video[0]
+        if stream.codec_context is None:
+            raise VideoError(
+                f"{path} is packed in a way that no decoder knows", "copy it again, or convert it to H.264"
+            )
+        _check_size(path, stream)
+        stream.codec_context.options = {"max_pixels": str(MAX_PIXELS)}
+        stream.codec_context.thread_type = "FRAME" if threads > 1 else "NONE"
+        stream.codec_context.thread_count = threads
+        yield container, stream
+
+
+def probe(path: Path) -> ClipInfo:
+    """Read what a film declares: size, rates, frame count, tags."""
+    with opened(path) as (container, stream):
+        context = stream.codec_context
+        rate = _nominal_rate(stream)
+        return ClipInfo(
+            path=path,
+            width=int(context.width),
+            height=int(context.height),
+            container_fps=float(rate) if rate else float("nan"),
+            frames_declared=int(stream.frames),
+            tag_fps=_tagged_rate(container.metadata) or _tagged_rate(stream.metadata),
+            codec=str(context.name),
+            pixel_format=str(context.pix_fmt),
+            time_base=Fraction(stream.time_base),
+            duration_declared=_declared_duration(container, stream),
+        )
+
+
+def _declared_duration(container: Any, stream: Any) -> float:
+    """Return how long the pictures of a file last that does not count them [s], NaN where it is not told."""
+    if stream.frames or not container.duration or len(container.streams) != 1:
+        return float("nan")  # beside a sound the whole may be longer than its pictures
+    return float(container.duration / av.time_base)
+
+
+def _nominal_rate(stream: Any) -> Any:
+    """Return the rate of a stream; the average is misled by missing frames, the nominal one by odd time bases."""
+    average, nominal = stream.average_rate, stream.base_rate
+    if average and nominal and 1.0 <= float(nominal / average) < 1.2:
+        return nominal
+    return average or stream.guessed_rate
+
+
+def file_sha256(path: Path) -> str:
+    """Return the SHA-256 of a file's bytes, in hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _check_file(path: Path) -> None:
+    if not path.exists():
+        raise VideoError(f"there is no file {path}", "check the path")
+    if not path.is_file():
+        raise VideoError(f"{path} is not a regular file", "give one film file")
+    try:
+        size = path.stat().st_size
+        with path.open("rb"):
+            pass
+    except OSError as error:
+        raise VideoError(f"{path} cannot be opened: {error.strerror}", "check its permissions") from error
+    if size == 0:
+        raise VideoError(f"{path} is empty (0 bytes)", "copy it from the camera again")
+
+
+def _check_size(path: Path, stream: Any) -> None:
+    width, height = int(stream.codec_context.width), int(stream.codec_context.height)
+    if width * height > MAX_PIXELS:
+        raise VideoError(
+            f"{path} declares frames of {width}x{height} px, too large to decode", "scale it down"
+        )
+    if min(width, height) < MIN_SIDE:
+        raise VideoError(
+            f"{path} has frames of {width}x{height} px, too small to hold markers",
+            f"give a film with at least {MIN_SIDE} px on each side",
+        )
+
+
+def _tagged_rate(metadata: Any) -> float | None:
+    for tag in _RATE_TAGS:
+        with contextlib.suppress(KeyError, ValueError, TypeError):
+            value = float(metadata[tag])
+            if 1.0 <= value <= 1.0e6:
+                return value
+    return None
+
+
+def _reason(error: Exception) -> str:
+    text = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return str(text).strip().rstrip(".").lower()
+
+
+def packets_of(packets: Any) -> Iterator[Any]:
+    """Give the packets of a demultiplexer up to its end, or to where the file is broken."""
+    while True:
+        try:
+            packet = next(packets, None)
+        except av.error.FFmpegError:
+            return
+        if packet is None or packet.size == 0:
+            return
+        yield packet
+
+
+def decode_past_damage(packets: Any, most_bad: int) -> Iterator[tuple[Any, int]]:
+    """Decode packets in order, the damaged ones left out, up to the end or to `most_bad` of them beyond the frames.
+
+    Yields
+    ------
+    frame, bad
+        A decoded frame, and how many packets before it could not be decoded; at the end None and all of these.
+    """
+    bad = good = 0
+    while bad <= most_bad + 2 * good:
+        try:
+            packet = next(packets, None)
+            if packet is None:
+                break
+            frames = packet.decode()
+        except av.error.FFmpegError:
+            bad += 1
+            continue
+        for frame in frames:
+            good += 1
+            yield frame, bad
+    yield None, bad
+
+
+@dataclass(frozen=True)
+class Packets:
+    """The packets of a film that have a time stamp, in the order of these.
+
+    Attributes
+    ----------
+    stamps, size : ndarray of int, shape (n,)
+        Time stamps in units of the time base, and sizes in bytes.
+    key : ndarray of bool, shape (n,)
+        Which ones hold a picture by itself.
+    complete : bool
+        Whether all of the film's packets are among them.
+    """
+
+    stamps: npt.NDArray[np.int64]
+    size: npt.NDArray[np.int64]
+    key: npt.NDArray[np.bool_]
+    complete: bool
+
+
+def read_packets(path: Path) -> Packets:
+    """Read what a film's packets say of themselves, without decoding anything."""
+    with opened(path) as (container, stream):
+        found = [(p.pts, p.size, p.is_keyframe) for p in packets_of(container.demux(stream))]
+    stamped = sorted(p for p in found if p[0] is not None)
+    stamps, size, key = zip(*stamped, strict=True) if stamped else ((), (), ())
+    return Packets(
+        np.array(stamps, dtype=np.int64),
+        np.array(size, dtype=np.int64),
+        np.array(key, dtype=np.bool_),
+        len(stamped) == len(found),
+    )
+
+
+def read_raw_stamps(path: Path) -> npt.NDArray[np.int64]:
+    """Return the time stamps of a film's packets in units of the time base, sorted, without decoding anything."""
+    return read_packets(path).stamps
+
+
+def key_before(path: Path, pts: int | None) -> int:
+    """Return the number of the last key packet that is shown at or before a time stamp; 0 if unknown."""
+    found = 0
+    if pts is None:
+        return found
+    with opened(path) as (container, stream):
+        for n, packet in enumerate(packets_of(container.demux(stream))):
+            if packet.is_keyframe and packet.pts is not None and packet.pts <= pts:
+                found = n
+    return found
+
+
+def keyframes(path: Path, count: int) -> list[Frame]:
+    """Decode up to `count` key frames spread evenly over a film, without the frames between them.
+
+    Their indices are not known and are given as -1: they show what the scene looks like in the course of the
+    film, before it is read in order.
+    """
+    with opened(path) as (container, stream):
+        keys = [n for n, packet in enumerate(packets_of(container.demux(stream))) if packet.is_keyframe]
+    wanted = {keys[int(i)] for i in np.linspace(0, len(keys) - 1, min(count, len(keys)))} if keys else set()
+    found: list[Frame] = []
+    with opened(path) as (container, stream):
+        orientation: Orientation | None = None
+        for n, packet in enumerate(packets_of(container.demux(stream))):
+            if n in wanted:
+                for raw in _decode_alone(packet, stream):
+                    orientation = orientation or orientation_of(raw)
+                    found.append(planes_of(raw, -1, orientation).copy())
+    return found
+
+
+def _decode_alone(packet: Any, stream: Any) -> list[Any]:
+    """Decode one key packet by itself; the decoder is emptied and made ready for the next."""
+    try:
+        frames = [*packet.decode(), *stream.codec_context.decode(None)]
+    except av.error.FFmpegError:
+        frames = []
+    stream.codec_context.flush_buffers()
+    return frames[:1]

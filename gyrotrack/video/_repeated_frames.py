@@ -1,0 +1,104 @@
+"""Frames that repeat the picture of the frame before.
+
+Of each frame some rows are compared with those of the one before. An encoder has little to add to a picture that it
+has just sent; sensor noise is repeated with it, so that what differs is much less than between any two frames.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack.video._container import Frame, Packets
+
+SAME = 0.3
+"""Share of the usual difference between frames of late that a repeated frame may show."""
+SMALL = 0.35
+"""Share of the usual packet around it below which one has little to tell."""
+_AROUND = 31
+_LARGE = 80
+_ROWS = 12
+_MOST = 0.8
+_FEWEST = 5
+
+Rows = npt.NDArray[np.uint8]
+
+
+class Repeats:
+    """Tells of each frame of a film in turn whether it repeats the one before it.
+
+    Parameters
+    ----------
+    packets : Packets
+        Of the whole film.
+
+    Attributes
+    ----------
+    regular : bool
+        A run of repeated frames comes every so many frames, as after a conversion to another rate: by the packets, or
+        by the frames so far.
+    """
+
+    def __init__(self, packets: Packets) -> None:
+        self.regular = _regular(_starts(_without_news(packets)))
+        self._last: Rows | None = None
+        self._late: tuple[float, ...] = ()
+        self._begun: tuple[int, ...] = ()
+        self._run = False
+
+    def same(self, frame: Frame) -> bool:
+        """Tell whether a frame, the next one of the film, repeats the one before it."""
+        rows, last, again = _rows(frame), self._last, False
+        if last is not None:
+            apart = cv2.norm(rows, last, cv2.NORM_L1)
+            again = len(self._late) > 1 and apart < SAME * _usual(self._late)
+            self._late = (*self._late[1 - _AROUND :], apart)
+        if again and not self._run:
+            self._begun = (*self._begun[-_FEWEST:], frame.index)
+            self.regular = self.regular or _regular(np.array(self._begun))
+        self._run, self._last = again, rows
+        return again
+
+    def settle(self) -> None:
+        """Let go of the last frame, and keep what is needed of it."""
+        if self._last is not None:
+            self._last = self._last.copy()
+
+
+def _usual(late: tuple[float, ...]) -> float:
+    """Return the difference between frames that do not repeat: one of the larger ones, where up to three in four do.
+
+    The largest of few may be a cut, as from a still at the beginning.
+    """
+    return sorted(late)[min(len(late) - 2, int(_MOST * len(late)))]
+
+
+def _rows(frame: Frame) -> Rows:
+    """Return some rows of the luma from the middle of a picture, as they lie in memory."""
+    height = len(frame.y)
+    return frame.y[height // 8 : height - height // 8 : max(height // _ROWS, 1)]
+
+
+def _without_news(packets: Packets) -> npt.NDArray[np.int64]:
+    """Return which packets tell nothing new: much smaller than those around them, or no other than the last picture."""
+    from scipy.ndimage import percentile_filter
+
+    if len(packets.size) < _AROUND:
+        return np.zeros(0, dtype=np.int64)
+    if packets.key.all():
+        return 1 + np.flatnonzero(np.diff(packets.size) == 0)
+    size = np.where(packets.key, 0, packets.size)
+    usual = percentile_filter(size, _LARGE, size=_AROUND, mode="nearest")
+    return np.flatnonzero(~packets.key & (size < SMALL * usual))
+
+
+def _starts(place: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """Return where runs of neighbours begin."""
+    return place[np.diff(place, prepend=-2) > 1]
+
+
+def _regular(start: npt.NDArray[np.int64]) -> bool:
+    """Tell whether runs begin at even distances, as those of a conversion do but for one frame of rounding."""
+    apart = np.diff(start)
+    return len(start) >= _FEWEST and bool((np.abs(apart - np.median(apart)) <= 1.0).mean() > 0.8)

@@ -1,0 +1,227 @@
+"""The time base of a film: when each frame was captured.
+
+A film in real time carries the camera's own clock in its stamps; one in slow motion carries a player's, which an
+editor may have made anew. Stamps that are even say nothing that counting does not, and frames are counted then.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack._errors import UsageError, VideoError
+from gyrotrack._smoothing import local_fit
+from gyrotrack.video._timestamps import COARSEST_TICK, frame_numbers, gap_warnings
+
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
+
+SOURCES = ("auto", "stamps", "frames")
+LIVE = 0.05
+"""Share by which the stamps' rate may differ from the capture rate in a film that was not slowed down."""
+EVEN = 5e-3
+"""Share of a period by which stamps that count as even may lie off their line, if their tick is finer than that."""
+_ROUNDED = 0.75
+_ODD = 0.01
+_HALF = 20
+
+
+@dataclass(frozen=True)
+class FrameTimes:
+    """When the frames of a film were taken.
+
+    Attributes
+    ----------
+    number : ndarray of int, shape (n,)
+        Numbers of the frames, those of missing frames left out.
+    place : ndarray, shape (n,), or None
+        Times of the frames times the capture rate, where they are from the stamps; None: the numbers are the places.
+    sigma : float
+        Standard deviation of a place, from the tick of the stamps; independent from frame to frame.
+    smooth : ndarray, shape (n,), or None
+        The places without what jitters from frame to frame beyond rounding, in case that is not the camera's.
+    told : tuple of str
+        What the user should know.
+    again : ndarray of bool, shape (n,), or None
+        Frames that repeat the one before them; None if there are none.
+    """
+
+    number: Integers
+    place: Floats | None = None
+    sigma: float = 0.0
+    smooth: Floats | None = None
+    told: tuple[str, ...] = ()
+    again: Mask | None = None
+
+    def even(self) -> FrameTimes:
+        """Return the same without what jitters, and say so."""
+        if self.place is None or self.smooth is None:
+            return self
+        told = (*self.told, "the markers move evenly where the stamps jitter; the stamps are smoothed")
+        return replace(self, place=self.smooth, sigma=0.0, smooth=None, told=told)
+
+    def at(self, index: Integers) -> FrameTimes:
+        """Return the times of some frames, none of which repeats another."""
+        some = (None if a is None else a[index] for a in (self.place, self.smooth))
+        return FrameTimes(self.number[index], next(some), self.sigma, next(some), self.told)
+
+    def seconds(self, fps: float) -> Floats:
+        """Return the times in s at a capture rate, (n,).
+
+        A repeated frame that has no time of its own gets one between those of its neighbours.
+        """
+        time = np.asarray((self.number if self.place is None else self.place) / fps)
+        if self.again is not None and self.place is None:
+            same = self.again & (np.diff(self.number, prepend=-1) == 0)
+            run = np.arange(len(same)) - np.maximum.accumulate(np.where(same, 0, np.arange(len(same))))
+            time = np.where(same, time + (1.0 - 0.5**run) / fps, time)
+        return time
+
+    @property
+    def places(self) -> Floats:
+        """When the frames were taken, in periods of the capture rate, (n,)."""
+        return self.number.astype(np.float64) if self.place is None else self.place
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Where the times of a film are from.
+
+    Attributes
+    ----------
+    source : {"auto", "stamps", "frames"}
+        Time stamps, counted frames, or what fits the film.
+    fps : float
+        The capture rate in frames/s.
+    """
+
+    source: str
+    fps: float
+
+    def __post_init__(self) -> None:
+        if self.source not in SOURCES:
+            raise UsageError(f"times are from auto, stamps or frames, not from {self.source}", "leave it out")
+
+    def of(self, pts: Floats, tick: float) -> FrameTimes:
+        """Return when the frames with the time stamps `pts` (n,) [s] were taken; `tick` is the stamps' unit [s].
+
+        Raises
+        ------
+        VideoError
+            Stamps were asked for and cannot be had.
+        """
+        grows = len(pts) > 2 and bool(np.isfinite(pts).all()) and _growing(np.diff(pts))
+        usable = grows and bool((np.diff(pts) > 0.0).all())
+        if self.source == "stamps" and not usable:
+            raise VideoError(
+                "times from time stamps were asked for, but stamps are missing or do not grow",
+                "leave out --times to count frames",
+            )
+        tick = _real_tick(pts, tick) if grows else tick
+        number = frame_numbers(pts, tick)
+        varied = grows and uneven(number, pts, tick)
+        if self.source == "stamps" or (self.source == "auto" and usable and varied and self._live(pts)):
+            return self._stamped(number, pts, tick, varied=varied)
+        told = (self._counted(pts),) if varied else ()
+        return FrameTimes(number, told=(*told, *gap_warnings(number)))
+
+    def _live(self, pts: Floats) -> bool:
+        """Tell whether the film was not slowed down: its stamps come at about the capture rate."""
+        step = np.diff(pts)
+        return any(abs(self.fps * float(period) - 1.0) < LIVE for period in (np.median(step), step.mean()))
+
+    def _counted(self, pts: Floats) -> str:
+        wrong = "times count decoded frames, and are wrong if the camera's rate varied"
+        if self.source == "frames" or self._live(pts):
+            return f"time stamps are spaced unevenly; {wrong}"
+        return (
+            f"time stamps are spaced unevenly, and {_rate(pts)} in slow motion is a player's rate; {wrong} "
+            "(--times stamps believes the stamps, brought to the capture rate)"
+        )
+
+    def _stamped(self, number: Integers, pts: Floats, tick: float, *, varied: bool) -> FrameTimes:
+        line = np.polyfit(number, pts - pts[0], 1)
+        scale = self.fps if self._live(pts) else 1.0 / float(line[0])
+        place = (pts - pts[0]) * scale
+        if not varied:
+            return FrameTimes(number, number * line[0] * scale, told=gap_warnings(number))
+        told = [_told(pts)]
+        if not self._live(pts):
+            told.append(
+                f"the stamps, at {_rate(pts)}, are brought to the capture rate of {self.fps:g} frames/s"
+            )
+        best, sigma = _without_rounding(number, place, tick * scale)
+        if best is not place:
+            return FrameTimes(number, best, sigma, told=(*told, *gap_warnings(number)))
+        smooth = _without_jitter(number, place)
+        jitters = float(np.std(place - smooth)) > max(0.5 * tick * scale, EVEN)
+        return FrameTimes(number, place, sigma, smooth if jitters else None, tuple(told))
+
+
+def uneven(number: Integers, pts: Floats, tick: float) -> bool:
+    """Tell whether more than one time stamp in a hundred lies off the line through them over the frames' numbers."""
+    off = pts - np.polyval(np.polyfit(number, pts, 1), number)
+    return bool((np.abs(off) > max(_ROUNDED * tick, EVEN * float(np.median(np.diff(pts))))).mean() > _ODD)
+
+
+def _growing(step: Floats) -> bool:
+    return float(np.median(step)) > 0.0 and float((step <= 0.0).mean()) <= _ODD
+
+
+def _real_tick(pts: Floats, tick: float) -> float:
+    """Return the unit of time stamps: 1 ms in a finer container too, if they were copied from a coarse one."""
+    whole = (pts - pts[0]) / COARSEST_TICK
+    copied = tick < COARSEST_TICK and bool(
+        (np.abs(whole - np.rint(whole)) <= 0.51 * tick / COARSEST_TICK).all()
+    )
+    return COARSEST_TICK if copied else tick
+
+
+def _smoothed(number: Integers, place: Floats) -> tuple[Floats, float]:
+    """Return local parabolas through places, and the share that each place has in its own."""
+    line = np.polyval(np.polyfit(number, place, 1), number)
+    value, weight = np.zeros((2, int(number[-1]) + 1))
+    value[number], weight[number] = place - line, 1.0
+    curve, leverage = local_fit(value, weight, _HALF)
+    known = np.isfinite(curve[number])
+    share = float(np.median(leverage[number][known])) if known.any() else 1.0
+    return np.where(known, line + curve[number], place), share
+
+
+def _without_rounding(number: Integers, place: Floats, tick: float) -> tuple[Floats, float]:
+    """Return places as exact as stamps in whole ticks give them, and their standard deviation.
+
+    A place rounded to a tick d is off by d / sqrt(12). A parabola through its neighbours keeps the share of its own
+    leverage of that variance; what scatters about it beyond rounding it takes from the truth. Where that is more, or a
+    place would be moved by more than rounding can do, the places stay as they are.
+    """
+    rounding = tick**2 / 12.0
+    smooth, share = _smoothed(number, place)
+    left = place - smooth
+    variance = max(float(np.mean(left**2)) - (1.0 - share) * rounding, 0.0) + share * rounding
+    if variance < rounding and float(np.abs(left).max()) <= 1.1 * tick:
+        return smooth, float(np.sqrt(variance))
+    return place, float(np.sqrt(rounding))
+
+
+def _without_jitter(number: Integers, place: Floats) -> Floats:
+    """Return places of a rate that varies slowly; of an even one, if what is smooth in them is no more than noise."""
+    smooth, share = _smoothed(number, place)
+    line = np.asarray(np.polyval(np.polyfit(number, place, 1), number), dtype=np.float64)
+    noise = float(np.std(place - smooth)) * np.sqrt(share)
+    return smooth if float(np.std(smooth - line)) > 2.0 * noise else line
+
+
+def _rate(pts: Floats) -> str:
+    return f"{1.0 / float(np.diff(pts).mean()):.4g} frames/s"
+
+
+def _told(pts: Floats) -> str:
+    short, long = 1e3 * np.percentile(np.diff(pts), [1, 99])
+    return (
+        f"time stamps are spaced unevenly ({short:.3g} to {long:.3g} ms), as of a camera whose rate varied; "
+        "times are from the stamps"
+    )
