@@ -2,10 +2,11 @@
 
     python benchmarks/tracking/sync.py --runs 400 --found found.jsonl -o benchmarks/tracking/sync.md
 
-The runs are those of the tests (`tests/gyrotrack/sync/conftest.py`): two equations of motion integrated by SciPy, seen
-by two cameras with noise of 1 mrad and harmonics of 2 mrad; clips of 3 s at 1000 frames/s start anywhere in the first
-80 s of a record of 135 s at 260 frames/s. The clocks' rates differ by 1e-4 (one sigma), the directions by anything.
-z is error over uncertainty. A start is lost if it is off by more than 3 ms and not marked as ambiguous.
+The runs are those of the tests (`tests/gyrotrack/synchronisation/conftest.py`): two equations of motion
+integrated by SciPy, seen by two cameras with noise of 1 mrad and harmonics of 2 mrad; clips of 3 s at 1000
+frames/s start anywhere in the first 80 s of a record of 135 s at 260 frames/s. The clocks' rates differ by 1e-4
+(one sigma), the directions by anything. z is error over uncertainty. A start is lost if it is off by more than
+3 ms and not marked as ambiguous.
 
 The clips of a run share its clock and perhaps its direction, so they err together: what counts for the error of a
 share is how it varies from run to run. With p_r the share in run r of n runs it is std(p_r) / sqrt(n).

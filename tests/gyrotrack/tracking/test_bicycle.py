@@ -9,7 +9,7 @@ from gyrotrack.io._records import STATUS
 from gyrotrack.tracking._extract import extract
 from gyrotrack.tracking._profile import load
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 FILM = ROOT.parent / "shared" / "real" / "bicycle_wheel_300fps.mp4"
 OMEGA, ALPHA = 22.957, -0.396  # quadratic fit of the 67 points of the original project
 

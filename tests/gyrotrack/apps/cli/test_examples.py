@@ -11,7 +11,7 @@ import pytest
 from gyrotrack.apps.cli._app import COMMANDS
 from gyrotrack.apps.cli._lazy import function_of
 
-CLIPS = Path(__file__).parents[3] / "sample_clips"
+CLIPS = Path(__file__).parents[4] / "sample_clips"
 LONG = {"demo", "extract", "sync", "batch", "profile", "improve", "scan", "figures"}  # minutes, or films
 SERVED = {"view"}  # runs until it is stopped; it has tests of its own
 

@@ -5,7 +5,7 @@ import pytest
 from gyrotrack._errors import ProfileError
 from gyrotrack.tracking._profile import PAPER, Profile, load, parse, to_toml
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 def test_the_default_is_the_papers_gyroscope():
