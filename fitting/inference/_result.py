@@ -147,9 +147,9 @@ def not_determined(estimates: Mapping[str, Estimate]) -> list[str]:
 Array = NDArray[np.float64]
 
 # chi2 per reachable row above which the model is said to miss something (2000 rows: 1.0 +- 0.03)
-_MISFIT = 1.4
+REDUCED_CHI2 = 1.4
 # probability of the slow torque that a model leaves, if that is noise, below which it is said to miss something
-_IMPROBABLE = 1e-5
+LACK_OF_FIT_P = 1e-5
 
 
 @dataclass(frozen=True)
@@ -216,7 +216,7 @@ class Fit(Account):
         """One of "adequate", "misfit" and "not converged"."""
         if not self.converged:
             return "not converged"
-        left = self.lack.p_value < _IMPROBABLE or any(c.misfit > _MISFIT for c in self.cases)
+        left = self.lack.p_value < LACK_OF_FIT_P or any(c.misfit > REDUCED_CHI2 for c in self.cases)
         return "misfit" if left else "adequate"
 
     @property

@@ -18,9 +18,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from fitting.discovery._rank import Candidate
     from fitting.discovery._residuals import ResidualTorque
-    from fitting.discovery._select import Rung
+    from fitting.discovery._select import Candidate, Step
     from fitting.discovery._verdict import Diagnosis
     from fitting.inference._result import Fit
 
@@ -94,7 +93,7 @@ def diagnosis_html(d: Diagnosis) -> str:
     return _block(*parts)
 
 
-def ladder_html(rungs: Sequence[Rung]) -> str:
+def ladder_html(rungs: Sequence[Step]) -> str:
     """Return a ladder: a row a rung, with a bar as long as its error."""
     from fitting.study._serialisation import rung_document
 
@@ -189,7 +188,7 @@ def plot_diagnosis(d: Diagnosis) -> Figure:
     return figure
 
 
-def plot_ladder(rungs: Sequence[Rung]) -> Figure:
+def plot_ladder(rungs: Sequence[Step]) -> Figure:
     """Draw how the casing's rms error and the held-out error fall from rung to rung."""
     figure = _figure(8.0, 1.6 + 0.4 * len(rungs))
     left, right = figure.subplots(1, 2, sharey=True)

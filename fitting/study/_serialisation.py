@@ -24,10 +24,9 @@ from numpy.typing import NDArray
 
 from fitting._errors import FittingError, LedgerError
 from fitting._numbers import number, plain, rounded
-from fitting.discovery._rank import Candidate
 from fitting.discovery._residuals import Failure, ResidualTorque, residual_torques, ripples, whiteness
 from fitting.discovery._score import Score
-from fitting.discovery._select import Rung
+from fitting.discovery._select import Candidate, Step
 from fitting.discovery._verdict import Diagnosis
 from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect
@@ -210,7 +209,7 @@ def _moved(fit: Fit, previous: Fit | None) -> list[str]:
     ]
 
 
-def ladder_verdict(rungs: Sequence[Rung]) -> str:
+def ladder_verdict(rungs: Sequence[Step]) -> str:
     """Return "adequate", "missing_effect" (found and added) or "unexplained" for a finished ladder."""
     if rungs[-1].fit.verdict != "adequate":
         return "unexplained"
@@ -462,6 +461,7 @@ def _kept_candidate(c: Candidate, *, fit: bool) -> dict[str, Any]:
         "effect": c.effect.name,
         "own_effects": own_effects([c.effect]),
         **{k: getattr(c, k) for k in _SCORES},
+        "significant": c.significant,
         "indistinguishable_from": list(c.indistinguishable_from),
         "estimates": {k: asdict(e) for k, e in c.estimates.items()},
         "fit": kept_fit(c.fit) if fit and c.fit is not None else None,
@@ -513,6 +513,7 @@ def _restored_candidate(kept: Mapping[str, Any], base: Fit) -> Candidate:
             k: Estimate(number(e["value"]), number(e["stderr"]), e["unit"], e["at_bound"])
             for k, e in kept["estimates"].items()
         },
+        significant=bool(kept["significant"]),
         screened=Score(effect, scores["score"], none, (), 0, 0, absorbed=False, direction=none, null=none),
         fit=fit or None,
     )

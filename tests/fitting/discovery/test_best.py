@@ -6,8 +6,7 @@ from functools import cache
 import pytest
 import twobody
 
-from fitting.discovery._rank import rank
-from fitting.discovery._select import best
+from fitting.discovery._select import best, rank
 from fitting.dynamics._model import Model
 from fitting.effects._library import LIBRARY, REDUCED
 from fitting.inference._case_data import CaseData

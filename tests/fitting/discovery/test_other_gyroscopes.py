@@ -7,7 +7,7 @@ import pytest
 import twobody
 from cases import case
 
-from fitting.discovery._rank import rank
+from fitting.discovery._select import rank
 from fitting.discovery._verdict import diagnose
 from fitting.dynamics._model import Model
 from fitting.effects._library import REDUCED

@@ -5,8 +5,7 @@ import math
 import pytest
 from swings import ALIKE, APART, RATE, STRENGTH, precession, records, unbalance
 
-from fitting.discovery._rank import rank
-from fitting.discovery._select import found_starts
+from fitting.discovery._select import found_starts, rank
 from fitting.discovery._verdict import diagnose
 from fitting.dynamics._model import Model
 from fitting.effects._library import LIBRARY, REDUCED
