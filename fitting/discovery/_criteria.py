@@ -58,7 +58,7 @@ class Criteria:
     crowded: int = _criterion(3, "added effects from which on each is tried without")
     max_steps: int = _criterion(5, "effects that `improve` adds at most")
     follow_up: int = _criterion(1, "further effects that `diagnose` adds at most")
-    explained: float = _criterion(0.95, "share of the unmodelled torque that an approximate answer explains")
+    explained: float = _criterion(0.95, "share of unmodelled torque that an approximate answer explains")
     lack_of_fit: float = _criterion(
         LACK_OF_FIT_P, "p-value of slow torques below which a fit fails", "Draper 1998"
     )

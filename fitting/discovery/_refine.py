@@ -12,6 +12,7 @@ other cases determine them, the whole record of that case is scored again.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -22,7 +23,8 @@ from numpy.typing import NDArray
 from fitting._errors import FittingError, SimulationError
 from fitting.discovery._criteria import DEFAULT, Criteria
 from fitting.discovery._score import CaseColumns, Score, ScoreContext, score_in_case
-from fitting.effects._effect import Effect
+from fitting.dynamics._model import Model
+from fitting.effects._effect import Effect, Parameter
 from fitting.inference._fit import fit
 from fitting.inference._lack_of_fit import orthonormal
 from fitting.inference._noise_level import Noise, measure_noise
@@ -306,3 +308,74 @@ def start_of(base: Fit, score: Score) -> dict[str, float]:
         common = score.shape[i] if score.own_phase else {}
         values |= {f"{effect.name}.{k}{'' if k in common else tail}": float(v) for k, v in found.items()}
     return values
+
+
+_WIDTHS = (0.02, 0.1, 0.5, 2.0)
+_POWER = re.compile(r"abs\((\w+)\)\*\*([\d.]+)\*sign\(\1\)|(\w+)\*abs\(\3\)|\b(omega_[rc]|delta)\*\*2")
+_JUMP = re.compile(r"heaviside\(t - (\w+)\)")
+
+
+def with_shape_parameter(effect: Effect) -> Effect | None:
+    """Return a law of the library with its fixed shape constant as a parameter; None if it has none.
+
+    A power of a speed has its exponent n; a step at t0 becomes (1 + tanh((t - t0) / w)) / 2 with the width w.
+    """
+    if effect.amplitude is None or effect.depends_on_angle or effect.state is not None:
+        return None
+    roles = [p.role for p in effect.parameters]
+    power = _POWER.search(effect.law)
+    if power and roles == ["amplitude"] and effect.law.count("*") - power[0].count("*") <= 2:
+        signed, order = power[1] or power[3], float(power[2] or 2.0)
+        law = f"abs({signed})**n*sign({signed})" if signed else f"abs({power[4]})**n"
+        rest = effect.law.replace(power[0], "")
+        if "omega" in rest.replace("sign(omega_c)", "") or "delta" in rest:
+            return None
+        strength = replace(effect.amplitude, unit="N m s^n")
+        exponent = Parameter("n", "1", "shape", max(0.1, order - 1), order + 1, order, meaning="its exponent")
+        return replace(effect, law=effect.law.replace(power[0], law), parameters=(strength, exponent))
+    jump = _JUMP.search(effect.law)
+    if jump and effect.breakpoint == jump[1] and roles.count("shape") == 1:
+        width = Parameter("w", "s", "shape", 1e-3, 1e3, _WIDTHS[0], _WIDTHS, meaning="its width")
+        law = effect.law.replace(jump[0], f"(0.5 + 0.5*tanh((t - {jump[1]})/w))")
+        return replace(effect, law=law, parameters=(*effect.parameters, width), breakpoint="")
+    return None
+
+
+def freed(found: Fit, effect: Effect, criteria: Criteria) -> Fit | None:
+    """Return the fit with the shape constant of one of its effects as a parameter, if BIC asks for it.
+
+    Parameters
+    ----------
+    found : Fit
+        A refined fit with the effect.
+    effect : Effect
+        The effect.
+    criteria : Criteria
+        `shape_evidence`.
+    """
+    general = with_shape_parameter(effect)
+    if general is None:
+        return None
+    layout = found.problem.layout
+    model = Model(tuple(general if e.name == effect.name else e for e in found.model.effects))
+    symbol = general.parameters[-1].symbol
+    values = {k: e.value for k, e in found.estimates.items()}
+    best: Fit | None = None
+    for start in general.parameters[-1].grid or (general.parameters[-1].start,):
+        with suppress(FittingError):
+            other = fit(
+                model,
+                found.problem.data,
+                share=[k for k in model.free if k not in layout.per_case] if len(layout.records) > 1 else (),
+                per_case=layout.per_case,
+                start=values | {f"{effect.name}.{symbol}": start},
+                noise=found.noise,
+                quick=True,
+            )
+            best = other if best is None else _better(best, other)
+    if best is None:
+        return None
+    with suppress(FittingError):
+        best = refined(best, criteria)
+        return best if best.bic < found.bic - criteria.shape_evidence else None
+    return None

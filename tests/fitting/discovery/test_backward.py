@@ -1,5 +1,6 @@
 """What was added in vain is taken back, all of it, and what is common to all cases stays so."""
 
+import pytest
 import twobody
 from swings import APART, records, unbalance
 
@@ -13,6 +14,7 @@ from fitting.inference._record import make_record
 DRAG = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -4e-10 * abs(wc) * wc)
 
 
+@pytest.mark.slow
 def test_all_that_stood_in_for_the_newest_is_dropped():
     record = make_record(**twobody.film(twobody.simulate(hidden=DRAG, ou=5e-8, seed=3), 3))
     base = fit(Model.of(REDUCED), [record])
@@ -21,8 +23,6 @@ def test_all_that_stood_in_for_the_newest_is_dropped():
     rung = _backward([Step("", base, ()), Step("+casing.air.quadratic", full, ())], Criteria())
     assert set(rung.fit.model.names) == {*REDUCED, "casing.air.quadratic"}
     assert all(f"-{name}" in rung.change for name in vain)
-
-
 def test_phases_of_their_own_stay_when_another_effect_is_dropped():
     data = records(unbalance, APART)
     base = fit(Model.of(REDUCED), data)

@@ -29,6 +29,7 @@ def named(tracked, effect, delta_bic):
     return best([candidate]) is not None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", ["casing.precession", "casing.unbalance"])
 def test_what_swings_needs_very_strong_evidence_on_film(effect):
     assert not named(True, effect, -5.0)

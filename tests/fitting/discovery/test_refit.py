@@ -5,7 +5,7 @@ import twobody
 
 from fitting.discovery._criteria import Criteria
 from fitting.discovery._refine import refit, together
-from fitting.discovery._score import CaseColumns
+from fitting.discovery._score import CaseColumns, score
 from fitting.dynamics._model import Model
 from fitting.effects._library import LIBRARY, REDUCED
 from fitting.inference._case_data import CaseData

@@ -7,7 +7,7 @@ import twobody
 
 from fitting.discovery._criteria import Criteria
 from fitting.discovery._refine import distant_changepoints, local_changepoints
-from fitting.discovery._score import CaseColumns
+from fitting.discovery._score import CaseColumns, score
 from fitting.discovery._select import found_starts
 from fitting.dynamics._model import Model
 from fitting.effects._library import LIBRARY, REDUCED

@@ -51,7 +51,7 @@ def test_a_doubted_name_is_a_hypothesis():
     (step,) = (c for c in rank(base) if c.effect.name == "touchpoint.step")
     answer = diagnose(base, candidates=[replace(step, indistinguishable_from=())])
     assert answer.verdict == "unexplained"
-    assert "follows the speed of the casing" in answer.sentence
+    assert "depends on the speed of the casing" in answer.sentence
     assert "hypothesis" in answer.sentence
 
 

@@ -47,7 +47,7 @@ def test_the_answer_tells_it_and_its_law_mends_it(shaken):
     answer = diagnose(shaken, candidates=[])
     line = periodogram_peak(shaken)
     assert answer.verdict == "unexplained"
-    assert f"swings with a period of {2 * math.pi / line.rate:.4g} s" in answer.sentence
+    assert f"is sinusoidal with a period of {2 * math.pi / line.rate:.4g} s" in answer.sentence
     assert f'"{line.law}"' in answer.sentence
     mended = found(SHAKEN, 3, BASE.with_effect(resolve(line.law)))
     k = next(e for name, e in mended.estimates.items() if name.endswith(".k"))

@@ -7,9 +7,14 @@ from functools import cache
 import pytest
 import twobody
 
-from fitting.discovery._lack_of_fit import nonparametric_casing_law, nonparametric_slow_torque
+from fitting.discovery._lack_of_fit import (
+    UNKNOWN_IN_TIME,
+    UNKNOWN_LAW,
+    nonparametric_casing_law,
+    nonparametric_slow_torque,
+)
 from fitting.discovery._select import rank
-from fitting.discovery._verdict import UNKNOWN_IN_TIME, UNKNOWN_LAW, diagnose
+from fitting.discovery._verdict import diagnose
 from fitting.dynamics._model import Model
 from fitting.effects._library import LIBRARY, REDUCED
 from fitting.effects._user import resolve
@@ -65,7 +70,7 @@ def test_a_swing_that_hardly_comes_back_may_be_any_slow_torque():
     answer = diagnose(found, candidates=[replace(swing, indistinguishable_from=())])
     assert answer.verdict == "missing_effect"
     assert UNKNOWN_IN_TIME in answer.candidates[0].indistinguishable_from
-    assert f"or {UNKNOWN_IN_TIME}; this data cannot tell them apart" in answer.sentence
+    assert f"or {UNKNOWN_IN_TIME}; this data cannot separate them" in answer.sentence
 
 
 def test_laws_of_the_speed_are_no_rivals_of_themselves():
@@ -77,8 +82,8 @@ def test_laws_of_the_speed_are_no_rivals_of_themselves():
 def test_what_swings_may_be_an_unknown_law(monkeypatch):
     """Where any law of the casing's speed does as well, the answer says so."""
     found = base("step")
-    monkeypatch.setattr("fitting.discovery._verdict.nonparametric_casing_law", lambda _: 1e4)
+    monkeypatch.setattr("fitting.discovery._lack_of_fit.nonparametric_casing_law", lambda _: 1e4)
     doubtful = diagnose(found)
     assert doubtful.verdict == "missing_effect"
     assert doubtful.candidates[0].indistinguishable_from == (UNKNOWN_LAW,)
-    assert f"or {UNKNOWN_LAW}; this data cannot tell them apart" in doubtful.sentence
+    assert f"or {UNKNOWN_LAW}; this data cannot separate them" in doubtful.sentence
