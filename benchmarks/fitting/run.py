@@ -191,8 +191,8 @@ def candidates(repeats: int) -> list[str]:
     data = CaseData.of(recording("glass"))
     base = fit(Model.of(REDUCED), [data])
     start = {k: e.value for k, e in base.estimates.items()}
-    names = [n for n, e in LIBRARY.items() if n not in REDUCED and e.moves][:25]
-    names += [n for n, e in LIBRARY.items() if n not in REDUCED and not e.moves][: 25 - len(names)]
+    names = [n for n, e in LIBRARY.items() if n not in REDUCED and e.mechanical][:25]
+    names += [n for n, e in LIBRARY.items() if n not in REDUCED and not e.mechanical][: 25 - len(names)]
 
     def work():
         for n in names:

@@ -21,7 +21,7 @@ from fitting.discovery._score import CaseColumns, Chance, Family, Score
 from fitting.discovery._screen import screen
 from fitting.effects._effect import Effect
 from fitting.effects._library import LIBRARY
-from fitting.inference._case_data import CAMERA_COLUMNS, CaseData
+from fitting.inference._case_data import CaseData
 from fitting.inference._result import Estimate, Fit
 
 Array = NDArray[np.float64]
@@ -39,8 +39,6 @@ _MAX_REFITS = 14
 # from this share of the best score on a candidate may turn out to be the best: where its refit fails, others are tried
 _RIVAL = 0.5
 _SAME_DIRECTION = 0.9999
-# what every fit frees anyway is found by the screen, and is no discovery
-ALWAYS_FREE = tuple(CAMERA_COLUMNS)
 
 
 @dataclass(frozen=True)
@@ -85,7 +83,7 @@ class Candidate:
     @property
     def apart(self) -> bool:
         """Whether each case has a strength and a phase of its own."""
-        return self.effect.swings and any("@" in name for name in self.estimates)
+        return self.effect.periodic and any("@" in name for name in self.estimates)
 
     @property
     def physical(self) -> bool:
@@ -138,16 +136,16 @@ def _measured(fit: Fit) -> Sequence[CaseData]:
 
 
 def _fits_in(effect: Effect, base: Fit) -> bool:
-    if base.problem.data[0].record.single and not effect.alone:
+    if base.problem.data[0].record.single and not effect.single_body:
         return False
-    if not effect.moves:
+    if not effect.mechanical:
         return base.problem.data[0].is_angle
     return not (effect.joint == "factor" and not any(e.joint == "bearing" for e in base.model.effects))
 
 
 def _worth(candidates: list[Candidate]) -> list[tuple[Candidate, bool]]:
     """Return which candidates, sorted by score, to refit."""
-    open_ones = [c for c in candidates if c.effect.name not in ALWAYS_FREE and not c.screened.absorbed]
+    open_ones = [c for c in candidates if not c.effect.nuisance and not c.screened.absorbed]
     best = max((c.score for c in open_ones), default=0.0)
     chosen = [
         c

@@ -14,7 +14,7 @@ import numpy as np
 
 from fitting._errors import FittingError
 from fitting._workers import WorkerPool, single_blas_thread
-from fitting.discovery._rank import ALWAYS_FREE, Candidate, arranged, rank
+from fitting.discovery._rank import Candidate, arranged, rank
 from fitting.discovery._refine import again, at_one_phase, refit, sharpest, start_of
 from fitting.discovery._score import CaseColumns, Score
 from fitting.discovery._screen import screen
@@ -174,10 +174,10 @@ def improve(
 def best(candidates: Sequence[Candidate]) -> Candidate | None:
     """Return the candidate to add next: significant, refitted, better in BIC; None if there is none."""
     for c in candidates:
-        if c.effect.name in ALWAYS_FREE:
+        if c.effect.nuisance:
             continue
         tracked = c.fit is not None and any(d.record.tracked for d in c.fit.problem.data)
-        needed = _EVIDENCE_SWING if tracked and c.physical and c.effect.swings else _EVIDENCE
+        needed = _EVIDENCE_SWING if tracked and c.physical and c.effect.periodic else _EVIDENCE
         if c.significant and c.fit is not None and c.delta_bic < -needed:
             return c
     return None

@@ -19,7 +19,7 @@ from fitting.discovery._lack_of_fit import (
     objection,
     spectral_line,
 )
-from fitting.discovery._rank import ALWAYS_FREE, CLASS_WIDTH, Candidate, rank
+from fitting.discovery._rank import CLASS_WIDTH, Candidate, rank
 from fitting.discovery._residuals import (
     Failure,
     ResidualTorque,
@@ -143,7 +143,7 @@ def _taken_out(chosen: Candidate | None, candidates: Sequence[Candidate]) -> lis
         return []
     parts = []
     for c in candidates:
-        if c.effect.name in ALWAYS_FREE and c.significant:
+        if c.effect.nuisance and c.significant:
             size = float(np.hypot(*c.screened.gamma[:2]))
             unit = next(p.unit for p in c.effect.parameters if p.role == "amplitude")
             parts.append(f"The camera adds {c.effect.name} of {size:.2g} {unit}, which every fit takes out.")
@@ -293,7 +293,7 @@ def _unknown(fit: Fit, chosen: Candidate) -> tuple[str, ...]:
     found = []
     if not chosen.effect.of_casing_speed and any_law_of_the_casing(fit) > bar:
         found.append(UNKNOWN_LAW)
-    if chosen.effect.swings and any_slow_torque(fit, apart=chosen.apart) > bar:
+    if chosen.effect.periodic and any_slow_torque(fit, apart=chosen.apart) > bar:
         found.append(UNKNOWN_IN_TIME)
     return tuple(found)
 

@@ -244,7 +244,7 @@ def _check(model: Model, data: Sequence[CaseData]) -> None:
         raise EstimationError(
             "one body alone and a rotor in its casing cannot be fitted together", "fit them one by one"
         )
-    foreign = [e.name for e in model.effects if not e.alone] if all(single) else []
+    foreign = [e.name for e in model.effects if not e.single_body] if all(single) else []
     if foreign:
         raise EstimationError(
             f"{foreign[0]} speaks of a rotor, which this record of one body does not have",
