@@ -34,8 +34,7 @@ from fitting.effects._user import effects_of, own_effects
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 from fitting.inference._metrics import BodyMetrics, CaseMetrics
-from fitting.inference._noise import TorqueNoise, TorqueResponse
-from fitting.inference._noise_level import Noise
+from fitting.inference._noise import Noise, TorqueNoise, TorqueResponse
 from fitting.inference._parameters import Layout
 from fitting.inference._problem import Problem, loose_directions
 from fitting.inference._profile import LEVEL, Interval
@@ -431,14 +430,13 @@ def restored_fit(kept: Mapping[str, Any], model: Model, data: Sequence[CaseData]
     if kept.get("code") != fingerprint():
         return None
     ranges = {k: (number(low), number(high)) for k, (low, high) in kept["ranges"].items()}
-    problem = Problem(Layout(model, tuple(d.record for d in data), tuple(kept["per_case"]), ranges), data)
+    problem = Problem.of(Layout(model, tuple(d.record for d in data), tuple(kept["per_case"]), ranges), data)
     theta = np.array(kept["theta"], dtype=float)
     noise = []
     for d, p, n in zip(data, problem.predict(theta), kept["noise"], strict=True):
         response = TorqueResponse(d, p.motion)
         noise.append(Noise(**n, whitener=response.whitener(TorqueNoise(n["level"], n["time"]))))
-    problem.set_noise([n.whitener for n in noise])
-    return outcome(problem, theta, tuple(noise), converged=bool(kept["converged"]))
+    return outcome(problem.with_noise(noise), theta, tuple(noise), converged=bool(kept["converged"]))
 
 
 def kept_diagnosis(found: Diagnosis, extra: Sequence[Effect] = ()) -> dict[str, Any]:
