@@ -11,7 +11,7 @@ from gyrotrack._native import _kernels as kernels
 from gyrotrack.tracking import _corners as corners
 from gyrotrack.tracking import _matching as matching
 from gyrotrack.tracking._hub import DiscWindow
-from gyrotrack.tracking._marker_window import Strip
+from gyrotrack.tracking._marker_window import MarkerStrip
 from gyrotrack.tracking._polar import CHROMA_SHIFT, Grid, Ring, Score, Windows
 from gyrotrack.tracking._scene import Disc
 from gyrotrack.video._container import Frame
@@ -183,8 +183,8 @@ def test_nan_does_no_harm(use, way):
 
 def test_markers_are_located_as_by_the_reference(both):
     rng = np.random.default_rng(3)
-    strip = Strip.__new__(Strip)
-    strip.paper, strip.ring = SimpleNamespace(half_width=0.2), Ring((40.0, 30.0), 10.0, 20.0, 12, 200)
+    strip = MarkerStrip.__new__(MarkerStrip)
+    strip.marker, strip.ring = SimpleNamespace(half_width=0.2), Ring((40.0, 30.0), 10.0, 20.0, 12, 200)
     strip.half, strip.width, strip.slack, strip._rows = 25, 51, 6, (2, 9)
     strip._mixing = np.zeros(12, np.float32)
     strip._mixing[2:9:2] = 0.25
@@ -224,9 +224,11 @@ def test_discs_are_those_of_numpy_and_where_they_are(both):
 @pytest.mark.parametrize("count", [1, 2, 30, 4001])
 def test_likelihoods_are_those_of_numpy(both, count):
     rng = np.random.default_rng(count)
-    squares, odd = rng.standard_t(3, count) ** 2, np.clip(rng.normal(0, 6, count), 0, 24)
+    squares, misfit_excess = rng.standard_t(3, count) ** 2, np.clip(rng.normal(0, 6, count), 0, 24)
     squares[::7] = 0.0
-    ours, theirs = both(lambda: kernels.likelihood(squares, odd, np.linspace(0, 1, 22), 25 / 0.4549))
+    ours, theirs = both(
+        lambda: kernels.likelihood(squares, misfit_excess, np.linspace(0, 1, 22), 25 / 0.4549)
+    )
     np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9)
 
 
