@@ -276,7 +276,7 @@ class Certificates:
                 raise UsageError(f"There is no file {path}.", f"Check {option}.")
         from distributed import Security
 
-        return Security(
+        return Security(  # type: ignore[no-untyped-call]
             tls_ca_file=str(self.ca),
             tls_client_cert=str(self.cert),
             tls_client_key=str(self.key),
