@@ -42,8 +42,7 @@ from fitting.dynamics._mesh import Sampler
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import Prediction
 from fitting.inference._lack_of_fit import block_diagonal, orthonormal
-from fitting.inference._noise import TorqueResponse
-from fitting.inference._noise_level import Noise
+from fitting.inference._noise import Noise, TorqueResponse
 from fitting.inference._problem import Projection, turned
 from fitting.inference._result import Fit
 
@@ -374,6 +373,6 @@ def nonparametric_rivals(fit: Fit, chosen: Candidate | None, criteria: Criteria)
     found = []
     if not chosen.effect.of_casing_speed and nonparametric_casing_law(fit) > least:
         found.append(UNKNOWN_LAW)
-    if chosen.effect.swings and nonparametric_slow_torque(fit, own_phase=chosen.own_phase) > least:
+    if chosen.effect.periodic and nonparametric_slow_torque(fit, own_phase=chosen.own_phase) > least:
         found.append(UNKNOWN_IN_TIME)
     return tuple(found)

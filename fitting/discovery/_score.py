@@ -40,7 +40,6 @@ from fitting.inference._case_data import CAMERA_COLUMNS
 from fitting.inference._case_model import CaseModel, Prediction
 from fitting.inference._lack_of_fit import block_diagonal
 from fitting.inference._noise import TorqueResponse, Whitener
-from fitting.inference._parameters import PER_CASE
 from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
@@ -189,7 +188,7 @@ class CaseColumns:
 
     def trials(self, effect: Effect, choices: list[dict[str, float]] | None = None) -> list[Trial]:
         """Return the columns of a candidate for every choice of its shape constants, or for the choices given."""
-        if not effect.moves or effect.depends_on_angle:
+        if not effect.mechanical or effect.depends_on_angle:
             sine, cosine = self.case.unit_columns(
                 effect, self.prediction.path, self.prediction.sensitivity, self.numbers
             )
@@ -579,7 +578,7 @@ def _neighbours(grid: list[float], value: float) -> tuple[float, float]:
 
 def _own(effect: Effect, cases: int) -> bool:
     """Return whether each case has its own parameters of an effect."""
-    return cases > 1 and effect.name.startswith(PER_CASE)
+    return cases > 1 and effect.per_case
 
 
 def _all_trials(effect: Effect, cases: Sequence[CaseColumns]) -> list[list[Trial]]:
@@ -600,7 +599,7 @@ def _score(
 ) -> Score:
     """Score an effect; unless `own_phase` is given, each case has its own phase where that is clearly better."""
     own = _own(effect, len(trials))
-    levels = context.with_nuisance_removed(effect.name) if effect.name in CAMERA_COLUMNS else context.levels
+    levels = context.with_nuisance_removed(effect.name) if effect.nuisance else context.levels
     if own_phase is None and has_phases(effect, len(trials)):
         gains = [
             best_group(context, effect, _stack(trials, each), levels, null=False).score
@@ -620,7 +619,7 @@ def _score(
 
 def has_phases(effect: Effect, cases: int) -> bool:
     """Return whether an effect is periodic, so that its phase may differ between cases."""
-    return cases > 1 and effect.moves and any(p.role == "phase" for p in effect.parameters)
+    return cases > 1 and effect.mechanical and any(p.role == "phase" for p in effect.parameters)
 
 
 def _choose(

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from fitting._errors import FittingError
-from fitting._workers import Beside
+from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._criteria import DEFAULT, Criteria
 from fitting.discovery._refine import (
     at_one_phase,
@@ -30,16 +30,13 @@ from fitting.discovery._refine import (
 from fitting.discovery._score import CaseColumns, FamilywiseNull, NullDistribution, Score, score
 from fitting.effects._effect import Effect
 from fitting.effects._library import LIBRARY
-from fitting.inference._case_data import CAMERA_COLUMNS, CaseData
+from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
-from fitting.inference._noise_level import Noise
+from fitting.inference._noise import Noise
 from fitting.inference._result import Estimate, Fit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-# nuisance parameters: free in every fit, therefore never missing
-ALWAYS_FREE = tuple(CAMERA_COLUMNS)
 
 
 @dataclass(frozen=True)
@@ -84,7 +81,7 @@ class Candidate:
     @property
     def own_phase(self) -> bool:
         """Whether each case has its own strength and phase."""
-        return self.effect.swings and any("@" in name for name in self.estimates)
+        return self.effect.periodic and any("@" in name for name in self.estimates)
 
     @property
     def physical(self) -> bool:
@@ -98,7 +95,7 @@ def rank(
     *,
     criteria: Criteria = DEFAULT,
     refitting: bool = True,
-    beside: Beside | None = None,
+    workers: WorkerPool | None = None,
 ) -> list[Candidate]:
     """Return all candidates for a fit, best first.
 
@@ -112,8 +109,8 @@ def rank(
         Thresholds.
     refitting : bool
         Refit the promising candidates (otherwise the score test alone ranks).
-    beside : Beside, optional
-        A worker process, for some of the refits.
+    workers : WorkerPool, optional
+        Processes that run some of the refits.
     """
     known = {e.name: e for e in (*LIBRARY.values(), *extra)}
     names = set(base.model.names)
@@ -135,7 +132,7 @@ def rank(
             for c, w in zip(found, worth, strict=True)
             if w
         ]
-        refits = iter((beside or Beside()).each(_refitted, base, promising, _measured))
+        refits = iter((workers or WorkerPool(0)).map(_refitted, base, promising, _measured))
         found = [next(refits) if w else c for c, w in zip(found, worth, strict=True)]
     return arranged(found, criteria)
 
@@ -145,9 +142,9 @@ def _measured(fit: Fit) -> Sequence[CaseData]:
 
 
 def _is_applicable(effect: Effect, base: Fit) -> bool:
-    if base.problem.data[0].record.single and not effect.alone:
+    if base.problem.data[0].record.single and not effect.single_body:
         return False
-    if not effect.moves:
+    if not effect.mechanical:
         return base.problem.data[0].is_angle
     return not (effect.joint == "factor" and not any(e.joint == "bearing" for e in base.model.effects))
 
@@ -156,7 +153,7 @@ def _worth_refitting(candidates: Sequence[Candidate], criteria: Criteria) -> lis
     """Return which candidates, sorted by score, to refit."""
     worth, count, best_score = [], 0, None
     for c in candidates:
-        open_ = c.effect.name not in ALWAYS_FREE and not c.screened.absorbed
+        open_ = not c.effect.nuisance and not c.screened.absorbed
         if open_ and best_score is None:
             best_score = c.score
         promising = (
@@ -249,10 +246,10 @@ def best(candidates: Sequence[Candidate], criteria: Criteria = DEFAULT) -> Candi
     more evidence.
     """
     for c in candidates:
-        if c.fit is None or not c.significant or c.effect.name in ALWAYS_FREE:
+        if c.fit is None or not c.significant or c.effect.nuisance:
             continue
         tracked = any(d.record.tracked for d in c.fit.problem.data)
-        periodic = tracked and c.physical and c.effect.swings
+        periodic = tracked and c.physical and c.effect.periodic
         if c.delta_bic < -(criteria.evidence_periodic if periodic else criteria.evidence):
             return c
     return None
@@ -318,14 +315,14 @@ class History(list[Step]):
 
     def plot(self) -> Figure:
         """Draw how the error falls from step to step (matplotlib)."""
-        from fitting.study._notebook import plot_ladder
+        from fitting._display import plot_history
 
-        return plot_ladder(self)
+        return plot_history(self)
 
     def _repr_html_(self) -> str:
-        from fitting.study._notebook import ladder_html
+        from fitting._display import history_html
 
-        return ladder_html(self)
+        return history_html(self)
 
 
 class Selection(NamedTuple):
@@ -354,7 +351,7 @@ def select(
     candidates: Sequence[Candidate],
     extra: Sequence[Effect],
     criteria: Criteria,
-    beside: Beside,
+    workers: WorkerPool,
 ) -> Selection:
     """Return the effect to add to a fit, and the fit with it and with what else it needs.
 
@@ -364,7 +361,7 @@ def select(
         The fit that may lack an effect.
     candidates : sequence of Candidate
         Its ranking.
-    extra, criteria, beside
+    extra, criteria, workers
         As for `rank`.
     """
     ranked = list(candidates)
@@ -382,7 +379,7 @@ def select(
     history = History()
     if quieter or fails(end, criteria):
         history = improve(
-            base, extra, criteria=criteria, max_steps=1 + criteria.follow_up, first=ranked, beside=beside
+            base, extra, criteria=criteria, max_steps=1 + criteria.follow_up, first=ranked, workers=workers
         )
         end = history[-1].fit
     return Selection(ranked, chosen, end, history)
@@ -397,6 +394,7 @@ def fails(found: Fit, criteria: Criteria) -> bool:
     )
 
 
+@single_blas_thread()
 def improve(
     base: Fit,
     extra: Sequence[Effect] = (),
@@ -405,7 +403,7 @@ def improve(
     max_steps: int | None = None,
     progress: Callable[[int, int | None], None] | None = None,
     first: Sequence[Candidate] | None = None,
-    beside: Beside | None = None,
+    workers: WorkerPool | None = None,
 ) -> History:
     """Add the best effect while one is significant, then drop what is not needed.
 
@@ -423,15 +421,15 @@ def improve(
         Called with (steps done, None).
     first : sequence of Candidate, optional
         The ranking of the base, if it is known already.
-    beside : Beside, optional
-        A worker process.
+    workers : WorkerPool, optional
+        Processes that share the work.
 
     Returns
     -------
     History
         A list of steps, the base first, the final model last.
     """
-    known = first if first is not None else rank(base, extra, criteria=criteria, beside=beside)
+    known = first if first is not None else rank(base, extra, criteria=criteria, workers=workers)
     history = History([Step("", base, tuple(known))])
     for step in range(criteria.max_steps if max_steps is None else max_steps):
         chosen = best(history[-1].candidates, criteria)
@@ -439,7 +437,7 @@ def improve(
             break
         history.append(Step(f"+{chosen.effect.name}", refined(chosen.fit, criteria), ()))
         last = _backward(history, criteria)
-        candidates = rank(last.fit, extra, criteria=criteria, beside=beside)
+        candidates = rank(last.fit, extra, criteria=criteria, workers=workers)
         history[-1] = Step(last.change, last.fit, tuple(candidates))
         if progress is not None:
             progress(step + 1, None)

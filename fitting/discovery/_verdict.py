@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fitting._numbers import rounded
-from fitting._workers import Beside
+from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._criteria import DEFAULT, Criteria
 from fitting.discovery._experiment import next_experiment
 from fitting.discovery._lack_of_fit import (
@@ -36,7 +36,7 @@ from fitting.discovery._residuals import (
     ripples,
     whiteness,
 )
-from fitting.discovery._select import ALWAYS_FREE, Candidate, Selection, fails, rank, select
+from fitting.discovery._select import Candidate, Selection, fails, rank, select
 from fitting.effects._effect import Effect
 from fitting.inference._result import Fit
 
@@ -82,23 +82,24 @@ class Diagnosis:
 
     def plot(self) -> Figure:
         """Draw the unmodelled torque with its band, where the model fails, and the candidates (matplotlib)."""
-        from fitting.study._notebook import plot_diagnosis
+        from fitting._display import plot_diagnosis
 
         return plot_diagnosis(self)
 
     def _repr_html_(self) -> str:
-        from fitting.study._notebook import diagnosis_html
+        from fitting._display import diagnosis_html
 
         return diagnosis_html(self)
 
 
+@single_blas_thread()
 def diagnose(
     fit: Fit,
     extra: Sequence[Effect] = (),
     *,
     criteria: Criteria = DEFAULT,
     candidates: Sequence[Candidate] | None = None,
-    beside: Beside | None = None,
+    workers: WorkerPool | None = None,
 ) -> Diagnosis:
     """Return where a fit fails and which effect is missing.
 
@@ -112,8 +113,8 @@ def diagnose(
         Thresholds of every decision.
     candidates : sequence of Candidate, optional
         The ranking of the fit, if it is known already.
-    beside : Beside, optional
-        A worker process.
+    workers : WorkerPool, optional
+        Processes that share the work.
 
     Returns
     -------
@@ -124,16 +125,16 @@ def diagnose(
     FittingError
         If the fit cannot be evaluated.
     """
-    beside = beside or Beside()
-    curves, harmonics = beside.begin(residual_torques, fit), beside.begin(ripples, fit)
-    ranked = rank(fit, extra, criteria=criteria, beside=beside) if candidates is None else candidates
-    selection = select(fit, ranked, extra, criteria, beside)
+    workers = workers or WorkerPool(0)
+    curves, harmonics = workers.submit(residual_torques, fit), workers.submit(ripples, fit)
+    ranked = rank(fit, extra, criteria=criteria, workers=workers) if candidates is None else candidates
+    selection = select(fit, ranked, extra, criteria, workers)
     misfit = fails(selection.end, criteria)
     doubt = None if misfit else contradiction(selection.chosen, selection.end, criteria)
     verdict = "unexplained" if misfit or doubt else "missing_effect" if selection.chosen else "adequate"
     if verdict == "missing_effect":
         selection = _with_rivals(selection, nonparametric_rivals(fit, selection.chosen, criteria))
-    torques, waves = curves(), harmonics()
+    torques, waves = curves.result(), harmonics.result()
     failures = find_failures(fit, torques, waves, criteria) if verdict != "adequate" else []
     return Diagnosis(
         fit,
@@ -256,7 +257,7 @@ def _nuisance(selection: Selection) -> list[str]:
         return []
     parts = []
     for c in selection.candidates:
-        if c.effect.name in ALWAYS_FREE and c.significant:
+        if c.effect.nuisance and c.significant:
             size = float(np.hypot(*c.screened.gamma[:2]))
             unit = next(p.unit for p in c.effect.parameters if p.role == "amplitude")
             parts.append(f"{_NUISANCE[c.effect.name]} {1e3 * size:.2g} m{unit} (nuisance parameter, fitted).")

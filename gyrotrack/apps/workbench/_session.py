@@ -19,13 +19,9 @@ if TYPE_CHECKING:
 
 def library_document() -> list[dict[str, Any]]:
     """Return the effects of the library for the list that the page offers; every fit takes out those `free`."""
-    from fitting.discovery._select import ALWAYS_FREE
     from fitting.effects._library import LIBRARY
 
-    return [
-        {"name": e.name, "joint": e.joint, "law": e.law, "free": e.name in ALWAYS_FREE}
-        for e in LIBRARY.values()
-    ]
+    return [{"name": e.name, "joint": e.joint, "law": e.law, "free": e.nuisance} for e in LIBRARY.values()]
 
 
 _LONGEST = 500
@@ -144,7 +140,7 @@ class Session:
         return step.fit_id
 
     def _sharpen(self, step: Step) -> None:
-        from fitting.discovery._select import refined
+        from fitting.discovery._refine import refined
 
         if not step.sharp:
             step.fit, step.sharp, step.torques = refined(step.fit), True, None
