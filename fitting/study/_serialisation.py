@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
@@ -22,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting._atomic import write_text
 from fitting._errors import FittingError, LedgerError
 from fitting._numbers import number, plain, rounded
 from fitting.discovery._rank import Candidate
@@ -276,17 +276,7 @@ def save_fit(found: Account, path: Path) -> None:
     LedgerError
         If the file cannot be written.
     """
-    text = json.dumps(_document(found), indent=1, allow_nan=False)
-    part = path.with_name(path.name + ".part")
-    try:
-        with part.open("w", encoding="utf-8") as stream:
-            stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())
-        part.replace(path)
-    except OSError as fault:
-        part.unlink(missing_ok=True)
-        raise LedgerError(f"{path} cannot be written: {fault.strerror}", "choose another name") from None
+    write_text(path, json.dumps(_document(found), indent=1, allow_nan=False))
 
 
 def load_fit(path: str | Path) -> SavedFit:

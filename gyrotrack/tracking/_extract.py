@@ -16,9 +16,10 @@ from gyrotrack._column_store import new_columns, put_away, stretches
 from gyrotrack._errors import DatasetError, TrackingError, UsageError, VideoError
 from gyrotrack._smoothing import WIDTH, angular_velocity
 from gyrotrack._versions import __version__
+from gyrotrack.io._checkpoint import Checkpoint
 from gyrotrack.io._hdf5 import read_recording, read_settings, write_recording
-from gyrotrack.io._journal import Journal
-from gyrotrack.io._records import STATUS, BodyTrack, MarkerTrack, Recording
+from gyrotrack.io._records import BodyTrack, MarkerTrack, Recording
+from gyrotrack.io._schema import STATUS
 from gyrotrack.tracking._acquisition import acquire
 from gyrotrack.tracking._body_angles import Joint, join_bodies, trusted_times
 from gyrotrack.tracking._colour import single_threaded
@@ -141,7 +142,7 @@ def extract(
     times: str = "auto",
     threads: int = 2,
     progress: Progress | None = None,
-    journal: Journal | None = None,
+    journal: Checkpoint | None = None,
 ) -> Recording:
     """Track the markers in a film.
 
@@ -164,7 +165,7 @@ def extract(
         Threads of the decoder.
     progress : callable, optional
         Called with (frames done, frames declared or None).
-    journal : Journal, optional
+    journal : Checkpoint, optional
         Keeps what was measured on the way, and lets a run go on that was killed; made with `run_facts`.
 
     Raises
@@ -397,7 +398,9 @@ class Task:
             return None
         if recording is None or recording.source_sha256 != file_sha256(self.video):
             return None
-        with Journal(self.target, {}) as journal:  # of a run that was killed just after it wrote the output
+        with Checkpoint(
+            self.target, {}
+        ) as journal:  # of a run that was killed just after it wrote the output
             journal.discard()
         return recording
 
@@ -435,7 +438,7 @@ class Task:
         VideoError, TrackingError, OutputError
             The film cannot be read, shows no markers, or the output cannot be written.
         """
-        with Journal(
+        with Checkpoint(
             self.target, run_facts(self.video, self.profile, self.body, self.times), resume=resume
         ) as journal:
             taken = frames_kept(journal)
@@ -463,7 +466,7 @@ class Task:
         return recording, pace
 
 
-def _resumed(journal: Journal, taken: int) -> str:
+def _resumed(journal: Checkpoint, taken: int) -> str:
     if taken:
         return f"going on after frame {taken - 1}"
     if journal.other:

@@ -17,7 +17,7 @@ from fitting._workers import Beside
 from gyrotrack._errors import OutputError
 from gyrotrack.apps.report._frames import Tile
 from gyrotrack.apps.report._parts import report_parts
-from gyrotrack.io._atomic import new_file, refuse_existing
+from gyrotrack.io._atomic import new_file, refusal, refuse_existing
 from gyrotrack.plotting._study_data import gather
 from gyrotrack.plotting._style import Picture
 
@@ -159,7 +159,10 @@ def write_report(
             gather(rungs, diagnosis), recordings, films, provenance or {}, beside or Beside(cores=1)
         )
     # names of files may hold bytes that are not valid UTF-8
-    document = pdf(parts) if path.suffix.lower() == ".pdf" else render(parts).encode("utf-8", "replace")
+    try:
+        document = pdf(parts) if path.suffix.lower() == ".pdf" else render(parts).encode("utf-8", "replace")
+    except OSError as error:  # the parts of a PDF are written to the temporary folder first
+        raise refusal(Path(tempfile.gettempdir()), error) from error
     with new_file(path, force=force) as stream:
         stream.write(document)
     return path

@@ -197,7 +197,7 @@ def _milliradians(sigma: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
 
 
 def _statuses(status: np.ndarray[tuple[int], np.dtype[np.int8]]) -> str:
-    from gyrotrack.io._records import STATUS
+    from gyrotrack.io._schema import STATUS
 
     total = max(1, len(status))
     parts = []
