@@ -114,13 +114,13 @@ def median_of(values: Floats) -> float:
 
 
 FAR = 6.0
-"""Standard deviations beyond which a sighting is taken for a fault."""
+"""Standard deviations beyond which an observation is taken for a fault."""
 FEWEST = 8
 STANDS_OUT = 3.5
 """Standard deviations beyond which a correlation is not taken for chance."""
 _LIGHTEST, _HEAVIEST = 1e3, 5.0
 _BORROWED = 4.0
-"""Independent departures that a borrowed uncertainty is worth: it holds to about a third."""
+"""Independent residuals that a borrowed uncertainty is worth: it holds to about a third."""
 
 
 def core_scatter(off: Floats, otherwise: float) -> float:
@@ -186,16 +186,16 @@ def correlation_factor(residual: Floats) -> float:
 
 
 def share_of_floor(off: Floats, sigma: Floats, floor: float, places: float) -> float:
-    """Return the share, 0 to 1, of a borrowed uncertainty that a body's own departures leave to it.
+    """Return the share, 0 to 1, of a borrowed uncertainty that a body's own residuals leave to it.
 
     A body that passes an arc passes places too, and departs from its smooth motion where it errs by them. These
-    departures and the borrowed value are two estimates of one variance, each with its degrees of freedom; departures
+    residuals and the borrowed value are two estimates of one variance, each with its degrees of freedom; residuals
     that are larger may be motion, and raise nothing.
 
     Parameters
     ----------
     off, sigma : ndarray, shape (n,)
-        Departures from the smooth motion, NaN where there is none, and their uncertainty without errors by place [rad].
+        Residuals from the smooth motion, NaN where there is none, and their uncertainty without errors by place [rad].
     floor : float
         The borrowed uncertainty of errors by place [rad].
     places : float
@@ -216,7 +216,7 @@ HALF_WINDOW = 20
 
 
 def smooth_path(coarse: Floats) -> Floats:
-    """Smooth a coarse path, so that departures from it are departures from an even motion.
+    """Smooth a coarse path, so that residuals about it are residuals about an even motion.
 
     Local parabolas replace it wherever they stay within 0.3 rad of it, so that turns are kept.
     """
@@ -370,7 +370,7 @@ _REAL = 0.5
 _CLEAR = 5.0
 
 
-class Pace:
+class TimeBase:
     """When the frames of a film were taken, where that was not evenly.
 
     Parameters
@@ -415,12 +415,12 @@ class Pace:
     def smooth(
         self, off: Floats, weight: Floats, bend: Floats, half: int, degree: int
     ) -> tuple[Floats, Floats]:
-        """Fit polynomials in time to departures from a path; return their values and leverages at the frames.
+        """Fit polynomials in time to residuals about a path; return their values and leverages at the frames.
 
         Parameters
         ----------
         off, weight : ndarray, shape (n,)
-            Departures [rad] and their weights, 0 where there is none.
+            Residuals [rad] and their weights, 0 where there is none.
         bend : ndarray
             The path at the even places, less a straight line [rad].
         half, degree : int

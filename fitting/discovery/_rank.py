@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting._workers import Beside
+from fitting._workers import WorkerPool
 from fitting.discovery._refine import at_one_phase, refit, with_one_value, with_own_values
 from fitting.discovery._score import CaseColumns, Chance, Family, Score
 from fitting.discovery._screen import screen
@@ -92,7 +92,7 @@ class Candidate:
 
 
 def rank(
-    base: Fit, extra: Sequence[Effect] = (), *, refitting: bool = True, beside: Beside | None = None
+    base: Fit, extra: Sequence[Effect] = (), *, refitting: bool = True, workers: WorkerPool | None = None
 ) -> list[Candidate]:
     """Return all candidates for a fit, best first.
 
@@ -104,8 +104,8 @@ def rank(
         Effects of the user beside the library.
     refitting : bool
         Refit the promising candidates (otherwise the screen alone ranks).
-    beside : Beside, optional
-        A second process, for some of the refits.
+    workers : WorkerPool, optional
+        Processes that run some of the refits.
     """
     known = {e.name: e for e in (*LIBRARY.values(), *extra)}
     names = set(base.model.names)
@@ -126,7 +126,7 @@ def rank(
         promising = [
             _Promising(c, chance[c.effect.name], family, c.score > _RIVAL * best) for c, w in worth if w
         ]
-        refits = iter((beside or Beside()).each(_refitted, base, promising, _measured))
+        refits = iter((workers or WorkerPool(0)).map(_refitted, base, promising, _measured))
         rough = [next(refits) if w else c for c, w in worth]
     return arranged(rough)
 

@@ -23,7 +23,7 @@ from fitting.discovery._score import CaseColumns, Score, Stage, search_alone
 from fitting.effects._effect import Effect
 from fitting.inference._fit import fit
 from fitting.inference._lack_of_fit import orthonormal
-from fitting.inference._noise_level import Noise
+from fitting.inference._noise import Noise
 from fitting.inference._result import Fit
 
 # BIC must fall by this much: "positive" evidence after R. Kass, A. Raftery, J. Am. Stat. Assoc. 90, 773 (1995)

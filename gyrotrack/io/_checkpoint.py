@@ -53,7 +53,7 @@ def checkpoint_path(output: Path) -> Path:
     return output.with_name(output.name + SUFFIX)
 
 
-class Checkpoint:
+class CheckpointFile:
     """The checkpoint of one run, locked against a second writer while it is open.
 
     Parameters

@@ -5,7 +5,7 @@ best is not the true path. The path is therefore taken as a slow curve (local pa
 by how well they predict points at least `HOLE` frames away) plus whatever stands out as a line in the
 spectrum of the rest: a precession or a wobble with the turn of the casing.
 
-The marker's position is c(t) + rho A (cos theta, sin theta) (see `tilt`). Each sighting tells where c(t)
+The marker's position is c(t) + rho A (cos theta, sin theta) (see `_orbit`). Each observation tells where c(t)
 lies along its own radius; over half a turn that fixes both coordinates. c(t) is a broken line with about one
 knot a turn.
 """
@@ -244,7 +244,7 @@ def wandering_centre(
     place : ndarray, shape (n, 2)
         Positions of the marker in px, y downwards.
     weight : ndarray of bool, shape (n,)
-        Trusted sightings.
+        Trusted observations.
     start : ndarray, shape (2,)
         First guess of the centre in px.
     still : bool
@@ -255,7 +255,7 @@ def wandering_centre(
     Gauss-Newton on |place - c(t)| = rho (1 + p cos 2 theta + q sin 2 theta), linear in knots,
     rho, p, q for given theta; outliers beyond 4 median absolute deviations are left out. The flattening is
     free here so that it does not leak into the path, and is fitted again, with its tilt, by
-    `tilt.fit_flattening`.
+    `fit_flattening`.
     """
     n = len(place)
     path = np.tile(np.asarray(start, dtype=np.float64), (n, 1))

@@ -2,8 +2,8 @@
 
 p(x) = a T(x - d) + b with gain a, offset b and displacement d free in every frame, fitted over those samples
 that nothing hides. T is the mean of the frames' own profiles, each brought to zero displacement, and made
-symmetric: T(x) = T(-x). A paper with parallel sides smeared by an even motion during the exposure has a
-symmetric profile about its middle at mid-exposure, so d is the angle of the middle of the paper at the
+symmetric: T(x) = T(-x). A marker with parallel sides smeared by an even motion during the exposure has a
+symmetric profile about its middle at mid-exposure, so d is the angle of the middle of the marker at the
 middle of the exposure, however wide the smear is.
 """
 

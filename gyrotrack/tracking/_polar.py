@@ -106,7 +106,7 @@ Box = npt.NDArray[np.int32]
 
 
 class Score:
-    """The weighted sum of planes in which a paper stands out; one buffer of the size of a plane.
+    """The weighted sum of planes in which a marker stands out; one buffer of the size of a plane.
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ from gyrotrack.tracking import _observations as oddity
 from gyrotrack.tracking import _polar as bands
 from gyrotrack.tracking import _polar as grid
 from gyrotrack.tracking._hub import DiscWindow
-from gyrotrack.tracking._marker_window import Strip
+from gyrotrack.tracking._marker_window import MarkerStrip
 from gyrotrack.tracking._polar import CHROMA_SHIFT, Grid, Ring, Score
 from gyrotrack.tracking._scene import Disc
 from gyrotrack.video._container import Frame
@@ -185,8 +185,8 @@ def _both(monkeypatch, loops, module, work):
 
 def test_papers_are_found_where_opencv_and_numpy_find_them(monkeypatch, loops):
     rng = np.random.default_rng(3)
-    strip = Strip.__new__(Strip)
-    strip.paper, strip.ring = SimpleNamespace(half_width=0.2), Ring((40.0, 30.0), 10.0, 20.0, 12, 200)
+    strip = MarkerStrip.__new__(MarkerStrip)
+    strip.marker, strip.ring = SimpleNamespace(half_width=0.2), Ring((40.0, 30.0), 10.0, 20.0, 12, 200)
     strip.half, strip.width, strip.slack, strip._rows = 25, 51, 6, (2, 9)
     strip._mixing = np.zeros(12, np.float32)
     strip._mixing[2:9:2] = 0.25
@@ -226,9 +226,9 @@ def test_discs_are_those_of_numpy_and_where_they_are(monkeypatch, loops):
 @pytest.mark.parametrize("count", [1, 2, 30, 4001])
 def test_likelihoods_are_those_of_numpy(monkeypatch, loops, count):
     rng = np.random.default_rng(count)
-    squares, odd = rng.standard_t(3, count) ** 2, np.clip(rng.normal(0, 6, count), 0, 24)
+    squares, misfit_excess = rng.standard_t(3, count) ** 2, np.clip(rng.normal(0, 6, count), 0, 24)
     squares[::7] = 0.0
-    ours, theirs = _both(monkeypatch, loops, oddity, lambda: oddity._unlikely(squares, odd))
+    ours, theirs = _both(monkeypatch, loops, oddity, lambda: oddity._unlikely(squares, misfit_excess))
     np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9)
 
 

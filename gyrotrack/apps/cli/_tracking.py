@@ -28,7 +28,7 @@ from gyrotrack.apps.cli._output import NOT_TRUSTED, Output, command_line
 if TYPE_CHECKING:
     from gyrotrack.io._records import Recording
     from gyrotrack.synchronisation._decision import Match
-    from gyrotrack.tracking._extract import Task
+    from gyrotrack.tracking._extract import ExtractionJob
     from gyrotrack.tracking._proposal import Proposal, ProposedMarker
 
 
@@ -105,7 +105,7 @@ def _profile_document(target: Path, picture: Path | None, found: Proposal) -> di
 def _marker(marker: ProposedMarker) -> dict[str, Any]:
     import numpy as np
 
-    paper = marker.paper
+    paper = marker.marker
     return {
         "name": marker.profile.name,
         "colour": marker.profile.colour,
@@ -206,13 +206,13 @@ def extract_command(
         write_contact_sheet,
         write_overlay,
     )
-    from gyrotrack.tracking._extract import Task
+    from gyrotrack.tracking._extract import ExtractionJob
     from gyrotrack.tracking._profile import PAPER, load
 
     out = Output(as_json=as_json, quiet=quiet)
     target = output if output is not None else video.with_suffix(".h5")
     chosen = load(profile) if profile is not None else PAPER
-    task = Task(video, target, chosen, capture_fps, body.value if body else None, times.value)
+    task = ExtractionJob(video, target, chosen, capture_fps, body.value if body else None, times.value)
     done = task.earlier() if resume and not force else None
     if done is None:
         refuse_existing(target, force=force)
@@ -236,7 +236,7 @@ def extract_command(
 
 
 def _tracked(
-    task: Task, done: Recording | None, out: Output, *, resume: bool, force: bool
+    task: ExtractionJob, done: Recording | None, out: Output, *, resume: bool, force: bool
 ) -> tuple[Recording, float]:
     """Return the recording, tracked now unless that is done, and the frames tracked in a second."""
     if done is not None:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fitting._numbers import unbroken
-from fitting._workers import Beside
+from fitting._workers import WorkerPool
 from gyrotrack._errors import OutputError
 from gyrotrack.apps.report._frames import Tile
 from gyrotrack.apps.report._parts import report_parts
@@ -119,7 +119,7 @@ def write_report(
     films: Sequence[Path] = (),
     provenance: Mapping[str, str] | None = None,
     force: bool = False,
-    beside: Beside | None = None,
+    workers: WorkerPool | None = None,
 ) -> Path:
     """Write the report of a ladder of fits.
 
@@ -139,7 +139,7 @@ def write_report(
         More lines on where this comes from, such as ``command`` and ``date``.
     force : bool
         Replace an existing file.
-    beside : Beside, optional
+    workers : WorkerPool, optional
         A second process for some of the figures; without it all are drawn in this one.
 
     Returns
@@ -156,7 +156,7 @@ def write_report(
     refuse_existing(path, force=force)
     with _seldom_collected():
         parts = report_parts(
-            gather(rungs, diagnosis), recordings, films, provenance or {}, beside or Beside(cores=1)
+            gather(rungs, diagnosis), recordings, films, provenance or {}, workers or WorkerPool(0)
         )
     # names of files may hold bytes that are not valid UTF-8
     try:

@@ -14,7 +14,7 @@ from fitting.inference._case_file import read_record
 from fitting.study._history import Ledger
 from gyrotrack._errors import DatasetError, OutputError
 from gyrotrack.io._atomic import locked, new_file, remove_temporaries
-from gyrotrack.io._checkpoint import Checkpoint
+from gyrotrack.io._checkpoint import CheckpointFile
 from gyrotrack.io._hdf5 import read_recording, write_recording
 from gyrotrack.io._write_buffer import new_hdf5
 from gyrotrack.io.readers._import_case import import_body
@@ -108,7 +108,7 @@ from fitting._errors import LedgerError, RecordError
 from fitting.inference._case_file import read_record
 from fitting.study._history import Ledger
 from gyrotrack.io._atomic import locked, new_file, remove_temporaries
-from gyrotrack.io._checkpoint import Checkpoint
+from gyrotrack.io._checkpoint import CheckpointFile
 from gyrotrack.io.readers._import_case import import_body
 try:
     with new_file(Path({str(path)!r}), force=True) as stream:
@@ -140,7 +140,7 @@ def test_a_pipe_in_place_of_an_input_ledger_or_checkpoint_is_refused(tmp_path, c
     with pytest.raises(DatasetError, match="named pipe"):
         import_body(tmp_path / "p", 1e-3)
     with pytest.raises(OutputError, match="named pipe"):
-        Checkpoint(tmp_path / "p", {})
+        CheckpointFile(tmp_path / "p", {})
     with pytest.raises(LedgerError, match="regular file"):
         Ledger(tmp_path / "p")
     with pytest.raises(RecordError, match="regular file"):

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from gyrotrack.apps.cli._app import run
-from gyrotrack.io._checkpoint import Checkpoint, checkpoint_path
+from gyrotrack.io._checkpoint import CheckpointFile, checkpoint_path
 from gyrotrack.tracking._extract import extract, run_facts
-from gyrotrack.tracking._film_tracker import frames_kept
+from gyrotrack.tracking._film_tracker import frames_done
 from gyrotrack.tracking._profile import PAPER
 
 
@@ -49,10 +49,10 @@ def test_a_stopped_run_ends_with_the_same_numbers(every_batch, clip, at, request
     film, _ = request.getfixturevalue(clip)
     whole = extract(film)
     facts = run_facts(film, PAPER, None)
-    with pytest.raises(KeyboardInterrupt), Checkpoint(tmp_path / "o.h5", facts) as journal:
+    with pytest.raises(KeyboardInterrupt), CheckpointFile(tmp_path / "o.h5", facts) as journal:
         extract(film, progress=stopping(at), journal=journal)
-    with Checkpoint(tmp_path / "o.h5", facts, resume=True) as journal:
-        assert frames_kept(journal) == at
+    with CheckpointFile(tmp_path / "o.h5", facts, resume=True) as journal:
+        assert frames_done(journal) == at
         done = []
         again = extract(film, progress=lambda n, _: done.append(n), journal=journal)
     assert done[0] == at  # what was done is not done again
@@ -72,7 +72,7 @@ def test_the_command_goes_on_and_knows_when_it_is_done(every_batch, casing_clip,
     whole = content(target)
     target.unlink()
     facts = run_facts(casing_clip[0], PAPER, None)
-    with pytest.raises(KeyboardInterrupt), Checkpoint(target, facts) as journal:
+    with pytest.raises(KeyboardInterrupt), CheckpointFile(target, facts) as journal:
         extract(casing_clip[0], progress=stopping(128), journal=journal)
     assert checkpoint_path(target).exists()
     capsys.readouterr()
@@ -89,9 +89,9 @@ def test_the_command_goes_on_and_knows_when_it_is_done(every_batch, casing_clip,
 
 def test_a_journal_that_does_not_fit_the_film_is_started_anew(every_batch, casing_clip, rotor_clip, tmp_path):
     output = tmp_path / "o.h5"
-    with pytest.raises(KeyboardInterrupt), Checkpoint(output, {"film": "x"}) as journal:
+    with pytest.raises(KeyboardInterrupt), CheckpointFile(output, {"film": "x"}) as journal:
         extract(casing_clip[0], progress=stopping(128), journal=journal)
-    with Checkpoint(
+    with CheckpointFile(
         output, {"film": "x"}, resume=True
     ) as journal:  # as if the film had been changed behind our back
         again = extract(rotor_clip[0], journal=journal)
