@@ -115,14 +115,14 @@ class Ladder(list[Rung]):
 
     def plot(self) -> Figure:
         """Draw how the error falls from rung to rung (matplotlib)."""
-        from fitting.study._notebook import plot_ladder
+        from fitting._display import plot_history
 
-        return plot_ladder(self)
+        return plot_history(self)
 
     def _repr_html_(self) -> str:
-        from fitting.study._notebook import ladder_html
+        from fitting._display import history_html
 
-        return ladder_html(self)
+        return history_html(self)
 
 
 @single_blas_thread()

@@ -204,12 +204,12 @@ class Diagnosis:
 
     def plot(self) -> Figure:
         """Draw the torque that is missing with its band, where the model fails, and the candidates (matplotlib)."""
-        from fitting.study._notebook import plot_diagnosis
+        from fitting._display import plot_diagnosis
 
         return plot_diagnosis(self)
 
     def _repr_html_(self) -> str:
-        from fitting.study._notebook import diagnosis_html
+        from fitting._display import diagnosis_html
 
         return diagnosis_html(self)
 

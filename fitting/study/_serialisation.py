@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -180,16 +179,15 @@ def _candidate(c: Candidate) -> dict[str, Any]:
 
 def rung_document(fit: Fit, fit_id: str, added: str, previous: Fit | None) -> dict[str, Any]:
     """Return one rung of a ladder: what was added and what the error did."""
-    cases = fit.cases
     return {
         "fit_id": fit_id,
         "added": added,
         "model": list(fit.model.names),
-        "rmse_casing": math.sqrt(sum(c.casing.rmse**2 for c in cases) / len(cases)),
+        "rmse_casing": fit.rmse_casing,
         "reduced_chi2": fit.reduced_chi2,
-        "held_out": math.sqrt(sum(c.casing.held_out**2 for c in cases) / len(cases)),
+        "held_out": fit.held_out,
         "delta_bic": fit.bic - previous.bic if previous is not None else 0.0,
-        "energy_drift": max(c.energy_drift for c in cases),
+        "energy_drift": max(c.energy_drift for c in fit.cases),
         "torque_left_Nm": fit.torque_noise,
         "moved": _moved(fit, previous),
         "verdict": fit.verdict,
