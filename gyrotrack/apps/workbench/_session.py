@@ -196,7 +196,11 @@ class Session:
                         for e in fit.model.effects
                     ],
                     "parameters": [
-                        {"name": k, "value": with_uncertainty(e.value, e.stderr, e.unit), "at_bound": e.at_bound}
+                        {
+                            "name": k,
+                            "value": with_uncertainty(e.value, e.stderr, e.unit),
+                            "at_bound": e.at_bound,
+                        }
                         for k, e in fit.estimates.items()
                     ],
                     "ladder": [self._rung(i) for i in range(len(self.steps))],
