@@ -18,7 +18,7 @@ from typing import Any
 
 from fitting._atomic import locked, refuse_special, write_text
 from fitting._errors import FittingError, LedgerError
-from fitting._numbers import plain
+from fitting._numbers import to_json
 from fitting.discovery._verdict import Diagnosis
 from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect
@@ -180,7 +180,7 @@ class Ledger:
                 # a robust fit is one of pseudo-values, which are not kept
                 "restored_from": kept_fit(found) if loss == "linear" else None,
             }
-            entry = Entry(plain(document))
+            entry = Entry(to_json(document))
             self.entries.append(entry)
             self._write()
             return entry
@@ -189,7 +189,7 @@ class Ledger:
         """Keep with a rung what was found missing in it, so that it can be shown again without a new search."""
         with locked(self.path):
             self.entries = _read(self.path)
-            self.find(fit_id).document["diagnosis"] = plain(kept_diagnosis(found, extra))
+            self.find(fit_id).document["diagnosis"] = to_json(kept_diagnosis(found, extra))
             self._write()
 
     def _write(self) -> None:

@@ -12,7 +12,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fitting._numbers import unbroken
+from fitting._numbers import nonbreaking
 from fitting._workers import WorkerPool
 from gyrotrack._errors import OutputError
 from gyrotrack.apps.report._frames import Tile
@@ -101,7 +101,7 @@ class _Images:
             return found
         if isinstance(value, list | tuple):
             return [self.plain(v) for v in value]
-        return unbroken(value) if isinstance(value, str) else value
+        return nonbreaking(value) if isinstance(value, str) else value
 
     def _write(self, suffix: str, data: bytes) -> str:
         self._count += 1
@@ -191,7 +191,7 @@ def render(parts: Mapping[str, Any]) -> str:
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
-        finalize=lambda value: unbroken(value) if type(value) is str else value,  # never what is markup
+        finalize=lambda value: nonbreaking(value) if type(value) is str else value,  # never what is markup
     )
     template = environment.from_string(folder.joinpath("page.html.jinja").read_text("utf-8"))
     scripts = (charts.script(), folder.joinpath("page.js").read_text("utf-8"))
