@@ -389,7 +389,7 @@ def fails(found: Fit, criteria: Criteria) -> bool:
     """Return whether a converged fit has a significant lack of fit."""
     if not found.converged:
         return False
-    return found.lack.p_value < criteria.lack_of_fit or any(
+    return found.lack_of_fit.p_value < criteria.lack_of_fit or any(
         c.misfit > criteria.reduced_chi2 for c in found.cases
     )
 
