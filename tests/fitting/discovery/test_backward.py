@@ -23,6 +23,8 @@ def test_all_that_stood_in_for_the_newest_is_dropped():
     rung = _backward([Step("", base, ()), Step("+casing.air.quadratic", full, ())], Criteria())
     assert set(rung.fit.model.names) == {*REDUCED, "casing.air.quadratic"}
     assert all(f"-{name}" in rung.change for name in vain)
+
+
 def test_phases_of_their_own_stay_when_another_effect_is_dropped():
     data = records(unbalance, APART)
     base = fit(Model.of(REDUCED), data)

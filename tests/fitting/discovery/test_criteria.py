@@ -32,14 +32,21 @@ def test_it_prints_on_one_screen_with_the_meaning_of_every_field():
     lines = str(fitting.Criteria()).splitlines()
     assert len(lines) == 1 + len(fields(Criteria)) <= 45
     assert max(map(len, lines)) <= 112
-    assert all(f.name in line and f.metadata["meaning"] for f, line in zip(fields(Criteria), lines[1:], strict=True))
+    assert all(
+        f.name in line and f.metadata["meaning"] for f, line in zip(fields(Criteria), lines[1:], strict=True)
+    )
     assert "0.01* " in str(replace(Criteria(), significance=0.01))  # a changed value is marked
 
 
 def test_it_is_immutable_and_refuses_nonsense():
     with pytest.raises(FrozenInstanceError):
         Criteria().evidence = 3.0
-    for wrong in ({"significance": 2.0}, {"evidence": float("nan")}, {"refit_most": -1}, {"explained": "half"}):
+    for wrong in (
+        {"significance": 2.0},
+        {"evidence": float("nan")},
+        {"refit_most": -1},
+        {"explained": "half"},
+    ):
         with pytest.raises(fitting.EstimationError, match=next(iter(wrong))):
             Criteria(**wrong)
 

@@ -61,7 +61,9 @@ def test_any_slow_torque_is_as_good_as_the_true_one():
 
 
 def test_a_swing_that_comes_back_is_no_slow_torque():
-    assert nonparametric_slow_torque(base("swing")) < 0.1 * gain("swing", resolve("casing: k*cos(0.5*t + phi)"))
+    assert nonparametric_slow_torque(base("swing")) < 0.1 * gain(
+        "swing", resolve("casing: k*cos(0.5*t + phi)")
+    )
 
 
 def test_a_swing_that_hardly_comes_back_may_be_any_slow_torque():

@@ -77,6 +77,8 @@ def test_rivals_are_told_apart_at_the_noise_that_the_better_one_leaves():
     assert best.effect.name == "touchpoint.stribeck"
     assert best.indistinguishable_from == ()
     assert best.fit.verdict == "adequate"
+
+
 def test_an_exponent_at_the_edge_of_its_range_is_told():
     steep = {"f": 1.2e-9, "g": 1.65, "d": 3e-8}
     found = diagnose(fit(Model.of(REDUCED), [case(steep, 3, "case1")]))
