@@ -1,4 +1,4 @@
-"""Run every command of docs/tutorial/walkthrough.md and put in what it says: `python docs/make_walkthrough.py` (a minute).
+"""Run the commands of docs/tutorial/walkthrough.md and insert their output: `python docs/make_walkthrough.py`.
 
 The words are kept; in each ``console`` block, what follows a line ``$ gyrotrack ...`` is replaced by what the command
 prints today, on stdout and stderr. The commands run in a folder of their own, beside the sample clips.
