@@ -10,7 +10,12 @@ from gyrotrack.apps.cli._app import COMMANDS
 from gyrotrack.apps.cli._lazy import load
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "CHANGELOG.md",
+    ROOT / "CONTRIBUTING.md",
+    *sorted((ROOT / "docs").rglob("*.md")),
+]
 ENTRIES = {entry.name: entry for entry in COMMANDS}
 LANGUAGES = {"sh", "console", "text", "python", "toml", "json"}
 
