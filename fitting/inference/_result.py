@@ -48,6 +48,10 @@ GENERATED = (
 )
 
 
+Array = NDArray[np.float64]
+Origin = tuple[tuple[str, ...], Array, tuple[str, ...], tuple[str, ...]]
+
+
 class Account:
     """The readable side of a fit."""
 
@@ -55,6 +59,10 @@ class Account:
     estimates: Mapping[str, Estimate]
     n_eff: float
     bic: float
+
+    def _origin(self) -> Origin:
+        """Return the names of the variables, their covariance, and sources and digests of the data."""
+        raise NotImplementedError
 
     if TYPE_CHECKING:
 
@@ -96,9 +104,27 @@ class Account:
 
     def save(self, path: str | Path) -> None:
         """Write the fit as JSON, whole or not at all; `fitting.load_fit` reads it back."""
-        from fitting.study._serialisation import save_fit
+        from fitting._schema import SavedFitDocument, as_json, own_effects, write_json
 
-        save_fit(self, Path(path))
+        names, covariance, sources, digests = self._origin()
+        same = (
+            "chi2",
+            "rows",
+            "n_eff",
+            "deviance",
+            "bic",
+            "verdict",
+            "labels",
+            "estimates",
+            "cases",
+            "noise",
+        )
+        document = SavedFitDocument.model_validate(
+            {k: getattr(self, k) for k in same}
+            | {"model": self.model.names, "own_effects": own_effects(self.model.effects)}
+            | {"names": names, "covariance": covariance.tolist(), "sources": sources, "digests": digests}
+        )
+        write_json(Path(path), as_json(document), "choose another name")
 
 
 def account_lines(fit: Account) -> list[str]:
@@ -146,8 +172,6 @@ def not_determined(estimates: Mapping[str, Estimate]) -> list[str]:
         if not k.startswith("initial.") and math.isfinite(e.stderr) and e.stderr > abs(e.value)
     ]
 
-
-Array = NDArray[np.float64]
 
 # chi2 per reachable row above which the model is said to miss something (2000 rows: 1.0 +- 0.03)
 _MISFIT = 1.4
@@ -197,6 +221,11 @@ class Fit(Account):
     noise: tuple[Noise, ...] = field(repr=False)
     problem: Problem = field(repr=False)
     predictions: tuple[Prediction, ...] = field(repr=False)
+
+    def _origin(self) -> Origin:
+        records = [d.record for d in self.problem.data]
+        sources, digests = tuple(r.source for r in records), tuple(r.digest for r in records)
+        return self.problem.layout.names, self.covariance, sources, digests
 
     @cached_property
     def cases(self) -> tuple[CaseMetrics, ...]:
