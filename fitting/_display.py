@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting._numbers import measured, probability, short, typeset, unbroken
+from fitting._numbers import nonbreaking, probability, short, typeset, with_uncertainty
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -50,7 +50,7 @@ def fit_html(fit: Fit) -> str:
         )
     ]
     numbers = [
-        (name, measured(e.value, e.stderr, e.unit), "active bound" if e.at_bound else "")
+        (name, with_uncertainty(e.value, e.stderr, e.unit), "active bound" if e.at_bound else "")
         for name, e in fit.estimates.items()
     ]
     head = f"{', '.join(fit.labels)}; BIC {fit.bic:.1f}, effective samples {fit.n_eff:.0f}"
@@ -124,11 +124,11 @@ def history_html(steps: Sequence[Rung]) -> str:
 
 def _headline(verdict: str, text: str) -> str:
     sign, words = _VERDICTS.get(verdict, ("", verdict))
-    return f"<p><b>{sign} {escape(words)}</b><br>{escape(unbroken(text))}</p>"
+    return f"<p><b>{sign} {escape(words)}</b><br>{escape(nonbreaking(text))}</p>"
 
 
 def _table(caption: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    return _markup_table(caption, head, [[escape(unbroken(c)) for c in row] for row in rows])
+    return _markup_table(caption, head, [[escape(nonbreaking(c)) for c in row] for row in rows])
 
 
 def _markup_table(caption: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

@@ -1,7 +1,7 @@
 """The JSON documents of fits, diagnoses and histories: one schema, from which writing and reading follow.
 
 Numbers are in SI units. JSON has neither nan nor infinity: nan is written as null, infinity as "inf" (see
-`fitting._numbers.plain`), and both are read back. Unknown keys are ignored, keys with a default may be missing, so
+`fitting._numbers.to_json`), and both are read back. Unknown keys are ignored, keys with a default may be missing, so
 that files of older versions stay readable.
 """
 
@@ -9,16 +9,15 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 from pydantic import AliasChoices, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
+from fitting._atomic import refuse_special, write_text
 from fitting._errors import LedgerError
-from fitting._numbers import plain
+from fitting._numbers import to_json
 from fitting.effects._effect import Effect
 from fitting.effects._library import LIBRARY
 
@@ -311,28 +310,18 @@ def effects_of(names: Iterable[str], own: Iterable[Effect]) -> tuple[Effect, ...
 
 def as_json(document: Document) -> dict[str, Any]:
     """Return a document as `json` can write it."""
-    return dict(plain(document.model_dump()))
+    return dict(to_json(document.model_dump()))
 
 
-def write_json(path: Path, document: dict[str, Any], hint: str) -> None:
-    """Write a JSON file atomically.
+def write_document(path: Path, document: Document) -> None:
+    """Write a document as a JSON file, atomically.
 
     Raises
     ------
     LedgerError
         If it cannot be written.
     """
-    part = path.with_name(path.name + ".part")
-    try:
-        with part.open("w", encoding="utf-8") as stream:
-            json.dump(document, stream, indent=1, allow_nan=False)
-            stream.flush()
-            os.fsync(stream.fileno())
-        part.replace(path)
-    except OSError as fault:
-        with suppress(OSError):  # on a read-only disk not even that is allowed
-            part.unlink(missing_ok=True)
-        raise LedgerError(f"{path} cannot be written: {fault.strerror}", hint) from None
+    write_text(path, json.dumps(as_json(document), indent=1, allow_nan=False))
 
 
 _D = TypeVar("_D", LedgerDocument, SavedFitDocument)
@@ -346,6 +335,7 @@ def read_json(path: Path, kind: type[_D], what: str, hint: str) -> _D:
     LedgerError
         If the file is missing, of another kind, of a newer version, or damaged.
     """
+    refuse_special(path)
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
     except OSError as fault:

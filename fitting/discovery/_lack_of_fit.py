@@ -42,7 +42,7 @@ from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import Prediction
 from fitting.inference._lack_of_fit import block_diagonal, orthonormal
 from fitting.inference._noise import Noise, TorqueResponse
-from fitting.inference._problem import Projection, turned
+from fitting.inference._problem import Projection, r_factor
 from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
@@ -167,7 +167,7 @@ def _smooth_rows(fit: Fit) -> tuple[list[str], list[Array], Array, Array]:
         rows = np.zeros((len(data.z), sum(t.shape[1] for t in torques)))
         rows[: len(response.casing)] = np.concatenate(torques, axis=1)
         project = Projection(data, noise.whitener.at(noise.pure))
-        few = turned(project(np.concatenate([rows, p.columns, (data.z - p.rows)[:, None]], axis=1)))
+        few = r_factor(project(np.concatenate([rows, p.columns, (data.z - p.rows)[:, None]], axis=1)))
         *parts, rest = np.split(few, np.cumsum([t.shape[1] for t in torques]), axis=1)
         tried.append(parts)
         free.append(np.zeros((len(few), p.count)))

@@ -7,8 +7,6 @@ several sets of cases; each entry names its cases. The keys are those of `fittin
 
 from __future__ import annotations
 
-import hashlib
-import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -18,11 +16,11 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from filelock import FileLock
 from pydantic import ValidationError
 
+from fitting._atomic import locked
 from fitting._errors import FittingError, LedgerError
-from fitting._numbers import plain
+from fitting._numbers import to_json
 from fitting._schema import (
     EntryDocument,
     LedgerDocument,
@@ -33,7 +31,7 @@ from fitting._schema import (
     first_error,
     own_effects,
     read_json,
-    write_json,
+    write_document,
 )
 from fitting.discovery._verdict import Diagnosis
 from fitting.dynamics._model import Model
@@ -208,7 +206,7 @@ class Ledger:
                 # a robust fit is one of pseudo-values, which are not stored
                 restored_from=as_json(stored_fit(found)) if loss == "linear" else None,
             )
-            entry = Entry(plain(document.model_dump(exclude={"diagnosis"})))
+            entry = Entry(to_json(document.model_dump(exclude={"diagnosis"})))
             self.entries.append(entry)
             return entry
 
@@ -220,18 +218,11 @@ class Ledger:
     @contextmanager
     def _locked(self) -> Iterator[None]:
         """Read the file again, let the block change the entries, and write them, while no other process can."""
-        name = hashlib.sha256(str(self.path.resolve()).encode()).hexdigest()[:24]
-        lock = FileLock(Path(tempfile.gettempdir()) / f"gyrotrack-{name}.lock", mode=0o666)
-        with suppress(OSError):  # without locks two fits at the same moment may overtake each other
-            lock.acquire()
-        try:
+        with locked(self.path):
             if self.path.exists():
                 self.entries = _read(self.path)
             yield
-            ledger = LedgerDocument(fits=[e.document for e in self.entries])
-            write_json(self.path, ledger.model_dump(), "choose another with --ledger")
-        finally:
-            lock.release()
+            write_document(self.path, LedgerDocument(fits=[e.document for e in self.entries]))
 
 
 def _read(path: Path) -> list[Entry]:

@@ -52,11 +52,11 @@ from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 from fitting.inference._metrics import BodyMetrics, CaseMetrics
 from fitting.inference._noise import Noise, TorqueNoise, TorqueResponse
-from fitting.inference._parameters import Layout
-from fitting.inference._problem import Problem, loose_directions
+from fitting.inference._parameters import ParameterLayout
+from fitting.inference._problem import Problem, degenerate_directions
 from fitting.inference._profile import LEVEL, Interval
 from fitting.inference._record import Record
-from fitting.inference._result import Account, Estimate, Fit, Origin, not_determined, outcome
+from fitting.inference._result import Estimate, Fit, FitSummary, Origin, not_determined, outcome
 from fitting.study._paper import CurveBias
 
 Array = NDArray[np.float64]
@@ -96,7 +96,7 @@ def not_determined_together(fit: Fit) -> list[dict[str, float]]:
     """Return degenerate combinations of parameters: relative changes by name, the largest 1."""
     kept = [i for i, n in enumerate(fit.problem.layout.names) if not n.startswith("initial.")]
     names = [fit.problem.layout.names[i] for i in kept]
-    return loose_directions(names, fit.theta[kept], fit.covariance[np.ix_(kept, kept)])
+    return degenerate_directions(names, fit.theta[kept], fit.covariance[np.ix_(kept, kept)])
 
 
 def interval_document(interval: Interval) -> dict[str, Any]:
@@ -207,7 +207,7 @@ class SavedNoise:
 
 
 @dataclass(frozen=True, repr=False)
-class SavedFit(Account):
+class SavedFit(FitSummary):
     """A fit read from a file: everything but the data.
 
     Attributes
@@ -330,7 +330,7 @@ def restored_fit(stored: StoredFit, model: Model, data: Sequence[CaseData]) -> F
     """
     if stored.code != fingerprint():
         return None
-    layout = Layout(model, tuple(d.record for d in data), tuple(stored.per_case), stored.ranges)
+    layout = ParameterLayout(model, tuple(d.record for d in data), tuple(stored.per_case), stored.ranges)
     problem = Problem.of(layout, data)
     theta = np.array(stored.theta, dtype=float)
     noise = []

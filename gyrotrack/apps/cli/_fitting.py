@@ -23,7 +23,7 @@ from gyrotrack.apps.cli._options import (
     RotorKind,
     own_effects,
 )
-from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output
+from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output, all_or_nothing
 from gyrotrack.apps.cli._tables import (
     bias_tables,
     diagnosis_tables,
@@ -230,9 +230,10 @@ def scan_command(
     read = read_cases(cases, data=data, rotor=rotor)
     with out.progress("fitting") as progress:
         found = scan(read, progress=progress)
-    for path, make in targets.items():
-        with new_file(path, force=force) as stream:
-            stream.write(make(found).encode("utf-8"))
+    with all_or_nothing(*targets):
+        for path, make in targets.items():
+            with new_file(path, force=force) as stream:
+                stream.write(make(found).encode("utf-8"))
     settings = {"data": data or read[0].record.quantity, "rotor": rotor}
     out.result(scan_document(found) | settings | {"outputs": list(targets)})
     out.show("\n".join(scan_lines(found)))

@@ -178,7 +178,7 @@ class Session:
 
     def state(self, *, whole: bool = False) -> dict[str, Any]:
         """Return what the page shows; with `whole` also the curves that no fit changes."""
-        from fitting._numbers import measured
+        from fitting._numbers import with_uncertainty
 
         with self._lock:
             step = self.steps[self.current]
@@ -196,7 +196,11 @@ class Session:
                         for e in fit.model.effects
                     ],
                     "parameters": [
-                        {"name": k, "value": measured(e.value, e.stderr, e.unit), "at_bound": e.at_bound}
+                        {
+                            "name": k,
+                            "value": with_uncertainty(e.value, e.stderr, e.unit),
+                            "at_bound": e.at_bound,
+                        }
                         for k, e in fit.estimates.items()
                     ],
                     "ladder": [self._rung(i) for i in range(len(self.steps))],
@@ -240,6 +244,6 @@ class Session:
 
 
 def _document(found: dict[str, Any]) -> dict[str, Any]:
-    from fitting._numbers import plain
+    from fitting._numbers import to_json
 
-    return dict(plain(found))
+    return dict(to_json(found))
