@@ -344,7 +344,7 @@ def read_json(path: Path, kind: type[_D], what: str, hint: str) -> _D:
         document = None
     expected = kind.model_fields["format"].default
     if not isinstance(document, dict) or document.get("format") != expected:
-        raise LedgerError(f"{path} is not {what}", hint)
+        raise LedgerError(f"{path} {what}", hint)
     version = document.get("version")
     if isinstance(version, int) and version > kind.model_fields["version"].default:
         raise LedgerError(f"{path} was written by a newer version", "update gyrotrack")

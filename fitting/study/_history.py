@@ -226,7 +226,7 @@ class Ledger:
 
 
 def _read(path: Path) -> list[Entry]:
-    entries = [Entry(d) for d in read_json(path, LedgerDocument, "a ledger of fits", _ELSEWHERE).fits]
+    entries = [Entry(d) for d in read_json(path, LedgerDocument, "is not a ledger of fits", _ELSEWHERE).fits]
     for entry in entries:
         try:
             _ = entry.stored

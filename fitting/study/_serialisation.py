@@ -253,7 +253,7 @@ def load_fit(path: str | Path) -> SavedFit:
         If the file is missing, damaged, or no fit.
     """
     path = Path(path)
-    stored = read_json(path, SavedFitDocument, "a saved fit", "save one with Fit.save")
+    stored = read_json(path, SavedFitDocument, "is not a saved fit", "save one with Fit.save")
     try:
         model = Model(effects_of(stored.model, stored.own_effects))
     except (KeyError, FittingError) as fault:
