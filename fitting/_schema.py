@@ -224,6 +224,7 @@ class StoredCandidate(Document):
     delta_bic: Number
     p_value: Number
     held_out_gain: Number
+    significant: Flag
     indistinguishable_from: list[str]
     estimates: dict[str, EstimateDocument]
     fit: StoredFit | None

@@ -169,9 +169,9 @@ def not_determined(estimates: Mapping[str, Estimate]) -> list[str]:
 
 
 # chi2 per row that a model can reach, above which the lack of fit is significant (2000 rows: 1.0 +- 0.03)
-_MISFIT = 1.4
+REDUCED_CHI2 = 1.4
 # p-value of the lack-of-fit test below which the lack of fit is significant
-_IMPROBABLE = 1e-5
+LACK_OF_FIT_P = 1e-5
 
 
 @dataclass(frozen=True)
@@ -243,7 +243,7 @@ class Fit(FitSummary):
         """One of "adequate", "misfit" and "not converged"."""
         if not self.converged:
             return "not converged"
-        left = self.lack_of_fit.p_value < _IMPROBABLE or any(c.misfit > _MISFIT for c in self.cases)
+        left = self.lack_of_fit.p_value < LACK_OF_FIT_P or any(c.misfit > REDUCED_CHI2 for c in self.cases)
         return "misfit" if left else "adequate"
 
     @property

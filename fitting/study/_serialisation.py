@@ -41,10 +41,9 @@ from fitting._schema import (
     own_effects,
     read_json,
 )
-from fitting.discovery._rank import Candidate
 from fitting.discovery._residuals import Failure, ResidualTorque, residual_torques, ripples, whiteness
 from fitting.discovery._score import Score
-from fitting.discovery._select import Rung
+from fitting.discovery._select import Candidate, Step
 from fitting.discovery._verdict import Diagnosis
 from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect
@@ -190,7 +189,7 @@ def _moved(fit: Fit, previous: Fit | None) -> list[str]:
     ]
 
 
-def ladder_verdict(rungs: Sequence[Rung]) -> str:
+def ladder_verdict(rungs: Sequence[Step]) -> str:
     """Return the verdict of a finished history: "adequate", "missing_effect" (found and added) or "unexplained"."""
     if rungs[-1].fit.verdict != "adequate":
         return "unexplained"
@@ -357,6 +356,7 @@ def stored_diagnosis(found: Diagnosis, extra: Sequence[Effect] = ()) -> StoredDi
                 delta_bic=c.delta_bic,
                 p_value=c.p_value,
                 held_out_gain=c.held_out_gain,
+                significant=c.significant,
                 indistinguishable_from=list(c.indistinguishable_from),
                 estimates={k: EstimateDocument.model_validate(e) for k, e in c.estimates.items()},
                 fit=stored_fit(c.fit) if c.fit is not None and any(c is d for d in drawn) else None,
@@ -408,6 +408,7 @@ def _restored_candidate(stored: StoredCandidate, base: Fit) -> Candidate:
         held_out_gain=stored.held_out_gain,
         indistinguishable_from=tuple(stored.indistinguishable_from),
         estimates=_estimates(stored.estimates),
+        significant=stored.significant,
         screened=Score(effect, stored.score, none, (), 0, 0, absorbed=False, direction=none, null=none),
         fit=restored_fit(stored.fit, model, base.problem.data) if stored.fit is not None else None,
     )

@@ -246,7 +246,7 @@ def test_the_page_runs_as_it_stands(tmp_path, monkeypatch, capsys):
     capsys.readouterr()
     names = {}
     for block in re.findall(
-        r"```python\n(.*?)```", (ROOT / "docs/python.md").read_text(encoding="utf-8"), re.S
+        r"```python\n(.*?)```", (ROOT / "docs/how-to/python.md").read_text(encoding="utf-8"), re.S
     ):
         exec(compile(block, "python.md", "exec"), names)  # noqa: S102 - our own page
     said = capsys.readouterr().out

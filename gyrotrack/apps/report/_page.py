@@ -22,7 +22,7 @@ from gyrotrack.plotting._study_data import gather
 from gyrotrack.plotting._style import Picture
 
 if TYPE_CHECKING:
-    from fitting.discovery._select import Rung
+    from fitting.discovery._select import Step
     from fitting.discovery._verdict import Diagnosis
     from gyrotrack.io._records import Case
 
@@ -112,7 +112,7 @@ class _Images:
 
 def write_report(
     path: Path,
-    rungs: Sequence[Rung],
+    rungs: Sequence[Step],
     diagnosis: Diagnosis | None,
     *,
     recordings: Sequence[Case] = (),
@@ -127,7 +127,7 @@ def write_report(
     ----------
     path : Path
         The file to write, ``.pdf`` or else HTML; it appears whole or not at all.
-    rungs : sequence of Rung
+    rungs : sequence of Step
         The ladder, base first; one rung is enough.
     diagnosis : Diagnosis or None
         That of the first rung.
