@@ -105,6 +105,7 @@ class FailureDocument(Document):
     size_sigma: Number
     residual_rad_s: Number
     residual_torque_Nm: Number  # noqa: N815 - the unit's own capitals
+    torque_sigma_Nm: Number = math.nan  # noqa: N815
     omega_c: tuple[Number, Number]
 
 
