@@ -59,7 +59,7 @@ def report_command(
     with WorkerPool() as workers, out.progress("writing the report") as progress:
         progress(0, None)
         workers.submit(get_ready)
-        rungs = study.rungs_to(start)
+        rungs = study.steps_to(start)
         diagnosis = study.diagnosis(start, rungs[0].fit, own_effects(effects), workers=workers)
         recordings = [read_case(case) for case in cases]
         where = {"command": command_line(), "ledger": str(study.ledger.path)}
