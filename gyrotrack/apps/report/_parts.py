@@ -173,6 +173,7 @@ def outcome(content: Content) -> str:
     end = {
         "adequate": "What the final model leaves is noise.",
         "misfit": "The final model still misses something: take what was added as a hypothesis.",
+        "not determined": "The data do not determine every parameter of the final model: drop what is not needed.",
         "not converged": "The final fit did not converge: do not trust its numbers.",
     }[content.final.verdict]
     return f"{ladder_finding(content)} {end}"
