@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
+from fitting._workers import single_blas_thread
 from fitting.dynamics._model import Model
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_file import read_record
@@ -43,6 +44,7 @@ def load(path: str | Path, *, data: str | None = None, rotor: str = "windows") -
     return prepared(record, data, rotor)
 
 
+@single_blas_thread()
 def fit(
     model: Model | str,
     cases: Record | CaseData | Sequence[Record | CaseData],

@@ -41,8 +41,7 @@ from fitting.dynamics._mesh import Sampler
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import Prediction
 from fitting.inference._lack_of_fit import block_diagonal, orthonormal
-from fitting.inference._noise import TorqueResponse
-from fitting.inference._noise_level import Noise
+from fitting.inference._noise import Noise, TorqueResponse
 from fitting.inference._problem import Projection, turned
 from fitting.inference._result import Fit
 

@@ -15,13 +15,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting._workers import Beside
+from fitting._workers import WorkerPool
 from fitting.discovery._refine import at_one_phase, refit, with_one_value, with_own_values
 from fitting.discovery._score import CaseColumns, Chance, Family, Score
 from fitting.discovery._screen import screen
 from fitting.effects._effect import Effect
 from fitting.effects._library import LIBRARY
-from fitting.inference._case_data import CAMERA_COLUMNS, CaseData
+from fitting.inference._case_data import CaseData
 from fitting.inference._result import Estimate, Fit
 
 Array = NDArray[np.float64]
@@ -39,8 +39,6 @@ _MAX_REFITS = 14
 # from this share of the best score on a candidate may turn out to be the best: where its refit fails, others are tried
 _RIVAL = 0.5
 _SAME_DIRECTION = 0.9999
-# what every fit frees anyway is found by the screen, and is no discovery
-ALWAYS_FREE = tuple(CAMERA_COLUMNS)
 
 
 @dataclass(frozen=True)
@@ -85,7 +83,7 @@ class Candidate:
     @property
     def apart(self) -> bool:
         """Whether each case has a strength and a phase of its own."""
-        return self.effect.swings and any("@" in name for name in self.estimates)
+        return self.effect.periodic and any("@" in name for name in self.estimates)
 
     @property
     def physical(self) -> bool:
@@ -94,7 +92,7 @@ class Candidate:
 
 
 def rank(
-    base: Fit, extra: Sequence[Effect] = (), *, refitting: bool = True, beside: Beside | None = None
+    base: Fit, extra: Sequence[Effect] = (), *, refitting: bool = True, workers: WorkerPool | None = None
 ) -> list[Candidate]:
     """Return all candidates for a fit, best first.
 
@@ -106,8 +104,8 @@ def rank(
         Effects of the user beside the library.
     refitting : bool
         Refit the promising candidates (otherwise the screen alone ranks).
-    beside : Beside, optional
-        A second process, for some of the refits.
+    workers : WorkerPool, optional
+        Processes that run some of the refits.
     """
     known = {e.name: e for e in (*LIBRARY.values(), *extra)}
     names = set(base.model.names)
@@ -128,7 +126,7 @@ def rank(
         promising = [
             _Promising(c, chance[c.effect.name], family, c.score > _RIVAL * best) for c, w in worth if w
         ]
-        refits = iter((beside or Beside()).each(_refitted, base, promising, _measured))
+        refits = iter((workers or WorkerPool(0)).map(_refitted, base, promising, _measured))
         rough = [next(refits) if w else c for c, w in worth]
     return arranged(rough)
 
@@ -138,16 +136,16 @@ def _measured(fit: Fit) -> Sequence[CaseData]:
 
 
 def _fits_in(effect: Effect, base: Fit) -> bool:
-    if base.problem.data[0].record.single and not effect.alone:
+    if base.problem.data[0].record.single and not effect.single_body:
         return False
-    if not effect.moves:
+    if not effect.mechanical:
         return base.problem.data[0].is_angle
     return not (effect.joint == "factor" and not any(e.joint == "bearing" for e in base.model.effects))
 
 
 def _worth(candidates: list[Candidate]) -> list[tuple[Candidate, bool]]:
     """Return which candidates, sorted by score, to refit."""
-    open_ones = [c for c in candidates if c.effect.name not in ALWAYS_FREE and not c.screened.absorbed]
+    open_ones = [c for c in candidates if not c.effect.nuisance and not c.screened.absorbed]
     best = max((c.score for c in open_ones), default=0.0)
     chosen = [
         c

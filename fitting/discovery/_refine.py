@@ -23,8 +23,7 @@ from fitting.discovery._score import CaseColumns, Score, Stage, search_alone
 from fitting.effects._effect import Effect
 from fitting.inference._fit import fit
 from fitting.inference._lack_of_fit import orthonormal
-from fitting.inference._noise_level import Noise
-from fitting.inference._parameters import PER_CASE
+from fitting.inference._noise import Noise
 from fitting.inference._result import Fit
 
 # BIC must fall by this much: "positive" evidence after R. Kass, A. Raftery, J. Am. Stat. Assoc. 90, 773 (1995)
@@ -211,7 +210,7 @@ def together(
     """
     layout = base.problem.layout
     own = [k for k in layout.per_case if k in base.model.free]
-    shared = [k for k in base.model.free if k.startswith(PER_CASE) and k not in own]
+    shared = [k for k in base.model.per_case if k not in own]
     begin = {name: e.value for name, e in base.estimates.items()} | start_of(base, score)
     try:
         found = fit(
@@ -274,7 +273,7 @@ def with_own_values(base: Fit, score: Score, found: Fit, common: Fit) -> Fit:
 def start_of(base: Fit, score: Score) -> dict[str, float]:
     """Return start values of a candidate's parameters from its score."""
     effect, labels = score.effect, [r.label for r in base.problem.layout.records]
-    own = len(labels) > 1 and (score.apart or effect.name.startswith(PER_CASE))
+    own = len(labels) > 1 and (score.apart or effect.per_case)
     phase = next((p.symbol for p in effect.parameters if p.role == "phase"), None)
     amplitude = next(p.symbol for p in effect.parameters if p.role == "amplitude")
     gamma = score.gamma.reshape(len(labels) if own else 1, -1)

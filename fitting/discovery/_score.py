@@ -177,7 +177,7 @@ class CaseColumns:
 
     def trials(self, effect: Effect, choices: list[dict[str, float]] | None = None) -> list[Trial]:
         """Return the columns of a candidate for every choice of its shape constants, or for the choices given."""
-        if not effect.moves or effect.depends_on_angle:
+        if not effect.mechanical or effect.depends_on_angle:
             sine, cosine = self.case.unit_columns(
                 effect, self.prediction.path, self.prediction.sensitivity, self.numbers
             )

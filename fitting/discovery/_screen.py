@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 
 from fitting.discovery._score import CaseColumns, Group, Level, Score, Stage, Trial, alone, search_groups
 from fitting.effects._effect import Effect
-from fitting.inference._case_data import CAMERA_COLUMNS
 from fitting.inference._lack_of_fit import block_diagonal
-from fitting.inference._parameters import PER_CASE
 from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
@@ -93,7 +91,7 @@ def _neighbours(grid: list[float], value: float) -> tuple[float, float]:
 
 def _own(effect: Effect, cases: int) -> bool:
     """Tell whether each case has its own parameters of an effect."""
-    return cases > 1 and effect.name.startswith(PER_CASE)
+    return cases > 1 and effect.per_case
 
 
 def _trials(effect: Effect, cases: Sequence[CaseColumns]) -> list[list[Trial]]:
@@ -113,7 +111,7 @@ def _score(
 ) -> Score:
     """Score an effect; without a word on `apart`, cases have phases of their own where that is clearly better."""
     own = _own(effect, len(trials))
-    levels = stage.without(effect.name) if effect.name in CAMERA_COLUMNS else stage.levels
+    levels = stage.without(effect.name) if effect.nuisance else stage.levels
     if apart is None and has_phases(effect, len(trials)):
         gains = [
             search_groups(stage, effect, _stack(trials, each), levels, null=False).score
@@ -131,7 +129,7 @@ def _score(
 
 def has_phases(effect: Effect, cases: int) -> bool:
     """Tell whether an effect swings, so that it may begin at another phase in each of several cases."""
-    return cases > 1 and effect.moves and any(p.role == "phase" for p in effect.parameters)
+    return cases > 1 and effect.mechanical and any(p.role == "phase" for p in effect.parameters)
 
 
 def _choose(

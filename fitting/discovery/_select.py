@@ -13,14 +13,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fitting._errors import FittingError
-from fitting._workers import Beside
-from fitting.discovery._rank import ALWAYS_FREE, Candidate, arranged, rank
+from fitting._workers import WorkerPool, single_blas_thread
+from fitting.discovery._rank import Candidate, arranged, rank
 from fitting.discovery._refine import again, at_one_phase, refit, sharpest, start_of
 from fitting.discovery._score import CaseColumns, Score
 from fitting.discovery._screen import screen
 from fitting.effects._effect import Effect
 from fitting.inference._fit import fit
-from fitting.inference._noise_level import Noise, measure_noise
+from fitting.inference._noise import Noise
+from fitting.inference._noise_level import measure_noise
 from fitting.inference._result import Fit
 
 if TYPE_CHECKING:
@@ -114,16 +115,17 @@ class Ladder(list[Rung]):
 
     def plot(self) -> Figure:
         """Draw how the error falls from rung to rung (matplotlib)."""
-        from fitting.study._notebook import plot_ladder
+        from fitting._display import plot_history
 
-        return plot_ladder(self)
+        return plot_history(self)
 
     def _repr_html_(self) -> str:
-        from fitting.study._notebook import ladder_html
+        from fitting._display import history_html
 
-        return ladder_html(self)
+        return history_html(self)
 
 
+@single_blas_thread()
 def improve(
     base: Fit,
     extra: Sequence[Effect] = (),
@@ -131,7 +133,7 @@ def improve(
     max_steps: int = _MAX_STEPS,
     progress: Callable[[int, int | None], None] | None = None,
     first: Sequence[Candidate] | None = None,
-    beside: Beside | None = None,
+    workers: WorkerPool | None = None,
 ) -> Ladder:
     """Go on adding the best effect while one is significant, then drop what is not needed.
 
@@ -147,7 +149,7 @@ def improve(
         Called with (steps done, None).
     first : sequence of Candidate, optional
         The ranking of the base, if it is known already.
-    beside : Beside, optional
+    workers : WorkerPool, optional
         A second process that takes its share of the work.
 
     Returns
@@ -155,7 +157,7 @@ def improve(
     Ladder
         A list of rungs, the base first, the final model last.
     """
-    known = first if first is not None else rank(base, extra, beside=beside)
+    known = first if first is not None else rank(base, extra, workers=workers)
     rungs = Ladder([Rung("", base, tuple(known))])
     for step in range(max_steps):
         chosen = best(rungs[-1].candidates)
@@ -163,7 +165,7 @@ def improve(
             break
         rungs.append(Rung(f"+{chosen.effect.name}", polished(chosen.fit), ()))
         rungs[-1] = _backward(rungs)
-        rungs[-1] = Rung(rungs[-1].change, rungs[-1].fit, tuple(rank(rungs[-1].fit, extra, beside=beside)))
+        rungs[-1] = Rung(rungs[-1].change, rungs[-1].fit, tuple(rank(rungs[-1].fit, extra, workers=workers)))
         if progress is not None:
             progress(step + 1, None)
     return rungs
@@ -172,10 +174,10 @@ def improve(
 def best(candidates: Sequence[Candidate]) -> Candidate | None:
     """Return the candidate to add next: significant, refitted, better in BIC; None if there is none."""
     for c in candidates:
-        if c.effect.name in ALWAYS_FREE:
+        if c.effect.nuisance:
             continue
         tracked = c.fit is not None and any(d.record.tracked for d in c.fit.problem.data)
-        needed = _EVIDENCE_SWING if tracked and c.physical and c.effect.swings else _EVIDENCE
+        needed = _EVIDENCE_SWING if tracked and c.physical and c.effect.periodic else _EVIDENCE
         if c.significant and c.fit is not None and c.delta_bic < -needed:
             return c
     return None

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fitting._numbers import rounded
-from fitting._workers import Beside
+from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._experiment import next_experiment
 from fitting.discovery._lack_of_fit import (
     Objection,
@@ -19,7 +19,7 @@ from fitting.discovery._lack_of_fit import (
     objection,
     spectral_line,
 )
-from fitting.discovery._rank import ALWAYS_FREE, CLASS_WIDTH, Candidate, rank
+from fitting.discovery._rank import CLASS_WIDTH, Candidate, rank
 from fitting.discovery._residuals import (
     Failure,
     ResidualTorque,
@@ -143,7 +143,7 @@ def _taken_out(chosen: Candidate | None, candidates: Sequence[Candidate]) -> lis
         return []
     parts = []
     for c in candidates:
-        if c.effect.name in ALWAYS_FREE and c.significant:
+        if c.effect.nuisance and c.significant:
             size = float(np.hypot(*c.screened.gamma[:2]))
             unit = next(p.unit for p in c.effect.parameters if p.role == "amplitude")
             parts.append(f"The camera adds {c.effect.name} of {size:.2g} {unit}, which every fit takes out.")
@@ -204,22 +204,23 @@ class Diagnosis:
 
     def plot(self) -> Figure:
         """Draw the torque that is missing with its band, where the model fails, and the candidates (matplotlib)."""
-        from fitting.study._notebook import plot_diagnosis
+        from fitting._display import plot_diagnosis
 
         return plot_diagnosis(self)
 
     def _repr_html_(self) -> str:
-        from fitting.study._notebook import diagnosis_html
+        from fitting._display import diagnosis_html
 
         return diagnosis_html(self)
 
 
+@single_blas_thread()
 def diagnose(
     fit: Fit,
     extra: Sequence[Effect] = (),
     *,
     candidates: Sequence[Candidate] | None = None,
-    beside: Beside | None = None,
+    workers: WorkerPool | None = None,
 ) -> Diagnosis:
     """Say where a fit fails and which effect is missing.
 
@@ -231,16 +232,16 @@ def diagnose(
         Effects of the user beside the library.
     candidates : sequence of Candidate, optional
         The ranking of the fit, if it is known already.
-    beside : Beside, optional
+    workers : WorkerPool, optional
         A second process that takes its share of the work.
 
     Returns
     -------
     Diagnosis
     """
-    beside = beside or Beside()
-    left, repeated = beside.begin(residual_torques, fit), beside.begin(ripples, fit)
-    candidates = rank(fit, extra, beside=beside) if candidates is None else candidates
+    workers = workers or WorkerPool(0)
+    left, repeated = workers.submit(residual_torques, fit), workers.submit(ripples, fit)
+    candidates = rank(fit, extra, workers=workers) if candidates is None else candidates
     chosen = best(candidates)
     after: list[Rung] = []
     end = fit
@@ -254,7 +255,7 @@ def diagnose(
             if clearer is not None and clearer.fit is not None:
                 chosen, end = clearer, clearer.fit
         if end.verdict == "misfit" or quieter:
-            after = improve(fit, extra, max_steps=1 + _FOLLOW_UP, first=candidates, beside=beside)
+            after = improve(fit, extra, max_steps=1 + _FOLLOW_UP, first=candidates, workers=workers)
             end = after[-1].fit
     doubt = _doubt(chosen, end)
     explained = "adequate" if chosen is None else "missing_effect"
@@ -263,7 +264,7 @@ def diagnose(
     if chosen is not None and others:
         sure, chosen = chosen, replace(chosen, indistinguishable_from=others)
         candidates = [chosen if c is sure else c for c in candidates]
-    torques, waves = left(), repeated()
+    torques, waves = left.result(), repeated.result()
     failures = find_failures(fit, torques, waves) if verdict != "adequate" else []
     words = sentence(fit, verdict, chosen, after, failures, candidates, doubt)
     rivals = [c for c in candidates if chosen and c.effect.name in chosen.indistinguishable_from]
@@ -292,7 +293,7 @@ def _unknown(fit: Fit, chosen: Candidate) -> tuple[str, ...]:
     found = []
     if not chosen.effect.of_casing_speed and any_law_of_the_casing(fit) > bar:
         found.append(UNKNOWN_LAW)
-    if chosen.effect.swings and any_slow_torque(fit, apart=chosen.apart) > bar:
+    if chosen.effect.periodic and any_slow_torque(fit, apart=chosen.apart) > bar:
         found.append(UNKNOWN_IN_TIME)
     return tuple(found)
 

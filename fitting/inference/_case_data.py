@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from fitting.dynamics._mesh import Path, Sampler
 from fitting.dynamics._sensitivities import angles
+from fitting.effects._library import NUISANCE
 from fitting.inference._compression import (
     BLOCKS,
     CASING_DEGREE,
@@ -279,8 +280,8 @@ def _gradients(speeds: Samples) -> Array:
     return np.asarray(np.gradient(camera_columns(turned), speeds.time, axis=0))
 
 
-# columns of `camera_columns` that belong to each measurement effect
-CAMERA_COLUMNS = {"camera.centre": (0, 1), "camera.tilt": (2, 3), "camera.shutter": (4, 5)}
+# columns of `camera_columns` that belong to each nuisance effect, in the order of the library
+CAMERA_COLUMNS = {name: (2 * i, 2 * i + 1) for i, name in enumerate(NUISANCE)}
 _SMOOTHED = 25
 
 

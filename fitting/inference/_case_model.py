@@ -267,7 +267,7 @@ class CaseModel:
         self, effect: Effect, path: Path, sensitivity: Sensitivity, numbers: dict[str, float]
     ) -> tuple[Array, Array]:
         """Return the rows for strength 1 at phase 0 and at a quarter turn."""
-        if effect.moves:
+        if effect.mechanical:
             return ripple_rows(self.data, effect, path, LinearMotion(path, sensitivity.propagator), numbers)
         rows = []
         for phi in (0.0, np.pi / 2):
@@ -296,7 +296,7 @@ class CaseModel:
             seen = np.asarray(tape(values | known)[0]) * np.ones(len(t))
             return seen if self.data.is_angle else np.gradient(seen, t)
 
-        if effect.joint == "camera.casing":
+        if effect.camera == "casing":
             return self.data.casing_rows(law(self.data.casing, 1, 0.0)[:, None])[:, 0]
         out = np.zeros(len(self.data.z))
         parts = [w.at_samples(law(w, 0, w.samples.time[0])[:, None])[0][:, 0] for w in self.data.rotor]

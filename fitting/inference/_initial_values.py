@@ -17,6 +17,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,8 @@ from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Mod
 from fitting.effects._effect import Effect
 from fitting.effects._library import LIBRARY
 from fitting.inference._case_model import Prediction
-from fitting.inference._noise_level import Noise, measure_noise
+from fitting.inference._noise import Noise
+from fitting.inference._noise_level import measure_noise
 from fitting.inference._optimisation import minimise, search
 from fitting.inference._parameters import START_CASING, START_ROTOR, Layout, is_power_law
 from fitting.inference._problem import Problem, turned
@@ -210,10 +212,8 @@ def start_shapes(
     *,
     fitted: bool,
     noise: Sequence[Noise] | None = None,
-) -> Array:
-    """Return variables with the shapes of some effects on the best point of their grids.
-
-    The problem's noise is then what they leave.
+) -> tuple[Problem, Array]:
+    """Return variables with the shapes of some effects on the best point of their grids, and the problem at its noise.
 
     Parameters
     ----------
@@ -236,8 +236,8 @@ def start_shapes(
         theta = _without(problem, theta, effects)
     noise = measure_noise(problem, theta) if noise is None else noise
     for effect in effects:
-        theta = _best(problem, theta, effect, noise)
-    return theta
+        problem, theta = _best(problem, theta, effect, noise)
+    return problem, theta
 
 
 def _without(problem: Problem, theta: Array, effects: list[Effect]) -> Array:
@@ -245,16 +245,15 @@ def _without(problem: Problem, theta: Array, effects: list[Effect]) -> Array:
     names = {e.name for e in effects}
     model = Model(tuple(e for e in layout.model.effects if e.name not in names))
     smaller = Layout(model, layout.records, layout.per_case, layout.ranges)
-    rest = Problem(smaller, problem.data)
-    rest.set_noise([p.whitener for p in problem.projections])
+    rest = replace(Problem.of(smaller, problem.data), projections=problem.projections)
     places = [layout.index[n] for n in smaller.names]
     out = theta.copy()
-    out[places] = search(rest, theta[places])[1]
+    out[places] = search(rest, theta[places]).theta
     return out
 
 
-def _best(problem: Problem, theta: Array, effect: Effect, noise: Sequence[Noise]) -> Array:
-    """Return variables with the best shape of one effect; the noise of the problem is then what it leaves."""
+def _best(problem: Problem, theta: Array, effect: Effect, noise: Sequence[Noise]) -> tuple[Problem, Array]:
+    """Return variables with the best shape of one effect, and the problem at the noise of that fit."""
     layout = problem.layout
     starts = []
     for values in _grid(problem, effect):
@@ -266,19 +265,17 @@ def _best(problem: Problem, theta: Array, effect: Effect, noise: Sequence[Noise]
             starts.append((begin, problem.predict(begin)))
     ends = []
     for share in _SHARES:
-        whiteners = [n.whitener.at(max(n.pure, share * n.level)) for n in noise]
-        problem.set_noise(whiteners)
-        loud = sum(w.log_determinant for w in whiteners)
+        levels = [n.at(max(n.pure, share * n.level)) for n in noise]
+        trial = problem.with_noise(levels)
+        log_determinant = sum(n.whitener.log_determinant for n in levels)
         for begin, predictions in starts:
-            found = _stepped(problem, begin, predictions, _places(layout, effect, "amplitude"))
+            found = _stepped(trial, begin, predictions, _places(layout, effect, "amplitude"))
             if found is not None:
-                ends.append((loud + found[0], found[1], whiteners))
+                ends.append((log_determinant + found[0], found[1], trial))
     if not ends:
-        problem.set_noise([n.whitener for n in noise])
-        return theta
-    _, chosen, whiteners = min(ends, key=lambda end: end[0])
-    problem.set_noise(whiteners)
-    return chosen
+        return problem.with_noise(noise), theta
+    _, chosen, trial = min(ends, key=lambda end: end[0])
+    return trial, chosen
 
 
 def _stepped(

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import Prediction
-from fitting.inference._noise import TorqueResponse
-from fitting.inference._noise_level import Noise
+from fitting.inference._noise import Noise, TorqueResponse
 from fitting.inference._problem import Problem, Projection, turned
 
 Array = NDArray[np.float64]

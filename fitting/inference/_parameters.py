@@ -37,8 +37,6 @@ from fitting.inference._record import Record
 Array = NDArray[np.float64]
 
 START_ROTOR, START_CASING = "initial.omega_r", "initial.omega_c"
-# the surface may differ from case to case, and the paper frees the casing's drag with it
-PER_CASE = ("touchpoint.", "casing.air.linear.")
 _START = Parameter("omega", "rad s-1", "shape", -np.inf, np.inf)
 
 
@@ -84,7 +82,7 @@ class Layout:
                 raise EffectError(
                     f"{name!r} is no parameter of the model", "it has: " + ", ".join(model.free)
                 )
-        default = [key for key in model.free if key.startswith(PER_CASE)]
+        default = model.per_case
         chosen = [
             key
             for key in model.free
@@ -98,7 +96,7 @@ class Layout:
         """What is shared, and what each case has of its own, other than is usual: `of` takes both."""
         if len(self.records) == 1:
             return (), ()
-        usual = {key for key in self.model.free if key.startswith(PER_CASE)}
+        usual = self.model.per_case
         return (
             tuple(k for k in self.model.free if k in usual and k not in self.per_case),
             tuple(k for k in self.per_case if k not in usual),

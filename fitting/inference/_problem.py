@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import CaseModel, Prediction
-from fitting.inference._noise import WHITE, Whitener
+from fitting.inference._noise import WHITE, Noise, Whitener
 from fitting.inference._parameters import (
     Layout,
     Valley,
@@ -49,29 +52,60 @@ class Projection:
         return np.asarray(np.where(np.linalg.norm(left, axis=0) > _ROUNDING * size, left, 0.0))
 
 
+@dataclass(frozen=True)
 class Problem:
-    """Residuals and Jacobian of all cases.
+    """Residuals and Jacobian of all cases at given noise levels.
+
+    A value: another noise, other ranges or other transformed variables make a new problem.
 
     Parameters
     ----------
     layout : Layout
         The variables.
-    data : sequence of CaseData
+    data : tuple of CaseData
         The cases, in the order of the layout.
+    cases : tuple of CaseModel
+        The models of the cases; they cache their last solution.
+    projections : tuple of Projection
+        Noise and nuisance columns of each case.
+    valleys : tuple of Valley
+        Power laws that are fitted in transformed variables.
     """
 
-    def __init__(self, layout: Layout, data: Sequence[CaseData]) -> None:
-        self.layout, self.data = layout, tuple(data)
-        self.cases = [CaseModel(d, layout, i) for i, d in enumerate(data)]
-        self.projections = [Projection(d, WHITE) for d in data]
-        self.reference = reference_speed(self.data)
-        self.valleys = find_valleys(layout, [d.rough_speeds for d in data])
-        # where the last search ended on bounds of d or f: its valleys, and which variables are held
-        self.edge: tuple[tuple[Valley, ...], tuple[int, ...]] | None = None
+    layout: Layout
+    data: tuple[CaseData, ...]
+    cases: tuple[CaseModel, ...]
+    projections: tuple[Projection, ...]
+    valleys: tuple[Valley, ...]
 
-    def set_noise(self, whiteners: Sequence[Whitener]) -> None:
-        """Weigh the rows by this noise from now on."""
-        self.projections = [Projection(d, w) for d, w in zip(self.data, whiteners, strict=True)]
+    @classmethod
+    def of(cls, layout: Layout, data: Sequence[CaseData]) -> Self:
+        """Return the problem with white measurement noise only."""
+        return cls(
+            layout,
+            tuple(data),
+            tuple(CaseModel(d, layout, i) for i, d in enumerate(data)),
+            tuple(Projection(d, WHITE) for d in data),
+            find_valleys(layout, [d.rough_speeds for d in data]),
+        )
+
+    def with_noise(self, noise: Sequence[Noise]) -> Self:
+        """Return the problem with the noise of each case at its level."""
+        projections = (Projection(d, n.whitener) for d, n in zip(self.data, noise, strict=True))
+        return replace(self, projections=tuple(projections))
+
+    def with_white_noise(self) -> Self:
+        """Return the problem with white measurement noise only."""
+        return replace(self, projections=tuple(Projection(d, WHITE) for d in self.data))
+
+    def with_ranges(self, ranges: Mapping[str, tuple[float, float]]) -> Self:
+        """Return the problem with further bounds, by the names of the variables."""
+        return replace(self, layout=replace(self.layout, ranges={**self.layout.ranges, **ranges}))
+
+    @cached_property
+    def reference(self) -> float:
+        """A typical speed of the bearing in these cases [rad/s]."""
+        return reference_speed(self.data)
 
     def predict(self, theta: Array) -> list[Prediction]:
         """Return the prediction of each case at physical variables."""

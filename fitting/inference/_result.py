@@ -23,12 +23,15 @@ from fitting.dynamics._model import Model
 from fitting.inference._case_model import Prediction
 from fitting.inference._lack_of_fit import LackOfFit, lack_of_fit
 from fitting.inference._metrics import CaseMetrics, EnergyBalance, case_metrics, energy_balance
-from fitting.inference._noise_level import Noise
+from fitting.inference._noise import Noise
 from fitting.inference._parameters import START_ROTOR, Layout
 from fitting.inference._problem import Problem, Projection, covariance_of, surely_at_bound
+from fitting.inference._velocity import speeds
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from fitting.inference._speed_residuals import SpeedResidual
 
 
 WORDS = {
@@ -228,18 +231,46 @@ class Fit(Account):
         ) / sum(d.casing.n_effective for d in self.problem.data)
 
     @property
+    def rmse_casing(self) -> float:
+        """Rms residual speed of the casings [rad/s]."""
+        return math.sqrt(sum(c.casing.rmse**2 for c in self.cases) / len(self.cases))
+
+    @property
+    def held_out(self) -> float:
+        """Rms cross-validation error of the casings, in units of the noise."""
+        return math.sqrt(sum(c.casing.held_out**2 for c in self.cases) / len(self.cases))
+
+    @property
     def generated(self) -> bool:
         """Whether a rotor's curve was generated instead of measured: `fitting.study._paper` tells what that did."""
         return any(d.record.generated for d in self.problem.data)
 
+    def measured_speeds(self, case: int, body: int) -> list[tuple[Array, Array]]:
+        """Return times [s] and smoothed speeds [rad/s] of each run of a body: 0 is the rotor, 1 the casing."""
+        record = self.problem.data[case].record
+        runs = (record.casing,) if body else record.rotor
+        return [speeds(run, record.quantity) for run in runs]
+
+    def modelled_speed(self, case: int, body: int, time: Array) -> tuple[Array, Array]:
+        """Return the modelled speed of a body and its standard uncertainty at some times [rad/s]."""
+        from fitting.inference._speed_residuals import modelled_speed
+
+        return modelled_speed(self, case, body, time)
+
+    def speed_residuals(self, case: int) -> tuple[SpeedResidual, tuple[SpeedResidual, ...]]:
+        """Return the residual speed of a case's casing, and of its rotor in each window."""
+        from fitting.inference._speed_residuals import speed_residuals
+
+        return speed_residuals(self, case)
+
     def plot(self) -> Figure:
-        """Draw speeds measured and modelled, and what the model leaves, with bands of 2 sigma (matplotlib)."""
-        from fitting.study._notebook import plot_fit
+        """Return a figure of speeds and residuals with bands of 2 sigma (matplotlib)."""
+        from fitting._display import plot_fit
 
         return plot_fit(self)
 
     def _repr_html_(self) -> str:
-        from fitting.study._notebook import fit_html
+        from fitting._display import fit_html
 
         return fit_html(self)
 

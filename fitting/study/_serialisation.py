@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -35,8 +34,7 @@ from fitting.effects._user import effects_of, own_effects
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 from fitting.inference._metrics import BodyMetrics, CaseMetrics
-from fitting.inference._noise import TorqueNoise, TorqueResponse
-from fitting.inference._noise_level import Noise
+from fitting.inference._noise import Noise, TorqueNoise, TorqueResponse
 from fitting.inference._parameters import Layout
 from fitting.inference._problem import Problem, loose_directions
 from fitting.inference._profile import LEVEL, Interval
@@ -181,16 +179,15 @@ def _candidate(c: Candidate) -> dict[str, Any]:
 
 def rung_document(fit: Fit, fit_id: str, added: str, previous: Fit | None) -> dict[str, Any]:
     """Return one rung of a ladder: what was added and what the error did."""
-    cases = fit.cases
     return {
         "fit_id": fit_id,
         "added": added,
         "model": list(fit.model.names),
-        "rmse_casing": math.sqrt(sum(c.casing.rmse**2 for c in cases) / len(cases)),
+        "rmse_casing": fit.rmse_casing,
         "reduced_chi2": fit.reduced_chi2,
-        "held_out": math.sqrt(sum(c.casing.held_out**2 for c in cases) / len(cases)),
+        "held_out": fit.held_out,
         "delta_bic": fit.bic - previous.bic if previous is not None else 0.0,
-        "energy_drift": max(c.energy_drift for c in cases),
+        "energy_drift": max(c.energy_drift for c in fit.cases),
         "torque_left_Nm": fit.torque_noise,
         "moved": _moved(fit, previous),
         "verdict": fit.verdict,
@@ -433,14 +430,13 @@ def restored_fit(kept: Mapping[str, Any], model: Model, data: Sequence[CaseData]
     if kept.get("code") != fingerprint():
         return None
     ranges = {k: (number(low), number(high)) for k, (low, high) in kept["ranges"].items()}
-    problem = Problem(Layout(model, tuple(d.record for d in data), tuple(kept["per_case"]), ranges), data)
+    problem = Problem.of(Layout(model, tuple(d.record for d in data), tuple(kept["per_case"]), ranges), data)
     theta = np.array(kept["theta"], dtype=float)
     noise = []
     for d, p, n in zip(data, problem.predict(theta), kept["noise"], strict=True):
         response = TorqueResponse(d, p.motion)
         noise.append(Noise(**n, whitener=response.whitener(TorqueNoise(n["level"], n["time"]))))
-    problem.set_noise([n.whitener for n in noise])
-    return outcome(problem, theta, tuple(noise), converged=bool(kept["converged"]))
+    return outcome(problem.with_noise(noise), theta, tuple(noise), converged=bool(kept["converged"]))
 
 
 def kept_diagnosis(found: Diagnosis, extra: Sequence[Effect] = ()) -> dict[str, Any]:

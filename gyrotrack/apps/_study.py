@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from gyrotrack._errors import UsageError
 
 if TYPE_CHECKING:
-    from fitting._workers import Beside
+    from fitting._workers import WorkerPool
     from fitting.discovery._select import Rung
     from fitting.discovery._verdict import Diagnosis
     from fitting.dynamics._model import Model
@@ -75,7 +75,7 @@ class Study:
         return chain
 
     def diagnosis(
-        self, fit_id: str | None, fit: Fit, extra: Sequence[Effect] = (), *, beside: Beside | None = None
+        self, fit_id: str | None, fit: Fit, extra: Sequence[Effect] = (), *, workers: WorkerPool | None = None
     ) -> Diagnosis:
         """Return the diagnosis of the first of the rungs that led to a fit, kept if there is one, else made and kept.
 
@@ -87,7 +87,7 @@ class Study:
             The fit of the first.
         extra : sequence of Effect
             Effects of the user beside the library.
-        beside : Beside, optional
+        workers : WorkerPool, optional
             A second process that takes its share of the work.
         """
         from fitting.discovery._verdict import diagnose
@@ -95,7 +95,7 @@ class Study:
         entry = self._chain(fit_id)[-1]
         found = entry.diagnosis(fit, extra)
         if found is None:
-            found = diagnose(fit, extra, beside=beside)
+            found = diagnose(fit, extra, workers=workers)
             self.keep_diagnosis(entry.fit_id, found, extra)
         return found
 

@@ -219,16 +219,22 @@ def torque_speed_chart(view: CaseView, names: Sequence[str] = NAMES, *, alternat
             )
     for a, colour, width in [
         *([(view.added, _INK, 1.8)] if view.added is not None else []),
-        *((x, c, 1.2) for x, c in zip(view.alternatives if alternatives else (), _ALTERNATIVES, strict=False)),
+        *(
+            (x, c, 1.2)
+            for x, c in zip(view.alternatives if alternatives else (), _ALTERNATIVES, strict=False)
+        ),
     ]:
         law = factor * a.casing
         if not law.any():
             continue
-        part = max(_branches(a.omega_c), key=lambda p: float(np.ptp(a.omega_c[p])))
-        name = "added law" if a is view.added else a.name
-        traces.append(
-            Trace(name, a.omega_c[part], law[part], colour, width=width, dash=(2.0, 2.0), scale="none")
-        )
+        branches = _branches(a.omega_c)
+        for k, part in enumerate(branches):
+            name = "added law" if a is view.added else a.name
+            name += ", speeding up" if k == 0 and len(branches) > 1 else ""
+            dash = (2.0, 2.0) if k == 0 else (1.0, 1.0)
+            traces.append(
+                Trace(name, a.omega_c[part], law[part], colour, width=width, dash=dash, scale="none")
+            )
     return Chart(
         "torque-speed",
         f"Unmodelled torque, {view.body}",

@@ -254,6 +254,8 @@ def draw(
     most : int
         Largest number of points of a curve.
     """
+    from matplotlib.ticker import NullLocator
+
     label: str | None = "model fails"
     for i in intervals:
         start, stop = (
@@ -269,11 +271,11 @@ def draw(
             x, value, sigma = x[inside], value[inside], None if sigma is None else sigma[inside]
         if sigma is not None:
             step = max(1, len(x) // most)
-            low, high = (value + f * sigma for f in (-2, 2))
+            lower, upper = value - 2 * sigma, value + 2 * sigma
             alpha = 0.55 if t.kind == "band" else 0.22
             name = t.label if t.kind == "band" else None
             ax.fill_between(
-                x[::step], low[::step], high[::step], color=t.colour, alpha=alpha, linewidth=0, label=name
+                x[::step], lower[::step], upper[::step], color=t.colour, alpha=alpha, linewidth=0, label=name
             )
         if t.kind != "band":
             marks: dict[str, Any] = {"marker": "o", "markersize": 2.2} if t.kind == "points" else {}
@@ -287,9 +289,12 @@ def draw(
             )
     low, high = limits or chart.limits
     if chart.linear_within > 0:
-        ax.set_yscale("symlog", linthresh=chart.linear_within, linscale=0.8, subs=[2, 5])
+        ax.set_yscale("symlog", linthresh=chart.linear_within, linscale=0.8, subs=[])
         ax.set_ylim(min(1.5 * low, -1.5 * chart.linear_within), max(1.5 * high, 1.5 * chart.linear_within))
+        decades = 10.0 ** np.arange(1, 1 + max(1, np.ceil(np.log10(max(abs(low), abs(high), 10.0)))))
+        ax.set_yticks([*-decades[::-1], 0.0, *decades], minor=False)
         ax.yaxis.set_major_formatter("{x:g}")
+        ax.yaxis.set_minor_locator(NullLocator())
     else:
         room = 0.05 * (high - low) or 1.0
         ax.set_ylim(low - room, high + room)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -78,7 +78,7 @@ def candidates_picture(candidates: tuple[Candidate, ...], name: str = "candidate
             if np.isfinite(c.delta_bic):
                 text += rf"   $\Delta$BIC {short(c.delta_bic)}"
             text += "" if c.significant else "   not significant"
-            place = {"xytext": (4, 0), "textcoords": "offset points", "va": "center"}
+            place: dict[str, Any] = {"xytext": (4, 0), "textcoords": "offset points", "va": "center"}
             ax.annotate(text, (roots[i], i), fontsize=9, **place)
         ax.set_yticks(range(len(shown)), [plain(c.effect.name) for c in shown])
         ax.grid(visible=False, axis="y")
@@ -229,7 +229,7 @@ def figures_of_merit(
     if limit is not None:
         ax.axvline(limit, color="#000000", linewidth=1, linestyle=(0, (4, 2)))
     for i, value in enumerate(values):
-        place = {"xytext": (4, 0), "textcoords": "offset points", "va": "center"}
+        place: dict[str, Any] = {"xytext": (4, 0), "textcoords": "offset points", "va": "center"}
         ax.annotate(texts[i] or short(float(value)), (float(ends[i]), i), fontsize=9.5, **place)
     ax.grid(visible=False, axis="y")
     ax.tick_params(axis="y", length=0)

@@ -124,8 +124,10 @@ def paper_figures(cases: Sequence[PaperCase], frame: NDArray[np.uint8] | None) -
         (
             "rotor-data",
             _rotor_data,
-            ("Angular velocity of the rotor: measured in its windows (with two standard uncertainties) and the curve "
-            "between them, of the reduced model or as stored with the case."),
+            (
+                "Angular velocity of the rotor: measured in its windows (with two standard uncertainties) and the "
+                "curve between them, of the reduced model or as stored with the case."
+            ),
         ),
         ("rotor-fits", _rotor_fits, f"Angular velocity of the rotor and its fits. {_NAMES}"),
         (
@@ -136,8 +138,10 @@ def paper_figures(cases: Sequence[PaperCase], frame: NDArray[np.uint8] | None) -
         (
             "residuals",
             _residuals,
-            ("Normalised residuals of the casing's angular velocity, fit minus measured over the standard uncertainty "
-            f"due to noise. {_NAMES}"),
+            (
+                "Normalised residuals of the casing's angular velocity, fit minus measured over the standard "
+                f"uncertainty due to noise. {_NAMES}"
+            ),
         ),
         (
             "energy",
@@ -184,7 +188,7 @@ def _angles(case: PaperCase) -> Chart:
 
 
 def _rotor_data(case: PaperCase) -> Chart:
-    from fitting.discovery._residuals import ROTOR
+    from fitting.inference._speed_residuals import ROTOR
     from fitting.inference._velocity import speeds
 
     generated = case.case.rotor_generated if case.case is not None else None
@@ -207,7 +211,7 @@ def _rotor_data(case: PaperCase) -> Chart:
 def _modelled(
     shown: CaseFit, body: int, label: str, colour: str, dash: tuple[float, ...], width: float
 ) -> Trace:
-    from fitting.discovery._residuals import modelled_speed
+    from fitting.inference._speed_residuals import modelled_speed
 
     mesh = shown.fit.predictions[shown.index].path.mesh
     time = np.linspace(mesh.edges[0], mesh.edges[-1], _CURVE)
@@ -224,7 +228,7 @@ def _fits(case: PaperCase, body: int) -> list[Trace]:
 
 
 def _rotor_fits(case: PaperCase) -> Chart:
-    from fitting.discovery._residuals import ROTOR
+    from fitting.inference._speed_residuals import ROTOR
     from fitting.inference._velocity import speeds
 
     parts = [(*speeds(w, case.data.record.quantity), None) for w in case.data.record.rotor]
@@ -233,7 +237,7 @@ def _rotor_fits(case: PaperCase) -> Chart:
 
 
 def _casing_fits(case: PaperCase) -> Chart:
-    from fitting.discovery._residuals import CASING
+    from fitting.inference._speed_residuals import CASING
     from fitting.inference._velocity import speeds
 
     time, omega = speeds(case.data.record.casing, case.data.record.quantity)
@@ -245,11 +249,11 @@ def _casing_fits(case: PaperCase) -> Chart:
 
 
 def _residuals(case: PaperCase) -> Chart:
-    from fitting.discovery._residuals import misfits
+    from fitting.inference._speed_residuals import speed_residuals
 
     traces: list[Trace] = []
     for f in case.fits:
-        casing, _ = misfits(f.fit, f.index)
+        casing, _ = speed_residuals(f.fit, f.index)
         known = casing.sigma > 0
         z = -casing.value[known] / casing.sigma[known]
         if not traces:

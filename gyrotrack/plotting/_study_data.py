@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.discovery._residuals import Misfit, misfits
+from fitting.inference._speed_residuals import SpeedResidual, speed_residuals
 from gyrotrack.plotting._charts import Interval
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 Array = NDArray[np.float64]
-Residual = Misfit
+Residual = SpeedResidual
 
 _SEED = 1
 _NORMAL = 0.6745  # median of the absolute value of a standard normal variable
@@ -216,7 +216,7 @@ def _measured(time: Array, omega: Array) -> Curve:
 
 def _case_model(fit: Fit, torques: Sequence[ResidualTorque], index: int) -> CaseModel:
     record = fit.problem.data[index].record
-    casing, rotor = misfits(fit, index)
+    casing, rotor = speed_residuals(fit, index)
     ends = record.casing.time[[0, -1]]
     return CaseModel(
         _modelled(fit, index, 1, np.linspace(ends[0], ends[1], _MODEL_POINTS)),
@@ -230,7 +230,7 @@ def _case_model(fit: Fit, torques: Sequence[ResidualTorque], index: int) -> Case
 
 
 def _modelled(fit: Fit, index: int, body: int, time: Array) -> Curve:
-    from fitting.discovery._residuals import modelled_speed
+    from fitting.inference._speed_residuals import modelled_speed
 
     return Curve(time, *modelled_speed(fit, index, body, time))
 

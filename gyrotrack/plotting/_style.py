@@ -88,7 +88,9 @@ def style(changes: Mapping[str, Any] | None = None) -> Iterator[None]:
     import matplotlib as mpl
 
     settings: Any = {**_SETTINGS, **(changes or {})}
-    with mpl.rc_context(settings):
+    with mpl.rc_context():
+        mpl.rcdefaults()  # neither a matplotlibrc in the working folder nor the user's changes a figure
+        mpl.rcParams.update(settings)
         yield
 
 
@@ -139,11 +141,6 @@ def legend(axes: Axes, **changes: Any) -> None:
         "handlelength": 1.6,
     }
     axes.legend(**{**place, **changes}, fontsize=9)
-
-
-def get_ready() -> None:
-    """Load what all figures need, in a process that will draw some."""
-    import matplotlib.backends.backend_svg  # noqa: F401
 
 
 # colours of figures that a page replaces by those of its theme

@@ -316,7 +316,7 @@ const Charts = (() => {
             : { x: at, y: box.y + box.height + 16, "text-anchor": "middle", fill: look.ink }, axis._values[i] ?? ""));
         });
       }
-      const area = make("g", { "clip-path": "url(#area)", fill: "none" });
+      const area = make("g", { "clip-path": "url" + "(#area)", fill: "none" });
       for (const t of this.traces) {
         if (!t.shown) continue;
         const colour = shade(t.colour);

@@ -104,7 +104,9 @@ def report_parts(
     by_label = {case.label: case for case in recordings}
     plausibility = tables.plausibility_rows(view.final)
     unphysical = sorted({p.effect for p in plausibility if p.is_unphysical})
-    sections = [_section(view, i, by_label.get(v.label), films, static=static) for i, v in enumerate(view.cases)]
+    sections = [
+        _section(view, i, by_label.get(v.label), films, static=static) for i, v in enumerate(view.cases)
+    ]
     return {
         "view": view,
         "title": ", ".join(v.label for v in view.cases),
@@ -112,7 +114,9 @@ def report_parts(
         "facts": _facts(view),
         "rms": [f"{short(x, 2)}" for x in view.residual_rms],
         "sentence": typeset(view.sentence),
-        "outcome": f"{history_finding(view)} {_FINAL[view.final.verdict]}" if view.improved else history_finding(view),
+        "outcome": f"{history_finding(view)} {_FINAL[view.final.verdict]}"
+        if view.improved
+        else history_finding(view),
         "caveat": f"Negative dissipation, unphysical: {', '.join(unphysical)}. The parameters of this model are no "
         "physical constants; check them before use."
         if unphysical
@@ -134,7 +138,9 @@ def report_parts(
     }
 
 
-def _section(view: StudyView, index: int, case: Case | None, films: Sequence[Path], *, static: bool) -> Section:
+def _section(
+    view: StudyView, index: int, case: Case | None, films: Sequence[Path], *, static: bool
+) -> Section:
     v = view.cases[index]
     steps = [s.change for s in view.steps]
     tracks = tracks_of(case) if case is not None else None
@@ -170,7 +176,9 @@ def _details(v: CaseView, index: int, steps: Sequence[str], tracks: Tracks | Non
     if tracks is not None:
         found += charts.tracking_charts(tracks)
     return tuple(
-        chart_picture(c, [i for i in v.intervals if i.body == "casing"], name=f"{c.name}{index}", size=(6.6, 2.4))
+        chart_picture(
+            c, [i for i in v.intervals if i.body == "casing"], name=f"{c.name}{index}", size=(6.6, 2.4)
+        )
         for c in found
     )
 
@@ -193,7 +201,9 @@ def _facts(view: StudyView) -> list[tuple[str, str]]:
     failures = sorted((f for v in view.cases for f in v.failures), key=lambda f: -f.size_sigma)
     if failures:
         more = f"; {len(failures) - _MOST_INTERVALS} more" if len(failures) > _MOST_INTERVALS else ""
-        rows.append(("Where", "Unmodelled torque " + "; ".join(map(_interval, failures[:_MOST_INTERVALS])) + more))
+        rows.append(
+            ("Where", "Unmodelled torque " + "; ".join(map(_interval, failures[:_MOST_INTERVALS])) + more)
+        )
     best = next((c for c in view.candidates if c.significant), None)
     if best is not None:
         certainty = f"ΔBIC {short(best.delta_bic)}, " if best.delta_bic == best.delta_bic else ""
@@ -245,7 +255,9 @@ def _added(view: StudyView) -> list[Added]:
     found = []
     for i, effect in enumerate(e for e in view.final.model.effects if e.name in view.added):
         source = latex(effect.expression)
-        above, below = (Equation(effect.law, formula(source, f"{n}{i}", colour=AFTER)) for n in ("top", "below"))
+        above, below = (
+            Equation(effect.law, formula(source, f"{n}{i}", colour=AFTER)) for n in ("top", "below")
+        )
         values = [
             tables.named(k, e)
             for k, e in view.final.estimates.items()

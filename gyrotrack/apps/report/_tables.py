@@ -283,14 +283,17 @@ def _plausibility(fit: Fit, index: int, *, named: bool) -> list[Plausibility]:
         at = [
             i
             for i, n in enumerate(layout.names)
-            if n.partition("@")[0].rpartition(".")[0] == effect.name and n.partition("@")[2] in {"", record.label}
+            if n.partition("@")[0].rpartition(".")[0] == effect.name
+            and n.partition("@")[2] in {"", record.label}
         ]
         tau = torque(fit.theta)
         gradient = []
         for i in at:
             step = np.zeros_like(fit.theta)
             step[i] = 1e-4 * abs(fit.theta[i]) or 1e-12
-            gradient.append((energy(torque(fit.theta + step)) - energy(torque(fit.theta - step))) / (2 * step[i]))
+            gradient.append(
+                (energy(torque(fit.theta + step)) - energy(torque(fit.theta - step))) / (2 * step[i])
+            )
         g = np.array(gradient)
         variance = float(g @ np.nan_to_num(fit.covariance[np.ix_(at, at)], posinf=0.0) @ g) if at else 0.0
         found.append((effect, tau, energy(tau), math.sqrt(max(variance, 0.0))))

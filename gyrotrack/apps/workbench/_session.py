@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from threading import RLock
 from typing import TYPE_CHECKING, Any
 
 from gyrotrack._errors import GyrotrackError
-from gyrotrack.plotting._interactive import board_document
+from gyrotrack.plotting._charts import dashboard_document, interval_document
 
 if TYPE_CHECKING:
     from fitting.discovery._residuals import ResidualTorque
@@ -19,13 +19,9 @@ if TYPE_CHECKING:
 
 def library_document() -> list[dict[str, Any]]:
     """Return the effects of the library for the list that the page offers; every fit takes out those `free`."""
-    from fitting.discovery._rank import ALWAYS_FREE
     from fitting.effects._library import LIBRARY
 
-    return [
-        {"name": e.name, "joint": e.joint, "law": e.law, "free": e.name in ALWAYS_FREE}
-        for e in LIBRARY.values()
-    ]
+    return [{"name": e.name, "joint": e.joint, "law": e.law, "free": e.nuisance} for e in LIBRARY.values()]
 
 
 _LONGEST = 500
@@ -220,8 +216,8 @@ class Session:
     def _board(self, step: Step, *, whole: bool) -> dict[str, Any]:
         from fitting.discovery._residuals import find_failures
         from fitting.discovery._select import Rung
-        from gyrotrack.apps.report._dashboard import case_board, mark
-        from gyrotrack.plotting._study_data import case_view
+        from gyrotrack.plotting._case_charts import case_dashboard
+        from gyrotrack.plotting._study_data import case_view, intervals_of
         from gyrotrack.plotting._tracking import tracks_of
 
         before = self.steps[step.parent] if step.parent >= 0 else None
@@ -230,9 +226,9 @@ class Session:
         view = case_view(rungs, None, [self._torques(s) for s in steps], 0)
         tracks = tracks_of(self._case) if whole and self._case is not None else None
         names = ("before", "now") if before is not None else ("now",)
-        board = board_document(case_board(view, tracks, [s.change for s in steps], names=names))
+        board = dashboard_document(case_dashboard(view, tracks, [s.change for s in steps], names=names))
         failures = find_failures(step.fit, list(self._torques(step)))
-        board["marks"] = [asdict(mark(f)) for f in failures]
+        board["intervals"] = [interval_document(i) for i in intervals_of(failures)]
         return board
 
     def _torques(self, step: Step) -> tuple[ResidualTorque, ...]:

@@ -70,7 +70,7 @@ def test_start_values_do_not_depend_on_how_many_cases_share_them():
     for count in (1, 12):
         cases = [CaseData.of(replace(record, label=f"r{i}")) for i in range(count)]
         layout = Layout.of(Model.of(REDUCED), [c.record for c in cases], share=["b1", "b2"])
-        starts.append(dict(zip(layout.names, first_values(Problem(layout, cases), None), strict=True)))
+        starts.append(dict(zip(layout.names, first_values(Problem.of(layout, cases), None), strict=True)))
     for name in Model.of(REDUCED).free:
         assert starts[1][name] == pytest.approx(starts[0][name], rel=1e-6)
 

@@ -80,7 +80,7 @@ def test_what_is_missing_is_found():
     found = diagnose(base)
     assert found.verdict == "missing_effect"
     assert found.candidates[0].effect.name == "casing.air.quadratic"
-    assert all(c.effect.alone for c in found.candidates)
+    assert all(c.effect.single_body for c in found.candidates)
     assert {f.body for f in found.failures} == {"casing"}
     last = improve(base, first=found.candidates)[-1].fit
     assert last.verdict == "adequate"

@@ -13,7 +13,7 @@ import pytest
 from gyrotrack.apps.cli._app import run
 from gyrotrack.io._journal import Journal, journal_path
 from gyrotrack.tracking._extract import extract, run_facts
-from gyrotrack.tracking._film_tracker import frames_kept
+from gyrotrack.tracking._film_tracker import frames_done
 from gyrotrack.tracking._profile import PAPER
 
 
@@ -52,7 +52,7 @@ def test_a_stopped_run_ends_with_the_same_numbers(every_batch, clip, at, request
     with pytest.raises(KeyboardInterrupt), Journal(tmp_path / "o.h5", facts) as journal:
         extract(film, progress=stopping(at), journal=journal)
     with Journal(tmp_path / "o.h5", facts, resume=True) as journal:
-        assert frames_kept(journal) == at
+        assert frames_done(journal) == at
         done = []
         again = extract(film, progress=lambda n, _: done.append(n), journal=journal)
     assert done[0] == at  # what was done is not done again

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack._smoothing import Pace, jitter_is_real, local_parabola
+from gyrotrack._smoothing import TimeBase, jitter_is_real, local_parabola
 
 
 @pytest.fixture
@@ -20,25 +20,25 @@ def test_a_parabola_in_time_is_found_exactly(place):
 
 def test_departures_are_smoothed_in_time(place):
     rng = np.random.default_rng(2)
-    pace = Pace(place)
+    time_base = TimeBase(place)
     time = place - place[0]
     truth = 0.5 * time + 1e-4 * time**2 + 3e-4 * np.sin(time / 40.0)
     coarse = truth + rng.normal(0.0, 4e-3, len(time))
     coarse[50:60] = np.nan
-    path, even = pace.path(coarse)
+    path, even = time_base.path(coarse)
     assert np.isnan(path[50:60]).all()
     known = np.isfinite(path)
     assert np.abs(path - truth)[known].max() < 8e-3  # in frames the jitter alone would be 0.2
     off = truth + rng.normal(0.0, 1e-3, len(time)) - path
     bend = even - np.linspace(even[0], even[-1], len(even))
-    smooth, leverage = pace.smooth(off, known.astype(float), bend, 60, 3)
+    smooth, leverage = time_base.smooth(off, known.astype(float), bend, 60, 3)
     assert np.std((path + smooth - truth)[known]) < 4e-4
     assert 0.0 < np.nanmedian(leverage) < 0.1
 
 
 def test_a_speed_is_that_in_time(place):
-    pace = Pace(place)
-    np.testing.assert_allclose(pace.speed(0.25 * pace.place), 0.25)
+    time_base = TimeBase(place)
+    np.testing.assert_allclose(time_base.speed(0.25 * time_base.place), 0.25)
 
 
 @pytest.mark.parametrize(("late", "real"), [(1.0, True), (0.0, False)])

@@ -1,14 +1,14 @@
 import numpy as np
 import pytest
 
-from gyrotrack.tracking._association import find_sense, net_turn, unfold
+from gyrotrack.tracking._association import find_rotation_sense, net_turn, unfold
 
 
 def test_the_casing_decides():
-    assert find_sense({"casing": -40.0, "rotor": 300.0}, None) == -1
-    assert find_sense({"casing": 0.1, "rotor": 300.0}, None) == 1
-    assert find_sense({"casing": 0.0}, None) == -1
-    assert find_sense({"casing": -40.0}, 1) == 1
+    assert find_rotation_sense({"casing": -40.0, "rotor": 300.0}, None) == -1
+    assert find_rotation_sense({"casing": 0.1, "rotor": 300.0}, None) == 1
+    assert find_rotation_sense({"casing": 0.0}, None) == -1
+    assert find_rotation_sense({"casing": -40.0}, 1) == 1
 
 
 def test_net_turn_passes_over_gaps():
