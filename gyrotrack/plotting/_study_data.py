@@ -13,9 +13,9 @@ from fitting.inference._speed_residuals import SpeedResidual, speed_residuals
 from gyrotrack.plotting._charts import Interval
 
 if TYPE_CHECKING:
-    from fitting.discovery._rank import Candidate
     from fitting.discovery._residuals import Failure, ResidualTorque
-    from fitting.discovery._select import Rung
+    from fitting.discovery._select import Candidate
+    from fitting.discovery._select import Step as FitStep
     from fitting.discovery._verdict import Diagnosis
     from fitting.inference._result import Fit
 
@@ -172,7 +172,7 @@ def intervals_of(failures: Sequence[Failure]) -> tuple[Interval, ...]:
 
 
 def case_view(
-    rungs: Sequence[Rung],
+    rungs: Sequence[FitStep],
     diagnosis: Diagnosis | None,
     torques: Sequence[tuple[ResidualTorque, ...]],
     index: int,
@@ -181,7 +181,7 @@ def case_view(
 
     Parameters
     ----------
-    rungs : sequence of Rung
+    rungs : sequence of FitStep
         The history of fits, base first.
     diagnosis : Diagnosis or None
         That of the base.
@@ -331,12 +331,12 @@ class StudyView:
         return len(self.steps) > 1
 
 
-def gather(rungs: Sequence[Rung], diagnosis: Diagnosis | None) -> StudyView:
+def gather(rungs: Sequence[FitStep], diagnosis: Diagnosis | None) -> StudyView:
     """Collect what is to be shown.
 
     Parameters
     ----------
-    rungs : sequence of Rung
+    rungs : sequence of FitStep
         The history of fits, base first.
     diagnosis : Diagnosis or None
         That of the base.
@@ -366,7 +366,7 @@ def gather(rungs: Sequence[Rung], diagnosis: Diagnosis | None) -> StudyView:
     )
 
 
-def _steps(rungs: Sequence[Rung]) -> tuple[Step, ...]:
+def _steps(rungs: Sequence[FitStep]) -> tuple[Step, ...]:
     from fitting.study._serialisation import rung_document
 
     steps = []

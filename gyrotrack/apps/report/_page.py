@@ -10,17 +10,17 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fitting._numbers import unbroken
+from fitting._numbers import nonbreaking
 from gyrotrack._errors import OutputError
 from gyrotrack.apps.report._frames import Tile
 from gyrotrack.apps.report._parts import report_parts
-from gyrotrack.io._atomic import new_file, refuse_existing
+from gyrotrack.io._atomic import new_file, refusal, refuse_existing
 from gyrotrack.plotting import _charts as charts
 from gyrotrack.plotting._study_data import gather
 from gyrotrack.plotting._style import Picture, themed
 
 if TYPE_CHECKING:
-    from fitting.discovery._select import Rung
+    from fitting.discovery._select import Step
     from fitting.discovery._verdict import Diagnosis
     from gyrotrack.io._records import Case
 
@@ -99,7 +99,7 @@ class _Images:
             return found
         if isinstance(value, list | tuple):
             return [self.plain(v) for v in value]
-        return unbroken(value) if isinstance(value, str) else value
+        return nonbreaking(value) if isinstance(value, str) else value
 
     def _write(self, suffix: str, data: bytes) -> str:
         self._count += 1
@@ -110,7 +110,7 @@ class _Images:
 
 def write_report(
     path: Path,
-    rungs: Sequence[Rung],
+    rungs: Sequence[Step],
     diagnosis: Diagnosis | None,
     *,
     recordings: Sequence[Case] = (),
@@ -124,7 +124,7 @@ def write_report(
     ----------
     path : Path
         The file to write, ``.pdf`` or else HTML; it is written whole or not at all.
-    rungs : sequence of Rung
+    rungs : sequence of Step
         The history of fits, base first; one is enough.
     diagnosis : Diagnosis or None
         That of the base.
@@ -152,7 +152,10 @@ def write_report(
     is_pdf = path.suffix.lower() == ".pdf"
     parts = report_parts(gather(rungs, diagnosis), recordings, films, provenance or {}, static=is_pdf)
     # names of files may contain bytes that are not valid UTF-8
-    document = pdf(parts) if is_pdf else html(parts).encode("utf-8", "replace")
+    try:
+        document = pdf(parts) if is_pdf else html(parts).encode("utf-8", "replace")
+    except OSError as error:  # the parts of a PDF are written to the temporary folder first
+        raise refusal(Path(tempfile.gettempdir()), error) from error
     with new_file(path, force=force) as stream:
         stream.write(document)
     return path
@@ -168,7 +171,7 @@ def html(parts: Mapping[str, Any]) -> str:
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
-        finalize=lambda value: unbroken(value) if type(value) is str else value,  # never markup
+        finalize=lambda value: nonbreaking(value) if type(value) is str else value,  # never markup
     )
     environment.filters["themed"] = themed
     template = environment.from_string(folder.joinpath("page.html.jinja").read_text("utf-8"))

@@ -19,7 +19,7 @@ from gyrotrack.plotting._study_data import StudyView, gather
 from gyrotrack.plotting._style import canvas, plain, style
 
 if TYPE_CHECKING:
-    from fitting.discovery._select import Rung
+    from fitting.discovery._select import Step
     from fitting.discovery._verdict import Diagnosis
 
 
@@ -27,7 +27,7 @@ _DPI = 150
 
 
 def story_picture(
-    rungs: Sequence[Rung],
+    rungs: Sequence[Step],
     diagnosis: Diagnosis | None,
     path: Path,
     *,
