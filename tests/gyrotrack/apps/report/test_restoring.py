@@ -61,8 +61,8 @@ def test_a_report_shows_the_same_curves(story, study):
     rungs = study.steps_to(None)
     new = gather(rungs, study.diagnosis(None, rungs[0].fit))
     old = gather([Step(r.change, r.fit, ()) for r in story.rungs], story.diagnosis)
-    assert [s.name for s in new.cases[0].suggested] == [s.name for s in old.cases[0].suggested]
-    for a, b in zip(new.cases[0].suggested, old.cases[0].suggested, strict=True):
+    assert [s.name for s in new.cases[0].alternatives] == [s.name for s in old.cases[0].alternatives]
+    for a, b in zip(new.cases[0].alternatives, old.cases[0].alternatives, strict=True):
         np.testing.assert_allclose(a.casing, b.casing, rtol=1e-9, atol=1e-15)
 
 
