@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -29,18 +30,18 @@ if TYPE_CHECKING:
     from gyrotrack.io._inspection import Inspection
 
 
-_TABLE = "Table with a header, t,angle[,sigma] or t,omega[,sigma], or points"
+_TABLE = "Angles, angular velocities, pulses or tracked points (CSV, Tracker, phyphox, Excel, MATLAB, ...)"
 
 
 def import_command(
     *,
-    casing: Annotated[Path | None, typer.Option("--casing", metavar="CSV", help=f"{_TABLE}.")] = None,
+    casing: Annotated[Path | None, typer.Option("--casing", metavar="FILE", help=f"{_TABLE}.")] = None,
     rotor: Annotated[
-        list[Path] | None, typer.Option("--rotor", metavar="CSV", help="The same; give it once per window.")
+        list[Path] | None, typer.Option("--rotor", metavar="FILE", help="The same; give it once per window.")
     ] = None,
     body: Annotated[
         Path | None,
-        typer.Option("--body", metavar="CSV", help="One body that spins down by itself, in place of both."),
+        typer.Option("--body", metavar="FILE", help="One body alone, in place of both."),
     ] = None,
     inertia: Annotated[
         float | None, typer.Option("--inertia", metavar="X", help="Its moment of inertia [kg m2].")
@@ -49,7 +50,9 @@ def import_command(
     columns: Annotated[
         list[str] | None,
         typer.Option(
-            "--column", metavar="OURS=THEIRS", help="What a column means: t=Zeit, 'angle=phi [deg]'."
+            "--column",
+            metavar="QUANTITY=COLUMN",
+            help="Meaning of a column, by header or number: t=Zeit, 'angle=phi [deg]', 't=1 [us]'.",
         ),
     ] = None,
     marker: Annotated[
@@ -58,24 +61,64 @@ def import_command(
     centre: Annotated[
         str | None,
         typer.Option(
-            "--centre", metavar="C", help="What it goes about: a point, a place as 320,240, or orbit."
+            "--centre", metavar="C", help="Centre of rotation: a point, coordinates as 320,240, or orbit."
         ),
     ] = None,
     likelihood: Annotated[
         float,
-        typer.Option("--likelihood", metavar="P", help="Leave out points that are less sure than this."),
+        typer.Option("--likelihood", metavar="P", help="Lowest likelihood of a point."),
     ] = 0.6,
     casing_fps: Annotated[
         float | None,
-        typer.Option("--casing-fps", metavar="N", help="Rate of points that are counted by frame."),
+        typer.Option(
+            "--casing-fps",
+            metavar="N",
+            help="Frame rate [1/s] of a file that counts frames (casing or body).",
+        ),
     ] = None,
     rotor_fps: Annotated[
-        float | None, typer.Option("--rotor-fps", metavar="N", help="The same of the rotor's.")
+        float | None, typer.Option("--rotor-fps", metavar="N", help="The same for the rotor.")
     ] = None,
     rotor_start: Annotated[
         list[float] | None,
         typer.Option(
             "--rotor-start", metavar="T", help="When a rotor file of points starts [s]; once per file."
+        ),
+    ] = None,
+    pulses_per_turn: Annotated[
+        float | None,
+        typer.Option("--pulses-per-turn", metavar="N", help="The file has times of pulses, N per turn."),
+    ] = None,
+    start: Annotated[
+        float | None, typer.Option("--from", metavar="T", help="Leave out samples before this time [s].")
+    ] = None,
+    stop: Annotated[
+        float | None, typer.Option("--to", metavar="T", help="Leave out samples after this time [s].")
+    ] = None,
+    cut: Annotated[
+        list[str] | None,
+        typer.Option("--cut", metavar="A:B", help="Leave out samples between two times [s]; repeatable."),
+    ] = None,
+    keep_all: Annotated[
+        bool,
+        typer.Option(
+            "--keep-all", help="Keep the drive at the start and the brake or rest at the end (--body)."
+        ),
+    ] = False,
+    inertia_u: Annotated[
+        float | None,
+        typer.Option("--inertia-u", metavar="U", help="Standard uncertainty of --inertia [kg m2]."),
+    ] = None,
+    inertia_rotor_u: Annotated[
+        float | None,
+        typer.Option(
+            "--inertia-rotor-u", metavar="U", help="Standard uncertainty of the rotor's inertia [kg m2]."
+        ),
+    ] = None,
+    inertia_casing_u: Annotated[
+        float | None,
+        typer.Option(
+            "--inertia-casing-u", metavar="U", help="Standard uncertainty of the casing's inertia [kg m2]."
         ),
     ] = None,
     label: Label = None,
@@ -87,20 +130,21 @@ def import_command(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Make a case from tables of angles or speeds (CSV), or from points that another program followed.
+    """Make a case from measured angles, angular velocities, pulses or tracked points.
 
-    Times in s, all on one clock; angles in rad, wrapped or not. Other units are taken if the header names
-    them, as in `angle [deg]`. Without a sigma column the noise is estimated from the scatter. Points are
-    read from OSP Tracker (text), DeepLabCut and SLEAP (CSV or HDF5). With --body the case is a plain
-    spin-down: the body stands in the casing's place, and the effects that need a rotor are left out.
+    The format is recognised by content: CSV or other text, phyphox, Excel, MATLAB, Parquet, JSON, netCDF, projects and
+    text of OSP Tracker, DeepLabCut, SLEAP, movement. Times in s, on one clock, and angles in rad, wrapped or not; other
+    units are read from the header (`angle [deg]`). Without a sigma column the noise is estimated from the scatter.
+    With --body the case has one body only; a motor at the start and a brake or rest at the end are left out and
+    reported. Every repair is reported.
 
     Example: gyrotrack import --casing casing.csv --rotor r1.csv --rotor r2.csv -o case1.h5
     """
     from gyrotrack.io._atomic import refuse_existing
     from gyrotrack.io._hdf5 import write_case
     from gyrotrack.io.readers._import_case import import_body, import_case, summary
-    from gyrotrack.io.readers._points import Wanted
-    from gyrotrack.io.readers._text import read_names
+    from gyrotrack.io.readers._motion_table import ReadOptions, read_names
+    from gyrotrack.io.readers._run import Limits, read_cuts
 
     out = Output(as_json=as_json, quiet=quiet, verbose=verbose)
     refuse_existing(output, force=force)
@@ -111,11 +155,17 @@ def import_command(
             f"There are {len(rotor)} files of the rotor but {len(starts)} starts.",
             "Give --rotor-start once per file.",
         )
-    points = [Wanted(marker, centre, casing_fps, 0.0, likelihood)]
-    points += [Wanted(marker, centre, rotor_fps, start, likelihood) for start in starts]
     names, title = read_names(columns or ()), output.stem if label is None else label
+    options = [
+        ReadOptions(names or None, marker, centre, fps, begin, likelihood, pulses_per_turn)
+        for fps, begin in [(casing_fps, 0.0), *((rotor_fps, t) for t in starts)]
+    ]
+    limits = Limits(start, stop, read_cuts(cut or ()), keep_all)
     if body is not None and inertia is not None and casing is None and not rotor:
-        case = import_body(body, inertia, label=title, surface=surface, names=names, wanted=points[0])
+        u = _uncertainty(inertia_u)
+        case = import_body(
+            body, inertia, label=title, surface=surface, options=options[0], limits=limits, inertia_u=u
+        )
     elif casing is not None and body is None and inertia is None:
         case = import_case(
             casing,
@@ -124,8 +174,10 @@ def import_command(
             surface=surface,
             I_rotor=inertia_rotor,
             I_casing=inertia_casing,
-            names=names,
-            wanted=points,
+            options=options,
+            limits=limits,
+            I_rotor_u=_uncertainty(inertia_rotor_u),
+            I_casing_u=_uncertainty(inertia_casing_u),
         )
     else:
         raise UsageError(
@@ -140,6 +192,13 @@ def import_command(
     document = {"output": output, **summary(case)}
     out.result(document)
     out.show(_lines(document))
+
+
+def _uncertainty(given: float | None) -> float:
+    """Return a standard uncertainty of an inertia, NaN if it is not given."""
+    if given is not None and not 0 < given < math.inf:
+        raise UsageError("The uncertainty of an inertia is not positive.", "Give it in kg m2, such as 1e-7.")
+    return math.nan if given is None else given
 
 
 def _lines(document: dict[str, Any]) -> str:
@@ -181,7 +240,7 @@ def export_command(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Hand the data on as CSV, Parquet or netCDF, by the suffix of the output.
+    """Export the data as CSV, Parquet, netCDF, JSON or text of OSP Tracker, by the suffix of the output.
 
     Example: gyrotrack export case1.h5 -o case1.csv
     """
