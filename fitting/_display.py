@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting._numbers import measured, probability, short, typeset, unbroken
+from fitting._numbers import nonbreaking, probability, short, typeset, with_uncertainty
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from fitting.discovery._select import Rung
+    from fitting.discovery._select import Step
     from fitting.discovery._verdict import Diagnosis
     from fitting.inference._result import Fit
     from fitting.inference._speed_residuals import SpeedResidual
@@ -50,7 +50,7 @@ def fit_html(fit: Fit) -> str:
         )
     ]
     numbers = [
-        (name, measured(e.value, e.stderr, e.unit), "active bound" if e.at_bound else "")
+        (name, with_uncertainty(e.value, e.stderr, e.unit), "active bound" if e.at_bound else "")
         for name, e in fit.estimates.items()
     ]
     head = f"{', '.join(fit.labels)}; BIC {fit.bic:.1f}, effective samples {fit.n_eff:.0f}"
@@ -99,7 +99,7 @@ def diagnosis_html(diagnosis: Diagnosis) -> str:
     return _block(*parts)
 
 
-def history_html(steps: Sequence[Rung]) -> str:
+def history_html(steps: Sequence[Step]) -> str:
     """Return a history of fits as HTML: a row per fit, with a bar as long as its rms residual."""
     largest = max((s.fit.rmse_casing for s in steps), default=1.0) or 1.0
     rows = []
@@ -124,11 +124,11 @@ def history_html(steps: Sequence[Rung]) -> str:
 
 def _headline(verdict: str, text: str) -> str:
     sign, words = _VERDICTS.get(verdict, ("", verdict))
-    return f"<p><b>{sign} {escape(words)}</b><br>{escape(unbroken(text))}</p>"
+    return f"<p><b>{sign} {escape(words)}</b><br>{escape(nonbreaking(text))}</p>"
 
 
 def _table(caption: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    return _markup_table(caption, head, [[escape(unbroken(c)) for c in row] for row in rows])
+    return _markup_table(caption, head, [[escape(nonbreaking(c)) for c in row] for row in rows])
 
 
 def _markup_table(caption: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -202,7 +202,7 @@ def plot_diagnosis(diagnosis: Diagnosis) -> Figure:
     return figure
 
 
-def plot_history(steps: Sequence[Rung]) -> Figure:
+def plot_history(steps: Sequence[Step]) -> Figure:
     """Return a figure of the rms residual and the cross-validation error, one bar per fit."""
     figure = _figure(8.0, 1.6 + 0.4 * len(steps))
     left, right = figure.subplots(1, 2, sharey=True)

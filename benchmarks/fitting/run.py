@@ -129,7 +129,7 @@ def _true(name: str) -> np.ndarray:
 def core(repeats: int) -> list[str]:
     """The least squares alone: known white noise, as the plain way has it."""
     from fitting.inference._optimisation import search
-    from fitting.inference._parameters import Layout
+    from fitting.inference._parameters import ParameterLayout
     from fitting.inference._problem import Problem
 
     record = recording("glass")
@@ -137,7 +137,7 @@ def core(repeats: int) -> list[str]:
 
     def work():
         data = CaseData.of(record)
-        problem = Problem.of(Layout.of(Model.of(REDUCED), [record]), [data])
+        problem = Problem.of(ParameterLayout.of(Model.of(REDUCED), [record]), [data])
         return search(problem, np.array([start[n] for n in problem.layout.names]))
 
     found, cpu, wall = best(work, repeats)

@@ -14,7 +14,7 @@ from typing import Any, cast
 import numpy as np
 
 from fitting._errors import EffectError, ExpressionError, FittingError
-from fitting._numbers import number
+from fitting._numbers import from_json
 from fitting.effects._dimension import NONE, Dimension, dimension, format_unit, parse_unit
 from fitting.effects._effect import MOMENTS, VARIABLES, Effect, Joint, Parameter, Role, State
 from fitting.effects._expression import ZERO, Expr, Tape, derivative, parse, sub, substitute, sym, symbols
@@ -351,6 +351,6 @@ def effect_of(stored: Mapping[str, Any]) -> Effect:
 
 def _stored_parameter(stored: Mapping[str, Any]) -> Parameter:
     values: dict[str, Any] = {
-        k: tuple(v) if k == "grid" else number(v) if k in _NUMBERS else v for k, v in stored.items()
+        k: tuple(v) if k == "grid" else from_json(v) if k in _NUMBERS else v for k, v in stored.items()
     }
     return Parameter(**values)

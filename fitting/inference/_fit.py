@@ -1,7 +1,7 @@
 """The fit: initial values, noise levels, minimum, uncertainties.
 
 It goes past the places where a wrong path would hold it: stops at wrong times, bounds far from the data, other
-valleys.
+power_laws.
 
 Two levels of random torque are found for each case. The *pure* level is what no slow torque can explain: the
 noise. The *level* of the fit is what this model leaves: the same if the model is right, more if it
@@ -21,11 +21,11 @@ from fitting._errors import EstimationError, FittingError
 from fitting.dynamics._model import Model
 from fitting.effects._expression import Expr, Tape, divisors, symbols
 from fitting.inference._case_data import CaseData
-from fitting.inference._initial_values import first_values, start_shapes, unknown_shapes
+from fitting.inference._initial_values import initial_shapes, initial_values, unknown_shapes
 from fitting.inference._noise import Noise
 from fitting.inference._noise_level import first_noise, measure_noise, raised_noise, refine_level
 from fitting.inference._optimisation import ActiveBounds, Solution, search, search_widely, search_with_held
-from fitting.inference._parameters import Layout
+from fitting.inference._parameters import ParameterLayout
 from fitting.inference._problem import Problem
 from fitting.inference._record import Record
 from fitting.inference._result import Fit, outcome
@@ -78,13 +78,13 @@ def with_initial_shapes(
     names = {n for n in problem.layout.names if not n.startswith(tuple(f"{e.name}." for e in unknown))}
     shapes = tuple(f"{e.name}.{p.symbol}" for e in unknown for p in e.parameters if p.role == "shape")
     held = tuple(n for n in problem.layout.names if n.partition("@")[0] in shapes)
-    return *start_shapes(problem, theta, unknown, fitted=names <= set(given or ()), noise=noise), held
+    return *initial_shapes(problem, theta, unknown, fitted=names <= set(given or ()), noise=noise), held
 
 
 def _comes_to_rest(problem: Problem, theta: Array) -> bool:
     """Return whether a casing comes to rest or reverses, as measured or in the model."""
     for d in problem.data:
-        speed = np.abs(d.rough_speeds[1][:, 1])
+        speed = np.abs(d.initial_speeds[1][:, 1])
         if (speed[len(speed) // 20 :] < _AT_REST * speed.max(initial=0.0)).any():
             return True
     return any(p.path.jumps for p in problem.predict(theta))
@@ -142,14 +142,14 @@ def _deviance(problem: Problem, theta: Array, noise: Sequence[Noise]) -> float:
 
 def _other_starts(problem: Problem, theta: Array, given: Mapping[str, float] | None) -> Iterator[Array]:
     """Yield other starts: the program's own if one was given, and other exponents of the bearing's power law."""
-    own = first_values(problem, None) if given else theta
+    own = initial_values(problem, None) if given else theta
     if given:
         yield own
     for g in _OTHER_POWERS:
         begin = own.copy()
-        for v in problem.valleys:
-            begin = problem.physical(np.where(np.arange(len(own)) == v.g, g, problem.straight(begin)))
-        if problem.valleys:
+        for v in problem.power_laws:
+            begin = problem.physical(np.where(np.arange(len(own)) == v.g, g, problem.transformed(begin)))
+        if problem.power_laws:
             yield begin
 
 
@@ -202,8 +202,8 @@ def fit(
     """
     data = [c if isinstance(c, CaseData) else CaseData.of(c) for c in cases]
     _check(model, data)
-    problem = Problem.of(Layout.of(model, [d.record for d in data], share, per_case, ranges), data)
-    theta = first_values(problem, start)
+    problem = Problem.of(ParameterLayout.of(model, [d.record for d in data], share, per_case, ranges), data)
+    theta = initial_values(problem, start)
     active: ActiveBounds | None = None
     if noise is None:
         found, noise = search_with_noise(problem, theta, start, quick=quick)

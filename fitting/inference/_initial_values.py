@@ -30,8 +30,8 @@ from fitting.inference._case_model import Prediction
 from fitting.inference._noise import Noise
 from fitting.inference._noise_level import measure_noise
 from fitting.inference._optimisation import minimise, search
-from fitting.inference._parameters import START_CASING, START_ROTOR, Layout, is_power_law
-from fitting.inference._problem import Problem, turned
+from fitting.inference._parameters import START_CASING, START_ROTOR, ParameterLayout, is_power_law
+from fitting.inference._problem import Problem, r_factor
 
 Array = NDArray[np.float64]
 
@@ -40,12 +40,12 @@ _FIRST_SHARE = 0.1
 _AT_REST = 0.01
 
 
-def first_values(problem: Problem, given: Mapping[str, float] | None) -> Array:
+def initial_values(problem: Problem, given: Mapping[str, float] | None) -> Array:
     """Return where a fit starts: what was given, and the start values of all else."""
     layout = problem.layout
     known = dict(given or {})
     if not set(layout.names) <= set(known):
-        rough = [d.rough_speeds for d in problem.data]
+        rough = [d.initial_speeds for d in problem.data]
         guessed = dict(
             zip(layout.names, start_values(layout, problem.reference, rough).tolist(), strict=True)
         )
@@ -53,12 +53,12 @@ def first_values(problem: Problem, given: Mapping[str, float] | None) -> Array:
     return np.array([known[n] for n in layout.names])
 
 
-def start_values(layout: Layout, reference: float, rough: Sequence[tuple[Array, Array]]) -> Array:
+def start_values(layout: ParameterLayout, reference: float, rough: Sequence[tuple[Array, Array]]) -> Array:
     """Return start values of all variables.
 
     Parameters
     ----------
-    layout : Layout
+    layout : ParameterLayout
         The variables.
     rough : sequence of (times, speeds)
         Of each case, as `fitting.inference._velocity` gives them.
@@ -87,7 +87,7 @@ def start_values(layout: Layout, reference: float, rough: Sequence[tuple[Array, 
     return theta
 
 
-def _resting(layout: Layout, name: str) -> float:
+def _resting(layout: ParameterLayout, name: str) -> float:
     p = layout.parameter(name)
     if p.relative and p.grid:
         first, last = layout.records[0].span
@@ -96,7 +96,7 @@ def _resting(layout: Layout, name: str) -> float:
 
 
 def _equations(
-    layout: Layout, case: int, times: Array, speeds: Array, theta: Array
+    layout: ParameterLayout, case: int, times: Array, speeds: Array, theta: Array
 ) -> tuple[list[str], Array, Array]:
     """Return the strengths of one case, and the linear equations for them with both start speeds free."""
     dynamics = Dynamics(layout.model.smooth)
@@ -129,7 +129,7 @@ def _equations(
     return linear, np.concatenate(blocks), np.concatenate(targets)
 
 
-def _strengths(layout: Layout, parameters: Sequence[str]) -> list[str]:
+def _strengths(layout: ParameterLayout, parameters: Sequence[str]) -> list[str]:
     """Return the parameters in which the equations are linear, and which the data can tell apart so."""
     every = [k for k in parameters if layout.model.parameters[k].role == "amplitude"]
     # linear in its strength, but hardly to be told from the linear law while its power is free
@@ -141,13 +141,13 @@ def _strengths(layout: Layout, parameters: Sequence[str]) -> list[str]:
 
 
 def _regress(
-    layout: Layout, parts: Sequence[tuple[NDArray[np.intp], Array, Array]]
+    layout: ParameterLayout, parts: Sequence[tuple[NDArray[np.intp], Array, Array]]
 ) -> tuple[NDArray[np.intp], Array]:
     """Return the places of all strengths and their values within bounds, by linear least squares."""
     places = np.unique(np.concatenate([own for own, _, _ in parts]))
     rows, aims = [], []
     for own, design, target in parts:
-        few = turned(np.column_stack([design, target]))
+        few = r_factor(np.column_stack([design, target]))
         rows.append(np.zeros((len(few), len(places))))
         rows[-1][:, np.searchsorted(places, own)] = few[:, :-1]
         aims.append(few[:, -1])
@@ -188,7 +188,7 @@ _COLLINEAR = 1e-7
 _SHARES = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3)
 
 
-def unknown_shapes(layout: Layout, given: Mapping[str, float] | None) -> list[Effect]:
+def unknown_shapes(layout: ParameterLayout, given: Mapping[str, float] | None) -> list[Effect]:
     """Return the effects of a model whose shape constants were not given and need a search of their own."""
     known = {name.partition("@")[0] for name in given or {}}
     effects = []
@@ -205,7 +205,7 @@ def unknown_shapes(layout: Layout, given: Mapping[str, float] | None) -> list[Ef
     return effects
 
 
-def start_shapes(
+def initial_shapes(
     problem: Problem,
     theta: Array,
     effects: list[Effect],
@@ -244,7 +244,7 @@ def _without(problem: Problem, theta: Array, effects: list[Effect]) -> Array:
     layout = problem.layout
     names = {e.name for e in effects}
     model = Model(tuple(e for e in layout.model.effects if e.name not in names))
-    smaller = Layout(model, layout.records, layout.per_case, layout.ranges)
+    smaller = ParameterLayout(model, layout.records, layout.per_case, layout.ranges)
     rest = replace(Problem.of(smaller, problem.data), projections=problem.projections)
     places = [layout.index[n] for n in smaller.names]
     out = theta.copy()
@@ -304,7 +304,7 @@ def _grid(problem: Problem, effect: Effect) -> Iterator[dict[str, float]]:
         if p.role != "shape":
             continue
         grid = np.array(p.grid or (p.start,))
-        if effect.name not in LIBRARY and is_power_law(effect, *problem.data[0].rough_speeds):
+        if effect.name not in LIBRARY and is_power_law(effect, *problem.data[0].initial_speeds):
             grid = np.array([v for v in _POWERS if p.lower <= v <= p.upper] or [p.start])
         if p.relative:
             grid = grid * (last - first) + (first if p.symbol == effect.breakpoint else 0.0)
@@ -313,6 +313,6 @@ def _grid(problem: Problem, effect: Effect) -> Iterator[dict[str, float]]:
         yield dict(values)
 
 
-def _places(layout: Layout, effect: Effect, role: str) -> NDArray[np.intp]:
+def _places(layout: ParameterLayout, effect: Effect, role: str) -> NDArray[np.intp]:
     keys = [f"{effect.name}.{p.symbol}" for p in effect.parameters if p.role == role]
     return np.unique(np.concatenate([layout.places(i, keys) for i in range(len(layout.records))]))

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import EstimationError, SimulationError
-from fitting.inference._parameters import Valley
+from fitting.inference._parameters import PowerLaw
 from fitting.inference._problem import Problem
 
 Array = NDArray[np.float64]
@@ -170,7 +170,7 @@ _SAME = 1e-3
 class ActiveBounds:
     """Bounds of d and f that a search ended on: the power laws that stay free, and which variables are held."""
 
-    valleys: tuple[Valley, ...]
+    power_laws: tuple[PowerLaw, ...]
     held: tuple[int, ...] = ()
 
 
@@ -240,18 +240,18 @@ def search(
         if (
             found is not None
             and found.minimum.converged
-            and not _out_of_bounds(active.valleys, found.theta, lower, upper)
+            and not _out_of_bounds(active.power_laws, found.theta, lower, upper)
             and _is_minimum(problem, found.theta, active.held, enough)
         ):
             return found
-    follows_angle = bool(problem.layout.model.rippling or problem.layout.model.measurement)
+    follows_angle = bool(problem.layout.model.angle_dependent or problem.layout.model.measurement)
     for _ in range(2 if follows_angle else 1):
         for case in problem.cases:
             case.forget_columns()
         minimum = _minimise(problem, theta, lower, upper, enough, most)
         theta = problem.physical(minimum.x)
     # the bounds of d and f are no box in transformed variables: they are checked afterwards
-    if not _out_of_bounds(problem.valleys, theta, lower, upper):
+    if not _out_of_bounds(problem.power_laws, theta, lower, upper):
         return Solution(theta, minimum)
     if not minimum.converged and minimum.cost > _FAR * problem.rows:
         return Solution(np.clip(theta, lower, upper), minimum)
@@ -273,8 +273,8 @@ def search_with_held(
 def _minimise(
     problem: Problem, theta: Array, lower: Array, upper: Array, enough: float, most: int
 ) -> Minimum:
-    least, greatest = problem.straight_bounds(lower, upper)
-    start = problem.straight(theta)
+    least, greatest = problem.transformed_bounds(lower, upper)
+    start = problem.transformed(theta)
     return minimise(problem, start, least, greatest, absolute=enough, max_iterations=most)
 
 
@@ -283,7 +283,7 @@ def _along(problem: Problem, theta: Array, active: ActiveBounds, enough: float, 
     lower, upper = problem.layout.bounds()
     held = list(active.held)
     lower[held] = upper[held] = theta[held]
-    along = replace(problem, valleys=active.valleys)
+    along = replace(problem, power_laws=active.power_laws)
     try:
         minimum = _minimise(along, theta, lower, upper, enough, most)
         return Solution(along.physical(minimum.x), minimum, active)
@@ -313,12 +313,12 @@ def _on_bounds(problem: Problem, minimum: Minimum, theta: Array, enough: float, 
     One bound is active then, or two: a quick search along every bound, and the best one to its end.
     """
     lower, upper = problem.layout.bounds()
-    ends = list(_ends_on_bounds(problem, theta, ActiveBounds(problem.valleys), min(_QUICK, most)))
+    ends = list(_ends_on_bounds(problem, theta, ActiveBounds(problem.power_laws), min(_QUICK, most)))
     if ends:
         best = min(ends, key=lambda end: end.minimum.cost)
         theta, active = best.theta, best.active
         found = None if active is None else _along(problem, theta, active, enough, most)
-        if found and active and not _out_of_bounds(active.valleys, found.theta, lower, upper):
+        if found and active and not _out_of_bounds(active.power_laws, found.theta, lower, upper):
             return found
     return Solution(np.clip(theta, lower, upper), replace(minimum, converged=False))
 
@@ -326,21 +326,23 @@ def _on_bounds(problem: Problem, minimum: Minimum, theta: Array, enough: float, 
 def _ends_on_bounds(problem: Problem, theta: Array, edge: ActiveBounds, most: int) -> Iterator[Solution]:
     """Yield the ends of quick searches along each bound of the first power law that violates them."""
     lower, upper = problem.layout.bounds()
-    (v, *_) = _out_of_bounds(edge.valleys, theta, lower, upper)
+    (v, *_) = _out_of_bounds(edge.power_laws, theta, lower, upper)
     for side, begin in _sides(v, edge, theta, lower, upper):
         found = _along(problem, begin, side, _ENOUGH_TO_RANK, most)
         if found is None:
             continue
-        if _out_of_bounds(side.valleys, found.theta, lower, upper):
+        if _out_of_bounds(side.power_laws, found.theta, lower, upper):
             yield from _ends_on_bounds(problem, found.theta, side, most)
         else:
             yield found
 
 
-def _out_of_bounds(valleys: Sequence[Valley], theta: Array, lower: Array, upper: Array) -> list[Valley]:
+def _out_of_bounds(
+    power_laws: Sequence[PowerLaw], theta: Array, lower: Array, upper: Array
+) -> list[PowerLaw]:
     """Return the power laws with d or f out of its bounds."""
     broken = []
-    for v in valleys:
+    for v in power_laws:
         places = [i for i in (v.d, v.f) if i is not None]
         if np.any(theta[places] < lower[places]) or np.any(theta[places] > upper[places]):
             broken.append(v)
@@ -348,10 +350,10 @@ def _out_of_bounds(valleys: Sequence[Valley], theta: Array, lower: Array, upper:
 
 
 def _sides(
-    v: Valley, edge: ActiveBounds, theta: Array, lower: Array, upper: Array
+    v: PowerLaw, edge: ActiveBounds, theta: Array, lower: Array, upper: Array
 ) -> Iterator[tuple[ActiveBounds, Array]]:
     """Yield the bounds of d and f, each with variables on it: torque and slope at the reference speed are kept."""
-    rest = tuple(w for w in edge.valleys if w.f != v.f)
+    rest = tuple(w for w in edge.power_laws if w.f != v.f)
     if v.d is None:
         # a lone power law: with f within its range, in f itself
         yield ActiveBounds(rest, edge.held), np.clip(theta, lower, upper)

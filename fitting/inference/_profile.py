@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fitting._errors import EffectError, EstimationError, SimulationError
 from fitting.inference._optimisation import ActiveBounds, search
-from fitting.inference._parameters import Layout
+from fitting.inference._parameters import ParameterLayout
 from fitting.inference._problem import Problem
 from fitting.inference._result import Fit
 
@@ -91,14 +91,14 @@ class _Held:
 
     def __init__(self, fit: Fit, name: str) -> None:
         old = fit.problem.layout
-        layout = Layout(old.model, old.records, old.per_case, dict(old.ranges))
+        layout = ParameterLayout(old.model, old.records, old.per_case, dict(old.ranges))
         self._name, self._place = name, layout.index[name]
         lower, upper = layout.bounds()
         self._range = float(lower[self._place]), float(upper[self._place])
         problem = Problem.of(layout, fit.problem.data).with_noise(fit.noise)
         # transformed variables combine d and f: a parameter that is held is fitted as it is
-        kept = tuple(v for v in problem.valleys if self._place not in (v.d, v.f))
-        self._problem = replace(problem, valleys=kept)
+        kept = tuple(v for v in problem.power_laws if self._place not in (v.d, v.f))
+        self._problem = replace(problem, power_laws=kept)
         self._active: ActiveBounds | None = None
         self._best, self._theta = fit.chi2, fit.theta
         self._value = float(fit.theta[self._place])

@@ -8,17 +8,17 @@ ladders of several sets of cases; each rung says which cases it belongs to.
 from __future__ import annotations
 
 import json
-import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from fitting._atomic import locked, refuse_special, write_text
 from fitting._errors import FittingError, LedgerError
-from fitting._numbers import plain
+from fitting._numbers import to_json
 from fitting.discovery._verdict import Diagnosis
 from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect
@@ -158,7 +158,7 @@ class Ledger:
         """Append a fit and write the file, whole or not at all; what others added meanwhile is kept."""
         if not share and not per_case:
             share, per_case = found.problem.layout.choices
-        with _alone(self.path.parent):
+        with locked(self.path):
             if self.path.exists():
                 self.entries = _read(self.path)
             fit_id = f"f{1 + max((int(e.fit_id[1:]) for e in self.entries), default=0)}"
@@ -180,54 +180,25 @@ class Ledger:
                 # a robust fit is one of pseudo-values, which are not kept
                 "restored_from": kept_fit(found) if loss == "linear" else None,
             }
-            entry = Entry(plain(document))
+            entry = Entry(to_json(document))
             self.entries.append(entry)
             self._write()
             return entry
 
     def keep_diagnosis(self, fit_id: str, found: Diagnosis, extra: Sequence[Effect] = ()) -> None:
         """Keep with a rung what was found missing in it, so that it can be shown again without a new search."""
-        with _alone(self.path.parent):
+        with locked(self.path):
             self.entries = _read(self.path)
-            self.find(fit_id).document["diagnosis"] = plain(kept_diagnosis(found, extra))
+            self.find(fit_id).document["diagnosis"] = to_json(kept_diagnosis(found, extra))
             self._write()
 
     def _write(self) -> None:
         document = {"format": FORMAT, "version": VERSION, "fits": [e.document for e in self.entries]}
-        part = self.path.with_name(self.path.name + ".part")
-        try:
-            with part.open("w", encoding="utf-8") as stream:
-                json.dump(document, stream, indent=1, allow_nan=False)
-                stream.flush()
-                os.fsync(stream.fileno())
-            part.replace(self.path)
-        except OSError as fault:
-            with suppress(OSError):  # on a read-only disk not even that is allowed
-                part.unlink(missing_ok=True)
-            raise LedgerError(
-                f"{self.path} cannot be written: {fault.strerror}", "choose another with --ledger"
-            ) from None
-
-
-@contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Keep other processes from adding to ledgers in a folder while the block runs, where the system can."""
-    try:
-        import fcntl
-
-        handle = os.open(folder, os.O_RDONLY)
-    except (ImportError, OSError):  # no locks here; two fits at the same moment may then overtake each other
-        yield
-        return
-    try:
-        with suppress(OSError):
-            fcntl.flock(handle, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(handle)
+        write_text(self.path, json.dumps(document, indent=1, allow_nan=False))
 
 
 def _read(path: Path) -> list[Entry]:
+    refuse_special(path)
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as fault:

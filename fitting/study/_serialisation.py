@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
@@ -21,12 +20,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting._atomic import write_text
 from fitting._errors import FittingError, LedgerError
-from fitting._numbers import number, plain, rounded
-from fitting.discovery._rank import Candidate
+from fitting._numbers import from_json, rounded, to_json
 from fitting.discovery._residuals import Failure, ResidualTorque, residual_torques, ripples, whiteness
 from fitting.discovery._score import Score
-from fitting.discovery._select import Rung
+from fitting.discovery._select import Candidate, Step
 from fitting.discovery._verdict import Diagnosis
 from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect
@@ -35,11 +34,11 @@ from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 from fitting.inference._metrics import BodyMetrics, CaseMetrics
 from fitting.inference._noise import Noise, TorqueNoise, TorqueResponse
-from fitting.inference._parameters import Layout
-from fitting.inference._problem import Problem, loose_directions
+from fitting.inference._parameters import ParameterLayout
+from fitting.inference._problem import Problem, degenerate_directions
 from fitting.inference._profile import LEVEL, Interval
 from fitting.inference._record import Record
-from fitting.inference._result import Account, Estimate, Fit, not_determined, outcome
+from fitting.inference._result import Estimate, Fit, FitSummary, not_determined, outcome
 from fitting.study._paper import CurveBias
 
 __all__ = [
@@ -93,7 +92,7 @@ def not_determined_together(fit: Fit) -> list[dict[str, float]]:
     """Return combinations of parameters that the data does not hold: relative changes by name, the largest 1."""
     kept = [i for i, n in enumerate(fit.problem.layout.names) if not n.startswith("initial.")]
     names = [fit.problem.layout.names[i] for i in kept]
-    return loose_directions(names, fit.theta[kept], fit.covariance[np.ix_(kept, kept)])
+    return degenerate_directions(names, fit.theta[kept], fit.covariance[np.ix_(kept, kept)])
 
 
 def interval_document(interval: Interval) -> dict[str, Any]:
@@ -207,7 +206,7 @@ def _moved(fit: Fit, previous: Fit | None) -> list[str]:
     ]
 
 
-def ladder_verdict(rungs: Sequence[Rung]) -> str:
+def ladder_verdict(rungs: Sequence[Step]) -> str:
     """Return "adequate", "missing_effect" (found and added) or "unexplained" for a finished ladder."""
     if rungs[-1].fit.verdict != "adequate":
         return "unexplained"
@@ -231,7 +230,7 @@ class SavedNoise:
 
 
 @dataclass(frozen=True, repr=False)
-class SavedFit(Account):
+class SavedFit(FitSummary):
     """A fit read from a file: everything but the data.
 
     Attributes
@@ -265,7 +264,7 @@ class SavedFit(Account):
         return fit(self.model, cases, start={k: e.value for k, e in self.estimates.items()})
 
 
-def save_fit(found: Account, path: Path) -> None:
+def save_fit(found: FitSummary, path: Path) -> None:
     """Write a fit as JSON, whole or not at all.
 
     Raises
@@ -273,17 +272,7 @@ def save_fit(found: Account, path: Path) -> None:
     LedgerError
         If the file cannot be written.
     """
-    text = json.dumps(_document(found), indent=1, allow_nan=False)
-    part = path.with_name(path.name + ".part")
-    try:
-        with part.open("w", encoding="utf-8") as stream:
-            stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())
-        part.replace(path)
-    except OSError as fault:
-        part.unlink(missing_ok=True)
-        raise LedgerError(f"{path} cannot be written: {fault.strerror}", "choose another name") from None
+    write_text(path, json.dumps(_document(found), indent=1, allow_nan=False))
 
 
 def load_fit(path: str | Path) -> SavedFit:
@@ -311,9 +300,9 @@ def load_fit(path: str | Path) -> SavedFit:
         raise LedgerError(f"{path} is damaged: {type(fault).__name__} {fault}"[:200]) from None
 
 
-def _document(found: Account) -> dict[str, Any]:
+def _document(found: FitSummary) -> dict[str, Any]:
     names, covariance, sources, digests = _behind(found)
-    document: dict[str, Any] = plain(
+    document: dict[str, Any] = to_json(
         {
             "format": FORMAT,
             "version": VERSION,
@@ -336,7 +325,7 @@ def _document(found: Account) -> dict[str, Any]:
     return document
 
 
-def _behind(found: Account) -> tuple[Sequence[str], Array, Sequence[str], Sequence[str]]:
+def _behind(found: FitSummary) -> tuple[Sequence[str], Array, Sequence[str], Sequence[str]]:
     if isinstance(found, Fit):
         records = [d.record for d in found.problem.data]
         sources, digests = [r.source for r in records], [r.digest for r in records]
@@ -347,7 +336,7 @@ def _behind(found: Account) -> tuple[Sequence[str], Array, Sequence[str], Sequen
 
 
 def _fit(document: dict[str, Any]) -> SavedFit:
-    covariance = np.array([[number(x) for x in row] for row in document["covariance"]], dtype=float)
+    covariance = np.array([[from_json(x) for x in row] for row in document["covariance"]], dtype=float)
     names = tuple(str(n) for n in document["names"])
     if covariance.shape != (len(names), len(names)):
         raise ValueError("the covariance has another size")
@@ -355,18 +344,20 @@ def _fit(document: dict[str, Any]) -> SavedFit:
         model=Model(effects_of(document["model"], document["own_effects"])),
         labels=tuple(str(x) for x in document["labels"]),
         estimates={
-            str(k): Estimate(number(e["value"]), number(e["stderr"]), str(e["unit"]), bool(e["at_bound"]))
+            str(k): Estimate(
+                from_json(e["value"]), from_json(e["stderr"]), str(e["unit"]), bool(e["at_bound"])
+            )
             for k, e in document["estimates"].items()
         },
         cases=tuple(_case(c) for c in document["cases"]),
-        chi2=number(document["chi2"]),
+        chi2=from_json(document["chi2"]),
         rows=int(document["rows"]),
-        n_eff=number(document["n_eff"]),
-        deviance=number(document["deviance"]),
-        bic=number(document["bic"]),
+        n_eff=from_json(document["n_eff"]),
+        deviance=from_json(document["deviance"]),
+        bic=from_json(document["bic"]),
         verdict=str(document["verdict"]),
         noise=tuple(
-            SavedNoise(*(number(n[k]) for k in ("pure", "level", "scale"))) for n in document["noise"]
+            SavedNoise(*(from_json(n[k]) for k in ("pure", "level", "scale"))) for n in document["noise"]
         ),
         names=names,
         covariance=covariance,
@@ -377,11 +368,15 @@ def _fit(document: dict[str, Any]) -> SavedFit:
 
 def _case(stored: dict[str, Any]) -> CaseMetrics:
     bodies = [
-        BodyMetrics(*(number(stored[b][k]) for k in ("r2", "rmse", "reduced_chi2", "held_out")))
+        BodyMetrics(*(from_json(stored[b][k]) for k in ("r2", "rmse", "reduced_chi2", "held_out")))
         for b in ("casing", "rotor")
     ]
     return CaseMetrics(
-        str(stored["label"]), bodies[0], bodies[1], number(stored["energy_drift"]), number(stored["misfit"])
+        str(stored["label"]),
+        bodies[0],
+        bodies[1],
+        from_json(stored["energy_drift"]),
+        from_json(stored["misfit"]),
     )
 
 
@@ -429,8 +424,10 @@ def restored_fit(kept: Mapping[str, Any], model: Model, data: Sequence[CaseData]
     """
     if kept.get("code") != fingerprint():
         return None
-    ranges = {k: (number(low), number(high)) for k, (low, high) in kept["ranges"].items()}
-    problem = Problem.of(Layout(model, tuple(d.record for d in data), tuple(kept["per_case"]), ranges), data)
+    ranges = {k: (from_json(low), from_json(high)) for k, (low, high) in kept["ranges"].items()}
+    problem = Problem.of(
+        ParameterLayout(model, tuple(d.record for d in data), tuple(kept["per_case"]), ranges), data
+    )
     theta = np.array(kept["theta"], dtype=float)
     noise = []
     for d, p, n in zip(data, problem.predict(theta), kept["noise"], strict=True):
@@ -458,6 +455,7 @@ def _kept_candidate(c: Candidate, *, fit: bool) -> dict[str, Any]:
         "effect": c.effect.name,
         "own_effects": own_effects([c.effect]),
         **{k: getattr(c, k) for k in _SCORES},
+        "significant": c.significant,
         "indistinguishable_from": list(c.indistinguishable_from),
         "estimates": {k: asdict(e) for k, e in c.estimates.items()},
         "fit": kept_fit(c.fit) if fit and c.fit is not None else None,
@@ -481,7 +479,7 @@ def restored_diagnosis(kept: Mapping[str, Any], fit: Fit, extra: Sequence[Effect
     extra : sequence of Effect
         Effects of the user.
     """
-    if kept.get("code") != fingerprint() or kept.get("extra") != plain(own_effects(extra)):
+    if kept.get("code") != fingerprint() or kept.get("extra") != to_json(own_effects(extra)):
         return None
     return Diagnosis(
         fit,
@@ -498,7 +496,7 @@ def restored_diagnosis(kept: Mapping[str, Any], fit: Fit, extra: Sequence[Effect
 
 def _restored_candidate(kept: Mapping[str, Any], base: Fit) -> Candidate:
     (effect,) = effects_of([kept["effect"]], kept["own_effects"])
-    scores = {k: number(kept[k]) for k in _SCORES}
+    scores = {k: from_json(kept[k]) for k in _SCORES}
     fit = kept["fit"] and restored_fit(kept["fit"], base.model.with_effect(effect), base.problem.data)
     none = np.zeros(0)
     return Candidate(
@@ -506,9 +504,10 @@ def _restored_candidate(kept: Mapping[str, Any], base: Fit) -> Candidate:
         **scores,
         indistinguishable_from=tuple(kept["indistinguishable_from"]),
         estimates={
-            k: Estimate(number(e["value"]), number(e["stderr"]), e["unit"], e["at_bound"])
+            k: Estimate(from_json(e["value"]), from_json(e["stderr"]), e["unit"], e["at_bound"])
             for k, e in kept["estimates"].items()
         },
+        significant=bool(kept["significant"]),
         screened=Score(effect, scores["score"], none, (), 0, 0, absorbed=False, direction=none, null=none),
         fit=fit or None,
     )

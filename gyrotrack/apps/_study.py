@@ -16,7 +16,7 @@ from gyrotrack._errors import UsageError
 
 if TYPE_CHECKING:
     from fitting._workers import WorkerPool
-    from fitting.discovery._select import Rung
+    from fitting.discovery._select import Step
     from fitting.discovery._verdict import Diagnosis
     from fitting.dynamics._model import Model
     from fitting.effects._effect import Effect
@@ -51,15 +51,15 @@ class Study:
         whole = Model.of(names)
         return whole.alone if self.data[0].record.single else whole
 
-    def rungs_to(self, fit_id: str | None) -> list[Rung]:
+    def rungs_to(self, fit_id: str | None) -> list[Step]:
         """Return the fit asked for, or the latest, and those that it was made from, the first one first."""
-        from fitting.discovery._select import Rung
+        from fitting.discovery._select import Step
 
         if self.entry(fit_id) is None:
             fit, _ = self.base(None)
-            return [Rung("", fit, ())]
+            return [Step("", fit, ())]
         chain = self._chain(fit_id)
-        return [Rung(str(e.document.get("added", "")), e.shown(self.data), ()) for e in reversed(chain)]
+        return [Step(str(e.document.get("added", "")), e.shown(self.data), ()) for e in reversed(chain)]
 
     def _chain(self, fit_id: str | None) -> list[Entry]:
         """Return the rung asked for, or the latest, and those that it was made from, the first one last."""
@@ -106,7 +106,7 @@ class Study:
         with suppress(LedgerError):
             self.ledger.keep_diagnosis(fit_id, found, extra)
 
-    def keep(self, rungs: Sequence[Rung], first: str) -> list[Entry]:
+    def keep(self, rungs: Sequence[Step], first: str) -> list[Entry]:
         """Keep the rungs of a ladder whose first one is the fit `first` of the ledger; return all of them."""
         entries = [self.ledger.find(first)]
         for before, rung in pairwise(rungs):

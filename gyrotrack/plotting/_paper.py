@@ -64,7 +64,7 @@ def paper_cases(scan: Scan, data: Sequence[CaseData], cases: Sequence[Case]) -> 
 def clear_frame(cases: Sequence[PaperCase], folders: Sequence[Path]) -> NDArray[np.uint8] | None:
     """Return a frame (red, green, blue) on which most markers are found, drawn over; None without any film."""
     from gyrotrack._errors import GyrotrackError
-    from gyrotrack.io._records import STATUS
+    from gyrotrack.io._schema import STATUS
     from gyrotrack.plotting._frames import Film, find_film
 
     for case in cases:

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from fitting.inference._speed_residuals import SpeedResidual, speed_residuals
 
 if TYPE_CHECKING:
-    from fitting.discovery._rank import Candidate
     from fitting.discovery._residuals import Failure, ResidualTorque
-    from fitting.discovery._select import Rung
+    from fitting.discovery._select import Candidate
+    from fitting.discovery._select import Step as FitStep
     from fitting.discovery._verdict import Diagnosis
     from fitting.inference._result import Fit
 
@@ -152,7 +152,7 @@ class CaseView:
 
 
 def case_view(
-    rungs: Sequence[Rung],
+    rungs: Sequence[FitStep],
     diagnosis: Diagnosis | None,
     torques: Sequence[tuple[ResidualTorque, ...]],
     index: int,
@@ -161,7 +161,7 @@ def case_view(
 
     Parameters
     ----------
-    rungs : sequence of Rung
+    rungs : sequence of FitStep
         The ladder, base first.
     diagnosis : Diagnosis or None
         That of the base.
@@ -306,12 +306,12 @@ class Content:
         return len(self.steps) > 1
 
 
-def gather(rungs: Sequence[Rung], diagnosis: Diagnosis | None) -> Content:
+def gather(rungs: Sequence[FitStep], diagnosis: Diagnosis | None) -> Content:
     """Collect what is to be shown.
 
     Parameters
     ----------
-    rungs : sequence of Rung
+    rungs : sequence of FitStep
         The ladder, base first.
     diagnosis : Diagnosis or None
         That of the base.
@@ -341,7 +341,7 @@ def gather(rungs: Sequence[Rung], diagnosis: Diagnosis | None) -> Content:
     )
 
 
-def _steps(rungs: Sequence[Rung]) -> tuple[Step, ...]:
+def _steps(rungs: Sequence[FitStep]) -> tuple[Step, ...]:
     from fitting.study._serialisation import rung_document
 
     steps = []

@@ -31,7 +31,7 @@ from gyrotrack.apps.cli._output import Output, Progress, all_or_nothing, command
 from gyrotrack.apps.cli._tables import diagnosis_tables, fit_tables, ladder_tables
 
 if TYPE_CHECKING:
-    from fitting.discovery._select import Rung
+    from fitting.discovery._select import Step
     from fitting.discovery._verdict import Diagnosis
 
 
@@ -276,7 +276,7 @@ def _study(out: Output, case: Path, output: Path, film: Path) -> dict[str, Any]:
     return {"case": case, "report": report, "picture": picture, **document}
 
 
-def _found(out: Output, case: Path) -> tuple[list[Rung], Diagnosis, dict[str, Any]]:
+def _found(out: Output, case: Path) -> tuple[list[Step], Diagnosis, dict[str, Any]]:
     """Fit the reduced model, diagnose and improve it; return the ladder, the diagnosis, and both in JSON."""
     from fitting.discovery._select import improve
     from fitting.discovery._verdict import diagnose

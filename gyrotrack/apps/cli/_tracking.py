@@ -259,7 +259,7 @@ def _tracked(
 def _extraction_document(target: Path, recording: Recording, fps: float) -> dict[str, Any]:
     import numpy as np
 
-    from gyrotrack.io._records import STATUS
+    from gyrotrack.io._schema import STATUS
 
     return {
         "output": target,

@@ -140,10 +140,10 @@ class Session:
         return step.fit_id
 
     def _sharpen(self, step: Step) -> None:
-        from fitting.discovery._select import polished
+        from fitting.discovery._refine import refined
 
         if not step.sharp:
-            step.fit, step.sharp, step.torques = polished(step.fit), True, None
+            step.fit, step.sharp, step.torques = refined(step.fit), True, None
 
     def remember(self, answer: dict[str, Any]) -> dict[str, Any]:
         """Keep what a search found for the parameters of the candidates, and return its answer as it is to be read."""
@@ -178,7 +178,7 @@ class Session:
 
     def state(self, *, whole: bool = False) -> dict[str, Any]:
         """Return what the page shows; with `whole` also the curves that no fit changes."""
-        from fitting._numbers import measured
+        from fitting._numbers import with_uncertainty
 
         with self._lock:
             step = self.steps[self.current]
@@ -196,7 +196,11 @@ class Session:
                         for e in fit.model.effects
                     ],
                     "parameters": [
-                        {"name": k, "value": measured(e.value, e.stderr, e.unit), "at_bound": e.at_bound}
+                        {
+                            "name": k,
+                            "value": with_uncertainty(e.value, e.stderr, e.unit),
+                            "at_bound": e.at_bound,
+                        }
                         for k, e in fit.estimates.items()
                     ],
                     "ladder": [self._rung(i) for i in range(len(self.steps))],
@@ -215,14 +219,14 @@ class Session:
 
     def _board(self, step: Step, *, whole: bool) -> dict[str, Any]:
         from fitting.discovery._residuals import find_failures
-        from fitting.discovery._select import Rung
+        from fitting.discovery._select import Step as FitStep
         from gyrotrack.apps.report._dashboard import case_board, mark
         from gyrotrack.plotting._study_data import case_view
         from gyrotrack.plotting._tracking import tracks_of
 
         before = self.steps[step.parent] if step.parent >= 0 else None
         steps = [s for s in (before, step) if s is not None]
-        rungs = [Rung(s.change, s.fit, ()) for s in steps]
+        rungs = [FitStep(s.change, s.fit, ()) for s in steps]
         view = case_view(rungs, None, [self._torques(s) for s in steps], 0)
         tracks = tracks_of(self._case) if whole and self._case is not None else None
         names = ("before", "now") if before is not None else ("now",)
@@ -240,6 +244,6 @@ class Session:
 
 
 def _document(found: dict[str, Any]) -> dict[str, Any]:
-    from fitting._numbers import plain
+    from fitting._numbers import to_json
 
-    return dict(plain(found))
+    return dict(to_json(found))

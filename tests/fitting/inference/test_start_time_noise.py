@@ -8,7 +8,7 @@ import twobody
 
 from fitting.dynamics._model import Model
 from fitting.effects._library import REDUCED
-from fitting.inference._case_data import CaseData, LateStarts, acceleration
+from fitting.inference._case_data import CaseData, StartTimeNoise, acceleration
 from fitting.inference._fit import fit
 from fitting.inference._record import Samples, make_record
 
@@ -54,16 +54,18 @@ def test_rows_are_white_with_the_noise_of_the_starts(quantity):
     )
     rows = np.zeros((len(data.z), 4000))
     rows[where] = rng.standard_normal((len(window.z), 4000)) + np.outer(c, shifts)
-    white = data.late_starts.whitened(rows)[where]
+    white = data.start_time_noise.whitened(rows)[where]
     assert np.abs(np.cov(white) - np.eye(len(white))).max() < 0.1
     assert np.abs(np.cov(rows[where])).max() > 10
-    assert data.late_starts.plain(data.late_starts.whitened(rows)) == pytest.approx(rows, rel=1e-9, abs=1e-9)
+    assert data.start_time_noise.unwhitened(data.start_time_noise.whitened(rows)) == pytest.approx(
+        rows, rel=1e-9, abs=1e-9
+    )
 
 
 def test_windows_whose_starts_are_known_stay_as_they_are():
     data = CaseData.of(filmed(0, known=True))
-    assert data.late_starts == LateStarts(())
-    assert len(CaseData.of(replace(data.record, start_sigma=(0.0, 1e-3, 0.0))).late_starts.parts) == 1
+    assert data.start_time_noise == StartTimeNoise(())
+    assert len(CaseData.of(replace(data.record, start_sigma=(0.0, 1e-3, 0.0))).start_time_noise.parts) == 1
 
 
 def test_late_windows_are_no_missing_effect():

@@ -28,7 +28,7 @@ def found(hidden, seed, model=REDUCED):
 
 
 def test_noise_alone_leaves_as_much_as_it_should():
-    lacks = [found(twobody.Hidden(), seed).lack for seed in range(4)]
+    lacks = [found(twobody.Hidden(), seed).lack_of_fit for seed in range(4)]
     chi2, dof = sum(x.chi2 for x in lacks), sum(x.dof for x in lacks)
     assert abs(chi2 - dof) < 5 * math.sqrt(2 * dof)
     assert min(x.p_value for x in lacks) > 1e-5
@@ -38,5 +38,5 @@ def test_a_law_of_the_wrong_shape_does_not_pass():
     """A drag at one speed only, hidden; a step of the friction is the best that the library has."""
     hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -2e-6 * np.exp(-(((wc - 110) / 12) ** 2)))
     fitted = found(hidden, 1, (*REDUCED, "touchpoint.step"))
-    assert fitted.lack.p_value < 1e-10
+    assert fitted.lack_of_fit.p_value < 1e-10
     assert fitted.verdict == "misfit"

@@ -11,7 +11,7 @@ from fitting.effects._library import LIBRARY, REDUCED
 from fitting.effects._user import resolve
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
-from fitting.inference._parameters import Layout, Wave, find_waves, from_polar, to_polar
+from fitting.inference._parameters import ParameterLayout, Sinusoid, find_sinusoids, from_polar, to_polar
 from fitting.inference._record import make_record
 
 STRENGTH, PHASE = 6e-6, 4.1
@@ -39,29 +39,29 @@ def test_a_strong_unbalance_is_found_from_nothing_and_from_the_wrong_side(unbala
 def layout(*effects, cases=1, **more):
     film = twobody.film(twobody.simulate(span=12.0), 0, twobody.Cameras(span=12.0, windows=(2.0, 7.0)))
     records = [make_record(**film | {"label": f"case{i}"}) for i in range(cases)]
-    return Layout.of(Model((*Model.of(REDUCED).effects, *effects)), records, **more)
+    return ParameterLayout.of(Model((*Model.of(REDUCED).effects, *effects)), records, **more)
 
 
 def test_which_laws_have_linear_variables():
     unbalance, swing = LIBRARY["casing.unbalance"], resolve("casing: k*cos(3*t + phi)")
     place = layout(unbalance).index
-    assert find_waves(layout(unbalance)) == (
-        Wave(place["casing.unbalance.k"], place["casing.unbalance.phi"]),
+    assert find_sinusoids(layout(unbalance)) == (
+        Sinusoid(place["casing.unbalance.k"], place["casing.unbalance.phi"]),
     )
-    assert len(find_waves(layout(unbalance, swing))) == 2
-    assert len(find_waves(layout(unbalance, cases=2, per_case=["casing.unbalance"]))) == 2
-    assert find_waves(layout(unbalance, cases=2, per_case=["casing.unbalance.k"])) == ()
-    assert find_waves(layout(LIBRARY["casing.precession"])) == ()
-    assert find_waves(layout()) == ()
+    assert len(find_sinusoids(layout(unbalance, swing))) == 2
+    assert len(find_sinusoids(layout(unbalance, cases=2, per_case=["casing.unbalance"]))) == 2
+    assert find_sinusoids(layout(unbalance, cases=2, per_case=["casing.unbalance.k"])) == ()
+    assert find_sinusoids(layout(LIBRARY["casing.precession"])) == ()
+    assert find_sinusoids(layout()) == ()
 
 
 @pytest.mark.parametrize("held", [{"casing.unbalance.phi": (1.0, 1.0)}, {"casing.unbalance.k": (0.0, 1e-6)}])
 def test_what_is_held_or_limited_keeps_its_own_variables(held):
-    assert find_waves(layout(LIBRARY["casing.unbalance"], ranges=held)) == ()
+    assert find_sinusoids(layout(LIBRARY["casing.unbalance"], ranges=held)) == ()
 
 
 def test_there_and_back_and_the_slope():
-    waves = (Wave(0, 2), Wave(3, 1))
+    waves = (Sinusoid(0, 2), Sinusoid(3, 1))
     u = np.array([2e-6, -3e-7, -1e-6, 4e-7, 900.0])
     theta, slope = to_polar(u, waves)
     assert from_polar(theta, waves) == pytest.approx(u, rel=1e-12)
@@ -71,6 +71,6 @@ def test_there_and_back_and_the_slope():
 
 
 def test_nothing_has_a_phase_still():
-    theta, slope = to_polar(np.zeros(2), (Wave(0, 1),))
+    theta, slope = to_polar(np.zeros(2), (Sinusoid(0, 1),))
     assert 0 < theta[0] < 1e-20
     assert np.isfinite(slope).all()

@@ -10,13 +10,13 @@ from io import FileIO
 import numpy as np
 import pytest
 
-from gyrotrack.io._atomic import Spool, interrupts_wait
+from gyrotrack.io._write_buffer import WriteBuffer, deferred_interrupts
 
 _RUN = """
 import errno, signal, sys
 from io import FileIO
 import h5py, numpy as np
-from gyrotrack.io._atomic import Spool, interrupts_wait
+from gyrotrack.io._write_buffer import WriteBuffer, deferred_interrupts
 
 class Disk(FileIO):
     count, mode_, at = 0, sys.argv[2], int(sys.argv[3])
@@ -29,10 +29,10 @@ class Disk(FileIO):
         return super().write(data)
 
 disk = Disk(sys.argv[1], "w+")
-spool = Spool(disk)
+spool = WriteBuffer(disk)
 values = np.random.default_rng(0).random(20000)
 try:
-    with interrupts_wait(), h5py.File(spool, "w", libver=("v110", "v110")) as file:
+    with deferred_interrupts(), h5py.File(spool, "w", libver=("v110", "v110")) as file:
         for k in range(12):
             data = file.create_group(f"g{k}").create_dataset("x", data=values, chunks=(8192,), compression="gzip")
             data.attrs["units"] = "m"
@@ -73,7 +73,7 @@ def test_what_comes_after_a_failure_can_be_read_back(tmp_path):
             raise OSError(errno.EIO, "no disk")
 
     with Small(tmp_path / "a", "w+") as file:
-        spool = Spool(file)
+        spool = WriteBuffer(file)
         spool.write(b"12345678")
         assert spool.error is None
         spool.write(b"abcd")
@@ -85,7 +85,7 @@ def test_what_comes_after_a_failure_can_be_read_back(tmp_path):
         spool.seek(0)
         assert spool.read() == b"1234567"
     with Small(tmp_path / "b", "w+") as file:
-        early = Spool(file)
+        early = WriteBuffer(file)
         early.truncate(100)
         assert early.error.errno == errno.EIO
 
@@ -95,7 +95,7 @@ def test_an_interrupt_waits_and_then_comes():
     done = []
 
     def work():
-        with interrupts_wait():
+        with deferred_interrupts():
             os.kill(os.getpid(), signal.SIGINT)
             done.append(np.ones(3).sum())
 

@@ -1,14 +1,14 @@
-"""Checkpoint journal of a long run.
+"""Checkpoint of a long run: a file from which a killed run resumes.
 
-The file is a log that only grows::
+The file is an append-only log::
 
     line            "gyrotrack journal 1" and a line feed
     record          length (8 bytes), CRC-32 (4 bytes), content       little endian
     content         length of the manifest (4 bytes), manifest, arrays
 
 The manifest is JSON: the facts of the record and name, type and shape of its arrays, whose bytes follow in that
-order. The first record holds the facts by which a run is known again. A record that a kill cut short fails its
-checksum: it and what follows are dropped. HDF5 is not used, because a file of it cannot survive a kill.
+order. The first record identifies the run. A record cut short by a kill fails its checksum: it and what follows are
+dropped. HDF5 is not used because an HDF5 file does not survive a kill.
 """
 
 from __future__ import annotations
@@ -18,16 +18,17 @@ import os
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO, Self
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._errors import GyrotrackError, OutputError
-from gyrotrack.io._atomic import is_at, lock, refusal, remove
+from gyrotrack.io._atomic import locked, refusal, refuse_special
 
 Arrays = dict[str, npt.NDArray[Any]]
 
@@ -47,45 +48,50 @@ class Record:
     arrays: Arrays
 
 
-def journal_path(output: Path) -> Path:
-    """Return where the journal of an output stands."""
+def checkpoint_path(output: Path) -> Path:
+    """Return the path of the checkpoint of an output."""
     return output.with_name(output.name + SUFFIX)
 
 
-class Journal:
-    """The log of one run, locked against a second writer while it is open.
+class CheckpointFile:
+    """The checkpoint of one run, locked against a second writer while it is open.
 
     Parameters
     ----------
     output : Path
-        The file that the run is to write; the journal stands beside it.
+        The output of the run; the checkpoint is a file in the same folder.
     facts : mapping
-        By which the run is known again: film, settings, version.
+        Identity of the run: film, settings, version.
     resume : bool
-        Go on with the journal that is there, if its facts are the same; otherwise it is started anew.
+        Continue from an existing checkpoint if its facts are equal; otherwise start a new one.
 
     Attributes
     ----------
     other : bool
-        A journal of another run was in the way of `resume` and has been replaced.
+        A checkpoint of another run has been replaced.
 
     Raises
     ------
     OutputError
-        Another process writes the same output, or the system refuses.
+        Another program writes the same output, or the system refuses to write.
     """
 
     def __init__(self, output: Path, facts: Mapping[str, Any], *, resume: bool = False) -> None:
-        self.path = journal_path(Path(output))
+        self.path = checkpoint_path(Path(output))
         self.facts: dict[str, Any] = json.loads(json.dumps(dict(facts)))
         self.other = False
         self._ends: list[int] = []
-        try:
-            self._stream = _opened(self.path)
-            if not (resume and self._read_in()):
-                self._start()
-        except OSError as error:
-            raise refusal(self.path, error) from error
+        refuse_special(self.path, OutputError)
+        with ExitStack() as stack:
+            stack.enter_context(locked(self.path))
+            try:
+                handle = os.open(self.path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666)
+                self._stream = stack.enter_context(os.fdopen(handle, "r+b"))
+                if not (resume and self._read_in()):
+                    self._start()
+            except OSError as error:
+                raise refusal(self.path, error) from error
+            self._open = stack.pop_all()
 
     def __len__(self) -> int:
         return len(self._ends) - 1
@@ -96,14 +102,11 @@ class Journal:
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close the file; it stays only if there is something in it with which a run could go on.
-
-        After a fault of the input a run would end there again, and its journal is of no use.
-        """
+        """Close the file; remove it if no run can resume from it (no records, or an error of the input)."""
         hopeless = isinstance(value, GyrotrackError) and not isinstance(value, OutputError)
         if not len(self) or hopeless:
             self.discard()
-        self._stream.close()
+        self._open.close()
 
     def append(self, facts: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> None:
         """Add a record; after this it survives a kill of the process."""
@@ -122,12 +125,14 @@ class Journal:
             yield _unpacked(self._stream.read(end - start - _HEAD.size))
 
     def restart(self) -> None:
-        """Forget all records."""
+        """Drop all records."""
         self._start()
 
     def discard(self) -> None:
-        """Remove the journal: its run is done."""
-        remove(self.path, self._stream)
+        """Remove the checkpoint of a finished run."""
+        with suppress(OSError):
+            if self.path.stat().st_ino == os.fstat(self._stream.fileno()).st_ino:
+                self.path.unlink()
 
     def _start(self) -> None:
         self._stream.seek(0)
@@ -166,21 +171,6 @@ class Journal:
         return content if len(content) == length and zlib.crc32(content) == check else None
 
 
-def _opened(path: Path) -> BinaryIO:
-    """Open the journal for reading and writing and lock it, whether it exists already or not."""
-    for _ in range(20):
-        stream = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666), "r+b")
-        try:
-            lock(stream, path)
-        except OutputError:
-            stream.close()
-            raise
-        if is_at(path, stream):
-            return stream
-        stream.close()  # the run that had it has just removed it
-    raise OSError("it keeps vanishing")
-
-
 def _packed(facts: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> bytes:
     plain = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
     table = [[name, array.dtype.str, list(array.shape)] for name, array in plain.items()]
@@ -196,7 +186,7 @@ def _unpacked(content: bytes) -> Record:
     place, arrays = _SIZE.size + size, {}
     for name, kind, shape in manifest["arrays"]:
         if kind not in _TYPES:
-            raise OutputError(f"The journal holds numbers of an unknown type, {kind}.", "Start over.")
+            raise OutputError(f"The checkpoint has an array of unknown type {kind}.", "Run without --resume.")
         count = int(np.prod(shape, dtype=np.int64))
         arrays[name] = np.frombuffer(content, kind, count, place).reshape(shape)
         place += arrays[name].nbytes

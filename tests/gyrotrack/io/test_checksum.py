@@ -12,7 +12,7 @@ from fitting.inference._case_file import read_record
 from gyrotrack._errors import DatasetError
 from gyrotrack.apps.cli import _app as app
 from gyrotrack.io._hdf5 import read_case, read_recording, write_recording
-from gyrotrack.io._validation import LENGTH, has_endless_heap, sealed
+from gyrotrack.io._validation import LENGTH, checksum_line, has_endless_heap
 
 
 @pytest.fixture
@@ -60,8 +60,8 @@ def test_a_heap_that_runs_in_circles_is_not_entered(file, seal):
     wrong = whole[:place] + b"\x00" * 64 + whole[place + 64 :]
     if seal != "broken":
         wrong = wrong[:-LENGTH]
-    file.write_bytes(wrong + (sealed(BytesIO(wrong)) if seal == "true" else b""))
-    words = "checksum" if seal == "broken" else "circles"
+    file.write_bytes(wrong + (checksum_line(BytesIO(wrong)) if seal == "true" else b""))
+    words = "checksum" if seal == "broken" else "string heap|run in circles"
     with pytest.raises(DatasetError, match=words):
         read_case(file)
     with pytest.raises(RecordError, match=words):

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from gyrotrack._errors import OutputError, TrackingError
-from gyrotrack.io._journal import Journal, journal_path
+from gyrotrack.io._checkpoint import CheckpointFile, checkpoint_path
 
 FACTS = {"film": "abc", "profile": {"name": "paper", "marker": [1, 2]}, "body": None}
 
 
 def fill(output, count=3):
-    with Journal(output, FACTS) as journal:
+    with CheckpointFile(output, FACTS) as journal:
         for k in range(count):
             journal.append({"k": k}, {"a": np.arange(k + 1.0), "b": np.zeros((2, 0), dtype=np.int64)})
 
@@ -24,7 +24,7 @@ WHOLE = [(0, [0.0], (2, 0)), (1, [0.0, 1.0], (2, 0)), (2, [0.0, 1.0, 2.0], (2, 0
 
 def test_what_was_written_is_read_again_and_goes_on(tmp_path):
     fill(tmp_path / "o.h5")
-    with Journal(tmp_path / "o.h5", FACTS, resume=True) as journal:
+    with CheckpointFile(tmp_path / "o.h5", FACTS, resume=True) as journal:
         assert len(journal) == len(WHOLE)
         assert content(journal) == WHOLE
         journal.append({"k": 9}, {"a": np.ones(1), "b": np.zeros((2, 0))})
@@ -35,20 +35,20 @@ def test_what_was_written_is_read_again_and_goes_on(tmp_path):
 
 def test_without_resume_it_starts_anew(tmp_path):
     fill(tmp_path / "o.h5")
-    with Journal(tmp_path / "o.h5", FACTS) as journal:
+    with CheckpointFile(tmp_path / "o.h5", FACTS) as journal:
         assert len(journal) == 0
         assert content(journal) == []
 
 
 def test_a_journal_of_another_run_is_not_taken_up(tmp_path):
     fill(tmp_path / "o.h5")
-    with Journal(tmp_path / "o.h5", {**FACTS, "film": "other"}, resume=True) as journal:
+    with CheckpointFile(tmp_path / "o.h5", {**FACTS, "film": "other"}, resume=True) as journal:
         assert journal.other
         assert len(journal) == 0
 
 
 def test_an_empty_one_is_removed_and_one_with_records_stays(tmp_path):
-    path = journal_path(tmp_path / "o.h5")
+    path = checkpoint_path(tmp_path / "o.h5")
     fill(tmp_path / "o.h5", 0)
     assert not path.exists()
     fill(tmp_path / "o.h5", 1)
@@ -58,12 +58,12 @@ def test_an_empty_one_is_removed_and_one_with_records_stays(tmp_path):
 @pytest.mark.parametrize("error", [KeyboardInterrupt, OutputError, MemoryError])
 def test_it_stays_when_a_run_could_go_on(tmp_path, error):
     _fail(tmp_path, error("x"))
-    assert journal_path(tmp_path / "o.h5").exists()
+    assert checkpoint_path(tmp_path / "o.h5").exists()
 
 
 def test_it_goes_when_the_input_is_at_fault(tmp_path):
     _fail(tmp_path, TrackingError("no markers"))
-    assert not journal_path(tmp_path / "o.h5").exists()
+    assert not checkpoint_path(tmp_path / "o.h5").exists()
 
 
 def _fail(folder, error):
@@ -72,7 +72,7 @@ def _fail(folder, error):
 
 
 def _one_record_then(output, error):
-    with Journal(output, FACTS) as journal:
+    with CheckpointFile(output, FACTS) as journal:
         journal.append({"k": 0}, {})
         raise error
 
@@ -80,12 +80,12 @@ def _one_record_then(output, error):
 def test_cut_at_every_byte_it_holds_the_whole_records_before(tmp_path):
     output = tmp_path / "o.h5"
     fill(output)
-    path = journal_path(output)
+    path = checkpoint_path(output)
     whole = path.read_bytes()
     held = []
     for size in range(len(whole)):
         path.write_bytes(whole[:size])
-        with Journal(output, FACTS, resume=True) as journal:
+        with CheckpointFile(output, FACTS, resume=True) as journal:
             found = content(journal)
         assert found == WHOLE[: len(found)]
         held.append(len(found))
@@ -96,25 +96,26 @@ def test_cut_at_every_byte_it_holds_the_whole_records_before(tmp_path):
 def test_a_changed_byte_drops_its_record_and_what_follows(tmp_path):
     output = tmp_path / "o.h5"
     fill(output)
-    path = journal_path(output)
+    path = checkpoint_path(output)
     whole = path.read_bytes()
     for place in range(0, len(whole), 3):
         path.write_bytes(whole[:place] + bytes([whole[place] ^ 0x55]) + whole[place + 1 :])
-        with Journal(output, FACTS, resume=True) as journal:
+        with CheckpointFile(output, FACTS, resume=True) as journal:
             found = content(journal)
         assert found == WHOLE[: len(found)]
         assert len(found) < 3
 
 
-def test_two_runs_of_one_output_do_not_mix(tmp_path):
-    with Journal(tmp_path / "o.h5", FACTS) as journal:
+def test_two_runs_of_one_output_do_not_mix(tmp_path, monkeypatch):
+    monkeypatch.setattr("gyrotrack.io._atomic.LOCK_TIMEOUT", 0.2)
+    with CheckpointFile(tmp_path / "o.h5", FACTS) as journal:
         journal.append({"k": 0}, {"a": np.zeros(1), "b": np.zeros((2, 0))})
         for resume in (False, True):
-            with pytest.raises(OutputError, match="another process"):
-                Journal(tmp_path / "o.h5", FACTS, resume=resume)
+            with pytest.raises(OutputError, match="another program"):
+                CheckpointFile(tmp_path / "o.h5", FACTS, resume=resume)
         assert len(content(journal)) == 1
 
 
 def test_a_folder_that_is_not_there_is_one_sentence(tmp_path):
     with pytest.raises(OutputError, match="cannot be written"):
-        Journal(tmp_path / "no" / "o.h5", FACTS)
+        CheckpointFile(tmp_path / "no" / "o.h5", FACTS)

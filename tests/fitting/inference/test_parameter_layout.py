@@ -5,7 +5,7 @@ from cases import data
 from fitting._errors import EffectError
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
 from fitting.effects._library import LINEAR, REDUCED
-from fitting.inference._parameters import Layout
+from fitting.inference._parameters import ParameterLayout
 from fitting.inference._record import Record
 
 
@@ -19,7 +19,7 @@ def records():
 
 
 def test_one_case_has_plain_names(records):
-    layout = Layout.of(Model.of(LINEAR), records[:1])
+    layout = ParameterLayout.of(Model.of(LINEAR), records[:1])
     assert set(layout.names) == {
         "rotor.air.quadratic.a2",
         "touchpoint.constant.b1",
@@ -31,7 +31,7 @@ def test_one_case_has_plain_names(records):
 
 
 def test_surfaces_and_air_of_the_casing_are_free_per_case(records):
-    names = Layout.of(Model.of(LINEAR), records).names
+    names = ParameterLayout.of(Model.of(LINEAR), records).names
     assert [n for n in names if n.startswith("touchpoint")] == [
         "touchpoint.constant.b1@glass",
         "touchpoint.constant.b1@steel",
@@ -45,18 +45,18 @@ def test_surfaces_and_air_of_the_casing_are_free_per_case(records):
     "share", ["touchpoint", "touchpoint.", "touchpoint.constant", "touchpoint.constant.b1", "b1"]
 )
 def test_sharing_by_prefix_effect_key_or_symbol(records, share):
-    names = Layout.of(Model.of(LINEAR), records, share=[share]).names
+    names = ParameterLayout.of(Model.of(LINEAR), records, share=[share]).names
     assert "touchpoint.constant.b1" in names
     assert "casing.air.linear.b2@glass" in names
 
 
 def test_freeing_per_case(records):
-    names = Layout.of(Model.of(LINEAR), records, per_case=["bearing.linear"]).names
+    names = ParameterLayout.of(Model.of(LINEAR), records, per_case=["bearing.linear"]).names
     assert {"bearing.linear.d@glass", "bearing.linear.d@steel"} <= set(names)
 
 
 def test_each_case_gets_its_own_numbers(records):
-    layout = Layout.of(Model.of(LINEAR), records)
+    layout = ParameterLayout.of(Model.of(LINEAR), records)
     theta = np.arange(len(layout.names), dtype=float)
     for i, label in enumerate(("glass", "steel")):
         numbers = layout.numbers(theta, i)
@@ -73,11 +73,11 @@ def test_each_case_gets_its_own_numbers(records):
 def test_unknown_names_are_refused(records):
     for words in ({"share": ["touchpoint.rough"]}, {"per_case": ["nothing"]}):
         with pytest.raises(EffectError, match="is no parameter of the model"):
-            Layout.of(Model.of(LINEAR), records, **words)
+            ParameterLayout.of(Model.of(LINEAR), records, **words)
 
 
 def test_ranges_tighten_bounds_and_never_widen_them(records):
-    layout = Layout.of(
+    layout = ParameterLayout.of(
         Model.of(REDUCED),
         records[:1],
         ranges={"bearing.power.g": (0.1, 1.3), "bearing.linear.d": (-1.0, 5e-7)},
@@ -93,6 +93,6 @@ def test_ranges_tighten_bounds_and_never_widen_them(records):
 
 
 def test_start_speeds_have_no_bounds(records):
-    layout = Layout.of(Model.of(LINEAR), records[:1])
+    layout = ParameterLayout.of(Model.of(LINEAR), records[:1])
     assert np.isneginf(layout.bounds()[0][layout.index["initial.omega_c@glass"]])
     assert layout.parameter("initial.omega_r@glass").unit == "rad s-1"
