@@ -6,17 +6,16 @@ import math
 import re
 import string
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
 from fitting._errors import EffectError, ExpressionError, FittingError
-from fitting._numbers import from_json
 from fitting.effects._dimension import NONE, Dimension, dimension, format_unit, parse_unit
-from fitting.effects._effect import MOMENTS, VARIABLES, Effect, Joint, Parameter, Role, State
+from fitting.effects._effect import MOMENTS, VARIABLES, Effect, Joint, Parameter, Role
 from fitting.effects._expression import ZERO, Expr, Tape, derivative, parse, sub, substitute, sym, symbols
 from fitting.effects._library import LIBRARY, find
 
@@ -321,36 +320,3 @@ def _check_keys(where: str, keys: Any) -> None:
         parse_unit(keys.get("unit", "1"), dict.fromkeys(string.ascii_lowercase, 1.0))
     except ExpressionError as fault:
         raise EffectError(f"{where}: {fault.message}", fault.hint) from None
-
-
-_NUMBERS = ("lower", "upper", "start")
-_ADDED_FIELDS = ("per_case", "per_surface", "nuisance", "equivalent")
-
-
-def own_effects(effects: Iterable[Effect]) -> list[dict[str, Any]]:
-    """Return the fields of those effects that are not, or not so, in the library."""
-    return [asdict(e) for e in effects if LIBRARY.get(e.name) != e]
-
-
-def effects_of(names: Iterable[str], own: Iterable[Mapping[str, Any]]) -> tuple[Effect, ...]:
-    """Return effects by name: those of the fields given, all others from the library."""
-    known = {str(e["name"]): effect_of(e) for e in own}
-    return tuple(known[n] if n in known else LIBRARY[n] for n in names)
-
-
-def effect_of(stored: Mapping[str, Any]) -> Effect:
-    """Return an effect from its fields."""
-    known = LIBRARY.get(str(stored["name"]))  # has the fields that were added after the ledger was written
-    fields = {k: getattr(known, k) for k in _ADDED_FIELDS if known is not None} | dict(stored)
-    fields["parameters"] = tuple(_stored_parameter(p) for p in fields["parameters"])
-    fields |= {k: tuple(fields.get(k, ())) for k in ("confused_with", "equivalent")}
-    state = fields.get("state")
-    fields["state"] = State(**state) if state else None
-    return Effect(**fields)
-
-
-def _stored_parameter(stored: Mapping[str, Any]) -> Parameter:
-    values: dict[str, Any] = {
-        k: tuple(v) if k == "grid" else from_json(v) if k in _NUMBERS else v for k, v in stored.items()
-    }
-    return Parameter(**values)

@@ -50,6 +50,10 @@ GENERATED = (
 )
 
 
+Array = NDArray[np.float64]
+Origin = tuple[tuple[str, ...], Array, tuple[str, ...], tuple[str, ...]]
+
+
 class FitSummary:
     """What a fit and a saved fit have in common: tables and text."""
 
@@ -57,6 +61,10 @@ class FitSummary:
     estimates: Mapping[str, Estimate]
     n_eff: float
     bic: float
+
+    def _origin(self) -> Origin:
+        """Return the names of the variables, their covariance, and sources and digests of the data."""
+        raise NotImplementedError
 
     if TYPE_CHECKING:
 
@@ -101,9 +109,17 @@ class FitSummary:
 
     def save(self, path: str | Path) -> None:
         """Write the fit as JSON, whole or not at all; `fitting.load_fit` reads it back."""
-        from fitting.study._serialisation import save_fit
+        from fitting._schema import SavedFitDocument, own_effects, write_document
 
-        save_fit(self, Path(path))
+        names, covariance, sources, digests = self._origin()
+        scalars = ("chi2", "rows", "n_eff", "deviance", "bic", "verdict")
+        same = (*scalars, "labels", "estimates", "cases", "noise")
+        document = SavedFitDocument.model_validate(
+            {k: getattr(self, k) for k in same}
+            | {"model": self.model.names, "own_effects": own_effects(self.model.effects)}
+            | {"names": names, "covariance": covariance.tolist(), "sources": sources, "digests": digests}
+        )
+        write_document(Path(path), document)
 
 
 def summary_lines(fit: FitSummary) -> list[str]:
@@ -151,8 +167,6 @@ def not_determined(estimates: Mapping[str, Estimate]) -> list[str]:
         if not k.startswith("initial.") and math.isfinite(e.stderr) and e.stderr > abs(e.value)
     ]
 
-
-Array = NDArray[np.float64]
 
 # chi2 per row that a model can reach, above which the lack of fit is significant (2000 rows: 1.0 +- 0.03)
 REDUCED_CHI2 = 1.4
@@ -202,6 +216,11 @@ class Fit(FitSummary):
     noise: tuple[Noise, ...] = field(repr=False)
     problem: Problem = field(repr=False)
     predictions: tuple[Prediction, ...] = field(repr=False)
+
+    def _origin(self) -> Origin:
+        records = [d.record for d in self.problem.data]
+        sources, digests = tuple(r.source for r in records), tuple(r.digest for r in records)
+        return self.problem.layout.names, self.covariance, sources, digests
 
     @cached_property
     def cases(self) -> tuple[CaseMetrics, ...]:

@@ -162,7 +162,7 @@ class Session:
 
     def model_document(self) -> dict[str, Any]:
         """Return the current model as a ledger keeps it, for the process that ranks."""
-        from fitting.effects._user import own_effects
+        from fitting._schema import own_effects
 
         with self._lock:
             fit = self.fit
@@ -172,7 +172,7 @@ class Session:
                     "model": list(fit.model.names),
                     "parameters": {k: {"value": e.value} for k, e in fit.estimates.items()},
                     "digests": [self._data.record.digest],
-                    "own_effects": own_effects(fit.model.effects),
+                    "own_effects": [asdict(e) for e in own_effects(fit.model.effects)],
                 }
             )
 

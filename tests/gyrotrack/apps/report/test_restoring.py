@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from fitting._schema import StoredFit
 from fitting.discovery._select import Step
 from fitting.inference._case_data import CaseData
 from fitting.study import _serialisation as restoring
@@ -68,7 +69,12 @@ def test_a_report_shows_the_same_curves(story, study):
 def test_other_code_finds_anew(study, monkeypatch):
     monkeypatch.setattr(restoring, "fingerprint", lambda: "another")
     entry = study.entry(None)
-    assert restoring.restored_fit(entry.document["restored_from"], entry.model, study.data) is None
+    assert (
+        restoring.restored_fit(
+            StoredFit.model_validate(entry.document["restored_from"]), entry.model, study.data
+        )
+        is None
+    )
     assert entry.diagnosis(entry.refit(study.data)) is None
 
 
