@@ -270,7 +270,7 @@ def _changes_sign(divisor: Expr, data: CaseData) -> bool:
     names = symbols(divisor)
     if not names or not names <= {"t", "omega_r", "omega_c", "delta"}:
         return False  # a constant, a parameter that the fit may move, or an angle
-    time, speeds = data.rough_speeds
+    time, speeds = data.initial_speeds
     own = {"omega_r": speeds[:, 0], "omega_c": speeds[:, 1], "delta": speeds[:, 0] - speeds[:, 1]}
     motion = {"t": np.concatenate([time, time[[0, -1]]])}
     for name, value in own.items():

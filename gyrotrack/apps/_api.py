@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
+from gyrotrack._inertia import Inertia
 from gyrotrack.io._atomic import refuse_existing
 from gyrotrack.io._hdf5 import read_case, read_kind, read_recording, write_case
 from gyrotrack.io._records import Case, Recording
@@ -97,8 +99,8 @@ def sync(
     rotors: Sequence[Recording | str | Path],
     output: str | Path | None = None,
     *,
-    inertia_rotor: float,
-    inertia_casing: float,
+    inertia_rotor: float | str,
+    inertia_casing: float | str,
     label: str = "",
     surface: str = "",
     force: bool = False,
@@ -116,8 +118,8 @@ def sync(
         The recordings of the rotor.
     output : str or Path, optional
         HDF5 file to write; without it nothing is written.
-    inertia_rotor, inertia_casing : float
-        Moments of inertia [kg m2].
+    inertia_rotor, inertia_casing : float or str
+        Moments of inertia [kg m2], or texts such as "5.54e-5 +- 0.06e-5" and "554 g cm2".
     label, surface : str
         Name of the case, and the surface on which the casing turned.
     force : bool
@@ -150,20 +152,20 @@ def sync(
         rotors = [rotors]
     if output is not None:
         refuse_existing(Path(output), force=force)
-    found = placed(casing, rotors, label, surface, inertia_rotor, inertia_casing, progress)
+    inertias = Inertia.of(inertia_rotor, "rotor"), Inertia.of(inertia_casing, "casing")
+    found = synchronised(casing, rotors, label, surface, inertias, progress)
     if output is not None:
-        settings = {"I_rotor": inertia_rotor, "I_casing": inertia_casing}
+        settings = {"I_rotor": inertias[0].value, "I_casing": inertias[1].value}
         write_case(Path(output), found.case, command="gyrotrack.sync", settings=settings, force=force)
     return found.case
 
 
-def placed(
+def synchronised(
     casing: Recording | str | Path,
     rotors: Sequence[Recording | str | Path],
     label: str,
     surface: str,
-    inertia_rotor: float,
-    inertia_casing: float,
+    inertias: tuple[Inertia, Inertia],
     progress: Progress | None = None,
 ) -> Synchronised:
     """Synchronise recordings or files of recordings; see `sync`."""
@@ -173,16 +175,18 @@ def placed(
         r.source or f"recording {i}" if isinstance(r, Recording) else Path(r).name
         for i, r in enumerate(given)
     ]
-    return synchronise(
+    found = synchronise(
         recordings[0],
         recordings[1:],
         names,
         label=label,
         surface=surface,
-        I_rotor=inertia_rotor,
-        I_casing=inertia_casing,
+        I_rotor=inertias[0].value,
+        I_casing=inertias[1].value,
         progress=progress,
     )
+    case = replace(found.case, I_rotor_u=inertias[0].u, I_casing_u=inertias[1].u)
+    return Synchronised(case, found.matches)
 
 
 def read(path: str | Path) -> Recording | Case:

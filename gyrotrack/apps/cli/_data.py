@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,8 +12,6 @@ import typer
 
 from gyrotrack._errors import UsageError
 from gyrotrack.apps.cli._options import (
-    I_CASING,
-    I_ROTOR,
     Force,
     InertiaCasing,
     InertiaRotor,
@@ -29,73 +28,76 @@ if TYPE_CHECKING:
     from gyrotrack.io._inspection import Inspection
 
 
-_TABLE = "Table with a header, t,angle[,sigma] or t,omega[,sigma], or points"
+_TABLE = "Table of the casing with a header t,angle[,sigma] or t,omega[,sigma], or points"
 
 
 def import_command(
     *,
     casing: Annotated[Path | None, typer.Option("--casing", metavar="CSV", help=f"{_TABLE}.")] = None,
     rotor: Annotated[
-        list[Path] | None, typer.Option("--rotor", metavar="CSV", help="The same; give it once per window.")
+        list[Path] | None,
+        typer.Option("--rotor", metavar="CSV", help="Table of one rotor window; once per window."),
     ] = None,
     body: Annotated[
         Path | None,
-        typer.Option("--body", metavar="CSV", help="One body that spins down by itself, in place of both."),
+        typer.Option("--body", metavar="CSV", help="Table of a single body, in place of casing and rotor."),
     ] = None,
     inertia: Annotated[
-        float | None, typer.Option("--inertia", metavar="X", help="Its moment of inertia [kg m2].")
+        str | None,
+        typer.Option("--inertia", metavar="I", help="Moment of inertia of the single body [kg m2]."),
     ] = None,
     output: OutputFile,
     columns: Annotated[
         list[str] | None,
         typer.Option(
-            "--column", metavar="OURS=THEIRS", help="What a column means: t=Zeit, 'angle=phi [deg]'."
+            "--column", metavar="OURS=THEIRS", help="Meaning of a column: t=Zeit, 'angle=phi [deg]'."
         ),
     ] = None,
     marker: Annotated[
-        str | None, typer.Option("--marker", metavar="NAME", help="The point to follow, in files of points.")
+        str | None, typer.Option("--marker", metavar="NAME", help="Point to follow, in files of points.")
     ] = None,
     centre: Annotated[
         str | None,
-        typer.Option(
-            "--centre", metavar="C", help="What it goes about: a point, a place as 320,240, or orbit."
-        ),
+        typer.Option("--centre", metavar="C", help="Centre of rotation: a point, X,Y in px, or orbit."),
     ] = None,
     likelihood: Annotated[
         float,
-        typer.Option("--likelihood", metavar="P", help="Leave out points that are less sure than this."),
+        typer.Option("--likelihood", metavar="P", help="Smallest likelihood of a point that is used."),
     ] = 0.6,
     casing_fps: Annotated[
         float | None,
-        typer.Option("--casing-fps", metavar="N", help="Rate of points that are counted by frame."),
+        typer.Option("--casing-fps", metavar="N", help="Capture rate of casing points without times [1/s]."),
     ] = None,
     rotor_fps: Annotated[
-        float | None, typer.Option("--rotor-fps", metavar="N", help="The same of the rotor's.")
+        float | None,
+        typer.Option("--rotor-fps", metavar="N", help="Capture rate of rotor points without times [1/s]."),
     ] = None,
     rotor_start: Annotated[
         list[float] | None,
         typer.Option(
-            "--rotor-start", metavar="T", help="When a rotor file of points starts [s]; once per file."
+            "--rotor-start", metavar="T", help="Start of a rotor file of points [s]; once per file."
         ),
     ] = None,
     label: Label = None,
     surface: Surface = "",
-    inertia_rotor: InertiaRotor = I_ROTOR,
-    inertia_casing: InertiaCasing = I_CASING,
+    inertia_rotor: InertiaRotor = None,
+    inertia_casing: InertiaCasing = None,
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Make a case from tables of angles or speeds (CSV), or from points that another program followed.
+    """Make a case from tables of angles or angular rates, or from points tracked by another program.
 
-    Times in s, all on one clock; angles in rad, wrapped or not. Other units are taken if the header names
+    Times in s, all on one clock; angles in rad, wrapped or not. Other units are converted if the header names
     them, as in `angle [deg]`. Without a sigma column the noise is estimated from the scatter. Points are
     read from OSP Tracker (text), DeepLabCut and SLEAP (CSV or HDF5). With --body the case is a plain
-    spin-down: the body stands in the casing's place, and the effects that need a rotor are left out.
+    spin-down of a single body; the effects that need a rotor are excluded.
 
-    Example: gyrotrack import --casing casing.csv --rotor r1.csv --rotor r2.csv -o case1.h5
+    Example: gyrotrack import --casing casing.csv --rotor r1.csv --rotor r2.csv -o case1.h5 --inertia-rotor 5.54e-5
+    --inertia-casing "20.6 +- 0.2 g cm2"
     """
+    from gyrotrack._inertia import Inertia
     from gyrotrack.io._atomic import refuse_existing
     from gyrotrack.io._hdf5 import write_case
     from gyrotrack.io.readers._import_case import import_body, import_case, summary
@@ -115,21 +117,25 @@ def import_command(
     points += [Wanted(marker, centre, rotor_fps, start, likelihood) for start in starts]
     names, title = read_names(columns or ()), output.stem if label is None else label
     if body is not None and inertia is not None and casing is None and not rotor:
-        case = import_body(body, inertia, label=title, surface=surface, names=names, wanted=points[0])
+        moment = Inertia.of(inertia)
+        case = import_body(body, moment.value, label=title, surface=surface, names=names, wanted=points[0])
+        case = replace(case, I_casing_u=moment.u)
     elif casing is not None and body is None and inertia is None:
+        inertias = Inertia.required(inertia_rotor, "rotor"), Inertia.required(inertia_casing, "casing")
         case = import_case(
             casing,
             rotor,
             label=title,
             surface=surface,
-            I_rotor=inertia_rotor,
-            I_casing=inertia_casing,
+            I_rotor=inertias[0].value,
+            I_casing=inertias[1].value,
             names=names,
             wanted=points,
         )
+        case = replace(case, I_rotor_u=inertias[0].u, I_casing_u=inertias[1].u)
     else:
         raise UsageError(
-            "A case is made of --casing and --rotor, or of --body and --inertia.", "Give one of these pairs."
+            "A case needs --casing and --rotor, or --body and --inertia.", "Give one of these pairs."
         )
     settings = {"casing": casing, "rotor": rotor, "body": body, "inertia": inertia, **case.extra}
     write_case(output, case, command=command_line(), settings=settings, force=force)
@@ -160,7 +166,7 @@ def _line(name: str, part: dict[str, Any]) -> str:
 
 
 class Table(StrEnum):
-    """What to export."""
+    """Table to export."""
 
     motion = "motion"
     markers = "markers"
@@ -168,20 +174,21 @@ class Table(StrEnum):
 
 
 def export_command(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A case or a recording.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Case or recording.")],
     *,
     output: OutputFile,
     table: Annotated[
         Table,
         typer.Option(
-            "--table", help="Angles of the bodies, or every marker or frame of the films (CSV, Parquet)."
+            "--table",
+            help="Angles of the bodies, or every marker or every frame of the films (CSV, Parquet).",
         ),
     ] = Table.motion,
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Hand the data on as CSV, Parquet or netCDF, by the suffix of the output.
+    """Export the data as CSV, Parquet or netCDF, according to the suffix of the output.
 
     Example: gyrotrack export case1.h5 -o case1.csv
     """
@@ -197,16 +204,14 @@ def export_command(
 
 
 def info_command(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording or a case.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Recording or case.")],
     *,
-    verify: Annotated[
-        bool, typer.Option("--verify", help="Re-read every chunk against its checksum.")
-    ] = False,
+    verify: Annotated[bool, typer.Option("--verify", help="Check every chunk against its checksum.")] = False,
     as_json: Json = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> int:
-    """Say what a file holds, and whether it is sound (exit code 3 if not).
+    """Show the contents of a file and check its integrity (exit code 3 if it is damaged).
 
     Example: gyrotrack info case1.h5 --verify
     """
