@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from gyrotrack.apps._api import read as read
     from gyrotrack.apps._api import sync as sync
     from gyrotrack.apps._simulation import SimulatedRun as SimulatedRun
+    from gyrotrack.apps._study import FitRequest as FitRequest
     from gyrotrack.apps._study import Study as Study
-    from gyrotrack.apps._study import Wish as FitRequest
     from gyrotrack.apps._study import open_study as open_study
     from gyrotrack.apps.report._page import write_report as write_report
     from gyrotrack.io._export import export_file as export_file
@@ -60,7 +60,7 @@ _PLACES = {
     "Case": ("gyrotrack.io._records", "Case"),
     "ConfigurationError": ("gyrotrack._errors", "ConfigurationError"),
     "DatasetError": ("gyrotrack._errors", "DatasetError"),
-    "FitRequest": ("gyrotrack.apps._study", "Wish"),
+    "FitRequest": ("gyrotrack.apps._study", "FitRequest"),
     "GyrotrackError": ("gyrotrack._errors", "GyrotrackError"),
     "MarkerTrack": ("gyrotrack.io._records", "MarkerTrack"),
     "OutputError": ("gyrotrack._errors", "OutputError"),

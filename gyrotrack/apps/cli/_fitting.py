@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gyrotrack._errors import DatasetError, UsageError
-from gyrotrack.apps._study import Wish, open_study, read_cases
+from gyrotrack.apps._study import FitRequest, open_study, read_cases
 from gyrotrack.apps.cli._options import (
     CaseFiles,
     DataKind,
@@ -105,7 +105,7 @@ def fit_command(
         raise UsageError(f"There is no loss named {loss[:40]!r}.", f"Losses: {', '.join(_LOSSES)}.")
     out = Output(as_json=as_json, quiet=quiet)
     groups = [cases] if joint else [[case] for case in cases]
-    wish = Wish(
+    request = FitRequest(
         model=model,
         add=tuple(add or ()),
         drop=tuple(drop or ()),
@@ -120,7 +120,7 @@ def fit_command(
         study = open_study(group, ledger, data=data, rotor=rotor)
         with out.progress("fitting") as progress:
             progress(0, None)
-            found, fit_id = wish.fit(study, start)
+            found, fit_id = request.fit(study, start)
             intervals = _intervals(found, profile or ())
             predicted = _predicted(found) if hold_out else None
             bias = _bias(found)

@@ -51,15 +51,13 @@ def report_command(
     from gyrotrack.apps.report._page import write_report
     from gyrotrack.io._atomic import refuse_existing
     from gyrotrack.io._hdf5 import read_case
-    from gyrotrack.plotting._style import get_ready
 
     out = Output(as_json=as_json, quiet=quiet)
     refuse_existing(output, force=force)
     study = open_study(cases, ledger)
     with WorkerPool() as workers, out.progress("writing the report") as progress:
         progress(0, None)
-        workers.submit(get_ready)
-        rungs = study.rungs_to(start)
+        rungs = study.steps_to(start)
         diagnosis = study.diagnosis(start, rungs[0].fit, own_effects(effects), workers=workers)
         recordings = [read_case(case) for case in cases]
         where = {"command": command_line(), "ledger": str(study.ledger.path)}
@@ -71,7 +69,6 @@ def report_command(
             films=film_folders(cases, films),
             provenance=where,
             force=force,
-            workers=workers,
         )
     out.result({"output": output, "fits": [r.change or "base" for r in rungs], "verdict": diagnosis.verdict})
     out.show(f"written: {output}")
