@@ -53,7 +53,7 @@ def test_from_film_to_recording_and_back(casing_clip, tmp_path):
     assert len(gyrotrack.extract(film, output, capture_fps=260, resume=True).time) == len(made.time)
     with pytest.raises(gyrotrack.OutputError, match="--force"):
         gyrotrack.extract(film, output, capture_fps=260)
-    with pytest.raises(UsageError, match="positive"):
+    with pytest.raises(UsageError, match="not possible for the rotor"):
         gyrotrack.sync(made, [made], inertia_rotor=0.0, inertia_casing=1e-5)
     with pytest.raises(TypeError, match="inertia_rotor"):
         gyrotrack.sync(made, [made])

@@ -73,7 +73,7 @@ def test_toml(write, tmp_path):
     )
     assert (pvc.label, pvc.folder, pvc.surface, pvc.inertia_rotor) == ("pvc 1", "pvc_1", "PVC", "5e-05")
     assert (old.label, old.data) == ("case7", tmp_path / "old/case7.h5")
-    assert (noted.label, noted.inertia_rotor, noted.inertia_casing) == ("noted", 7e-5, 2e-6)
+    assert (noted.label, noted.inertia_rotor, noted.inertia_casing) == ("noted", "7e-05", "2e-06")
     assert [c.body for c in noted.clips] == ["casing", "rotor"]
     assert wheel.alone
     assert wheel.clips[0] == Clip(tmp_path / "wheel.mp4", "", 300, tmp_path / "wheel.toml")

@@ -77,7 +77,7 @@ def test_info_of_a_case(tables, capsys):
     assert document["kind"] == "case"
     assert document["sound"] is True
     assert document["rotor"]["windows"][0]["samples"] == 2000
-    assert document["command"] == "gyrotrack import --casing casing.csv --rotor r1.csv -o case.h5"
+    assert document["command"].startswith("gyrotrack import --casing casing.csv --rotor r1.csv -o case.h5")
 
 
 def test_info_of_something_else(tables, capsys):
