@@ -1,4 +1,4 @@
-"""Write the tables of docs/format.md from the HDF5 schema: `python docs/make_format.py`."""
+"""Write the tables of docs/reference/format.md from the HDF5 schema: `python docs/make_format.py`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 from gyrotrack.io import _schema as schema
 
-TARGET = Path(__file__).with_name("format.md")
+TARGET = Path(__file__).parent / "reference" / "format.md"
 BEGIN, END = "<!-- made by docs/make_format.py: begin -->\n", "<!-- made by docs/make_format.py: end -->\n"
 
 

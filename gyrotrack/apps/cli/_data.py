@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import math
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,8 +12,6 @@ import typer
 
 from gyrotrack._errors import UsageError
 from gyrotrack.apps.cli._options import (
-    I_CASING,
-    I_ROTOR,
     Force,
     InertiaCasing,
     InertiaRotor,
@@ -30,21 +28,25 @@ if TYPE_CHECKING:
     from gyrotrack.io._inspection import Inspection
 
 
-_TABLE = "Angles, angular velocities, pulses or tracked points (CSV, Tracker, phyphox, Excel, MATLAB, ...)"
+_TABLE = "Angles, angular rates, pulses or points of the casing (CSV, Tracker, phyphox, Excel, MATLAB ...)"
 
 
 def import_command(
     *,
     casing: Annotated[Path | None, typer.Option("--casing", metavar="FILE", help=f"{_TABLE}.")] = None,
     rotor: Annotated[
-        list[Path] | None, typer.Option("--rotor", metavar="FILE", help="The same; give it once per window.")
+        list[Path] | None,
+        typer.Option("--rotor", metavar="FILE", help="The same of one rotor window; once per window."),
     ] = None,
     body: Annotated[
         Path | None,
-        typer.Option("--body", metavar="FILE", help="One body alone, in place of both."),
+        typer.Option(
+            "--body", metavar="FILE", help="The same of a single body, in place of casing and rotor."
+        ),
     ] = None,
     inertia: Annotated[
-        float | None, typer.Option("--inertia", metavar="X", help="Its moment of inertia [kg m2].")
+        str | None,
+        typer.Option("--inertia", metavar="I", help="Moment of inertia of the single body [kg m2]."),
     ] = None,
     output: OutputFile,
     columns: Annotated[
@@ -52,94 +54,75 @@ def import_command(
         typer.Option(
             "--column",
             metavar="QUANTITY=COLUMN",
-            help="Meaning of a column, by header or number: t=Zeit, 'angle=phi [deg]', 't=1 [us]'.",
+            help="Meaning of a column, by header or number: t=Zeit, 'angle=phi [deg]', 't=1 [us]', revolutions=3.",
         ),
     ] = None,
     marker: Annotated[
-        str | None, typer.Option("--marker", metavar="NAME", help="The point to follow, in files of points.")
+        str | None, typer.Option("--marker", metavar="NAME", help="Point to follow, in files of points.")
     ] = None,
     centre: Annotated[
         str | None,
-        typer.Option(
-            "--centre", metavar="C", help="Centre of rotation: a point, coordinates as 320,240, or orbit."
-        ),
+        typer.Option("--centre", metavar="C", help="Centre of rotation: a point, X,Y in px, or orbit."),
     ] = None,
     likelihood: Annotated[
         float,
-        typer.Option("--likelihood", metavar="P", help="Lowest likelihood of a point."),
+        typer.Option("--likelihood", metavar="P", help="Smallest likelihood of a point that is used."),
     ] = 0.6,
     casing_fps: Annotated[
         float | None,
         typer.Option(
-            "--casing-fps",
-            metavar="N",
-            help="Frame rate [1/s] of a file that counts frames (casing or body).",
+            "--casing-fps", metavar="N", help="Capture rate of a file without times, casing or body [1/s]."
         ),
     ] = None,
     rotor_fps: Annotated[
-        float | None, typer.Option("--rotor-fps", metavar="N", help="The same for the rotor.")
+        float | None,
+        typer.Option("--rotor-fps", metavar="N", help="Capture rate of a rotor file without times [1/s]."),
     ] = None,
     rotor_start: Annotated[
         list[float] | None,
         typer.Option(
-            "--rotor-start", metavar="T", help="When a rotor file of points starts [s]; once per file."
+            "--rotor-start", metavar="T", help="Start of a rotor file of points [s]; once per file."
         ),
     ] = None,
     pulses_per_turn: Annotated[
         float | None,
-        typer.Option("--pulses-per-turn", metavar="N", help="The file has times of pulses, N per turn."),
+        typer.Option("--pulses-per-turn", metavar="N", help="The file holds times of pulses, N per turn."),
     ] = None,
     start: Annotated[
-        float | None, typer.Option("--from", metavar="T", help="Leave out samples before this time [s].")
+        float | None, typer.Option("--from", metavar="T", help="Exclude samples before this time [s].")
     ] = None,
     stop: Annotated[
-        float | None, typer.Option("--to", metavar="T", help="Leave out samples after this time [s].")
+        float | None, typer.Option("--to", metavar="T", help="Exclude samples after this time [s].")
     ] = None,
     cut: Annotated[
         list[str] | None,
-        typer.Option("--cut", metavar="A:B", help="Leave out samples between two times [s]; repeatable."),
+        typer.Option("--cut", metavar="A:B", help="Exclude samples between two times [s]; repeatable."),
     ] = None,
     keep_all: Annotated[
         bool,
-        typer.Option(
-            "--keep-all", help="Keep the drive at the start and the brake or rest at the end (--body)."
-        ),
+        typer.Option("--keep-all", help="Keep a drive at the start and a brake or rest at the end (--body)."),
     ] = False,
-    inertia_u: Annotated[
-        float | None,
-        typer.Option("--inertia-u", metavar="U", help="Standard uncertainty of --inertia [kg m2]."),
-    ] = None,
-    inertia_rotor_u: Annotated[
-        float | None,
-        typer.Option(
-            "--inertia-rotor-u", metavar="U", help="Standard uncertainty of the rotor's inertia [kg m2]."
-        ),
-    ] = None,
-    inertia_casing_u: Annotated[
-        float | None,
-        typer.Option(
-            "--inertia-casing-u", metavar="U", help="Standard uncertainty of the casing's inertia [kg m2]."
-        ),
-    ] = None,
     label: Label = None,
     surface: Surface = "",
-    inertia_rotor: InertiaRotor = I_ROTOR,
-    inertia_casing: InertiaCasing = I_CASING,
+    inertia_rotor: InertiaRotor = None,
+    inertia_casing: InertiaCasing = None,
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Make a case from measured angles, angular velocities, pulses or tracked points.
+    """Make a case from measured angles, angular rates, pulses or tracked points.
 
     The format is recognised by content: CSV or other text, phyphox, Excel, MATLAB, Parquet, JSON, netCDF, projects and
-    text of OSP Tracker, DeepLabCut, SLEAP, movement. Times in s, on one clock, and angles in rad, wrapped or not; other
-    units are read from the header (`angle [deg]`). Without a sigma column the noise is estimated from the scatter.
-    With --body the case has one body only; a motor at the start and a brake or rest at the end are left out and
-    reported. Every repair is reported.
+    text of OSP Tracker, DeepLabCut, SLEAP, movement. Times in s, all on one clock; angles in rad, wrapped or not; other
+    units are converted if the header names them, as in `angle [deg]`. Without a sigma column the noise is estimated
+    from the scatter. With --body the case has a single body; a motor at the start and a brake or rest at the end are
+    detected, reported and excluded. Every repair is reported with its line.
 
-    Example: gyrotrack import --casing casing.csv --rotor r1.csv --rotor r2.csv -o case1.h5
+    Example: gyrotrack import --casing casing.csv --rotor r1.csv --rotor r2.csv -o case1.h5 --inertia-rotor 5.54e-5
+    --inertia-casing "20.6 +- 0.2 g cm2"
     """
+    from gyrotrack._inertia import Inertia
     from gyrotrack.io._atomic import refuse_existing
     from gyrotrack.io._hdf5 import write_case
     from gyrotrack.io.readers._import_case import import_body, import_case, summary
@@ -162,26 +145,27 @@ def import_command(
     ]
     limits = Limits(start, stop, read_cuts(cut or ()), keep_all)
     if body is not None and inertia is not None and casing is None and not rotor:
-        u = _uncertainty(inertia_u)
+        moment = Inertia.of(inertia)
         case = import_body(
-            body, inertia, label=title, surface=surface, options=options[0], limits=limits, inertia_u=u
+            body, moment.value, label=title, surface=surface, options=options[0], limits=limits
         )
+        case = replace(case, I_casing_u=moment.u)
     elif casing is not None and body is None and inertia is None:
+        inertias = Inertia.required(inertia_rotor, "rotor"), Inertia.required(inertia_casing, "casing")
         case = import_case(
             casing,
             rotor,
             label=title,
             surface=surface,
-            I_rotor=inertia_rotor,
-            I_casing=inertia_casing,
+            I_rotor=inertias[0].value,
+            I_casing=inertias[1].value,
             options=options,
             limits=limits,
-            I_rotor_u=_uncertainty(inertia_rotor_u),
-            I_casing_u=_uncertainty(inertia_casing_u),
         )
+        case = replace(case, I_rotor_u=inertias[0].u, I_casing_u=inertias[1].u)
     else:
         raise UsageError(
-            "A case is made of --casing and --rotor, or of --body and --inertia.", "Give one of these pairs."
+            "A case needs --casing and --rotor, or --body and --inertia.", "Give one of these pairs."
         )
     settings = {"casing": casing, "rotor": rotor, "body": body, "inertia": inertia, **case.extra}
     write_case(output, case, command=command_line(), settings=settings, force=force)
@@ -192,13 +176,6 @@ def import_command(
     document = {"output": output, **summary(case)}
     out.result(document)
     out.show(_lines(document))
-
-
-def _uncertainty(given: float | None) -> float:
-    """Return a standard uncertainty of an inertia, NaN if it is not given."""
-    if given is not None and not 0 < given < math.inf:
-        raise UsageError("The uncertainty of an inertia is not positive.", "Give it in kg m2, such as 1e-7.")
-    return math.nan if given is None else given
 
 
 def _lines(document: dict[str, Any]) -> str:
@@ -219,7 +196,7 @@ def _line(name: str, part: dict[str, Any]) -> str:
 
 
 class Table(StrEnum):
-    """What to export."""
+    """Table to export."""
 
     motion = "motion"
     markers = "markers"
@@ -227,20 +204,21 @@ class Table(StrEnum):
 
 
 def export_command(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A case or a recording.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Case or recording.")],
     *,
     output: OutputFile,
     table: Annotated[
         Table,
         typer.Option(
-            "--table", help="Angles of the bodies, or every marker or frame of the films (CSV, Parquet)."
+            "--table",
+            help="Angles of the bodies, or every marker or every frame of the films (CSV, Parquet).",
         ),
     ] = Table.motion,
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Export the data as CSV, Parquet, netCDF, JSON or text of OSP Tracker, by the suffix of the output.
+    """Export the data as CSV, Parquet, netCDF, JSON or text of OSP Tracker, according to the suffix of the output.
 
     Example: gyrotrack export case1.h5 -o case1.csv
     """
@@ -256,16 +234,14 @@ def export_command(
 
 
 def info_command(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording or a case.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Recording or case.")],
     *,
-    verify: Annotated[
-        bool, typer.Option("--verify", help="Re-read every chunk against its checksum.")
-    ] = False,
+    verify: Annotated[bool, typer.Option("--verify", help="Check every chunk against its checksum.")] = False,
     as_json: Json = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> int:
-    """Say what a file holds, and whether it is sound (exit code 3 if not).
+    """Show the contents of a file and check its integrity (exit code 3 if it is damaged).
 
     Example: gyrotrack info case1.h5 --verify
     """

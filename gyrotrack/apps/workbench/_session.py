@@ -7,7 +7,7 @@ from threading import RLock
 from typing import TYPE_CHECKING, Any
 
 from gyrotrack._errors import GyrotrackError
-from gyrotrack.plotting._interactive import board_document
+from gyrotrack.plotting._charts import dashboard_document, interval_document
 
 if TYPE_CHECKING:
     from fitting.discovery._residuals import ResidualTorque
@@ -140,10 +140,10 @@ class Session:
         return step.fit_id
 
     def _sharpen(self, step: Step) -> None:
-        from fitting.discovery._select import polished
+        from fitting.discovery._refine import refined
 
         if not step.sharp:
-            step.fit, step.sharp, step.torques = polished(step.fit), True, None
+            step.fit, step.sharp, step.torques = refined(step.fit), True, None
 
     def remember(self, answer: dict[str, Any]) -> dict[str, Any]:
         """Keep what a search found for the parameters of the candidates, and return its answer as it is to be read."""
@@ -162,7 +162,7 @@ class Session:
 
     def model_document(self) -> dict[str, Any]:
         """Return the current model as a ledger keeps it, for the process that ranks."""
-        from fitting.effects._user import own_effects
+        from fitting._schema import own_effects
 
         with self._lock:
             fit = self.fit
@@ -172,7 +172,7 @@ class Session:
                     "model": list(fit.model.names),
                     "parameters": {k: {"value": e.value} for k, e in fit.estimates.items()},
                     "digests": [self._data.record.digest],
-                    "own_effects": own_effects(fit.model.effects),
+                    "own_effects": [asdict(e) for e in own_effects(fit.model.effects)],
                 }
             )
 
@@ -219,20 +219,20 @@ class Session:
 
     def _board(self, step: Step, *, whole: bool) -> dict[str, Any]:
         from fitting.discovery._residuals import find_failures
-        from fitting.discovery._select import Rung
-        from gyrotrack.apps.report._dashboard import case_board, mark
-        from gyrotrack.plotting._study_data import case_view
+        from fitting.discovery._select import Step as FitStep
+        from gyrotrack.plotting._case_charts import case_dashboard
+        from gyrotrack.plotting._study_data import case_view, intervals_of
         from gyrotrack.plotting._tracking import tracks_of
 
         before = self.steps[step.parent] if step.parent >= 0 else None
         steps = [s for s in (before, step) if s is not None]
-        rungs = [Rung(s.change, s.fit, ()) for s in steps]
+        rungs = [FitStep(s.change, s.fit, ()) for s in steps]
         view = case_view(rungs, None, [self._torques(s) for s in steps], 0)
         tracks = tracks_of(self._case) if whole and self._case is not None else None
         names = ("before", "now") if before is not None else ("now",)
-        board = board_document(case_board(view, tracks, [s.change for s in steps], names=names))
+        board = dashboard_document(case_dashboard(view, tracks, [s.change for s in steps], names=names))
         failures = find_failures(step.fit, list(self._torques(step)))
-        board["marks"] = [asdict(mark(f)) for f in failures]
+        board["intervals"] = [interval_document(i) for i in intervals_of(failures)]
         return board
 
     def _torques(self, step: Step) -> tuple[ResidualTorque, ...]:

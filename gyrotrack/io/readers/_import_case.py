@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -186,8 +185,6 @@ def import_case(
     I_casing: float = I_CASING,
     options: Sequence[ReadOptions] = (),
     limits: Limits | None = None,
-    I_rotor_u: float = math.nan,
-    I_casing_u: float = math.nan,
 ) -> Case:
     """Read tables of one experiment, all on one clock, and make a case of them.
 
@@ -205,8 +202,6 @@ def import_case(
         How the files are read: of the casing, then of each rotor file.
     limits : Limits, optional
         Times to keep and to leave out.
-    I_rotor_u, I_casing_u : float
-        Standard uncertainties of the moments of inertia [kg m2]; NaN if not given.
 
     Returns
     -------
@@ -245,8 +240,6 @@ def import_case(
         casing=replace(series_of(body, sense), window=None, sigma_source=_sigma_source(tables[:1])),
         rotor=replace(series_of(windows, sense), sigma_source=_sigma_source(tables[1:])),
         quantity=quantity,
-        I_rotor_u=I_rotor_u,
-        I_casing_u=I_casing_u,
         warnings=tuple(notes + doubts),
         extra=_origins(tables, sense),
     )
@@ -260,7 +253,6 @@ def import_body(
     surface: str = "",
     options: ReadOptions | None = None,
     limits: Limits | None = None,
-    inertia_u: float = math.nan,
 ) -> Case:
     """Make a case of one body: a wheel, a bearing on a rig, a pendulum.
 
@@ -274,8 +266,6 @@ def import_body(
         How the file is read.
     limits : Limits, optional
         Times to keep and to leave out; without `keep_all` a drive, a brake and rest are left out too.
-    inertia_u : float
-        Standard uncertainty of the inertia [kg m2]; NaN if not given.
 
     Returns
     -------
@@ -308,8 +298,6 @@ def import_body(
         rotor=no_series(),
         quantity=read.quantity,
         bodies="one",
-        I_rotor_u=inertia_u,
-        I_casing_u=inertia_u,
         warnings=tuple(notes),
         extra=_origins([read], sense),
     )

@@ -5,9 +5,9 @@ from dataclasses import replace
 import pytest
 import twobody
 
-from fitting.discovery._refine import better_breaks, distant_breaks
-from fitting.discovery._score import CaseColumns
-from fitting.discovery._screen import screen
+from fitting.discovery._criteria import Criteria
+from fitting.discovery._refine import distant_changepoints, local_changepoints
+from fitting.discovery._score import CaseColumns, score
 from fitting.discovery._select import found_starts
 from fitting.dynamics._model import Model
 from fitting.effects._library import LIBRARY, REDUCED
@@ -29,9 +29,9 @@ def test_the_right_hollow():
     theta = near.theta.copy()
     theta[near.problem.layout.index["touchpoint.step.t0"]] = T0 + 3.0
     lost = replace(near, theta=theta, predictions=tuple(near.problem.predict(theta)))
-    found = better_breaks(lost, LIBRARY["touchpoint.step"])
+    found = local_changepoints(lost, LIBRARY["touchpoint.step"])
     assert abs(found["touchpoint.step.t0"] - T0) < 0.3
-    assert better_breaks(near, LIBRARY["touchpoint.step"]).get("touchpoint.step.t0", T0) < T0 + 0.3
+    assert local_changepoints(near, LIBRARY["touchpoint.step"]).get("touchpoint.step.t0", T0) < T0 + 0.3
     assert set(found) == set(near.problem.layout.names)
 
 
@@ -45,11 +45,11 @@ def test_a_step_far_off_is_found_by_what_it_leaves():
     )
     assert far.verdict == "misfit"
     assert abs(far.estimates["touchpoint.step.t0"].value - T0) > 10  # beyond the reach of the near search
-    found = distant_breaks(far, LIBRARY["touchpoint.step"])
+    found = distant_changepoints(far, LIBRARY["touchpoint.step"], Criteria())
     assert abs(found["touchpoint.step.t0"] - T0) < 4
     assert found["touchpoint.step.k"] == pytest.approx(1.5e-6, rel=0.3)
     quiet = replace(far, noise=tuple(replace(n, level=n.pure) for n in far.noise))
-    assert distant_breaks(quiet, LIBRARY["touchpoint.step"]) == {}
+    assert distant_changepoints(quiet, LIBRARY["touchpoint.step"], Criteria()) == {}
 
 
 @pytest.mark.parametrize("at", [0.35, 0.57, 0.61])
@@ -61,7 +61,7 @@ def test_a_strong_step_is_seen_in_its_narrow_hollow(at):
     cameras = twobody.Cameras(span, windows=tuple(w * span for w in (0.08, 0.32, 0.8)), window_length=1.5)
     base = fit(Model.of(REDUCED), [CaseData.of(make_record(**twobody.film(motion, 1, cameras)))])
     step = LIBRARY["touchpoint.step"]
-    (seen,) = screen(base, [step], [CaseColumns(base, 0)])
+    (seen,) = score(base, [step], [CaseColumns(base, 0)], Criteria())
     assert seen.score > 100
     assert seen.shape[0]["t0"] == pytest.approx(at * span, abs=0.3)
 

@@ -8,8 +8,8 @@ import pytest
 import twobody
 from scipy import stats
 
-from fitting.discovery._lack_of_fit import objection
-from fitting.discovery._rank import rank
+from fitting.discovery._lack_of_fit import smooth_test
+from fitting.discovery._select import rank
 from fitting.discovery._verdict import diagnose
 from fitting.dynamics._model import Model
 from fitting.effects._library import REDUCED
@@ -37,13 +37,13 @@ def found(seed, hidden, *more):
 def test_a_law_that_any_slow_torque_lets_pass_is_doubted(seed):
     named = found(seed, DIP, "touchpoint.step")
     assert named.verdict == "adequate"
-    assert objection(named).p_value < 0.01
-    assert objection(named).body == "casing"
+    assert smooth_test(named).p_value < 0.01
+    assert smooth_test(named).body == "casing"
 
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_right_law_is_not_doubted(seed):
-    assert objection(found(seed, DRAG, "casing.air.quadratic")).p_value > 0.01
+    assert smooth_test(found(seed, DRAG, "casing.air.quadratic")).p_value > 0.01
 
 
 def test_a_doubted_name_is_a_hypothesis():
@@ -51,7 +51,7 @@ def test_a_doubted_name_is_a_hypothesis():
     (step,) = (c for c in rank(base) if c.effect.name == "touchpoint.step")
     answer = diagnose(base, candidates=[replace(step, indistinguishable_from=())])
     assert answer.verdict == "unexplained"
-    assert "follows the speed of the casing" in answer.sentence
+    assert "depends on the speed of the casing" in answer.sentence
     assert "hypothesis" in answer.sentence
 
 
@@ -64,7 +64,7 @@ def test_what_follows_a_speed_is_told_though_no_law_of_the_library_is_like_it():
 @pytest.mark.slow
 def test_noise_is_doubted_no_more_often_than_said():
     """The looks overlap: small probabilities are those of noise, large ones are told larger than they are."""
-    p = np.array([objection(found(seed, NOTHING)).p_value for seed in range(30)])
+    p = np.array([smooth_test(found(seed, NOTHING)).p_value for seed in range(30)])
     for level in (0.02, 0.1, 0.3):
         assert np.sum(p < level) <= stats.binom.ppf(0.999, len(p), level)
     # and not never

@@ -7,9 +7,14 @@ from functools import cache
 import pytest
 import twobody
 
-from fitting.discovery._lack_of_fit import any_law_of_the_casing, any_slow_torque
-from fitting.discovery._rank import rank
-from fitting.discovery._verdict import UNKNOWN_IN_TIME, UNKNOWN_LAW, diagnose
+from fitting.discovery._lack_of_fit import (
+    UNKNOWN_IN_TIME,
+    UNKNOWN_LAW,
+    nonparametric_casing_law,
+    nonparametric_slow_torque,
+)
+from fitting.discovery._select import rank
+from fitting.discovery._verdict import diagnose
 from fitting.dynamics._model import Model
 from fitting.effects._library import LIBRARY, REDUCED
 from fitting.effects._user import resolve
@@ -40,23 +45,25 @@ def gain(name, effect, **start):
 def test_any_law_is_as_good_as_the_true_one():
     truth = gain("resonance", resolve(RESONANCE))
     assert truth > 30
-    assert any_law_of_the_casing(base("resonance")) == pytest.approx(truth, abs=15)
+    assert nonparametric_casing_law(base("resonance")) == pytest.approx(truth, abs=15)
 
 
 def test_a_step_is_no_law_of_the_speed():
     step = gain("step", LIBRARY["touchpoint.step"], **{"touchpoint.step.t0": 88.0})
-    assert any_law_of_the_casing(base("step")) < 0.6 * step
+    assert nonparametric_casing_law(base("step")) < 0.6 * step
     assert diagnose(base("step")).candidates[0].indistinguishable_from == ()
 
 
 def test_any_slow_torque_is_as_good_as_the_true_one():
     truth = gain("wear", resolve("casing: -k*t**2"))
     assert truth > 30
-    assert any_slow_torque(base("wear")) == pytest.approx(truth, abs=15)
+    assert nonparametric_slow_torque(base("wear")) == pytest.approx(truth, abs=15)
 
 
 def test_a_swing_that_comes_back_is_no_slow_torque():
-    assert any_slow_torque(base("swing")) < 0.1 * gain("swing", resolve("casing: k*cos(0.5*t + phi)"))
+    assert nonparametric_slow_torque(base("swing")) < 0.1 * gain(
+        "swing", resolve("casing: k*cos(0.5*t + phi)")
+    )
 
 
 def test_a_swing_that_hardly_comes_back_may_be_any_slow_torque():
@@ -65,7 +72,7 @@ def test_a_swing_that_hardly_comes_back_may_be_any_slow_torque():
     answer = diagnose(found, candidates=[replace(swing, indistinguishable_from=())])
     assert answer.verdict == "missing_effect"
     assert UNKNOWN_IN_TIME in answer.candidates[0].indistinguishable_from
-    assert f"or {UNKNOWN_IN_TIME}; this data cannot tell them apart" in answer.sentence
+    assert f"or {UNKNOWN_IN_TIME}; this data cannot separate them" in answer.sentence
 
 
 def test_laws_of_the_speed_are_no_rivals_of_themselves():
@@ -77,8 +84,8 @@ def test_laws_of_the_speed_are_no_rivals_of_themselves():
 def test_what_swings_may_be_an_unknown_law(monkeypatch):
     """Where any law of the casing's speed does as well, the answer says so."""
     found = base("step")
-    monkeypatch.setattr("fitting.discovery._verdict.any_law_of_the_casing", lambda _: 1e4)
+    monkeypatch.setattr("fitting.discovery._lack_of_fit.nonparametric_casing_law", lambda _: 1e4)
     doubtful = diagnose(found)
     assert doubtful.verdict == "missing_effect"
     assert doubtful.candidates[0].indistinguishable_from == (UNKNOWN_LAW,)
-    assert f"or {UNKNOWN_LAW}; this data cannot tell them apart" in doubtful.sentence
+    assert f"or {UNKNOWN_LAW}; this data cannot separate them" in doubtful.sentence
