@@ -37,6 +37,7 @@ _VERDICTS = {
 _FINAL = {
     "adequate": "The residual of the final model is consistent with noise.",
     "misfit": "The final model has a significant lack of fit; the added effect is a hypothesis.",
+    "not determined": "The data do not determine every parameter of the final model; drop what is not needed.",
     "not converged": "The final fit did not converge; its numbers are not valid.",
 }
 

@@ -59,7 +59,8 @@
   }
 
   const VERDICTS = {
-    adequate: "consistent with noise", misfit: "significant lack of fit", "not converged": "not converged: numbers are not valid",
+    adequate: "consistent with noise", misfit: "significant lack of fit",
+    "not determined": "a parameter is not determined by the data", "not converged": "not converged: numbers are not valid",
   };
 
   function render(state) {
