@@ -5,7 +5,13 @@ from importlib.metadata import version as _version
 project = "gyrotrack"
 author = "The gyrotrack developers"
 version = release = _version("gyrotrack")
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.mathjax",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.viewcode",
+]
 exclude_patterns = ["_build", "make_*.py"]
 html_theme = "furo"
 html_title = "gyrotrack"
