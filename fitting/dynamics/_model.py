@@ -103,11 +103,22 @@ class Model:
         return tuple(e.name for e in self.effects)
 
     def with_effect(self, effect: Effect) -> Model:
-        """Return the model with one more effect."""
+        """Return the model with one more effect.
+
+        Parameters
+        ----------
+        effect : Effect
+            A law of the library (`fitting.effect`) or your own.
+        """
         return Model((*self.effects, effect))
 
     def without(self, name: str) -> Model:
-        """Return the model without the effect of this name.
+        """Return the model without an effect.
+
+        Parameters
+        ----------
+        name : str
+            Name of the effect.
 
         Raises
         ------
@@ -185,7 +196,13 @@ class Model:
         return tuple(e for e in self.effects if not e.mechanical)
 
     def equations(self, *, single: bool = False) -> tuple[str, ...]:
-        """Return the equations of motion as LaTeX: one line a body and the bearing, or that of a `single` body."""
+        """Return the equations of motion as LaTeX, one line for each body and one for the bearing torque.
+
+        Parameters
+        ----------
+        single : bool
+            There is one body only; return its equation.
+        """
         laws: dict[str, list[str]] = {"rotor": [], "casing": [], "bearing": [], "factor": []}
         for e in self.effects:
             if e.joint in laws:

@@ -285,6 +285,11 @@ def read_effects(path: Path) -> list[Effect]:
     ``[effect.parameters.k]`` tables with ``unit``, ``lower``, ``upper``, ``start``, ``grid``, ``meaning``,
     and ``shape = true`` for a parameter that is not to be taken as the law's strength.
 
+    Parameters
+    ----------
+    path : Path
+        The TOML file.
+
     Raises
     ------
     EffectError

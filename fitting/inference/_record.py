@@ -127,8 +127,26 @@ def make_record(
 ) -> Record:
     """Make a record from arrays of (time, value, sigma); samples that are not finite are left out.
 
-    With `single` there is one body only: it stands in the casing's place, and nothing is known of a rotor.
-    `start_sigma` is the uncertainty of each rotor run's start on the casing's clock [s], none if it is known.
+    Parameters
+    ----------
+    casing : tuple of ndarray, shape (n,)
+        Time [s], value [rad or rad/s] and standard uncertainty of the casing, or of the single body.
+    rotor : list of tuple of ndarray
+        The same for each film of the rotor.
+    I_rotor, I_casing : float
+        Moments of inertia [kg m2].
+    label, surface, source : str
+        Name of the recording, what the casing turned on, where the data come from.
+    quantity : {"angle", "omega"}
+        What the values are.
+    tracked : bool
+        The data come from film.
+    single : bool
+        There is one body only, given as `casing`; nothing is known of a rotor.
+    start_sigma : sequence of float
+        Standard uncertainty of the start of each film of the rotor on the casing's clock [s]; empty if exact.
+    I_rotor_u, I_casing_u : float
+        Standard uncertainties of the moments of inertia [kg m2]; NaN if unknown.
 
     Raises
     ------

@@ -60,7 +60,18 @@ _HARDLY = 1e-4
 
 
 def scan_lines(scan: Scan) -> list[str]:
-    """Return the tables of a scan, one string a line."""
+    """Return the tables of a scan, one string per line.
+
+    Parameters
+    ----------
+    scan : Scan
+        From `fitting.scan`.
+
+    Returns
+    -------
+    list of str
+        At most 80 columns; parameters in SI units.
+    """
     lines = []
     for label, air, bearing in zip(scan.labels, scan.air, scan.bearing, strict=True):
         lines += [f"{label}: which drags are needed (bearing: d alone)", *_runs(air, AIR_COLUMNS), ""]

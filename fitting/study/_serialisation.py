@@ -246,6 +246,11 @@ class SavedFit(FitSummary):
 def load_fit(path: str | Path) -> SavedFit:
     """Read a fit that `Fit.save` wrote.
 
+    Parameters
+    ----------
+    path : str or Path
+        A JSON file.
+
     Raises
     ------
     LedgerError

@@ -133,7 +133,23 @@ def write_case(
 ) -> Path:
     """Write one experiment to an HDF5 file atomically.
 
-    Parameters and errors are those of `write_recording`.
+    Parameters
+    ----------
+    path : Path
+        The output.
+    case : Case
+        Measured series [rad, rad/s, s] and moments of inertia [kg m2].
+    command : str
+        The command line that made it, kept for provenance.
+    settings : mapping
+        Everything that shaped the result, kept as JSON.
+    force : bool
+        Replace an existing file.
+
+    Raises
+    ------
+    OutputError
+        The file exists and `force` is not given, or it cannot be written.
     """
     with new_hdf5(Path(path), force=force) as file:
         stamp(file, layout.CASE, command=command, settings=settings)
@@ -218,6 +234,11 @@ def read_settings(path: Path) -> dict[str, Any]:
 def read_recording(path: Path) -> Recording:
     """Read what `extract` wrote.
 
+    Parameters
+    ----------
+    path : Path
+        A recording (HDF5).
+
     Raises
     ------
     DatasetError
@@ -229,6 +250,11 @@ def read_recording(path: Path) -> Recording:
 
 def read_case(path: Path) -> Case:
     """Read what `sync` or `import` wrote.
+
+    Parameters
+    ----------
+    path : Path
+        A case (HDF5).
 
     Raises
     ------

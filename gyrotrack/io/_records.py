@@ -127,7 +127,12 @@ class Recording:
     extra: dict[str, Any] = field(default_factory=dict)
 
     def to_dataframe(self, table: str = "motion") -> Any:
-        """Return the table "motion", "markers" or "frames" as a pandas DataFrame; ``attrs["units"]`` has the units.
+        """Return a table as a pandas DataFrame; ``attrs["units"]`` has the units of its columns.
+
+        Parameters
+        ----------
+        table : {"motion", "markers", "frames"}
+            Bodies, every marker, or every frame.
 
         Raises
         ------
@@ -198,10 +203,16 @@ class GeneratedCurve:
 class Case:
     """One experiment on one clock.
 
-    `I_rotor` and `I_casing` are moments of inertia and `I_rotor_u`, `I_casing_u` their standard uncertainties
-    [kg m2], NaN if not given; `quantity` is what was measured, "angle" or
-    "omega" (then the angle is its integral). With `bodies` "one" the series `casing` is that of the single
-    body, and `rotor` is empty.
+    Attributes
+    ----------
+    I_rotor, I_casing : float
+        Moments of inertia [kg m2].
+    I_rotor_u, I_casing_u : float
+        Their standard uncertainties [kg m2]; NaN if not given.
+    quantity : {"angle", "omega"}
+        What was measured; with "omega" the angle is its integral.
+    bodies : {"two", "one"}
+        With "one" the series `casing` is that of the single body, and `rotor` is empty.
     """
 
     I_rotor: float
@@ -221,7 +232,12 @@ class Case:
     I_casing_u: float = math.nan
 
     def to_dataframe(self, table: str = "motion") -> Any:
-        """Return the table "motion", "markers" or "frames" as a pandas DataFrame; ``attrs["units"]`` has the units.
+        """Return a table as a pandas DataFrame; ``attrs["units"]`` has the units of its columns.
+
+        Parameters
+        ----------
+        table : {"motion", "markers", "frames"}
+            Bodies, every marker, or every frame.
 
         Raises
         ------

@@ -169,6 +169,13 @@ class Proposal:
 def propose(video: Path, *, capture_fps: float | None = None) -> Proposal:
     """Find the markers of a film: their colours and bodies, and what marks the centre.
 
+    Parameters
+    ----------
+    video : Path
+        The film.
+    capture_fps : float, optional
+        Rate at which the camera captured [1/s], if the film does not state it.
+
     Raises
     ------
     VideoError
