@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from fitting._atomic import write_text
 from fitting._errors import FittingError, LedgerError
 from fitting._numbers import from_json, rounded, to_json
+from fitting.discovery._remainder import Nuisance, Remainder
 from fitting.discovery._residuals import Failure, ResidualTorque, residual_torques, ripples, whiteness
 from fitting.discovery._score import Score
 from fitting.discovery._select import Candidate, Step
@@ -130,6 +131,10 @@ def diagnosis_document(d: Diagnosis, fit_id: str) -> dict[str, Any]:
             for f in d.failures
         ],
         "candidates": [_candidate(c) for c in d.candidates],
+        "form": d.form,
+        "explained": d.explained,
+        "remainder": asdict(d.remainder) if d.remainder is not None else None,
+        "nuisance": [asdict(n) for n in d.nuisance],
         "next_experiment": d.next_experiment,
         "whiteness": [{"label": w.label, "p_value": w.p_value} for w in d.whiteness],
         "energy_drift": {c.label: c.energy_drift for c in d.fit.cases},
@@ -446,6 +451,10 @@ def kept_diagnosis(found: Diagnosis, extra: Sequence[Effect] = ()) -> dict[str, 
         "sentence": found.sentence,
         "failures": [asdict(f) for f in found.failures],
         "candidates": [_kept_candidate(c, fit=any(c is d for d in drawn)) for c in found.candidates],
+        "form": found.form,
+        "explained": found.explained,
+        "remainder": asdict(found.remainder) if found.remainder is not None else None,
+        "nuisance": [asdict(n) for n in found.nuisance],
         "next_experiment": found.next_experiment,
     }
 
@@ -487,11 +496,20 @@ def restored_diagnosis(kept: Mapping[str, Any], fit: Fit, extra: Sequence[Effect
         kept["sentence"],
         tuple(Failure(**f | {"omega_c": tuple(f["omega_c"])}) for f in kept["failures"]),
         tuple(_restored_candidate(c, fit) for c in kept["candidates"]),
+        kept["form"],
+        from_json(kept["explained"]) if kept["explained"] is not None else None,
+        Remainder(**_numbers(kept["remainder"])) if kept["remainder"] is not None else None,
+        tuple(Nuisance(**_numbers(n)) for n in kept["nuisance"]),
         kept["next_experiment"],
         tuple(residual_torques(fit)),
         tuple(ripples(fit)),
         tuple(whiteness(fit)),
     )
+
+
+def _numbers(stored: Mapping[str, Any]) -> dict[str, Any]:
+    texts = {"sentence", "effect", "label", "unit"}
+    return {str(k): str(v) if k in texts else from_json(v) for k, v in stored.items()}
 
 
 def _restored_candidate(kept: Mapping[str, Any], base: Fit) -> Candidate:
