@@ -40,7 +40,7 @@ def python(code, *blocked):
 def test_the_package_needs_neither_films_nor_terminals():
     done = python(
         "from fitting import *\nimport fitting\nassert all(hasattr(fitting, n) for n in fitting.__all__)",
-        "cv2", "av", "typer", "rich", "gyrotrack", "skimage", "matplotlib", "pandas", "pydantic",
+        "cv2", "av", "typer", "rich", "gyrotrack", "skimage", "matplotlib", "pandas",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
 

@@ -14,7 +14,7 @@ from fitting.effects._library import LIBRARY, REDUCED
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 from fitting.inference._record import make_record
-from fitting.study._serialisation import diagnosis_document, kept_diagnosis, restored_diagnosis
+from fitting.study._serialisation import diagnosis_document, restored_diagnosis, stored_diagnosis
 
 TORQUE = 2e-6
 HIDDEN = {
@@ -135,7 +135,7 @@ def test_the_document_has_the_grades_and_is_restored():
     assert document["explained"] == found.explained
     assert set(document["remainder"]) == {"torque_rms_Nm", "share", "p_value", "sentence"}
     assert {"effect", "value", "stderr", "unit"} <= set(document["nuisance"][0])
-    again = restored_diagnosis(kept_diagnosis(found), found.fit)
+    again = restored_diagnosis(stored_diagnosis(found), found.fit)
     assert (again.form, again.explained, again.remainder, again.nuisance) == (
         found.form, found.explained, found.remainder, found.nuisance,
     )  # fmt: skip
