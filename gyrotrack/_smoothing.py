@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._column_store import stretches
-from gyrotrack._native._kernels import loops
+from gyrotrack._native import _kernels as kernels
 
 Floats = npt.NDArray[np.float64]
 
@@ -50,54 +50,8 @@ def local_fit(
         around = slice(max(part.start - half, 0), min(part.stop + half, n))
         beyond = (half - (part.start - around.start), half - (around.stop - part.stop))
         padded = np.pad(value[around], beyond), np.pad(weight[around], beyond)
-        if loops is None:
-            smooth[part], leverage[part] = _fitted(*padded, half, degree, hole)
-        else:
-            loops.local(*padded, smooth[part], leverage[part], half, degree, hole)
+        kernels.local_polynomials(*padded, half, degree, hole, smooth[part], leverage[part])
     return smooth, leverage
-
-
-def _fitted(value: Floats, weight: Floats, half: int, degree: int, hole: int) -> tuple[Floats, Floats]:
-    """Fit about the points of a stretch, (n,); values and weights reach beyond it by `half` points, (n + 2 half,)."""
-    n = len(value) - 2 * half
-    x = np.arange(-half, half + 1, dtype=np.float64) / (half + 1)
-    bell = np.where(np.abs(np.arange(-half, half + 1)) <= hole, 0.0, 1.0 - x**2)
-    clean = np.where(weight > 0, value, 0.0) * weight
-
-    def moment(series: Floats, power: int) -> Floats:
-        return np.convolve(series, (bell * x**power)[::-1], mode="valid")
-
-    s = [moment(weight, k) for k in range(2 * degree + 1)]
-    t = np.stack([moment(clean, k) for k in range(degree + 1)], axis=1)
-    matrix = np.empty((n, degree + 1, degree + 1))
-    for i in range(degree + 1):
-        for j in range(degree + 1):
-            matrix[:, i, j] = s[i + j]
-    held = np.convolve((weight > 0).astype(float), np.ones(2 * half + 1), mode="valid")
-    enough = held > degree + 2.5
-    matrix[~enough] = np.eye(degree + 1)
-    matrix += 1e-9 * np.maximum(s[0], 1e-12)[:, None, None] * np.eye(degree + 1)
-    row = _first_row_of_inverse(matrix)
-    smooth = np.where(enough, (row * t).sum(axis=1), np.nan)
-    return smooth, np.where(enough, row[:, 0] * bell[half], np.nan)
-
-
-def _first_row_of_inverse(matrix: Floats) -> Floats:
-    """Solve A x = (1, 0, ...) for many small symmetric positive definite matrices, (n, p, p), by elimination."""
-    p = matrix.shape[1]
-    a = np.ascontiguousarray(np.moveaxis(matrix, 0, 2))
-    right = np.zeros((p, a.shape[2]))
-    right[0] = 1.0
-    for k in range(p):
-        for i in range(k + 1, p):
-            part = a[i, k] / a[k, k]
-            a[i, k + 1 :] -= part * a[k, k + 1 :]
-            right[i] -= part * right[k]
-    for k in reversed(range(p)):
-        for j in range(k + 1, p):
-            right[k] -= a[k, j] * right[j]
-        right[k] /= a[k, k]
-    return right.T
 
 
 def spread(residual: Floats) -> float:
@@ -114,13 +68,13 @@ def median_of(values: Floats) -> float:
 
 
 FAR = 6.0
-"""Standard deviations beyond which a sighting is taken for a fault."""
+"""Standard deviations beyond which an observation is taken for a fault."""
 FEWEST = 8
 STANDS_OUT = 3.5
 """Standard deviations beyond which a correlation is not taken for chance."""
 _LIGHTEST, _HEAVIEST = 1e3, 5.0
 _BORROWED = 4.0
-"""Independent departures that a borrowed uncertainty is worth: it holds to about a third."""
+"""Independent residuals that a borrowed uncertainty is worth: it holds to about a third."""
 
 
 def core_scatter(off: Floats, otherwise: float) -> float:
@@ -186,16 +140,16 @@ def correlation_factor(residual: Floats) -> float:
 
 
 def share_of_floor(off: Floats, sigma: Floats, floor: float, places: float) -> float:
-    """Return the share, 0 to 1, of a borrowed uncertainty that a body's own departures leave to it.
+    """Return the share, 0 to 1, of a borrowed uncertainty that a body's own residuals leave to it.
 
     A body that passes an arc passes places too, and departs from its smooth motion where it errs by them. These
-    departures and the borrowed value are two estimates of one variance, each with its degrees of freedom; departures
+    residuals and the borrowed value are two estimates of one variance, each with its degrees of freedom; residuals
     that are larger may be motion, and raise nothing.
 
     Parameters
     ----------
     off, sigma : ndarray, shape (n,)
-        Departures from the smooth motion, NaN where there is none, and their uncertainty without errors by place [rad].
+        Residuals from the smooth motion, NaN where there is none, and their uncertainty without errors by place [rad].
     floor : float
         The borrowed uncertainty of errors by place [rad].
     places : float
@@ -216,7 +170,7 @@ HALF_WINDOW = 20
 
 
 def smooth_path(coarse: Floats) -> Floats:
-    """Smooth a coarse path, so that departures from it are departures from an even motion.
+    """Smooth a coarse path, so that residuals about it are residuals about an even motion.
 
     Local parabolas replace it wherever they stay within 0.3 rad of it, so that turns are kept.
     """
@@ -370,7 +324,7 @@ _REAL = 0.5
 _CLEAR = 5.0
 
 
-class Pace:
+class TimeBase:
     """When the frames of a film were taken, where that was not evenly.
 
     Parameters
@@ -415,12 +369,12 @@ class Pace:
     def smooth(
         self, off: Floats, weight: Floats, bend: Floats, half: int, degree: int
     ) -> tuple[Floats, Floats]:
-        """Fit polynomials in time to departures from a path; return their values and leverages at the frames.
+        """Fit polynomials in time to residuals about a path; return their values and leverages at the frames.
 
         Parameters
         ----------
         off, weight : ndarray, shape (n,)
-            Departures [rad] and their weights, 0 where there is none.
+            Residuals [rad] and their weights, 0 where there is none.
         bend : ndarray
             The path at the even places, less a straight line [rad].
         half, degree : int

@@ -23,7 +23,6 @@ from fitting.effects._library import LIBRARY
 from fitting.effects._user import resolve
 from fitting.inference._lack_of_fit import block_diagonal
 from fitting.inference._noise import TorqueNoise
-from fitting.inference._parameters import PER_CASE
 from fitting.inference._result import Fit
 
 # rivals at no more shapes than these: enough for the nearest one to a tenth of a sigma or so
@@ -106,7 +105,7 @@ class Oracle:
         """Return the columns of a rival over the rows of all cases, for each of its shapes."""
         trials = [c.trials(rival) for c in self._cases]
         every = max(1, max(len(t) for t in trials) // _MOST_SHAPES)
-        if not rival.name.startswith(PER_CASE):
+        if not rival.per_case:
             together = zip(*(t[::every] for t in trials), strict=False)
             return [np.concatenate([t.columns for t in one]) for one in together]
         combined = self._own(trials) if len(trials) > 1 else [[t] for t in trials[0]]

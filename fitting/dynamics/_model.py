@@ -147,7 +147,7 @@ class Model:
     @property
     def alone(self) -> Model:
         """The part of it that a body without a partner has."""
-        return Model(tuple(e for e in self.effects if e.alone))
+        return Model(tuple(e for e in self.effects if e.single_body))
 
     @cached_property
     def parameters(self) -> dict[str, Parameter]:
@@ -160,6 +160,11 @@ class Model:
         return tuple(f"{e.name}.{p.symbol}" for e in self.effects for p in e.free)
 
     @cached_property
+    def per_case(self) -> tuple[str, ...]:
+        """The keys of the parameters of which each case of several has its own, unless it is told otherwise."""
+        return tuple(f"{e.name}.{p.symbol}" for e in self.effects if e.per_case for p in e.free)
+
+    @cached_property
     def constants(self) -> dict[str, float]:
         """The parameters that are never fitted, with their values."""
         return {k: p.start for k, p in self.parameters.items() if p.role == "fixed"}
@@ -167,17 +172,17 @@ class Model:
     @cached_property
     def smooth(self) -> Model:
         """The physical effects that do not depend on an angle."""
-        return Model(tuple(e for e in self.effects if e.moves and not e.depends_on_angle))
+        return Model(tuple(e for e in self.effects if e.mechanical and not e.depends_on_angle))
 
     @cached_property
-    def rippling(self) -> tuple[Effect, ...]:
+    def angle_dependent(self) -> tuple[Effect, ...]:
         """The physical effects that follow an angle."""
-        return tuple(e for e in self.effects if e.moves and e.depends_on_angle)
+        return tuple(e for e in self.effects if e.mechanical and e.depends_on_angle)
 
     @cached_property
     def measurement(self) -> tuple[Effect, ...]:
         """What the cameras add to the angles."""
-        return tuple(e for e in self.effects if not e.moves)
+        return tuple(e for e in self.effects if not e.mechanical)
 
     def equations(self, *, single: bool = False) -> tuple[str, ...]:
         """Return the equations of motion as LaTeX: one line a body and the bearing, or that of a `single` body."""
@@ -267,7 +272,7 @@ class Dynamics:
     """
 
     def __init__(self, model: Model, *, angles: bool = False) -> None:
-        physical = [e for e in model.effects if e.moves]
+        physical = [e for e in model.effects if e.mechanical]
         own = [(e, e.state) for e in physical if e.state is not None]
         self.states = (
             "omega_r",

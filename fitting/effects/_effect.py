@@ -15,7 +15,7 @@ Joint = Literal["rotor", "casing", "bearing", "factor", "inertia", "camera.casin
 Kind = Literal["physical", "measurement"]
 Role = Literal["amplitude", "shape", "phase", "fixed"]
 
-# What a law may speak of, with its unit. `tau` is the whole bearing torque, for states that it feeds.
+# The variables of a law, with their units. `tau` is the whole bearing torque, for states that it feeds.
 VARIABLES: dict[str, str] = {
     "t": "s",
     "omega_r": "s-1",
@@ -29,9 +29,10 @@ VARIABLES: dict[str, str] = {
     "psi": "1",
     "omega": "s-1",
 }
-# shares of the record at which a law may set in, tried one by one
+# changepoints to try, as shares of the length of the recording
 MOMENTS = tuple(round(0.04 + 0.02 * i, 3) for i in range(47))
-_RESULT: dict[str, str] = {
+# the unit in which the law of each joint comes out
+_RESULT: dict[Joint, str] = {
     "rotor": "N m",
     "casing": "N m",
     "bearing": "N m",
@@ -40,11 +41,12 @@ _RESULT: dict[str, str] = {
     "camera.casing": "1",
     "camera.rotor": "1",
 }
+_CAMERAS: dict[Joint, Literal["casing", "rotor"]] = {"camera.casing": "casing", "camera.rotor": "rotor"}
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number in a law: symbol, SI unit, bounds, and how a start value is found.
+    """A number in a law: symbol, SI unit, bounds, and how its initial value is found.
 
     Parameters
     ----------
@@ -53,19 +55,19 @@ class Parameter:
     unit : str
         SI unit in the style of CF, such as ``N m s2``.
     role : {"amplitude", "shape", "phase", "fixed"}
-        The law is linear in its amplitude, whose start value comes from a linear regression. A shape
-        constant (a time, a speed, a power) starts on the best point of `grid`. A phase has sine and
-        cosine columns. A fixed parameter enters only together with others and keeps `start`.
+        The law is linear in its amplitude, whose initial value comes from a linear regression. The initial
+        value of a shape constant (a time, a speed, an exponent) is the best point of `grid`. A phase has sine
+        and cosine columns. A fixed parameter is never fitted and keeps `start`.
     lower, upper : float
-        Bounds; friction is not negative.
+        Bounds [unit]; friction is not negative.
     start : float
-        Value before anything is known.
+        Value where the data give none [unit].
     grid : tuple of float
-        Values of a shape constant to try.
+        Values of a shape constant to try [unit, or lengths of the recording].
     relative : bool
-        The grid is in units of the length of the recording.
+        The grid is in lengths of the recording.
     meaning : str
-        One line for people.
+        One line of description.
     """
 
     symbol: str
@@ -81,7 +83,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class State:
-    """A quantity of an effect's own that evolves: its symbol, its rate of change, its value at the start."""
+    """A state variable that belongs to an effect: its symbol, its rate of change, its initial value."""
 
     symbol: str
     rate: str
@@ -90,36 +92,47 @@ class State:
 
 @dataclass(frozen=True)
 class Effect:
-    """A law that acts on a body, between the bodies, or on what the camera sees.
+    """A law that acts on a body, between the bodies, or on the angles that a camera measures.
 
-    The law is written once as a formula. With joint ``rotor`` or ``casing`` it is the torque on that
+    The law is written once, as a formula. With joint ``rotor`` or ``casing`` it is the torque on that
     body; with ``bearing`` the torque +tau on the casing and -tau on the rotor; with ``factor`` it
     multiplies the whole bearing torque, with ``inertia`` the casing's acceleration; with
-    ``camera.casing`` or ``camera.rotor`` it is an angle added to what that camera measures (psi and
+    ``camera.casing`` or ``camera.rotor`` it is an angle added to those that the camera measures (psi and
     omega are then those of the body filmed).
+
+    Everything that other modules need to know about an effect is a field or a property here; no code depends on
+    the name of an effect, so that a new law is one entry of the library.
 
     Parameters
     ----------
     name : str
-        The name that commands take and answers give.
+        The name in commands and answers.
     joint : str
         Where it acts.
     law : str
-        The formula.
+        The formula, in SI units.
     parameters : tuple of Parameter
         The numbers in it.
     kind : {"physical", "measurement"}
-        A measurement effect is an artefact and never physics.
+        A measurement effect is an artefact of the set-up or of a camera.
     signature : str
-        How it shows in data.
+        What it looks like in the data.
     confused_with : tuple of str
-        Effects that look alike, and when.
+        Effects of similar shape.
     source : str
-        Where the law comes from.
+        Origin of the law.
     state : State or None
-        A state of its own.
+        A state variable that belongs to it.
     breakpoint : str
-        Symbol of a parameter that is a time at which the law jumps.
+        Symbol of the parameter that is a changepoint: the time at which the law jumps.
+    per_case : bool
+        In a fit of several cases each has parameters of its own, unless it is told otherwise.
+    per_surface : bool
+        The law belongs to the surface under the touch point: no other recording can predict its parameters.
+    nuisance : bool
+        The discovery always fits it and marginalises over it.
+    equivalent : tuple of str
+        Effects that no recording of the usual motion separates from it.
     """
 
     name: str
@@ -132,6 +145,10 @@ class Effect:
     source: str = ""
     state: State | None = None
     breakpoint: str = ""
+    per_case: bool = False
+    per_surface: bool = False
+    nuisance: bool = False
+    equivalent: tuple[str, ...] = ()
 
     @cached_property
     def expression(self) -> Expr:
@@ -140,7 +157,7 @@ class Effect:
 
     @cached_property
     def rate(self) -> Expr | None:
-        """The rate of change of the effect's own state as a tree."""
+        """The rate of change of its state variable as a tree."""
         return parse(self.state.rate) if self.state else None
 
     @property
@@ -151,35 +168,40 @@ class Effect:
 
     @property
     def free(self) -> tuple[Parameter, ...]:
-        """The parameters that a fit may move."""
+        """The parameters that a fit varies."""
         return tuple(p for p in self.parameters if p.role != "fixed")
 
     @property
-    def moves(self) -> bool:
-        """Whether it has a part in the motion, and not only in what a camera sees."""
-        return not self.joint.startswith("camera.")
+    def camera(self) -> Literal["casing", "rotor"] | None:
+        """The body whose camera's angles it changes; None for an effect of the motion."""
+        return _CAMERAS.get(self.joint)
+
+    @property
+    def mechanical(self) -> bool:
+        """Whether it is a term of the equations of motion."""
+        return self.camera is None
 
     @cached_property
-    def alone(self) -> bool:
-        """Whether a body without a partner can have it: it acts on the casing and speaks of nothing but that."""
+    def single_body(self) -> bool:
+        """Whether it applies to the recording of one body: it acts on the casing and depends on no other body."""
         names = symbols(self.expression) | (symbols(self.rate) if self.rate is not None else set())
         return self.joint in {"casing", "camera.casing"} and not names & {"omega_r", "psi_r", "delta", "tau"}
 
     @cached_property
     def of_casing_speed(self) -> bool:
-        """Whether it is a torque on the casing that follows nothing but the casing's speed."""
+        """Whether it is a torque on the casing that depends on the casing's speed alone."""
         own = {p.symbol for p in self.parameters}
         return self.joint == "casing" and self.rate is None and symbols(self.expression) - own == {"omega_c"}
 
     @cached_property
     def depends_on_angle(self) -> bool:
-        """Whether the law follows the angle, so that it ripples once or more a turn."""
+        """Whether the law is a function of an angle: a harmonic of psi."""
         names = symbols(self.expression)
         return bool(names & {"psi_r", "psi_c", "psi"})
 
     @property
-    def swings(self) -> bool:
-        """Whether it goes to and fro: with an angle, or at a phase of its own."""
+    def periodic(self) -> bool:
+        """Whether it is sinusoidal: in an angle, or in time with a phase of its own."""
         return self.depends_on_angle or any(p.role == "phase" for p in self.parameters)
 
     def check(self) -> None:
@@ -195,10 +217,10 @@ class Effect:
         unknown = used - own - set(VARIABLES)
         if unknown:
             raise EffectError(
-                f"the law of {self.name!r} speaks of {', '.join(sorted(unknown))}, which it does not declare",
+                f"the law of {self.name!r} has undeclared names: {', '.join(sorted(unknown))}",
                 "variables: " + ", ".join(VARIABLES),
             )
-        exponents = {p.symbol: p.start for p in self.parameters if parse_unit_is_one(p.unit)}
+        exponents = {p.symbol: p.start for p in self.parameters if p.unit in {"1", "rad"}}
         units: dict[str, Dimension] = {name: parse_unit(unit) for name, unit in VARIABLES.items()}
         units |= {p.symbol: parse_unit(p.unit, exponents) for p in self.parameters}
         result = dimension(self.expression, units, exponents)
@@ -207,8 +229,3 @@ class Effect:
             raise EffectError(
                 f"the law of {self.name!r} comes out in {format_unit(result)}, not in {_RESULT[self.joint]}"
             )
-
-
-def parse_unit_is_one(unit: str) -> bool:
-    """Return whether a unit is that of a pure number."""
-    return unit in {"1", "rad"}

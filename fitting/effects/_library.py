@@ -67,6 +67,7 @@ AIR = (
         signature="the tail of the casing's speed falls exponentially",
         confused_with=("casing.air.laminar",),
         source="term b2 of the paper",
+        per_case=True,
     ),
     Effect(
         "casing.air.quadratic",
@@ -94,6 +95,7 @@ AIR = (
         signature="the casing is driven early, long before its peak",
         confused_with=("bearing.load",),
         source="momentum of the air that the rotor throws against the casing",
+        equivalent=("bearing.load",),
     ),
 )
 
@@ -172,6 +174,7 @@ BEARING = (
         signature="drives the casing early, with the square of the rotor's speed",
         confused_with=("casing.windage",),
         source="Coulomb friction under a centrifugal load",
+        equivalent=("casing.windage",),
     ),
     Effect(
         "bearing.load_viscous",
@@ -203,6 +206,9 @@ TOUCHPOINT = (
         signature="the end of the tail falls in a straight line",
         confused_with=("external.constant",),
         source="Coulomb friction; term b1 of the paper",
+        per_case=True,
+        per_surface=True,
+        equivalent=("external.constant",),
     ),
     Effect(
         "touchpoint.stribeck",
@@ -224,6 +230,8 @@ TOUCHPOINT = (
         signature="extra loss while the casing is slow: the first seconds and the end",
         confused_with=("touchpoint.constant",),
         source="R. Stribeck, Z. VDI 46 (1902)",
+        per_case=True,
+        per_surface=True,
     ),
     Effect(
         "touchpoint.drift",
@@ -233,6 +241,8 @@ TOUCHPOINT = (
         signature="a loss that grows with time: wear of tip or surface",
         confused_with=("bearing.drift", "bearing.heating"),
         source="wear, first order in time",
+        per_case=True,
+        per_surface=True,
     ),
     Effect(
         "touchpoint.load",
@@ -242,6 +252,8 @@ TOUCHPOINT = (
         signature="a loss of the casing early on; windage with the other sign",
         confused_with=("casing.windage",),
         source="Coulomb friction under a load that grows with the rotor's speed",
+        per_case=True,
+        per_surface=True,
     ),
     Effect(
         "touchpoint.step",
@@ -262,6 +274,8 @@ TOUCHPOINT = (
         confused_with=("touchpoint.drift",),
         source="the tip walks onto another patch of the surface",
         breakpoint="t0",
+        per_case=True,
+        per_surface=True,
     ),
 )
 
@@ -318,6 +332,7 @@ CASING = (
         signature="the same as dry friction while the casing keeps its sense",
         confused_with=("touchpoint.constant",),
         source="a constant outer torque",
+        equivalent=("touchpoint.constant",),
     ),
 )
 
@@ -356,6 +371,7 @@ CAMERA = (
         signature="a ripple once a turn of constant angle",
         confused_with=("casing.unbalance", "camera.shutter"),
         source="first order of an offset centre",
+        nuisance=True,
     ),
     Effect(
         "camera.tilt",
@@ -366,6 +382,7 @@ CAMERA = (
         signature="a ripple twice a turn of constant angle",
         confused_with=("casing.asymmetry",),
         source="a circle seen as an ellipse",
+        nuisance=True,
     ),
     Effect(
         "camera.shutter",
@@ -376,6 +393,7 @@ CAMERA = (
         signature="a ripple once a turn that grows with the speed",
         confused_with=("camera.centre",),
         source="rolling shutter: the lag depends on where the marker stands",
+        nuisance=True,
     ),
 )
 
@@ -398,6 +416,8 @@ SETUP = (
 
 
 LIBRARY = MappingProxyType({e.name: e for e in (*AIR, *BEARING, *TOUCHPOINT, *CASING, *CAMERA, *SETUP)})
+# the effects that the discovery always fits and marginalises over
+NUISANCE = tuple(e.name for e in LIBRARY.values() if e.nuisance)
 
 LINEAR = ("rotor.air.quadratic", "touchpoint.constant", "casing.air.linear", "bearing.linear")
 REDUCED = (*LINEAR, "bearing.power")

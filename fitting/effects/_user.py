@@ -6,17 +6,16 @@ import math
 import re
 import string
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
 from fitting._errors import EffectError, ExpressionError, FittingError
-from fitting._numbers import number
 from fitting.effects._dimension import NONE, Dimension, dimension, format_unit, parse_unit
-from fitting.effects._effect import MOMENTS, VARIABLES, Effect, Joint, Parameter, Role, State
+from fitting.effects._effect import MOMENTS, VARIABLES, Effect, Joint, Parameter, Role
 from fitting.effects._expression import ZERO, Expr, Tape, derivative, parse, sub, substitute, sym, symbols
 from fitting.effects._library import LIBRARY, find
 
@@ -36,6 +35,7 @@ def formula(
     *,
     signature: str = "",
     source: str = "",
+    per_case: bool = False,
 ) -> Effect:
     """Return an effect from a law; parameters that are not declared are found in the law.
 
@@ -66,7 +66,14 @@ def formula(
     unit = declared.get(amplitude, {}).get("unit") or _amplitude_unit(expression, amplitude, parameters)
     parameters = tuple(replace(p, unit=unit) if p.symbol == amplitude else p for p in parameters)
     effect = Effect(
-        name, cast("Joint", body), law, parameters, signature=signature, source=source, breakpoint=jump
+        name,
+        cast("Joint", body),
+        law,
+        parameters,
+        signature=signature,
+        source=source,
+        breakpoint=jump,
+        per_case=per_case,
     )
     _check(effect)
     return effect
@@ -210,7 +217,7 @@ def _hint() -> str:
 
 _NAME = re.compile(r"^[A-Za-z][A-Za-z0-9_.]{0,60}$")
 _PARAMETER_KEYS = {"unit", "lower", "upper", "start", "grid", "meaning", "shape"}
-_EFFECT_KEYS = {"name", "body", "law", "parameters", "signature", "source"}
+_EFFECT_KEYS = {"name", "body", "law", "parameters", "signature", "source", "per_case"}
 
 
 def resolve(text: str) -> Effect:
@@ -236,7 +243,7 @@ def resolve(text: str) -> Effect:
 def read_effects(path: Path) -> list[Effect]:
     """Read effects from a TOML file with one ``[[effect]]`` table an effect.
 
-    Each has ``name``, ``body``, ``law`` and, if wished, ``signature``, ``source`` and
+    Each has ``name``, ``body``, ``law`` and optionally ``signature``, ``source``, ``per_case`` and
     ``[effect.parameters.k]`` tables with ``unit``, ``lower``, ``upper``, ``start``, ``grid``, ``meaning``,
     and ``shape = true`` for a parameter that is not to be taken as the law's strength.
 
@@ -275,6 +282,8 @@ def _from_table(path: Path, number: int, table: Any) -> Effect:
     for key in ("name", "body", "law", "signature", "source"):
         if not isinstance(table.get(key, ""), str):
             raise EffectError(f"{where}: {key} must be text")
+    if not isinstance(table.get("per_case", False), bool):
+        raise EffectError(f"{where}: per_case must be true or false")
     if not _NAME.match(table["name"]):
         raise EffectError(
             f"{where}: a name has letters, digits, dots and underscores, and starts with a letter"
@@ -284,9 +293,9 @@ def _from_table(path: Path, number: int, table: Any) -> Effect:
         raise EffectError(f"{where}: parameters must be a table", "write [effect.parameters.k]")
     for symbol, keys in declared.items():
         _check_keys(f"{where}, parameter {symbol}", keys)
-    words = {k: table[k] for k in ("signature", "source") if k in table}
+    more = {k: table[k] for k in ("signature", "source", "per_case") if k in table}
     try:
-        return formula(table["name"], table["body"], table["law"], declared, **words)
+        return formula(table["name"], table["body"], table["law"], declared, **more)
     except FittingError as fault:
         raise EffectError(f"{where}: {fault.message}", fault.hint) from None
 
@@ -311,34 +320,3 @@ def _check_keys(where: str, keys: Any) -> None:
         parse_unit(keys.get("unit", "1"), dict.fromkeys(string.ascii_lowercase, 1.0))
     except ExpressionError as fault:
         raise EffectError(f"{where}: {fault.message}", fault.hint) from None
-
-
-_NUMBERS = ("lower", "upper", "start")
-
-
-def own_effects(effects: Iterable[Effect]) -> list[dict[str, Any]]:
-    """Return the fields of those effects that are not, or not so, in the library."""
-    return [asdict(e) for e in effects if LIBRARY.get(e.name) != e]
-
-
-def effects_of(names: Iterable[str], own: Iterable[Mapping[str, Any]]) -> tuple[Effect, ...]:
-    """Return effects by name: those of the fields given, all others from the library."""
-    known = {str(e["name"]): effect_of(e) for e in own}
-    return tuple(known[n] if n in known else LIBRARY[n] for n in names)
-
-
-def effect_of(stored: Mapping[str, Any]) -> Effect:
-    """Return an effect from its fields."""
-    fields = dict(stored)
-    fields["parameters"] = tuple(_stored_parameter(p) for p in fields["parameters"])
-    fields["confused_with"] = tuple(fields.get("confused_with", ()))
-    state = fields.get("state")
-    fields["state"] = State(**state) if state else None
-    return Effect(**fields)
-
-
-def _stored_parameter(stored: Mapping[str, Any]) -> Parameter:
-    values: dict[str, Any] = {
-        k: tuple(v) if k == "grid" else number(v) if k in _NUMBERS else v for k, v in stored.items()
-    }
-    return Parameter(**values)

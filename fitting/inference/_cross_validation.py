@@ -15,11 +15,8 @@ from fitting.dynamics._model import Model
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 from fitting.inference._metrics import BodyMetrics
-from fitting.inference._noise_level import Noise
+from fitting.inference._noise import Noise
 from fitting.inference._result import Fit
-
-# of one surface, so each recording has its own
-_OWN = "touchpoint."
 
 
 @dataclass(frozen=True)
@@ -71,6 +68,8 @@ def predict_recordings(
         raise EstimationError(
             "one recording cannot be predicted from others", "give several cases, or look at held-out times"
         )
+    surface = {f"{e.name}.{p.symbol}" for e in model.effects if e.per_surface for p in e.free}
+    shared = [key for key in model.free if key not in surface]
     found = []
     for i, held in enumerate(data):
         rest = [k for k in range(len(data)) if k != i]
@@ -81,11 +80,11 @@ def predict_recordings(
                 model,
                 [data[k] for k in rest],
                 # another recording has no value of its own for what is free per case: one value for all others
-                share=[key for key in model.free if not key.startswith(_OWN)],
+                share=shared,
                 noise=[noise[k] for k in rest],
             )
         )
-        held_values = {key: others.estimates[key].value for key in model.free if not key.startswith(_OWN)}
+        held_values = {key: others.estimates[key].value for key in shared}
         free = fit(model.with_fixed(held_values), [held], noise=[noise[i]])
         (case,) = free.cases
         found.append(

@@ -13,12 +13,13 @@ from dataclasses import dataclass
 from itertools import combinations
 
 from fitting._errors import EstimationError, FittingError
+from fitting._workers import single_blas_thread
 from fitting.dynamics._model import Model
-from fitting.effects._library import GENERAL, REDUCED
+from fitting.effects._library import GENERAL, LIBRARY, REDUCED
 from fitting.inference._case_data import CaseData
 from fitting.inference._cross_validation import Predicted, predict_recordings
 from fitting.inference._fit import fit
-from fitting.inference._noise_level import Noise
+from fitting.inference._noise import Noise
 from fitting.inference._record import Record
 from fitting.inference._result import Estimate, Fit
 
@@ -216,7 +217,7 @@ def _verdict(column: Column, own: Sequence[Estimate], spread: float, shift: floa
         return "zero"
     if all(e.at_bound or e.stderr > abs(e.value) for e in own):
         return "not determined"
-    counted = (shift,) if column.key.startswith("touchpoint.") else (spread, shift)
+    counted = (shift,) if LIBRARY[column.key.rpartition(".")[0]].per_surface else (spread, shift)
     worst = max((abs(x) for x in counted if not math.isnan(x)), default=math.nan)
     if math.isnan(worst):
         return "not known"
@@ -299,6 +300,7 @@ class Scan:
         return all(f.verdict != "not converged" for f in fits)
 
 
+@single_blas_thread()
 def scan(cases: Sequence[Record | CaseData], *, progress: Progress | None = None) -> Scan:
     """Fit every on/off combination of the paper's terms, and its two models.
 
@@ -409,7 +411,7 @@ def _fit(model: Model, data: CaseData, noise: Noise) -> Fit:
         return fit(model, [data], noise=[noise])
     except FittingError:
         # a wrong bearing law may ask for a touch point that stops the casing: begin without one
-        rough = Model(tuple(e for e in model.effects if not e.name.startswith("touchpoint.")))
+        rough = Model(tuple(e for e in model.effects if not e.per_surface))
         if rough == model:
             raise
         begin = {k: e.value for k, e in fit(rough, [data], noise=[noise]).estimates.items()}

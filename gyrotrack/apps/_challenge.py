@@ -34,10 +34,6 @@ OUTSIDE = (
     "bearing: k*log(abs(delta)/100)",
     "rotor: -k*omega_r**3",
 )
-_EXACT_TWINS = (
-    frozenset({"casing.windage", "bearing.load"}),
-    frozenset({"external.constant", "touchpoint.constant"}),
-)
 _FROM_OUTSIDE = 0.2
 
 
@@ -171,8 +167,8 @@ def grade(truth: Seal, named: Sequence[str], found: Mapping[str, tuple[float, fl
     found : mapping of str to (value, error)
         Parameters of the answer by key.
     """
-    twins = {truth.effect}.union(*(t for t in _EXACT_TWINS if truth.effect in t))
     outside = truth.effect not in LIBRARY
+    twins = {truth.effect} if outside else {truth.effect, *LIBRARY[truth.effect].equivalent}
     if named and named[0] in twins:
         word = "right"
     elif set(named) & twins or (outside and not named):

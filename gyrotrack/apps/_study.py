@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 from gyrotrack._errors import UsageError
 
 if TYPE_CHECKING:
-    from fitting._workers import Beside
-    from fitting.discovery._select import Rung
+    from fitting._workers import WorkerPool
+    from fitting.discovery._select import Step
     from fitting.discovery._verdict import Diagnosis
     from fitting.dynamics._model import Model
     from fitting.effects._effect import Effect
@@ -51,15 +51,15 @@ class Study:
         whole = Model.of(names)
         return whole.alone if self.data[0].record.single else whole
 
-    def rungs_to(self, fit_id: str | None) -> list[Rung]:
+    def rungs_to(self, fit_id: str | None) -> list[Step]:
         """Return the fit asked for, or the latest, and those that it was made from, the first one first."""
-        from fitting.discovery._select import Rung
+        from fitting.discovery._select import Step
 
         if self.entry(fit_id) is None:
             fit, _ = self.base(None)
-            return [Rung("", fit, ())]
+            return [Step("", fit, ())]
         chain = self._chain(fit_id)
-        return [Rung(str(e.document.get("added", "")), e.shown(self.data), ()) for e in reversed(chain)]
+        return [Step(str(e.document.get("added", "")), e.shown(self.data), ()) for e in reversed(chain)]
 
     def _chain(self, fit_id: str | None) -> list[Entry]:
         """Return the rung asked for, or the latest, and those that it was made from, the first one last."""
@@ -75,7 +75,7 @@ class Study:
         return chain
 
     def diagnosis(
-        self, fit_id: str | None, fit: Fit, extra: Sequence[Effect] = (), *, beside: Beside | None = None
+        self, fit_id: str | None, fit: Fit, extra: Sequence[Effect] = (), *, workers: WorkerPool | None = None
     ) -> Diagnosis:
         """Return the diagnosis of the first of the rungs that led to a fit, kept if there is one, else made and kept.
 
@@ -87,7 +87,7 @@ class Study:
             The fit of the first.
         extra : sequence of Effect
             Effects of the user beside the library.
-        beside : Beside, optional
+        workers : WorkerPool, optional
             A second process that takes its share of the work.
         """
         from fitting.discovery._verdict import diagnose
@@ -95,7 +95,7 @@ class Study:
         entry = self._chain(fit_id)[-1]
         found = entry.diagnosis(fit, extra)
         if found is None:
-            found = diagnose(fit, extra, beside=beside)
+            found = diagnose(fit, extra, workers=workers)
             self.keep_diagnosis(entry.fit_id, found, extra)
         return found
 
@@ -106,7 +106,7 @@ class Study:
         with suppress(LedgerError):
             self.ledger.keep_diagnosis(fit_id, found, extra)
 
-    def keep(self, rungs: Sequence[Rung], first: str) -> list[Entry]:
+    def keep(self, rungs: Sequence[Step], first: str) -> list[Entry]:
         """Keep the rungs of a ladder whose first one is the fit `first` of the ledger; return all of them."""
         entries = [self.ledger.find(first)]
         for before, rung in pairwise(rungs):

@@ -29,7 +29,7 @@ from gyrotrack.plotting._style import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from fitting.discovery._rank import Candidate
+    from fitting.discovery._select import Candidate
 
 
 _MOST = 12

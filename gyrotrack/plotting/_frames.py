@@ -20,7 +20,8 @@ import numpy.typing as npt
 from gyrotrack._column_store import set_down
 from gyrotrack._errors import OutputError, UsageError, VideoError
 from gyrotrack.io._atomic import new_file, refuse_existing
-from gyrotrack.io._records import STATUS, MarkerTrack, Recording
+from gyrotrack.io._records import MarkerTrack, Recording
+from gyrotrack.io._schema import STATUS
 from gyrotrack.tracking._film_tracker import Progress
 from gyrotrack.video._container import Frame, file_sha256, opened, orientation_of, planes_of, probe
 from gyrotrack.video._decoder import Reader

@@ -27,7 +27,7 @@ from gyrotrack.plotting._style import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from fitting.discovery._residuals import Misfit
+    from fitting.inference._speed_residuals import SpeedResidual
     from gyrotrack.plotting._study_data import Curve
 
 
@@ -220,7 +220,7 @@ def both_panel(ax: Axes, view: CaseView) -> None:
     ax.margins(x=0.01)
 
 
-def alone_panel(ax: Axes, misfit: Misfit, colour: str, label: str) -> None:
+def alone_panel(ax: Axes, misfit: SpeedResidual, colour: str, label: str) -> None:
     """Draw one misfit with the band of the noise."""
     factor, prefix = scaled(float(np.abs(misfit.value).max()))
     _band(ax, misfit, factor, "±2 σ of noise")
@@ -238,12 +238,12 @@ def alone_panel(ax: Axes, misfit: Misfit, colour: str, label: str) -> None:
     ax.margins(x=0.01, y=0.12)
 
 
-def _band(ax: Axes, misfit: Misfit, factor: float, label: str | None = None) -> None:
+def _band(ax: Axes, misfit: SpeedResidual, factor: float, label: str | None = None) -> None:
     edges = 2 * factor * misfit.sigma
     ax.fill_between(misfit.time, -edges, edges, color="#bbbbbb", alpha=0.55, linewidth=0, label=label)
 
 
-def in_noise(misfit: Misfit) -> float:
+def in_noise(misfit: SpeedResidual) -> float:
     """Return the rms of a misfit in units of what noise alone would leave."""
     good = misfit.sigma > 0
     return (

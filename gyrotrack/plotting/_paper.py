@@ -64,7 +64,7 @@ def paper_cases(scan: Scan, data: Sequence[CaseData], cases: Sequence[Case]) -> 
 def clear_frame(cases: Sequence[PaperCase], folders: Sequence[Path]) -> NDArray[np.uint8] | None:
     """Return a frame (red, green, blue) on which most markers are found, drawn over; None without any film."""
     from gyrotrack._errors import GyrotrackError
-    from gyrotrack.io._records import STATUS
+    from gyrotrack.io._schema import STATUS
     from gyrotrack.plotting._frames import Film, find_film
 
     for case in cases:
@@ -193,7 +193,7 @@ def _angles(ax: Axes, case: PaperCase) -> None:
 
 
 def _rotor_data(ax: Axes, case: PaperCase) -> None:
-    from fitting.discovery._residuals import ROTOR, modelled_speed
+    from fitting.inference._speed_residuals import ROTOR, modelled_speed
 
     curve = case.case.rotor_generated if case.case is not None else None
     if curve is not None:
@@ -221,7 +221,7 @@ def _measured_rotor(ax: Axes, case: PaperCase) -> None:
 
 
 def _rotor_fits(ax: Axes, case: PaperCase) -> None:
-    from fitting.discovery._residuals import ROTOR
+    from fitting.inference._speed_residuals import ROTOR
 
     for w in case.data.record.rotor:
         ax.axvspan(w.time[0], w.time[-1], color="#dddddd", linewidth=0, zorder=0)
@@ -230,7 +230,7 @@ def _rotor_fits(ax: Axes, case: PaperCase) -> None:
 
 
 def _casing_fits(ax: Axes, case: PaperCase) -> None:
-    from fitting.discovery._residuals import CASING
+    from fitting.inference._speed_residuals import CASING
     from fitting.inference._velocity import speeds
 
     time, omega = speeds(case.data.record.casing, case.data.record.quantity)
@@ -253,7 +253,7 @@ def _casing_fits(ax: Axes, case: PaperCase) -> None:
 
 
 def _fits(ax: Axes, case: PaperCase, body: int) -> None:
-    from fitting.discovery._residuals import modelled_speed
+    from fitting.inference._speed_residuals import modelled_speed
 
     time = _times(case)
     for shown in case.fits:
@@ -264,10 +264,10 @@ def _fits(ax: Axes, case: PaperCase, body: int) -> None:
 
 
 def _residuals(ax: Axes, case: PaperCase) -> None:
-    from fitting.discovery._residuals import misfits
+    from fitting.inference._speed_residuals import speed_residuals
 
     for shown, width in zip(case.fits, _WIDTHS, strict=False):
-        casing, _ = misfits(shown.fit, shown.index)
+        casing, _ = speed_residuals(shown.fit, shown.index)
         known = casing.sigma > 0
         z = -casing.value[known] / casing.sigma[known]
         ax.plot(

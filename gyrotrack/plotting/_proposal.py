@@ -12,7 +12,7 @@ from gyrotrack.io._atomic import new_file
 from gyrotrack.plotting._frames import Picture, colour_picture
 from gyrotrack.tracking._polar import CHROMA_SHIFT
 from gyrotrack.tracking._proposal import Proposal, ProposedMarker
-from gyrotrack.tracking._scene import Paper
+from gyrotrack.tracking._scene import Marker
 from gyrotrack.video._container import Frame
 
 _LEAST_WIDTH, _MOST_WIDTH, _PANEL = 800, 1400, 430
@@ -32,7 +32,7 @@ def write_picture(path: Path, proposal: Proposal, *, force: bool = False) -> Non
     frame = proposal.samples.frames[index]
     picture = colour_picture(frame)
     colours = {
-        m.profile.name: _mean_colour(picture, m.paper, m.angle[index], proposal.centre)
+        m.profile.name: _mean_colour(picture, m.marker, m.angle[index], proposal.centre)
         for m in proposal.markers
     }
     scale = float(np.clip(np.ceil(_LEAST_WIDTH / picture.shape[1]), 1, 4))
@@ -51,7 +51,7 @@ def write_picture(path: Path, proposal: Proposal, *, force: bool = False) -> Non
 
 
 def _mean_colour(
-    picture: Picture, paper: Paper, angle: float, centre: tuple[float, float]
+    picture: Picture, paper: Marker, angle: float, centre: tuple[float, float]
 ) -> tuple[int, int, int]:
     """Return the mean colour (blue, green, red) of the middle of a marker."""
     mask = np.zeros(picture.shape[:2], dtype=np.uint8)
@@ -62,7 +62,7 @@ def _mean_colour(
 
 
 def _sector(
-    paper: Paper,
+    paper: Marker,
     angle: float,
     centre: tuple[float, float],
     scale: float,
@@ -86,7 +86,7 @@ def _draw_marker(
     centre: tuple[float, float],
     scale: float,
 ) -> None:
-    paper = marker.paper
+    paper = marker.marker
     middle = _point(centre, scale)
     for radius in (paper.inner, paper.outer):
         cv2.circle(big, middle, round(radius * scale), _MARK, 1, cv2.LINE_AA)
@@ -109,7 +109,7 @@ def _mask(
     frame: Frame, marker: ProposedMarker, angle: float, centre: tuple[float, float], shape: tuple[int, ...]
 ) -> npt.NDArray[np.uint8]:
     """Return the pixels of the enlarged picture that have a marker's colour, near the place where it is."""
-    paper = marker.paper
+    paper = marker.marker
     planes = [frame.y] if paper.colour == "white" else [frame.u, frame.v]
     weights = paper.contrast[: len(planes)]
     norm = float(np.sum(np.square(weights)))
@@ -154,7 +154,7 @@ def _panel(proposal: Proposal, colours: dict[str, tuple[int, int, int]], height:
         top = 76 + 78 * k
         cv2.rectangle(panel, (16, top), (80, top + 60), colours[marker.profile.name], cv2.FILLED)
         cv2.rectangle(panel, (16, top), (80, top + 60), _FAINT, 1)
-        paper = marker.paper
+        paper = marker.marker
         hue = "" if marker.profile.hue is None else f", hue {marker.profile.hue:.0f} deg"
         wide = 2.0 * paper.radius * np.tan(min(paper.half_width, 1.4))
         _write(panel, f"{marker.profile.name} on the {marker.profile.body}", (94, top + 16), _INK, 0.55)

@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.discovery._residuals import Misfit, misfits
+from fitting.inference._speed_residuals import SpeedResidual, speed_residuals
 
 if TYPE_CHECKING:
-    from fitting.discovery._rank import Candidate
     from fitting.discovery._residuals import Failure, ResidualTorque
-    from fitting.discovery._select import Rung
+    from fitting.discovery._select import Candidate
+    from fitting.discovery._select import Step as FitStep
     from fitting.discovery._verdict import Diagnosis
     from fitting.inference._result import Fit
 
@@ -103,7 +103,7 @@ class Seen:
         Modelled speed [rad/s] and its standard deviation from the parameters' errors.
     rotor : tuple of Curve
         The same in each window.
-    casing_misfit, rotor_misfit : Misfit, tuple of Misfit
+    casing_misfit, rotor_misfit : SpeedResidual, tuple of SpeedResidual
         Measured minus modelled speed.
     torques : dict of str to ResidualTorque
         What the model lacks, for each body.
@@ -111,8 +111,8 @@ class Seen:
 
     casing: Curve
     rotor: tuple[Curve, ...]
-    casing_misfit: Misfit
-    rotor_misfit: tuple[Misfit, ...]
+    casing_misfit: SpeedResidual
+    rotor_misfit: tuple[SpeedResidual, ...]
     torques: dict[str, ResidualTorque]
 
 
@@ -152,7 +152,7 @@ class CaseView:
 
 
 def case_view(
-    rungs: Sequence[Rung],
+    rungs: Sequence[FitStep],
     diagnosis: Diagnosis | None,
     torques: Sequence[tuple[ResidualTorque, ...]],
     index: int,
@@ -161,7 +161,7 @@ def case_view(
 
     Parameters
     ----------
-    rungs : sequence of Rung
+    rungs : sequence of FitStep
         The ladder, base first.
     diagnosis : Diagnosis or None
         That of the base.
@@ -196,7 +196,7 @@ def _measured(time: Array, omega: Array) -> Curve:
 
 def _seen(fit: Fit, torques: Sequence[ResidualTorque], index: int) -> Seen:
     record = fit.problem.data[index].record
-    casing, rotor = misfits(fit, index)
+    casing, rotor = speed_residuals(fit, index)
     ends = record.casing.time[[0, -1]]
     return Seen(
         _modelled(fit, index, 1, np.linspace(ends[0], ends[1], _MODEL_POINTS)),
@@ -210,7 +210,7 @@ def _seen(fit: Fit, torques: Sequence[ResidualTorque], index: int) -> Seen:
 
 
 def _modelled(fit: Fit, index: int, body: int, time: Array) -> Curve:
-    from fitting.discovery._residuals import modelled_speed
+    from fitting.inference._speed_residuals import modelled_speed
 
     return Curve(time, *modelled_speed(fit, index, body, time))
 
@@ -306,12 +306,12 @@ class Content:
         return len(self.steps) > 1
 
 
-def gather(rungs: Sequence[Rung], diagnosis: Diagnosis | None) -> Content:
+def gather(rungs: Sequence[FitStep], diagnosis: Diagnosis | None) -> Content:
     """Collect what is to be shown.
 
     Parameters
     ----------
-    rungs : sequence of Rung
+    rungs : sequence of FitStep
         The ladder, base first.
     diagnosis : Diagnosis or None
         That of the base.
@@ -341,7 +341,7 @@ def gather(rungs: Sequence[Rung], diagnosis: Diagnosis | None) -> Content:
     )
 
 
-def _steps(rungs: Sequence[Rung]) -> tuple[Step, ...]:
+def _steps(rungs: Sequence[FitStep]) -> tuple[Step, ...]:
     from fitting.study._serialisation import rung_document
 
     steps = []

@@ -92,7 +92,9 @@ def look(changes: Mapping[str, Any] | None = None) -> Iterator[None]:
     import matplotlib as mpl
 
     settings: Any = {**_LOOK, **(changes or {})}
-    with mpl.rc_context(settings):
+    with mpl.rc_context():
+        mpl.rcdefaults()  # neither a matplotlibrc in the working folder nor the user's changes a figure
+        mpl.rcParams.update(settings)
         yield
 
 

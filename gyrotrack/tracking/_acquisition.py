@@ -2,7 +2,7 @@
 
 Nothing is known beforehand but the names of colours. First blobs that change from frame to frame are
 collected for each colour, and the point that they circle; then the disc at that point; then, in rings
-unrolled about it, each paper with its radii, width and true shade (`papers`).
+unrolled about it, each marker with its radii, width and true shade (`find_markers`).
 
 A centre that is wrong by n makes a marker's radius wrong by -n . r, with r the direction of the marker: a marker on
 one side seems too near, one on the other too far. Encoders hold the disc at the centre in place while it creeps, and
@@ -26,7 +26,7 @@ from gyrotrack.tracking._hub import LEAST_SIGMA, CentrePath
 from gyrotrack.tracking._orbit import Orbit, common_centre
 from gyrotrack.tracking._polar import Ring, boxed
 from gyrotrack.tracking._profile import MarkerProfile, Profile
-from gyrotrack.tracking._scene import Disc, Paper, Samples, Scene
+from gyrotrack.tracking._scene import Disc, Marker, Samples, Scene
 
 Floats = npt.NDArray[np.float64]
 Strips = npt.NDArray[np.float32]
@@ -114,16 +114,16 @@ def _fall(curve: Floats, level: float) -> float:
 
 
 LEAST_CONTRAST = 6.0
-"""Grey levels by which a paper must differ from its surroundings."""
-LONGEST_STAY = 0.3
-"""Share of the samples beyond which a paper over one direction spoils the median as a background."""
+"""Grey levels by which a marker must differ from its surroundings."""
+LONGEST_DWELL = 0.3
+"""Share of the samples beyond which a marker over one direction spoils the median as a background."""
 
 
 @dataclass(frozen=True)
-class Sighting:
-    """One marker in the samples: the paper, its angle in each sample (rad), and where it was seen clearly."""
+class SampledMarker:
+    """One marker in the samples: the marker, its angle in each sample (rad), and where it was seen clearly."""
 
-    paper: Paper
+    marker: Marker
     angle: Floats
     clear: npt.NDArray[np.bool_]
 
@@ -159,21 +159,21 @@ class Rings:
         return np.asarray(self.strips - ground, dtype=np.float32)
 
 
-def find_coloured(rings: Rings, marker: MarkerProfile) -> Sighting | None:
-    """Find a coloured paper in rings about the centre.
+def find_coloured(rings: Rings, wanted: MarkerProfile) -> SampledMarker | None:
+    """Find a coloured marker in rings about the centre.
 
-    The background is the median of the samples at every place; where the paper stood too long over one place,
+    The background is the median of the samples at every place; where the marker stood too long over one place,
     the median round each ring instead.
     """
-    seen = _sight(rings.unusual, rings.ring, marker)
-    if seen is None or seen.paper.stay > LONGEST_STAY:
-        standing = _sight(rings.uneven, rings.ring, marker)
+    seen = _sight(rings.unusual, rings.ring, wanted)
+    if seen is None or seen.marker.dwell > LONGEST_DWELL:
+        standing = _sight(rings.uneven, rings.ring, wanted)
         seen = standing if standing is not None else seen
     return seen
 
 
-def _sight(difference: Strips, ring: Ring, marker: MarkerProfile) -> Sighting | None:
-    direction = chroma_direction(marker.colour, marker.hue)
+def _sight(difference: Strips, ring: Ring, wanted: MarkerProfile) -> SampledMarker | None:
+    direction = chroma_direction(wanted.colour, wanted.hue)
     score = np.stack([hue_score(u, v, direction) for u, v in zip(*difference, strict=True)])
     extent = Extent(np.ones(ring.rows, dtype=np.bool_), ring.inner, ring.outer, 0.15, 0)
     for _ in range(3):
@@ -190,18 +190,18 @@ def _sight(difference: Strips, ring: Ring, marker: MarkerProfile) -> Sighting | 
         return None
     coarse = np.asarray((column + extent.lean) * ring.step, dtype=np.float64)
     angle = _refined(score[:, extent.rows].mean(axis=1), coarse, extent.half_width, ring)
-    paper = Paper(
-        name=marker.name,
-        body=marker.body,
-        colour=marker.colour,
+    marker = Marker(
+        name=wanted.name,
+        body=wanted.body,
+        colour=wanted.colour,
         inner=extent.inner,
         outer=extent.outer,
         half_width=extent.half_width,
         contrast=(u, v),
         foot=extent.foot,
-        stay=_stay(angle, 1.3 * extent.half_width),
+        dwell=_dwell(angle, 1.3 * extent.half_width),
     )
-    return Sighting(paper, angle, clear)
+    return SampledMarker(marker, angle, clear)
 
 
 def _brightest(profile: Strips, half: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
@@ -212,7 +212,7 @@ def _brightest(profile: Strips, half: int) -> tuple[npt.NDArray[np.int64], npt.N
     return column, peak > 0.5 * float(np.median(np.sort(peak)[len(peak) // 2 :]))
 
 
-def _stay(angle: Floats, reach: float) -> float:
+def _dwell(angle: Floats, reach: float) -> float:
     """Return the largest share of the samples that lie within `reach` of one direction."""
     apart = np.abs(np.angle(np.exp(1j * (angle[:, None] - angle[None, :]))))
     return float((apart < reach).mean(axis=0).max())
@@ -229,8 +229,10 @@ def _refined(profile: Strips, angle: Floats, half_width: float, ring: Ring) -> F
     return np.asarray((start + shift) * ring.step)
 
 
-def find_white(samples: Samples, ring: Ring, marker: MarkerProfile, others: list[Sighting]) -> Paper | None:
-    """Find a white paper by the coloured markers of the same body, `others`.
+def find_white(
+    samples: Samples, ring: Ring, wanted: MarkerProfile, others: list[SampledMarker]
+) -> Marker | None:
+    """Find a white marker by the coloured markers of the same body, `others`.
 
     Every frame of the head is turned back by the body's angle, after what stands still in the picture was
     taken off; in the median of these, table, lamps and bar are gone.
@@ -246,31 +248,31 @@ def find_white(samples: Samples, ring: Ring, marker: MarkerProfile, others: list
     turned = np.median(np.take_along_axis(luma[use], index[:, None, :], axis=2), axis=0).astype(np.float64)
     turned -= np.median(turned, axis=1, keepdims=True)
     for seen in others:
-        _blank(turned, ring, seen.paper)
-    return _brightest_place(turned, ring, marker, others)
+        _blank(turned, ring, seen.marker)
+    return _brightest_place(turned, ring, wanted, others)
 
 
-def _body_angles(others: list[Sighting], head: int) -> Floats:
-    """Combine sightings into the body's angle in each frame of the head; NaN where none is clear."""
+def _body_angles(others: list[SampledMarker], head: int) -> Floats:
+    """Combine observations into the body's angle in each frame of the head; NaN where none is clear."""
     total = np.zeros(head, dtype=np.complex128)
     for seen in others:
-        total += np.where(seen.clear[:head], np.exp(1j * (seen.angle[:head] - seen.paper.mount)), 0.0)
+        total += np.where(seen.clear[:head], np.exp(1j * (seen.angle[:head] - seen.marker.mount)), 0.0)
     return np.where(np.abs(total) > 0.5, np.angle(total), np.nan)
 
 
-def _blank(turned: Floats, ring: Ring, paper: Paper) -> None:
+def _blank(turned: Floats, ring: Ring, marker: Marker) -> None:
     angle = np.arange(ring.columns) * ring.step
-    apart = np.abs(np.angle(np.exp(1j * (angle - paper.mount))))
-    turned[:, apart < 1.6 * paper.half_width] = 0.0
+    apart = np.abs(np.angle(np.exp(1j * (angle - marker.mount))))
+    turned[:, apart < 1.6 * marker.half_width] = 0.0
 
 
 def _brightest_place(
-    turned: Floats, ring: Ring, marker: MarkerProfile, others: list[Sighting]
-) -> Paper | None:
-    """Pick the bright patch that is most like the body's other papers in size and radius."""
-    inner = min(seen.paper.inner for seen in others)
-    outer = max(seen.paper.outer for seen in others)
-    half_width = float(np.median([seen.paper.half_width for seen in others]))
+    turned: Floats, ring: Ring, wanted: MarkerProfile, others: list[SampledMarker]
+) -> Marker | None:
+    """Pick the bright patch that is most like the body's other markers in size and radius."""
+    inner = min(seen.marker.inner for seen in others)
+    outer = max(seen.marker.outer for seen in others)
+    half_width = float(np.median([seen.marker.half_width for seen in others]))
     rows = (ring.radii >= inner) & (ring.radii <= outer)
     if not rows.any():
         return None
@@ -283,10 +285,10 @@ def _brightest_place(
     contrast = float(patch[extent.core(patch.shape[1], ring.step)].mean())
     if contrast < max(LEAST_CONTRAST, 1.5 * float(np.std(turned[rows]))):
         return None
-    return Paper(
-        name=marker.name,
-        body=marker.body,
-        colour=marker.colour,
+    return Marker(
+        name=wanted.name,
+        body=wanted.body,
+        colour=wanted.colour,
         inner=extent.inner,
         outer=extent.outer,
         half_width=extent.half_width,
@@ -299,14 +301,14 @@ def _brightest_place(
 FAINTEST = 0.12
 """Share of the strongest marker's contrast below which a colour is only a tinge."""
 LEAST_SIZE = 4.5
-"""Smallest side of a paper in px."""
+"""Smallest side of a marker in px."""
 WIDEST = 0.8
 """Half width in rad beyond which a marker is smeared too far to be followed."""
 
 
-def find_papers(
+def find_markers(
     samples: Samples, profile: Profile, centre: tuple[float, float], disc: Disc | None, radius: float | None
-) -> dict[str, Paper]:
+) -> dict[str, Marker]:
     """Find the markers of a profile about a centre; those that are not seen are left out.
 
     Parameters
@@ -320,22 +322,22 @@ def find_papers(
     """
     ring = search_ring(samples, centre, disc, radius)
     rings = Rings(samples.strips(ring), ring)
-    sightings = {
-        marker.name: seen
-        for marker in profile.marker
-        if marker.colour != "white"
-        and (seen := find_coloured(rings, marker)) is not None
-        and is_paper(seen.paper)
+    observations = {
+        wanted.name: seen
+        for wanted in profile.marker
+        if wanted.colour != "white"
+        and (seen := find_coloured(rings, wanted)) is not None
+        and is_marker_sized(seen.marker)
     }
-    sightings = _placed(_strong(sightings), profile)
-    papers = {name: seen.paper for name, seen in sightings.items()}
-    for marker in profile.marker:
-        others = [seen for seen in sightings.values() if seen.paper.body == marker.body]
-        if marker.colour == "white" and others:
-            paper = find_white(samples, ring, marker, others)
-            if paper is not None and is_paper(paper):
-                papers[marker.name] = paper
-    return {marker.name: papers[marker.name] for marker in profile.marker if marker.name in papers}
+    observations = _placed(_strong(observations), profile)
+    markers = {name: seen.marker for name, seen in observations.items()}
+    for wanted in profile.marker:
+        others = [seen for seen in observations.values() if seen.marker.body == wanted.body]
+        if wanted.colour == "white" and others:
+            marker = find_white(samples, ring, wanted, others)
+            if marker is not None and is_marker_sized(marker):
+                markers[wanted.name] = marker
+    return {wanted.name: markers[wanted.name] for wanted in profile.marker if wanted.name in markers}
 
 
 def search_ring(
@@ -353,34 +355,34 @@ def search_ring(
     return Ring(centre, inner, outer, rows, 512)
 
 
-def is_paper(paper: Paper) -> bool:
+def is_marker_sized(marker: Marker) -> bool:
     """Tell whether what was found is large enough, and not smeared too far to be followed."""
-    width = 2.0 * np.tan(min(paper.half_width, 1.4)) * paper.radius
-    return bool(paper.half_width <= WIDEST and min(width, paper.outer - paper.inner) >= LEAST_SIZE)
+    width = 2.0 * np.tan(min(marker.half_width, 1.4)) * marker.radius
+    return bool(marker.half_width <= WIDEST and min(width, marker.outer - marker.inner) >= LEAST_SIZE)
 
 
-def _strong(sightings: dict[str, Sighting]) -> dict[str, Sighting]:
-    contrast = {name: float(np.hypot(*seen.paper.contrast)) for name, seen in sightings.items()}
+def _strong(observations: dict[str, SampledMarker]) -> dict[str, SampledMarker]:
+    contrast = {name: float(np.hypot(*seen.marker.contrast)) for name, seen in observations.items()}
     least = FAINTEST * max(contrast.values(), default=0.0)
-    return {name: seen for name, seen in sightings.items() if contrast[name] >= least}
+    return {name: seen for name, seen in observations.items() if contrast[name] >= least}
 
 
-def _placed(sightings: dict[str, Sighting], profile: Profile) -> dict[str, Sighting]:
-    found: dict[str, Sighting] = {}
+def _placed(observations: dict[str, SampledMarker], profile: Profile) -> dict[str, SampledMarker]:
+    found: dict[str, SampledMarker] = {}
     for body in ("casing", "rotor"):
-        names = [marker.name for marker in profile.of(body) if marker.name in sightings]
-        found |= dict(zip(names, placed([sightings[name] for name in names]), strict=True))
+        names = [wanted.name for wanted in profile.of(body) if wanted.name in observations]
+        found |= dict(zip(names, placed([observations[name] for name in names]), strict=True))
     return found
 
 
-def placed(sightings: list[Sighting]) -> list[Sighting]:
+def placed(observations: list[SampledMarker]) -> list[SampledMarker]:
     """Measure where the markers of one body sit relative to the first one of them."""
     found = []
-    for seen in sightings:
-        first = sightings[0]
+    for seen in observations:
+        first = observations[0]
         both = first.clear & seen.clear
         apart = (seen.angle - first.angle)[both if both.sum() >= 3 else slice(None)]
-        found.append(replace(seen, paper=replace(seen.paper, mount=_circular_mode(apart))))
+        found.append(replace(seen, marker=replace(seen.marker, mount=_circular_mode(apart))))
     return found
 
 
@@ -413,16 +415,16 @@ def acquire(samples: Samples, profile: Profile, where: str) -> Scene:
         )
     centre = disc.centre if disc is not None else orbit.centre if orbit is not None else (0.0, 0.0)
     radius = max(orbit.radii.values()) if orbit is not None else None
-    papers = find_papers(samples, profile, centre, disc, radius)
-    if not papers:
-        names = ", ".join(marker.name for marker in profile.marker)
+    markers = find_markers(samples, profile, centre, disc, radius)
+    if not markers:
+        names = ", ".join(wanted.name for wanted in profile.marker)
         raise TrackingError(
             f"no markers found in {where}: none of {names} is seen about the centre",
             "check the profile's colours (--profile)",
         )
-    missing = tuple(marker.name for marker in profile.marker if marker.name not in papers)
+    missing = tuple(wanted.name for wanted in profile.marker if wanted.name not in markers)
     warnings = (_NO_DISC,) if disc is None and profile.centre == "circle" else ()
-    return Scene(centre, disc, tuple(papers.values()), missing, warnings)
+    return Scene(centre, disc, tuple(markers.values()), missing, warnings)
 
 
 def _find_orbit(samples: Samples, profile: Profile) -> Orbit | None:
@@ -528,16 +530,16 @@ def refine_centre(path: CentrePath, markers: Iterable[Radii]) -> CentrePath:
     """
     count = len(path.centre)
     normal, right = np.zeros((3, count)), np.zeros((2, count))
-    for marker in markers:
-        known = np.isfinite(marker.excess) & np.isfinite(marker.direction)
+    for wanted in markers:
+        known = np.isfinite(wanted.excess) & np.isfinite(wanted.direction)
         if known.sum() < 20:
             continue
-        scatter, limits = max(spread(marker.excess[known]), 0.02), _limits(marker.excess[known])
+        scatter, limits = max(spread(wanted.excess[known]), 0.02), _limits(wanted.excess[known])
         for part in stretches(count):
             weight = known[part] / scatter**2
-            angle = np.where(known[part], marker.direction[part], 0.0)
+            angle = np.where(known[part], wanted.direction[part], 0.0)
             x, y = np.cos(angle), -np.sin(angle)
-            excess = np.clip(np.where(known[part], marker.excess[part], 0.0), *limits)
+            excess = np.clip(np.where(known[part], wanted.excess[part], 0.0), *limits)
             normal[:, part] += weight * np.stack([x * x, x * y, y * y])
             right[:, part] -= weight * excess * np.stack([x, y])
     for row in (*normal, *right):

@@ -19,18 +19,18 @@ Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 MEMORY = 128
-"""Sightings that are kept."""
+"""MarkerObservations that are kept."""
 FEWEST = 16
 LONGEST_USE = 130
 """Frames for which a fit is used before it is made anew."""
 LEAST_SCATTER = 1.5e-3
 """Scatter in rad of a coarse angle that is assumed at least."""
-SWING = 0.05
-"""How far in rad a slanted view may move a marker once and twice a turn."""
+VIEW_ERROR = 0.05
+"""How far in rad a correct_view view may move a marker once and twice a turn."""
 
 
 class Prediction:
-    """The last angles of a body, and an even motion through them as a slanted camera sees it.
+    """The last angles of a body, and an even motion through them as a correct_view camera sees it.
 
     Notes
     -----
@@ -72,7 +72,7 @@ class Prediction:
         self._scale = float(self._frame[-1] - self._frame[0])
         angle = self._angle - self._base
         self._even, _, _ = _robust(self._parabola(self._frame), angle, np.zeros(3))
-        prior = np.array([0.0] * 3 + [1.0 / SWING**2] * 4)
+        prior = np.array([0.0] * 3 + [1.0 / VIEW_ERROR**2] * 4)
         self._solution, self._inverse, self._scatter = _robust(self._rows(self._frame), angle, prior)
 
     def _parabola(self, frame: Floats) -> Floats:
@@ -88,7 +88,7 @@ class Prediction:
 def _robust(rows: Floats, value: Floats, prior: Floats) -> tuple[Floats, Floats, float]:
     """Fit a linear model without what lies far off: coefficients, inverse of the normal matrix, scatter."""
     weight = np.ones(len(value))
-    scatter = SWING
+    scatter = VIEW_ERROR
     for _ in range(3):
         weighted = rows * weight[:, None]
         inverse = np.linalg.inv(weighted.T @ rows + np.diag(prior) * scatter**2)
@@ -244,7 +244,7 @@ def net_turn(angle: Floats) -> float:
     return float(known[-1] - known[0]) if len(known) > 1 else 0.0
 
 
-def find_sense(turns: dict[str, float], given: int | None) -> int:
+def find_rotation_sense(turns: dict[str, float], given: int | None) -> int:
     """Return the factor (+1 or -1) that makes the angles grow.
 
     Parameters

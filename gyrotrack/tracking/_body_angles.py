@@ -9,58 +9,58 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._column_store import set_down
-from gyrotrack._smoothing import Pace, jitter_is_real
+from gyrotrack._smoothing import TimeBase, jitter_is_real
 from gyrotrack.tracking._acquisition import Radii, refine_centre
-from gyrotrack.tracking._association import find_sense, net_turn, unfold
-from gyrotrack.tracking._film_tracker import BodySightings, Watched
+from gyrotrack.tracking._association import find_rotation_sense, net_turn, unfold
+from gyrotrack.tracking._film_tracker import BodyObservations, FilmObservations
 from gyrotrack.tracking._frame_repeats import seen_angle, turning_most
 from gyrotrack.tracking._fusion import BodyAngles, MarkerAngles, join
 from gyrotrack.tracking._hub import LEAST_SIGMA, CentrePath, smooth_path, wandering_centre
-from gyrotrack.tracking._observations import Candidate, Sightings, candidate, plausible, spread_out
-from gyrotrack.tracking._orbit import NO_FLATTENING, Flattening, fit_flattening, lent_flattening
+from gyrotrack.tracking._observations import Candidate, MarkerObservations, candidate, plausible, spread_out
+from gyrotrack.tracking._orbit import NO_FLATTENING, Flattening, fit_flattening, flattening_of_arc
 from gyrotrack.tracking._profile import Profile
-from gyrotrack.tracking._scene import Paper, Scene
+from gyrotrack.tracking._scene import Marker, Scene
 from gyrotrack.video._time_base import FrameTimes
 
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-# The corners of a paper reach as far as 0.7 of its smeared half width when it is not smeared.
+# The corners of a marker reach as far as 0.7 of its smeared half width when it is not smeared.
 _CORNER = 0.7
 
 
 @dataclass(frozen=True)
-class View:
-    """The sightings of a body's markers.
+class BodyView:
+    """The observations of a body's markers.
 
     Attributes
     ----------
-    papers : tuple of Paper
+    markers : tuple of Marker
         The markers.
-    sightings : dict of Sightings
+    observations : dict of MarkerObservations
         By name.
     inside, whole : dict of ndarray of bool, shape (n,)
         Where a marker lies in the picture, and where it also is open and looks as it should.
     """
 
-    papers: tuple[Paper, ...]
-    sightings: dict[str, Sightings]
+    markers: tuple[Marker, ...]
+    observations: dict[str, MarkerObservations]
     inside: dict[str, Mask]
     whole: dict[str, Mask]
 
     @property
     def radius(self) -> float:
         """Mean radius of the markers in px."""
-        return float(np.mean([p.radius for p in self.papers]))
+        return float(np.mean([p.radius for p in self.markers]))
 
     @property
     def coloured(self) -> tuple[str, ...]:
         """The markers seen in the planes of colour, as the disc is; luma may lie beside by half a px."""
-        return tuple(p.name for p in self.papers if p.colour != "white")
+        return tuple(p.name for p in self.markers if p.colour != "white")
 
     def place(self, name: str, centre: Floats) -> Floats:
         """Return where a marker is relative to the centre, (n, 2) in px, y up."""
-        away = self.sightings[name].position(self.whole[name])
+        away = self.observations[name].position(self.whole[name])
         away -= centre
         away[:, 1] *= -1.0
         set_down()
@@ -70,12 +70,14 @@ class View:
         """Fit tilt and offsets to the orbits of the markers."""
         return fit_flattening(self._orbits(centre))
 
-    def lent(self, centre: Floats, lender: Flattening, shift: Floats, size: float) -> Flattening:
-        """Take the tilt from another body, and fit offsets to the arcs of the markers (see `lent_flattening`)."""
-        return lent_flattening(lender, self._orbits(centre), shift, size)
+    def flattening_of_arc(
+        self, centre: Floats, reference: Flattening, shift: Floats, size: float
+    ) -> Flattening:
+        """Take the tilt from another body, and fit offsets to the arcs of the markers (see `flattening_of_arc`)."""
+        return flattening_of_arc(reference, self._orbits(centre), shift, size)
 
     def _orbits(self, centre: Floats) -> dict[str, Floats]:
-        return {p.name: self._trusted(p.name, centre) for p in self.papers}
+        return {p.name: self._trusted(p.name, centre) for p in self.markers}
 
     def _trusted(self, name: str, centre: Floats) -> Floats:
         v = self.place(name, centre)
@@ -83,30 +85,32 @@ class View:
 
     def radii(self, centre: Floats, flat: Flattening) -> Iterator[Radii]:
         """Yield by how much each marker's radius is too large in each frame."""
-        for paper in self.papers:
-            v = flat.level(paper.name, self.place(paper.name, centre))
-            radius = np.where(self.whole[paper.name], np.hypot(v[:, 0], v[:, 1]), np.nan)
+        for marker in self.markers:
+            v = flat.level(marker.name, self.place(marker.name, centre))
+            radius = np.where(self.whole[marker.name], np.hypot(v[:, 0], v[:, 1]), np.nan)
             usual = float(np.nanmedian(radius)) if np.isfinite(radius).any() else np.nan
             yield Radii(np.arctan2(v[:, 1], v[:, 0]), radius - usual)
 
     def candidates(self, centre: CentrePath, flat: Flattening) -> dict[str, Candidate]:
         """Return the markers' angles as seen from straight above, and how far to trust them."""
         found = {}
-        for paper in self.papers:
-            v = flat.level(paper.name, self.place(paper.name, centre.centre))
+        for marker in self.markers:
+            v = flat.level(marker.name, self.place(marker.name, centre.centre))
             angle = np.asarray(np.arctan2(v[:, 1], v[:, 0]))
-            good = plausible(self.sightings[paper.name]) & self.inside[paper.name]
-            found[paper.name] = candidate(self.sightings[paper.name], angle, good, paper.mount)
+            good = plausible(self.observations[marker.name]) & self.inside[marker.name]
+            found[marker.name] = candidate(self.observations[marker.name], angle, good, marker.mount)
         return found
 
 
-def view(papers: tuple[Paper, ...], sightings: dict[str, Sightings], size: tuple[int, int]) -> View:
-    """Look at the sightings of a body's markers in a picture of (width, height) px."""
+def view(
+    markers: tuple[Marker, ...], observations: dict[str, MarkerObservations], size: tuple[int, int]
+) -> BodyView:
+    """Collect the observations of a body's markers in a picture of (width, height) px."""
     inside = {
-        p.name: ~sightings[p.name].outside(p.inner, p.outer, _CORNER * p.half_width, size) for p in papers
+        p.name: ~observations[p.name].outside(p.inner, p.outer, _CORNER * p.half_width, size) for p in markers
     }
-    whole = {m: plausible(sightings[m]) & sightings[m].open & inside[m] for m in inside}
-    return View(papers, sightings, inside, whole)
+    whole = {m: plausible(observations[m]) & observations[m].open & inside[m] for m in inside}
+    return BodyView(markers, observations, inside, whole)
 
 
 BLOCK_ERROR, LIGHT_ERROR = 0.09, 0.8e-3
@@ -114,8 +118,8 @@ BLOCK_ERROR, LIGHT_ERROR = 0.09, 0.8e-3
 kinds in which one does: of the encoder's blocks in px, of uneven light in rad."""
 
 
-def slanted(
-    centre: CentrePath, views: dict[str, View], profile: Profile, *, marked: bool
+def correct_view(
+    centre: CentrePath, views: dict[str, BodyView], profile: Profile, *, marked: bool
 ) -> tuple[CentrePath, dict[str, Flattening]]:
     """Find the slant of the view on each body's orbits; a marked centre is then corrected by the markers' radii."""
     if not profile.tilt_correction:
@@ -124,31 +128,35 @@ def slanted(
     if not marked:
         return centre, flat
     better = refine_centre(
-        centre, (r for name, look in views.items() for r in look.radii(centre.centre, flat[name]))
+        centre, (r for name, body_view in views.items() for r in body_view.radii(centre.centre, flat[name]))
     )
     return better, _flattening(better, views)
 
 
-def _flattening(centre: CentrePath, views: dict[str, View]) -> dict[str, Flattening]:
+def _flattening(centre: CentrePath, views: dict[str, BodyView]) -> dict[str, Flattening]:
     """Find the slant on each body's orbits; a body that passes an arc only is given that of one that goes round."""
-    flat = {name: look.flattening(centre.centre) for name, look in views.items()}
-    known = [name for name, look in views.items() if any(m in flat[name].offset for m in look.coloured)]
+    flat = {name: body_view.flattening(centre.centre) for name, body_view in views.items()}
+    known = [
+        name for name, body_view in views.items() if any(m in flat[name].offset for m in body_view.coloured)
+    ]
     if not known:
         return flat
-    look, lender = views[known[0]], flat[known[0]]
-    p, q = _beyond(np.array([lender.p, lender.q]), usual_error_by_place(look) / look.radius)
-    lender = replace(lender, p=float(p), q=float(q))
-    shift = _beyond(lender.shift(look.coloured), usual_error_by_place(look, len(look.coloured)))
+    body_view, reference = views[known[0]], flat[known[0]]
+    p, q = _beyond(np.array([reference.p, reference.q]), usual_error_by_place(body_view) / body_view.radius)
+    reference = replace(reference, p=float(p), q=float(q))
+    shift = _beyond(
+        reference.shift(body_view.coloured), usual_error_by_place(body_view, len(body_view.coloured))
+    )
     size = float(np.hypot(np.hypot(*shift), LEAST_SIGMA))
     return {
-        name: f if f.offset else views[name].lent(centre.centre, lender, shift, size)
+        name: f if f.offset else views[name].flattening_of_arc(centre.centre, reference, shift, size)
         for name, f in flat.items()
     }
 
 
-def usual_error_by_place(look: View, markers: int = 1) -> float:
+def usual_error_by_place(body_view: BodyView, markers: int = 1) -> float:
     """Return the usual error by place in px of the mean of so many markers: light pulls all of them alike."""
-    return float(np.hypot(BLOCK_ERROR / np.sqrt(markers), LIGHT_ERROR * look.radius))
+    return float(np.hypot(BLOCK_ERROR / np.sqrt(markers), LIGHT_ERROR * body_view.radius))
 
 
 def _beyond(found: Floats, error: float) -> Floats:
@@ -156,30 +164,30 @@ def _beyond(found: Floats, error: float) -> Floats:
     return np.asarray(found * max(1.0 - 2.0 * error**2 / float(found @ found + 1e-12), 0.0))
 
 
-def error_by_place(look: View, flat: Flattening, body: BodyAngles) -> float:
-    """Return the errors by place in px that a body has learnt, without the swing that perspective makes of them.
+def error_by_place(body_view: BodyView, flat: Flattening, body: BodyAngles) -> float:
+    """Return the systematic errors by place in px of a body, without the first harmonic that perspective causes.
 
-    Where they are mostly swing, what is left is known no better than the usual error.
+    Where that harmonic dominates, the rest is known no better than the usual error.
     """
-    learnt, swing = body.place_error * look.radius, axis_beside(look, flat, body)
-    left = float(np.sqrt(max(learnt**2 - 0.5 * float(swing @ swing), 0.0)))
-    return max(left, min(learnt, usual_error_by_place(look)))
+    learnt, perspective = body.place_error * body_view.radius, axis_offset(body_view, flat, body)
+    left = float(np.sqrt(max(learnt**2 - 0.5 * float(perspective @ perspective), 0.0)))
+    return max(left, min(learnt, usual_error_by_place(body_view)))
 
 
-def axis_beside(look: View, flat: Flattening, body: BodyAngles) -> Floats:
+def axis_offset(body_view: BodyView, flat: Flattening, body: BodyAngles) -> Floats:
     """Return how far in px the angles of a fast body say that its axis lies beside where its radii do, (2,), y up.
 
     Both err by place; what such errors would make is taken off.
     """
-    off = [z * look.radius for m, z in body.axis_off.items() if m in flat.offset]
+    off = [z * body_view.radius for m, z in body.axis_off.items() if m in flat.offset]
     if not off:
         return np.zeros(2)
-    error = usual_error_by_place(look, len(off))
+    error = usual_error_by_place(body_view, len(off))
     return _beyond(np.mean([(z.real, z.imag) for z in off], axis=0), np.sqrt(2.0) * error)
 
 
-def in_perspective(
-    centre: CentrePath, views: dict[str, View], flat: dict[str, Flattening], rotor: BodyAngles
+def separate_perspective(
+    centre: CentrePath, views: dict[str, BodyView], flat: dict[str, Flattening], rotor: BodyAngles
 ) -> Flattening:
     """Return the slant of the casing's orbit, with what is perspective in it told from an axis that lies beside.
 
@@ -188,24 +196,28 @@ def in_perspective(
     that their angles show its e. The casing's is expected to be the same within its own size, since both come from
     heights below the disc, and is measured by its radius less the perspective. All of these err by place.
     """
-    own, look, lender = flat["casing"], views["rotor"], flat["rotor"]
-    beside = axis_beside(look, lender, rotor)
-    if not beside.any() or not own.offset or not any(m in lender.offset for m in look.coloured):
+    own, body_view, reference = flat["casing"], views["rotor"], flat["rotor"]
+    beside = axis_offset(body_view, reference, rotor)
+    if not beside.any() or not own.offset or not any(m in reference.offset for m in body_view.coloured):
         return own
-    error = usual_error_by_place(look, len(rotor.axis_off))
-    axis = _beyond(lender.shift(look.coloured) + beside, error)
-    more = (views["casing"].radius / look.radius) ** 2
-    swing, size = -more * beside, float(np.hypot(np.hypot(*axis), error))
+    error = usual_error_by_place(body_view, len(rotor.axis_off))
+    axis = _beyond(reference.shift(body_view.coloured) + beside, error)
+    more = (views["casing"].radius / body_view.radius) ** 2
+    perspective, size = -more * beside, float(np.hypot(np.hypot(*axis), error))
     if own.doubt:
-        slant = replace(lender, p=own.p, q=own.q)
-        return views["casing"].lent(centre.centre, slant, axis + swing, size).moved(-swing)
-    sure = size**2 / (size**2 + usual_error_by_place(look) ** 2 * (1.0 + more**2))
+        slant = replace(reference, p=own.p, q=own.q)
+        return (
+            views["casing"]
+            .flattening_of_arc(centre.centre, slant, axis + perspective, size)
+            .moved(-perspective)
+        )
+    sure = size**2 / (size**2 + usual_error_by_place(body_view) ** 2 * (1.0 + more**2))
     shift = own.shift(own.offset)
     doubt = {name: (1.0 - sure) * size**2 * np.eye(2) for name in own.offset}
-    return replace(own.moved(axis + sure * (shift - swing - axis) - shift), doubt=doubt)
+    return replace(own.moved(axis + sure * (shift - perspective - axis) - shift), doubt=doubt)
 
 
-def pulled(candidates: dict[str, Candidate], flat: Flattening) -> Floats:
+def offset_uncertainty(candidates: dict[str, Candidate], flat: Flattening) -> Floats:
     """Return how far in px doubt about its slant leaves a body's markers uncertain along their orbit, (n,)."""
     own = [np.nan_to_num(flat.pull(name, c.angle)) for name, c in candidates.items()]
     return np.asarray(np.sqrt(np.mean(np.square(own), axis=0)))
@@ -218,7 +230,7 @@ _FAR = 0.05
 
 
 @dataclass(frozen=True)
-class Joint:
+class TrackedBodies:
     """All bodies of a clip.
 
     Attributes
@@ -228,7 +240,7 @@ class Joint:
     bodies : dict of BodyAngles
         Angles as seen.
     flattening : dict of Flattening
-        What the slanted view does to each body's orbits.
+        What the correct_view view does to each body's orbits.
     sense : int
         Factor that makes the angles grow.
     warnings : tuple of str
@@ -242,7 +254,7 @@ class Joint:
     warnings: tuple[str, ...]
 
 
-def join_bodies(seen: Watched, scene: Scene, profile: Profile, fps: float) -> Joint:
+def join_bodies(seen: FilmObservations, scene: Scene, profile: Profile, fps: float) -> TrackedBodies:
     """Find the centre's path, and join the markers of each body about it.
 
     Frames that are missing in the film get empty places, so that the motion is even in between; the result has
@@ -258,33 +270,33 @@ def join_bodies(seen: Watched, scene: Scene, profile: Profile, fps: float) -> Jo
     return replace(joint, centre=centre, bodies=bodies)
 
 
-def _picked(seen: Watched, index: Integers) -> Watched:
+def _picked(seen: FilmObservations, index: Integers) -> FilmObservations:
     """Return the frames `index` alone."""
     bodies = {
-        name: BodySightings(body.coarse[index], {m: s.picked(index) for m, s in body.markers.items()})
+        name: BodyObservations(body.coarse[index], {m: s.picked(index) for m, s in body.markers.items()})
         for name, body in seen.bodies.items()
     }
     disc = None if seen.disc is None else seen.disc[index]
     return replace(seen, bodies=bodies, disc=disc, times=seen.times.at(index))
 
 
-def _join_fresh(seen: Watched, scene: Scene, profile: Profile, fps: float) -> Joint:
+def _join_fresh(seen: FilmObservations, scene: Scene, profile: Profile, fps: float) -> TrackedBodies:
     index = seen.times.number
-    joint = _join_even(_with_gaps(seen, index), scene, profile, fps, _pace(seen.times))
+    joint = _join_even(_with_gaps(seen, index), scene, profile, fps, _time_base(seen.times))
     if len(index) == 0 or index[-1] + 1 == len(index):
         return joint
     centre = CentrePath(joint.centre.centre[index], joint.centre.sigma[index], joint.centre.reach)
     return replace(joint, centre=centre, bodies={name: body.at(index) for name, body in joint.bodies.items()})
 
 
-def _pace(times: FrameTimes) -> Pace | None:
+def _time_base(times: FrameTimes) -> TimeBase | None:
     """Return when frames were taken, also those that are missing, if that is from the stamps."""
     if times.place is None:
         return None
-    return Pace(np.interp(np.arange(times.number[-1] + 1), times.number, times.place), times.sigma)
+    return TimeBase(np.interp(np.arange(times.number[-1] + 1), times.number, times.place), times.sigma)
 
 
-def trusted_times(seen: Watched, scene: Scene) -> FrameTimes:
+def trusted_times(seen: FilmObservations, scene: Scene) -> FrameTimes:
     """Return the times of a film without jitter of its stamps that the body that turns most does not follow."""
     times = seen.times
     if times.place is None or times.smooth is None or not seen.bodies:
@@ -293,13 +305,13 @@ def trusted_times(seen: Watched, scene: Scene) -> FrameTimes:
     return times if jitter_is_real(times.place, times.smooth, angle) else times.even()
 
 
-def _with_gaps(seen: Watched, index: Integers) -> Watched:
+def _with_gaps(seen: FilmObservations, index: Integers) -> FilmObservations:
     """Put the frames where they belong on the camera's even grid; what lies between is NaN or False."""
     count = int(index[-1]) + 1 if len(index) else 0
     if count == len(index):
         return seen
     bodies = {
-        name: BodySightings(
+        name: BodyObservations(
             spread_out(body.coarse, index, count),
             {m: s.spread_out(index, count) for m, s in body.markers.items()},
         )
@@ -309,11 +321,15 @@ def _with_gaps(seen: Watched, index: Integers) -> Watched:
     return replace(seen, bodies=bodies, disc=disc)
 
 
-def _join_even(seen: Watched, scene: Scene, profile: Profile, fps: float, pace: Pace | None = None) -> Joint:
+def _join_even(
+    seen: FilmObservations, scene: Scene, profile: Profile, fps: float, time_base: TimeBase | None = None
+) -> TrackedBodies:
     views = {name: view(scene.of(name), body.markers, seen.size) for name, body in seen.bodies.items()}
-    centre, flattening = slanted(_centre(seen, scene, profile), views, profile, marked=seen.disc is not None)
-    bodies, warnings = _followed(seen, views, centre, flattening, fps, pace)
-    sense = find_sense({name: net_turn(body.angle) for name, body in bodies.items()}, profile.sense)
+    centre, flattening = correct_view(
+        _centre(seen, scene, profile), views, profile, marked=seen.disc is not None
+    )
+    bodies, warnings = _followed(seen, views, centre, flattening, fps, time_base)
+    sense = find_rotation_sense({name: net_turn(body.angle) for name, body in bodies.items()}, profile.sense)
     for name, body in bodies.items():
         angle, changed = unfold(body.angle, sense)
         if changed:
@@ -324,23 +340,23 @@ def _join_even(seen: Watched, scene: Scene, profile: Profile, fps: float, pace: 
     for name, body in bodies.items():
         bodies[name] = _zeroed(body, profile, sense)
     slants = {name: flattening[name] for name in bodies}
-    return Joint(centre, bodies, slants, sense, tuple(warnings))
+    return TrackedBodies(centre, bodies, slants, sense, tuple(warnings))
 
 
 def _followed(
-    seen: Watched,
-    views: dict[str, View],
+    seen: FilmObservations,
+    views: dict[str, BodyView],
     centre: CentrePath,
     flattening: dict[str, Flattening],
     fps: float,
-    pace: Pace | None,
+    time_base: TimeBase | None,
 ) -> tuple[dict[str, BodyAngles], list[str]]:
     """Join the markers of each body; the casing twice, since the rotor's markers pass beneath its own.
 
     A body that turns too little to show its errors by place is given those of the other one, in px: lamps, encoder and
     picture are the same.
     """
-    candidates = {name: look.candidates(centre, flattening[name]) for name, look in views.items()}
+    candidates = {name: body_view.candidates(centre, flattening[name]) for name, body_view in views.items()}
 
     bodies: dict[str, BodyAngles] = {}
 
@@ -354,10 +370,10 @@ def _followed(
             ),
             usual_error_by_place(views[name]),
         )
-        beside = np.hypot(np.nan_to_num(centre.sigma), pulled(candidates[name], flattening[name]))
+        beside = np.hypot(np.nan_to_num(centre.sigma), offset_uncertainty(candidates[name], flattening[name]))
         floor, axis = by_place / radius, beside / radius
         coarse = seen.bodies[name].coarse
-        return join(coarse, candidates[name], fps, other, floor, axis, above=above, pace=pace)
+        return join(coarse, candidates[name], fps, other, floor, axis, above=above, time_base=time_base)
 
     warnings: list[str] = []
     for name in views:
@@ -367,14 +383,14 @@ def _followed(
         else:
             warnings.append(f"the {name}'s markers cannot be followed; it is left out")
     if len(bodies) == 2:
-        flattening["casing"] = in_perspective(centre, views, flattening, bodies["rotor"])
+        flattening["casing"] = separate_perspective(centre, views, flattening, bodies["rotor"])
         candidates["casing"] = views["casing"].candidates(centre, flattening["casing"])
         better = joined("casing", bodies["rotor"].angle, above=True)
         bodies["casing"] = better if _credible(better) else bodies["casing"]
     return bodies, warnings
 
 
-def _centre(seen: Watched, scene: Scene, profile: Profile) -> CentrePath:
+def _centre(seen: FilmObservations, scene: Scene, profile: Profile) -> CentrePath:
     if seen.disc is not None:
         return smooth_path(seen.disc)
     sights = [s for body in seen.bodies.values() for s in body.markers.values()]

@@ -12,12 +12,12 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack.tracking._association import LONGEST_COAST, Motion, Prediction, find_lock, follow
-from gyrotrack.tracking._illumination import Cover
-from gyrotrack.tracking._marker_tracker import MarkerWatch
-from gyrotrack.tracking._marker_window import Look, Strip, common_columns
-from gyrotrack.tracking._observations import Sightings
+from gyrotrack.tracking._illumination import Occlusion
+from gyrotrack.tracking._marker_tracker import MarkerTracker
+from gyrotrack.tracking._marker_window import MarkerStrip, MarkerWindow, common_columns
+from gyrotrack.tracking._observations import MarkerObservations
 from gyrotrack.tracking._polar import boxed
-from gyrotrack.tracking._scene import Paper, Samples
+from gyrotrack.tracking._scene import Marker, Samples
 from gyrotrack.video._container import Frame
 
 Floats = npt.NDArray[np.float64]
@@ -27,23 +27,23 @@ SEEN = 0.4
 """Share of one marker's height that the score of a direction must reach."""
 MARGIN = 0.05
 """By how much in rad a marker may lie beside its prediction."""
-LOOK_EVERY = 2
+CHECK_EVERY = 2
 """Of so many frames one is looked at to see whether the body is where it was predicted."""
 SURE = 3.0
 """Standard deviations of a prediction that must fit into the margin."""
 
 
-class BodyWatch:
+class BodyTracker:
     """Everything that is watched on one body.
 
     Parameters
     ----------
     name : str
         "casing" or "rotor".
-    papers : tuple of Paper
+    markers : tuple of Marker
         Its markers, at least one of them coloured.
     samples, centre, keep_out, capacity
-        See `Strip`.
+        See `MarkerStrip`.
 
     Attributes
     ----------
@@ -54,16 +54,18 @@ class BodyWatch:
     def __init__(
         self,
         name: str,
-        papers: tuple[Paper, ...],
+        markers: tuple[Marker, ...],
         samples: Samples,
         centre: tuple[float, float],
         keep_out: float,
         capacity: int,
     ) -> None:
         self.name = name
-        columns = common_columns(papers, centre)
-        strips = {p.name: Strip(p, samples, centre, keep_out, columns, MARGIN, capacity) for p in papers}
-        self.markers = {p.name: MarkerWatch(p, strips[p.name]) for p in papers}
+        columns = common_columns(markers, centre)
+        strips = {
+            p.name: MarkerStrip(p, samples, centre, keep_out, columns, MARGIN, capacity) for p in markers
+        }
+        self.markers = {p.name: MarkerTracker(p, strips[p.name]) for p in markers}
         self._coloured = [strip for strip in strips.values() if not strip.white]
         self._step = self._coloured[0].ring.step
         self._coarse = np.full(capacity, np.nan)
@@ -73,12 +75,12 @@ class BodyWatch:
         self._missed: int | None = None
         self._prediction = Prediction()
         self._fresh = True
-        self._cover = Cover(self._step)
+        self._cover = Occlusion(self._step)
 
     def aim(self, centre: tuple[float, float]) -> None:
         """Put all rings about a centre."""
-        for watch in self.markers.values():
-            watch.strip.aim(centre)
+        for tracker in self.markers.values():
+            tracker.strip.aim(centre)
 
     def take(self, frames: list[Frame], place: int, advance: Floats) -> None:
         """Follow the body through some consecutive frames and cut its markers out, from `place` of the batch on.
@@ -107,16 +109,16 @@ class BodyWatch:
         if prediction is None or SURE * prediction[1] > MARGIN:
             return None
         self._cut(frames, place, prediction[0])
-        few = slice(0, len(frames), LOOK_EVERY)
-        angle, seen = self._refined(prediction[0][few], slice(place, place + len(frames), LOOK_EVERY))
+        few = slice(0, len(frames), CHECK_EVERY)
+        angle, seen = self._refined(prediction[0][few], slice(place, place + len(frames), CHECK_EVERY))
         if seen.mean() <= 0.5:
             return None
         self._prediction.note(number[few], angle, seen)
         off = float(np.median((angle - prediction[0][few])[seen]))
-        return prediction[0] + off, np.repeat(seen, LOOK_EVERY)[: len(frames)]
+        return prediction[0] + off, np.repeat(seen, CHECK_EVERY)[: len(frames)]
 
     def _motion_at(self, number: float) -> Motion | None:
-        """Return the predicted motion at a frame in terms of `following`, when predictions were used so far."""
+        """Return the predicted motion at a frame as a `Motion`, when predictions were used so far."""
         ahead = self._prediction.at(np.array([number, number + 1.0])) if self._missed is not None else None
         if ahead is None or self._missed is None:
             return None
@@ -125,8 +127,8 @@ class BodyWatch:
 
     def _cut(self, frames: list[Frame], place: int, coarse: Floats) -> None:
         angles = np.nan_to_num(coarse)
-        for watch in self.markers.values():
-            watch.strip.take(frames, place, angles + watch.paper.mount)
+        for tracker in self.markers.values():
+            tracker.strip.take(frames, place, angles + tracker.marker.mount)
 
     def _refined(self, coarse: Floats, place: slice) -> tuple[Floats, Mask]:
         """Improve coarse angles by all coloured markers together: (n,) [rad], and where any of them is seen.
@@ -136,13 +138,13 @@ class BodyWatch:
         total, weight = np.zeros(len(coarse)), np.full(len(coarse), 1e-9)
         expected = np.nan_to_num(coarse)
         for strip in self._coloured:
-            off, height = strip.beside(expected + strip.paper.mount, place)
+            off, height = strip.beside(expected + strip.marker.mount, place)
             own = np.where(height > SEEN, np.minimum(height, 1.2) ** 8, 0.0)
             total, weight = total + own * off, weight + own
         seen = (weight > 1e-6) & np.isfinite(coarse)
         return np.where(seen, coarse + total / weight * self._step, coarse), seen
 
-    def digest(self, count: int, casing: Floats | None) -> tuple[Floats, dict[str, Sightings]]:
+    def digest(self, count: int, casing: Floats | None) -> tuple[Floats, dict[str, MarkerObservations]]:
         """Measure the markers in the first `count` frames of the batch.
 
         Parameters
@@ -154,28 +156,32 @@ class BodyWatch:
 
         Returns
         -------
-        coarse, sightings
+        coarse, observations
             Unwrapped coarse angle (count,) [rad], NaN where the body is lost; the markers.
         """
         coarse = self._coarse[:count].copy()
-        looks = {name: watch.look(coarse + watch.paper.mount) for name, watch in self.markers.items()}
+        windows = {
+            name: tracker.look(coarse + tracker.marker.mount) for name, tracker in self.markers.items()
+        }
         if casing is not None:
-            for name, look in looks.items():
+            for name, look in windows.items():
                 if not self.markers[name].strip.white:
                     self._cover.learn(look, self.markers[name].expected(look), casing)
         if self._fresh:  # the first batch is measured twice: once to learn from, once to give
             self._fresh = False
-            self._measured(looks, casing)
-        return coarse, self._measured(looks, casing)
+            self._measured(windows, casing)
+        return coarse, self._measured(windows, casing)
 
-    def _measured(self, looks: dict[str, Look], casing: Floats | None) -> dict[str, Sightings]:
+    def _measured(
+        self, windows: dict[str, MarkerWindow], casing: Floats | None
+    ) -> dict[str, MarkerObservations]:
         return {
-            name: watch.measure(
-                looks[name],
-                self._cover.open(looks[name], casing),
-                self._cover.open(looks[name], casing, shadows=True) if watch.strip.white else None,
+            name: tracker.measure(
+                windows[name],
+                self._cover.open(windows[name], casing),
+                self._cover.open(windows[name], casing, shadows=True) if tracker.strip.white else None,
             )
-            for name, watch in self.markers.items()
+            for name, tracker in self.markers.items()
         }
 
     def _searched(self, frames: list[Frame]) -> Floats:
@@ -183,12 +189,12 @@ class BodyWatch:
         total = np.zeros((len(frames), self._coloured[0].ring.columns))
         for strip in self._coloured:
             around = np.clip(strip.whole(frames), -0.2, 1.3)
-            half = max(int(strip.paper.half_width / self._step), 1)
-            total += np.roll(boxed(around, half), -round(strip.paper.mount / self._step), axis=1)
+            half = max(int(strip.marker.half_width / self._step), 1)
+            total += np.roll(boxed(around, half), -round(strip.marker.mount / self._step), axis=1)
         return total
 
     def _follow(self, score: Floats, advance: Floats) -> Floats:
-        """Return the coarse angle in each frame of a batch; `advance` is as for `following.follow`."""
+        """Return the coarse angle in each frame of a batch; `advance` is as for `follow`."""
         count = len(score)
         coarse = np.full(count, np.nan)
         begin = 0

@@ -16,20 +16,29 @@ from gyrotrack._column_store import new_columns, put_away, stretches
 from gyrotrack._errors import DatasetError, TrackingError, UsageError, VideoError
 from gyrotrack._smoothing import WIDTH, angular_velocity
 from gyrotrack._versions import __version__
+from gyrotrack.io._checkpoint import CheckpointFile
 from gyrotrack.io._hdf5 import read_recording, read_settings, write_recording
-from gyrotrack.io._journal import Journal
-from gyrotrack.io._records import STATUS, BodyTrack, MarkerTrack, Recording
+from gyrotrack.io._records import BodyTrack, MarkerTrack, Recording
+from gyrotrack.io._schema import STATUS
 from gyrotrack.tracking._acquisition import acquire
-from gyrotrack.tracking._body_angles import Joint, join_bodies, trusted_times
+from gyrotrack.tracking._body_angles import TrackedBodies, join_bodies, trusted_times
 from gyrotrack.tracking._colour import single_threaded
 from gyrotrack.tracking._corners import paper_angle
-from gyrotrack.tracking._film_tracker import Notes, Progress, Tracker, Watched, frames_kept, give_back, watch
+from gyrotrack.tracking._film_tracker import (
+    FilmObservations,
+    FilmTracker,
+    ObservationLog,
+    Progress,
+    frames_done,
+    release_memory,
+    track_film,
+)
 from gyrotrack.tracking._frame_repeats import judge_repeats, left_out, without_repeats
 from gyrotrack.tracking._fusion import BodyAngles
-from gyrotrack.tracking._observations import Sightings
+from gyrotrack.tracking._observations import MarkerObservations
 from gyrotrack.tracking._profile import PAPER, Profile
 from gyrotrack.tracking._residuals import wrapped
-from gyrotrack.tracking._scene import FEWEST, Paper, Scene, take_samples
+from gyrotrack.tracking._scene import FEWEST, Marker, Scene, take_samples
 from gyrotrack.video._container import ClipInfo, file_sha256, probe
 from gyrotrack.video._time_base import FrameTimes, Timing
 from gyrotrack.video._timestamps import CaptureRate, capture_rate
@@ -39,28 +48,28 @@ Codes = npt.NDArray[np.int8]
 
 
 def marker_track(
-    paper: Paper,
-    seen: Sightings,
+    marker: Marker,
+    seen: MarkerObservations,
     body: BodyAngles,
     centre: Floats,
     sense: int,
     size: tuple[int, int],
 ) -> MarkerTrack:
     """Build the record of one marker; its corners are given only where nothing hides the marker."""
-    found = body.markers[paper.name]
+    found = body.markers[marker.name]
     kinds = {"corner": ((2, 2), "f8"), "status": ((), "i1"), "angle_fine": ((), "f8")}
     own = new_columns(len(found.angle), kinds)
     for part in stretches(len(found.angle)):
         some, angle = seen.at(part), found.angle[part]
-        own["status"][part] = status = _status(paper, some, np.isfinite(angle), size)
+        own["status"][part] = status = _status(marker, some, np.isfinite(angle), size)
         own["corner"][part] = np.where((status == STATUS["ok"])[:, None, None], _corners(some), np.nan)
         own["angle_fine"][part] = wrapped(sense * angle)
     measured = paper_angle(own["corner"], centre, own["status"] == STATUS["ok"])
     for part in stretches(len(found.angle)):
         measured.angle[part] = wrapped(sense * measured.angle[part])
     return MarkerTrack(
-        name=paper.name,
-        body=paper.body,
+        name=marker.name,
+        body=marker.body,
         mount_angle=float(np.angle(np.exp(1j * sense * found.mount))),
         corner=own["corner"] if sense > 0 else own["corner"][:, ::-1],
         delta=measured.delta,
@@ -77,14 +86,16 @@ def marker_track(
     )
 
 
-def _corners(seen: Sightings) -> Floats:
+def _corners(seen: MarkerObservations) -> Floats:
     """Return the near corners in the picture, (n, 2, 2) in px, the one with the lower angle as seen first."""
     x = seen.centre[:, None, 0] + seen.corner_radius * np.cos(seen.corner_angle)
     y = seen.centre[:, None, 1] - seen.corner_radius * np.sin(seen.corner_angle)
     return np.stack([x, y], axis=-1)
 
 
-def _status(paper: Paper, seen: Sightings, used: npt.NDArray[np.bool_], size: tuple[int, int]) -> Codes:
+def _status(
+    marker: Marker, seen: MarkerObservations, used: npt.NDArray[np.bool_], size: tuple[int, int]
+) -> Codes:
     """Say for each frame how a marker was seen.
 
     ok: whole, with both corners. blurred: whole, but its corners are not to be made out. occluded: something
@@ -95,7 +106,7 @@ def _status(paper: Paper, seen: Sightings, used: npt.NDArray[np.bool_], size: tu
     status[np.isfinite(seen.angle) & ~seen.open] = STATUS["occluded"]
     status[used & seen.open] = STATUS["blurred"]
     status[used & seen.open & np.isfinite(seen.corner_angle).all(axis=1)] = STATUS["ok"]
-    status[seen.outside(paper.inner, paper.outer, 0.7 * paper.half_width, size)] = STATUS["out_of_frame"]
+    status[seen.outside(marker.inner, marker.outer, 0.7 * marker.half_width, size)] = STATUS["out_of_frame"]
     return status
 
 
@@ -141,7 +152,7 @@ def extract(
     times: str = "auto",
     threads: int = 2,
     progress: Progress | None = None,
-    journal: Journal | None = None,
+    journal: CheckpointFile | None = None,
 ) -> Recording:
     """Track the markers in a film.
 
@@ -158,13 +169,13 @@ def extract(
         "casing" looks at nothing else. "rotor" and "both" fail when that body is not seen; with "rotor" the
         casing is kept where it is seen, because synchronising needs it. Without it all that is seen is kept.
     times : {"auto", "stamps", "frames"}
-        Where the times are from: counted frames over the capture rate; the film's time stamps; or the stamps where
+        Where the times are from: counted frames over the capture rate; the film's timestamps; or the stamps where
         they are spaced as unevenly as a camera's whose rate varied, in a film that is not in slow motion.
     threads : int
         Threads of the decoder.
     progress : callable, optional
         Called with (frames done, frames declared or None).
-    journal : Journal, optional
+    journal : CheckpointFile, optional
         Keeps what was measured on the way, and lets a run go on that was killed; made with `run_facts`.
 
     Raises
@@ -190,8 +201,8 @@ def extract(
     timing = Timing(times, rate.fps)
     if body == "casing":
         profile = _only_casing(profile)
-    scene, seen = _seen(video, profile, threads, progress, timing, Notes(journal))
-    give_back()
+    scene, seen = _seen(video, profile, threads, progress, timing, ObservationLog(journal))
+    release_memory()
     if len(seen.pts_time) < FEWEST:  # damage may leave fewer than the samples promised
         raise VideoError(
             f"only {len(seen.pts_time)} frames of {video} can be decoded", "copy it from the camera again"
@@ -206,29 +217,34 @@ def extract(
 
 
 def _seen(
-    video: Path, profile: Profile, threads: int, progress: Progress | None, timing: Timing, notes: Notes
-) -> tuple[Scene, Watched]:
+    video: Path,
+    profile: Profile,
+    threads: int,
+    progress: Progress | None,
+    timing: Timing,
+    notes: ObservationLog,
+) -> tuple[Scene, FilmObservations]:
     """Find the markers and watch them through the film; what they need is let go of with the end of this."""
     samples = take_samples(video)
     with single_threaded():
         scene = acquire(samples, profile, str(video))
-        tracker = Tracker(scene, samples)
+        tracker = FilmTracker(scene, samples)
         del samples  # as large as all that is held on the way
-        give_back()
-        return scene, watch(video, scene, tracker, threads, progress, timing, notes)
+        release_memory()
+        return scene, track_film(video, scene, tracker, threads, progress, timing, notes)
 
 
 def _recording(
-    info: ClipInfo, sha256: str, rate: CaptureRate, scene: Scene, seen: Watched, joint: Joint
+    info: ClipInfo, sha256: str, rate: CaptureRate, scene: Scene, seen: FilmObservations, joint: TrackedBodies
 ) -> Recording:
     """Put together what the dataset keeps of a film."""
     time = seen.times.seconds(rate.fps)
     markers = {
-        paper.name: marker_track(
-            paper, seen.bodies[name].markers[paper.name], found, joint.centre.centre, joint.sense, seen.size
+        marker.name: marker_track(
+            marker, seen.bodies[name].markers[marker.name], found, joint.centre.centre, joint.sense, seen.size
         )
         for name, found in joint.bodies.items()
-        for paper in scene.of(name)
+        for marker in scene.of(name)
     }
     bodies = {
         name: body_track(name, found, markers, time, joint.sense) for name, found in joint.bodies.items()
@@ -279,7 +295,7 @@ def _only_casing(profile: Profile) -> Profile:
     return profile.model_copy(update={"marker": markers})
 
 
-def _check_bodies(joint: Joint, body: str | None, video: Path) -> None:
+def _check_bodies(joint: TrackedBodies, body: str | None, video: Path) -> None:
     wanted = ("casing", "rotor") if body == "both" else (body,) if body else ()
     for name in wanted:
         if name not in joint.bodies:
@@ -294,7 +310,7 @@ def _check_bodies(joint: Joint, body: str | None, video: Path) -> None:
         )
 
 
-def _stillness(joint: Joint, video: Path, *, marked: bool) -> tuple[str, ...]:
+def _stillness(joint: TrackedBodies, video: Path, *, marked: bool) -> tuple[str, ...]:
     """Tell of a film in which nothing turns; without a disc the centre that its angles are about is a guess."""
     turn = {name: float(np.nanmax(body.angle) - np.nanmin(body.angle)) for name, body in joint.bodies.items()}
     if max(turn.values()) >= HARDLY:
@@ -318,7 +334,7 @@ def _odd_frames(markers: dict[str, Any]) -> tuple[str, ...]:
     )
 
 
-def _extra(scene: Scene, joint: Joint, rate_source: str, times: FrameTimes) -> dict[str, Any]:
+def _extra(scene: Scene, joint: TrackedBodies, rate_source: str, times: FrameTimes) -> dict[str, Any]:
     return {
         "times_from": "frames" if times.place is None else "stamps",
         "repeated_frames": 0 if times.again is None else int(times.again.sum()),
@@ -337,7 +353,7 @@ def _extra(scene: Scene, joint: Joint, rate_source: str, times: FrameTimes) -> d
                 "half_width": p.half_width,
                 "contrast": list(p.contrast),
             }
-            for p in scene.papers
+            for p in scene.markers
         },
     }
 
@@ -346,7 +362,7 @@ Bar = Callable[[], AbstractContextManager[Callable[[int, int | None], None]]]
 
 
 @dataclass(frozen=True)
-class Task:
+class ExtractionJob:
     """One film, and what is wanted of it.
 
     Attributes
@@ -397,7 +413,9 @@ class Task:
             return None
         if recording is None or recording.source_sha256 != file_sha256(self.video):
             return None
-        with Journal(self.target, {}) as journal:  # of a run that was killed just after it wrote the output
+        with CheckpointFile(
+            self.target, {}
+        ) as journal:  # of a run that was killed just after it wrote the output
             journal.discard()
         return recording
 
@@ -435,10 +453,10 @@ class Task:
         VideoError, TrackingError, OutputError
             The film cannot be read, shows no markers, or the output cannot be written.
         """
-        with Journal(
+        with CheckpointFile(
             self.target, run_facts(self.video, self.profile, self.body, self.times), resume=resume
         ) as journal:
-            taken = frames_kept(journal)
+            taken = frames_done(journal)
             if resume:
                 tell(_resumed(journal, taken))
             start = perf_counter()
@@ -454,16 +472,16 @@ class Task:
                         journal=journal,
                     )
             except KeyboardInterrupt:
-                if kept := frames_kept(journal):
+                if kept := frames_done(journal):
                     tell(f"{kept} frames are kept; the same command with --resume goes on from there")
                 raise
-            pace = (recording.frames_decoded - taken) / max(perf_counter() - start, 1e-9)
+            time_base = (recording.frames_decoded - taken) / max(perf_counter() - start, 1e-9)
             write_recording(self.target, recording, command=command, settings=self.settings, force=force)
             journal.discard()
-        return recording, pace
+        return recording, time_base
 
 
-def _resumed(journal: Journal, taken: int) -> str:
+def _resumed(journal: CheckpointFile, taken: int) -> str:
     if taken:
         return f"going on after frame {taken - 1}"
     if journal.other:

@@ -24,20 +24,20 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._column_store import new_columns, set_down
-from gyrotrack.io._journal import Journal
+from gyrotrack.io._checkpoint import CheckpointFile
 from gyrotrack.tracking._association import LEAST_SCATTER, Motion
-from gyrotrack.tracking._body_tracker import BodyWatch
+from gyrotrack.tracking._body_tracker import BodyTracker
 from gyrotrack.tracking._hub import DiscWindow
-from gyrotrack.tracking._observations import Sightings
+from gyrotrack.tracking._observations import MarkerObservations
 from gyrotrack.tracking._polar import Ring
 from gyrotrack.tracking._scene import Samples, Scene
 from gyrotrack.video._container import Frame, read_packets
 from gyrotrack.video._decoder import Mark, Reader
-from gyrotrack.video._repeated_frames import Repeats
+from gyrotrack.video._repeated_frames import RepeatDetector
 from gyrotrack.video._time_base import FrameTimes, Timing
 
 
-def give_back() -> None:
+def release_memory() -> None:
     """Give back to the system what was freed."""
     if sys.platform == "linux":
         with suppress(OSError, AttributeError):  # another libc than glibc
@@ -52,20 +52,20 @@ BUFFERS = frozenset({
 
 
 @dataclass(frozen=True)
-class Memento:
+class Checkpoint:
     """Values by path, as JSON holds them, and arrays by path."""
 
     values: dict[str, Any]
     arrays: dict[str, npt.NDArray[Any]]
 
-    def since(self, start: Memento) -> Memento:
+    def since(self, start: Checkpoint) -> Checkpoint:
         """Return only what differs from an earlier memento."""
         same = {k for k, a in self.arrays.items() if k in start.arrays and _equal(a, start.arrays[k])}
         values = {k: v for k, v in self.values.items() if k not in start.values or start.values[k] != v}
-        return Memento(values, {k: a for k, a in self.arrays.items() if k not in same})
+        return Checkpoint(values, {k: a for k, a in self.arrays.items() if k not in same})
 
 
-def take(thing: Any) -> Memento:
+def take(thing: Any) -> Checkpoint:
     """Take the memento of an object and of all that belongs to it.
 
     Raises
@@ -73,7 +73,7 @@ def take(thing: Any) -> Memento:
     TypeError
         An attribute is of a kind that cannot be put back.
     """
-    memento = Memento({}, {})
+    memento = Checkpoint({}, {})
     for path, _, _, value in _leaves(thing):
         if isinstance(value, np.ndarray):
             memento.arrays[path] = value.copy()
@@ -82,7 +82,7 @@ def take(thing: Any) -> Memento:
     return memento
 
 
-def put_back(thing: Any, memento: Memento) -> None:
+def restore(thing: Any, memento: Checkpoint) -> None:
     """Give an object, new from the same film and profile, the state that a memento holds.
 
     Raises
@@ -179,7 +179,7 @@ BATCHES = 2
 _STATE, _STAMPS = "state:", "stamps"
 
 
-def frames_kept(journal: Journal) -> int:
+def frames_done(journal: CheckpointFile) -> int:
     """Return how many frames an unfinished run has done, as its journal says."""
     last = 0
     for record in journal.records():
@@ -187,22 +187,22 @@ def frames_kept(journal: Journal) -> int:
     return last
 
 
-class Notes:
+class ObservationLog:
     """Rows of a pass, batch by batch, and with a journal the state of the tracker now and then.
 
     Parameters
     ----------
-    journal : Journal, optional
+    journal : Checkpoint, optional
         Where to keep them; without it they are kept in memory.
     """
 
-    def __init__(self, journal: Journal | None = None) -> None:
+    def __init__(self, journal: CheckpointFile | None = None) -> None:
         self._journal = journal
         self._waiting: list[Rows] = []
-        self._start = Memento({}, {})
+        self._start = Checkpoint({}, {})
         self._saved = 0
 
-    def take_up(self, work: Any, reader: Reader) -> Iterator[Frame]:
+    def resume(self, work: Any, reader: Reader) -> Iterator[Frame]:
         """Bring a new tracker to where the journal ends, and return the frames that follow.
 
         A journal whose last frame the film does not show any more is started anew.
@@ -222,7 +222,7 @@ class Notes:
             reader.rewind()
             return iter(reader)
         state = {n.removeprefix(_STATE): a for n, a in last.arrays.items() if n.startswith(_STATE)}
-        put_back(work, Memento(last.facts["values"], state))
+        restore(work, Checkpoint(last.facts["values"], state))
         self._saved = mark.decoded
         return frames
 
@@ -275,25 +275,25 @@ _MOVE = 0.6
 
 
 @dataclass(frozen=True)
-class BodySightings:
+class BodyObservations:
     """One body in all frames: unwrapped coarse angle as seen [rad], NaN where it was lost; its markers."""
 
     coarse: Floats
-    markers: dict[str, Sightings]
+    markers: dict[str, MarkerObservations]
 
 
 @dataclass(frozen=True)
-class Watched:
+class FilmObservations:
     """All that one pass gives.
 
     Attributes
     ----------
-    bodies : dict of BodySightings
+    bodies : dict of BodyObservations
         By name.
     disc : ndarray, shape (n, 2), or None
         The disc's centre in every frame [px].
     pts_time : ndarray, shape (n,)
-        The stream's own time stamps [s].
+        The stream's own timestamps [s].
     times : FrameTimes
         When the frames were taken.
     again : ndarray of bool, shape (n,)
@@ -304,7 +304,7 @@ class Watched:
         Width and height of the picture in px.
     """
 
-    bodies: dict[str, BodySightings]
+    bodies: dict[str, BodyObservations]
     disc: Floats | None
     pts_time: Floats
     times: FrameTimes
@@ -313,13 +313,13 @@ class Watched:
     again: Mask
 
 
-class Tracker:
+class FilmTracker:
     """Everything that is watched; its attributes are all that a later process needs to go on."""
 
     def __init__(self, scene: Scene, samples: Samples) -> None:
         keep_out = 1.25 * scene.disc.radius + 1.0 if scene.disc else 0.0
         self.bodies = {
-            b: BodyWatch(b, scene.of(b), samples, scene.centre, keep_out, BATCH) for b in scene.bodies
+            b: BodyTracker(b, scene.of(b), samples, scene.centre, keep_out, BATCH) for b in scene.bodies
         }
         self.disc = DiscWindow(scene.disc, BATCH) if scene.disc else None
         self.centre = scene.centre
@@ -329,7 +329,7 @@ class Tracker:
         self.held: list[Frame] = []
         self.steps: list[float] = []
         self.again = np.zeros(BATCH, dtype=np.bool_)
-        self.repeats: Repeats | None = None
+        self.repeats: RepeatDetector | None = None
         self.owed = 0.0
         self.hold = int(np.clip(HELD_BYTES // (1.5 * samples.frames[0].y.size), 8, HOLD))
 
@@ -376,7 +376,9 @@ class Tracker:
             coarse, markers = body.digest(self.filled, casing)
             rows[f"{name}/coarse"] = coarse
             for marker, seen in markers.items():
-                rows |= {f"{name}/{marker}/{f.name}": getattr(seen, f.name) for f in fields(Sightings)}
+                rows |= {
+                    f"{name}/{marker}/{f.name}": getattr(seen, f.name) for f in fields(MarkerObservations)
+                }
             if name == "casing":
                 casing = coarse
         if self.disc is not None:
@@ -404,9 +406,9 @@ class _Advance:
         self.stamped = times.place is not None
         steps = np.diff(times.places)
         steps /= np.median(steps) if len(steps) else 1.0
-        odd = np.flatnonzero(steps != 1.0)
+        misfit_excess = np.flatnonzero(steps != 1.0)
         self._odd: dict[int | None, float] = dict(
-            zip(stamps[odd + 1].tolist(), steps[odd].tolist(), strict=True)
+            zip(stamps[misfit_excess + 1].tolist(), steps[misfit_excess].tolist(), strict=True)
         )
 
     def step(self, frame: Frame) -> float:
@@ -414,34 +416,34 @@ class _Advance:
         return self._odd.get(frame.pts, 1.0) if frame.index else 0.0
 
 
-def watch(
+def track_film(
     path: Path,
     scene: Scene,
-    work: Tracker,
+    work: FilmTracker,
     threads: int,
     progress: Progress | None,
     timing: Timing,
-    notes: Notes | None = None,
-) -> Watched:
+    notes: ObservationLog | None = None,
+) -> FilmObservations:
     """Read a film once, from its first frame to its last, and measure everything in it.
 
     Parameters
     ----------
-    work : Tracker
+    work : FilmTracker
         New, of this scene.
     timing : Timing
         Where the times of the frames are from.
-    notes : Notes, optional
+    notes : ObservationLog, optional
         Keeps what was measured, and goes on with what an earlier process has put there; memory, if not given.
     """
-    notes = notes or Notes()
+    notes = notes or ObservationLog()
     packets = read_packets(path)
-    work.repeats = Repeats(packets)
+    work.repeats = RepeatDetector(packets)
     with Reader(path, threads) as reader:
         tick = float(reader.info.time_base)
         clock = _Advance(packets.stamps, tick, timing)
         total = max(reader.info.frames_declared, len(packets.stamps)) or None
-        frames = notes.take_up(work, reader)
+        frames = notes.resume(work, reader)
         if progress is not None and reader.decoded:
             progress(reader.decoded, total)
         for frame in frames:
@@ -462,17 +464,19 @@ def watch(
         return _watched(scene, work.size, reader, times, notes.rows(reader.decoded))
 
 
-def _watched(scene: Scene, size: tuple[int, int], reader: Reader, times: FrameTimes, rows: Rows) -> Watched:
+def _watched(
+    scene: Scene, size: tuple[int, int], reader: Reader, times: FrameTimes, rows: Rows
+) -> FilmObservations:
     bodies = {}
     for name in scene.bodies:
         markers = {
-            paper.name: Sightings(
-                **{f.name: rows.pop(f"{name}/{paper.name}/{f.name}") for f in fields(Sightings)}
+            marker.name: MarkerObservations(
+                **{f.name: rows.pop(f"{name}/{marker.name}/{f.name}") for f in fields(MarkerObservations)}
             )
-            for paper in scene.of(name)
+            for marker in scene.of(name)
         }
-        bodies[name] = BodySightings(rows.pop(f"{name}/coarse"), markers)
-    return Watched(
+        bodies[name] = BodyObservations(rows.pop(f"{name}/coarse"), markers)
+    return FilmObservations(
         bodies,
         rows.get("disc"),
         reader.pts_seconds(),

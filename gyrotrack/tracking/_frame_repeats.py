@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from gyrotrack._smoothing import median_of
 from gyrotrack.tracking._association import net_turn
-from gyrotrack.tracking._film_tracker import BodySightings, Watched
+from gyrotrack.tracking._film_tracker import BodyObservations, FilmObservations
 from gyrotrack.tracking._observations import plausible, spread_out
 from gyrotrack.tracking._residuals import wrapped
 from gyrotrack.tracking._scene import Scene
@@ -59,24 +59,24 @@ class Repetition:
         return 1.0 - run / self.period
 
 
-def turning_most(seen: Watched) -> str:
+def turning_most(seen: FilmObservations) -> str:
     """Return the name of the body that turns most."""
     return max(seen.bodies, key=lambda name: abs(net_turn(seen.bodies[name].coarse)))
 
 
-def seen_angle(seen: Watched, scene: Scene, name: str) -> Floats:
+def seen_angle(seen: FilmObservations, scene: Scene, name: str) -> Floats:
     """Return the angle of a body by all its markers that are seen well, (n,) [rad]; NaN where there is none."""
     body = seen.bodies[name]
     total, count = np.zeros((2, len(body.coarse)))
-    for paper in scene.of(name):
-        sights = body.markers[paper.name]
+    for marker in scene.of(name):
+        sights = body.markers[marker.name]
         good = plausible(sights) & sights.open & np.isfinite(body.coarse)
-        total += np.where(good, wrapped(np.nan_to_num(sights.angle - paper.mount - body.coarse)), 0.0)
+        total += np.where(good, wrapped(np.nan_to_num(sights.angle - marker.mount - body.coarse)), 0.0)
         count += good
     return body.coarse + np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
-def judge_repeats(seen: Watched, scene: Scene) -> Repetition:
+def judge_repeats(seen: FilmObservations, scene: Scene) -> Repetition:
     """Find which frames that look repeated are so, since a body that should move does not, and what they stand for."""
     again = seen.again.copy()
     if not again.any() or not seen.bodies:
@@ -140,13 +140,13 @@ def _runs(again: Mask) -> list[tuple[int, int]]:
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
-def left_out(seen: Watched, times: FrameTimes) -> Watched:
-    """Return what was seen without the sightings of repeated frames."""
+def left_out(seen: FilmObservations, times: FrameTimes) -> FilmObservations:
+    """Return what was seen without the observations of repeated frames."""
     if times.again is None:
         return replace(seen, times=times)
     fresh, count = np.flatnonzero(~times.again), len(times.again)
     bodies = {
-        name: BodySightings(
+        name: BodyObservations(
             spread_out(body.coarse[fresh], fresh, count),
             {m: s.picked(fresh).spread_out(fresh, count) for m, s in body.markers.items()},
         )
@@ -171,7 +171,7 @@ def without_repeats(
         told += ", and fill the places of missing frames: the bodies have moved on after them"
     elif times.place is not None:
         told += (
-            "; the bodies have not moved on after them, so that the time stamps are not the camera's, and times are "
+            "; the bodies have not moved on after them, so that the timestamps are not the camera's, and times are "
             "wrong (--times frames counts the other frames)"
         )
     else:

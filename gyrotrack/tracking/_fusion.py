@@ -1,6 +1,6 @@
 """From the observations of the markers to the angle of their body.
 
-The coarse path that followed the body counts the turns; each marker adds its fine angle as a small departure
+The coarse path that followed the body counts the turns; each marker adds its fine angle as a small residual
 from it. Markers are brought together by where they sit on the body, weighted by how much each one scatters
 about the smooth motion; one that departs from the others is flagged and left out.
 """
@@ -15,7 +15,7 @@ import numpy.typing as npt
 from gyrotrack._column_store import put_away
 from gyrotrack._smoothing import (
     HALF_WINDOW,
-    Pace,
+    TimeBase,
     correlation_factor,
     excess,
     learning_window,
@@ -23,7 +23,7 @@ from gyrotrack._smoothing import (
     tail_factor,
 )
 from gyrotrack.tracking._observations import Candidate, spread_out
-from gyrotrack.tracking._residuals import Departures, wrapped
+from gyrotrack.tracking._residuals import Residuals, wrapped
 from gyrotrack.tracking._systematic_errors import learn_neighbours, learn_places, place_error, places_passed
 
 Floats = npt.NDArray[np.float64]
@@ -90,7 +90,7 @@ def join(
     axis: float | Floats = 0.0,
     *,
     above: bool = False,
-    pace: Pace | None = None,
+    time_base: TimeBase | None = None,
 ) -> BodyAngles:
     """Join the markers of one body; its zero is the angle of the first one.
 
@@ -109,10 +109,10 @@ def join(
         far as they are not seen on the way, and an axis that is off.
     above : bool
         Whether the markers lie above the other body.
-    pace : Pace, optional
+    time_base : TimeBase, optional
         When the frames were taken, if that was not evenly.
     """
-    state = Departures(coarse, candidates, fps, pace)
+    state = Residuals(coarse, candidates, fps, time_base)
     half, degree = learning_window(state.path)
     for _ in range(ROUNDS):
         short, leverage = state.smooth(HALF_WINDOW)
@@ -127,39 +127,39 @@ def join(
     return _result(state, half, degree, floor, axis)
 
 
-def _result(state: Departures, half: int, degree: int, floor: float, axis: float | Floats) -> BodyAngles:
+def _result(state: Residuals, half: int, degree: int, floor: float, axis: float | Floats) -> BodyAngles:
     smooth, leverage = state.smooth(half, degree)
     state.measure_scatter(smooth, leverage)
     late = state.late()
     if isinstance(late, np.ndarray):
         state.set_apart(late)
-    departure, sigma, count = state.mean()
-    off = np.where(state.turning, np.nan, departure - smooth)
+    residual, sigma, count = state.mean()
+    off = np.where(state.turning, np.nan, residual - smooth)
     floor *= share_of_floor(off, sigma, floor, places_passed(state) - float(np.nansum(leverage)))
     unlearnt = np.where(state.turning, 0.0, np.hypot(floor, axis))
 
-    def calibrated(departure: Floats, sigma: Floats, share: float) -> Floats:
-        """Raise or lower uncertainties until they are the size of the departures from the smooth motion.
+    def calibrated(residual: Floats, sigma: Floats, share: float) -> Floats:
+        """Raise or lower uncertainties until they are the size of the residuals about the smooth motion.
 
         Errors that stay alike for some frames look like motion in part: the smooth motion follows them by its leverage
         times their correlation factor.
         """
         whole = np.hypot(np.hypot(sigma, unlearnt), late)
-        off = np.where(state.turning, (departure - smooth) / whole, np.nan)
+        off = np.where(state.turning, (residual - smooth) / whole, np.nan)
         alike = correlation_factor(np.nan_to_num(off))
         off = off / np.sqrt(np.clip(1.0 - share * alike * leverage, 0.5, 1.0))
         scale = excess(off)
         return np.asarray(whole * scale * tail_factor(off / scale))
 
-    own = {"angle": state.path + departure, "sigma": calibrated(departure, sigma, 1.0), "count": count}
-    del departure, sigma, count
+    own = {"angle": state.path + residual, "sigma": calibrated(residual, sigma, 1.0), "count": count}
+    del residual, sigma, count
     body = put_away(own)
     markers = {}
     for name, c in state.candidates.items():
         use = state.use[name]
         own = {"angle": np.where(use, wrapped(c.angle - state.bias(name)), np.nan)}
         own["sigma"] = calibrated(
-            np.where(use, state.departure(name), np.nan),
+            np.where(use, state.residual(name), np.nan),
             np.where(use, state.sigma(name), np.nan),
             1.0 / len(state.candidates),
         )

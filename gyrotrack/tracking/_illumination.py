@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack.tracking._marker_window import LAYERS, Look
+from gyrotrack.tracking._marker_window import LAYERS, MarkerWindow
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -25,7 +25,7 @@ class AngleMap:
     layers, columns : int
         Rows of the map (parts of the radius) and angles in a full turn.
     ground : ndarray, shape (columns,), optional
-        What was taken off as background, in heights of the marker. A paper has light of its own, and does not show
+        What was taken off as background, in heights of the marker. A marker has light of its own, and does not show
         the lamps that mirror in the metal beneath it: what it has above nothing is even, and is averaged; its
         height, what it has above the background, is not.
     """
@@ -152,7 +152,7 @@ _COLUMNS = 360
 _SCALE = _COLUMNS / (2.0 * np.pi)
 
 
-class Cover:
+class Occlusion:
     """The map of what lies over a body, learnt from the passages of its markers.
 
     Parameters
@@ -165,7 +165,7 @@ class Cover:
         self._step = step
         self._map = AngleMap(LAYERS, _COLUMNS)
 
-    def learn(self, look: Look, expected: Floats, casing: Floats) -> None:
+    def learn(self, look: MarkerWindow, expected: Floats, casing: Floats) -> None:
         """Add what the windows of a marker show; `expected` is its profile in them (n, m), `casing` (n,) in rad."""
         known = (look.known & np.isfinite(casing))[:, None]
         core = np.where(known & (expected > 0.7), expected, 0.0)
@@ -173,7 +173,7 @@ class Cover:
         for layer in range(look.layers.shape[1]):
             self._map.learn(layer, column, core, np.clip(look.layers[:, layer], -0.2, 1.5))
 
-    def open(self, look: Look, casing: Floats | None, *, shadows: bool = False) -> Mask:
+    def open(self, look: MarkerWindow, casing: Floats | None, *, shadows: bool = False) -> Mask:
         """Return which samples of the windows nothing hides, (n, m); all, where the other body is unknown.
 
         With `shadows`, only those are open that also lie beyond the soft edge of what hides.
@@ -185,7 +185,7 @@ class Cover:
         open_ = open_columns(self._map, shadows=shadows)
         return np.where(known, open_[self._relative(look, casing)], everything)
 
-    def _relative(self, look: Look, casing: Floats) -> Integers:
+    def _relative(self, look: MarkerWindow, casing: Floats) -> Integers:
         """Columns of the map for the samples of the windows."""
         first = look.first * self._step * _SCALE - np.nan_to_num(casing) * _SCALE
         column = first[:, None] + np.arange(look.raw.shape[1]) * (self._step * _SCALE)

@@ -8,10 +8,10 @@ import numpy.typing as npt
 from gyrotrack._smoothing import median_of
 from gyrotrack.tracking._corners import near_corners
 from gyrotrack.tracking._illumination import AngleMap, even_light, places_apart, unlit
-from gyrotrack.tracking._marker_window import Look, Strip
+from gyrotrack.tracking._marker_window import MarkerStrip, MarkerWindow
 from gyrotrack.tracking._matching import Match, displaced, flat_top, match, mean_profile
-from gyrotrack.tracking._observations import Sightings
-from gyrotrack.tracking._scene import Paper
+from gyrotrack.tracking._observations import MarkerObservations
+from gyrotrack.tracking._scene import Marker
 
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -20,25 +20,25 @@ MOST_SHAPES = 96
 """Frames of a batch from which the template is learnt."""
 
 
-class MarkerWatch:
+class MarkerTracker:
     """The templates of a marker and the light on its ring, carried from batch to batch."""
 
-    def __init__(self, paper: Paper, strip: Strip) -> None:
-        self.paper = paper
+    def __init__(self, marker: Marker, strip: MarkerStrip) -> None:
+        self.marker = marker
         self.strip = strip
         self._across: Floats | None = None
         self._along: Floats | None = None
         self._light = AngleMap(1, strip.ring.columns, strip.ground if strip.white else None)
 
-    def look(self, coarse: Floats) -> Look:
+    def look(self, coarse: Floats) -> MarkerWindow:
         """Take the windows about the coarse angles (rad, NaN: not followed) out of the buffer."""
-        return Look(self.strip, coarse)
+        return MarkerWindow(self.strip, coarse)
 
-    def expected(self, look: Look) -> Floats:
+    def expected(self, look: MarkerWindow) -> Floats:
         """Return the profile across that is expected where the marker is expected, (n, m)."""
         return displaced(self.template(look.raw.shape[1]), look.fraction)
 
-    def measure(self, look: Look, open_: Mask, clear: Mask | None = None) -> Sightings:
+    def measure(self, look: MarkerWindow, open_: Mask, clear: Mask | None = None) -> MarkerObservations:
         """Measure the marker; `open_` (n, columns of the window) tells which samples nothing hides.
 
         A shadow dims a colour with all that is seen of it; beside a white marker it darkens the metal, which pulls
@@ -56,9 +56,9 @@ class MarkerWatch:
         ring = self.strip.ring
         hide = np.where(look.known, 0.0, np.nan)
         spacing = float(ring.radii[1] - ring.radii[0])
-        return Sightings(
+        return MarkerObservations(
             angle=(look.start + found.shift) * ring.step + hide,
-            radius=self.paper.radius + along.shift * spacing + np.where(whole, 0.0, np.nan),
+            radius=self.marker.radius + along.shift * spacing + np.where(whole, 0.0, np.nan),
             corner_angle=angle + (look.start * ring.step)[:, None],
             corner_radius=radius,
             gain=found.gain + hide,
@@ -68,27 +68,27 @@ class MarkerWatch:
             centre=np.tile(np.array(ring.centre), (len(hide), 1)),
         )
 
-    def _matters(self, look: Look) -> Mask:
+    def _matters(self, look: MarkerWindow) -> Mask:
         """Return the samples of the windows in which the marker itself may show, (n, m)."""
         step, half = self.strip.ring.step, self.strip.half
         x = np.abs(np.arange(-half, half + 1)) * step
-        reach = 1.15 * self.paper.half_width + 2.0 * step
+        reach = 1.15 * self.marker.half_width + 2.0 * step
         if self._across is not None:
-            reach = float(x[self._across > 0.12].max(initial=self.paper.half_width)) + step
+            reach = float(x[self._across > 0.12].max(initial=self.marker.half_width)) + step
         place = np.arange(-half, half + 1)[None, :] - look.fraction[:, None]
         return np.asarray(np.abs(place) * step <= reach)
 
     def template(self, count: int) -> Floats:
         """Return the profile across that is expected, on the samples of the window."""
         if self._across is None:
-            return flat_top(self.paper.half_width / self.strip.ring.step, count)
+            return flat_top(self.marker.half_width / self.strip.ring.step, count)
         return self._across
 
-    def _matched_across(self, look: Look, open_: Mask, whole: Mask) -> Match:
+    def _matched_across(self, look: MarkerWindow, open_: Mask, whole: Mask) -> Match:
         rounds = 3 if self._across is None else 1
         ring = self.strip.ring
         reach = max(
-            round(self.paper.half_width / ring.step), places_apart(look.start[look.known], ring.columns) // 2
+            round(self.marker.half_width / ring.step), places_apart(look.start[look.known], ring.columns) // 2
         )
         template = self.template(look.profile.shape[1])
         found = match(look.profile, template, look.fraction, open_)
@@ -105,14 +105,14 @@ class MarkerWatch:
             found = match(look.profile, template, found.shift, open_)
         return found
 
-    def _learn_light(self, look: Look, expected: Floats, offset: Floats, use: Mask) -> None:
+    def _learn_light(self, look: MarkerWindow, expected: Floats, offset: Floats, use: Mask) -> None:
         expected = np.where((expected > 0.4) & use, expected, 0.0)
         column = look.column(self.strip.ring.columns)
         self._light.learn(0, column, expected, look.raw - offset[:, None])
 
-    def _matched_along(self, look: Look, found: Match, whole: Mask) -> Match:
+    def _matched_along(self, look: MarkerWindow, found: Match, whole: Mask) -> Match:
         columns = np.arange(look.window.shape[2]) - self.strip.half
-        reach = max(0.5 * self.paper.half_width / self.strip.ring.step, 1.0)
+        reach = max(0.5 * self.marker.half_width / self.strip.ring.step, 1.0)
         weight = np.clip(reach + 0.5 - np.abs(columns[None, :] - found.shift[:, None]), 0.0, 1.0)
         profile = look.along(weight / weight.sum(axis=1)[:, None])
         nothing, everything = np.zeros(len(profile)), np.ones(profile.shape, dtype=np.bool_)
@@ -120,8 +120,8 @@ class MarkerWatch:
             return match(profile, self._along, nothing, everything)
         radii = self.strip.ring.radii
         spacing = float(radii[1] - radii[0])
-        template = flat_top(0.5 * (self.paper.outer - self.paper.inner) / spacing, len(radii))
-        template = np.interp(radii - self.paper.radius + float(radii.mean()), radii, template)
+        template = flat_top(0.5 * (self.marker.outer - self.marker.inner) / spacing, len(radii))
+        template = np.interp(radii - self.marker.radius + float(radii.mean()), radii, template)
         along = match(profile, template, nothing, everything)
         for _ in range(2):
             better = mean_profile(profile, along, _good(along, whole, whole), everything, symmetric=False)
@@ -131,14 +131,14 @@ class MarkerWatch:
             along = match(profile, better, along.shift, everything)
         return along
 
-    def _corners(self, look: Look, found: Match, whole: Mask) -> tuple[Floats, Floats]:
+    def _corners(self, look: MarkerWindow, found: Match, whole: Mask) -> tuple[Floats, Floats]:
         ring = self.strip.ring
         radius, angle = np.full((2, len(whole), 2), np.nan)
         use = whole & (found.gain > 0.1)
         if use.any():
             shaped = look.shaped(use, found.gain[use], found.offset[use])
             angles: Floats = np.arange(-self.strip.half, self.strip.half + 1.0) * ring.step
-            r, phi = near_corners(shaped, ring.radii, angles, self.paper.inner, self.paper.outer)
+            r, phi = near_corners(shaped, ring.radii, angles, self.marker.inner, self.marker.outer)
             likely = self._likely(r, phi, found.shift[use] * ring.step)
             radius[use], angle[use] = np.where(likely, r, np.nan), np.where(likely, phi, np.nan)
         return radius, angle
@@ -150,10 +150,10 @@ class MarkerWatch:
         if not known.any():
             return np.zeros((len(half), 1), dtype=np.bool_)
         usual = median_of(half[known])
-        length = self.paper.outer - self.paper.inner
+        length = self.marker.outer - self.marker.inner
         with np.errstate(invalid="ignore"):
             likely = (np.abs(middle - fine) < 0.25 * usual + 0.01) & (np.abs(half - usual) < 0.3 * usual)
-            likely &= np.abs(radius.mean(axis=1) - self.paper.inner) < 0.35 * length + 2.0
+            likely &= np.abs(radius.mean(axis=1) - self.marker.inner) < 0.35 * length + 2.0
         return np.asarray(likely[:, None])
 
 

@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
-from gyrotrack._native._kernels import loops
-from gyrotrack.tracking._acquisition import LONGEST_STAY
+from gyrotrack._native import _kernels as kernels
+from gyrotrack.tracking._acquisition import LONGEST_DWELL
 from gyrotrack.tracking._polar import Grid, Ring, Score, Windows, ring_for
-from gyrotrack.tracking._scene import Paper, Samples
+from gyrotrack.tracking._scene import Marker, Samples
 from gyrotrack.video._container import Frame
 
 Floats = npt.NDArray[np.float64]
@@ -22,24 +22,24 @@ CHROMA_PIXEL, LUMA_PIXEL = 2.0, 1.5
 """Spacing of the samples in luma px."""
 
 
-def common_columns(papers: tuple[Paper, ...], centre: tuple[float, float]) -> int:
-    """Return the number of columns in a full turn that suits all papers of a body."""
-    radius = max(paper.outer for paper in papers)
+def common_columns(markers: tuple[Marker, ...], centre: tuple[float, float]) -> int:
+    """Return the number of columns in a full turn that suits all markers of a body."""
+    radius = max(marker.outer for marker in markers)
     return ring_for(centre, 0.7 * radius, radius, CHROMA_PIXEL).columns
 
 
-class Strip:
-    """Windows about one paper, collected for a batch of frames, as scores: 0 on the background, 1 on the paper.
+class MarkerStrip:
+    """Windows about one marker, collected for a batch of frames, as scores: 0 on the background, 1 on the marker.
 
     A score is linear in the planes of the film. It is formed on the few pixels that a window needs, and only
     these are unrolled.
 
     Parameters
     ----------
-    paper : Paper
+    marker : Marker
         What is looked at.
     samples : Samples
-        Frames from which the background is taken: their median at every place, or round each ring where the paper
+        Frames from which the background is taken: their median at every place, or round each ring where the marker
         hardly moved.
     centre : tuple of float
         Centre of the ring in px.
@@ -48,14 +48,14 @@ class Strip:
     columns : int
         Samples in a full turn.
     margin : float
-        By how much in rad a paper may lie beside where it is expected.
+        By how much in rad a marker may lie beside where it is expected.
     capacity : int
         Frames of a batch.
     """
 
     def __init__(
         self,
-        paper: Paper,
+        marker: Marker,
         samples: Samples,
         centre: tuple[float, float],
         keep_out: float,
@@ -63,21 +63,21 @@ class Strip:
         margin: float,
         capacity: int,
     ) -> None:
-        self.paper = paper
-        self.white = paper.colour == "white"
-        edge = max(6.0, 0.3 * (paper.outer - paper.inner))
+        self.marker = marker
+        self.white = marker.colour == "white"
+        edge = max(6.0, 0.3 * (marker.outer - marker.inner))
         pixel = LUMA_PIXEL if self.white else CHROMA_PIXEL
-        grid = ring_for(centre, max(paper.inner - edge, keep_out, 2.0), paper.outer + edge, pixel)
+        grid = ring_for(centre, max(marker.inner - edge, keep_out, 2.0), marker.outer + edge, pixel)
         ring = Ring(centre, grid.inner, grid.outer, grid.rows, columns)
         self.slack = int(np.ceil(margin / ring.step)) + 1
-        # Paper and smear of equal width make a triangle twice as wide at its foot as at half its height.
-        foot = float(np.clip(paper.foot, 1.1 * paper.half_width, 2.0 * paper.half_width))
+        # Marker and smear of equal width make a triangle twice as wide at its foot as at half its height.
+        foot = float(np.clip(marker.foot, 1.1 * marker.half_width, 2.0 * marker.half_width))
         self.half = int(np.ceil((foot + max(0.06, 4.0 * ring.step)) / ring.step)) + self.slack
         self.half = min(self.half, (columns - 1) // 2)
         self.width = 2 * self.half + 1
         self.windows = np.zeros((capacity, ring.rows, self.width), dtype=np.float32)
         self.starts = np.zeros(capacity, dtype=np.int64)
-        a, b = paper.contrast
+        a, b = marker.contrast
         weights = (1.0 / a, 0.0) if self.white else (a / (a * a + b * b), b / (a * a + b * b))
         shape = samples.frames[0].y.shape if self.white else samples.frames[0].u.shape
         self._score = Score(self.white, weights, shape)
@@ -95,7 +95,7 @@ class Strip:
 
     @property
     def ground(self) -> Floats:
-        """Mean over the rows of the paper of what is taken off as background, (columns,)."""
+        """Mean over the rows of the marker of what is taken off as background, (columns,)."""
         return np.asarray(self._ground_mean[: self.ring.columns], dtype=np.float64)
 
     @property
@@ -107,20 +107,20 @@ class Strip:
 
     @property
     def rows(self) -> slice:
-        """Rows that lie well on the paper, away from its near and far edge."""
+        """Rows that lie well on the marker, away from its near and far edge."""
         return slice(*self._rows)
 
     @property
     def _every_second(self) -> slice:
-        """Every second row of them, enough to find the paper by."""
+        """Every second row of them, enough to find the marker by."""
         return slice(*self._rows, 2)
 
     def _rows_on(self, ring: Ring) -> tuple[int, int]:
-        edge = min(2.0, 0.15 * (self.paper.outer - self.paper.inner))
+        edge = min(2.0, 0.15 * (self.marker.outer - self.marker.inner))
         radii = ring.radii
-        inside = np.flatnonzero((radii >= self.paper.inner + edge) & (radii <= self.paper.outer - edge))
+        inside = np.flatnonzero((radii >= self.marker.inner + edge) & (radii <= self.marker.outer - edge))
         if not len(inside):
-            inside = np.array([int(np.argmin(np.abs(radii - self.paper.radius)))])
+            inside = np.array([int(np.argmin(np.abs(radii - self.marker.radius)))])
         return int(inside[0]), int(inside[-1]) + 1
 
     def take(self, frames: list[Frame], place: int, angles: Floats) -> None:
@@ -133,41 +133,20 @@ class Strip:
         grid.cut(frames, first, self._under, self.windows[here])
 
     def whole(self, frames: list[Frame]) -> Singles:
-        """Return the mean score over the rows of the paper in all directions, (n, columns)."""
+        """Return the mean score over the rows of the marker in all directions, (n, columns)."""
         seen = self.grid.turns(frames, self._every_second).mean(axis=1) - self._ground_mean
         return np.asarray(seen[:, : self.ring.columns])
 
     def beside(self, angle: Floats, place: slice) -> tuple[Floats, Floats]:
-        """Return by how many columns the paper lies beside given angles (n,) [rad] in frames of the batch.
+        """Return by how many columns the marker lies beside given angles (n,) [rad] in frames of the batch.
 
         It is looked for as far as the margin goes. The second array is its mean score there, 0 if the best place is
         the farthest one.
         """
-        half, reach = max(int(self.paper.half_width / self.ring.step), 1), self.slack
+        half, reach = max(int(self.marker.half_width / self.ring.step), 1), self.slack
         column = angle / self.ring.step - self.starts[place] + (self.half - half - reach)
-        if loops is not None:
-            found, room = np.empty((len(angle), 2)), np.empty(self.width + 1)
-            loops.find(self.windows[place], column, found, room, (*self._rows, 2), half, reach)
-            return found[:, 0], found[:, 1]
-        height, frame = self._near(column, place, half, reach), np.arange(len(angle))
-        top = np.argmax(height, axis=1)
-        inner = np.clip(top, 1, 2 * reach - 1)
-        left, middle, right = (height[frame, inner + k] for k in (-1, 0, 1))
-        bend = np.minimum(left - 2.0 * middle + right, -1e-9)
-        off = np.where(inner == top, np.clip(0.5 * (left - right) / bend, -0.5, 0.5), 0.0)
-        return top - reach + off, np.where(inner == top, middle, 0.0)
-
-    def _near(self, column: Floats, place: slice, half: int, reach: int) -> Floats:
-        """Return the mean score of a paper with its near edge at given columns or up to `2 reach` beyond them."""
-        profile = self._mixing @ self.windows[place]
-        total = np.zeros((len(profile), self.width + 1))
-        np.cumsum(profile, axis=1, out=total[:, 1:])
-        box = (total[:, 2 * half + 1 :] - total[:, : -2 * half - 1]) / (2 * half + 1)
-        low = np.clip(np.floor(column).astype(np.int64), 0, box.shape[1] - 2 * reach - 2)
-        part = np.clip(column - low, 0.0, 1.0)[:, None]
-        cut = sliding_window_view(box, 2 * reach + 2, axis=1)[np.arange(len(column)), low]
-        found: Floats = (1.0 - part) * cut[:, :-1] + part * cut[:, 1:]
-        return found
+        found = kernels.locate(self.windows[place], column, (*self._rows, 2), half, reach)
+        return found[:, 0], found[:, 1]
 
     def _background(self, samples: Samples) -> Singles:
         frames = samples.frames[: samples.head] if self.white else samples.frames
@@ -175,7 +154,7 @@ class Strip:
         ranks = (len(frames) - 1) // 2, len(frames) // 2
         seen.partition(ranks, axis=-1)
         ground = 0.5 * (seen[..., ranks[0]] + seen[..., ranks[1]])
-        if self.paper.stay > LONGEST_STAY:
+        if self.marker.dwell > LONGEST_DWELL:
             ground[:] = np.median(ground, axis=1, keepdims=True)
         return ground
 
@@ -184,7 +163,7 @@ LAYERS = 3
 """Parts of the radius in which a marker can be hidden by itself."""
 
 
-class Look:
+class MarkerWindow:
     """What the windows of one marker show.
 
     Attributes
@@ -198,12 +177,12 @@ class Look:
     window : ndarray, shape (n, rows, m)
         Scores.
     raw, profile : ndarray, shape (n, m)
-        Mean over the rows of the paper, as seen and under even light.
+        Mean over the rows of the marker, as seen and under even light.
     layers : ndarray, shape (n, layers, m)
         The same for parts of the radius, as seen.
     """
 
-    def __init__(self, strip: Strip, coarse: Floats) -> None:
+    def __init__(self, strip: MarkerStrip, coarse: Floats) -> None:
         count = len(coarse)
         self.known = np.isfinite(coarse)
         self.start = strip.starts[:count].copy()

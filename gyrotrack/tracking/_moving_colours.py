@@ -8,12 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack.tracking._acquisition import (
-    LONGEST_STAY,
+    LONGEST_DWELL,
     Rings,
-    Sighting,
+    SampledMarker,
     find_coloured,
     find_disc,
-    is_paper,
+    is_marker_sized,
     search_ring,
 )
 from gyrotrack.tracking._colour import Blob, Hue, find_blobs, hue_score, nearest_colour
@@ -175,14 +175,14 @@ class Candidate:
     ----------
     hue : float
         In degrees.
-    sighting : Sighting
+    sampled : SampledMarker
         How it was seen.
     twin : bool
         Another patch of the same hue is there, so that the two can be taken for each other.
     """
 
     hue: float
-    sighting: Sighting
+    sampled: SampledMarker
     twin: bool = False
 
     @property
@@ -193,13 +193,13 @@ class Candidate:
     @property
     def contrast(self) -> float:
         """Chroma against what lies around it, in grey levels."""
-        return float(np.hypot(*self.sighting.paper.contrast))
+        return float(np.hypot(*self.sampled.marker.contrast))
 
 
 def find_candidates(
     samples: Samples, moving: MovingColour, orbit: Orbit, disc: Disc | None
 ) -> tuple[Ring, list[Candidate]]:
-    """Look for a paper of each moving hue in rings about the centre; also return the rings."""
+    """Find a marker of each moving hue in rings about the centre; also return the rings."""
     centre = disc.centre if disc is not None else orbit.centre
     ring = search_ring(samples, centre, disc, max(orbit.radii.values()))
     rings = Rings(samples.strips(ring), ring)
@@ -208,33 +208,33 @@ def find_candidates(
         one = _candidate(rings, float(np.rad2deg(hue) % 360.0))
         if one is None:
             continue
-        other = _candidate(_without(rings, one.sighting), one.hue)
+        other = _candidate(_without(rings, one.sampled), one.hue)
         found.append(replace(one, twin=other is not None and _alike(one, other)))
     return ring, found
 
 
 def _candidate(rings: Rings, hue: float) -> Candidate | None:
-    marker = MarkerProfile(name="x", colour=nearest_colour(hue), body="rotor", hue=hue)
-    seen = find_coloured(rings, marker)
-    if seen is None or not is_paper(seen.paper):
+    wanted = MarkerProfile(name="x", colour=nearest_colour(hue), body="rotor", hue=hue)
+    seen = find_coloured(rings, wanted)
+    if seen is None or not is_marker_sized(seen.marker):
         return None
-    return Candidate(_hue(seen.paper.contrast), seen)
+    return Candidate(_hue(seen.marker.contrast), seen)
 
 
 def _alike(one: Candidate, other: Candidate) -> bool:
     """Tell whether a second patch has the hue of the first, and stands out too often to be an accident."""
-    share = other.contrast / one.contrast * float(other.sighting.clear.mean())
+    share = other.contrast / one.contrast * float(other.sampled.clear.mean())
     return share > _TWIN and abs((one.hue - other.hue + 180.0) % 360.0 - 180.0) < _SAME_HUE
 
 
-def _without(rings: Rings, seen: Sighting) -> Rings:
+def _without(rings: Rings, seen: SampledMarker) -> Rings:
     """Return the rings with what usually lies there in the place of a marker."""
     usual = rings.usual
-    if seen.paper.stay > LONGEST_STAY:  # the median shows the marker itself
+    if seen.marker.dwell > LONGEST_DWELL:  # the median shows the marker itself
         usual = np.broadcast_to(np.median(usual, axis=2, keepdims=True), usual.shape)
     column = np.arange(rings.ring.columns) * rings.ring.step
     apart = np.abs(np.angle(np.exp(1j * (column[None, :] - seen.angle[:, None]))))
-    here = apart < 1.8 * seen.paper.half_width + 0.05
+    here = apart < 1.8 * seen.marker.half_width + 0.05
     plain = np.rint(usual).astype(np.uint8)
     return Rings(np.where(here[None, :, None, :], plain[:, None], rings.strips), rings.ring)
 
@@ -242,7 +242,7 @@ def _without(rings: Rings, seen: Sighting) -> Rings:
 Mask = npt.NDArray[np.bool_]
 
 EVEN = 0.6
-"""Share of the sightings that must be in phase with an even motion."""
+"""Share of the observations that must be in phase with an even motion."""
 TOGETHER = 0.75
 """Share of the samples in which two markers of one body keep their distance."""
 _STANDS, _MOVED = 2e-3, 0.25
@@ -251,8 +251,8 @@ _FEWEST = 8
 
 
 @dataclass(frozen=True)
-class Pace:
-    """An even motion through consecutive frames: step in rad a frame, and the share of sightings in phase with it."""
+class SteadyRotation:
+    """Steady rotation through consecutive frames: step [rad/frame], share of observations in phase with it."""
 
     step: float
     share: float
@@ -263,41 +263,41 @@ class Group:
     """Markers that keep their distance, and how they move."""
 
     members: tuple[Candidate, ...]
-    pace: Pace
+    rotation: SteadyRotation
 
     @property
     def stands(self) -> bool:
         """Whether it does not turn, in the first frames nor in the course of the film."""
-        if abs(self.pace.step) > _STANDS:
+        if abs(self.rotation.step) > _STANDS:
             return False
-        seen = self.members[0].sighting
+        seen = self.members[0].sampled
         turn = np.exp(1j * seen.angle[seen.clear])
         return bool(np.abs(np.angle(turn / turn.sum())).max() < _MOVED)
 
     @property
     def weight(self) -> float:
         """How much there is to see of it."""
-        return sum(c.contrast * float(c.sighting.clear.mean()) for c in self.members)
+        return sum(c.contrast * float(c.sampled.clear.mean()) for c in self.members)
 
 
-def pace(angle: Floats, use: Mask) -> Pace:
+def rotation(angle: Floats, use: Mask) -> SteadyRotation:
     """Find the step that brings most angles of consecutive frames, (n,) in rad, into phase."""
     frame = np.flatnonzero(use)
     if len(frame) < _FEWEST:
-        return Pace(0.0, 0.0)
+        return SteadyRotation(0.0, 0.0)
     phasor = np.exp(1j * angle[frame])
     steps = np.linspace(-np.pi, np.pi, 32 * (int(frame[-1]) + 1), endpoint=False)
     power = np.abs(np.exp(-1j * np.outer(steps, frame)) @ phasor)
     step = float(steps[np.argmax(power)])
     start = float(np.angle(np.sum(phasor * np.exp(-1j * step * frame))))
     off = np.abs(np.angle(phasor * np.exp(-1j * (start + step * frame))))
-    return Pace(step, float(np.mean(off < 0.35)))
+    return SteadyRotation(step, float(np.mean(off < 0.35)))
 
 
 def group_bodies(candidates: list[Candidate], head: int) -> tuple[list[Group], list[Candidate]]:
     """Put markers that move together into groups, the strongest group first; also return those that move unevenly."""
     groups: list[list[Candidate]] = []
-    paces = {id(c): pace(c.sighting.angle[:head], c.sighting.clear[:head]) for c in candidates}
+    paces = {id(c): rotation(c.sampled.angle[:head], c.sampled.clear[:head]) for c in candidates}
     uneven = [c for c in candidates if paces[id(c)].share < EVEN]
     for one in sorted(candidates, key=lambda c: -c.contrast):
         if any(one is other for other in uneven):
@@ -312,9 +312,9 @@ def group_bodies(candidates: list[Candidate], head: int) -> tuple[list[Group], l
 
 
 def _together(a: Candidate, b: Candidate) -> bool:
-    both = a.sighting.clear & b.sighting.clear
+    both = a.sampled.clear & b.sampled.clear
     if both.sum() < _FEWEST:
         return False
-    turn = np.exp(1j * (a.sighting.angle - b.sighting.angle)[both])
+    turn = np.exp(1j * (a.sampled.angle - b.sampled.angle)[both])
     near = np.abs(np.angle(turn[:, None] / turn[None, :])) < _NEAR
     return bool(near.mean(axis=1).max() > TOGETHER)

@@ -1,7 +1,7 @@
 """Observations of one marker, frame by frame, and which of them are usable.
 
 Glints, shadows and blocks of the encoder leave their mark on a profile and shift it too. How far they shift it
-depends on the film, and is learnt from the marker's own scatter: with x the squared misfit of a sighting relative
+depends on the film, and is learnt from the marker's own scatter: with x the squared misfit of an observation relative
 to the usual one, less 1, its variance is s^2 (1 + share x), and `share` is the most likely one.
 """
 
@@ -14,20 +14,20 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._column_store import put_away, stretches
-from gyrotrack._native._kernels import loops
+from gyrotrack._native import _kernels as kernels
 
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class Sightings:
+class MarkerObservations:
     """One marker in consecutive frames, about the ring's centre; NaN where its body was not followed.
 
     Attributes
     ----------
     angle, radius : ndarray, shape (n,)
-        Fine angle as seen [rad], radius of the middle of the paper [px].
+        Fine angle as seen [rad], radius of the middle of the marker [px].
     corner_angle, corner_radius : ndarray, shape (n, 2)
         The near corners about the ring's centre.
     gain, misfit : ndarray, shape (n,)
@@ -51,25 +51,32 @@ class Sightings:
     centre: Floats
 
     @staticmethod
-    def joined(parts: list[Sightings]) -> Sightings:
+    def joined(parts: list[MarkerObservations]) -> MarkerObservations:
         """Put batches one after the other."""
-        return Sightings(
-            **{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Sightings)}
+        return MarkerObservations(
+            **{
+                f.name: np.concatenate([getattr(p, f.name) for p in parts])
+                for f in fields(MarkerObservations)
+            }
         )
 
-    def spread_out(self, index: npt.NDArray[np.int64], count: int) -> Sightings:
+    def spread_out(self, index: npt.NDArray[np.int64], count: int) -> MarkerObservations:
         """Put the frames at the places `index` of `count`; see `spread_out`."""
-        return Sightings(
-            **put_away({f.name: spread_out(getattr(self, f.name), index, count) for f in fields(Sightings)})
+        return MarkerObservations(
+            **put_away(
+                {f.name: spread_out(getattr(self, f.name), index, count) for f in fields(MarkerObservations)}
+            )
         )
 
-    def picked(self, index: npt.NDArray[np.int64]) -> Sightings:
+    def picked(self, index: npt.NDArray[np.int64]) -> MarkerObservations:
         """Return the frames `index` alone."""
-        return Sightings(**put_away({f.name: getattr(self, f.name)[index] for f in fields(Sightings)}))
+        return MarkerObservations(
+            **put_away({f.name: getattr(self, f.name)[index] for f in fields(MarkerObservations)})
+        )
 
-    def at(self, part: slice) -> Sightings:
+    def at(self, part: slice) -> MarkerObservations:
         """Return some of the frames."""
-        return Sightings(**{f.name: getattr(self, f.name)[part] for f in fields(Sightings)})
+        return MarkerObservations(**{f.name: getattr(self, f.name)[part] for f in fields(MarkerObservations)})
 
     def outside(self, inner: float, outer: float, half_width: float, size: tuple[int, int]) -> Mask:
         """Return where a part of the marker lies outside a picture of (width, height) px."""
@@ -115,7 +122,7 @@ def excess_misfit(misfit: Floats, usual: float) -> Floats:
     return np.asarray(np.clip(ratio**2 - 1.0, 0.0, LARGEST))
 
 
-def most_likely_share(off: Floats, excess: Floats) -> float:
+def variance_inflation(off: Floats, excess: Floats) -> float:
     """Return the share of the excess with which normal residuals are most likely, between 0 and 1.
 
     Parameters
@@ -128,22 +135,9 @@ def most_likely_share(off: Floats, excess: Floats) -> float:
     known = np.isfinite(off)
     if known.sum() < FEWEST:
         return 0.0
-    return float(_SHARES[int(np.argmin(_unlikely(off[known] ** 2, excess[known])))])
-
-
-def _unlikely(squares: Floats, odd: Floats) -> Floats:
-    """Return minus twice the mean log-likelihood of squared residuals for every share, but for a constant."""
-    if loops is None:
-        return np.array([_unlikely_as(squares, 1.0 + share * odd) for share in _SHARES])
-    found = np.empty(len(_SHARES))
-    loops.unlikely(squares, odd, _SHARES, found, _FAULT**2 / 0.4549)
-    return found
-
-
-def _unlikely_as(squares: Floats, variance: Floats) -> float:
-    squares = squares / variance
-    squares = np.minimum(squares, _FAULT**2 * np.median(squares) / 0.4549)
-    return float(np.log(max(squares.mean(), 1e-30)) + np.log(variance).mean())
+    clip = _FAULT**2 / 0.4549
+    unlikely = kernels.likelihood(off[known] ** 2, excess[known], _SHARES, clip)
+    return float(_SHARES[int(np.argmin(unlikely))])
 
 
 LARGEST_MISFIT = 0.12
@@ -166,8 +160,8 @@ class Candidate:
         Nothing stands before any part of it.
     weak : ndarray, shape (n,)
         Factor on its uncertainty for what is hidden or dim.
-    odd : ndarray, shape (n,)
-        By how much its profile fits less well than usual; see `oddity`.
+    misfit_excess : ndarray, shape (n,)
+        By how much its profile fits less well than usual; see `variance_inflation`.
     mount : float
         First value of where it sits on the body, as seen [rad].
     """
@@ -176,11 +170,11 @@ class Candidate:
     good: Mask
     open: Mask
     weak: Floats
-    odd: Floats
+    misfit_excess: Floats
     mount: float
 
 
-def plausible(seen: Sightings) -> Mask:
+def plausible(seen: MarkerObservations) -> Mask:
     """Frames in which a marker stands out at its usual height, with its usual profile where it is open."""
     known = np.isfinite(seen.gain) & (seen.weakness < WEAKEST * _usual(seen, seen.weakness))
     whole = known & seen.open
@@ -193,17 +187,17 @@ def plausible(seen: Sightings) -> Mask:
     return np.asarray(known & (seen.misfit < max(typical + 6.0 * scatter, LARGEST_MISFIT)))
 
 
-def candidate(seen: Sightings, angle: Floats, good: Mask, mount: float) -> Candidate:
-    """Make a candidate from sightings and their corrected angle."""
+def candidate(seen: MarkerObservations, angle: Floats, good: Mask, mount: float) -> Candidate:
+    """Make a candidate from observations and their corrected angle."""
     columns = {
         "angle": angle,
         "good": good,
         "weak": seen.weakness / _usual(seen, seen.weakness),
-        "odd": excess_misfit(seen.misfit, _usual(seen, seen.misfit)),
+        "misfit_excess": excess_misfit(seen.misfit, _usual(seen, seen.misfit)),
     }
     return Candidate(open=seen.open, mount=mount, **put_away(columns))
 
 
-def _usual(seen: Sightings, values: Floats) -> float:
+def _usual(seen: MarkerObservations, values: Floats) -> float:
     whole = seen.open & np.isfinite(values)
     return float(np.median(values[whole])) if whole.any() else 1.0

@@ -157,17 +157,17 @@ def _mode(values: Floats) -> float:
     return float(0.5 * (core[(half - 1) // 2] + core[half // 2]))
 
 
-MOST_SIGHTINGS = 2000
-LEAST_SIGHTINGS = 30
+MOST_OBSERVATIONS = 2000
+LEAST_OBSERVATIONS = 30
 CELL = np.pi / 6.0
 """Turn in rad over which errors by place hang together: they are as large in the sixth harmonic as in the first."""
 LEAST_COVER = 5.0
-"""Angle in rad that must be covered by the sightings before an orbit is trusted."""
+"""Angle in rad that must be covered by the observations before an orbit is trusted."""
 
 
 @dataclass(frozen=True)
 class Flattening:
-    """What a slanted view does to an orbit: offsets e per marker in px (y up), and (p, q).
+    """What a correct_view view does to an orbit: offsets e per marker in px (y up), and (p, q).
 
     `doubt` holds the covariance of e in px^2, (2, 2), of those markers whose orbit shows it in part only.
     """
@@ -221,27 +221,29 @@ def fit_flattening(positions: dict[str, Floats], rounds: int = 6) -> Flattening:
     -----
     Gauss-Newton on the radii: |v| = rho + e . r + rho (p cos 2 theta + q sin 2 theta) to first
     order, with r the unit vector of theta; points beyond 4 median absolute deviations are left out in each
-    round. Markers whose sightings cover less than 5 rad take no part.
+    round. Markers whose observations cover less than 5 rad take no part.
     """
-    use = {name: v for name, v in positions.items() if len(v) >= LEAST_SIGHTINGS and _cover(v) > LEAST_COVER}
+    use = {
+        name: v for name, v in positions.items() if len(v) >= LEAST_OBSERVATIONS and _cover(v) > LEAST_COVER
+    }
     if not use:
         return NO_FLATTENING
     found = Flattening(dict.fromkeys(use, (0.0, 0.0)), 0.0, 0.0)
-    # Some thousand sightings settle a handful of numbers.
-    few = {name: v[:: max(len(v) // MOST_SIGHTINGS, 1)] for name, v in use.items()}
+    # Some thousand observations settle a handful of numbers.
+    few = {name: v[:: max(len(v) // MOST_OBSERVATIONS, 1)] for name, v in use.items()}
     for _ in range(rounds):
         found = _improved(found, few)
     return found
 
 
-def lent_flattening(
-    lender: Flattening, positions: dict[str, Floats], shift: Floats, size: float
+def flattening_of_arc(
+    reference: Flattening, positions: dict[str, Floats], shift: Floats, size: float
 ) -> Flattening:
     """Take the slant of the view from another body; on the arcs that the markers pass fit offsets only.
 
     Parameters
     ----------
-    lender : Flattening
+    reference : Flattening
         Of a body that went round, in the same picture.
     positions : dict of ndarray, shape (n, 2)
         As for `fit_flattening`.
@@ -252,14 +254,14 @@ def lent_flattening(
 
     Notes
     -----
-    An arc tells e in part; `doubt` is what it leaves open. Errors by place, not noise, limit the fit: sightings count
-    once for each `CELL`.
+    An arc determines e in part; `doubt` is its covariance. Systematic errors, not noise, limit the fit: observations
+    count once for each `CELL`.
     """
     expected = (float(shift[0]), float(shift[1]))
-    found = Flattening(dict.fromkeys(positions, expected), lender.p, lender.q)
+    found = Flattening(dict.fromkeys(positions, expected), reference.p, reference.q)
     for name, v in positions.items():
         found.doubt[name] = size**2 * np.eye(2)
-        if len(v) >= LEAST_SIGHTINGS:
+        if len(v) >= LEAST_OBSERVATIONS:
             more, found.doubt[name] = _arc(found.level(name, v), size)
             found.offset[name] = (expected[0] + float(more[0]), expected[1] + float(more[1]))
     return found
@@ -267,7 +269,7 @@ def lent_flattening(
 
 def _arc(v: Floats, size: float) -> tuple[Floats, Floats]:
     """Fit the offset of an arc, expected to be 0 within `size`: (2,) and its covariance (2, 2)."""
-    few = v[:: max(len(v) // MOST_SIGHTINGS, 1)]
+    few = v[:: max(len(v) // MOST_OBSERVATIONS, 1)]
     rho, theta = np.hypot(few[:, 0], few[:, 1]), np.arctan2(few[:, 1], few[:, 0])
     design = np.stack([np.ones_like(theta), np.cos(theta), np.sin(theta)], axis=1)
     expected = np.diag([0.0, size**-2, size**-2])

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._errors import TrackingError
-from gyrotrack.tracking._acquisition import acquire, find_white, is_paper, placed
+from gyrotrack.tracking._acquisition import acquire, find_white, is_marker_sized, placed
 from gyrotrack.tracking._colour import nearest_colour
 from gyrotrack.tracking._moving_colours import (
     Candidate,
@@ -23,7 +23,7 @@ from gyrotrack.tracking._moving_colours import (
 )
 from gyrotrack.tracking._polar import Ring
 from gyrotrack.tracking._profile import Body, MarkerProfile, Profile
-from gyrotrack.tracking._scene import Disc, Paper, Samples, Scene, take_samples
+from gyrotrack.tracking._scene import Disc, Marker, Samples, Scene, take_samples
 from gyrotrack.video._container import Frame, read_raw_stamps
 from gyrotrack.video._frames import frames_at
 
@@ -34,7 +34,7 @@ class ProposedMarker:
 
     Attributes
     ----------
-    profile, paper
+    profile, marker
         Both.
     angle, clear : ndarray, shape (n,)
         Its angle in each sample [rad], and whether it was seen clearly.
@@ -43,7 +43,7 @@ class ProposedMarker:
     """
 
     profile: MarkerProfile
-    paper: Paper
+    marker: Marker
     angle: npt.NDArray[np.float64]
     clear: npt.NDArray[np.bool_]
     step: float
@@ -86,10 +86,10 @@ def name_bodies(
         why = "it has the colour of the disc" if casing else "nothing else turns"
         notes.append(f"only one body is seen to turn; it is taken for the {name}, as {why}")
         return {name: one}, notes
-    slow, fast = sorted(groups[:2], key=lambda g: abs(g.pace.step))
-    if abs(fast.pace.step) < 1.25 * abs(slow.pace.step):
+    slow, fast = sorted(groups[:2], key=lambda g: abs(g.rotation.step))
+    if abs(fast.rotation.step) < 1.25 * abs(slow.rotation.step):
         # What lies on the casing is never hidden; its bar passes over what lies on the rotor.
-        open_share = [min(float(c.sighting.clear.mean()) for c in g.members) for g in (slow, fast)]
+        open_share = [min(float(c.sampled.clear.mean()) for c in g.members) for g in (slow, fast)]
         if len(fast.members) < len(slow.members) or (
             len(fast.members) == len(slow.members) and open_share[1] > open_share[0]
         ):
@@ -103,8 +103,8 @@ def name_markers(bodies: dict[Body, Group], notes: list[str]) -> list[ProposedMa
     found: list[ProposedMarker] = []
     taken: set[str] = set()
     for body, group in bodies.items():
-        papers = placed([c.sighting for c in group.members])
-        for candidate, seen in zip(group.members, papers, strict=True):
+        markers = placed([c.sampled for c in group.members])
+        for candidate, seen in zip(group.members, markers, strict=True):
             colour = candidate.colour
             name = colour if colour not in taken else f"{colour}_{body}"
             if name in taken:
@@ -115,9 +115,9 @@ def name_markers(bodies: dict[Body, Group], notes: list[str]) -> list[ProposedMa
                     "other: give one another colour"
                 )
             taken.add(name)
-            marker = MarkerProfile(name=name, colour=colour, body=body, hue=round(candidate.hue, 1))
-            paper = replace(seen.paper, name=name, body=body, colour=colour)
-            found.append(ProposedMarker(marker, paper, seen.angle, seen.clear, group.pace.step))
+            proposed = MarkerProfile(name=name, colour=colour, body=body, hue=round(candidate.hue, 1))
+            marker = replace(seen.marker, name=name, body=body, colour=colour)
+            found.append(ProposedMarker(proposed, marker, seen.angle, seen.clear, group.rotation.step))
     return found
 
 
@@ -183,7 +183,7 @@ def propose(video: Path, *, capture_fps: float | None = None) -> Proposal:
     if orbit is None:
         raise TrackingError(
             f"no markers found in {video}: nothing coloured turns about a centre",
-            "film coloured papers on a turning body; where the film starts at rest, cut the start off",
+            "film coloured markers on a turning body; where the film starts at rest, cut the start off",
         )
     circle = find_circle(samples, orbit)
     disc = circle.disc if circle else None
@@ -230,18 +230,18 @@ def _white(samples: Samples, ring: Ring, bodies: dict[Body, Group]) -> ProposedM
     group = bodies.get("rotor")
     if group is None:
         return None
-    others = placed([c.sighting for c in group.members])
-    marker = MarkerProfile(name="white", colour="white", body="rotor")
-    paper = find_white(samples, ring, marker, others)
-    if paper is None or not is_paper(paper):
+    others = placed([c.sampled for c in group.members])
+    proposed = MarkerProfile(name="white", colour="white", body="rotor")
+    marker = find_white(samples, ring, proposed, others)
+    if marker is None or not is_marker_sized(marker):
         return None
-    lengths = [s.paper.outer - s.paper.inner for s in others]
-    widths = [s.paper.half_width for s in others]
-    alike = 0.4 < (paper.outer - paper.inner) / float(np.median(lengths)) < 2.5
-    alike &= 0.4 < paper.half_width / float(np.median(widths)) < 2.5
-    first = others[0]  # the paper itself was seen on the average of frames only
+    lengths = [s.marker.outer - s.marker.inner for s in others]
+    widths = [s.marker.half_width for s in others]
+    alike = 0.4 < (marker.outer - marker.inner) / float(np.median(lengths)) < 2.5
+    alike &= 0.4 < marker.half_width / float(np.median(widths)) < 2.5
+    first = others[0]  # the marker itself was seen on the average of frames only
     return (
-        ProposedMarker(marker, paper, first.angle + paper.mount, first.clear, group.pace.step)
+        ProposedMarker(proposed, marker, first.angle + marker.mount, first.clear, group.rotation.step)
         if alike
         else None
     )
@@ -254,15 +254,18 @@ def _confirmed(video: Path, profile: Profile, markers: list[ProposedMarker], not
     except TrackingError as error:
         notes.append(f"with this profile extract fails: {error.message}")
         return False
-    again = {paper.name: paper for paper in scene.papers}
+    again = {marker.name: marker for marker in scene.markers}
     sound = True
-    for marker in markers:
-        paper = again.get(marker.profile.name)
-        if paper is None:
-            notes.append(f"extract does not find the {marker.profile.name} marker again with this profile")
-        elif abs(paper.radius - marker.paper.radius) > 0.5 * (marker.paper.outer - marker.paper.inner) + 2.0:
+    for proposed in markers:
+        marker = again.get(proposed.profile.name)
+        if marker is None:
+            notes.append(f"extract does not find the {proposed.profile.name} marker again with this profile")
+        elif (
+            abs(marker.radius - proposed.marker.radius)
+            > 0.5 * (proposed.marker.outer - proposed.marker.inner) + 2.0
+        ):
             notes.append(
-                f"extract finds the {marker.profile.name} marker at another radius with this profile"
+                f"extract finds the {proposed.profile.name} marker at another radius with this profile"
             )
         else:
             continue

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from gyrotrack._column_store import put_away, set_down, stretches
 from gyrotrack._smoothing import (
     FAR,
-    Pace,
+    TimeBase,
     core_scatter,
     line_through,
     local_fit,
@@ -16,7 +16,7 @@ from gyrotrack._smoothing import (
     smooth_path,
     whole_turns,
 )
-from gyrotrack.tracking._observations import Candidate, most_likely_share
+from gyrotrack.tracking._observations import Candidate, variance_inflation
 
 Floats = npt.NDArray[np.float64]
 
@@ -27,8 +27,8 @@ FAST = 70.0
 _LEFT = 0.2
 
 
-class Departures:
-    """The markers' departures from the coarse path of their body, and what is thought of them so far.
+class Residuals:
+    """The markers' residuals about the coarse path of their body, and what is thought of them so far.
 
     Parameters
     ----------
@@ -38,15 +38,15 @@ class Departures:
         Its markers.
     fps : float
         Frames per second of the camera.
-    pace : Pace, optional
+    time_base : TimeBase, optional
         When the frames were taken, if that was not evenly.
     """
 
     def __init__(
-        self, coarse: Floats, candidates: dict[str, Candidate], fps: float, pace: Pace | None = None
+        self, coarse: Floats, candidates: dict[str, Candidate], fps: float, time_base: TimeBase | None = None
     ) -> None:
-        self._fps, self._pace = fps, pace
-        path, even = (smooth_path(coarse),) * 2 if pace is None else pace.path(coarse)
+        self._fps, self._time_base = fps, time_base
+        path, even = (smooth_path(coarse),) * 2 if time_base is None else time_base.path(coarse)
         with np.errstate(invalid="ignore"):
             fast = self.speed(path) > FAST
         of_body = put_away({"path": path, "fast": fast, "turning": np.zeros_like(fast)})
@@ -73,16 +73,16 @@ class Departures:
 
     def speed(self, path: Floats) -> Floats:
         """Return how fast a path changes [rad/s], (n,)."""
-        step = np.gradient(path) if self._pace is None else self._pace.speed(path)
+        step = np.gradient(path) if self._time_base is None else self._time_base.speed(path)
         return np.asarray(np.abs(step) * self._fps)
 
     def late(self) -> Floats | float:
         """Return what the uncertainty of a frame's time is as one of the angle [rad]."""
-        if self._pace is None or self._pace.sigma == 0.0:
+        if self._time_base is None or self._time_base.sigma == 0.0:
             return 0.0
-        return np.abs(self._pace.speed(self.path)) * self._pace.sigma
+        return np.abs(self._time_base.speed(self.path)) * self._time_base.sigma
 
-    def departure(self, name: str, part: slice = ALL) -> Floats:
+    def residual(self, name: str, part: slice = ALL) -> Floats:
         """Return by how much a marker puts the body ahead of its path [rad]."""
         off = self.candidates[name].angle[part] - self.path[part]
         off -= self.mounts[name]
@@ -94,19 +94,19 @@ class Departures:
         return np.asarray(self.by_place[name][part] + self.by_neighbour[name][part])
 
     def sigma(self, name: str, part: slice = ALL) -> Floats:
-        """Return the uncertainty of each sighting: scatter of open or partly hidden ones, times their weakness."""
+        """Return the uncertainty of each observation: scatter of open or partly hidden ones, times their weakness."""
         clear, partly = self.scatter[name]
         return np.asarray(np.where(self.candidates[name].open[part], clear, partly) * self.weak[name][part])
 
     def mean(self) -> tuple[Floats, Floats, npt.NDArray[np.int64]]:
-        """Return the weighted mean departure, its uncertainty, and the number of markers in it."""
+        """Return the weighted mean residual, its uncertainty, and the number of markers in it."""
         mean, sigma = np.zeros((2, len(self.path)))
         count = np.zeros(len(self.path), dtype=np.int64)
         for part in stretches(len(self.path)):
             weight = np.zeros(len(mean[part]))
             for name in self.candidates:
                 w = np.where(self.use[name][part], 1.0 / self.sigma(name, part) ** 2, 0.0)
-                mean[part] += np.where(w > 0, w * self.departure(name, part), 0.0)
+                mean[part] += np.where(w > 0, w * self.residual(name, part), 0.0)
                 weight += w
                 count[part] += w > 0
             seen = weight > 0
@@ -117,10 +117,10 @@ class Departures:
         return mean, sigma, count
 
     def smooth(self, half: int, degree: int = 2) -> tuple[Floats, Floats]:
-        """Fit a smooth curve to the body's angle; return its departure from the path, and leverages."""
+        """Fit a smooth curve to the body's angle; return its residual from the path, and leverages."""
         mean, sigma, _ = self.mean()
-        if self._pace is not None:
-            return self._pace.smooth(mean, _weight(sigma), self.bend, half, degree)
+        if self._time_base is not None:
+            return self._time_base.smooth(mean, _weight(sigma), self.bend, half, degree)
         mean += self.bend
         fitted, leverage = local_fit(mean, _weight(sigma), half, degree)
         fitted -= self.bend
@@ -134,7 +134,7 @@ class Departures:
             self.mounts[name] += shift[name] - zero
 
     def _median_off(self, name: str, smooth: Floats) -> float:
-        off = self.departure(name)
+        off = self.residual(name)
         off -= smooth
         off = off[self.use[name] & np.isfinite(off)]
         set_down()
@@ -143,7 +143,7 @@ class Departures:
     def judge(self, smooth: Floats, leverage: Floats) -> None:
         """Measure each marker's scatter about the smooth motion, and drop what lies far off."""
         for name, c in self.candidates.items():
-            self._weigh_oddities(name, smooth, leverage)
+            self._inflate_variance(name, smooth, leverage)
             off = self._standardised(name, smooth, leverage)
             clear = core_scatter(off[self.use[name] & c.open], self.scatter[name][0])
             partly = max(core_scatter(off[self.use[name] & ~c.open], 3.0 * clear), clear)
@@ -152,16 +152,16 @@ class Departures:
             self.use[name] &= ~(np.abs(off) > limit)
             set_down()
 
-    def _weigh_oddities(self, name: str, smooth: Floats, leverage: Floats) -> None:
-        """Learn how much more a marker errs where its profile fits less well (see `oddity`)."""
+    def _inflate_variance(self, name: str, smooth: Floats, leverage: Floats) -> None:
+        """Learn how much more a marker errs where its profile fits less well (see `variance_inflation`)."""
         c = self.candidates[name]
         weak = self.weak[name]
         weak[:] = c.weak
         off = self._standardised(name, smooth, leverage)
         for part in (c.open, ~c.open):
             some = self.use[name] & part
-            share = most_likely_share(off[some], c.odd[some])
-            weak[part] = c.weak[part] * np.sqrt(1.0 + share * c.odd[part])
+            share = variance_inflation(off[some], c.misfit_excess[some])
+            weak[part] = c.weak[part] * np.sqrt(1.0 + share * c.misfit_excess[part])
 
     def measure_scatter(self, smooth: Floats, leverage: Floats) -> None:
         """Measure the scatter once more about a curve that is smooth over whole turns.
@@ -190,7 +190,7 @@ class Departures:
         off = np.empty(len(self.path))
         for part in stretches(len(off)):
             share = np.clip(1.0 - leverage[part] / max(len(self.candidates), 1), 0.1, 1.0)
-            off[part] = self.departure(name, part) - smooth[part]
+            off[part] = self.residual(name, part) - smooth[part]
             off[part] /= self.weak[name][part]
             off[part] /= np.sqrt(share)
         return off
@@ -213,7 +213,7 @@ def wrapped(angle: Floats) -> Floats:
 
 
 def _weight(sigma: Floats) -> Floats:
-    """Return weights of the mean departures for a smooth curve through them, 1 for usual ones."""
+    """Return weights of the mean residuals for a smooth curve through them, 1 for usual ones."""
     known = np.isfinite(sigma)
     if not known.any():
         return np.zeros(len(sigma))

@@ -28,7 +28,7 @@ class Disc:
 
 
 @dataclass(frozen=True)
-class Paper:
+class Marker:
     """One marker as it looks in the clip.
 
     Attributes
@@ -43,7 +43,7 @@ class Paper:
         Angle from its middle to where nothing of it is seen any more, in rad.
     contrast : tuple of float
         Its difference from what lies around it: (U, V) for a colour, (Y, 0) for white, in grey levels.
-    stay : float
+    dwell : float
         Largest share of the samples in which it lies over one direction: near 1 for a body that stands.
     mount : float
         Its angle relative to the body's zero, as seen (counter-clockwise), in rad.
@@ -58,7 +58,7 @@ class Paper:
     contrast: tuple[float, float]
     foot: float
     mount: float = 0.0
-    stay: float = 0.0
+    dwell: float = 0.0
 
     @property
     def radius(self) -> float:
@@ -76,7 +76,7 @@ class Scene:
         Where the bodies turn, (x, y) in px, at the time of acquisition.
     disc : Disc or None
         The disc at the centre; None where the centre is taken from the orbit.
-    papers : tuple of Paper
+    markers : tuple of Marker
         The markers that were found.
     missing : tuple of str
         Names of those that were not.
@@ -86,13 +86,13 @@ class Scene:
 
     centre: tuple[float, float]
     disc: Disc | None
-    papers: tuple[Paper, ...]
+    markers: tuple[Marker, ...]
     missing: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 
-    def of(self, body: str) -> tuple[Paper, ...]:
+    def of(self, body: str) -> tuple[Marker, ...]:
         """Return the markers of one body."""
-        return tuple(paper for paper in self.papers if paper.body == body)
+        return tuple(marker for marker in self.markers if marker.body == body)
 
     @property
     def bodies(self) -> tuple[str, ...]:

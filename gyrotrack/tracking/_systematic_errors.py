@@ -23,7 +23,7 @@ import numpy.typing as npt
 from gyrotrack._column_store import stretches
 from gyrotrack._smoothing import local_fit, spread
 from gyrotrack.tracking._orbit import CELL
-from gyrotrack.tracking._residuals import FAST, TURN, Departures, wrapped
+from gyrotrack.tracking._residuals import FAST, TURN, Residuals, wrapped
 
 Floats = npt.NDArray[np.float64]
 
@@ -94,8 +94,8 @@ ENOUGH = 0.2
 """Share of the frames that must be fast for curves to be learnt from these alone."""
 
 
-def learn_places(state: Departures, smooth: Floats) -> None:
-    """Learn each marker's error by its place in the picture (see `bias`)."""
+def learn_places(state: Residuals, smooth: Floats) -> None:
+    """Learn each marker's error by its place in the picture (see the module docstring)."""
     fast = state.turning & state.fast
     geometry_only = fast.sum() > ENOUGH * state.turning.sum()
     when = fast if geometry_only else state.turning
@@ -114,9 +114,9 @@ def learn_places(state: Departures, smooth: Floats) -> None:
 
 
 def learn_neighbours(
-    state: Departures, smooth: Floats, other: Floats, window: tuple[int, int], *, above: bool
+    state: Residuals, smooth: Floats, other: Floats, window: tuple[int, int], *, above: bool
 ) -> None:
-    """Learn each marker's error by its angle to the other body (see `bias`).
+    """Learn each marker's error by its angle to the other body (see the module docstring).
 
     Markers below it err where it hides a part of them. Markers above it (`above`) err wherever the other body's
     own markers pass beside them; that is learnt where these pass so fast that no motion follows them. Where they
@@ -140,13 +140,13 @@ def learn_neighbours(
             state.by_neighbour[name] -= np.where(near, np.nan_to_num(slow), 0.0)
 
 
-def places_passed(state: Departures) -> float:
+def places_passed(state: Residuals) -> float:
     """Return how many places with errors of their own the body passes, where it does not turn round."""
     path = state.path[~state.turning & np.isfinite(state.path)]
     return float(np.ptp(path)) / CELL if len(path) else 0.0
 
 
-def place_error(state: Departures) -> float:
+def place_error(state: Residuals) -> float:
     """Return the usual size of the errors by place that were learnt, of the marker that errs least [rad].
 
     A marker that is faint or smeared errs more than the place makes it, and so does one beside a bar that stands
@@ -165,7 +165,7 @@ def place_error(state: Departures) -> float:
 
 
 def _curve(
-    state: Departures, name: str, over: Floats, known: Floats, smooth: Floats, use: npt.NDArray[np.bool_]
+    state: Residuals, name: str, over: Floats, known: Floats, smooth: Floats, use: npt.NDArray[np.bool_]
 ) -> Floats:
     """Learn a closed curve over an angle from what a marker departs from the smooth motion."""
     off, weight = np.empty((2, len(over)))

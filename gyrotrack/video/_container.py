@@ -35,7 +35,7 @@ class Frame:
     index : int
         Position among the decoded frames, counted here from 0.
     pts : int or None
-        The stream's own time stamp in units of its time base.
+        The stream's own timestamp in units of its time base.
     y, u, v : ndarray of uint8
         Luma (height, width) and chroma (ceil(height / 2), ceil(width / 2)); grey chroma is 128.
     corrupt : bool
@@ -146,7 +146,7 @@ class ClipInfo:
     codec, pixel_format : str
         Names of both.
     time_base : Fraction
-        Unit of the time stamps in s.
+        Unit of the timestamps in s.
     duration_declared : float
         How long the film lasts by a header that counts no frames [s]; NaN where there is none, or another one.
     """
@@ -311,12 +311,12 @@ def decode_past_damage(packets: Any, most_bad: int) -> Iterator[tuple[Any, int]]
 
 @dataclass(frozen=True)
 class Packets:
-    """The packets of a film that have a time stamp, in the order of these.
+    """The packets of a film that have a timestamp, in the order of these.
 
     Attributes
     ----------
     stamps, size : ndarray of int, shape (n,)
-        Time stamps in units of the time base, and sizes in bytes.
+        Timestamps in units of the time base, and sizes in bytes.
     key : ndarray of bool, shape (n,)
         Which ones hold a picture by itself.
     complete : bool
@@ -344,12 +344,12 @@ def read_packets(path: Path) -> Packets:
 
 
 def read_raw_stamps(path: Path) -> npt.NDArray[np.int64]:
-    """Return the time stamps of a film's packets in units of the time base, sorted, without decoding anything."""
+    """Return the timestamps of a film's packets in units of the time base, sorted, without decoding anything."""
     return read_packets(path).stamps
 
 
 def key_before(path: Path, pts: int | None) -> int:
-    """Return the number of the last key packet that is shown at or before a time stamp; 0 if unknown."""
+    """Return the number of the last key packet that is shown at or before a timestamp; 0 if unknown."""
     found = 0
     if pts is None:
         return found

@@ -38,7 +38,7 @@ WAITING = 2
 _PATIENCE = 0.05
 
 
-class Ahead(Generic[T]):
+class ReadAhead(Generic[T]):
     """An iterator that is run in a thread of its own, a few items ahead of who uses it.
 
     Parameters
@@ -50,7 +50,7 @@ class Ahead(Generic[T]):
 
     Examples
     --------
-    >>> list(Ahead(iter(range(20))))[-1]
+    >>> list(ReadAhead(iter(range(20))))[-1]
     19
     """
 
@@ -106,7 +106,7 @@ class Ahead(Generic[T]):
             return
 
 
-_STAMP_S = 2e-3  # a file with time stamps in whole ms is no more exact
+_STAMP_S = 2e-3  # a file with timestamps in whole ms is no more exact
 _NO_STAMP = -(1 << 63)
 
 
@@ -119,7 +119,7 @@ class Mark:
     decoded : int
         Frames up to here.
     pts : int or None
-        Time stamp of the last one.
+        Timestamp of the last one.
     check : int
         CRC-32 of its luma, by which the place is known again.
     bad_packets, corrupt : int
@@ -160,7 +160,7 @@ class Reader:
         self._corrupt = 0
         self._size: tuple[int, int] | None = None
         self._open: Any = None
-        self._ahead: Ahead[tuple[Any, int]] | None = None
+        self._ahead: ReadAhead[tuple[Any, int]] | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -212,7 +212,7 @@ class Reader:
         mark : Mark
             Made by another reader of the same film.
         stamps : sequence of int
-            The time stamps of the frames up to there, as `stamps` gives them.
+            The timestamps of the frames up to there, as `stamps` gives them.
 
         Notes
         -----
@@ -247,17 +247,17 @@ class Reader:
             pass
         decoded = decode_past_damage(packets, 100 + 2 * self.info.frames_declared)
         if self._threads > 1:
-            self._ahead = Ahead(decoded)
+            self._ahead = ReadAhead(decoded)
             return iter(self._ahead)
         return decoded
 
     @property
     def stamps(self) -> npt.NDArray[np.int64]:
-        """Time stamps of the frames so far in units of the time base, the least integer where there is none."""
+        """Timestamps of the frames so far in units of the time base, the least integer where there is none."""
         return np.array(self._pts, dtype=np.int64)
 
     def pts_seconds(self) -> npt.NDArray[np.float64]:
-        """Return the time stamps of the frames so far in s, NaN where a frame has none."""
+        """Return the timestamps of the frames so far in s, NaN where a frame has none."""
         stamps = self.stamps
         return np.where(stamps == _NO_STAMP, np.nan, stamps * float(self.info.time_base))
 

@@ -12,7 +12,7 @@ from gyrotrack.video._container import Frame, Orientation, opened, orientation_o
 
 
 def frames_at(path: Path, stamps: Iterable[int]) -> dict[int, Frame]:
-    """Decode the frames with the given time stamps (units of the time base), and only what they need.
+    """Decode the frames with the given timestamps (units of the time base), and only what they need.
 
     A frame that is not found, because a film is damaged there or its packets carry no stamps, is left out. The
     frames have the index -1.

@@ -25,7 +25,7 @@ _FEWEST = 5
 Rows = npt.NDArray[np.uint8]
 
 
-class Repeats:
+class RepeatDetector:
     """Tells of each frame of a film in turn whether it repeats the one before it.
 
     Parameters
@@ -41,7 +41,7 @@ class Repeats:
     """
 
     def __init__(self, packets: Packets) -> None:
-        self.regular = _regular(_starts(_without_news(packets)))
+        self.regular = _regular(_starts(_uninformative(packets)))
         self._last: Rows | None = None
         self._late: tuple[float, ...] = ()
         self._begun: tuple[int, ...] = ()
@@ -80,7 +80,7 @@ def _rows(frame: Frame) -> Rows:
     return frame.y[height // 8 : height - height // 8 : max(height // _ROWS, 1)]
 
 
-def _without_news(packets: Packets) -> npt.NDArray[np.int64]:
+def _uninformative(packets: Packets) -> npt.NDArray[np.int64]:
     """Return which packets tell nothing new: much smaller than those around them, or no other than the last picture."""
     from scipy.ndimage import percentile_filter
 

@@ -93,7 +93,7 @@ class Timing:
     Attributes
     ----------
     source : {"auto", "stamps", "frames"}
-        Time stamps, counted frames, or what fits the film.
+        Timestamps, counted frames, or what fits the film.
     fps : float
         The capture rate in frames/s.
     """
@@ -106,7 +106,7 @@ class Timing:
             raise UsageError(f"times are from auto, stamps or frames, not from {self.source}", "leave it out")
 
     def of(self, pts: Floats, tick: float) -> FrameTimes:
-        """Return when the frames with the time stamps `pts` (n,) [s] were taken; `tick` is the stamps' unit [s].
+        """Return when the frames with the timestamps `pts` (n,) [s] were taken; `tick` is the stamps' unit [s].
 
         Raises
         ------
@@ -117,7 +117,7 @@ class Timing:
         usable = grows and bool((np.diff(pts) > 0.0).all())
         if self.source == "stamps" and not usable:
             raise VideoError(
-                "times from time stamps were asked for, but stamps are missing or do not grow",
+                "times from timestamps were asked for, but stamps are missing or do not grow",
                 "leave out --times to count frames",
             )
         tick = _real_tick(pts, tick) if grows else tick
@@ -136,9 +136,9 @@ class Timing:
     def _counted(self, pts: Floats) -> str:
         wrong = "times count decoded frames, and are wrong if the camera's rate varied"
         if self.source == "frames" or self._live(pts):
-            return f"time stamps are spaced unevenly; {wrong}"
+            return f"timestamps are spaced unevenly; {wrong}"
         return (
-            f"time stamps are spaced unevenly, and {_rate(pts)} in slow motion is a player's rate; {wrong} "
+            f"timestamps are spaced unevenly, and {_rate(pts)} in slow motion is a player's rate; {wrong} "
             "(--times stamps believes the stamps, brought to the capture rate)"
         )
 
@@ -162,7 +162,7 @@ class Timing:
 
 
 def uneven(number: Integers, pts: Floats, tick: float) -> bool:
-    """Tell whether more than one time stamp in a hundred lies off the line through them over the frames' numbers."""
+    """Tell whether more than one timestamp in a hundred lies off the line through them over the frames' numbers."""
     off = pts - np.polyval(np.polyfit(number, pts, 1), number)
     return bool((np.abs(off) > max(_ROUNDED * tick, EVEN * float(np.median(np.diff(pts))))).mean() > _ODD)
 
@@ -172,7 +172,7 @@ def _growing(step: Floats) -> bool:
 
 
 def _real_tick(pts: Floats, tick: float) -> float:
-    """Return the unit of time stamps: 1 ms in a finer container too, if they were copied from a coarse one."""
+    """Return the unit of timestamps: 1 ms in a finer container too, if they were copied from a coarse one."""
     whole = (pts - pts[0]) / COARSEST_TICK
     copied = tick < COARSEST_TICK and bool(
         (np.abs(whole - np.rint(whole)) <= 0.51 * tick / COARSEST_TICK).all()
@@ -222,6 +222,6 @@ def _rate(pts: Floats) -> str:
 def _told(pts: Floats) -> str:
     short, long = 1e3 * np.percentile(np.diff(pts), [1, 99])
     return (
-        f"time stamps are spaced unevenly ({short:.3g} to {long:.3g} ms), as of a camera whose rate varied; "
+        f"timestamps are spaced unevenly ({short:.3g} to {long:.3g} ms), as of a camera whose rate varied; "
         "times are from the stamps"
     )

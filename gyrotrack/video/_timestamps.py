@@ -1,4 +1,4 @@
-"""Time stamps of a film against its capture rate.
+"""Timestamps of a film against its capture rate.
 
 A frame's time is its index divided by the capture rate. Slow-motion films are stored at a lower rate than
 they were captured with, so a container's rate below 100 fps is never taken for the capture rate by itself.
@@ -62,18 +62,18 @@ def _differences(info: ClipInfo, fps: float, source: str) -> tuple[str, ...]:
 
 
 COARSEST_TICK = 1e-3
-"""Unit of time stamps in s beyond which a container counts frames, not time."""
+"""Unit of timestamps in s beyond which a container counts frames, not time."""
 
 
 def frame_numbers(pts: npt.NDArray[np.float64], tick: float = COARSEST_TICK) -> npt.NDArray[np.int64]:
-    """Return the numbers of a film's frames by their time stamps, without those of missing frames.
+    """Return the numbers of a film's frames by their timestamps, without those of missing frames.
 
     Parameters
     ----------
     pts : ndarray, shape (n,)
-        Time stamps in s, in order, NaN where a frame has none.
+        Timestamps in s, in order, NaN where a frame has none.
     tick : float
-        Unit of the time stamps in s; 1 ms at most counts.
+        Unit of the timestamps in s; 1 ms at most counts.
 
     Notes
     -----
@@ -97,7 +97,7 @@ def frame_numbers(pts: npt.NDArray[np.float64], tick: float = COARSEST_TICK) -> 
 
 
 def _uneven(step: npt.NDArray[np.float64], tick: float) -> bool:
-    """Tell whether more than one step between time stamps in ten is no whole number of periods."""
+    """Tell whether more than one step between timestamps in ten is no whole number of periods."""
     period = float(np.median(step))
     off = np.abs(step / period - np.rint(step / period)) * period
     return bool((off > np.maximum(0.2 * period, 1.1 * min(tick, COARSEST_TICK))).mean() > 0.1)
@@ -108,19 +108,19 @@ def gap_warnings(number: npt.NDArray[np.int64]) -> tuple[str, ...]:
     advance = np.diff(number)
     gaps = np.flatnonzero(advance > 1)
     told = (
-        f"time stamps show {int((advance - 1).sum())} missing frames at {len(gaps)} places, "
+        f"timestamps show {int((advance - 1).sum())} missing frames at {len(gaps)} places, "
         f"the first after frame {int(gaps[0]) if len(gaps) else 0}; their times are left out"
     )
     return (told,) if len(gaps) else ()
 
 
 def stamp_warnings(pts: npt.NDArray[np.float64]) -> tuple[str, ...]:
-    """Tell of time stamps (n,) [s] that are missing (NaN) or do not grow."""
+    """Tell of timestamps (n,) [s] that are missing (NaN) or do not grow."""
     if len(pts) < 3:
         return ()
     stamps = pts[np.isfinite(pts)]
     if len(stamps) < len(pts):
-        return (f"{len(pts) - len(stamps)} frames have no time stamp; times count decoded frames",)
+        return (f"{len(pts) - len(stamps)} frames have no timestamp; times count decoded frames",)
     backwards = int(np.sum(np.diff(stamps) <= 0.0))
     counted = "; times count decoded frames" if backwards > 0.01 * (len(stamps) - 1) else ""
-    return (f"{backwards} time stamps do not grow{counted}",) if backwards else ()
+    return (f"{backwards} timestamps do not grow{counted}",) if backwards else ()

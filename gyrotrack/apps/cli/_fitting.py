@@ -23,7 +23,7 @@ from gyrotrack.apps.cli._options import (
     RotorKind,
     own_effects,
 )
-from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output
+from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output, all_or_nothing
 from gyrotrack.apps.cli._tables import (
     bias_tables,
     diagnosis_tables,
@@ -230,9 +230,10 @@ def scan_command(
     read = read_cases(cases, data=data, rotor=rotor)
     with out.progress("fitting") as progress:
         found = scan(read, progress=progress)
-    for path, make in targets.items():
-        with new_file(path, force=force) as stream:
-            stream.write(make(found).encode("utf-8"))
+    with all_or_nothing(*targets):
+        for path, make in targets.items():
+            with new_file(path, force=force) as stream:
+                stream.write(make(found).encode("utf-8"))
     settings = {"data": data or read[0].record.quantity, "rotor": rotor}
     out.result(scan_document(found) | settings | {"outputs": list(targets)})
     out.show("\n".join(scan_lines(found)))
@@ -256,17 +257,17 @@ def diagnose_command(
 
     Example: gyrotrack diagnose case1.h5
     """
-    from fitting._workers import Beside
+    from fitting._workers import WorkerPool
     from fitting.discovery._verdict import diagnose
     from fitting.study._serialisation import diagnosis_document
 
     out = Output(as_json=as_json, quiet=quiet)
     study = open_study(cases, ledger)
-    with Beside() as beside, out.progress("scoring effects") as progress:
+    with WorkerPool() as workers, out.progress("scoring effects") as progress:
         progress(0, None)
         fit, fit_id = study.base(start)
         own = own_effects(effects)
-        found = diagnose(fit, own, beside=beside)
+        found = diagnose(fit, own, workers=workers)
         study.keep_diagnosis(fit_id, found, own)
     out.result(diagnosis_document(found, fit_id))
     out.show(*diagnosis_tables(found, fit_id))
@@ -285,21 +286,21 @@ def improve_command(
 
     Example: gyrotrack improve case1.h5
     """
-    from fitting._workers import Beside
+    from fitting._workers import WorkerPool
     from fitting.discovery._select import improve
     from fitting.discovery._verdict import diagnose
     from fitting.study._serialisation import fit_document, ladder_verdict
 
     out = Output(as_json=as_json, quiet=quiet)
     study = open_study(cases, ledger)
-    with Beside() as beside, out.progress("adding effects") as progress:
+    with WorkerPool() as workers, out.progress("adding effects") as progress:
         progress(0, None)
         base, parent = study.base(start)
         own = own_effects(effects)
-        rungs = improve(base, own, progress=progress, beside=beside)
+        rungs = improve(base, own, progress=progress, workers=workers)
         kept = study.keep(rungs, parent)
         # a report asks for it next, and most of the work is done
-        found = diagnose(base, own, candidates=rungs[0].candidates, beside=beside)
+        found = diagnose(base, own, candidates=rungs[0].candidates, workers=workers)
         study.keep_diagnosis(parent, found, own)
     steps = [entry.document["rung"] for entry in kept]
     verdict = ladder_verdict(rungs)

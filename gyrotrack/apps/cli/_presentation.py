@@ -47,7 +47,7 @@ def report_command(
 
     Example: gyrotrack report case1.h5 -o report.html
     """
-    from fitting._workers import Beside
+    from fitting._workers import WorkerPool
     from gyrotrack.apps.report._page import write_report
     from gyrotrack.io._atomic import refuse_existing
     from gyrotrack.io._hdf5 import read_case
@@ -56,11 +56,11 @@ def report_command(
     out = Output(as_json=as_json, quiet=quiet)
     refuse_existing(output, force=force)
     study = open_study(cases, ledger)
-    with Beside() as beside, out.progress("writing the report") as progress:
+    with WorkerPool() as workers, out.progress("writing the report") as progress:
         progress(0, None)
-        beside.begin(get_ready)
+        workers.submit(get_ready)
         rungs = study.rungs_to(start)
-        diagnosis = study.diagnosis(start, rungs[0].fit, own_effects(effects), beside=beside)
+        diagnosis = study.diagnosis(start, rungs[0].fit, own_effects(effects), workers=workers)
         recordings = [read_case(case) for case in cases]
         where = {"command": command_line(), "ledger": str(study.ledger.path)}
         write_report(
@@ -71,7 +71,7 @@ def report_command(
             films=film_folders(cases, films),
             provenance=where,
             force=force,
-            beside=beside,
+            workers=workers,
         )
     out.result({"output": output, "fits": [r.change or "base" for r in rungs], "verdict": diagnosis.verdict})
     out.show(f"written: {output}")

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import shlex
-import subprocess
-import sys
 import tomllib
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
@@ -31,11 +27,11 @@ from gyrotrack.apps.cli._options import (
     Surface,
     own_effects,
 )
-from gyrotrack.apps.cli._output import Output, command_line
+from gyrotrack.apps.cli._output import Output, Progress, all_or_nothing, command_line
 from gyrotrack.apps.cli._tables import diagnosis_tables, fit_tables, ladder_tables
 
 if TYPE_CHECKING:
-    from fitting.discovery._select import Rung
+    from fitting.discovery._select import Step
     from fitting.discovery._verdict import Diagnosis
 
 
@@ -135,24 +131,28 @@ def simulate_command(
         model, strength, seed = hidden.model, hidden.strength, hidden.seed
     inertias = (inertia_rotor, inertia_casing)
     run = SimulatedRun.of(model, strength, experiment, inertias, seed, set_values or ())
+    films = run.film_files(film) if film is not None else []
+    if film is not None and film.is_dir():
+        for path in films:
+            refuse_existing(path, force=force)
     with out.progress("simulating") as progress:
         progress(0, None)
         record = run.record(label if label is not None else output.stem)
-    if sealed is None or hidden is None:
-        told: dict[str, Any] = {"model": list(model.names), "parameters": run.numbers}
-        settings: dict[str, Any] = {"output": output, **told, "seed": seed}
-        lines = [f"  {key:<34}{value:.6g}" for key, value in run.numbers.items()]
-    else:
-        commitment = hidden.seal(sealed, run.numbers, force=force)
-        told, settings = {"seal": sealed, "commitment": commitment}, {"commitment": commitment}
-        lines = [f"sealed: {sealed}"]
-    settings = {"experiment": vars(experiment), **settings}
-    write_record(output, record, surface=surface, command=command_line(), settings=settings, force=force)
-    films = []
-    if film is not None:
-        with out.progress("drawing films") as progress:
-            films = run.films(film, force=force, progress=progress)
-    out.result({"output": output, **told, "films": films})
+    with all_or_nothing(output, sealed, *films):
+        if sealed is None or hidden is None:
+            stated: dict[str, Any] = {"model": list(model.names), "parameters": run.numbers}
+            settings: dict[str, Any] = {"output": output, **stated, "seed": seed}
+            lines = [f"  {key:<34}{value:.6g}" for key, value in run.numbers.items()]
+        else:
+            commitment = hidden.seal(sealed, run.numbers, force=force)
+            stated, settings = {"seal": sealed, "commitment": commitment}, {"commitment": commitment}
+            lines = [f"sealed: {sealed}"]
+        settings = {"experiment": vars(experiment), **settings}
+        write_record(output, record, surface=surface, command=command_line(), settings=settings, force=force)
+        if film is not None:
+            with out.progress("drawing films") as progress:
+                run.films(film, force=force, progress=progress)
+    out.result({"output": output, **stated, "films": films})
     out.show("\n".join([*lines, *(f"written: {f}" for f in (output, *films))]))
 
 
@@ -216,9 +216,6 @@ def _fitted(case: Path, ledger: Path | None) -> Answer:
     return answer_of(entries)
 
 
-_AT_ONCE = 2
-
-
 def demo_command(
     *,
     clips: Annotated[
@@ -252,7 +249,7 @@ def demo_command(
         str(study["inertia_casing"]),
     ]
     names = ["--label", str(study["label"]), "--surface", str(study["surface"])]
-    _run(out, ["sync", *casing, *rotors, "-o", case, *inertias, *names, "--force"])
+    _run(out, [["sync", *casing, *rotors, "-o", case, *inertias, *names, "--force"]])
     document = _study(out, case, output, folder / study["clip"][-1]["file"])
     document["seconds"] = perf_counter() - began
     out.result(document)
@@ -279,7 +276,7 @@ def _study(out: Output, case: Path, output: Path, film: Path) -> dict[str, Any]:
     return {"case": case, "report": report, "picture": picture, **document}
 
 
-def _found(out: Output, case: Path) -> tuple[list[Rung], Diagnosis, dict[str, Any]]:
+def _found(out: Output, case: Path) -> tuple[list[Step], Diagnosis, dict[str, Any]]:
     """Fit the reduced model, diagnose and improve it; return the ladder, the diagnosis, and both in JSON."""
     from fitting.discovery._select import improve
     from fitting.discovery._verdict import diagnose
@@ -338,33 +335,36 @@ def _find(clips: Path | None) -> Path:
 
 
 def _extract(out: Output, folder: Path, clips: Sequence[dict[str, Any]], output: Path) -> list[Path]:
-    """Track all clips, two at a time, each in a process of its own."""
+    """Track all clips, one per core at a time, each in a process of its own."""
     jobs, targets = [], []
     for clip in clips:
         target = output / f"{Path(clip['file']).stem}.h5"
         rate = ["--capture-fps", str(clip["capture_fps"])]
         jobs.append(["extract", folder / clip["file"], *rate, "-o", target, "--force"])
         targets.append(target)
-    with out.progress("tracking films") as progress, ThreadPoolExecutor(_AT_ONCE) as pool:
-        for done, _ in enumerate(pool.map(lambda job: _run(out, job), jobs), 1):
-            progress(done, len(jobs))
+    with out.progress("tracking films") as progress:
+        _run(out, jobs, progress)
     return targets
 
 
-def _run(out: Output, arguments: Sequence[object]) -> None:
-    """Run one command of the program, show what it says, and pass its error on."""
-    words = [str(a) for a in arguments]
-    done = subprocess.run(  # noqa: S603 - our own program, no shell
-        [sys.executable, "-m", "gyrotrack", *words, "--json", "-q"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    document = json.loads(done.stdout or "{}")
-    if "error" in document:
-        error = document["error"]
-        raise GyrotrackError(error["message"], error["hint"])
-    out.show(f"$ gyrotrack {shlex.join(words)}\n" + _step_summary(words[0], document))
+def _run(out: Output, jobs: Sequence[Sequence[object]], progress: Progress | None = None) -> None:
+    """Run commands of the program in worker processes, show their results, and pass on the first error."""
+    from gyrotrack.apps.batch._workers import LocalWorkers, cores
+
+    lines = [[str(word) for word in job] for job in jobs]
+    workers = LocalWorkers(min(cores(), len(lines)))
+    try:
+        answers = [workers.submit(words, None) for words in lines]
+        for done, (words, answer) in enumerate(zip(lines, answers, strict=True), 1):
+            document = answer.result()["document"]
+            if "error" in document:
+                error = document["error"]
+                raise GyrotrackError(error["message"], error["hint"])
+            out.show(f"$ gyrotrack {shlex.join(words)}\n" + _step_summary(words[0], document))
+            if progress is not None:
+                progress(done, len(lines))
+    finally:
+        workers.close()
 
 
 def _step_summary(verb: str, document: dict[str, Any]) -> str:

@@ -23,12 +23,12 @@ from gyrotrack.apps.cli._options import (
     Surface,
     Verbose,
 )
-from gyrotrack.apps.cli._output import NOT_TRUSTED, Output, command_line
+from gyrotrack.apps.cli._output import NOT_TRUSTED, Output, all_or_nothing, command_line
 
 if TYPE_CHECKING:
     from gyrotrack.io._records import Recording
     from gyrotrack.synchronisation._decision import Match
-    from gyrotrack.tracking._extract import Task
+    from gyrotrack.tracking._extract import ExtractionJob
     from gyrotrack.tracking._proposal import Proposal, ProposedMarker
 
 
@@ -76,10 +76,11 @@ def profile_command(
             refuse_existing(path, force=force)
     found = propose(video, capture_fps=capture_fps)
     comment = "".join(f"# {note}\n" for note in (f"found in {video.name} by gyrotrack profile", *found.notes))
-    with new_file(target, force=force) as stream:
-        stream.write((comment + to_toml(found.profile)).encode())
-    if picture is not None:
-        write_picture(picture, found, force=force)
+    with all_or_nothing(target, picture):
+        with new_file(target, force=force) as stream:
+            stream.write((comment + to_toml(found.profile)).encode())
+        if picture is not None:
+            write_picture(picture, found, force=force)
     for note in found.notes:
         out.warn(note)
     out.result(_profile_document(target, picture, found))
@@ -105,7 +106,7 @@ def _profile_document(target: Path, picture: Path | None, found: Proposal) -> di
 def _marker(marker: ProposedMarker) -> dict[str, Any]:
     import numpy as np
 
-    paper = marker.paper
+    paper = marker.marker
     return {
         "name": marker.profile.name,
         "colour": marker.profile.colour,
@@ -206,13 +207,13 @@ def extract_command(
         write_contact_sheet,
         write_overlay,
     )
-    from gyrotrack.tracking._extract import Task
+    from gyrotrack.tracking._extract import ExtractionJob
     from gyrotrack.tracking._profile import PAPER, load
 
     out = Output(as_json=as_json, quiet=quiet)
     target = output if output is not None else video.with_suffix(".h5")
     chosen = load(profile) if profile is not None else PAPER
-    task = Task(video, target, chosen, capture_fps, body.value if body else None, times.value)
+    task = ExtractionJob(video, target, chosen, capture_fps, body.value if body else None, times.value)
     done = task.earlier() if resume and not force else None
     if done is None:
         refuse_existing(target, force=force)
@@ -224,19 +225,23 @@ def extract_command(
     for warning in recording.warnings:
         out.warn(warning)
     document = _extraction_document(target, recording, fps)
-    if overlay is not None:
-        with out.progress(f"drawing {overlay.name}", "frames") as progress:
-            write_overlay(overlay, video, recording, force=force, progress=progress)
-        document["overlay"] = overlay
-    if contact_sheet is not None:
-        write_contact_sheet(contact_sheet, video, recording, force=force)
-        document["contact_sheet"] = contact_sheet
+    try:
+        if overlay is not None:
+            with out.progress(f"drawing {overlay.name}", "frames") as progress:
+                write_overlay(overlay, video, recording, force=force, progress=progress)
+            document["overlay"] = overlay
+        if contact_sheet is not None:
+            write_contact_sheet(contact_sheet, video, recording, force=force)
+            document["contact_sheet"] = contact_sheet
+    except KeyboardInterrupt:
+        out.note(f"{target} is complete; run the command again with --resume to draw the pictures.")
+        raise
     out.result(document)
     out.show(_extraction_lines(document))
 
 
 def _tracked(
-    task: Task, done: Recording | None, out: Output, *, resume: bool, force: bool
+    task: ExtractionJob, done: Recording | None, out: Output, *, resume: bool, force: bool
 ) -> tuple[Recording, float]:
     """Return the recording, tracked now unless that is done, and the frames tracked in a second."""
     if done is not None:
@@ -254,7 +259,7 @@ def _tracked(
 def _extraction_document(target: Path, recording: Recording, fps: float) -> dict[str, Any]:
     import numpy as np
 
-    from gyrotrack.io._records import STATUS
+    from gyrotrack.io._schema import STATUS
 
     return {
         "output": target,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._numbers import scaled
-from fitting.discovery._residuals import Misfit
+from fitting.inference._speed_residuals import SpeedResidual
 from gyrotrack.plotting._interactive import Board, Chart, Mark, Trace
 from gyrotrack.plotting._motion import misfit_finding, motion_finding, rotor_finding
 from gyrotrack.plotting._parameters import energy_finding
@@ -97,7 +97,7 @@ def _rotor(view: CaseView, names: Sequence[str]) -> Chart:
     return Chart("rotor", "Speed of the rotor in its windows", "rad/s", tuple(traces), rotor_finding(view))
 
 
-def misfit_traces(misfits: Sequence[Misfit], factor: float, colour: str, label: str) -> list[Trace]:
+def misfit_traces(misfits: Sequence[SpeedResidual], factor: float, colour: str, label: str) -> list[Trace]:
     """Return a misfit as dots, and the band of the noise about zero."""
     time = joined([m.time for m in misfits], gap=0.0)
     value, sigma = (joined([factor * getattr(m, n) for m in misfits]) for n in ("value", "sigma"))

@@ -12,17 +12,17 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fitting._numbers import unbroken
-from fitting._workers import Beside
+from fitting._numbers import nonbreaking
+from fitting._workers import WorkerPool
 from gyrotrack._errors import OutputError
 from gyrotrack.apps.report._frames import Tile
 from gyrotrack.apps.report._parts import report_parts
-from gyrotrack.io._atomic import new_file, refuse_existing
+from gyrotrack.io._atomic import new_file, refusal, refuse_existing
 from gyrotrack.plotting._study_data import gather
 from gyrotrack.plotting._style import Picture
 
 if TYPE_CHECKING:
-    from fitting.discovery._select import Rung
+    from fitting.discovery._select import Step
     from fitting.discovery._verdict import Diagnosis
     from gyrotrack.io._records import Case
 
@@ -101,7 +101,7 @@ class _Images:
             return found
         if isinstance(value, list | tuple):
             return [self.plain(v) for v in value]
-        return unbroken(value) if isinstance(value, str) else value
+        return nonbreaking(value) if isinstance(value, str) else value
 
     def _write(self, suffix: str, data: bytes) -> str:
         self._count += 1
@@ -112,14 +112,14 @@ class _Images:
 
 def write_report(
     path: Path,
-    rungs: Sequence[Rung],
+    rungs: Sequence[Step],
     diagnosis: Diagnosis | None,
     *,
     recordings: Sequence[Case] = (),
     films: Sequence[Path] = (),
     provenance: Mapping[str, str] | None = None,
     force: bool = False,
-    beside: Beside | None = None,
+    workers: WorkerPool | None = None,
 ) -> Path:
     """Write the report of a ladder of fits.
 
@@ -127,7 +127,7 @@ def write_report(
     ----------
     path : Path
         The file to write, ``.pdf`` or else HTML; it appears whole or not at all.
-    rungs : sequence of Rung
+    rungs : sequence of Step
         The ladder, base first; one rung is enough.
     diagnosis : Diagnosis or None
         That of the first rung.
@@ -139,7 +139,7 @@ def write_report(
         More lines on where this comes from, such as ``command`` and ``date``.
     force : bool
         Replace an existing file.
-    beside : Beside, optional
+    workers : WorkerPool, optional
         A second process for some of the figures; without it all are drawn in this one.
 
     Returns
@@ -156,10 +156,13 @@ def write_report(
     refuse_existing(path, force=force)
     with _seldom_collected():
         parts = report_parts(
-            gather(rungs, diagnosis), recordings, films, provenance or {}, beside or Beside(cores=1)
+            gather(rungs, diagnosis), recordings, films, provenance or {}, workers or WorkerPool(0)
         )
     # names of files may hold bytes that are not valid UTF-8
-    document = pdf(parts) if path.suffix.lower() == ".pdf" else render(parts).encode("utf-8", "replace")
+    try:
+        document = pdf(parts) if path.suffix.lower() == ".pdf" else render(parts).encode("utf-8", "replace")
+    except OSError as error:  # the parts of a PDF are written to the temporary folder first
+        raise refusal(Path(tempfile.gettempdir()), error) from error
     with new_file(path, force=force) as stream:
         stream.write(document)
     return path
@@ -188,7 +191,7 @@ def render(parts: Mapping[str, Any]) -> str:
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
-        finalize=lambda value: unbroken(value) if type(value) is str else value,  # never what is markup
+        finalize=lambda value: nonbreaking(value) if type(value) is str else value,  # never what is markup
     )
     template = environment.from_string(folder.joinpath("page.html.jinja").read_text("utf-8"))
     scripts = (charts.script(), folder.joinpath("page.js").read_text("utf-8"))

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fitting._numbers import probability, typeset
-from fitting._workers import Beside
+from fitting._workers import WorkerPool
 from gyrotrack.apps.report._plausibility import origin_rows
 from gyrotrack.plotting._study_data import CaseView, Content
 from gyrotrack.plotting._style import Picture
@@ -113,9 +113,9 @@ def report_parts(
     recordings: Sequence[Case],
     films: Sequence[Path],
     provenance: Mapping[str, str],
-    beside: Beside,
+    workers: WorkerPool,
 ) -> dict[str, Any]:
-    """Return everything that stands in a report, ready to be laid out; `beside` draws its share."""
+    """Return everything that stands in a report, ready to be laid out; `workers` draw some figures."""
     from gyrotrack.apps.report import _tables as tables
     from gyrotrack.apps.report._dashboard import case_board
     from gyrotrack.apps.report._plausibility import plausibility_rows
@@ -133,9 +133,9 @@ def report_parts(
         for i, v in enumerate(content.cases)
     ]
     here = len(cases) // 2
-    later = [beside.begin(section, *case) for case in cases[here:]]
-    correlation = beside.begin(correlation_picture, content)
-    candidate_rows = beside.begin(tables.candidate_rows, content)
+    later = [workers.submit(section, *case) for case in cases[here:]]
+    correlation = workers.submit(correlation_picture, content)
+    candidate_rows = workers.submit(tables.candidate_rows, content)
     parts: dict[str, Any] = {
         "content": content,
         "title": ", ".join(v.label for v in content.cases),
@@ -159,8 +159,8 @@ def report_parts(
         "clips": clips,
         "provenance": origin_rows(content.base, provenance),
     }
-    parts["sections"] += [result() for result in later]
-    parts["correlation"], parts["candidate_rows"] = correlation(), candidate_rows()
+    parts["sections"] += [task.result() for task in later]
+    parts["correlation"], parts["candidate_rows"] = correlation.result(), candidate_rows.result()
     return parts
 
 

@@ -20,7 +20,7 @@ from gyrotrack.plotting._style import AFTER, BEFORE, SKY, canvas, look, panel, p
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from fitting.discovery._select import Rung
+    from fitting.discovery._select import Step
     from fitting.discovery._verdict import Diagnosis
 
 
@@ -29,7 +29,7 @@ _WIDE = 8.0
 
 
 def story_picture(
-    rungs: Sequence[Rung],
+    rungs: Sequence[Step],
     diagnosis: Diagnosis | None,
     path: Path,
     *,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fitting._numbers import measured, probability, short
+from fitting._numbers import probability, short, with_uncertainty
 from gyrotrack.plotting._study_data import Content
 
 if TYPE_CHECKING:
@@ -95,9 +95,11 @@ def parameter_rows(content: Content) -> list[ParameterRow]:
                 index=index + ("0" if effect == "initial" else ""),
                 effect="start speed" if effect == "initial" else effect,
                 case=label if len(content.cases) > 1 else "",
-                value=measured(e.value, e.stderr, e.unit),
+                value=with_uncertainty(e.value, e.stderr, e.unit),
                 relative=_relative(e),
-                before=measured(before.value, before.stderr, before.unit) if before is not None else "",
+                before=with_uncertainty(before.value, before.stderr, before.unit)
+                if before is not None
+                else "",
                 note=_note(e, before, undetermined=name in weak, fixed=key in content.final.model.constants),
                 is_new=effect in content.added,
             )
@@ -165,7 +167,9 @@ def named(key: str, e: Estimate) -> str:
         f"_{index}" if index and not index.isdigit() else index.translate(_LOWERED)
     )
     at = f" ({key.partition('@')[2]})" if "@" in key else ""
-    return f"{symbol}{at} = {measured(e.value, e.stderr, e.unit)}" + (" (on its bound)" if e.at_bound else "")
+    return f"{symbol}{at} = {with_uncertainty(e.value, e.stderr, e.unit)}" + (
+        " (on its bound)" if e.at_bound else ""
+    )
 
 
 def clip_rows(recordings: Mapping[str, Recording], placements: Mapping[str, Placement]) -> list[ClipRow]:
@@ -197,7 +201,7 @@ def _milliradians(sigma: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
 
 
 def _statuses(status: np.ndarray[tuple[int], np.dtype[np.int8]]) -> str:
-    from gyrotrack.io._records import STATUS
+    from gyrotrack.io._schema import STATUS
 
     total = max(1, len(status))
     parts = []
@@ -209,7 +213,7 @@ def _statuses(status: np.ndarray[tuple[int], np.dtype[np.int8]]) -> str:
 
 
 def _offset(p: Placement) -> str:
-    text = measured(p.clock_offset, p.clock_offset_sigma, "s")
+    text = with_uncertainty(p.clock_offset, p.clock_offset_sigma, "s")
     if p.clock_rate != 1.0 or (math.isfinite(p.clock_rate_sigma) and p.clock_rate_sigma > 0):
-        text += f"; rate {measured(p.clock_rate, p.clock_rate_sigma, '1')}"
+        text += f"; rate {with_uncertainty(p.clock_rate, p.clock_rate_sigma, '1')}"
     return text

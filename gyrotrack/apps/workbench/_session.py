@@ -19,13 +19,9 @@ if TYPE_CHECKING:
 
 def library_document() -> list[dict[str, Any]]:
     """Return the effects of the library for the list that the page offers; every fit takes out those `free`."""
-    from fitting.discovery._rank import ALWAYS_FREE
     from fitting.effects._library import LIBRARY
 
-    return [
-        {"name": e.name, "joint": e.joint, "law": e.law, "free": e.name in ALWAYS_FREE}
-        for e in LIBRARY.values()
-    ]
+    return [{"name": e.name, "joint": e.joint, "law": e.law, "free": e.nuisance} for e in LIBRARY.values()]
 
 
 _LONGEST = 500
@@ -144,10 +140,10 @@ class Session:
         return step.fit_id
 
     def _sharpen(self, step: Step) -> None:
-        from fitting.discovery._select import polished
+        from fitting.discovery._refine import refined
 
         if not step.sharp:
-            step.fit, step.sharp, step.torques = polished(step.fit), True, None
+            step.fit, step.sharp, step.torques = refined(step.fit), True, None
 
     def remember(self, answer: dict[str, Any]) -> dict[str, Any]:
         """Keep what a search found for the parameters of the candidates, and return its answer as it is to be read."""
@@ -166,7 +162,7 @@ class Session:
 
     def model_document(self) -> dict[str, Any]:
         """Return the current model as a ledger keeps it, for the process that ranks."""
-        from fitting.effects._user import own_effects
+        from fitting._schema import own_effects
 
         with self._lock:
             fit = self.fit
@@ -176,13 +172,13 @@ class Session:
                     "model": list(fit.model.names),
                     "parameters": {k: {"value": e.value} for k, e in fit.estimates.items()},
                     "digests": [self._data.record.digest],
-                    "own_effects": own_effects(fit.model.effects),
+                    "own_effects": [asdict(e) for e in own_effects(fit.model.effects)],
                 }
             )
 
     def state(self, *, whole: bool = False) -> dict[str, Any]:
         """Return what the page shows; with `whole` also the curves that no fit changes."""
-        from fitting._numbers import measured
+        from fitting._numbers import with_uncertainty
 
         with self._lock:
             step = self.steps[self.current]
@@ -200,7 +196,11 @@ class Session:
                         for e in fit.model.effects
                     ],
                     "parameters": [
-                        {"name": k, "value": measured(e.value, e.stderr, e.unit), "at_bound": e.at_bound}
+                        {
+                            "name": k,
+                            "value": with_uncertainty(e.value, e.stderr, e.unit),
+                            "at_bound": e.at_bound,
+                        }
                         for k, e in fit.estimates.items()
                     ],
                     "ladder": [self._rung(i) for i in range(len(self.steps))],
@@ -219,14 +219,14 @@ class Session:
 
     def _board(self, step: Step, *, whole: bool) -> dict[str, Any]:
         from fitting.discovery._residuals import find_failures
-        from fitting.discovery._select import Rung
+        from fitting.discovery._select import Step as FitStep
         from gyrotrack.apps.report._dashboard import case_board, mark
         from gyrotrack.plotting._study_data import case_view
         from gyrotrack.plotting._tracking import tracks_of
 
         before = self.steps[step.parent] if step.parent >= 0 else None
         steps = [s for s in (before, step) if s is not None]
-        rungs = [Rung(s.change, s.fit, ()) for s in steps]
+        rungs = [FitStep(s.change, s.fit, ()) for s in steps]
         view = case_view(rungs, None, [self._torques(s) for s in steps], 0)
         tracks = tracks_of(self._case) if whole and self._case is not None else None
         names = ("before", "now") if before is not None else ("now",)
@@ -244,6 +244,6 @@ class Session:
 
 
 def _document(found: dict[str, Any]) -> dict[str, Any]:
-    from fitting._numbers import plain
+    from fitting._numbers import to_json
 
-    return dict(plain(found))
+    return dict(to_json(found))

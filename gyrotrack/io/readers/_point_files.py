@@ -15,7 +15,7 @@ import numpy as np
 
 from gyrotrack._errors import DatasetError
 from gyrotrack.io._tables import check_storage, load
-from gyrotrack.io._validation import guarded
+from gyrotrack.io._validation import check_tree
 from gyrotrack.io.readers._points import Points
 
 _MARK = object()
@@ -103,7 +103,7 @@ def read_point_file(path: Path, sha256: str) -> Points:
     """
     try:
         with h5py.File(path, "r", locking=False) as file:
-            guarded(file)
+            check_tree(file)
             if {"tracks", "node_names"} <= set(file.keys()):
                 return _sleap(path, sha256, file)
             table = file.get("df_with_missing/table")

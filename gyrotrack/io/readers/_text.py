@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gyrotrack._errors import DatasetError, UsageError
+from gyrotrack.io._atomic import refuse_special
 
 MOST_BYTES = 2**30
 
@@ -21,6 +22,7 @@ def read_bytes(path: Path) -> bytes:
     DatasetError
         It is missing, not a file, or far too large.
     """
+    refuse_special(path)
     try:
         if path.stat().st_size > MOST_BYTES:
             raise DatasetError(

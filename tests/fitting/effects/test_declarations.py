@@ -23,7 +23,7 @@ def test_unknown_name_offers_the_closest():
     [
         ("-k*omega_c", (Parameter("k", "N m s2"),), "comes out in N m s, not in N m"),
         ("-k*omega_x", (Parameter("k", "N m s"),), "omega_x"),
-        ("-k*q*omega_c", (Parameter("k", "N m s"),), "speaks of q"),
+        ("-k*q*omega_c", (Parameter("k", "N m s"),), "undeclared names: q"),
     ],
 )
 def test_wrong_laws_are_refused(law, parameters, message):

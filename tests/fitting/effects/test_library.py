@@ -162,7 +162,8 @@ def test_law_is_the_one_of_the_table(effect):
 @EFFECTS
 def test_declaration_is_sound(effect):
     effect.check()
-    assert effect.kind == ("measurement" if effect.name.startswith(("camera.", "setup.")) else "physical")
+    assert effect.kind == ("measurement" if effect.camera or effect.joint == "inertia" else "physical")
+    assert effect.per_case >= effect.per_surface
     assert effect.signature
     assert effect.source
     assert set(effect.confused_with) <= set(LIBRARY) - {effect.name}
@@ -179,6 +180,19 @@ def test_declaration_is_sound(effect):
             assert all(p.relative or p.lower <= v <= p.upper for v in p.grid)
     if effect.breakpoint:
         assert effect.breakpoint in {p.symbol for p in effect.parameters}
+
+
+def test_what_each_case_has_of_its_own():
+    """The touch point and the casing's linear drag, as README and DESIGN state; the surface cannot be predicted."""
+    touchpoint = {n for n in LIBRARY if n.startswith("touchpoint.")}
+    assert {n for n, e in LIBRARY.items() if e.per_case} == touchpoint | {"casing.air.linear"}
+    assert {n for n, e in LIBRARY.items() if e.per_surface} == touchpoint
+    assert {n for n, e in LIBRARY.items() if e.nuisance} == {"camera.centre", "camera.tilt", "camera.shutter"}
+
+
+@EFFECTS
+def test_equivalence_is_mutual(effect):
+    assert all(effect.name in LIBRARY[other].equivalent for other in effect.equivalent)
 
 
 def test_states_feed_on_what_the_table_says():
@@ -200,7 +214,7 @@ DRIVERS = {"casing.windage", "external.constant", "casing.unbalance", "casing.as
 FORWARD_ONLY = {"bearing.load"}
 
 
-@pytest.mark.parametrize("name", sorted(n for n in TABLE if not n.startswith("camera.") and n not in DRIVERS))
+@pytest.mark.parametrize("name", sorted(n for n in TABLE if not LIBRARY[n].camera and n not in DRIVERS))
 def test_friction_never_puts_energy_in(name):
     effect = find(name)
     v = places(effect, 4000)
@@ -278,7 +292,7 @@ def test_derivatives_match_differences(effect):
 @EFFECTS
 def test_dynamics_with_the_effect_has_right_derivatives(effect):
     """All of them at once, by states and by parameters, through the sum, the products and the own state."""
-    if effect.name.startswith("camera."):
+    if effect.camera:
         assert Dynamics(Model((effect,))).parameters == ()
         return
     others = [find(n) for n in REDUCED if n != effect.name]

@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from fitting._errors import EstimationError, RecordError
-from fitting.discovery._lack_of_fit import objection
+from fitting.discovery._lack_of_fit import smooth_test
 from fitting.discovery._select import improve
 from fitting.discovery._verdict import diagnose
 from fitting.dynamics._model import Model
@@ -80,7 +80,7 @@ def test_what_is_missing_is_found():
     found = diagnose(base)
     assert found.verdict == "missing_effect"
     assert found.candidates[0].effect.name == "casing.air.quadratic"
-    assert all(c.effect.alone for c in found.candidates)
+    assert all(c.effect.single_body for c in found.candidates)
     assert {f.body for f in found.failures} == {"casing"}
     last = improve(base, first=found.candidates)[-1].fit
     assert last.verdict == "adequate"
@@ -91,10 +91,10 @@ def test_what_is_missing_is_found():
 
 def test_what_a_wrong_law_leaves_follows_the_speed_of_the_body():
     cubic = fit(BASE.with_effect(resolve("casing: -k*omega_c**3")), [wheel(SQUARE)])
-    assert objection(cubic).body == "body"
-    assert objection(cubic).p_value < 1e-3
+    assert smooth_test(cubic).body == "body"
+    assert smooth_test(cubic).p_value < 1e-3
     right = fit(BASE.with_effect(resolve("casing: -k*omega_c*abs(omega_c)")), [wheel(SQUARE)])
-    assert objection(right).p_value > 1e-3
+    assert smooth_test(right).p_value > 1e-3
 
 
 def test_a_law_of_ones_own():

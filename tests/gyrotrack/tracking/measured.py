@@ -5,14 +5,14 @@ from dataclasses import fields
 import numpy as np
 
 from gyrotrack._column_store import put_away
-from gyrotrack.tracking._film_tracker import BodySightings, Watched
-from gyrotrack.tracking._observations import Sightings
-from gyrotrack.tracking._scene import Disc, Paper, Scene
+from gyrotrack.tracking._film_tracker import BodyObservations, FilmObservations
+from gyrotrack.tracking._observations import MarkerObservations
+from gyrotrack.tracking._scene import Disc, Marker, Scene
 from gyrotrack.video._time_base import FrameTimes
 
 CENTRE, SIZE, FPS = (320.0, 180.0), (640, 360), 260.0
 PAPERS = tuple(
-    Paper(name, body, colour, inner, inner + 22.0, 0.12, (20.0, 30.0), 0.2, mount)
+    Marker(name, body, colour, inner, inner + 22.0, 0.12, (20.0, 30.0), 0.2, mount)
     for name, body, colour, inner, mount in (
         ("red", "casing", "red", 40.0, 0.0),
         ("blue", "rotor", "blue", 100.0, 0.4),
@@ -42,9 +42,11 @@ def watched(count, seed=0):
         markers = {p.name: _marker(p, angle, truth["casing"], centre, rng) for p in PAPERS if p.body == body}
         for seen in markers.values():
             seen.gain[np.isnan(coarse)] = np.nan
-        bodies[body] = BodySightings(coarse, markers)
+        bodies[body] = BodyObservations(coarse, markers)
     disc = centre + rng.normal(0.0, 0.1, centre.shape)
-    return Watched(bodies, disc, time, FrameTimes(np.arange(count)), (), SIZE, np.zeros(count, dtype=bool))
+    return FilmObservations(
+        bodies, disc, time, FrameTimes(np.arange(count)), (), SIZE, np.zeros(count, dtype=bool)
+    )
 
 
 def _marker(paper, body, casing, centre, rng):
@@ -66,5 +68,5 @@ def _marker(paper, body, casing, centre, rng):
         "open": ~hidden,
         "centre": centre,
     }
-    assert set(columns) == {f.name for f in fields(Sightings)}
-    return Sightings(**put_away(columns))
+    assert set(columns) == {f.name for f in fields(MarkerObservations)}
+    return MarkerObservations(**put_away(columns))

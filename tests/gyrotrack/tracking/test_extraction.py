@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gyrotrack._errors import TrackingError, UsageError, VideoError
-from gyrotrack.io._records import STATUS
+from gyrotrack.io._schema import STATUS
 from gyrotrack.tracking._extract import extract
 from gyrotrack.tracking._profile import parse
 
@@ -289,12 +289,12 @@ def test_a_film_of_which_less_is_left_than_its_samples_promise(casing_clip, monk
 
     from gyrotrack.tracking import _extract as extraction
 
-    watched = extraction.watch
+    watched = extraction.track_film
 
     def damaged(*args):
         seen = watched(*args)
         return replace(seen, pts_time=seen.pts_time[:1])
 
-    monkeypatch.setattr(extraction, "watch", damaged)
+    monkeypatch.setattr(extraction, "track_film", damaged)
     with pytest.raises(VideoError, match="only 1 frames of"):
         extract(casing_clip[0])

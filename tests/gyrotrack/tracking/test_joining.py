@@ -66,7 +66,7 @@ def test_frames_with_no_marker_have_no_angle():
     for name, c in markers.items():
         good = c.good.copy()
         good[700:720] = False
-        markers[name] = Candidate(c.angle, good, c.open, c.weak, c.odd, c.mount)
+        markers[name] = Candidate(c.angle, good, c.open, c.weak, c.misfit_excess, c.mount)
     body = join(coarse, markers, 1000.0)
     assert np.isnan(body.angle[700:720]).all()
     assert (body.count[700:720] == 0).all()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gyrotrack._smoothing import core_scatter, excess, share_of_floor, tail_factor
-from gyrotrack.tracking._observations import excess_misfit, most_likely_share
+from gyrotrack.tracking._observations import excess_misfit, variance_inflation
 
 
 def test_excess_is_the_root_mean_square():
@@ -47,20 +47,20 @@ def test_each_of_heavy_tailed_residuals_gets_the_variance_it_has_on_average():
 def test_how_much_a_misfit_matters_is_found_again():
     rng = np.random.default_rng(4)
     misfit = 0.01 * np.exp(rng.normal(0, 0.6, 4000))
-    odd = excess_misfit(misfit, 0.01)
-    assert odd.min() == 0.0
+    misfit_excess = excess_misfit(misfit, 0.01)
+    assert misfit_excess.min() == 0.0
     for share in (0.0, 0.1, 0.5):
-        off = 3e-3 * rng.normal(size=4000) * np.sqrt(1.0 + share * odd)
-        assert most_likely_share(off, odd) == pytest.approx(share, abs=0.03 + 0.3 * share)
+        off = 3e-3 * rng.normal(size=4000) * np.sqrt(1.0 + share * misfit_excess)
+        assert variance_inflation(off, misfit_excess) == pytest.approx(share, abs=0.03 + 0.3 * share)
 
 
 def test_one_fault_does_not_make_misfits_matter():
     rng = np.random.default_rng(5)
-    odd = excess_misfit(np.full(400, 0.01), 0.01)
-    odd[7] = 10.0
+    misfit_excess = excess_misfit(np.full(400, 0.01), 0.01)
+    misfit_excess[7] = 10.0
     off = rng.normal(size=400)
-    assert most_likely_share(off, odd) < 0.5
-    assert most_likely_share(off[:5], odd[:5]) == 0.0
+    assert variance_inflation(off, misfit_excess) < 0.5
+    assert variance_inflation(off[:5], misfit_excess[:5]) == 0.0
 
 
 @pytest.mark.parametrize("true", [0.3, 1.0, 3.0])

@@ -54,7 +54,7 @@ SETS = {
 )
 def test_as_good_as_the_true_profile(tmp_path, colours, table, white, fps):
     names = dict(zip(("red", "blue", "green"), SETS[colours], strict=True))
-    papers = [
+    markers = [
         dataclasses.replace(m, colour=names[m.name][0]) if m.name in names else m
         for m in PAPERS
         if white or m.name != "white"
@@ -62,7 +62,7 @@ def test_as_good_as_the_true_profile(tmp_path, colours, table, white, fps):
     span = np.linspace(-0.1, 2.0, 40)
     motion = Motion.from_speeds(span, 600.0 - 20 * span, 60.0 + 5 * span, 0.3, 0.7)
     scene = Scene(
-        markers=tuple(papers),
+        markers=tuple(markers),
         circle_colour=names["red"][0],
         table=table,
         wobble=Wobble(0.08, 3.4, phase=1.0),
@@ -71,7 +71,7 @@ def test_as_good_as_the_true_profile(tmp_path, colours, table, white, fps):
     film = tmp_path / "film.mp4"
     truth = render_clip(film, scene, motion, camera, LIGHT, frames=300, seed=3)
     found = propose(film)
-    body = {names[m.name][1] if m.name in names else m.name: m.body for m in papers}
+    body = {names[m.name][1] if m.name in names else m.name: m.body for m in markers}
     assert {m.profile.name: m.profile.body for m in found.markers} == body
     assert found.profile.circle_colour == names["red"][1]
     true = Profile(

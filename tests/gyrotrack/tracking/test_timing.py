@@ -8,7 +8,7 @@ from gyrotrack.video._time_base import Timing
 
 FPS, TICK = 260.0, 1 / 90000
 EVEN = np.arange(600) / FPS
-SWING = EVEN + 0.01 * np.sin(2 * np.pi * 1.3 * EVEN)
+VIEW_ERROR = EVEN + 0.01 * np.sin(2 * np.pi * 1.3 * EVEN)
 
 
 def _stamps(time, tick=TICK):
@@ -29,17 +29,17 @@ def test_even_stamps_are_counted(fps, tick):
 
 @pytest.mark.parametrize(("tick", "limit"), [(TICK, 1e-5), (1e-3, 1.5e-4)])
 def test_a_swinging_rate_is_taken_from_the_stamps(tick, limit):
-    times = Timing("auto", FPS).of(_stamps(SWING, tick), tick)
-    error = times.seconds(FPS) - SWING
+    times = Timing("auto", FPS).of(_stamps(VIEW_ERROR, tick), tick)
+    error = times.seconds(FPS) - VIEW_ERROR
     assert np.std(error) < limit  # 0.3 ms of rounding is less by its neighbours
     np.testing.assert_allclose(times.sigma / FPS, np.std(error), rtol=0.35)
     assert "times are from the stamps" in times.told[0]
 
 
 def test_stamps_that_were_copied_from_whole_milliseconds_are_no_finer():
-    copied = _stamps(_stamps(SWING, 1e-3))
+    copied = _stamps(_stamps(VIEW_ERROR, 1e-3))
     assert Timing("auto", FPS).of(copied, TICK).sigma == pytest.approx(
-        Timing("auto", FPS).of(_stamps(SWING, 1e-3), 1e-3).sigma, rel=0.05
+        Timing("auto", FPS).of(_stamps(VIEW_ERROR, 1e-3), 1e-3).sigma, rel=0.05
     )
 
 
@@ -54,18 +54,18 @@ def test_jitter_beyond_rounding_is_kept_with_the_uncertainty_of_rounding():
 
 
 def test_a_player_s_stamps_are_not_believed_unasked():
-    stamps = _stamps(8.0 * SWING)
+    stamps = _stamps(8.0 * VIEW_ERROR)
     times = Timing("auto", FPS).of(stamps, TICK)
     assert times.place is None
     assert "a player's rate" in times.told[0]
     asked = Timing("stamps", FPS).of(stamps, TICK)
-    scale = np.polyfit(SWING, asked.seconds(FPS), 1)[0]
-    np.testing.assert_allclose(asked.seconds(FPS), scale * (SWING - SWING[0]), atol=1e-5)
+    scale = np.polyfit(VIEW_ERROR, asked.seconds(FPS), 1)[0]
+    np.testing.assert_allclose(asked.seconds(FPS), scale * (VIEW_ERROR - VIEW_ERROR[0]), atol=1e-5)
     assert any("brought to the capture rate of 260" in text for text in asked.told)
 
 
 def test_frames_are_counted_when_that_is_asked_for():
-    times = Timing("frames", FPS).of(_stamps(SWING), TICK)
+    times = Timing("frames", FPS).of(_stamps(VIEW_ERROR), TICK)
     np.testing.assert_array_equal(times.seconds(FPS), EVEN)
     assert "times count decoded frames" in times.told[0]
 
@@ -78,7 +78,7 @@ def test_even_stamps_that_are_asked_for_give_the_stamps_own_rate():
 
 @pytest.mark.parametrize("fault", [np.nan, 0.0], ids=["missing", "backwards"])
 def test_stamps_that_are_no_times_are_refused(fault):
-    stamps = SWING.copy()
+    stamps = VIEW_ERROR.copy()
     stamps[300] = fault
     with pytest.raises(VideoError, match="do not grow"):
         Timing("stamps", FPS).of(stamps, TICK)

@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from gyrotrack.video._decoder import CHUNK, WAITING, Ahead
+from gyrotrack.video._decoder import CHUNK, WAITING, ReadAhead
 
 
 def decoders():
@@ -14,7 +14,7 @@ def decoders():
 
 @pytest.mark.parametrize("count", [0, 1, CHUNK - 1, CHUNK, CHUNK + 1, 100])
 def test_all_items_come_in_order(count):
-    assert list(Ahead(iter(range(count)))) == list(range(count))
+    assert list(ReadAhead(iter(range(count)))) == list(range(count))
 
 
 def test_it_works_ahead_but_not_far():
@@ -25,7 +25,7 @@ def test_it_works_ahead_but_not_far():
             made.append(k)
             yield k
 
-    ahead = Ahead(source())
+    ahead = ReadAhead(source())
     limit = time.monotonic() + 10
     while len(made) < CHUNK * (WAITING + 1) and time.monotonic() < limit:
         time.sleep(0.01)
@@ -40,7 +40,7 @@ def test_an_error_comes_after_the_items_before_it():
         yield from range(CHUNK + 2)
         raise ValueError("broken")
 
-    items = iter(Ahead(source()))
+    items = iter(ReadAhead(source()))
     assert [next(items) for _ in range(CHUNK + 2)] == list(range(CHUNK + 2))
     with pytest.raises(ValueError, match="broken"):
         next(items)
@@ -48,7 +48,7 @@ def test_an_error_comes_after_the_items_before_it():
 
 def test_closing_ends_the_thread_wherever_it_is():
     for taken in (0, 1, 20):
-        ahead = Ahead(iter(range(10**9)))
+        ahead = ReadAhead(iter(range(10**9)))
         items = iter(ahead)
         for _ in range(taken):
             next(items)

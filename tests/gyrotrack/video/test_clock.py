@@ -83,5 +83,5 @@ def test_a_varying_rate_shows_no_missing_frames():
 def test_frames_without_stamps_are_told():
     stamps = np.arange(50) / 260.0
     stamps[7] = np.nan
-    assert "no time stamp" in stamp_warnings(stamps)[0]
+    assert "no timestamp" in stamp_warnings(stamps)[0]
     np.testing.assert_array_equal(frame_numbers(stamps), np.arange(50))

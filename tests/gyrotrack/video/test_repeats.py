@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gyrotrack.video._container import Frame, Packets
-from gyrotrack.video._repeated_frames import Repeats
+from gyrotrack.video._repeated_frames import RepeatDetector
 
 N = 260
 NONE = np.zeros((1, 1), dtype=np.uint8)
@@ -32,7 +32,7 @@ def _frames(show, noise=3.0, speed=0.2, copied=0.3, seed=1):
 
 
 def _found(show, repeats=None, **kind):
-    repeats = repeats or Repeats(NOTHING)
+    repeats = repeats or RepeatDetector(NOTHING)
     return [frame.index for frame in _frames(show, **kind) if repeats.same(frame)], repeats
 
 
@@ -61,14 +61,14 @@ def test_a_scene_at_rest_with_noise_repeats_nothing():
 
 
 def test_a_flash_makes_no_repetition():
-    repeats = Repeats(NOTHING)
+    repeats = RepeatDetector(NOTHING)
     for frame in _frames(np.arange(N)):
         frame.y[:] = np.minimum(frame.y, 200) + 50 * (frame.index == 90)
         assert not repeats.same(frame)
 
 
 def test_it_goes_on_without_the_memory_of_the_last_frame():
-    repeats = Repeats(NOTHING)
+    repeats = RepeatDetector(NOTHING)
     found = []
     for frame in _frames(_repeating([50])):
         if repeats.same(frame):
@@ -91,11 +91,11 @@ def test_it_goes_on_without_the_memory_of_the_last_frame():
     ],
 )
 def test_a_conversion_is_told_by_the_rhythm_of_its_packets(repeated, regular, key):
-    assert Repeats(_packets(repeated, key=key)).regular is regular
+    assert RepeatDetector(_packets(repeated, key=key)).regular is regular
 
 
 def test_a_rhythm_is_learnt_from_the_frames_if_packets_do_not_show_it():
-    repeats = Repeats(_packets([]))
+    repeats = RepeatDetector(_packets([]))
     assert not repeats.regular
     found, repeats = _found(np.floor(np.arange(N) * 12 / 13 + 0.3).astype(int), repeats)
     assert len(found) == N // 13
@@ -105,7 +105,7 @@ def test_a_rhythm_is_learnt_from_the_frames_if_packets_do_not_show_it():
 @pytest.mark.parametrize("at", [0, 1, 100])
 def test_a_cut_makes_no_frame_a_repetition(at):
     """As from a still before the film: by far the largest difference of all, and the others are small beside it."""
-    repeats, found = Repeats(NOTHING), []
+    repeats, found = RepeatDetector(NOTHING), []
     for frame in _frames(np.arange(N), noise=1.0):
         shown = 255 - frame.y if frame.index <= at else frame.y
         if repeats.same(Frame(frame.index, frame.pts, shown, NONE, NONE)):

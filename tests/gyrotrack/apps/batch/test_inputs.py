@@ -131,7 +131,7 @@ def test_folder(tmp_path):
         ("[[clip]]\nflie = 'a'\n", "line 2, clip[1].flie: extra inputs"),
         ("[[clip]]\nfile = 'a'\n[[clip]]\nfile = 'b/a'\n", "two cases are called 'a'"),
         ("", "names no film and no case"),
-        ("[[case]]\nstudy = 'no.toml'\n", "there is no study"),
+        ("[[case]]\nstudy = 'no.toml'\n", "There is no study"),
     ],
 )
 def test_faults_of_a_manifest_name_line_and_key(write, text, words):

@@ -9,7 +9,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from fitting.discovery._select import Rung
+from fitting.discovery._select import Step
 from gyrotrack._errors import OutputError
 from gyrotrack.apps.report._page import write_report
 from gyrotrack.io._records import BodyTrack, Case, MarkerTrack, Placement, Recording, Series
@@ -149,7 +149,7 @@ def _hostile(story):
         data = tuple(replace(d, record=record) for d in rung.fit.problem.data)
         problem = _shallow(rung.fit.problem, data=data)
         model = replace(rung.fit.model, effects=effects)
-        rungs.append(Rung(rung.change and f"+{HOSTILE}", replace(rung.fit, model=model, problem=problem), ()))
+        rungs.append(Step(rung.change and f"+{HOSTILE}", replace(rung.fit, model=model, problem=problem), ()))
     candidates = tuple(
         replace(c, effect=replace(c.effect, name=HOSTILE + c.effect.name)) for c in story.diagnosis.candidates
     )

@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from fitting.discovery._select import Rung
+from fitting._schema import StoredFit
+from fitting.discovery._select import Step
 from fitting.inference._case_data import CaseData
 from fitting.study import _serialisation as restoring
 from fitting.study._history import Ledger
@@ -59,7 +60,7 @@ def test_a_diagnosis_is_not_made_again(story, study, monkeypatch):
 def test_a_report_shows_the_same_curves(story, study):
     rungs = study.rungs_to(None)
     new = gather(rungs, study.diagnosis(None, rungs[0].fit))
-    old = gather([Rung(r.change, r.fit, ()) for r in story.rungs], story.diagnosis)
+    old = gather([Step(r.change, r.fit, ()) for r in story.rungs], story.diagnosis)
     assert [s.name for s in new.cases[0].suggested] == [s.name for s in old.cases[0].suggested]
     for a, b in zip(new.cases[0].suggested, old.cases[0].suggested, strict=True):
         np.testing.assert_allclose(a.casing, b.casing, rtol=1e-9, atol=1e-15)
@@ -68,7 +69,12 @@ def test_a_report_shows_the_same_curves(story, study):
 def test_other_code_finds_anew(study, monkeypatch):
     monkeypatch.setattr(restoring, "fingerprint", lambda: "another")
     entry = study.entry(None)
-    assert restoring.restored_fit(entry.document["restored_from"], entry.model, study.data) is None
+    assert (
+        restoring.restored_fit(
+            StoredFit.model_validate(entry.document["restored_from"]), entry.model, study.data
+        )
+        is None
+    )
     assert entry.diagnosis(entry.refit(study.data)) is None
 
 

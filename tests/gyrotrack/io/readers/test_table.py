@@ -124,5 +124,5 @@ def test_bad_tables_are_refused_by_file_and_line(tmp_path, content, match):
 def test_missing_file_and_folder(tmp_path):
     with pytest.raises(DatasetError, match="does not exist"):
         read_table(tmp_path / "no.csv")
-    with pytest.raises(DatasetError, match="cannot be read"):
+    with pytest.raises(DatasetError, match="is a folder"):
         read_table(tmp_path)
