@@ -40,6 +40,9 @@ COMMANDS = (
         _DATA,
         "Track a film: from frames to angles and their errors.",
     ),
+    Entry(
+        "spindown", "gyrotrack.apps.cli._spindown", _DATA, "Measure one rotating body: film or table to report."
+    ),
     Entry("import", "gyrotrack.apps.cli._data", _DATA, "Make a case from tables of angles or speeds (CSV)."),
     Entry("sync", "gyrotrack.apps.cli._tracking", _DATA, "Put the clips of one experiment on one clock."),
     Entry("batch", "gyrotrack.apps.cli._batch", _DATA, "Track, fit and report many cases, unattended."),
