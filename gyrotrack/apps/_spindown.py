@@ -21,9 +21,10 @@ from gyrotrack._errors import DatasetError, TrackingError, UsageError, VideoErro
 from gyrotrack._smoothing import WIDTH, angular_velocity
 from gyrotrack.apps._study import open_study
 from gyrotrack.apps.report._page import write_report
+from gyrotrack.io._atomic import new_file
 from gyrotrack.io._hdf5 import read_case, read_recording, write_case
 from gyrotrack.io._records import BodyTrack, Case, Placement, Recording, Series
-from gyrotrack.io.readers._import_case import import_body, no_series
+from gyrotrack.io.readers._import_case import import_body, no_series, scatter
 from gyrotrack.io.readers._points import Wanted
 from gyrotrack.tracking._any_body import Film, Tracked, track_body
 from gyrotrack.video._container import file_sha256
@@ -96,7 +97,9 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
         There are fewer than 12 samples.
     """
     if len(time) < _FEWEST:
-        raise DatasetError(f"The motion has {len(time)} samples; {_FEWEST} are needed.", "Give a longer record.")
+        raise DatasetError(
+            f"The motion has {len(time)} samples; {_FEWEST} are needed.", "Give a longer record."
+        )
     middle = 0.5 * (time[0] + time[-1])
     t = time - middle
     turns = float(np.ptp(angle)) / TURN
@@ -130,19 +133,21 @@ def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[dict[str, float]
         basis = np.stack([x**k for k in range(order + 1)] + harmonics, axis=1)
         if len(t) < 2 * basis.shape[1]:
             break
-        solved = np.linalg.lstsq(basis * root[:, None], angle * root, rcond=None)[0]
+        solved: Floats = np.asarray(
+            np.linalg.lstsq(basis * root[:, None], angle * root, rcond=None)[0], dtype=np.float64
+        )
         rest = angle - basis @ solved
         effective = len(t) / _inflation(rest * root)
-        score = effective * math.log(max(float(np.mean((rest * root) ** 2)), 1e-300)) + basis.shape[1] * math.log(
-            max(effective, 2.0)
-        )
+        score = effective * math.log(max(float(np.mean((rest * root) ** 2)), 1e-300)) + basis.shape[
+            1
+        ] * math.log(max(effective, 2.0))
         if best is None or score < best[0]:
             best = (score, order, basis, solved, rest)
     assert best is not None  # noqa: S101 - 12 samples carry order 1
     _, order, basis, solved, rest = best
     draws = solved[None, :] + _resampled(basis, root, rest)
 
-    def rates(c: Floats) -> Floats:
+    def rates(c: npt.NDArray[Any]) -> Floats:
         first = sum(k * c[..., k] * x[0] ** (k - 1) for k in range(1, order + 1)) / half
         last = sum(k * c[..., k] * x[-1] ** (k - 1) for k in range(1, order + 1)) / half
         mean = sum(c[..., k] * (x[-1] ** k - x[0] ** k) for k in range(1, order + 1)) / (t[-1] - t[0])
@@ -205,14 +210,16 @@ def _oscillation(t: Floats, angle: Floats, sigma: Floats) -> tuple[Value, Value,
     linear = np.stack([np.cos(TURN * start * t), np.sin(TURN * start * t), np.ones_like(t), t], axis=1)
     c0[2:] = np.linalg.lstsq(linear, angle, rcond=None)[0]
     limit = 5.0 / np.ptp(t)
-    found = least_squares(
-        lambda c: (model(c) - angle) * root,
-        c0,
-        x_scale=np.maximum(np.abs(c0), 1e-3),
-        bounds=([0.5 * start, -limit, -np.inf, -np.inf, -np.inf, -np.inf], [2 * start, 4 * limit, *[np.inf] * 4]),
-    )
+
+    def residual(c: Floats) -> Floats:
+        return (model(c) - angle) * root
+
+    lower = [0.5 * start, -limit, *[-np.inf] * 4]
+    upper = [2 * start, 4 * limit, *[np.inf] * 4]
+    found = least_squares(residual, c0, x_scale=np.maximum(np.abs(c0), 1e-3), bounds=(lower, upper))
     c, rest = found.x, angle - model(found.x)
-    draws = _resampled(found.jac / root[:, None], root, rest)
+    jacobian: Floats = np.asarray(found.jac, dtype=np.float64)
+    draws = _resampled(jacobian / root[:, None], root, rest)
     size = float(np.hypot(c[2], c[3]))
     period = Value(1 / float(c[0]), float(draws[:, 0].std()) / float(c[0]) ** 2)
     amplitude = Value(size, float(np.std(draws[:, 2] * c[2] + draws[:, 3] * c[3]) / max(size, 1e-300)))
@@ -233,7 +240,11 @@ def start_of_motion(time: Floats, angle: Floats, sigma: Floats) -> int:
     duration = float(np.median(np.diff(time))) * width
     error = float(np.median(sigma)) * math.sqrt(12 / width) / duration
     size = np.abs(speed)
-    if speed.min() < -5 * error and speed.max() > 5 * error and min(-speed.min(), speed.max()) > 0.2 * size.max():
+    if (
+        speed.min() < -5 * error
+        and speed.max() > 5 * error
+        and min(-speed.min(), speed.max()) > 0.2 * size.max()
+    ):
         return 0
     top = int(np.argmax(size))
     late = float(np.median(size[len(size) // 2 :]))
@@ -304,11 +315,10 @@ def read_source(source: Path, wish: Wish, progress: Progress | None = None) -> t
             f"The body is driven until {series.time[first]:.3f} s (a hand or a motor); {first} samples before it are "
             "left out. --keep-all keeps them."
         )
-        series = Series(
-            *(getattr(series, k)[first:] for k in ("time", "angle", "sigma", "omega", "omega_sigma", "turn")),
-            window=None,
-            sigma_source=series.sigma_source,
-        )
+        kept = {
+            k: getattr(series, k)[first:] for k in ("time", "angle", "sigma", "omega", "omega_sigma", "turn")
+        }
+        series = replace(series, **kept)
     return replace(case, casing=series, warnings=tuple(warnings), label=wish.label or source.stem), tracked
 
 
@@ -319,9 +329,7 @@ def _recording_in(path: Path) -> Recording | None:
         return None
 
 
-def film_recording(
-    source: Path, wish: Wish, progress: Progress | None = None
-) -> tuple[Recording, Tracked]:
+def film_recording(source: Path, wish: Wish, progress: Progress | None = None) -> tuple[Recording, Tracked]:
     """Track one body in a film and make a recording of it."""
     film = Film(source)
     warnings = []
@@ -400,7 +408,8 @@ def _recording_case(recording: Recording, inertia: float) -> Case:
     """Put the one body of a recording in the casing's place."""
     if len(recording.bodies) != 1:
         raise DatasetError(
-            f"The recording holds {len(recording.bodies)} bodies; one is needed.", "Use `gyrotrack sync` for two."
+            f"The recording holds {len(recording.bodies)} bodies; one is needed.",
+            "Use `gyrotrack sync` for two.",
         )
     body = next(iter(recording.bodies.values()))
     series = Series(
@@ -420,7 +429,9 @@ def _recording_case(recording: Recording, inertia: float) -> Case:
         casing=series,
         rotor=no_series(),
         recordings={"casing": recording},
-        placements={"casing": Placement("casing", 0.0, 0.0, 1.0, 0.0, 0.0, ambiguous=False, method="one film")},
+        placements={
+            "casing": Placement("casing", 0.0, 0.0, 1.0, 0.0, 0.0, ambiguous=False, method="one film")
+        },
         bodies="one",
         warnings=recording.warnings,
         extra={"sense": recording.sense, "smoothing_width": body.smoothing_width},
@@ -430,7 +441,9 @@ def _recording_case(recording: Recording, inertia: float) -> Case:
 def _pulse_case(source: Path, per_turn: float, inertia: float) -> Case:
     """Make a case of the times of pulses: the angle grows by 1 / per_turn of a turn from one to the next."""
     if not (math.isfinite(per_turn) and per_turn > 0):
-        raise UsageError("The pulses per turn must be positive.", "Give a number such as --pulses-per-turn 1.")
+        raise UsageError(
+            "The pulses per turn must be positive.", "Give a number such as --pulses-per-turn 1."
+        )
     try:
         table = np.genfromtxt(source, delimiter=",", comments="#", dtype=np.float64)
     except (ValueError, OSError, UnicodeDecodeError) as error:
@@ -438,21 +451,28 @@ def _pulse_case(source: Path, per_turn: float, inertia: float) -> Case:
     time = np.atleast_1d(table if table.ndim < 2 else table[:, 0])
     time = time[np.isfinite(time)]
     if len(time) < _FEWEST:
-        raise DatasetError(f"{source} holds {len(time)} times; {_FEWEST} are needed.", "Give one time in s per line.")
+        raise DatasetError(
+            f"{source} holds {len(time)} times; {_FEWEST} are needed.", "Give one time in s per line."
+        )
     wrong = np.flatnonzero(np.diff(time) <= 0)
     if len(wrong):
         raise DatasetError(
-            f"The times of {source} are not strictly increasing (pulse {wrong[0] + 2}).", "Sort them, or remove it."
+            f"The times of {source} are not strictly increasing (pulse {wrong[0] + 2}).",
+            "Sort them, or remove it.",
         )
-    from gyrotrack.io.readers._import_case import scatter
-
-    angle = TURN / per_turn * np.arange(len(time))
+    angle: Floats = np.asarray(TURN / per_turn * np.arange(len(time)), dtype=np.float64)
     sigma = scatter(time, angle)
     omega, omega_sigma = angular_velocity(time, angle, sigma, WIDTH)
     series = Series(
-        time, angle, sigma, omega, omega_sigma, np.floor(angle / TURN).astype(np.int64), sigma_source="estimated"
+        time,
+        angle,
+        sigma,
+        omega,
+        omega_sigma,
+        np.floor(angle / TURN).astype(np.int64),
+        sigma_source="estimated",
     )
-    note = f"The uncertainty of the angle is estimated from the scatter of the pulses, median {np.median(sigma):.2g} rad."
+    note = f"The angle's uncertainty is estimated from the scatter of the pulses, median {np.median(sigma):.2g} rad."
     return Case(
         I_rotor=inertia,
         I_casing=inertia,
@@ -562,7 +582,7 @@ def _write_picture(path: Path, film: Film, tracked: Tracked) -> None:
     index = np.linspace(0, len(tracked.frame) - 1, 4).astype(int)
     tiles = []
     for k, picture in zip(index, film.some(np.unique(tracked.frame[index])), strict=False):
-        tile = cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR)
+        tile: Any = cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR)
         phi = np.linspace(ring.start, ring.start + ring.span, 200)
         p, q = ring.stretch
         for radius in (ring.inner, ring.outer):
@@ -581,13 +601,11 @@ def _write_picture(path: Path, film: Film, tracked: Tracked) -> None:
         ]
         cv2.line(tile, ends[0], ends[1], (0, 0, 255), 2)
         tiles.append(tile)
-    row = np.hstack(tiles)
+    row: Any = np.hstack(tiles)
     scale = 1600 / row.shape[1]
     row = cv2.resize(row, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    learnt = np.clip(tracked.template.body, 0, 255).astype(np.uint8)
+    learnt: Any = np.clip(tracked.template.body, 0, 255).astype(np.uint8)
     learnt = cv2.resize(cv2.cvtColor(learnt, cv2.COLOR_GRAY2BGR), (row.shape[1], 200))
-    from gyrotrack.io._atomic import new_file
-
     encoded = cv2.imencode(".png", np.vstack([row, learnt]))[1]
     with new_file(path, force=True) as stream:
         stream.write(encoded.tobytes())

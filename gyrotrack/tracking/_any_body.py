@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -37,7 +36,9 @@ Bools = npt.NDArray[np.bool_]
 Plane = npt.NDArray[np.uint8]
 Progress = Callable[[int, int | None], None]
 
-_HELD = 600_000_000  # bytes of decoded pictures kept in memory; beyond it a film is decoded again for each pass
+_HELD = (
+    600_000_000  # bytes of decoded pictures kept in memory; beyond it a film is decoded again for each pass
+)
 _TRIAL = 300  # frames on which a hub is tried
 _LEARNT = 300  # frames from which the body's picture is learnt
 _COARSE = 48.0
@@ -46,7 +47,7 @@ _EXPLAINED = 0.25
 """Share of the change of brightness that a turning body must explain; below it nothing is tracked."""
 _STRETCH_SPAN = 3.0
 """Motion in rad from which the ellipse of a tilted camera is sought."""
-_STATIC_SPAN = 0.5
+_STATIC_SPAN = 1.0
 """Motion in rad from which the fixed picture is told from the body's."""
 
 
@@ -60,7 +61,7 @@ class Film:
         held = 0
         seen: list[Plane] = []
         self.repeats: list[bool] = []
-        before: Plane | None = None
+        before: npt.NDArray[np.int16] | None = None
         changes = []
         with Reader(path, threads) as reader:
             for frame in reader:
@@ -194,14 +195,15 @@ def track_body(
     else:
         proposals = propose_hubs(block, motion)
     trials = [trial for p in proposals for trial in _trials(p, block, motion)]
-    trials.sort(key=lambda trial: -trial.score)
+    trials.sort(key=lambda trial: -trial.score - 0.02 * trial.static)
     if not trials or trials[0].score < 0.02:
         raise TrackingError(
             f"no body that turns about a hub is found in {film.path.name}",
             "give the centre of rotation with --hub X,Y",
         )
     best = max(
-        (_refined_trial(trial, block, keep=hub is not None) for trial in _distinct(trials)), key=lambda t: t.score
+        (_refined_trial(trial, block, keep=hub is not None) for trial in _distinct(trials)),
+        key=lambda t: t.score,
     )
     if best.score < _EXPLAINED:
         raise TrackingError(
@@ -263,7 +265,9 @@ def _trials(proposal: Proposal, block: Sequence[Plane], motion: Motion) -> list[
     for static, bands in ((True, ("low", "middle", "high")), (False, ("low", "high"))):
         weight = area if static else area * moving
         for band in bands:
-            rough = follow(polars, weight.astype(np.float32), mean if static else np.zeros_like(mean), ring, band=band)
+            rough = follow(
+                polars, weight.astype(np.float32), mean if static else np.zeros_like(mean), ring, band=band
+            )
             if np.ptp(rough.angle) < 2e-3:
                 continue
             score, _ = _score(polars, rough.angle, allowed, ring)
@@ -271,9 +275,14 @@ def _trials(proposal: Proposal, block: Sequence[Plane], motion: Motion) -> list[
     return found
 
 
+def _separable(angle: Floats) -> bool:
+    """Tell whether a motion is large enough to tell the fixed picture from the body's."""
+    return float(np.ptp(angle)) > _STATIC_SPAN
+
+
 def _score(polars: Sequence[Picture], angle: Floats, allowed: Bools, ring: Ring) -> tuple[float, Floats]:
     use = slice(None, None, max(1, len(polars) // 100))
-    template = learn(polars[use], angle[use], allowed, ring, separate=np.ptp(angle) > _STATIC_SPAN, plain=True)
+    template = learn(polars[use], angle[use], allowed, ring, separate=_separable(angle), plain=True)
     return explained(polars, angle, template)
 
 
@@ -310,9 +319,9 @@ def _refined_trial(trial: _Trial, block: Sequence[Plane], *, keep: bool) -> _Tri
         allowed = there.inside(shape)
         polars = [there.unwrap(frame) for frame in few]
         for _ in range(2):
-            template = learn(polars, angle, allowed, there, separate=np.ptp(angle) > _STATIC_SPAN, plain=True)
+            template = learn(polars, angle, allowed, there, separate=_separable(angle), plain=True)
             angle = np.array([register(p, template, a).angle for p, a in zip(polars, angle, strict=True)])
-        template = learn(polars, angle, allowed, there, separate=np.ptp(angle) > _STATIC_SPAN, plain=True)
+        template = learn(polars, angle, allowed, there, separate=_separable(angle), plain=True)
         usable = (allowed * there.area).astype(np.float32)
         mean = np.mean(polars, axis=0)
         rest = sum(
@@ -322,17 +331,18 @@ def _refined_trial(trial: _Trial, block: Sequence[Plane], *, keep: bool) -> _Tri
         total = sum(float(np.sum(usable * (p - mean) ** 2)) for p in polars)
         return 1.0 - rest / max(total, 1e-9), angle
 
-    place = np.array([*ring.hub, *ring.stretch])
+    place: Floats = np.array([*ring.hub, *ring.stretch])
+    angles: Floats
     best, angles = tried(place, angle[use])
     free = _free(ring, angle, given=keep)
     for _ in range(6 if free else 0):
-        step = np.zeros(4)
-        step[free] = ring_step(_placed(ring, place), few, angles, free)
+        change: Floats = np.zeros(4)
+        change[free] = ring_step(_placed(ring, place), few, angles, free)
         factor, before, start = 1.0, best, place
         while True:  # lengthen the step while that helps, for the learnt picture gives way
-            value, there = tried(start + factor * step, angles)
+            value, there = tried(start + factor * change, angles)
             if value > best:
-                best, place, angles, factor = value, start + factor * step, there, 1.7 * factor
+                best, place, angles, factor = value, start + factor * change, there, 1.7 * factor
             elif best > before or factor < 0.2:
                 break
             else:
@@ -342,9 +352,7 @@ def _refined_trial(trial: _Trial, block: Sequence[Plane], *, keep: bool) -> _Tri
     ring = _placed(ring, place)
     polars = [ring.unwrap(frame) for frame in block]
     allowed = ring.inside(shape)
-    template = learn(
-        [polars[i] for i in use], angles, allowed, ring, separate=np.ptp(angles) > _STATIC_SPAN, plain=True
-    )
+    template = learn([polars[i] for i in use], angles, allowed, ring, separate=_separable(angles), plain=True)
     offset = float(np.median(angles - angle[use]))
     angle = np.array([register(p, template, a + offset).angle for p, a in zip(polars, angle, strict=True)])
     score, _ = _score(polars, angle, allowed, ring)
@@ -361,7 +369,7 @@ def ring_step(ring: Ring, frames: Sequence[Plane], angles: Floats, free: Sequenc
     """Return the Gauss-Newton step in hub and stretch (x, y, p, q), the learnt picture and the angles projected out."""
     allowed = ring.inside(frames[0].shape)
     polars = [ring.unwrap(frame) for frame in frames]
-    template = learn(polars, angles, allowed, ring, separate=np.ptp(angles) > _STATIC_SPAN, plain=True)
+    template = learn(polars, angles, allowed, ring, separate=_separable(angles), plain=True)
     cos, sin = np.cos(ring.angle), np.sin(ring.angle)
     x, y = ring.radius[:, None] * cos, ring.radius[:, None] * sin
     kernel = (ring.outer - ring.inner) / ring.rows
@@ -446,28 +454,45 @@ def _measure(
     shape = motion.mean.shape
     allowed = coarse.inside(shape)
     wanted = set(usable.tolist())
-    polars = [coarse.unwrap(f).astype(np.float16) for i, f in enumerate(film.frames()) if i in wanted]
+    polars = [coarse.unwrap(f) for i, f in enumerate(film.frames()) if i in wanted]
     use = np.unique(np.linspace(0, len(polars) - 1, 120).astype(int))
-    mean = np.mean([polars[i].astype(np.float32) for i in use], axis=0)
-    moving = np.std([polars[i].astype(np.float32) for i in use], axis=0) > 4 * motion.noise
-    weight = (coarse.area * allowed * (1.0 if best.static else moving)).astype(np.float32)
-    fixed = mean if best.static else np.zeros_like(mean)
-    angle = np.zeros(len(polars))
-    after = [p.astype(np.float32) for p in polars[first:]]
-    angle[first:] = follow(after, weight, fixed, coarse, band=best.band).angle
-    if first:
-        before = [p.astype(np.float32) for p in polars[first::-1]]
-        angle[first::-1] = follow(before, weight, fixed, coarse, band=best.band).angle
-    angle = _settle([p.astype(np.float32) for p in polars], angle, allowed, coarse)
+    mean = np.mean([polars[i] for i in use], axis=0)
+    moving = np.std([polars[i] for i in use], axis=0) > 4 * motion.noise
+    ways = [(best.static, best.band)]
+    ways += [(s, b) for s in (True, False) for b in ("high", "middle", "low") if (s, b) != ways[0]]
+    angle, share = np.zeros(len(polars)), -math.inf
+    for static, band in ways:
+        weight = (coarse.area * allowed * (1.0 if static else moving)).astype(np.float32)
+        fixed = mean if static else np.zeros_like(mean)
+        found = np.zeros(len(polars))
+        found[first:] = follow(polars[first:], weight, fixed, coarse, band=band).angle
+        if first:
+            found[first::-1] = follow(polars[first::-1], weight, fixed, coarse, band=band).angle
+        score, _ = _score(polars, found, allowed, coarse)
+        if score > share:
+            angle, share = found, score
+        if share > 0.85 * best.score:
+            break
+    angle = _settle(polars, angle, allowed, coarse)
+    share, _ = _score(polars, angle, allowed, coarse)
+    if share < _EXPLAINED:
+        raise TrackingError(
+            f"the body in {film.path.name} is followed through a part of the film only: its turning explains "
+            f"{100 * max(share, 0):.0f} % of the change of brightness, {100 * _EXPLAINED:.0f} % are needed",
+            "cut the film to the motion, or give the centre of rotation with --hub X,Y",
+        )
+    best = replace(best, score=share)
     ring = replace(
-        Ring.about(coarse.hub, coarse.inner, coarse.outer, finest=_FINE, start=coarse.start, span=coarse.span),
+        Ring.about(
+            coarse.hub, coarse.inner, coarse.outer, finest=_FINE, start=coarse.start, span=coarse.span
+        ),
         stretch=coarse.stretch,
     )
     allowed = ring.inside(shape)
     limit = max(40, min(_LEARNT, int(400e6 / (4 * ring.rows * ring.columns))))
     chosen = np.unique(np.linspace(0, len(usable) - 1, limit).astype(int))
     pictures = film.some(usable[chosen])
-    separate = bool(np.ptp(angle[chosen]) > _STATIC_SPAN)
+    separate = _separable(angle[chosen])
     free = _free(ring, angle, given=best.way == "given")
     for _ in range(2):
         shown = [ring.unwrap(picture) for picture in pictures]
@@ -500,7 +525,12 @@ def _settle(polars: Sequence[Picture], angle: Floats, allowed: Bools, ring: Ring
     for _ in range(2):
         use = np.unique(np.linspace(0, len(polars) - 1, _LEARNT).astype(int))
         template = learn(
-            [polars[i] for i in use], angle[use], allowed, ring, separate=np.ptp(angle) > _STATIC_SPAN, plain=True
+            [polars[i] for i in use],
+            angle[use],
+            allowed,
+            ring,
+            separate=_separable(angle),
+            plain=True,
         )
         angle = np.array([register(p, template, a).angle for p, a in zip(polars, angle, strict=True)])
     return angle
@@ -508,11 +538,11 @@ def _settle(polars: Sequence[Picture], angle: Floats, allowed: Bools, ring: Ring
 
 def _good(poses: Sequence[Pose]) -> Floats:
     misfit = np.array([p.misfit for p in poses])
-    return (misfit < 3 * np.median(misfit)).astype(float)
+    return np.asarray(misfit < 3 * np.median(misfit), dtype=np.float64)
 
 
 def _hub_motion(polars: Sequence[Picture], angle: Floats, template: Template) -> float:
-    """Return the standard deviation of the hub's displacement [px]; 0 where it explains less than a fifth of the rest."""
+    """Return the standard deviation of the hub's displacement [px]; 0 where it explains hardly anything."""
     fixed = [register(p, template, a) for p, a in zip(polars, angle, strict=True)]
     moved = [register(p, template, a, move=True) for p, a in zip(polars, angle, strict=True)]
     gain = np.median([m.misfit for m in moved]) / max(float(np.median([f.misfit for f in fixed])), 1e-12)
@@ -544,7 +574,9 @@ def _finish(
         warnings.append(f"{repeated} of {len(film)} frames repeat the one before them and are left out.")
     lost = int((~kept).sum())
     if lost:
-        warnings.append(f"{lost} of {len(kept)} frames do not show the body as the others do and are left out.")
+        warnings.append(
+            f"{lost} of {len(kept)} frames do not show the body as the others do and are left out."
+        )
     return Tracked(
         frame=usable[kept],
         angle=angle[kept],

@@ -1,14 +1,16 @@
 """Proposals for the hub of a body that turns, from the film alone.
 
-Three independent ways, each blind to what another one sees: the centre towards which the edges of the mean picture point
-(many turns smear a body into circles); the fixed point of the similarity of two frames (features of a textured body); the
-centre of the orbit of a compact spot. Which of them is right is decided by registration, not here.
+Three independent ways, each blind to what another one sees: the centre towards which the edges of the mean picture
+point (many turns smear a body into circles); the fixed point of the similarity of two frames (features of a textured
+body); the centre of the orbit of a compact spot. Which of them is right is decided by registration, not here.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -52,12 +54,22 @@ class Motion:
             square += shown**2
         mean = total / len(frames)
         deviation = np.sqrt(np.maximum(square / len(frames) - mean**2, 0.0))
-        noise = max(float(np.quantile(deviation, 0.3)), 0.5)
+        noise = max(min(float(np.quantile(deviation, 0.3)), _spatial_noise(frames)), 0.5)
         smooth = cv2.blur(deviation, (3, 3))
         moving = cv2.morphologyEx(
             (smooth > 4.0 * noise).astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8)
         ).astype(bool)
         return cls(mean, deviation, noise, moving)
+
+
+def _spatial_noise(frames: Sequence[Plane]) -> float:
+    """Return the noise of single frames by the difference of two Laplacians (Immerkaer 1996)."""
+    kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float64)
+    found = [
+        float(np.mean(np.abs(cv2.filter2D(f.astype(np.float64), -1, kernel))))
+        for f in frames[:: max(1, len(frames) // 8)]
+    ]
+    return math.sqrt(math.pi / 2) / 6 * float(np.median(found))
 
 
 @dataclass(frozen=True)
@@ -110,7 +122,7 @@ def edge_hub(motion: Motion) -> tuple[float, float] | None:
     offset = normal[:, 0] * x + normal[:, 1] * y
     base = np.minimum(size[y, x], 20.0)
     scale = 0.25 * float(max(motion.mean.shape))
-    hub = np.array([np.median(x), np.median(y)], dtype=np.float64)
+    hub: Any = np.array([np.median(x), np.median(y)], dtype=np.float64)
     for _ in range(40):
         miss = normal @ hub - offset
         weight = base / (1.0 + (miss / scale) ** 2) ** 2
@@ -172,7 +184,7 @@ def _solve_circle(x: Floats, y: Floats) -> tuple[float, float, float] | None:
 
 def similarity_hub(frames: Sequence[Plane], motion: Motion) -> tuple[float, float] | None:
     """Return the fixed point of the similarities between frames a few steps apart, from features that move."""
-    mask = cv2.dilate(motion.moving.astype(np.uint8), np.ones((9, 9), np.uint8))
+    mask = cv2.dilate(motion.moving.astype(np.uint8), np.ones((9, 9), np.uint8)).astype(np.uint8)
     if mask.sum() < 50:
         return None
     found: list[tuple[complex, complex]] = []
@@ -188,12 +200,16 @@ def similarity_hub(frames: Sequence[Plane], motion: Motion) -> tuple[float, floa
     moved = np.array([b for _, b in found])
     left = 1.0 - turn
     weight = np.abs(left) > np.median(np.abs(left)) * 0.5
-    hub = complex(np.sum(np.conj(left) * moved * weight) / max(float(np.sum(np.abs(left) ** 2 * weight)), 1e-12))
+    hub = complex(
+        np.sum(np.conj(left) * moved * weight) / max(float(np.sum(np.abs(left) ** 2 * weight)), 1e-12)
+    )
     for _ in range(20):
         miss = np.abs(moved - left * hub)
         scale = max(1.4826 * float(np.median(miss)), 1e-3)
         robust = weight / (1.0 + (miss / (2 * scale)) ** 2)
-        hub = complex(np.sum(np.conj(left) * moved * robust) / max(float(np.sum(np.abs(left) ** 2 * robust)), 1e-12))
+        hub = complex(
+            np.sum(np.conj(left) * moved * robust) / max(float(np.sum(np.abs(left) ** 2 * robust)), 1e-12)
+        )
     return hub.real, hub.imag
 
 
@@ -202,14 +218,18 @@ def similarity(first: Plane, second: Plane, mask: Plane) -> tuple[complex, compl
     points = cv2.goodFeaturesToTrack(first, _FEATURES, 0.01, 5, mask=mask)
     if points is None or len(points) < 6:
         return None
-    there, status, _ = cv2.calcOpticalFlowPyrLK(first, second, points, None, winSize=(21, 21), maxLevel=4)  # type: ignore[call-overload]
-    back, again, _ = cv2.calcOpticalFlowPyrLK(second, first, there, None, winSize=(21, 21), maxLevel=4)
+    options: dict[str, Any] = {"winSize": (21, 21), "maxLevel": 4}
+    flow: Any = cv2.calcOpticalFlowPyrLK
+    there, status, _ = flow(first, second, points, None, **options)
+    back, again, _ = flow(second, first, there, None, **options)
     sure = (status[:, 0] == 1) & (again[:, 0] == 1) & (np.abs(points - back).max(axis=(1, 2)) < 0.5)
     start, end = points[sure, 0], there[sure, 0]
     moves = np.hypot(*(end - start).T) > 0.3
     if moves.sum() < 6:
         return None
-    found, inside = cv2.estimateAffinePartial2D(start[moves], end[moves], method=cv2.RANSAC, ransacReprojThreshold=1.0)
+    found, inside = cv2.estimateAffinePartial2D(
+        start[moves], end[moves], method=cv2.RANSAC, ransacReprojThreshold=1.0
+    )
     if found is None or inside.sum() < max(6, 0.4 * moves.sum()):
         return None
     a = complex(found[0, 0], found[1, 0])

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -80,12 +81,12 @@ class Ring:
     def radius(self) -> Floats:
         """Radii of the rows [px], shape (rows,)."""
         step = (self.outer - self.inner) / self.rows
-        return self.inner + step * (np.arange(self.rows) + 0.5)
+        return np.asarray(self.inner + step * (np.arange(self.rows) + 0.5), dtype=np.float64)
 
     @property
     def angle(self) -> Floats:
         """Angles of the columns [rad], shape (columns,)."""
-        return self.start + self.span / self.columns * np.arange(self.columns)
+        return np.asarray(self.start + self.step * np.arange(self.columns), dtype=np.float64)
 
     @property
     def step(self) -> float:
@@ -115,9 +116,7 @@ class Ring:
         step = (self.outer - self.inner) / self.rows
         if step > 1.5:  # average what a sample covers
             picture = cv2.blur(picture, (2 * round((step - 1) / 2) + 1,) * 2).astype(np.uint8)
-        found = cv2.remap(
-            picture.astype(np.float32), x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
-        )
+        found = cv2.remap(picture.astype(np.float32), x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(found, dtype=np.float32)
 
 
@@ -269,7 +268,9 @@ def register(polar: Picture, template: Template, start: float, *, move: bool = F
             normal[3:, 3:] += np.eye(2) / template.hub_sigma**2
         normal += np.eye(len(normal)) * 1e-9 * np.trace(normal) / len(normal)
         solved = np.linalg.solve(normal, (weighted @ residual.ravel()).astype(np.float64))
-        misfit = float(np.sum(robust * (residual - (basis.T @ solved).reshape(body.shape)) ** 2) / np.sum(area))
+        misfit = float(
+            np.sum(robust * (residual - (basis.T @ solved).reshape(body.shape)) ** 2) / np.sum(area)
+        )
         moved = float(np.clip(solved[0], -1.5, 1.5))
         step = here + moved - turned
         turned = here + moved
@@ -331,10 +332,13 @@ def learn(
         for polar, angle, count in zip(polars, angles, counted, strict=True):
             if count > 0:
                 whole, part = _split(angle / ring.step)
-                shown = rolled((polar - fixed) * usable, -part)
-                total += np.float32(count) * np.roll(shown, -whole, axis=1)
-                number += np.float32(count) * np.roll(usable, -whole, axis=1)
+                seen = np.float32(count) * np.roll(usable, -whole, axis=1)
+                total += seen * np.roll(rolled(polar - fixed, -part), -whole, axis=1)
+                number += seen
         body = np.asarray(total / number, dtype=np.float32)
+        unseen = number < 0.5
+        level = np.sum(np.where(unseen, 0, body), axis=1) / np.maximum((~unseen).sum(axis=1), 1)
+        body = np.where(unseen, level[:, None], body).astype(np.float32)
         if separate:
             change = np.zeros_like(fixed)
             for polar, angle, count in zip(polars, angles, counted, strict=True):
@@ -342,7 +346,8 @@ def learn(
                     change += np.float32(count) * (polar - rolled(body, angle / ring.step))
             fixed = np.asarray(change / np.float32(counted.sum()), dtype=np.float32)
             fixed -= fixed.mean(axis=1, keepdims=True)
-    by_body, by_image = np.zeros_like(fixed), np.zeros_like(fixed)
+    by_body: Any = np.zeros_like(fixed)
+    by_image: Any = np.zeros_like(fixed)
     number = np.full_like(fixed, 1e-6)
     for polar, angle, count in zip(polars, angles, counted, strict=True):
         if count > 0:
@@ -351,7 +356,7 @@ def learn(
             by_image += np.float32(count) * square
             by_body += np.float32(count) * np.roll(square * usable, -whole, axis=1)
             number += np.float32(count) * np.roll(usable, -whole, axis=1)
-    by_body = cv2.blur(by_body / number, (3, 3))
+    by_body = cv2.blur(np.where(number < 0.5, by_body.sum() / number.sum(), by_body / number), (3, 3))
     by_image = cv2.blur(by_image / np.float32(counted.sum()), (3, 3))
     noise = max(float(np.quantile(by_body[number > 0.5 * number.max()], 0.2)), 0.05)
     if plain:
@@ -439,7 +444,9 @@ def follow(polars: Sequence[Picture], weight: Picture, fixed: Picture, ring: Rin
         found = correlation(mean, shown * root, band=band)
         away = (centred - expected + size / 2) % size - size / 2
         trust = min(known, 8) / 8
-        judged = found - (0.05 + 0.45 * trust) * found.max() * (away / (size / 2)) ** 2 * (4 if trust > 0.9 else 1)
+        judged = found - (0.05 + 0.45 * trust) * found.max() * (away / (size / 2)) ** 2 * (
+            4 if trust > 0.9 else 1
+        )
         best = int(np.argmax(judged))
         before, at, after = found[(best - 1) % size], found[best], found[(best + 1) % size]
         bend = before - 2 * at + after
@@ -472,7 +479,9 @@ def explained(polars: Sequence[Picture], angles: Floats, template: Template) -> 
     usable = (template.allowed * template.ring.area).astype(np.float32)
     lags = [lag for lag in (1, 2, 4, 8, 16, 32) if lag < len(polars) // 2]
     some = range(0, len(polars) - lags[-1], max(1, len(polars) // 40))
-    change = [float(np.mean([np.sum(usable * (polars[i + lag] - polars[i]) ** 2) for i in some])) for lag in lags]
+    change = [
+        float(np.mean([np.sum(usable * (polars[i + lag] - polars[i]) ** 2) for i in some])) for lag in lags
+    ]
     lag = next(lag for lag, size in zip(lags, change, strict=True) if size >= 0.5 * max(change))
     total, rest, noise = (np.zeros(len(usable)) for _ in range(3))
     for i in range(0, len(polars) - lag, max(1, len(polars) // 100)):

@@ -41,7 +41,10 @@ COMMANDS = (
         "Track a film: from frames to angles and their errors.",
     ),
     Entry(
-        "spindown", "gyrotrack.apps.cli._spindown", _DATA, "Measure one rotating body: film or table to report."
+        "spindown",
+        "gyrotrack.apps.cli._spindown",
+        _DATA,
+        "Measure one rotating body: film or table to report.",
     ),
     Entry("import", "gyrotrack.apps.cli._data", _DATA, "Make a case from tables of angles or speeds (CSV)."),
     Entry("sync", "gyrotrack.apps.cli._tracking", _DATA, "Put the clips of one experiment on one clock."),

@@ -18,10 +18,12 @@ def spindown_command(
     ],
     *,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="FILE", help="Case to write; SOURCE.h5 if not given.")
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE", help="Case to write; SOURCE.h5 if not given."),
     ] = None,
     report: Annotated[
-        Path | None, typer.Option("--report", metavar="FILE", help="Report to write; beside the case if not given.")
+        Path | None,
+        typer.Option("--report", metavar="FILE", help="Report to write; beside the case if not given."),
     ] = None,
     hub: Annotated[
         str | None,
@@ -66,7 +68,9 @@ def spindown_command(
         refuse_existing(path, force=force)
     wish = Wish(_place(hub), capture_fps, inertia, pulses_per_turn, keep_all, label)
     with out.progress(f"tracking {source.name}", "frames") as progress:
-        document = spindown(source, target, page, wish, command=command_line(), force=force, progress=progress)
+        document = spindown(
+            source, target, page, wish, command=command_line(), force=force, progress=progress
+        )
     for warning in document["warnings"]:
         out.warn(warning)
     out.result(document)
@@ -81,7 +85,9 @@ def _place(text: str | None) -> tuple[float, float] | None:
     try:
         x, y = (float(part) for part in text.split(","))
     except ValueError as error:
-        raise UsageError(f"--hub {text[:40]!r} is not a place.", "Give two numbers in px, such as 320,240.") from error
+        raise UsageError(
+            f"--hub {text[:40]!r} is not a place.", "Give two numbers in px, such as 320,240."
+        ) from error
     return x, y
 
 
