@@ -32,6 +32,7 @@ BLUE, VERMILLION, GREY, YELLOW = "#0072B2", "#D55E00", "#BBBBBB", "#F0E442"
 _VERDICTS = {
     "adequate": ("✓", "consistent with noise"),
     "misfit": ("!", "significant lack of fit"),
+    "not determined": ("!", "a parameter is not determined"),
     "not converged": ("✗", "not converged: do not use these numbers"),
     "missing_effect": ("✚", "an effect is missing"),
     "unexplained": ("!", "an unexplained torque remains"),

@@ -24,6 +24,9 @@ UNKNOWN_UNIT = "SI"
 # of the moments those that are tried where a law has other shape constants as well
 _COARSE = 5
 _BODIES = ("rotor", "casing", "bearing")
+_FIRST_VARIABLE = {"rotor": "omega_r", "casing": "omega_c", "bearing": "delta"}
+# so many edits turn a misspelt name into that of a variable
+_EDITS = 2
 _NOT_FOR_USERS = {"temperature", "chirp", "tau", "psi", "omega"}
 
 
@@ -54,6 +57,7 @@ def formula(
         raise EffectError(
             f"the law {law!r} has no parameter to fit", "write for example: casing: -k*omega_c**3"
         )
+    _refuse_misspelt(expression, [s for s in own if s not in declared], body)
     for symbol in sorted(set(declared) - set(own)):
         raise EffectError(f"the parameter {symbol!r} does not occur in the law {law!r}", _hint())
     amplitude = _strength(law, expression, [s for s in own if not declared.get(s, {}).get("shape", False)])
@@ -77,6 +81,40 @@ def formula(
     )
     _check(effect)
     return effect
+
+
+def _refuse_misspelt(expression: Expr, undeclared: Sequence[str], body: str) -> None:
+    """Refuse parameters that nobody declared and that are probably misspelt variables.
+
+    That is a name within two edits of a variable, or, in a law that contains no variable at all, any name beside a
+    strength.
+    """
+    variables = [v for v in VARIABLES if v not in _NOT_FOR_USERS]
+    for symbol in undeclared:
+        # a short name is within two edits of nearly everything
+        near = [v for v in variables if len(v) > _EDITS + 2]
+        distance, _, variable = min((edit_distance(symbol, v), not v.endswith(body[0]), v) for v in near)
+        if distance <= _EDITS:
+            raise EffectError(
+                f"unknown name {symbol!r} in the law; did you mean {variable}?",
+                f"if it is a parameter, declare {symbol} in a file of effects (--effects) or rename it",
+            )
+    if len(undeclared) > 1 and not symbols(expression) & set(variables):
+        raise EffectError(
+            f"the law contains no variable of the {body}, only the names {', '.join(undeclared)}; "
+            f"did you mean {_FIRST_VARIABLE[body]}?",
+            "if all are parameters, declare them in a file of effects (--effects)",
+        )
+
+
+def edit_distance(a: str, b: str) -> int:
+    """Return the least number of insertions, deletions and substitutions that turn one word into another."""
+    row = list(range(len(b) + 1))
+    for i, x in enumerate(a, 1):
+        row, above = [i], row
+        for j, y in enumerate(b, 1):
+            row.append(min(above[j] + 1, row[j - 1] + 1, above[j - 1] + (x != y)))
+    return row[-1]
 
 
 def _check(effect: Effect) -> None:

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 VERDICT_TEXT = {
     "adequate": "adequate; the residuals are consistent with noise",
     "misfit": "significant lack of fit; run `gyrotrack diagnose`",
+    "not determined": "a parameter is not determined: its uncertainty exceeds its value a hundredfold",
     "not converged": "not converged; the values are not reliable",
 }
 
@@ -172,6 +173,8 @@ def not_determined(estimates: Mapping[str, Estimate]) -> list[str]:
 REDUCED_CHI2 = 1.4
 # p-value of the lack-of-fit test below which the lack of fit is significant
 LACK_OF_FIT_P = 1e-5
+# standard uncertainty over value above which a parameter is not determined, however good the fit
+UNDETERMINED = 100.0
 
 
 @dataclass(frozen=True)
@@ -240,11 +243,23 @@ class Fit(FitSummary):
 
     @cached_property
     def verdict(self) -> str:
-        """One of "adequate", "misfit" and "not converged"."""
+        """One of "adequate", "misfit", "not determined" and "not converged"."""
         if not self.converged:
             return "not converged"
         left = self.lack_of_fit.p_value < LACK_OF_FIT_P or any(c.misfit > REDUCED_CHI2 for c in self.cases)
-        return "misfit" if left else "adequate"
+        if left:
+            return "misfit"
+        return "not determined" if self.undetermined else "adequate"
+
+    @property
+    def undetermined(self) -> list[str]:
+        """Parameters whose standard uncertainty exceeds their value a hundredfold; an angle is none of them."""
+        return [
+            k
+            for k in not_determined(self.estimates)
+            if self.estimates[k].stderr > UNDETERMINED * abs(self.estimates[k].value)
+            and self.problem.layout.parameter(k).role != "phase"
+        ]
 
     @property
     def reduced_chi2(self) -> float:

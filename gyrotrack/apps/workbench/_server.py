@@ -22,7 +22,7 @@ from gyrotrack._errors import GyrotrackError, UsageError
 from gyrotrack.apps.workbench._films import Clips, profile_text
 from gyrotrack.apps.workbench._ranking import Ranker
 from gyrotrack.apps.workbench._session import Session, library_document
-from gyrotrack.plotting import _interactive as charts
+from gyrotrack.plotting import _charts as charts
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -302,8 +302,8 @@ def page_text(label: str) -> tuple[str, str]:
     folder = resources.files("gyrotrack.apps.workbench")
     environment = Environment(autoescape=True, undefined=StrictUndefined)
     template = environment.from_string(folder.joinpath("page.html.jinja").read_text("utf-8"))
-    scripts = (charts.script(), folder.joinpath("view.js").read_text("utf-8"))
-    style = folder.joinpath("view.css").read_text("utf-8") + charts.style()
+    scripts = (*charts.scripts(), folder.joinpath("view.js").read_text("utf-8"))
+    style = charts.theme() + folder.joinpath("view.css").read_text("utf-8") + charts.style()
     page = template.render(title=label, style=style, scripts=scripts)
     return page, charts.content_policy(scripts, connect=True)
 

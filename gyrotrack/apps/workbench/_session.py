@@ -7,7 +7,7 @@ from threading import RLock
 from typing import TYPE_CHECKING, Any
 
 from gyrotrack._errors import GyrotrackError
-from gyrotrack.plotting._interactive import board_document
+from gyrotrack.plotting._charts import dashboard_document, interval_document
 
 if TYPE_CHECKING:
     from fitting.discovery._residuals import ResidualTorque
@@ -220,8 +220,8 @@ class Session:
     def _board(self, step: Step, *, whole: bool) -> dict[str, Any]:
         from fitting.discovery._residuals import find_failures
         from fitting.discovery._select import Step as FitStep
-        from gyrotrack.apps.report._dashboard import case_board, mark
-        from gyrotrack.plotting._study_data import case_view
+        from gyrotrack.plotting._case_charts import case_dashboard
+        from gyrotrack.plotting._study_data import case_view, intervals_of
         from gyrotrack.plotting._tracking import tracks_of
 
         before = self.steps[step.parent] if step.parent >= 0 else None
@@ -230,9 +230,9 @@ class Session:
         view = case_view(rungs, None, [self._torques(s) for s in steps], 0)
         tracks = tracks_of(self._case) if whole and self._case is not None else None
         names = ("before", "now") if before is not None else ("now",)
-        board = board_document(case_board(view, tracks, [s.change for s in steps], names=names))
+        board = dashboard_document(case_dashboard(view, tracks, [s.change for s in steps], names=names))
         failures = find_failures(step.fit, list(self._torques(step)))
-        board["marks"] = [asdict(mark(f)) for f in failures]
+        board["intervals"] = [interval_document(i) for i in intervals_of(failures)]
         return board
 
     def _torques(self, step: Step) -> tuple[ResidualTorque, ...]:

@@ -2,7 +2,7 @@
 /* The workbench. Every text from the server becomes a text node; nothing is ever read as markup. */
 (() => {
   const token = new URLSearchParams(location.search).get("token") || "";
-  const { Board, element, told } = Charts;
+  const { Board, element, button, format } = Charts;
   const at = (id) => document.getElementById(id);
   const BODIES = ["rotor", "casing"];
   const COLOURS = ["red", "orange", "yellow", "green", "cyan", "blue", "magenta", "white"];
@@ -53,14 +53,9 @@
     }
   }
 
-  function button(text, label, work) {
-    const out = element("button", { type: "button", "aria-label": label }, text);
-    out.addEventListener("click", work);
-    return out;
-  }
-
   const VERDICTS = {
     adequate: "adequate: what the model leaves is noise", misfit: "the model misses something",
+    "not determined": "a parameter is not determined by the data",
     "not converged": "not converged: do not trust these numbers",
   };
 
@@ -70,7 +65,7 @@
     const charts = [...state.board.charts];
     if (!board) {
       fixed = charts.filter((c) => c.name === "sigma" || c.name === "centre");
-      board = new Board(at("board"), state.board, { click: (t) => seek(t), stretch: (a, b) => stretch(a, b) });
+      board = new Board(at("board"), state.board, { click: (t) => seek(t), interval: (a, b) => stretch(a, b) });
     } else {
       board.set({ ...state.board, charts: [...charts, ...fixed] });
     }
@@ -86,9 +81,9 @@
       bar.style.width = `${Math.max(1, 100 * r.rmse_casing / largest)}%`;
       const name = (r.parent >= 0 ? r.added : "start") + (r.fit_id ? ` (${r.fit_id})` : "");
       return element("tr", i === state.current ? { class: "now" } : {},
-        element("th", { scope: "row" }, name, bar), element("td", {}, told(r.rmse_casing, 3)),
-        element("td", {}, told(r.reduced_chi2, 3)), element("td", {}, told(r.held_out, 3)),
-        element("td", {}, i ? told(r.delta_bic, 3) : "\u2013"),
+        element("th", { scope: "row" }, name, bar), element("td", {}, format(r.rmse_casing, 3)),
+        element("td", {}, format(r.reduced_chi2, 3)), element("td", {}, format(r.held_out, 3)),
+        element("td", {}, i ? format(r.delta_bic, 3) : "\u2013"),
         element("td", {}, i === state.current ? "shown" : button("show", `show fit ${i + 1}`, () => go(i))));
     }));
   }
@@ -126,8 +121,8 @@
         ...(c.kind === "measurement" ? ["artefact"] : []),
         ...(c.indistinguishable_from.length ? [`not told from ${c.indistinguishable_from.join(", ")}`] : []),
       ].join("; "))),
-      element("td", {}, told(c.score, 3)), element("td", {}, c.delta_bic === null ? "\u2013" : told(c.delta_bic, 3)),
-      element("td", {}, c.p_value < 1e-30 ? "< 10\u207b\u00b3\u2070" : told(c.p_value, 1)),
+      element("td", {}, format(c.score, 3)), element("td", {}, c.delta_bic === null ? "\u2013" : format(c.delta_bic, 3)),
+      element("td", {}, c.p_value < 1e-30 ? "< 10\u207b\u00b3\u2070" : format(c.p_value, 1)),
       element("td", {}, free.has(c.effect) ? "in every fit"
         : button("add", `add ${c.effect}`, () => change({ add: c.effect }))))));
   }

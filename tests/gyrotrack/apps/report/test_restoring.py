@@ -30,7 +30,7 @@ def never(*_args, **_kwargs):
 
 def test_fits_are_not_searched_again(story, study, monkeypatch):
     monkeypatch.setattr("fitting.study._history.robust_fit", never)
-    for old, new in zip(story.rungs, study.rungs_to(None), strict=True):
+    for old, new in zip(story.rungs, study.steps_to(None), strict=True):
         assert new.change == old.change
         np.testing.assert_array_equal(new.fit.theta, old.fit.theta)
         assert new.fit.verdict == old.fit.verdict
@@ -42,7 +42,7 @@ def test_fits_are_not_searched_again(story, study, monkeypatch):
 
 def test_a_diagnosis_is_not_made_again(story, study, monkeypatch):
     monkeypatch.setattr("fitting.discovery._verdict.diagnose", never)
-    rungs = study.rungs_to(None)
+    rungs = study.steps_to(None)
     new, old = study.diagnosis(None, rungs[0].fit), story.diagnosis
     for name in ("verdict", "sentence", "failures", "next_experiment"):
         assert getattr(new, name) == getattr(old, name)
@@ -58,11 +58,11 @@ def test_a_diagnosis_is_not_made_again(story, study, monkeypatch):
 
 
 def test_a_report_shows_the_same_curves(story, study):
-    rungs = study.rungs_to(None)
+    rungs = study.steps_to(None)
     new = gather(rungs, study.diagnosis(None, rungs[0].fit))
     old = gather([Step(r.change, r.fit, ()) for r in story.rungs], story.diagnosis)
-    assert [s.name for s in new.cases[0].suggested] == [s.name for s in old.cases[0].suggested]
-    for a, b in zip(new.cases[0].suggested, old.cases[0].suggested, strict=True):
+    assert [s.name for s in new.cases[0].alternatives] == [s.name for s in old.cases[0].alternatives]
+    for a, b in zip(new.cases[0].alternatives, old.cases[0].alternatives, strict=True):
         np.testing.assert_allclose(a.casing, b.casing, rtol=1e-9, atol=1e-15)
 
 

@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gyrotrack.plotting._style import thin
+from gyrotrack.plotting._charts import thin
 
 
 @given(st.integers(2, 30_000), st.integers(0, 2**32 - 1))
