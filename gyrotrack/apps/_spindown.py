@@ -17,15 +17,17 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 
-from gyrotrack._errors import DatasetError, TrackingError, UsageError, VideoError
+from gyrotrack._errors import DatasetError, TrackingError, VideoError
+from gyrotrack._inertia import Inertia
 from gyrotrack._smoothing import WIDTH, angular_velocity
 from gyrotrack.apps._study import open_study
 from gyrotrack.apps.report._page import write_report
 from gyrotrack.io._atomic import new_file
 from gyrotrack.io._hdf5 import read_case, read_recording, write_case
 from gyrotrack.io._records import BodyTrack, Case, Placement, Recording, Series
-from gyrotrack.io.readers._import_case import import_body, no_series, scatter
-from gyrotrack.io.readers._points import Wanted
+from gyrotrack.io.readers._import_case import import_body, no_series
+from gyrotrack.io.readers._motion_table import ReadOptions
+from gyrotrack.io.readers._run import Limits
 from gyrotrack.tracking._any_body import Film, Tracked, track_body
 from gyrotrack.video._container import file_sha256
 from gyrotrack.video._timestamps import SLOWEST_PLAIN_RATE, gap_warnings
@@ -264,8 +266,8 @@ class Wish:
         Centre of rotation (x, y) [px].
     capture_fps : float, optional
         Frames per second of the camera.
-    inertia : float, optional
-        Moment of inertia [kg m2]; without it torques are per unit of inertia [rad/s2].
+    inertia : str, optional
+        Moment of inertia [kg m2], such as "5.5e-5 +- 0.1e-5"; without it torques are per unit of inertia [rad/s2].
     pulses_per_turn : float, optional
         The table is one column of times of pulses, so many of them a turn.
     keep_all : bool
@@ -276,7 +278,7 @@ class Wish:
 
     hub: tuple[float, float] | None = None
     capture_fps: float | None = None
-    inertia: float | None = None
+    inertia: str | None = None
     pulses_per_turn: float | None = None
     keep_all: bool = False
     label: str = ""
@@ -290,26 +292,25 @@ def read_source(source: Path, wish: Wish, progress: Progress | None = None) -> t
     VideoError, TrackingError, DatasetError
         The source cannot be read, or shows no motion that can be measured.
     """
-    if wish.inertia is not None and not wish.inertia > 0:
-        raise UsageError("A moment of inertia must be positive.", "Give it in kg m2, such as 5.54e-5.")
+    moment = Inertia(1.0) if wish.inertia is None else Inertia.of(wish.inertia)
     if not source.is_file():
         raise DatasetError(f"There is no file {source}.", "Check the path.")
-    inertia = 1.0 if wish.inertia is None else wish.inertia
     tracked = None
-    if wish.pulses_per_turn is not None:
-        case = _pulse_case(source, wish.pulses_per_turn, inertia)
-    elif source.suffix.lower() in _FILMS:
+    if source.suffix.lower() in _FILMS and wish.pulses_per_turn is None:
         recording, tracked = film_recording(source, wish, progress)
-        case = _recording_case(recording, inertia)
+        case = _recording_case(recording, moment.value)
     elif source.suffix.lower() in (".h5", ".hdf5") and (found := _recording_in(source)) is not None:
-        case = _recording_case(found, inertia)
+        case = _recording_case(found, moment.value)
     else:
-        case = import_body(source, inertia, wanted=Wanted())
+        options = ReadOptions(pulses_per_turn=wish.pulses_per_turn, fps=wish.capture_fps)
+        case = import_body(source, moment.value, options=options, limits=Limits(keep_all=wish.keep_all))
+    case = replace(case, I_casing_u=moment.u)
     warnings = list(case.warnings)
     if wish.inertia is None:
         warnings.append("No inertia is given: torques are per unit of inertia, in rad/s2 (inertia 1).")
     series = case.casing
-    first = 0 if wish.keep_all else start_of_motion(series.time, series.angle, series.sigma)
+    table = not case.recordings  # its reader has cut it
+    first = 0 if wish.keep_all or table else start_of_motion(series.time, series.angle, series.sigma)
     if first:
         warnings.append(
             f"The body is driven until {series.time[first]:.3f} s (a hand or a motor); {first} samples before it are "
@@ -438,54 +439,6 @@ def _recording_case(recording: Recording, inertia: float) -> Case:
     )
 
 
-def _pulse_case(source: Path, per_turn: float, inertia: float) -> Case:
-    """Make a case of the times of pulses: the angle grows by 1 / per_turn of a turn from one to the next."""
-    if not (math.isfinite(per_turn) and per_turn > 0):
-        raise UsageError(
-            "The pulses per turn must be positive.", "Give a number such as --pulses-per-turn 1."
-        )
-    try:
-        table = np.genfromtxt(source, delimiter=",", comments="#", dtype=np.float64)
-    except (ValueError, OSError, UnicodeDecodeError) as error:
-        raise DatasetError(f"{source} is not a column of times.", "Give one time in s per line.") from error
-    time = np.atleast_1d(table if table.ndim < 2 else table[:, 0])
-    time = time[np.isfinite(time)]
-    if len(time) < _FEWEST:
-        raise DatasetError(
-            f"{source} holds {len(time)} times; {_FEWEST} are needed.", "Give one time in s per line."
-        )
-    wrong = np.flatnonzero(np.diff(time) <= 0)
-    if len(wrong):
-        raise DatasetError(
-            f"The times of {source} are not strictly increasing (pulse {wrong[0] + 2}).",
-            "Sort them, or remove it.",
-        )
-    angle: Floats = np.asarray(TURN / per_turn * np.arange(len(time)), dtype=np.float64)
-    sigma = scatter(time, angle)
-    omega, omega_sigma = angular_velocity(time, angle, sigma, WIDTH)
-    series = Series(
-        time,
-        angle,
-        sigma,
-        omega,
-        omega_sigma,
-        np.floor(angle / TURN).astype(np.int64),
-        sigma_source="estimated",
-    )
-    note = f"The angle's uncertainty is estimated from the scatter of the pulses, median {np.median(sigma):.2g} rad."
-    return Case(
-        I_rotor=inertia,
-        I_casing=inertia,
-        label="",
-        surface="",
-        casing=series,
-        rotor=no_series(),
-        bodies="one",
-        warnings=(note,),
-        extra={"sense": 1, "smoothing_width": WIDTH},
-    )
-
-
 def spindown(
     source: Path,
     target: Path,
@@ -549,7 +502,7 @@ def spindown(
             study.keep_diagnosis(parent, found, [])
             diagnosis = diagnosis_document(found, parent)
             if report is not None:
-                shown = study.rungs_to(None)
+                shown = study.steps_to(None)
                 recordings = [read_case(target)]
                 where = {"command": command, "ledger": str(study.ledger.path)}
                 write_report(
@@ -560,7 +513,6 @@ def spindown(
                     films=[source.parent],
                     provenance=where,
                     force=force,
-                    workers=workers,
                 )
                 written = report
     except FittingError as error:

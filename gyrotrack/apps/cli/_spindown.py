@@ -33,7 +33,8 @@ def spindown_command(
         float | None, typer.Option("--capture-fps", metavar="N", help="Frames per second of the camera.")
     ] = None,
     inertia: Annotated[
-        float | None, typer.Option("--inertia", metavar="X", help="Moment of inertia of the body [kg m2].")
+        str | None,
+        typer.Option("--inertia", metavar="X", help='Moment of inertia [kg m2], such as "5.5e-5 +- 0.1e-5".'),
     ] = None,
     pulses_per_turn: Annotated[
         float | None,
