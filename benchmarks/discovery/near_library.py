@@ -218,7 +218,7 @@ def main() -> None:
             )
     lines = sorted((json.loads(x) for x in options.output.read_text().splitlines()), key=lambda x: x["group"])
     TABLE.write_text(
-        f"# Laws near the library\n\nMade by `python benchmarks/discovery/near_library.py`.\n\n{table(lines)}\n",
+        f"# Laws near the library\n\n{len(lines)} worlds, made by `python benchmarks/discovery/near_library.py`.\n\n{table(lines)}\n",
         encoding="utf-8",
     )
 

@@ -77,6 +77,7 @@ def test_the_free_exponent_covers_the_truth():
     assert steps[-1].fit.verdict == "adequate"
 
 
+@pytest.mark.slow
 def test_a_step_of_finite_width_is_a_step():
     found = answer("ramp")
     assert (found.verdict, found.form) == ("missing_effect", "approximate")
@@ -84,6 +85,7 @@ def test_a_step_of_finite_width_is_a_step():
     assert "width 1.5" in found.sentence or "width 1.4" in found.sentence
 
 
+@pytest.mark.slow
 def test_a_third_harmonic_is_the_remainder_of_an_unbalance():
     found = answer("unbalance")
     assert found.verdict == "missing_effect"
@@ -92,6 +94,7 @@ def test_a_third_harmonic_is_the_remainder_of_an_unbalance():
     assert "harmonic 3 of psi_c" in found.remainder.sentence
 
 
+@pytest.mark.slow
 def test_a_law_from_outside_is_no_exact_one():
     found = answer("resonance")
     assert found.form != "exact"
@@ -116,6 +119,7 @@ def test_camera_effects_are_nuisance_parameters_and_no_candidates():
     assert found.sentence.endswith("Camera centre offset 2 mrad (nuisance parameter, fitted).")
 
 
+@pytest.mark.slow
 def test_the_nuisance_interval_covers_in_repeated_recordings():
     pulls = []
     for seed in range(6):
