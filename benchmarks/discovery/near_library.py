@@ -217,10 +217,8 @@ def main() -> None:
                 flush=True,
             )
     lines = sorted((json.loads(x) for x in options.output.read_text().splitlines()), key=lambda x: x["group"])
-    TABLE.write_text(
-        f"# Laws near the library\n\n{len(lines)} worlds, made by `python benchmarks/discovery/near_library.py`.\n\n{table(lines)}\n",
-        encoding="utf-8",
-    )
+    made = f"{len(lines)} worlds, made by `python benchmarks/discovery/near_library.py`."
+    TABLE.write_text(f"# Laws near the library\n\n{made}\n\n{table(lines)}\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

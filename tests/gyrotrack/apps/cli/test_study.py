@@ -81,7 +81,7 @@ class TestDiagnose:
 
     def test_for_people(self, gyrotrack, study):
         said = gyrotrack("diagnose", study, "--from", "f1")
-        assert said.out.startswith("The model fails: from ")
+        assert said.out.startswith("Significant lack of fit: unmodelled torque on the casing")
         assert "where it fails:" in said.out
         assert "what would mend it:" in said.out
         assert max(map(len, said.out.splitlines())) <= 80
