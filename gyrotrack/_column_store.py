@@ -1,8 +1,8 @@
 """Long columns in an unnamed memory-mapped file, so that memory does not grow with the length of the film.
 
-The columns are ordinary arrays, but only the pages in use occupy memory: `set_down` releases the pages that were read or
-written, and the system reads them again from the file on the next access. Columns of short films, and all columns
-where the system has no such files, are plain arrays.
+The columns are ordinary arrays, but only the pages in use occupy memory: `set_down` releases the pages that were read
+or written, and the system reads them again from the file on the next access. Columns of short films, and all
+columns where the system has no such files, are plain arrays.
 """
 
 from __future__ import annotations
