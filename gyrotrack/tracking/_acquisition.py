@@ -67,12 +67,17 @@ class Extent:
 
 
 def aligned(score: Strips, column: npt.NDArray[np.int64], use: npt.NDArray[np.bool_]) -> Floats:
-    """Return the median of the strips with the marker brought to the middle, `REACH` to each side: (rows, columns)."""
+    """Return the interquartile mean of the strips about a marker, `REACH` to each side: (rows, columns).
+
+    A hand in a few of the samples does not change it.
+    """
     columns = score.shape[2]
     reach = int(REACH / (2.0 * np.pi) * columns)
     index = (column[use][:, None] + np.arange(-reach, reach + 1)) % columns
     patch = np.take_along_axis(score[use], index[:, None, :], axis=2)
-    return np.asarray(np.median(patch, axis=0), dtype=np.float64)
+    patch.sort(axis=0)
+    quarter = len(patch) // 4
+    return np.asarray(patch[quarter : len(patch) - quarter].mean(axis=0), dtype=np.float64)
 
 
 def extent_of(patch: Floats, ring: Ring) -> Extent | None:
@@ -472,7 +477,7 @@ def _circular_mode(angle: Floats) -> float:
 
 
 LEAST_AGREEMENT = 1.0 / 3.0
-"""Share of the blobs that must agree with an orbit: of blobs at random up to a quarter agree with the best circle."""
+"""Share of the blobs, and of the samples, that must agree with an orbit: a quarter of random blobs agrees with one."""
 _NO_DISC = "no disc at the centre: the centre is taken from the markers' orbit"
 
 
@@ -520,7 +525,8 @@ def _find_orbit(samples: Samples, profile: Profile) -> Orbit | None:
     if not points:
         return None
     orbit = common_centre(np.array(points), np.array(group, dtype=np.int64))
-    return orbit if orbit is not None and orbit.inliers > LEAST_AGREEMENT * len(points) else None
+    enough = LEAST_AGREEMENT * max(len(points), chroma.shape[1])
+    return orbit if orbit is not None and orbit.inliers > enough else None
 
 
 def _blobs_in(scores: list[npt.NDArray[np.float32]], most: int) -> list[list[Blob]]:
