@@ -1,4 +1,4 @@
-"""Write docs/command-line.md from the commands' own help: `python docs/make_command_line.py`."""
+"""Write docs/reference/command-line.md from the commands' own help: `python docs/make_command_line.py`."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from typer.main import get_command
 from gyrotrack.apps.cli._app import COMMANDS, app
 from gyrotrack.apps.cli._lazy import load
 
-TARGET = Path(__file__).with_name("command-line.md")
+TARGET = Path(__file__).parent / "reference" / "command-line.md"
 
 _HEAD = """# Command line
 
 This page is made from the help of the commands themselves by `docs/make_command_line.py`; a test compares the two.
 
 Results go to stdout, progress and messages to stderr. With `--json`, stdout carries a single JSON document, which for
-an error is `{"error": {"code", "message", "hint"}}`. Exit codes: 0 done; 1 something is wrong with a file or its data;
-2 the command was not written right; 3 it ran to the end, but do not rely on the outcome; 130 interrupted. `--debug`,
-anywhere, shows the traceback of a bug.
+an error is `{"error": {"code", "message", "hint"}}`. Exit codes: 0 done; 1 a file or its data are at fault; 2 wrong
+usage; 3 completed, but the result is not to be trusted; 130 interrupted by Ctrl-C, 143 by SIGTERM. `--debug`, anywhere,
+shows the traceback of a bug.
 """
 
 

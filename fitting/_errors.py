@@ -3,9 +3,9 @@
 ::
 
     FittingError                   code, message, hint; exit code 1
-    ├── RecordError                "record":     a case file that is not ours or not sound
-    ├── ExpressionError            "expression": a formula that is not understood or not allowed
-    ├── EffectError                "effect":     an effect that is unknown or not well declared
+    ├── RecordError                "record":     a case file of another format or damaged
+    ├── ExpressionError            "expression": a formula with a syntax error or a forbidden name
+    ├── EffectError                "effect":     an effect that is unknown or declared incorrectly
     ├── SimulationError            "simulation": equations that cannot be integrated
     ├── LedgerError                "ledger":     fits that cannot be read, found or written
     └── EstimationError            "estimation": data from which the model cannot be fitted
@@ -15,9 +15,11 @@ A poor fit is not an error: it is a result with a verdict.
 
 from __future__ import annotations
 
+from typing import Self
+
 
 class FittingError(Exception):
-    """A fault of the data or of the request, told in one sentence, with what to do next.
+    """An error in the data or in the request; ``str()`` gives the message and the hint.
 
     Parameters
     ----------
@@ -35,21 +37,27 @@ class FittingError(Exception):
         self.message = message
         self.hint = hint
 
+    def __str__(self) -> str:
+        return f"{self.message}\nHint: {self.hint}" if self.hint else self.message
+
+    def __reduce__(self) -> tuple[type[Self], tuple[str, str]]:
+        return type(self), (self.message, self.hint)
+
 
 class RecordError(FittingError):
-    """A case file that is not ours, is not sound, or lacks what is needed."""
+    """A case file of another format, damaged, or without a quantity that is needed."""
 
     code = "record"
 
 
 class ExpressionError(FittingError):
-    """A formula that is not understood or not allowed."""
+    """A formula with a syntax error or a name or function that is not allowed."""
 
     code = "expression"
 
 
 class EffectError(FittingError):
-    """An effect that is unknown or not well declared."""
+    """An effect that is unknown or declared incorrectly."""
 
     code = "effect"
 

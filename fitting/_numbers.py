@@ -20,7 +20,7 @@ POWERS = {"": "", "m": "$10^{-3}$", "µ": "$10^{-6}$", "n": "$10^{-9}$", "p": "$
 _PREFIXES = ((1.0, ""), (1e3, "m"), (1e6, "µ"), (1e9, "n"), (1e12, "p"))
 
 
-def raised(number: int) -> str:
+def superscript(number: int) -> str:
     """Return an integer as an exponent: -7 becomes ⁻⁷."""
     return str(number).translate(_RAISED)
 
@@ -34,18 +34,18 @@ def unit_text(unit: str) -> str:
 
 def typeset(text: str) -> str:
     """Return a sentence or a rounded number with ±, × and raised exponents."""
-    text = _SCIENTIFIC.sub(lambda m: f"{m[1]} × 10{raised(int(m[2]))}", text)
-    text = _POWER.sub(lambda m: f"× 10{raised(int(m[1]))}", text)
+    text = _SCIENTIFIC.sub(lambda m: f"{m[1]} × 10{superscript(int(m[2]))}", text)
+    text = _POWER.sub(lambda m: f"× 10{superscript(int(m[1]))}", text)
     return unit_text(text.replace(" +- ", " ± "))
 
 
-def unbroken(text: str) -> str:
+def nonbreaking(text: str) -> str:
     """Return text whose numbers stay on one line with their errors, powers of ten and units."""
     text = _JOINED.sub(lambda m: m[0].replace(" ", "\u00a0"), text)
     return _AFTER_NUMBER.sub("\u00a0", text)
 
 
-def measured(value: float, error: float, unit: str) -> str:
+def with_uncertainty(value: float, error: float, unit: str) -> str:
     """Return a value with its error, rounded together."""
     text = typeset(rounded(value, error, "" if unit == "1" else unit))
     return text.replace("-", "−", 1) if text.startswith(("-", "(-")) else text
@@ -58,7 +58,7 @@ def short(value: float, digits: int = 3) -> str:
     if value != 0 and not 1e-3 <= abs(value) < 1e5:
         places = digits - 1 if digits > _LONG else max(0, digits - 2)
         mantissa, _, exponent = f"{value:.{places}e}".partition("e")
-        text = f"{mantissa} × 10{raised(int(exponent))}"
+        text = f"{mantissa} × 10{superscript(int(exponent))}"
     else:
         text = f"{value:#.{digits}g}".rstrip(".") if 0 < abs(value) < 10.0**digits else f"{value:.0f}"
     return text.replace("-", "−", 1) if text.startswith("-") else text
@@ -67,7 +67,7 @@ def short(value: float, digits: int = 3) -> str:
 def probability(p: float) -> str:
     """Return a p-value: 0.34, 2 × 10⁻⁷, or < 10⁻³⁰."""
     if math.isfinite(p) and p < 1e-30:
-        return f"< 10{raised(-30)}"
+        return f"< 10{superscript(-30)}"
     return short(p, 2)
 
 
@@ -100,19 +100,19 @@ def rounded(value: float, error: float, unit: str = "") -> str:
     return f"({value / scale:.{places}f} +- {error / scale:.{places}f}) x 10^{exponent}{tail}"
 
 
-def plain(value: Any) -> Any:
+def to_json(value: Any) -> Any:
     """Return what JSON can hold: nan becomes None, infinities become words."""
     if isinstance(value, dict):
-        return {str(k): plain(v) for k, v in value.items()}
+        return {str(k): to_json(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(v) for v in value]
+        return [to_json(v) for v in value]
     if hasattr(value, "tolist"):
-        return plain(value.tolist())
+        return to_json(value.tolist())
     if isinstance(value, float) and not math.isfinite(value):
         return None if math.isnan(value) else ("inf" if value > 0 else "-inf")
     return value
 
 
-def number(value: Any) -> float:
+def from_json(value: Any) -> float:
     """Return a number that `plain` wrote."""
     return math.nan if value is None else float(value)

@@ -1,4 +1,4 @@
-"""Worker processes for independent pieces of a computation."""
+"""Parallel execution: a pool of worker processes, and one thread of linear algebra in each of them."""
 
 from __future__ import annotations
 
@@ -7,159 +7,168 @@ import os
 import pickle
 import signal
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from multiprocessing import get_context, parent_process
 from threading import RLock, Thread
-from types import TracebackType
-from typing import Any, ParamSpec, Self, TypeVar
+from typing import Any, Generic, Self, TypeVar
 
-P = ParamSpec("P")
 T = TypeVar("T")
 Common = TypeVar("Common")
 Item = TypeVar("Item")
-# what of the common part a result may refer to, so that it does not come back as a copy
-Kept = Callable[[Common], Sequence[object]]
+_MOST_PROCESSES = 4
+
+
+@contextmanager
+def single_blas_thread() -> Iterator[None]:
+    """Limit BLAS to one thread; a context manager, and with a call a decorator.
+
+    The matrices of a fit have some hundred rows: more threads spend their time on waiting for each other.
+    """
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(limits=1, user_api="blas"):
+        yield
+
+
+def available_cores() -> int:
+    """Return the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _nothing(common: object) -> tuple[object, ...]:  # noqa: ARG001
     return ()
 
 
-class Beside:
-    """One process that comes up while something else is done, and then does what it is given.
+@dataclass
+class Task(Generic[T]):
+    """A submitted call; it runs in the calling process if no worker completes it."""
 
-    It is started afresh (spawn), so that nothing of this process is shared. What it was to do is done here if there
-    is but one core, or if it dies. Without ``with`` nothing is started, and all is done here.
+    call: Callable[[], T]
+    future: Future[T] | None
+
+    def result(self) -> T:
+        """Return the result of the call, or raise its exception."""
+        try:
+            return self.call() if self.future is None else self.future.result()
+        except BrokenProcessPool:
+            return self.call()
+
+
+@dataclass
+class WorkerPool:
+    """A process pool (started with "spawn", entered with ``with``) that degrades to serial execution.
+
+    Without ``with``, on one core, where no process can be started and after a worker was killed, all calls run in the
+    calling process. The workers end with the process that started them.
+
+    Parameters
+    ----------
+    processes : int, optional
+        Number of workers; by default one fewer than the available cores, at most 4.
     """
 
-    def __init__(self, *, cores: int | None = None) -> None:
-        self._cores = cores or _cores()
-        self._pool: ProcessPoolExecutor | None = None
+    processes: int = field(default_factory=lambda: min(available_cores() - 1, _MOST_PROCESSES))
+    _executor: ProcessPoolExecutor | None = field(default=None, init=False)
 
     def __enter__(self) -> Self:
-        if self._cores > 1:
-            self._pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
-            self._pool.submit(_ready)
+        if self.processes > 0:
+            context = get_context("spawn")
+            self._executor = ProcessPoolExecutor(self.processes, context, initializer=_start_worker)
+            self._submit(int)  # the first worker imports its modules while the caller is busy
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        # nothing more is handed over while what is begun comes to its end
-        pool, self._pool = self._pool, None
-        if pool is not None:
-            pool.shutdown(cancel_futures=True)
+    def __exit__(self, *_: object) -> None:
+        executor, self._executor = self._executor, None
+        if executor is not None:
+            executor.shutdown(cancel_futures=True)
 
-    def begin(self, work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> Callable[[], T]:
-        """Begin a piece of work, a function of a module with what can be pickled; return what waits for its result."""
-        begun = self._submit(work, *args, **kwargs)
+    def submit(self, work: Callable[..., T], *args: Any) -> Task[T]:
+        """Start ``work(*args)``, a module-level function with arguments that can be pickled."""
+        return Task(lambda: work(*args), self._submit(work, *args))
 
-        def result() -> T:
-            if begun is not None:
-                try:
-                    return begun.result()
-                except BrokenProcessPool:
-                    pass
-            return work(*args, **kwargs)
-
-        return result
-
-    def each(
+    def map(
         self,
         work: Callable[[Common, Item], T],
         common: Common,
         items: Sequence[Item],
-        kept: Kept[Common] = _nothing,
+        shared: Callable[[Common], Sequence[object]] = _nothing,
     ) -> list[T]:
-        """Return ``work(common, item)`` of each item.
+        """Return ``work(common, item)`` of each item; workers start with the first items, the caller with the last.
 
-        The other process begins with the first item and this one with the last, until they meet.
-
-        Parameters
-        ----------
-        work : callable
-            A function of a module.
-        common : object
-            What it needs every time.
-        items : sequence
-            What it needs once each.
-        kept : callable, optional
-            Tells the parts of `common` to which the results shall refer rather than hold copies of them.
+        ``shared(common)``, a module-level function, returns the parts of `common` to which results refer instead of
+        holding copies of them.
         """
-        left, begun, lock = deque(range(len(items))), dict[int, Future[bytes]](), RLock()
+        waiting, futures, lock = deque(range(len(items))), dict[int, Future[bytes]](), RLock()
 
-        def hand_over(before: Future[bytes] | None = None) -> None:
-            if before is not None and (before.cancelled() or before.exception() is not None):
+        def submit_next(previous: Future[bytes] | None = None) -> None:
+            if previous is not None and (previous.cancelled() or previous.exception() is not None):
                 return
             with lock:
-                waiting = self._submit(_there, work, common, items[left[0]], kept) if left else None
-                if waiting is not None:
-                    begun[left.popleft()] = waiting
-                    waiting.add_done_callback(hand_over)
+                future = self._submit(_run, work, common, items[waiting[0]], shared) if waiting else None
+                if future is not None:
+                    futures[waiting.popleft()] = future
+                    future.add_done_callback(submit_next)
 
-        hand_over()
-        found: dict[int, T] = {}
+        results: dict[int, T] = {}
+        for _ in range(self.processes if self._executor is not None else 0):
+            submit_next()
         while True:
             with lock:
-                if not left:
+                if not waiting:
                     break
-                i = left.pop()
-            found[i] = work(common, items[i])
-        for i, waiting in begun.items():
+                i = waiting.pop()
+            results[i] = work(common, items[i])
+        for i, future in futures.items():
             try:
-                found[i] = _Reader(waiting.result(), kept(common)).load()
+                results[i] = _Unpickler(future.result(), shared(common)).load()
             except BrokenProcessPool:
-                found[i] = work(common, items[i])
-        return [found[i] for i in range(len(items))]
+                results[i] = work(common, items[i])
+        return [results[i] for i in range(len(items))]
 
-    def _submit(self, work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> Future[T] | None:
-        pool = self._pool
-        if pool is not None:
+    def _submit(self, work: Callable[..., T], *args: Any) -> Future[T] | None:
+        if self._executor is not None:
             try:
-                return pool.submit(work, *args, **kwargs)
-            except RuntimeError:  # it died, or is being closed
-                self._pool = None
+                return self._executor.submit(work, *args)
+            except (OSError, RuntimeError):  # no process can be started; or the pool is broken or shut down
+                self._executor.shutdown(wait=False)
+                self._executor = None
         return None
 
 
-class _Writer(pickle.Pickler):
-    def __init__(self, stream: io.BytesIO, kept: Sequence[object]) -> None:
+class _Pickler(pickle.Pickler):
+    def __init__(self, stream: io.BytesIO, shared: Sequence[object]) -> None:
         super().__init__(stream, protocol=pickle.HIGHEST_PROTOCOL)
-        self._places = {id(part): i for i, part in enumerate(kept)}
+        self._index = {id(part): i for i, part in enumerate(shared)}
 
     def persistent_id(self, part: object) -> int | None:
-        return self._places.get(id(part))
+        return self._index.get(id(part))
 
 
-class _Reader(pickle.Unpickler):
-    def __init__(self, data: bytes, kept: Sequence[object]) -> None:
+class _Unpickler(pickle.Unpickler):
+    def __init__(self, data: bytes, shared: Sequence[object]) -> None:
         super().__init__(io.BytesIO(data))
-        self._kept = kept
+        self._shared = shared
 
-    def persistent_load(self, place: Any) -> object:
-        return self._kept[place]
+    def persistent_load(self, index: Any) -> object:
+        return self._shared[index]
 
 
-def _there(work: Callable[[Common, Item], object], common: Common, item: Item, kept: Kept[Common]) -> bytes:
+def _run(work: Any, common: Any, item: Any, shared: Any) -> bytes:
     stream = io.BytesIO()
-    _Writer(stream, kept(common)).dump(work(common, item))
+    _Pickler(stream, shared(common)).dump(work(common, item))
     return stream.getvalue()
 
 
-def _cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+def _start_worker() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the calling process, which ends the workers
+    Thread(target=_end_with_parent, daemon=True).start()
 
 
-def _ready() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # who presses Ctrl-C means the command; it ends this process
-    Thread(target=_follow, daemon=True).start()
-
-
-def _follow() -> None:
-    """End this process when the one that started it is gone, killed perhaps."""
+def _end_with_parent() -> None:
     parent = parent_process()
     if parent is not None:
         parent.join()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import stat
 import tomllib
 from pathlib import Path
 from typing import Any, TypeVar
@@ -97,20 +98,23 @@ def read_document(
     try:
         data = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as fault:
-        raise error(f"{path} is not valid TOML: {str(fault)[:200]}", "correct the line named") from fault
+        raise error(f"{path} is not valid TOML: {str(fault)[:200]}.", "Correct the line named.") from fault
     return check(data, model, what=what, where=str(path), text=text, error=error)
 
 
 def read_text(path: Path, *, what: str, error: type[GyrotrackError]) -> str:
     """Return the text of a file of moderate size; errors as for `read_document`."""
     try:
-        if path.is_file() and path.stat().st_size > MOST_BYTES:
-            raise error(f"{path} is too large to be a {what}", "check the name of the file")
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):  # a named pipe would be waited for without end
+            raise error(f"{path} is not a regular file.", f"Give a {what} in TOML.")
+        if status.st_size > MOST_BYTES:
+            raise error(f"{path} is too large to be a {what}.", "Check the name of the file.")
         return path.read_text(encoding="utf-8-sig")
     except FileNotFoundError as fault:
-        raise error(f"there is no {what} {path}", "check the path") from fault
+        raise error(f"There is no {what} {path}.", "Check the path.") from fault
     except (OSError, UnicodeDecodeError) as fault:
-        raise error(f"{path} cannot be read as a text file", f"give a {what} in TOML") from fault
+        raise error(f"{path} cannot be read as a text file.", f"Give a {what} in TOML.") from fault
 
 
 def check(
@@ -126,12 +130,12 @@ def check(
     try:
         return model.model_validate(data)
     except ValidationError as fault:
-        found = [_told(dict(one), text, what) for one in fault.errors()]
+        found = [_fault(dict(one), text, what) for one in fault.errors()]
         more = f"; and {len(found) - _MOST_FAULTS} more" if len(found) > _MOST_FAULTS else ""
-        raise error(f"{where}: {'; '.join(found[:_MOST_FAULTS])}{more}", "correct these keys") from fault
+        raise error(f"{where}: {'; '.join(found[:_MOST_FAULTS])}{more}.", "Correct these keys.") from fault
 
 
-def _told(fault: dict[str, Any], text: str, what: str) -> str:
+def _fault(fault: dict[str, Any], text: str, what: str) -> str:
     location = tuple(fault["loc"])
     line = line_of(text, location)
     place = f"line {line}, " if line else ""

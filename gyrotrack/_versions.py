@@ -5,6 +5,7 @@ from __future__ import annotations
 import platform
 import sys
 from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
 
 __version__ = "0.1.0"
 
@@ -31,6 +32,7 @@ def versions() -> dict[str, str]:
         "gyrotrack": __version__,
         "python": platform.python_version(),
         "platform": f"{sys.platform} {platform.machine()}",
+        "kernels": "compiled" if find_spec("gyrotrack._native._compiled") else "not compiled (NumPy, slower)",
     }
     for name in LIBRARIES:
         try:

@@ -28,7 +28,6 @@ from fitting.dynamics._model import Model
 from fitting.effects._library import LIBRARY, REDUCED
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
-from fitting.inference._noise import WHITE
 
 ROOT = Path(__file__).parents[2]
 
@@ -130,7 +129,7 @@ def _true(name: str) -> np.ndarray:
 def core(repeats: int) -> list[str]:
     """The least squares alone: known white noise, as the plain way has it."""
     from fitting.inference._optimisation import search
-    from fitting.inference._parameters import Layout
+    from fitting.inference._parameters import ParameterLayout
     from fitting.inference._problem import Problem
 
     record = recording("glass")
@@ -138,11 +137,11 @@ def core(repeats: int) -> list[str]:
 
     def work():
         data = CaseData.of(record)
-        problem = Problem(Layout.of(Model.of(REDUCED), [record]), [data])
-        problem.set_noise([WHITE])
+        problem = Problem.of(ParameterLayout.of(Model.of(REDUCED), [record]), [data])
         return search(problem, np.array([start[n] for n in problem.layout.names]))
 
-    (minimum, _), cpu, wall = best(work, repeats)
+    found, cpu, wall = best(work, repeats)
+    minimum = found.minimum
     return [
         (
             f"The same least squares with known white noise, compression included: {cpu:.3f} CPU s, {wall:.3f} wall s, "

@@ -1,19 +1,13 @@
-"""Residuals of a fit: velocity residuals, autocorrelation, residual torque, failing intervals.
+"""Residuals of a fit: whiteness, unmodelled torque, failing intervals.
 
-A fit compares rows: the measured angles of a block projected on polynomials, minus those of the model,
-r = z - m. The polynomial behind the rows of a block has a mean slope in each part of it, which is the misfit
-of the speed there; this is linear, D r. With the noise covariance C of the rows and the columns X of all
-that the fit was free to move, the covariance of r is C - X (X' C^-1 X)^-1 X', and the band follows from it:
-angle noise, random torque, and what the fit has absorbed are all in it.
+Unmodelled torque. Given r = W_c u_c + W_r u_r + noise and a smooth prior for the torques u on casing and rotor (an
+Ornstein-Uhlenbeck process of long correlation time whose level is estimated from the residuals), the posterior mean and
+standard deviation are those of a Gaussian process (C. Rasmussen, C. Williams, Gaussian Processes for Machine Learning,
+2.2); start angles and phases are free.
 
-Given the residual rows r = W_c u_c + W_r u_r + noise and a smooth random prior for the torques u on casing and rotor
-(an Ornstein-Uhlenbeck process of long correlation time whose level is taken from the residuals themselves), the
-posterior mean and its spread are those of a Gaussian process (C. Rasmussen, C. Williams, Gaussian
-Processes for Machine Learning, 2.2); start angles and phases are free.
-
-With the whitened response S of the rows to torques sin(n psi), cos(n psi) of 1 N m, n = 1, 2, and what is left of
-it beside all that is free (parameters, phases, a centre offset, a tilt, a rolling shutter) and beside slow torques of
-any shape, because what a model misses elsewhere leaks into the few turns in which the casing is slow,
+Harmonics of the angle. With the whitened response S of the rows to torques sin(n psi), cos(n psi) of 1 N m, n = 1, 2,
+and the residual, both orthogonal to the free columns (parameters, phases, centre offset, tilt, rolling shutter) and to
+slow torques of any shape, because a lack of fit elsewhere leaks into the few turns in which the casing is slow,
 
     gamma = (S'S)^-1 S'r,   cov(gamma) = (S'S)^-1,   torque(psi) = sum_n gamma_2n-1 sin(n psi) + gamma_2n cos(n psi).
 """
@@ -23,146 +17,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
+from fitting.discovery._criteria import DEFAULT, Criteria
 from fitting.dynamics._mesh import Sampler
 from fitting.effects._library import LIBRARY
 from fitting.inference._case_data import CaseData
 from fitting.inference._lack_of_fit import orthonormal, slow_responses
 from fitting.inference._noise import TorqueNoise, TorqueResponse, decaying_sums, remaining_level
-from fitting.inference._parameters import START_CASING, START_ROTOR
 from fitting.inference._problem import Projection
 from fitting.inference._result import Fit
 from fitting.inference._velocity import speeds
 
-if TYPE_CHECKING:
-    from fitting.inference._compression import Compressed
-    from fitting.inference._noise import Whitener
-
-
 Array = NDArray[np.float64]
-
-ROTOR, CASING = 0, 1
-
-
-def modelled_speed(fit: Fit, case: int, body: int, time: Array) -> tuple[Array, Array]:
-    """Return the speed of a body and its standard deviation, sqrt(s' C s) with the sensitivities s [rad/s].
-
-    Parameters
-    ----------
-    fit : Fit
-        The fit.
-    case : int
-        Which of its cases.
-    body : int
-        `ROTOR` or `CASING`.
-    time : ndarray, shape (n,)
-        Times within the run [s].
-    """
-    prediction, model = fit.predictions[case], fit.problem.cases[case]
-    sampler = Sampler(prediction.path.mesh, time)
-    places = fit.problem.layout.places(case, (*model.dynamics.parameters, START_ROTOR, START_CASING))
-    slope = sampler.value(prediction.sensitivity.nodes[:, :, body])
-    covariance = fit.covariance[np.ix_(places, places)]
-    # a parameter that moves nothing has no finite variance and does not matter here
-    covariance = np.where(np.isfinite(covariance), covariance, 0.0)
-    variance = np.einsum("tp,pq,tq->t", slope, covariance, slope)
-    return sampler.value(prediction.path.y[..., body]), np.sqrt(np.maximum(variance, 0.0))
-
-
-_PARTS = {"casing": 2, "rotor": 5}
-_POINTS = 40
-
-
-@dataclass(frozen=True)
-class Misfit:
-    """Measured minus modelled speed of a run.
-
-    Attributes
-    ----------
-    time, width : ndarray, shape (n,)
-        Middle and length of each part [s].
-    value : ndarray
-        Mean misfit of the speed in it [rad/s].
-    sigma : ndarray
-        What noise alone would make of it, one standard deviation [rad/s].
-    """
-
-    time: Array
-    width: Array
-    value: Array
-    sigma: Array
-
-
-def misfits(fit: Fit, case: int) -> tuple[Misfit, tuple[Misfit, ...]]:
-    """Return the misfit of the casing and of the rotor in each of its windows."""
-    data, noise = fit.problem.data[case], fit.noise[case]
-    prediction = fit.predictions[case]
-    moving = ~fit.problem.layout.at_bound(fit.theta)
-    free = np.concatenate([prediction.jacobian[:, moving], data.nuisance], axis=1)
-    plain = data.late_starts.plain
-    residual = plain(_without(noise.whitener, data.nuisance, data.z - prediction.rows))
-    spread = plain(_spread(noise.whitener.at(noise.pure), free))
-    found, first = [], 0
-    for body, run in (("casing", data.casing), *(("rotor", w) for w in data.rotor)):
-        count = len(run.z)
-        rows = slice(first, first + count)
-        first += count
-        time, width, d = _slopes(run, _PARTS[body], is_angle=data.is_angle)
-        sigma = np.linalg.norm(d @ spread[rows], axis=1)
-        found.append(Misfit(time, width, d @ residual[rows], sigma))
-    return found[0], tuple(found[1:])
-
-
-def _without(whitener: Whitener, columns: Array, rows: Array) -> Array:
-    """Return rows without what free nuisances explain of them."""
-    size = np.linalg.norm(columns, axis=0)
-    columns = columns[:, size > 0] / size[size > 0]
-    found = np.linalg.lstsq(whitener(columns), whitener(rows), rcond=1e-10)[0]
-    return np.asarray(rows - columns @ found)
-
-
-def _spread(whitener: Whitener, free: Array) -> Array:
-    """Return a root of the covariance of the residual rows: C^(1/2) (1 - Q Q')."""
-    size = np.linalg.norm(free, axis=0)
-    u, s, _ = np.linalg.svd(whitener(free[:, size > 0] / size[size > 0]), full_matrices=False)
-    q = u[:, s > 1e-10 * s[0]]
-    inner = np.eye(len(q)) - q @ q.T
-    m = len(whitener.values)
-    if whitener.level == 0 or m == 0:
-        return np.asarray(inner)
-    root = np.sqrt(1 + whitener.level**2 * whitener.values)
-    upper = whitener.vectors @ (root[:, None] * (whitener.vectors.T @ inner[:m]))
-    return np.concatenate([upper, inner[m:]])
-
-
-def _slopes(run: Compressed, parts: int, *, is_angle: bool) -> tuple[Array, Array, Array]:
-    """Return middles, lengths and the operator D (parts of all blocks, rows)."""
-    blocks, k, _ = run.lift.shape
-    nodes = run.node_times.reshape(blocks, k)
-    times = run.samples.time
-    operator = np.zeros((blocks * parts, blocks * k))
-    middles, lengths = np.zeros(blocks * parts), np.zeros(blocks * parts)
-    for i, (where, _) in enumerate(run.operators):
-        inside = times[where]
-        edges = np.linspace(inside[0], inside[-1], parts + 1)
-        centre, half = 0.5 * (edges[0] + edges[-1]), 0.5 * (edges[-1] - edges[0])
-        back = np.linalg.inv(run.lift[i] @ legendre.legvander((nodes[i] - centre) / half, k - 1))
-        for j in range(parts):
-            t = np.linspace(edges[j], edges[j + 1], _POINTS)
-            weight = t - t.mean()
-            weight = weight / (weight @ weight) if is_angle else np.full(_POINTS, 1 / _POINTS)
-            row = i * parts + j
-            operator[row, i * k : (i + 1) * k] = (
-                weight @ legendre.legvander((t - centre) / half, k - 1) @ back
-            )
-            middles[row], lengths[row] = t.mean(), t[-1] - t[0]
-    return middles, lengths, operator
-
 
 _LAGS = 12
 _POWERS = 4
@@ -190,7 +59,7 @@ def whiteness(fit: Fit) -> list[Whiteness]:
 
     results = []
     for data, n, p in zip(fit.problem.data, fit.noise, fit.predictions, strict=True):
-        # a level of noise that has swallowed what the model misses would whiten that too
+        # process noise that stands for a lack of fit would whiten that, too
         project = Projection(data, n.whitener.at(n.pure))
         blocks, k, _ = data.casing.lift.shape
         rows = project(p.rows - data.z)[data.slices["casing"]].reshape(blocks, k)[:, :_POWERS]
@@ -214,7 +83,7 @@ _FLOOR = 3e-3
 
 @dataclass(frozen=True)
 class ResidualTorque:
-    """What is missing on one body: time [s], torque and its standard deviation [N m], and both speeds there."""
+    """Unmodelled torque on one body: time [s], torque and its standard deviation [N m], and both speeds there."""
 
     label: str
     body: str
@@ -226,7 +95,7 @@ class ResidualTorque:
 
 
 def residual_torques(fit: Fit) -> list[ResidualTorque]:
-    """Return the residual torque of each body of each case of a fit."""
+    """Return the unmodelled torque on each body of each case of a fit."""
     curves = []
     for i in range(len(fit.problem.cases)):
         curves += _case(fit, i)
@@ -234,8 +103,6 @@ def residual_torques(fit: Fit) -> list[ResidualTorque]:
 
 
 def _case(fit: Fit, index: int) -> list[ResidualTorque]:
-    from fitting.dynamics._mesh import Sampler
-
     data, prediction, noise = fit.problem.data[index], fit.predictions[index], fit.noise[index]
     response = TorqueResponse(data, prediction.motion)
     smooth = data.slices["smooth"]
@@ -258,7 +125,7 @@ def _case(fit: Fit, index: int) -> list[ResidualTorque]:
     for body in ("casing",) if data.record.single else ("casing", "rotor"):
         mean = level**2 * shaped[body].T @ seen
         learned = level**4 * np.einsum("ic,ij,jc->c", shaped[body], gain, shaped[body], optimize=True)
-        # rounding sets a floor where the data says almost everything
+        # rounding sets a floor where the data determine the torque almost completely
         sigma = np.sqrt(np.maximum(level**2 - learned, (_FLOOR * level) ** 2))
         seen_at = _seen(response.centres, data, body)
         curves.append(
@@ -272,7 +139,7 @@ def _case(fit: Fit, index: int) -> list[ResidualTorque]:
 
 
 def _seen(times: Array, data: CaseData, body: str) -> NDArray[np.bool_]:
-    """Return when a body was filmed; the rotor between its windows counts, before and after them does not."""
+    """Return when a body was filmed; for the rotor, from its first window to its last."""
     runs = (data.casing,) if body == "casing" else data.rotor
     first = min(float(r.samples.time[0]) for r in runs)
     last = max(float(r.samples.time[-1]) for r in runs)
@@ -302,7 +169,7 @@ _RANK = 1e-6
 
 @dataclass(frozen=True)
 class Ripple:
-    """What follows the angle of the casing of one case.
+    """Harmonics of the unmodelled torque in the angle of the casing of one case.
 
     Attributes
     ----------
@@ -347,7 +214,7 @@ class Ripple:
 
 
 def ripples(fit: Fit) -> list[Ripple]:
-    """Return the ripple of each case of a fit; none where speeds were measured and not angles."""
+    """Return the harmonics of each case of a fit; none where speeds were measured and not angles."""
     found = []
     cases = zip(fit.problem.cases, fit.problem.projections, fit.predictions, strict=True)
     for index, (case, project, p) in enumerate(cases):
@@ -371,9 +238,6 @@ def ripples(fit: Fit) -> list[Ripple]:
 
 
 _BAND = 1.96
-_CLEAR = 4.0
-# two amplitudes at once: noise alone is as large once in ten thousand, exp(-4.3**2 / 2)
-_CLEAR_RIPPLE = 4.3
 _TURNS = {1: "once a turn", 2: "twice a turn"}
 _SHORTEST = 1 / 100
 _MOST = 6
@@ -381,7 +245,7 @@ _MOST = 6
 
 @dataclass(frozen=True)
 class Failure:
-    """A stretch where the model fails.
+    """An interval with a significant unmodelled torque.
 
     Attributes
     ----------
@@ -390,19 +254,21 @@ class Failure:
     t_start, t_stop : float
         When [s].
     kind : str
-        "loses torque" or "gains torque" against the model; "ripple" for a torque that follows the angle.
+        "loses torque" or "gains torque" against the model; "ripple" for a harmonic of the angle.
     where : str
         In words: in the rise, near the peak, in the tail; once or twice a turn.
     size_sigma : float
         Largest distance from zero in standard deviations.
     residual_rad_s : float
-        Largest misfit of the speed in the stretch, with its sign; of a ripple, where the casing is slowest.
+        Largest speed residual in the interval, with its sign; of a harmonic, where the casing is slowest.
     residual_torque_Nm : float
-        Mean torque that the model lacks; amplitude of a ripple.
+        Mean unmodelled torque; amplitude of a harmonic.
     omega_c : tuple of float
-        The casing's lowest and highest speed in the stretch [rad/s].
+        The casing's lowest and highest speed in the interval [rad/s].
     called : str
-        What people call the body: "body" in the casing's place where only one was recorded.
+        "body" for the casing where only one body was recorded.
+    torque_sigma_Nm : float
+        Standard uncertainty of the torque; of the mean over an interval an upper bound (full correlation).
     """
 
     label: str
@@ -416,36 +282,53 @@ class Failure:
     residual_torque_Nm: float  # noqa: N815 - the unit's own capitals
     omega_c: tuple[float, float]
     called: str
+    torque_sigma_Nm: float = float("nan")  # noqa: N815
 
     def __str__(self) -> str:
+        torque = micro_newton_metres(self.residual_torque_Nm, self.torque_sigma_Nm)
         if self.kind == "ripple":
             return (
-                f"{self.where} the {self.called} feels a torque of {self.residual_torque_Nm:.2g} N m that the model "
-                f"does not have ({self.size_sigma:.0f} sigma)"
+                f"unmodelled torque on the {self.called} {self.where}, amplitude {torque} "
+                f"({self.size_sigma:.0f} sigma)"
             )
-        verb = "loses" if self.residual_torque_Nm < 0 else "gains"
+        sign = "+" if self.residual_torque_Nm > 0 else ""
         return (
-            f"from {self.t_start:.1f} s to {self.t_stop:.1f} s, {self.where}, the {self.called} {verb} "
-            f"{abs(self.residual_torque_Nm):.2g} N m more than the model says ({self.size_sigma:.0f} sigma)"
+            f"unmodelled torque on the {self.called} {sign}{torque}, {self.t_start:.1f} s to {self.t_stop:.1f} s, "
+            f"{self.where} ({self.size_sigma:.0f} sigma)"
         )
 
 
-def find_failures(fit: Fit, curves: Sequence[ResidualTorque], waves: Sequence[Ripple] = ()) -> list[Failure]:
-    """Return the stretches in which a model fails, and what follows the angle, worst first.
+def micro_newton_metres(value: float, sigma: float = float("nan")) -> str:
+    """Return a torque in uN m (nN m below 0.01 uN m), rounded to its standard uncertainty where that is known."""
+    scale, unit = (
+        (1e6, "uN m") if max(abs(value), abs(sigma) if sigma == sigma else 0.0) >= 1e-8 else (1e9, "nN m")
+    )
+    if not np.isfinite(sigma) or sigma <= 0:
+        return f"{value * scale:.3g} {unit}"
+    digits = max(0, -int(np.floor(np.log10(sigma * scale))))
+    return f"{value * scale:.{digits}f} +- {sigma * scale:.{digits}f} {unit}"
 
-    A ripple is told only where it is clearer than any stretch: a torque that lasts less than a turn cannot be told from
-    one that follows the angle, and leaks into the turns in which the casing is slow. Stretches are to be mended first.
+
+def find_failures(
+    fit: Fit, curves: Sequence[ResidualTorque], waves: Sequence[Ripple] = (), criteria: Criteria = DEFAULT
+) -> list[Failure]:
+    """Return the intervals and harmonics with a significant unmodelled torque, the most significant first.
+
+    A harmonic is reported only where it is more significant than any interval: a torque that lasts less than a turn
+    leaks into the turns in which the casing is slow.
 
     Parameters
     ----------
     fit : Fit
         The fitted model.
     curves : sequence of ResidualTorque
-        Its residual torques.
+        Its unmodelled torques.
     waves : sequence of Ripple
-        What it leaves against the angle.
+        Their harmonics in the angle.
+    criteria : Criteria
+        `failure_sigma`, `harmonic_sigma`.
     """
-    found = [f for curve in curves for f in _stretches(fit, curve)]
+    found = [f for curve in curves for f in _intervals(fit, curve, criteria.failure_sigma)]
     worst = {c.label: 0.0 for c in curves}
     for f in found:
         worst[f.label] = max(worst[f.label], f.size_sigma)
@@ -453,33 +336,33 @@ def find_failures(fit: Fit, curves: Sequence[ResidualTorque], waves: Sequence[Ri
         f
         for wave in waves
         for n in _TURNS
-        for f in _ripple(fit, wave, n)
+        for f in _harmonic(fit, wave, n, criteria.harmonic_sigma)
         if f.size_sigma > worst.get(f.label, 0.0)
     ]
     return sorted(found, key=lambda f: -f.size_sigma)[:_MOST]
 
 
-def _ripple(fit: Fit, wave: Ripple, n: int) -> list[Failure]:
+def _harmonic(fit: Fit, wave: Ripple, n: int, least: float) -> list[Failure]:
     amplitude, size = wave.size(n)
-    if size < _CLEAR_RIPPLE:
+    if size < least:
         return []
     index = fit.labels.index(wave.label)
     record, path = fit.problem.data[index].record, fit.predictions[index].path
     t = record.casing.time
     speed = np.abs(Sampler(path.mesh, t).value(path.y[..., 1]))
-    # the speed swings by torque / (inertia n omega), most where the casing is slowest but still turns
+    # the amplitude of the speed is torque / (I n omega), largest where the casing is slowest but still turns
     slowest = max(float(speed.min()), float(np.sqrt(amplitude / record.I_casing)), 1e-3)
-    swing = amplitude / (record.I_casing * n * slowest)
+    oscillation = amplitude / (record.I_casing * n * slowest)
     span = float(t[0]), float(t[-1])
     return [
         Failure(
-            wave.label, "casing", *span, "ripple", _TURNS[n], size, swing, amplitude,
-            (float(speed.min()), float(speed.max())), record.body,
+            wave.label, "casing", *span, "ripple", _TURNS[n], size, oscillation, amplitude,
+            (float(speed.min()), float(speed.max())), record.body, amplitude / size,
         )
     ]  # fmt: skip
 
 
-def _stretches(fit: Fit, curve: ResidualTorque) -> list[Failure]:
+def _intervals(fit: Fit, curve: ResidualTorque, least: float) -> list[Failure]:
     ratio = curve.torque / np.maximum(curve.sigma, 1e-300)
     outside = np.abs(ratio) > _BAND
     record = fit.problem.data[fit.labels.index(curve.label)].record
@@ -492,7 +375,7 @@ def _stretches(fit: Fit, curve: ResidualTorque) -> list[Failure]:
         if not outside[a] or curve.time[b - 1] - curve.time[a] < _SHORTEST * span:
             continue
         size = float(np.abs(ratio[a:b]).max())
-        if size < _CLEAR:
+        if size < least:
             continue
         mean = float(curve.torque[a:b].mean())
         failures.append(
@@ -508,6 +391,7 @@ def _stretches(fit: Fit, curve: ResidualTorque) -> list[Failure]:
                 mean,
                 (float(curve.omega_c[a:b].min()), float(curve.omega_c[a:b].max())),
                 called,
+                float(curve.sigma[a:b].mean()),
             )
         )
     return failures
@@ -515,12 +399,12 @@ def _stretches(fit: Fit, curve: ResidualTorque) -> list[Failure]:
 
 def _place(curve: ResidualTorque, a: int, b: int) -> str:
     peak = int(np.argmax(np.abs(curve.omega_c)))
-    top = 0.9 * abs(curve.omega_c[peak])
     if a == 0 and b == len(curve.time):
-        return "all the time"
-    if np.abs(curve.omega_c[a:b]).max() > top and a <= peak + (b - a) and b >= peak - (b - a):
-        return "near the peak"
-    return "in the rise" if b <= peak else "in the tail" if a >= peak else "around the peak"
+        return "throughout"
+    if a <= peak < b:
+        near = np.abs(curve.omega_c[a:b]).min() > 0.9 * abs(curve.omega_c[peak])
+        return "near the peak" if near else "around the peak"
+    return "in the rise" if b <= peak else "in the tail"
 
 
 def _speed_misfit(fit: Fit, curve: ResidualTorque, a: int, b: int) -> float:

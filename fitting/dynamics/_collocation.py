@@ -44,7 +44,7 @@ _THIN = 1e-14
 _FEWEST = 12
 
 
-def glide(
+def collocate(
     dynamics: Dynamics, numbers: Mapping[str, float], first: Path, *, pivot: float | None = None
 ) -> Path:
     """Solve the equations of motion for one sense of the casing's motion, from a guess near enough.
@@ -65,7 +65,7 @@ def glide(
     SimulationError
         If Newton's method does not converge or the states leave the finite numbers.
     """
-    return refine(dynamics, numbers, settle(dynamics, numbers, first, pivot=pivot), pivot=pivot)
+    return refine(dynamics, numbers, newton(dynamics, numbers, first, pivot=pivot), pivot=pivot)
 
 
 def refine(
@@ -73,7 +73,7 @@ def refine(
 ) -> Path:
     """Halve the intervals of a solution until it is resolved."""
     for _ in range(40):
-        rough = roughness(path) > _TOLERANCE
+        rough = truncation_error(path) > _TOLERANCE
         if not rough.any():
             return path
         edges = path.mesh.edges
@@ -81,11 +81,11 @@ def refine(
             break
         middle = 0.5 * (edges[1:] + edges[:-1])[rough]
         mesh = Mesh(np.sort(np.concatenate([edges, middle])))
-        path = settle(dynamics, numbers, transfer(path, mesh, path.edges[0], path.sense[0]), pivot=pivot)
+        path = newton(dynamics, numbers, transfer(path, mesh, path.edges[0], path.sense[0]), pivot=pivot)
     raise SimulationError("the equations of motion change too sharply to be integrated")
 
 
-def settle(
+def newton(
     dynamics: Dynamics, numbers: Mapping[str, float], first: Path, *, pivot: float | None = None
 ) -> Path:
     """Solve the collocation equations on the mesh of a guess, by Newton's method."""
@@ -128,7 +128,7 @@ def _stretched(mesh: Mesh, y: Array, edges: Array, f: Array, pivot: float) -> tu
     end, begin = float(mesh.edges[-1]), pivot
     rate = float(ends[1] @ f[-1, :, _CASING])
     move = -float(edges[-1, _CASING]) / rate if rate else np.inf
-    share = move / (end - begin)
+    share = move / (end - begin) if end > begin else np.inf
     if not abs(share) < 0.5:
         raise SimulationError(UNBOUNDED)
     i = int(np.searchsorted(mesh.edges, pivot))
@@ -141,18 +141,18 @@ def _stretched(mesh: Mesh, y: Array, edges: Array, f: Array, pivot: float) -> tu
     return new, abs(share)
 
 
-def roughness(path: Path) -> Array:
+def truncation_error(path: Path) -> Array:
     """Return how large the last Legendre coefficients are in each interval, beside the largest value of each state."""
     coefficients = np.abs(rule().to_legendre[-2:] @ path.y)
     scale = 1e-300 + np.abs(path.y).max(axis=(0, 1))
     return np.asarray((coefficients.max(axis=1) / scale).max(axis=1))
 
 
-def thinned(path: Path) -> Path:
+def coarsened(path: Path) -> Path:
     """Return a path without the edges that its motion does not need, for a mesh that had to be finer once."""
     if len(path.y) <= _FEWEST:
         return path
-    easy = roughness(path) < _THIN
+    easy = truncation_error(path) < _THIN
     edges = path.mesh.edges
     spare, i = [], 0
     while i < len(easy) - 1:
@@ -167,7 +167,9 @@ def thinned(path: Path) -> Path:
     return replace(thin, kinks=path.kinks)
 
 
-def march(dynamics: Dynamics, numbers: Mapping[str, float], start: Array, mesh: Mesh, sense: float) -> Path:
+def runge_kutta(
+    dynamics: Dynamics, numbers: Mapping[str, float], start: Array, mesh: Mesh, sense: float
+) -> Path:
     """Return a rough solution by classical Runge-Kutta steps: a first guess for Newton's method.
 
     It ends with the interval in which the casing comes to rest.

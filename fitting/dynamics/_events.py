@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import SimulationError
-from fitting.dynamics._collocation import glide, march, refine, settle, thinned
+from fitting.dynamics._collocation import coarsened, collocate, newton, refine, runge_kutta
 from fitting.dynamics._mesh import Mesh, Path, Sampler, transfer
 from fitting.dynamics._model import Dynamics
 from fitting.dynamics._sensitivities import UNBOUNDED
@@ -35,7 +35,7 @@ _STOPPED = 1e-11
 
 
 @dataclass(frozen=True)
-class Stretches:
+class Segments:
     """One integration: equations, numbers, and the times at which a law jumps."""
 
     dynamics: Dynamics
@@ -102,13 +102,13 @@ class Stretches:
         places = [time, *sorted(within), float(edges[-1]) if stops else end]
         if not np.all(np.diff(places) > 0):
             return None
-        known = thinned(known)
+        known = coarsened(known)
         mesh = known.mesh.moved([float(edges[0]), *known.kinks, float(edges[-1])], places)
         first = replace(known, mesh=mesh, edges=known.edges.copy(), kinks=())
         first.edges[0] = start
         pivot = places[-2] if stops else None
         try:
-            path = glide(self.dynamics, self.numbers, first, pivot=pivot)
+            path = collocate(self.dynamics, self.numbers, first, pivot=pivot)
         except SimulationError:
             return None
         if sense == 0:
@@ -141,11 +141,11 @@ class Stretches:
         if guess is not None:
             try:
                 first = transfer(guess, mesh, start, sense)
-                return settle(self.dynamics, self.numbers, first)
+                return newton(self.dynamics, self.numbers, first)
             except SimulationError:
                 pass
-        first = march(self.dynamics, self.numbers, start, mesh, sense)
-        return settle(self.dynamics, self.numbers, first)
+        first = runge_kutta(self.dynamics, self.numbers, start, mesh, sense)
+        return newton(self.dynamics, self.numbers, first)
 
     def _until_rest(self, path: Path, mesh: Mesh, stop: float) -> Path:
         sense, first = float(path.sense[0]), float(mesh.edges[0])
@@ -153,14 +153,14 @@ class Stretches:
         try:
             part = Mesh(path.mesh.edges[:-1]).between(first, stop).with_breakpoints(breaks)
             guess = transfer(path, part, path.edges[0], sense)
-            found = glide(self.dynamics, self.numbers, guess, pivot=max([first, *breaks]))
+            found = collocate(self.dynamics, self.numbers, guess, pivot=max([first, *breaks]))
             if self._rests(found, float(mesh.edges[-1])) and _first_crossing(found) is None:
                 return found
         except SimulationError:
             pass
         for _ in range(40):
             part = Mesh(path.mesh.edges[:-1]).between(first, stop)
-            path = glide(self.dynamics, self.numbers, transfer(path, part, path.edges[0], sense))
+            path = collocate(self.dynamics, self.numbers, transfer(path, part, path.edges[0], sense))
             y = path.edges[-1]
             earlier = _first_crossing(path)
             if earlier is not None and earlier < stop - 1e-6 * (stop - first):
@@ -174,7 +174,7 @@ class Stretches:
                 return path
             if stop + move > mesh.edges[-1]:
                 # it only nearly comes to rest
-                return glide(self.dynamics, self.numbers, transfer(path, mesh, path.edges[0], sense))
+                return collocate(self.dynamics, self.numbers, transfer(path, mesh, path.edges[0], sense))
             stop = max(stop + move, first + 0.5 * (stop - first))
         raise SimulationError(UNBOUNDED)
 
@@ -186,7 +186,7 @@ class Stretches:
         if time is None:
             return path
         part = path.mesh.between(float(mesh.edges[0]), time)
-        return glide(self.dynamics, self.numbers, transfer(path, part, path.edges[0], 0.0))
+        return collocate(self.dynamics, self.numbers, transfer(path, part, path.edges[0], 0.0))
 
     def _release(self, path: Path) -> float | None:
         edges = path.mesh.edges
@@ -273,7 +273,7 @@ def solve(
     """
     breaks = tuple(numbers[k] for k in dynamics.breakpoints if mesh.edges[0] < numbers[k] < mesh.edges[-1])
     mesh = mesh.with_breakpoints(breaks)
-    run = Stretches(dynamics, numbers, breaks)
+    run = Segments(dynamics, numbers, breaks)
     pieces: list[Path] = []
     jumps: list[Array] = []
     y, time, end = np.asarray(start, dtype=np.float64), float(mesh.edges[0]), float(mesh.edges[-1])

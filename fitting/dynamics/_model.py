@@ -175,7 +175,7 @@ class Model:
         return Model(tuple(e for e in self.effects if e.mechanical and not e.depends_on_angle))
 
     @cached_property
-    def rippling(self) -> tuple[Effect, ...]:
+    def angle_dependent(self) -> tuple[Effect, ...]:
         """The physical effects that follow an angle."""
         return tuple(e for e in self.effects if e.mechanical and e.depends_on_angle)
 

@@ -34,11 +34,11 @@ from fitting.inference._compression import (
     compress,
 )
 from fitting.inference._record import Record, Samples
-from fitting.inference._velocity import rough_speeds, speeds
+from fitting.inference._velocity import initial_speeds, speeds
 
 
 @dataclass(frozen=True)
-class LateStarts:
+class StartTimeNoise:
     """Whitens the rows of rotor windows whose starts are uncertain.
 
     Attributes
@@ -52,7 +52,7 @@ class LateStarts:
     @classmethod
     def of(
         cls, windows: Sequence[Compressed], sigma: Sequence[float], first: int, *, angle: bool
-    ) -> LateStarts:
+    ) -> StartTimeNoise:
         """Return the whitening for windows whose rows begin at `first`, with the uncertainty of each start [s]."""
         parts = []
         for window, s in zip(windows, sigma, strict=False):
@@ -71,7 +71,7 @@ class LateStarts:
         """Return A rows."""
         return self._scaled(rows, [1 / np.hypot(1.0, size) for *_, size in self.parts])
 
-    def plain(self, rows: Array) -> Array:
+    def unwhitened(self, rows: Array) -> Array:
         """Return the rows before they were whitened."""
         return self._scaled(rows, [float(np.hypot(1.0, size)) for *_, size in self.parts])
 
@@ -149,12 +149,12 @@ class CaseData:
     def z(self) -> Array:
         """Return the measured rows."""
         rows = np.concatenate([self.casing.z, *(w.z for w in self.rotor), self.casing.harmonic])
-        return self.late_starts.whitened(rows)
+        return self.start_time_noise.whitened(rows)
 
     @cached_property
-    def late_starts(self) -> LateStarts:
+    def start_time_noise(self) -> StartTimeNoise:
         """What the uncertain starts of the rotor's windows make of the rows."""
-        return LateStarts.of(self.rotor, self.record.start_sigma, len(self.casing.z), angle=self.is_angle)
+        return StartTimeNoise.of(self.rotor, self.record.start_sigma, len(self.casing.z), angle=self.is_angle)
 
     @cached_property
     def slices(self) -> dict[str, slice]:
@@ -169,9 +169,9 @@ class CaseData:
         }
 
     @cached_property
-    def rough_speeds(self) -> tuple[Array, Array]:
+    def initial_speeds(self) -> tuple[Array, Array]:
         """Times and rough speeds of rotor and casing, (times, 2)."""
-        return rough_speeds(self.record)
+        return initial_speeds(self.record)
 
     @cached_property
     def speeds(self) -> dict[str, tuple[Array, Array]]:
@@ -213,7 +213,7 @@ class CaseData:
 
     def rows(self, casing: Array, rotor: Sequence[Array]) -> Array:
         """Return the rows of a smooth function given at the nodes of the casing and of each window."""
-        return self.late_starts.whitened(self._rows(casing, rotor))
+        return self.start_time_noise.whitened(self._rows(casing, rotor))
 
     def _rows(self, casing: Array, rotor: Sequence[Array]) -> Array:
         parts = [
@@ -248,7 +248,7 @@ class CaseData:
             values.append(self._seen(sampler, path, state, nodes))
         ends = np.cumsum([len(w.node_times) for w in self.rotor])[:-1]
         rows = self._rows(values[0], [] if self.record.single else np.split(values[1], ends))
-        return self.late_starts.whitened(self._mend_kinks(path, nodes, rows))
+        return self.start_time_noise.whitened(self._mend_kinks(path, nodes, rows))
 
     def _seen(self, sampler: Sampler, path: Path, state: int, nodes: Array | None) -> Array:
         if nodes is None:

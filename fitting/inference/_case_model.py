@@ -27,7 +27,7 @@ from fitting.effects._effect import Effect
 from fitting.effects._expression import Tape
 from fitting.inference._case_data import CaseData
 from fitting.inference._compression import Compressed
-from fitting.inference._parameters import START_CASING, START_ROTOR, Layout
+from fitting.inference._parameters import START_CASING, START_ROTOR, ParameterLayout
 from fitting.inference._velocity import hermite
 
 _GAUSS = 3
@@ -36,7 +36,7 @@ _MIN_PIECE = 12
 _CUBIC = 4
 
 
-def ripple_rows(
+def angle_dependent_rows(
     data: CaseData, effect: Effect, path: Path, motion: LinearMotion, numbers: Mapping[str, float]
 ) -> tuple[Array, Array]:
     """Return the rows that a law gives at strength 1, at phase 0 and at a quarter turn.
@@ -187,19 +187,19 @@ class CaseModel:
     ----------
     data : CaseData
         The case.
-    layout : Layout
+    layout : ParameterLayout
         The variables.
     case : int
         Which of the layout's cases it is.
     """
 
-    def __init__(self, data: CaseData, layout: Layout, case: int) -> None:
+    def __init__(self, data: CaseData, layout: ParameterLayout, case: int) -> None:
         self.data, self.layout, self.case = data, layout, case
         self.dynamics = Dynamics(layout.model.smooth)
         moving = layout.places(case, (*self.dynamics.parameters, START_ROTOR, START_CASING))
         added = [
             f"{e.name}.{p.symbol}"
-            for e in (*layout.model.rippling, *layout.model.measurement)
+            for e in (*layout.model.angle_dependent, *layout.model.measurement)
             for p in e.free
         ]
         # the variables that this case has to do with; the first ones move it
@@ -222,7 +222,7 @@ class CaseModel:
 
     def _measured(self, first: Array) -> Path:
         """Return the measured motion as a first guess."""
-        times, speeds = self.data.rough_speeds
+        times, speeds = self.data.initial_speeds
         mesh, n = self._mesh, len(first)
         y, edges = (np.tile(first, (*t.shape, 1)) for t in (mesh.times, mesh.edges))
         for i in range(2):
@@ -239,7 +239,7 @@ class CaseModel:
         rows = seen[:, 0].copy()
         columns = np.zeros((len(rows), len(self.places)))
         columns[:, : self._moving] = seen[:, 1:]
-        for effect in (*self.layout.model.rippling, *self.layout.model.measurement):
+        for effect in (*self.layout.model.angle_dependent, *self.layout.model.measurement):
             if effect.name not in self._columns:
                 self._columns[effect.name] = self.unit_columns(effect, path, sensitivity, numbers)
             self._add(effect, numbers, rows, columns)
@@ -268,7 +268,9 @@ class CaseModel:
     ) -> tuple[Array, Array]:
         """Return the rows for strength 1 at phase 0 and at a quarter turn."""
         if effect.mechanical:
-            return ripple_rows(self.data, effect, path, LinearMotion(path, sensitivity.propagator), numbers)
+            return angle_dependent_rows(
+                self.data, effect, path, LinearMotion(path, sensitivity.propagator), numbers
+            )
         rows = []
         for phi in (0.0, np.pi / 2):
             values = {p.symbol: numbers.get(f"{effect.name}.{p.symbol}", p.start) for p in effect.parameters}
@@ -301,4 +303,4 @@ class CaseModel:
         out = np.zeros(len(self.data.z))
         parts = [w.at_samples(law(w, 0, w.samples.time[0])[:, None])[0][:, 0] for w in self.data.rotor]
         out[self.data.slices["rotor"]] = np.concatenate(parts)
-        return self.data.late_starts.whitened(out)
+        return self.data.start_time_noise.whitened(out)

@@ -36,7 +36,7 @@ def independent_harmonics(y: Array, polynomials: Array) -> Array:
     return np.asarray(np.where(keep, waves, 0.0))
 
 
-def restlessness(rows: Array) -> Array:
+def harmonic_scatter(rows: Array) -> Array:
     """Return by how much harmonics change from block to block beyond the noise, at least 1.
 
     An artefact of tracking that wanders (a centre that is smoothed, a marker cut by the codec) does so from
@@ -162,7 +162,7 @@ def compress(
     k = degree + 1
     spread = np.full(parts[0].rows.shape[0], scale)
     if harmonics:
-        spread[k:] *= restlessness(np.stack([p.rows[k:] @ samples.value[p.where] for p in parts]) / scale)
+        spread[k:] *= harmonic_scatter(np.stack([p.rows[k:] @ samples.value[p.where] for p in parts]) / scale)
     operators = tuple((p.where, p.rows / spread[:, None]) for p in parts)
     projected = [rows @ samples.value[where] for where, rows in operators]
     return Compressed(

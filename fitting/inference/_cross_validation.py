@@ -15,7 +15,7 @@ from fitting.dynamics._model import Model
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 from fitting.inference._metrics import BodyMetrics
-from fitting.inference._noise_level import Noise
+from fitting.inference._noise import Noise
 from fitting.inference._result import Fit
 
 

@@ -1,7 +1,7 @@
 """The fit: initial values, noise levels, minimum, uncertainties.
 
 It goes past the places where a wrong path would hold it: stops at wrong times, bounds far from the data, other
-valleys.
+power_laws.
 
 Two levels of random torque are found for each case. The *pure* level is what no slow torque can explain: the
 noise. The *level* of the fit is what this model leaves: the same if the model is right, more if it
@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 
 from fitting._errors import EstimationError, FittingError
 from fitting.dynamics._model import Model
+from fitting.effects._expression import Expr, Tape, divisors, symbols
 from fitting.inference._case_data import CaseData
-from fitting.inference._initial_values import first_values, start_shapes, unknown_shapes
-from fitting.inference._noise import WHITE
-from fitting.inference._noise_level import Noise, cautious, first_noise, measure_noise, refine_level
-from fitting.inference._optimisation import search, search_around, search_widely
-from fitting.inference._parameters import Layout
+from fitting.inference._initial_values import initial_shapes, initial_values, unknown_shapes
+from fitting.inference._noise import Noise
+from fitting.inference._noise_level import first_noise, measure_noise, raised_noise, refine_level
+from fitting.inference._optimisation import ActiveBounds, Solution, search, search_widely, search_with_held
+from fitting.inference._parameters import ParameterLayout
 from fitting.inference._problem import Problem
 from fitting.inference._record import Record
 from fitting.inference._result import Fit, outcome
@@ -39,115 +40,121 @@ _PATIENCE = 60
 
 def search_with_noise(
     problem: Problem, theta: Array, given: Mapping[str, float] | None, *, quick: bool
-) -> tuple[Array, tuple[Noise, ...]]:
-    """Return the variables of the minimum and the noise measured there.
+) -> tuple[Solution, tuple[Noise, ...]]:
+    """Return the minimum of a fit and the noise measured there.
 
     Parameters
     ----------
     problem : Problem
         The fit.
-    theta : ndarray
-        Where to start.
+    theta : ndarray, shape (variables,)
+        Initial values.
     given : mapping, optional
         Which of these values the user gave.
     quick : bool
         Stop where chi-square is within about 0.01 of its minimum.
     """
-    problem.set_noise([n.whitener for n in first_noise(problem, theta)])
-    theta, held = shaped(problem, theta, given)
-    if _stops(problem, theta):
-        theta = _past_stops(problem, theta)
+    problem = problem.with_noise(first_noise(problem, theta))
+    problem, theta, held = with_initial_shapes(problem, theta, given)
+    active = None
+    if _comes_to_rest(problem, theta):
+        problem, theta, active = _past_stops(problem, theta)
     if held:
-        theta = search_around(problem, theta, held)
-        problem.set_noise([n.whitener for n in measure_noise(problem, theta)])
-    theta = search_widely(problem, theta, _elsewhere(problem, theta, given), quick=quick)
-    return _tight(problem, theta, measure_noise(problem, theta))
+        found = search_with_held(problem, theta, held, active=active)
+        theta, active = found.theta, found.active
+        problem = problem.with_noise(measure_noise(problem, theta))
+    others = _other_starts(problem, theta, given)
+    found = search_widely(problem, theta, others, quick=quick, active=active)
+    return _with_less_noise(problem, found, measure_noise(problem, found.theta))
 
 
-def shaped(
+def with_initial_shapes(
     problem: Problem, theta: Array, given: Mapping[str, float] | None, noise: Sequence[Noise] | None = None
-) -> tuple[Array, tuple[str, ...]]:
-    """Return variables with start values of those shape constants that were not given, and the names of these."""
+) -> tuple[Problem, Array, tuple[str, ...]]:
+    """Return initial values of the shape constants that were not given, their names, and the problem at their noise."""
     unknown = unknown_shapes(problem.layout, given)
     if not unknown:
-        return theta, ()
+        return problem, theta, ()
     names = {n for n in problem.layout.names if not n.startswith(tuple(f"{e.name}." for e in unknown))}
     shapes = tuple(f"{e.name}.{p.symbol}" for e in unknown for p in e.parameters if p.role == "shape")
     held = tuple(n for n in problem.layout.names if n.partition("@")[0] in shapes)
-    return start_shapes(problem, theta, unknown, fitted=names <= set(given or ()), noise=noise), held
+    return *initial_shapes(problem, theta, unknown, fitted=names <= set(given or ()), noise=noise), held
 
 
-def _stops(problem: Problem, theta: Array) -> bool:
-    """Return whether a casing comes to rest or turns back, as it was measured or as the model has it."""
+def _comes_to_rest(problem: Problem, theta: Array) -> bool:
+    """Return whether a casing comes to rest or reverses, as measured or in the model."""
     for d in problem.data:
-        speed = np.abs(d.rough_speeds[1][:, 1])
+        speed = np.abs(d.initial_speeds[1][:, 1])
         if (speed[len(speed) // 20 :] < _AT_REST * speed.max(initial=0.0)).any():
             return True
     return any(p.path.jumps for p in problem.predict(theta))
 
 
-def _past_stops(problem: Problem, theta: Array) -> Array:
-    """Return variables from a search without random torque, and set the noise about them.
+def _past_stops(problem: Problem, theta: Array) -> tuple[Problem, Array, ActiveBounds | None]:
+    """Return the problem at the noise about a search without process noise, and the variables of that search.
 
-    What a torque does after a stop at a wrong time is wrong too, and would hold the search there.
+    The response to a torque after a stop at a wrong time is wrong too, and would keep the search there.
     """
-    problem.set_noise([WHITE] * len(problem.data))
+    active = None
     with suppress(EstimationError):
-        _, theta = search(problem, theta, quick=True, most=_PATIENCE)
-    problem.set_noise([n.whitener for n in first_noise(problem, theta)])
-    return theta
+        found = search(problem.with_white_noise(), theta, quick=True, max_iterations=_PATIENCE)
+        theta, active = found.theta, found.active
+    return problem.with_noise(first_noise(problem, theta)), theta, active
 
 
-def _tight(problem: Problem, theta: Array, noise: tuple[Noise, ...]) -> tuple[Array, tuple[Noise, ...]]:
-    """Return variables and noise, found anew with less noise than the model leaves, if that describes the data better.
+def _with_less_noise(
+    problem: Problem, found: Solution, noise: tuple[Noise, ...]
+) -> tuple[Solution, tuple[Noise, ...]]:
+    """Return a solution and its noise, found again with less process noise if that describes the data better.
 
-    What noise does to a casing that is held is told from the fitted path. About a path that stops at a wrong time it
-    may hold the fit there. So may an edge of a parameter, far from the data, where noise excuses what is wrong. And
-    where several cases are fitted together, noise in all of them excuses a compromise with one that the model fails.
+    The response of a casing at rest to process noise is computed from the fitted path. About a path that stops at a
+    wrong time it may keep the fit there. So may a bound of a parameter, far from the data, where process noise accounts
+    for the misfit. And where several cases are fitted together, process noise in all of them accounts for a compromise
+    with one case that the model does not describe.
     """
-    ends = [(theta, noise)]
-    for levels in _stricter(problem, theta, noise):
-        problem.set_noise([n.whitener.at(level) for n, level in zip(noise, levels, strict=True)])
-        # without the excuse a search may run away to where nothing can be computed
+    ends, active = [(found, noise)], found.active
+    for levels in _lower_levels(problem, found.theta, noise):
+        trial = problem.with_noise([n.at(level) for n, level in zip(noise, levels, strict=True)])
+        # with so little noise a search may reach values at which the model cannot be computed
         with suppress(FittingError):
-            _, other = search(problem, theta)
-            ends.append((other, measure_noise(problem, other)))
-    return min(ends, key=lambda end: _deviance(problem, *end))
+            other = search(trial, found.theta, active=active)
+            active = other.active
+            ends.append((other, measure_noise(trial, other.theta)))
+    return min(ends, key=lambda end: _deviance(problem, end[0].theta, end[1]))
 
 
-def _stricter(problem: Problem, theta: Array, noise: Sequence[Noise]) -> Iterator[tuple[float, ...]]:
-    """Yield levels of the random torque in each case with which a search may end elsewhere."""
-    excused = [n for n in noise if n.level > n.pure]
-    held = excused and any((p.path.sense == 0).any() for p in problem.predict(theta))
-    if held or (excused and problem.layout.at_bound(theta).any()):
-        # the pure level was found about a wrong path too: with none at all the angles alone have a say
+def _lower_levels(problem: Problem, theta: Array, noise: Sequence[Noise]) -> Iterator[tuple[float, ...]]:
+    """Yield levels of the process noise of each case with which a search may end elsewhere."""
+    raised = [n for n in noise if n.level > n.pure]
+    held = raised and any((p.path.sense == 0).any() for p in problem.predict(theta))
+    if held or (raised and problem.layout.at_bound(theta).any()):
+        # the pure level was measured about a wrong path too: with none at all the angles alone decide
         yield from dict.fromkeys([tuple(n.pure for n in noise), (0.0,) * len(noise)])
-    if len(excused) > 1:
-        worst = max(excused, key=lambda n: n.excess)
+    if len(raised) > 1:
+        worst = max(raised, key=lambda n: n.excess)
         yield tuple(n.level if n is worst else n.pure for n in noise)
 
 
 def _deviance(problem: Problem, theta: Array, noise: Sequence[Noise]) -> float:
-    problem.set_noise([n.whitener for n in noise])
-    r, _ = problem.residuals(problem.predict(theta))
+    r, _ = problem.with_noise(noise).residuals(problem.predict(theta))
     return float(r @ r) + sum(n.whitener.log_determinant for n in noise)
 
 
-def _elsewhere(problem: Problem, theta: Array, given: Mapping[str, float] | None) -> Iterator[Array]:
+def _other_starts(problem: Problem, theta: Array, given: Mapping[str, float] | None) -> Iterator[Array]:
     """Yield other starts: the program's own if one was given, and other exponents of the bearing's power law."""
-    own = first_values(problem, None) if given else theta
+    own = initial_values(problem, None) if given else theta
     if given:
         yield own
     for g in _OTHER_POWERS:
         begin = own.copy()
-        for v in problem.valleys:
-            begin = problem.physical(np.where(np.arange(len(own)) == v.g, g, problem.straight(begin)))
-        if problem.valleys:
+        for v in problem.power_laws:
+            begin = problem.physical(np.where(np.arange(len(own)) == v.g, g, problem.transformed(begin)))
+        if problem.power_laws:
             yield begin
 
 
-# chi2 per row with which a level of random torque is what the model leaves
-_EXCUSED = 1.5
+# chi2 per row above which the process noise is estimated again at the minimum
+_REFINED_ABOVE = 1.5
 
 
 def fit(
@@ -195,32 +202,36 @@ def fit(
     """
     data = [c if isinstance(c, CaseData) else CaseData.of(c) for c in cases]
     _check(model, data)
-    problem = Problem(Layout.of(model, [d.record for d in data], share, per_case, ranges), data)
-    theta = first_values(problem, start)
+    problem = Problem.of(ParameterLayout.of(model, [d.record for d in data], share, per_case, ranges), data)
+    theta = initial_values(problem, start)
+    active: ActiveBounds | None = None
     if noise is None:
-        theta, noise = search_with_noise(problem, theta, start, quick=quick)
+        found, noise = search_with_noise(problem, theta, start, quick=quick)
+        theta, active = found.theta, found.active
     elif not set(problem.layout.names) <= set(start or ()):
-        # far from the minimum a model fails by far more than the noise, and a valley seen so sharply is hard to follow
-        problem.set_noise(cautious(problem, theta, noise))
-        theta, unknown = shaped(problem, theta, start, noise)
-        theta = search_around(problem, theta, unknown)
+        # far from the minimum a model fails by far more than the noise; at a low level the search would take long
+        problem = problem.with_noise(raised_noise(problem, theta, noise))
+        problem, theta, unknown = with_initial_shapes(problem, theta, start, noise)
+        found = search_with_held(problem, theta, unknown)
+        theta, active = found.theta, found.active
         noise = refine_level(problem, theta, noise)
-    problem.set_noise([n.whitener for n in noise])
+    problem = problem.with_noise(noise)
     held = tuple(steady)
     if held:
-        theta = search_around(problem, theta, held)
-        # the noise that the model was excused with before the law came would excuse any shape
+        found = search_with_held(problem, theta, held, active=active)
+        theta, active = found.theta, found.active
+        # the level of the model without the new law would make any shape of it acceptable
         noise = refine_level(problem, theta, noise)
-        problem.set_noise([n.whitener for n in noise])
-    _, theta = search(problem, theta, quick=quick)
-    noise = refine_level(problem, theta, noise)
-    problem.set_noise([n.whitener for n in noise])
-    minimum, theta = search(problem, theta, quick=quick)
-    if minimum.cost > _EXCUSED * problem.rows:
-        noise = refine_level(problem, theta, noise, settled=True)
-        problem.set_noise([n.whitener for n in noise])
-        minimum, theta = search(problem, theta, quick=quick)
-    return outcome(problem, theta, noise, converged=minimum.converged)
+        problem = problem.with_noise(noise)
+    found = search(problem, theta, quick=quick, active=active)
+    noise = refine_level(problem, found.theta, noise)
+    problem = problem.with_noise(noise)
+    found = search(problem, found.theta, quick=quick, active=found.active)
+    if found.minimum.cost > _REFINED_ABOVE * problem.rows:
+        noise = refine_level(problem, found.theta, noise, settled=True)
+        problem = problem.with_noise(noise)
+        found = search(problem, found.theta, quick=quick, active=found.active)
+    return outcome(problem, found.theta, noise, converged=found.minimum.converged)
 
 
 def _check(model: Model, data: Sequence[CaseData]) -> None:
@@ -240,3 +251,33 @@ def _check(model: Model, data: Sequence[CaseData]) -> None:
             f"{foreign[0]} speaks of a rotor, which this record of one body does not have",
             "its laws are those that act on the casing alone: `gyrotrack effects` lists them",
         )
+    for effect in model.effects:
+        for divisor in divisors(effect.expression):
+            if any(_changes_sign(divisor, d) for d in data):
+                raise EstimationError(
+                    f"{effect.name} is singular within the measured motion: a divisor of its law, which no "
+                    "parameter changes, passes through zero.",
+                    "Write a law that is finite at every measured speed, or make the position of the pole a parameter.",
+                )
+
+
+def _changes_sign(divisor: Expr, data: CaseData) -> bool:
+    """Return whether an expression without parameters passes through zero along the measured motion.
+
+    A tenth of the range of each speed is added on both sides, as far as the speed keeps its sign: a trial of the fit
+    may start a little slower or faster than the record.
+    """
+    names = symbols(divisor)
+    if not names or not names <= {"t", "omega_r", "omega_c", "delta"}:
+        return False  # a constant, a parameter that the fit may move, or an angle
+    time, speeds = data.initial_speeds
+    own = {"omega_r": speeds[:, 0], "omega_c": speeds[:, 1], "delta": speeds[:, 0] - speeds[:, 1]}
+    motion = {"t": np.concatenate([time, time[[0, -1]]])}
+    for name, value in own.items():
+        low, high = float(value.min()), float(value.max())
+        margin = 0.1 * (high - low)
+        ends = [max(low - margin, min(low, 0.0)), min(high + margin, max(high, 0.0))]
+        motion[name] = np.concatenate([value, ends])
+    with np.errstate(all="ignore"):
+        value = np.asarray(Tape([divisor])(motion)[0])
+    return bool(np.nanmin(value, initial=np.inf) < 0 < np.nanmax(value, initial=-np.inf))

@@ -17,6 +17,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,10 +27,11 @@ from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Mod
 from fitting.effects._effect import Effect
 from fitting.effects._library import LIBRARY
 from fitting.inference._case_model import Prediction
-from fitting.inference._noise_level import Noise, measure_noise
+from fitting.inference._noise import Noise
+from fitting.inference._noise_level import measure_noise
 from fitting.inference._optimisation import minimise, search
-from fitting.inference._parameters import START_CASING, START_ROTOR, Layout, is_power_law
-from fitting.inference._problem import Problem, turned
+from fitting.inference._parameters import START_CASING, START_ROTOR, ParameterLayout, is_power_law
+from fitting.inference._problem import Problem, r_factor
 
 Array = NDArray[np.float64]
 
@@ -38,12 +40,12 @@ _FIRST_SHARE = 0.1
 _AT_REST = 0.01
 
 
-def first_values(problem: Problem, given: Mapping[str, float] | None) -> Array:
+def initial_values(problem: Problem, given: Mapping[str, float] | None) -> Array:
     """Return where a fit starts: what was given, and the start values of all else."""
     layout = problem.layout
     known = dict(given or {})
     if not set(layout.names) <= set(known):
-        rough = [d.rough_speeds for d in problem.data]
+        rough = [d.initial_speeds for d in problem.data]
         guessed = dict(
             zip(layout.names, start_values(layout, problem.reference, rough).tolist(), strict=True)
         )
@@ -51,12 +53,12 @@ def first_values(problem: Problem, given: Mapping[str, float] | None) -> Array:
     return np.array([known[n] for n in layout.names])
 
 
-def start_values(layout: Layout, reference: float, rough: Sequence[tuple[Array, Array]]) -> Array:
+def start_values(layout: ParameterLayout, reference: float, rough: Sequence[tuple[Array, Array]]) -> Array:
     """Return start values of all variables.
 
     Parameters
     ----------
-    layout : Layout
+    layout : ParameterLayout
         The variables.
     rough : sequence of (times, speeds)
         Of each case, as `fitting.inference._velocity` gives them.
@@ -85,7 +87,7 @@ def start_values(layout: Layout, reference: float, rough: Sequence[tuple[Array, 
     return theta
 
 
-def _resting(layout: Layout, name: str) -> float:
+def _resting(layout: ParameterLayout, name: str) -> float:
     p = layout.parameter(name)
     if p.relative and p.grid:
         first, last = layout.records[0].span
@@ -94,7 +96,7 @@ def _resting(layout: Layout, name: str) -> float:
 
 
 def _equations(
-    layout: Layout, case: int, times: Array, speeds: Array, theta: Array
+    layout: ParameterLayout, case: int, times: Array, speeds: Array, theta: Array
 ) -> tuple[list[str], Array, Array]:
     """Return the strengths of one case, and the linear equations for them with both start speeds free."""
     dynamics = Dynamics(layout.model.smooth)
@@ -127,7 +129,7 @@ def _equations(
     return linear, np.concatenate(blocks), np.concatenate(targets)
 
 
-def _strengths(layout: Layout, parameters: Sequence[str]) -> list[str]:
+def _strengths(layout: ParameterLayout, parameters: Sequence[str]) -> list[str]:
     """Return the parameters in which the equations are linear, and which the data can tell apart so."""
     every = [k for k in parameters if layout.model.parameters[k].role == "amplitude"]
     # linear in its strength, but hardly to be told from the linear law while its power is free
@@ -139,13 +141,13 @@ def _strengths(layout: Layout, parameters: Sequence[str]) -> list[str]:
 
 
 def _regress(
-    layout: Layout, parts: Sequence[tuple[NDArray[np.intp], Array, Array]]
+    layout: ParameterLayout, parts: Sequence[tuple[NDArray[np.intp], Array, Array]]
 ) -> tuple[NDArray[np.intp], Array]:
     """Return the places of all strengths and their values within bounds, by linear least squares."""
     places = np.unique(np.concatenate([own for own, _, _ in parts]))
     rows, aims = [], []
     for own, design, target in parts:
-        few = turned(np.column_stack([design, target]))
+        few = r_factor(np.column_stack([design, target]))
         rows.append(np.zeros((len(few), len(places))))
         rows[-1][:, np.searchsorted(places, own)] = few[:, :-1]
         aims.append(few[:, -1])
@@ -186,7 +188,7 @@ _COLLINEAR = 1e-7
 _SHARES = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3)
 
 
-def unknown_shapes(layout: Layout, given: Mapping[str, float] | None) -> list[Effect]:
+def unknown_shapes(layout: ParameterLayout, given: Mapping[str, float] | None) -> list[Effect]:
     """Return the effects of a model whose shape constants were not given and need a search of their own."""
     known = {name.partition("@")[0] for name in given or {}}
     effects = []
@@ -203,17 +205,15 @@ def unknown_shapes(layout: Layout, given: Mapping[str, float] | None) -> list[Ef
     return effects
 
 
-def start_shapes(
+def initial_shapes(
     problem: Problem,
     theta: Array,
     effects: list[Effect],
     *,
     fitted: bool,
     noise: Sequence[Noise] | None = None,
-) -> Array:
-    """Return variables with the shapes of some effects on the best point of their grids.
-
-    The problem's noise is then what they leave.
+) -> tuple[Problem, Array]:
+    """Return variables with the shapes of some effects on the best point of their grids, and the problem at its noise.
 
     Parameters
     ----------
@@ -236,25 +236,24 @@ def start_shapes(
         theta = _without(problem, theta, effects)
     noise = measure_noise(problem, theta) if noise is None else noise
     for effect in effects:
-        theta = _best(problem, theta, effect, noise)
-    return theta
+        problem, theta = _best(problem, theta, effect, noise)
+    return problem, theta
 
 
 def _without(problem: Problem, theta: Array, effects: list[Effect]) -> Array:
     layout = problem.layout
     names = {e.name for e in effects}
     model = Model(tuple(e for e in layout.model.effects if e.name not in names))
-    smaller = Layout(model, layout.records, layout.per_case, layout.ranges)
-    rest = Problem(smaller, problem.data)
-    rest.set_noise([p.whitener for p in problem.projections])
+    smaller = ParameterLayout(model, layout.records, layout.per_case, layout.ranges)
+    rest = replace(Problem.of(smaller, problem.data), projections=problem.projections)
     places = [layout.index[n] for n in smaller.names]
     out = theta.copy()
-    out[places] = search(rest, theta[places])[1]
+    out[places] = search(rest, theta[places]).theta
     return out
 
 
-def _best(problem: Problem, theta: Array, effect: Effect, noise: Sequence[Noise]) -> Array:
-    """Return variables with the best shape of one effect; the noise of the problem is then what it leaves."""
+def _best(problem: Problem, theta: Array, effect: Effect, noise: Sequence[Noise]) -> tuple[Problem, Array]:
+    """Return variables with the best shape of one effect, and the problem at the noise of that fit."""
     layout = problem.layout
     starts = []
     for values in _grid(problem, effect):
@@ -266,19 +265,17 @@ def _best(problem: Problem, theta: Array, effect: Effect, noise: Sequence[Noise]
             starts.append((begin, problem.predict(begin)))
     ends = []
     for share in _SHARES:
-        whiteners = [n.whitener.at(max(n.pure, share * n.level)) for n in noise]
-        problem.set_noise(whiteners)
-        loud = sum(w.log_determinant for w in whiteners)
+        levels = [n.at(max(n.pure, share * n.level)) for n in noise]
+        trial = problem.with_noise(levels)
+        log_determinant = sum(n.whitener.log_determinant for n in levels)
         for begin, predictions in starts:
-            found = _stepped(problem, begin, predictions, _places(layout, effect, "amplitude"))
+            found = _stepped(trial, begin, predictions, _places(layout, effect, "amplitude"))
             if found is not None:
-                ends.append((loud + found[0], found[1], whiteners))
+                ends.append((log_determinant + found[0], found[1], trial))
     if not ends:
-        problem.set_noise([n.whitener for n in noise])
-        return theta
-    _, chosen, whiteners = min(ends, key=lambda end: end[0])
-    problem.set_noise(whiteners)
-    return chosen
+        return problem.with_noise(noise), theta
+    _, chosen, trial = min(ends, key=lambda end: end[0])
+    return trial, chosen
 
 
 def _stepped(
@@ -307,7 +304,7 @@ def _grid(problem: Problem, effect: Effect) -> Iterator[dict[str, float]]:
         if p.role != "shape":
             continue
         grid = np.array(p.grid or (p.start,))
-        if effect.name not in LIBRARY and is_power_law(effect, *problem.data[0].rough_speeds):
+        if effect.name not in LIBRARY and is_power_law(effect, *problem.data[0].initial_speeds):
             grid = np.array([v for v in _POWERS if p.lower <= v <= p.upper] or [p.start])
         if p.relative:
             grid = grid * (last - first) + (first if p.symbol == effect.breakpoint else 0.0)
@@ -316,6 +313,6 @@ def _grid(problem: Problem, effect: Effect) -> Iterator[dict[str, float]]:
         yield dict(values)
 
 
-def _places(layout: Layout, effect: Effect, role: str) -> NDArray[np.intp]:
+def _places(layout: ParameterLayout, effect: Effect, role: str) -> NDArray[np.intp]:
     keys = [f"{effect.name}.{p.symbol}" for p in effect.parameters if p.role == role]
     return np.unique(np.concatenate([layout.places(i, keys) for i in range(len(layout.records))]))

@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import Prediction
-from fitting.inference._noise import TorqueResponse
-from fitting.inference._noise_level import Noise
-from fitting.inference._problem import Problem, Projection, turned
+from fitting.inference._noise import Noise, TorqueResponse
+from fitting.inference._problem import Problem, Projection, r_factor
 
 Array = NDArray[np.float64]
 
@@ -71,7 +70,7 @@ def lack_of_fit(problem: Problem, predictions: Sequence[Prediction], noise: Sequ
         rows = slow_responses(data, p)
         project = Projection(data, n.whitener.at(n.pure))
         white = project(np.concatenate([rows, p.columns, (data.z - p.rows)[:, None]], axis=1))
-        few = turned(white)
+        few = r_factor(white)
         slow.append(few[:, : rows.shape[1]])
         free.append(np.zeros((len(few), p.count)))
         free[-1][:, p.places] = few[:, rows.shape[1] : -1]

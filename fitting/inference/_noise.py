@@ -8,7 +8,7 @@ A stretch that is far noisier than the others holds an event (a kink, a jump) an
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 from fitting.dynamics._sensitivities import LinearMotion
 from fitting.inference._case_data import CaseData
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -60,14 +62,43 @@ WHITE = Whitener(np.zeros((0, 0)), np.zeros(0))
 
 
 @dataclass(frozen=True)
+class Noise:
+    """What was measured about the noise of one case.
+
+    Attributes
+    ----------
+    scale : float
+        Measured noise of the casing's samples over the sigma that came with them.
+    pure, level : float
+        Rms of the random torque [N m] on the casing and between the bodies, each: what no slow
+        torque explains, and what the fitted model leaves.
+    time : float
+        Its correlation time [s].
+    excess : float
+        Twice the log-likelihood by which `level` beats `pure`.
+    whitener : Whitener
+        At `level`.
+    """
+
+    scale: float
+    pure: float
+    level: float
+    time: float
+    whitener: Whitener = field(repr=False)
+    excess: float = 0.0
+
+    def at(self, level: float) -> Noise:
+        """Return the noise at another level of the random torque [N m]."""
+        return replace(self, level=level, whitener=self.whitener.at(level))
+
+
+@dataclass(frozen=True)
 class TorqueNoise:
     """A random torque: rms [N m] on the casing and between the bodies, each, and correlation time [s]."""
 
     rms: float
     time: float
 
-
-Array = NDArray[np.float64]
 
 LEVELS = np.concatenate([[0.0], np.geomspace(0.03, 3e5, 57)])
 # a casing at rest answers to no torque

@@ -3,44 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.inference._noise import TorqueNoise, TorqueResponse, Whitener, estimate_noise, remaining_level
+from fitting.inference._noise import Noise, TorqueNoise, TorqueResponse, estimate_noise, remaining_level
 from fitting.inference._problem import Problem
 
 Array = NDArray[np.float64]
 
 _FIRST_LEVEL = 0.01
-
-
-@dataclass(frozen=True)
-class Noise:
-    """What was measured about the noise of one case.
-
-    Attributes
-    ----------
-    scale : float
-        Measured noise of the casing's samples over the sigma that came with them.
-    pure, level : float
-        Rms of the random torque [N m] on the casing and between the bodies, each: what no slow
-        torque explains, and what the fitted model leaves.
-    time : float
-        Its correlation time [s].
-    excess : float
-        Twice the log-likelihood by which `level` beats `pure`.
-    whitener : Whitener
-        At `level`.
-    """
-
-    scale: float
-    pure: float
-    level: float
-    time: float
-    whitener: Whitener = field(repr=False)
-    excess: float = 0.0
 
 
 def first_noise(problem: Problem, theta: Array) -> tuple[Noise, ...]:
@@ -55,10 +27,10 @@ def first_noise(problem: Problem, theta: Array) -> tuple[Noise, ...]:
     return tuple(found)
 
 
-def cautious(problem: Problem, theta: Array, noise: Sequence[Noise]) -> list[Whitener]:
+def raised_noise(problem: Problem, theta: Array, noise: Sequence[Noise]) -> tuple[Noise, ...]:
     """Return a known noise raised to the level of `first_noise`, for a search that begins far away."""
     levels = _first_levels(problem, theta)
-    return [n.whitener.at(max(n.level, level)) for n, level in zip(noise, levels, strict=True)]
+    return tuple(n.at(max(n.level, level)) for n, level in zip(noise, levels, strict=True))
 
 
 def _first_levels(problem: Problem, theta: Array) -> list[float]:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import EstimationError, SimulationError
-from fitting.inference._parameters import Valley
+from fitting.inference._parameters import PowerLaw
 from fitting.inference._problem import Problem
 
 Array = NDArray[np.float64]
@@ -157,127 +157,142 @@ def _step(r: Array, j: Array, scale: Array, damping: float, down: Array, up: Arr
 _ENOUGH = 1e-5
 _ENOUGH_TO_RANK = 3e-3
 # chi2 per row above which a search is repeated from elsewhere
-_LOST = 10.0
+_FAR = 10.0
 _PATIENCE = 60
 # steps tried at most where only an order is asked for
 _QUICK = 40
 # exponents tried for the slope of a law
 _POWERS = 241
-_ALIKE = 1e-3
+_SAME = 1e-3
 
 
-def search_widely(problem: Problem, theta: Array, others: Iterable[Array], *, quick: bool = False) -> Array:
-    """Return the variables of the best of several searches; the others are tried only if the first is lost."""
-    best: tuple[float, Array] | None = None
+@dataclass(frozen=True)
+class ActiveBounds:
+    """Bounds of d and f that a search ended on: the power laws that stay free, and which variables are held."""
+
+    power_laws: tuple[PowerLaw, ...]
+    held: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Where a search ended: the physical variables, the minimum in transformed ones, and active bounds of d and f."""
+
+    theta: Array
+    minimum: Minimum
+    active: ActiveBounds | None = None
+
+
+def search_widely(
+    problem: Problem,
+    theta: Array,
+    others: Iterable[Array],
+    *,
+    quick: bool = False,
+    active: ActiveBounds | None = None,
+) -> Solution:
+    """Return the best of several searches; the `others` start only if the first one ends far from the data."""
+    best: Solution | None = None
     for begin in (theta, *others):
         try:
-            minimum, end = search(problem, begin, quick=quick, most=_PATIENCE)
+            found = search(problem, begin, quick=quick, max_iterations=_PATIENCE, active=active)
         except EstimationError:
+            active = None
             continue
-        # two starts that end alike: the model is at fault
-        alike = best is not None and abs(minimum.cost - best[0]) < _ALIKE * best[0]
-        if best is None or minimum.cost < best[0]:
-            best = minimum.cost, end
-        if alike or (minimum.converged and minimum.cost < _LOST * problem.rows):
+        active, cost = found.active, found.minimum.cost
+        # two starts with the same end: the model is at fault, not the start
+        same = best is not None and abs(cost - best.minimum.cost) < _SAME * best.minimum.cost
+        if best is None or cost < best.minimum.cost:
+            best = found
+        if same or (found.minimum.converged and cost < _FAR * problem.rows):
             break
-    if best is None:
-        # the fault of the first start, told by the solver
-        return search(problem, theta, quick=quick)[1]
-    return best[1]
+    # without any end the solver's error of the first start is raised
+    return search(problem, theta, quick=quick) if best is None else best
 
 
-def search(problem: Problem, theta: Array, *, quick: bool = False, most: int = 200) -> tuple[Minimum, Array]:
-    """Return the minimum of a fit at its present noise, and its physical variables.
+def search(
+    problem: Problem,
+    theta: Array,
+    *,
+    quick: bool = False,
+    max_iterations: int = 200,
+    active: ActiveBounds | None = None,
+) -> Solution:
+    """Minimise chi-square at the noise of a problem.
 
     Parameters
     ----------
     problem : Problem
         The fit.
-    theta : ndarray
-        Where to start.
+    theta : ndarray, shape (variables,)
+        Initial values, physical variables.
     quick : bool
         Stop where chi-square is within about 0.01 of its minimum.
-    most : int
+    max_iterations : int
         Steps tried at most.
+    active : ActiveBounds, optional
+        The active bounds of an earlier solution near this one: the search starts along them.
     """
-    enough, most = (_ENOUGH_TO_RANK, min(_QUICK, most)) if quick else (_ENOUGH, most)
+    enough, most = (_ENOUGH_TO_RANK, min(_QUICK, max_iterations)) if quick else (_ENOUGH, max_iterations)
     lower, upper = problem.layout.bounds()
-    if problem.edge is not None:
-        edge = _Edge(*problem.edge)
-        found = _along(problem, theta, edge, enough, most)
+    if active is not None:
+        found = _along(problem, theta, active, enough, most)
         if (
             found is not None
-            and found[0].converged
-            and not _broken(edge.valleys, found[1], lower, upper)
-            and _pushed(problem, found[1], edge.held, enough)
+            and found.minimum.converged
+            and not _out_of_bounds(active.power_laws, found.theta, lower, upper)
+            and _is_minimum(problem, found.theta, active.held, enough)
         ):
             return found
-        problem.edge = None
-    follows_angle = bool(problem.layout.model.rippling or problem.layout.model.measurement)
+    follows_angle = bool(problem.layout.model.angle_dependent or problem.layout.model.measurement)
     for _ in range(2 if follows_angle else 1):
         for case in problem.cases:
             case.forget_columns()
         minimum = _minimise(problem, theta, lower, upper, enough, most)
         theta = problem.physical(minimum.x)
-    # the box around d and f is none in straight variables: whether they kept to it is seen afterwards
-    if not _broken(problem.valleys, theta, lower, upper):
-        return minimum, theta
-    if not minimum.converged and minimum.cost > _LOST * problem.rows:
-        return minimum, np.clip(theta, lower, upper)
-    return _on_the_edge(problem, minimum, theta, enough, most)
+    # the bounds of d and f are no box in transformed variables: they are checked afterwards
+    if not _out_of_bounds(problem.power_laws, theta, lower, upper):
+        return Solution(theta, minimum)
+    if not minimum.converged and minimum.cost > _FAR * problem.rows:
+        return Solution(np.clip(theta, lower, upper), minimum)
+    return _on_bounds(problem, minimum, theta, enough, most)
 
 
-def search_around(problem: Problem, theta: Array, held: Iterable[str]) -> Array:
-    """Return the variables of a quick search in which some are held: a start for the search of all.
+def search_with_held(
+    problem: Problem, theta: Array, held: Iterable[str], *, active: ActiveBounds | None = None
+) -> Solution:
+    """Return the end of a quick search in which some variables are held: initial values for the search of all.
 
-    A law that is added to a fitted model is far from the data at first, because the others have not yet made
-    room for it. A step from there would throw its shape away, about which the data says nothing so far from it.
+    A law that is added to a fitted model is far from the data at first, because the others have not yet adapted to it.
+    A step of all variables would move its shape, about which the data contain no information there.
     """
-    layout = problem.layout
-    values = {name: float(theta[layout.index[name]]) for name in held}
-    problem.layout = replace(layout, ranges={**layout.ranges, **{n: (v, v) for n, v in values.items()}})
-    try:
-        return search(problem, theta, quick=True)[1]
-    finally:
-        problem.layout = layout
-
-
-@dataclass(frozen=True)
-class _Edge:
-    """A part of the bounds of d and f: the valleys that remain there, and which variables are held."""
-
-    valleys: tuple[Valley, ...]
-    held: tuple[int, ...] = ()
+    fixed = {name: (x := float(theta[problem.layout.index[name]]), x) for name in held}
+    return search(problem.with_ranges(fixed), theta, quick=True, active=active)
 
 
 def _minimise(
     problem: Problem, theta: Array, lower: Array, upper: Array, enough: float, most: int
 ) -> Minimum:
-    least, greatest = problem.straight_bounds(lower, upper)
-    start = problem.straight(theta)
+    least, greatest = problem.transformed_bounds(lower, upper)
+    start = problem.transformed(theta)
     return minimise(problem, start, least, greatest, absolute=enough, max_iterations=most)
 
 
-def _along(
-    problem: Problem, theta: Array, edge: _Edge, enough: float, most: int
-) -> tuple[Minimum, Array] | None:
-    """Return the minimum along an edge, from variables on it; None if there is no value there."""
+def _along(problem: Problem, theta: Array, active: ActiveBounds, enough: float, most: int) -> Solution | None:
+    """Return the minimum along active bounds, from variables on them; None if there is no value there."""
     lower, upper = problem.layout.bounds()
-    held = list(edge.held)
+    held = list(active.held)
     lower[held] = upper[held] = theta[held]
-    valleys, problem.valleys = problem.valleys, edge.valleys
+    along = replace(problem, power_laws=active.power_laws)
     try:
-        minimum = _minimise(problem, theta, lower, upper, enough, most)
-        end = problem.physical(minimum.x)
+        minimum = _minimise(along, theta, lower, upper, enough, most)
+        return Solution(along.physical(minimum.x), minimum, active)
     except EstimationError:
         return None
-    finally:
-        problem.valleys = valleys
-    return minimum, end
 
 
-def _pushed(problem: Problem, theta: Array, held: Sequence[int], enough: float) -> bool:
-    """Return whether chi-square would not fall if what is held at a bound moved into its range."""
+def _is_minimum(problem: Problem, theta: Array, held: Sequence[int], enough: float) -> bool:
+    """Return whether chi-square grows if a variable held at its bound moves into its range."""
     lower, upper = problem.layout.bounds()
     r, j = problem.residuals(problem.predict(theta))
     others = [i for i in range(len(theta)) if i not in held and lower[i] < theta[i] < upper[i]]
@@ -292,60 +307,62 @@ def _pushed(problem: Problem, theta: Array, held: Sequence[int], enough: float) 
     return True
 
 
-def _on_the_edge(
-    problem: Problem, minimum: Minimum, theta: Array, enough: float, most: int
-) -> tuple[Minimum, Array]:
-    """Return the best fit with d and f within their bounds when the free one breaks them.
+def _on_bounds(problem: Problem, minimum: Minimum, theta: Array, enough: float, most: int) -> Solution:
+    """Return the best fit with d and f within their bounds where the unconstrained one violates them.
 
-    One of the two then lies on a bound, or both do: a quick search along every bound, and the best one to its end.
+    One bound is active then, or two: a quick search along every bound, and the best one to its end.
     """
     lower, upper = problem.layout.bounds()
-    ends = list(_ranked(problem, theta, _Edge(problem.valleys), min(_QUICK, most)))
+    ends = list(_ends_on_bounds(problem, theta, ActiveBounds(problem.power_laws), min(_QUICK, most)))
     if ends:
-        _, theta, edge = min(ends, key=lambda end: end[0])
-        found = _along(problem, theta, edge, enough, most)
-        if found is not None and not _broken(edge.valleys, found[1], lower, upper):
-            problem.edge = edge.valleys, edge.held
+        best = min(ends, key=lambda end: end.minimum.cost)
+        theta, active = best.theta, best.active
+        found = None if active is None else _along(problem, theta, active, enough, most)
+        if found and active and not _out_of_bounds(active.power_laws, found.theta, lower, upper):
             return found
-    return replace(minimum, converged=False), np.clip(theta, lower, upper)
+    return Solution(np.clip(theta, lower, upper), replace(minimum, converged=False))
 
 
-def _ranked(problem: Problem, theta: Array, edge: _Edge, most: int) -> Iterator[tuple[float, Array, _Edge]]:
-    """Yield where quick searches along the bounds of the first valley that breaks them end: chi-square, variables."""
+def _ends_on_bounds(problem: Problem, theta: Array, edge: ActiveBounds, most: int) -> Iterator[Solution]:
+    """Yield the ends of quick searches along each bound of the first power law that violates them."""
     lower, upper = problem.layout.bounds()
-    (v, *_) = _broken(edge.valleys, theta, lower, upper)
+    (v, *_) = _out_of_bounds(edge.power_laws, theta, lower, upper)
     for side, begin in _sides(v, edge, theta, lower, upper):
         found = _along(problem, begin, side, _ENOUGH_TO_RANK, most)
         if found is None:
             continue
-        if _broken(side.valleys, found[1], lower, upper):
-            yield from _ranked(problem, found[1], side, most)
+        if _out_of_bounds(side.power_laws, found.theta, lower, upper):
+            yield from _ends_on_bounds(problem, found.theta, side, most)
         else:
-            yield found[0].cost, found[1], side
+            yield found
 
 
-def _broken(valleys: Sequence[Valley], theta: Array, lower: Array, upper: Array) -> list[Valley]:
-    """Return the valleys whose d or f is out of its bounds."""
+def _out_of_bounds(
+    power_laws: Sequence[PowerLaw], theta: Array, lower: Array, upper: Array
+) -> list[PowerLaw]:
+    """Return the power laws with d or f out of its bounds."""
     broken = []
-    for v in valleys:
+    for v in power_laws:
         places = [i for i in (v.d, v.f) if i is not None]
         if np.any(theta[places] < lower[places]) or np.any(theta[places] > upper[places]):
             broken.append(v)
     return broken
 
 
-def _sides(v: Valley, edge: _Edge, theta: Array, lower: Array, upper: Array) -> Iterator[tuple[_Edge, Array]]:
+def _sides(
+    v: PowerLaw, edge: ActiveBounds, theta: Array, lower: Array, upper: Array
+) -> Iterator[tuple[ActiveBounds, Array]]:
     """Yield the bounds of d and f, each with variables on it: torque and slope at the reference speed are kept."""
-    rest = tuple(w for w in edge.valleys if w.f != v.f)
+    rest = tuple(w for w in edge.power_laws if w.f != v.f)
     if v.d is None:
         # a lone power law: with f within its range, in f itself
-        yield _Edge(rest, edge.held), np.clip(theta, lower, upper)
+        yield ActiveBounds(rest, edge.held), np.clip(theta, lower, upper)
         return
     if v.held:
         place = v.f if v.held == "d" else v.d
         begin = theta.copy()
         begin[place] = np.clip(theta[place], lower[place], upper[place])
-        yield _Edge(rest, (*edge.held, place)), begin
+        yield ActiveBounds(rest, (*edge.held, place)), begin
         return
     d, f, g = theta[v.d], theta[v.f], theta[v.g]
     straight = v.reference**v.order
@@ -361,10 +378,10 @@ def _sides(v: Valley, edge: _Edge, theta: Array, lower: Array, upper: Array) -> 
         left = max(torque - bound * straight, 1e-3 * torque)
         begin[v.d], begin[v.g] = bound, np.clip(v.order + curvature / left, lower[v.g], upper[v.g])
         begin[v.f] = left / v.reference ** begin[v.g]
-        yield _Edge((*rest, replace(v, held="d")), (*edge.held, v.d)), begin
+        yield ActiveBounds((*rest, replace(v, held="d")), (*edge.held, v.d)), begin
     for bound in {float(b[v.f]) for b in (lower, upper) if np.isfinite(b[v.f])}:
         begin = theta.copy()
         bent = (powers - v.order) * bound * v.reference**powers
         begin[v.f], begin[v.g] = bound, powers[np.argmin(np.abs(bent - curvature))]
         begin[v.d] = (torque - bound * v.reference ** begin[v.g]) / straight
-        yield _Edge((*rest, replace(v, held="f")), (*edge.held, v.f)), begin
+        yield ActiveBounds((*rest, replace(v, held="f")), (*edge.held, v.f)), begin

@@ -41,7 +41,7 @@ _START = Parameter("omega", "rad s-1", "shape", -np.inf, np.inf)
 
 
 @dataclass(frozen=True)
-class Layout:
+class ParameterLayout:
     """The names of all variables of a fit of some cases.
 
     Parameters
@@ -69,7 +69,7 @@ class Layout:
         share: Iterable[str] = (),
         per_case: Iterable[str] = (),
         ranges: Mapping[str, tuple[float, float]] | None = None,
-    ) -> Layout:
+    ) -> ParameterLayout:
         """Return the layout: the paper's per-case parameters, changed by `share` and `per_case`.
 
         Raises
@@ -174,7 +174,7 @@ _SAME = 1e-9
 
 
 @dataclass(frozen=True)
-class Valley:
+class PowerLaw:
     """A power law, alone (d is None) or beside a law of fixed power m: places among the variables, x_ref, and m.
 
     `held` tells which of d and f stays what it is.
@@ -188,10 +188,10 @@ class Valley:
     held: Literal["", "d", "f"] = ""
 
 
-def to_physical(u: Array, valleys: Sequence[Valley]) -> tuple[Array, Array]:
+def to_physical(u: Array, power_laws: Sequence[PowerLaw]) -> tuple[Array, Array]:
     """Return (d, f, g, ...) and their derivatives by (T1, K, g, ...)."""
     theta, slope = u.copy(), np.eye(len(u))
-    for v in valleys:
+    for v in power_laws:
         if v.d is None:
             full = v.reference ** u[v.g]
             theta[v.f] = u[v.f] / full
@@ -214,7 +214,7 @@ def to_physical(u: Array, valleys: Sequence[Valley]) -> tuple[Array, Array]:
     return theta, slope
 
 
-def _beside_held(theta: Array, slope: Array, u: Array, v: Valley, d: int) -> None:
+def _beside_held(theta: Array, slope: Array, u: Array, v: PowerLaw, d: int) -> None:
     full, unit = v.reference ** u[v.g], v.reference**v.order
     if v.held == "d":
         theta[v.f] = (u[v.f] - u[d] * unit) / full
@@ -226,10 +226,10 @@ def _beside_held(theta: Array, slope: Array, u: Array, v: Valley, d: int) -> Non
         slope[d, v.g] = -u[v.f] * full / unit * np.log(v.reference)
 
 
-def from_physical(theta: Array, valleys: Sequence[Valley]) -> Array:
+def from_physical(theta: Array, power_laws: Sequence[PowerLaw]) -> Array:
     """Return (T1, K, g, ...) from (d, f, g, ...)."""
     u = theta.copy()
-    for v in valleys:
+    for v in power_laws:
         if v.d is None:
             u[v.f] = theta[v.f] * v.reference ** theta[v.g]
             continue
@@ -252,18 +252,18 @@ def _away(g: float, order: float) -> float:
     return order + _NEAREST if g >= order else order - _NEAREST
 
 
-def find_valleys(layout: Layout, rough: Sequence[tuple[Array, Array]]) -> tuple[Valley, ...]:
+def find_power_laws(layout: ParameterLayout, rough: Sequence[tuple[Array, Array]]) -> tuple[PowerLaw, ...]:
     """Return the pairs of laws of a model that need straight variables.
 
     Parameters
     ----------
-    layout : Layout
+    layout : ParameterLayout
         The variables. A pair whose f or g is a case's own while the other, or d, is shared has none.
     rough : sequence of (times, speeds)
         Of each case, for x_ref: the median of x.
     """
     known = [_variables(*r) for r in rough]
-    valleys: list[Valley] = []
+    power_laws: list[PowerLaw] = []
     taken: set[str] = set()
     for power in layout.model.smooth.effects:
         shape = exponent(power)
@@ -282,8 +282,8 @@ def find_valleys(layout: Layout, rough: Sequence[tuple[Array, Array]]) -> tuple[
         _, order, straight = min(found, key=lambda pair: pair[0], default=(0.0, 1.0, None))
         if straight is not None:
             taken.add(straight.name)
-        valleys += _places(layout, power, straight, reference, order)
-    return tuple(valleys)
+        power_laws += _places(layout, power, straight, reference, order)
+    return tuple(power_laws)
 
 
 def exponent(effect: Effect) -> Parameter | None:
@@ -340,8 +340,8 @@ def _order(power: Effect, straight: Effect, known: dict[str, Array]) -> float | 
 
 
 def _places(
-    layout: Layout, power: Effect, straight: Effect | None, reference: float, order: float
-) -> list[Valley]:
+    layout: ParameterLayout, power: Effect, straight: Effect | None, reference: float, order: float
+) -> list[PowerLaw]:
     shape, strength = exponent(power), power.amplitude
     if shape is None or strength is None:
         return []
@@ -352,7 +352,7 @@ def _places(
     if own[0] != own[1] or (own[0] and not own[-1]):
         return []
     places = dict.fromkeys(tuple(layout.places(i, keys).tolist()) for i in range(len(layout.records)))
-    return [Valley(d[0] if d else None, f, g, reference, order) for f, g, *d in places]
+    return [PowerLaw(d[0] if d else None, f, g, reference, order) for f, g, *d in places]
 
 
 # a strength that moves nothing, but still has a phase
@@ -360,20 +360,20 @@ _TINY = 1e-30
 
 
 @dataclass(frozen=True)
-class Wave:
+class Sinusoid:
     """Places of a strength and of its phase among the variables."""
 
     strength: int
     phase: int
 
 
-def find_waves(layout: Layout) -> tuple[Wave, ...]:
+def find_sinusoids(layout: ParameterLayout) -> tuple[Sinusoid, ...]:
     """Return the pairs of strength and phase that nothing holds or limits.
 
     A law whose shape is free as well has none: about its shape the data say nothing while its strength is small. Nor
     has one whose strength is each case's own while all share the phase, or the other way round.
     """
-    found: dict[Wave, None] = {}
+    found: dict[Sinusoid, None] = {}
     for effect in layout.model.effects:
         keys = {p.role: f"{effect.name}.{p.symbol}" for p in effect.free}
         if set(keys) != {"amplitude", "phase"}:
@@ -382,21 +382,21 @@ def find_waves(layout: Layout) -> tuple[Wave, ...]:
         if len(set(pair) & set(layout.per_case)) == 1:
             continue
         for case in range(len(layout.records)):
-            found[Wave(*layout.places(case, pair).tolist())] = None
+            found[Sinusoid(*layout.places(case, pair).tolist())] = None
     if not found:
         return ()
     lower, upper = layout.bounds()
     return tuple(w for w in found if lower[w.strength] <= 0 and np.isinf(_ends(w, lower, upper)).all())
 
 
-def _ends(w: Wave, lower: Array, upper: Array) -> list[float]:
+def _ends(w: Sinusoid, lower: Array, upper: Array) -> list[float]:
     return [float(upper[w.strength]), float(lower[w.phase]), float(upper[w.phase])]
 
 
-def to_polar(u: Array, waves: Sequence[Wave]) -> tuple[Array, Array]:
+def to_polar(u: Array, sinusoids: Sequence[Sinusoid]) -> tuple[Array, Array]:
     """Return (k, phi) in place of (a, b), the other variables as they are, and the derivatives of all."""
     theta, slope = u.copy(), np.eye(len(u))
-    for w in waves:
+    for w in sinusoids:
         a, b = u[w.strength], u[w.phase]
         k, phi = max(float(np.hypot(a, b)), _TINY), float(np.arctan2(b, a))
         theta[w.strength], theta[w.phase] = k, phi
@@ -405,10 +405,10 @@ def to_polar(u: Array, waves: Sequence[Wave]) -> tuple[Array, Array]:
     return theta, slope
 
 
-def from_polar(theta: Array, waves: Sequence[Wave]) -> Array:
+def from_polar(theta: Array, sinusoids: Sequence[Sinusoid]) -> Array:
     """Return (a, b) in place of (k, phi)."""
     u = theta.copy()
-    for w in waves:
+    for w in sinusoids:
         k, phi = theta[w.strength], theta[w.phase]
         u[w.strength], u[w.phase] = k * np.cos(phi), k * np.sin(phi)
     return u

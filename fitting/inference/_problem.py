@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import CaseModel, Prediction
-from fitting.inference._noise import WHITE, Whitener
+from fitting.inference._noise import WHITE, Noise, Whitener
 from fitting.inference._parameters import (
-    Layout,
-    Valley,
-    find_valleys,
-    find_waves,
+    ParameterLayout,
+    PowerLaw,
+    find_power_laws,
+    find_sinusoids,
     from_physical,
     from_polar,
     to_physical,
@@ -49,29 +52,60 @@ class Projection:
         return np.asarray(np.where(np.linalg.norm(left, axis=0) > _ROUNDING * size, left, 0.0))
 
 
+@dataclass(frozen=True)
 class Problem:
-    """Residuals and Jacobian of all cases.
+    """Residuals and Jacobian of all cases at given noise levels.
+
+    A value: another noise, other ranges or other transformed variables make a new problem.
 
     Parameters
     ----------
-    layout : Layout
+    layout : ParameterLayout
         The variables.
-    data : sequence of CaseData
+    data : tuple of CaseData
         The cases, in the order of the layout.
+    cases : tuple of CaseModel
+        The models of the cases; they cache their last solution.
+    projections : tuple of Projection
+        Noise and nuisance columns of each case.
+    power_laws : tuple of PowerLaw
+        Power laws that are fitted in transformed variables.
     """
 
-    def __init__(self, layout: Layout, data: Sequence[CaseData]) -> None:
-        self.layout, self.data = layout, tuple(data)
-        self.cases = [CaseModel(d, layout, i) for i, d in enumerate(data)]
-        self.projections = [Projection(d, WHITE) for d in data]
-        self.reference = reference_speed(self.data)
-        self.valleys = find_valleys(layout, [d.rough_speeds for d in data])
-        # where the last search ended on bounds of d or f: its valleys, and which variables are held
-        self.edge: tuple[tuple[Valley, ...], tuple[int, ...]] | None = None
+    layout: ParameterLayout
+    data: tuple[CaseData, ...]
+    cases: tuple[CaseModel, ...]
+    projections: tuple[Projection, ...]
+    power_laws: tuple[PowerLaw, ...]
 
-    def set_noise(self, whiteners: Sequence[Whitener]) -> None:
-        """Weigh the rows by this noise from now on."""
-        self.projections = [Projection(d, w) for d, w in zip(self.data, whiteners, strict=True)]
+    @classmethod
+    def of(cls, layout: ParameterLayout, data: Sequence[CaseData]) -> Self:
+        """Return the problem with white measurement noise only."""
+        return cls(
+            layout,
+            tuple(data),
+            tuple(CaseModel(d, layout, i) for i, d in enumerate(data)),
+            tuple(Projection(d, WHITE) for d in data),
+            find_power_laws(layout, [d.initial_speeds for d in data]),
+        )
+
+    def with_noise(self, noise: Sequence[Noise]) -> Self:
+        """Return the problem with the noise of each case at its level."""
+        projections = (Projection(d, n.whitener) for d, n in zip(self.data, noise, strict=True))
+        return replace(self, projections=tuple(projections))
+
+    def with_white_noise(self) -> Self:
+        """Return the problem with white measurement noise only."""
+        return replace(self, projections=tuple(Projection(d, WHITE) for d in self.data))
+
+    def with_ranges(self, ranges: Mapping[str, tuple[float, float]]) -> Self:
+        """Return the problem with further bounds, by the names of the variables."""
+        return replace(self, layout=replace(self.layout, ranges={**self.layout.ranges, **ranges}))
+
+    @cached_property
+    def reference(self) -> float:
+        """A typical speed of the bearing in these cases [rad/s]."""
+        return reference_speed(self.data)
 
     def predict(self, theta: Array) -> list[Prediction]:
         """Return the prediction of each case at physical variables."""
@@ -86,7 +120,7 @@ class Problem:
         r, j = [], []
         for data, project, p in zip(self.data, self.projections, predictions, strict=True):
             both = project.unexplained(np.concatenate([p.columns, (p.rows - data.z)[:, None]], axis=1))
-            few = turned(both)
+            few = r_factor(both)
             r.append(few[:, -1])
             dense = np.zeros((len(few), p.count))
             dense[:, p.places] = few[:, :-1]
@@ -100,31 +134,31 @@ class Problem:
 
     def __call__(self, u: Array) -> tuple[Array, Array]:
         """Return residuals and Jacobian by the straight variables u."""
-        waves = find_waves(self.layout)
-        theta, slope = to_physical(u, self.valleys)
-        theta, turn = to_polar(theta, waves)
+        sinusoids = find_sinusoids(self.layout)
+        theta, slope = to_physical(u, self.power_laws)
+        theta, turn = to_polar(theta, sinusoids)
         r, j = self.residuals(self.predict(theta))
-        if waves:
+        if sinusoids:
             j = j @ turn
-        return r, j @ slope if self.valleys else j
+        return r, j @ slope if self.power_laws else j
 
-    def straight(self, theta: Array) -> Array:
+    def transformed(self, theta: Array) -> Array:
         """Return the straight variables of physical ones."""
-        return from_physical(from_polar(theta, find_waves(self.layout)), self.valleys)
+        return from_physical(from_polar(theta, find_sinusoids(self.layout)), self.power_laws)
 
     def physical(self, u: Array) -> Array:
         """Return the physical variables of straight ones."""
-        return to_polar(to_physical(u, self.valleys)[0], find_waves(self.layout))[0]
+        return to_polar(to_physical(u, self.power_laws)[0], find_sinusoids(self.layout))[0]
 
-    def straight_bounds(self, lower: Array, upper: Array) -> tuple[Array, Array]:
+    def transformed_bounds(self, lower: Array, upper: Array) -> tuple[Array, Array]:
         """Return the bounds of the straight variables: d and f may leave theirs on the way, a lone f only upwards.
 
         A strength with a phase has none.
         """
         lower, upper = lower.copy(), upper.copy()
-        for w in find_waves(self.layout):
+        for w in find_sinusoids(self.layout):
             lower[w.strength], upper[w.strength] = -np.inf, np.inf
-        for v in self.valleys:
+        for v in self.power_laws:
             if v.held:
                 free = v.f if v.held == "d" else v.d
                 lower[free], upper[free] = -np.inf, np.inf
@@ -135,7 +169,7 @@ class Problem:
         return lower, upper
 
 
-def turned(columns: Array) -> Array:
+def r_factor(columns: Array) -> Array:
     """Return columns turned into as many rows as there are columns: all their products stay the same."""
     return np.asarray(np.linalg.qr(columns, mode="r") if np.isfinite(columns).all() else columns)
 
@@ -144,7 +178,7 @@ def reference_speed(data: Sequence[CaseData]) -> float:
     """Return a typical speed of the bearing in these cases [rad/s]."""
     typical = []
     for d in data:
-        _, speeds = d.rough_speeds
+        _, speeds = d.initial_speeds
         typical.append(np.median(np.abs(speeds[:, 0] - speeds[:, 1])))
     return float(max(np.mean(typical), 1e-3))
 
@@ -154,7 +188,9 @@ _SURELY = 3.0
 _MATTERS = 0.2
 
 
-def surely_at_bound(layout: Layout, at_bound: NDArray[np.bool_], r: Array, j: Array) -> NDArray[np.bool_]:
+def surely_at_bound(
+    layout: ParameterLayout, at_bound: NDArray[np.bool_], r: Array, j: Array
+) -> NDArray[np.bool_]:
     """Return which variables are known to be what their bound says.
 
     A friction whose best value is far below zero is nothing. One that is hardly below, or an exponent on the
@@ -168,7 +204,7 @@ def surely_at_bound(layout: Layout, at_bound: NDArray[np.bool_], r: Array, j: Ar
     return np.asarray(dead | (at_bound & physical & (np.nan_to_num(beyond) > _SURELY)))
 
 
-def loose_directions(names: Sequence[str], theta: Array, covariance: Array) -> list[dict[str, float]]:
+def degenerate_directions(names: Sequence[str], theta: Array, covariance: Array) -> list[dict[str, float]]:
     """Return combinations of parameters that the data does not hold although each alone may seem to matter.
 
     Parameters

@@ -8,14 +8,14 @@ few fits find each end. A side on which the deviance never rises so far is open:
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import EffectError, EstimationError, SimulationError
-from fitting.inference._optimisation import search
-from fitting.inference._parameters import Layout
+from fitting.inference._optimisation import ActiveBounds, search
+from fitting.inference._parameters import ParameterLayout
 from fitting.inference._problem import Problem
 from fitting.inference._result import Fit
 
@@ -91,18 +91,15 @@ class _Held:
 
     def __init__(self, fit: Fit, name: str) -> None:
         old = fit.problem.layout
-        self._ranges = dict(old.ranges)
-        layout = Layout(old.model, old.records, old.per_case, self._ranges)
+        layout = ParameterLayout(old.model, old.records, old.per_case, dict(old.ranges))
         self._name, self._place = name, layout.index[name]
         lower, upper = layout.bounds()
         self._range = float(lower[self._place]), float(upper[self._place])
-        self._problem = Problem(layout, fit.problem.data)
-        self._problem.set_noise([n.whitener for n in fit.noise])
-        # the straight variables mix d and f: one that is held must stand for itself
-        self._problem.valleys = tuple(
-            v for v in self._problem.valleys if self._place not in {v.d, v.f} or v.d is None
-        )
-        self._problem.valleys = tuple(v for v in self._problem.valleys if self._place != v.f)
+        problem = Problem.of(layout, fit.problem.data).with_noise(fit.noise)
+        # transformed variables combine d and f: a parameter that is held is fitted as it is
+        kept = tuple(v for v in problem.power_laws if self._place not in (v.d, v.f))
+        self._problem = replace(problem, power_laws=kept)
+        self._active: ActiveBounds | None = None
         self._best, self._theta = fit.chi2, fit.theta
         self._value = float(fit.theta[self._place])
         self._scale = max(1.0, fit.chi2 / max(1, fit.rows - len(fit.theta)))
@@ -114,12 +111,14 @@ class _Held:
         """Return the square root of the rise of the deviance, and the variables there."""
         theta = begin.copy()
         theta[self._place] = value
-        self._ranges[self._name] = (value, value)
+        problem = self._problem.with_ranges({self._name: (value, value)})
         try:
-            minimum, end = search(self._problem, theta, most=_PATIENCE)
+            found = search(problem, theta, max_iterations=_PATIENCE, active=self._active)
         except (EstimationError, SimulationError):
+            self._active = None
             return math.inf, begin
-        return math.sqrt(max(minimum.cost - self._best, 0.0) / self._scale), end
+        self._active = found.active
+        return math.sqrt(max(found.minimum.cost - self._best, 0.0) / self._scale), found.theta
 
     def end(self, sign: float) -> tuple[float, bool]:
         """Return one end of the interval, and whether it is open."""

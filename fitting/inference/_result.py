@@ -1,7 +1,7 @@
 """The result of a fit: parameters, uncertainties, figures of merit, verdict.
 
-Figures that cost more than a step of the search (held-out errors, the test of lack of fit, energy) are computed when
-they are first asked for: of many candidates most are only ranked.
+Cross-validation errors, the lack-of-fit test and the energy balance cost more than a step of the optimisation and are
+computed on first access: most candidate effects are only ranked.
 """
 
 from __future__ import annotations
@@ -23,35 +23,49 @@ from fitting.dynamics._model import Model
 from fitting.inference._case_model import Prediction
 from fitting.inference._lack_of_fit import LackOfFit, lack_of_fit
 from fitting.inference._metrics import CaseMetrics, EnergyBalance, case_metrics, energy_balance
-from fitting.inference._noise_level import Noise
-from fitting.inference._parameters import START_ROTOR, Layout
+from fitting.inference._noise import Noise
+from fitting.inference._parameters import START_ROTOR, ParameterLayout
 from fitting.inference._problem import Problem, Projection, covariance_of, surely_at_bound
+from fitting.inference._velocity import speeds
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from fitting.inference._speed_residuals import SpeedResidual
 
-WORDS = {
-    "adequate": "adequate; what the model leaves is noise",
-    "misfit": "the model misses something; `gyrotrack diagnose` says where",
-    "not converged": "not converged; do not trust these numbers",
+
+VERDICT_TEXT = {
+    "adequate": "adequate; the residuals are consistent with noise",
+    "misfit": "significant lack of fit; run `gyrotrack diagnose`",
+    "not determined": "a parameter is not determined: its uncertainty exceeds its value a hundredfold",
+    "not converged": "not converged; the values are not reliable",
 }
 
 
-# what a fit to such a curve has to say of itself
+# lines of a repr
+_SCREEN = 40
+# printed with a fit to a generated curve
 GENERATED = (
-    "the rotor's curve was generated, not measured: the errors leave out how wrong it may be, which is often more "
-    "than ten of them; fit the windows instead"
+    "the rotor curve is generated, not measured: the uncertainties do not include its systematic error, which is often "
+    "more than ten times larger; fit the rotor windows instead"
 )
 
 
-class Account:
-    """The readable side of a fit."""
+Array = NDArray[np.float64]
+Origin = tuple[tuple[str, ...], Array, tuple[str, ...], tuple[str, ...]]
+
+
+class FitSummary:
+    """What a fit and a saved fit have in common: tables and text."""
 
     model: Model
     estimates: Mapping[str, Estimate]
     n_eff: float
     bic: float
+
+    def _origin(self) -> Origin:
+        """Return the names of the variables, their covariance, and sources and digests of the data."""
+        raise NotImplementedError
 
     if TYPE_CHECKING:
 
@@ -62,11 +76,14 @@ class Account:
 
         @property
         def verdict(self) -> str:
-            """One of the keys of `WORDS`."""
+            """One of the keys of `VERDICT_TEXT`."""
             ...
 
     def __repr__(self) -> str:
-        return "\n".join([f"fit: {WORDS[self.verdict]}", "", *account_lines(self)])
+        lines = [f"fit: {VERDICT_TEXT[self.verdict]}", "", *summary_lines(self)]
+        if len(lines) > _SCREEN:
+            lines = [*lines[: _SCREEN - 1], f"... {len(lines) - _SCREEN + 1} more lines: see to_dataframe()"]
+        return "\n".join(lines)
 
     def to_dataframe(self) -> Any:
         """Return the parameters as a pandas data frame, one row each, indexed by name.
@@ -93,13 +110,21 @@ class Account:
 
     def save(self, path: str | Path) -> None:
         """Write the fit as JSON, whole or not at all; `fitting.load_fit` reads it back."""
-        from fitting.study._serialisation import save_fit
+        from fitting._schema import SavedFitDocument, own_effects, write_document
 
-        save_fit(self, Path(path))
+        names, covariance, sources, digests = self._origin()
+        scalars = ("chi2", "rows", "n_eff", "deviance", "bic", "verdict")
+        same = (*scalars, "labels", "estimates", "cases", "noise")
+        document = SavedFitDocument.model_validate(
+            {k: getattr(self, k) for k in same}
+            | {"model": self.model.names, "own_effects": own_effects(self.model.effects)}
+            | {"names": names, "covariance": covariance.tolist(), "sources": sources, "digests": digests}
+        )
+        write_document(Path(path), document)
 
 
-def account_lines(fit: Account) -> list[str]:
-    """Return how well a fit describes its data, then its parameters, as lines of at most 80 columns."""
+def summary_lines(fit: FitSummary) -> list[str]:
+    """Return the figures of merit and the parameters of a fit as lines of at most 80 columns."""
     lines = [f"{'':<12}{'R2':>10}{'rmse [rad/s]':>14}{'chi2/n':>12}{'held out':>11}"]
     for case in fit.cases:
         alone = math.isnan(case.rotor.rmse)  # the record of one body has none of a rotor
@@ -115,10 +140,10 @@ def account_lines(fit: Account) -> list[str]:
         f"effective samples {fit.n_eff:.0f}, BIC {fit.bic:.1f}"
     )
     left = ", ".join(f"{level:.2g}" for level in _levels(fit))
-    lines += [f"random torque that this model leaves: {left} N m rms", ""]
+    lines += [f"process noise of this model: {left} N m rms", ""]
     held = fit.model.constants
     for name, e in fit.estimates.items():
-        note = " (on its bound)" if e.at_bound else " (held)" if name in held else ""
+        note = " (at its bound)" if e.at_bound else " (held)" if name in held else ""
         value = rounded(e.value, e.stderr, e.unit)
         lines += (
             [f"  {name:<32}{value}{note}"] if len(name) < 32 else [f"  {name}", f"  {'':<32}{value}{note}"]
@@ -131,12 +156,12 @@ def account_lines(fit: Account) -> list[str]:
     return lines
 
 
-def _levels(fit: Account) -> Sequence[float]:
+def _levels(fit: FitSummary) -> Sequence[float]:
     return [n.level for n in getattr(fit, "noise", ())]
 
 
 def not_determined(estimates: Mapping[str, Estimate]) -> list[str]:
-    """Return the parameters whose error is larger than their value: the data does not hold them."""
+    """Return the parameters with a standard uncertainty larger than their value."""
     return [
         k
         for k, e in estimates.items()
@@ -144,17 +169,17 @@ def not_determined(estimates: Mapping[str, Estimate]) -> list[str]:
     ]
 
 
-Array = NDArray[np.float64]
-
-# chi2 per reachable row above which the model is said to miss something (2000 rows: 1.0 +- 0.03)
-_MISFIT = 1.4
-# probability of the slow torque that a model leaves, if that is noise, below which it is said to miss something
-_IMPROBABLE = 1e-5
+# chi2 per row that a model can reach, above which the lack of fit is significant (2000 rows: 1.0 +- 0.03)
+REDUCED_CHI2 = 1.4
+# p-value of the lack-of-fit test below which the lack of fit is significant
+LACK_OF_FIT_P = 1e-5
+# standard uncertainty over value above which a parameter is not determined, however good the fit
+UNDETERMINED = 100.0
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A fitted number: value, standard error (nan on a bound), unit, and whether it lies on a bound."""
+    """A fitted number: value, standard uncertainty (nan at a bound), unit, and whether a bound is active."""
 
     value: float
     stderr: float
@@ -163,7 +188,7 @@ class Estimate:
 
 
 @dataclass(frozen=True, repr=False)
-class Fit(Account):
+class Fit(FitSummary):
     """A fitted model.
 
     Attributes
@@ -174,10 +199,10 @@ class Fit(Account):
         Every parameter and start speed by name.
     chi2, rows, n_eff, deviance, bic : float
         Chi-square over the rows a model can reach and their number; effective number of samples;
-        minus twice the log-likelihood (up to a constant of the data); deviance + p ln rows: only the
-        rows can tell one model from another, all other combinations of the samples are noise to both.
+        minus twice the log-likelihood (up to a constant of the data); deviance + p ln rows: only these
+        rows differ between models, all other combinations of the samples are noise.
     converged : bool
-        Whether the search came to its end.
+        Whether the optimisation converged.
     """
 
     model: Model
@@ -195,6 +220,11 @@ class Fit(Account):
     problem: Problem = field(repr=False)
     predictions: tuple[Prediction, ...] = field(repr=False)
 
+    def _origin(self) -> Origin:
+        records = [d.record for d in self.problem.data]
+        sources, digests = tuple(r.source for r in records), tuple(r.digest for r in records)
+        return self.problem.layout.names, self.covariance, sources, digests
+
     @cached_property
     def cases(self) -> tuple[CaseMetrics, ...]:
         """Figures of merit of each case."""
@@ -207,17 +237,29 @@ class Fit(Account):
         )
 
     @cached_property
-    def lack(self) -> LackOfFit:
-        """What slow torques would still take away, against what noise alone would give them."""
+    def lack_of_fit(self) -> LackOfFit:
+        """The lack-of-fit test against slow torques."""
         return lack_of_fit(self.problem, self.predictions, self.noise)
 
     @cached_property
     def verdict(self) -> str:
-        """One of "adequate", "misfit" and "not converged"."""
+        """One of "adequate", "misfit", "not determined" and "not converged"."""
         if not self.converged:
             return "not converged"
-        left = self.lack.p_value < _IMPROBABLE or any(c.misfit > _MISFIT for c in self.cases)
-        return "misfit" if left else "adequate"
+        left = self.lack_of_fit.p_value < LACK_OF_FIT_P or any(c.misfit > REDUCED_CHI2 for c in self.cases)
+        if left:
+            return "misfit"
+        return "not determined" if self.undetermined else "adequate"
+
+    @property
+    def undetermined(self) -> list[str]:
+        """Parameters whose standard uncertainty exceeds their value a hundredfold; an angle is none of them."""
+        return [
+            k
+            for k in not_determined(self.estimates)
+            if self.estimates[k].stderr > UNDETERMINED * abs(self.estimates[k].value)
+            and self.problem.layout.parameter(k).role != "phase"
+        ]
 
     @property
     def reduced_chi2(self) -> float:
@@ -228,23 +270,51 @@ class Fit(Account):
         ) / sum(d.casing.n_effective for d in self.problem.data)
 
     @property
+    def rmse_casing(self) -> float:
+        """Rms residual speed of the casings [rad/s]."""
+        return math.sqrt(sum(c.casing.rmse**2 for c in self.cases) / len(self.cases))
+
+    @property
+    def held_out(self) -> float:
+        """Rms cross-validation error of the casings, in units of the noise."""
+        return math.sqrt(sum(c.casing.held_out**2 for c in self.cases) / len(self.cases))
+
+    @property
     def generated(self) -> bool:
-        """Whether a rotor's curve was generated instead of measured: `fitting.study._paper` tells what that did."""
+        """Whether a rotor curve was generated instead of measured (see `fitting.study._paper`)."""
         return any(d.record.generated for d in self.problem.data)
 
+    def measured_speeds(self, case: int, body: int) -> list[tuple[Array, Array]]:
+        """Return times [s] and smoothed speeds [rad/s] of each run of a body: 0 is the rotor, 1 the casing."""
+        record = self.problem.data[case].record
+        runs = (record.casing,) if body else record.rotor
+        return [speeds(run, record.quantity) for run in runs]
+
+    def modelled_speed(self, case: int, body: int, time: Array) -> tuple[Array, Array]:
+        """Return the modelled speed of a body and its standard uncertainty at some times [rad/s]."""
+        from fitting.inference._speed_residuals import modelled_speed
+
+        return modelled_speed(self, case, body, time)
+
+    def speed_residuals(self, case: int) -> tuple[SpeedResidual, tuple[SpeedResidual, ...]]:
+        """Return the residual speed of a case's casing, and of its rotor in each window."""
+        from fitting.inference._speed_residuals import speed_residuals
+
+        return speed_residuals(self, case)
+
     def plot(self) -> Figure:
-        """Draw speeds measured and modelled, and what the model leaves, with bands of 2 sigma (matplotlib)."""
-        from fitting.study._notebook import plot_fit
+        """Return a figure of speeds and residuals with bands of 2 sigma (matplotlib)."""
+        from fitting._display import plot_fit
 
         return plot_fit(self)
 
     def _repr_html_(self) -> str:
-        from fitting.study._notebook import fit_html
+        from fitting._display import fit_html
 
         return fit_html(self)
 
     def energy(self, label: str | None = None) -> EnergyBalance:
-        """Return the energy balance of a case (the first, if not named): kinetic energy plus losses, as a curve.
+        """Return the energy balance of a case (by default the first): kinetic energy plus losses against time.
 
         Raises
         ------
@@ -258,7 +328,7 @@ class Fit(Account):
 
     @property
     def torque_noise(self) -> float:
-        """Rms of the random torque that this model leaves [N m]."""
+        """Process noise of this model: rms torque [N m]."""
         return max(n.level for n in self.noise)
 
 
@@ -272,7 +342,7 @@ def outcome(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, converg
     at_bound = layout.at_bound(theta)
     covariance = covariance_of(j, ~surely_at_bound(layout, at_bound, r, j))
     free = int((~at_bound).sum())
-    # a model that fails has errors of its own beside the noise's
+    # with a significant misfit the noise alone understates the uncertainty
     covariance *= max(1.0, chi2 / max(1, rows - free))
     deviance = chi2 + sum(n.whitener.log_determinant for n in noise)
     return Fit(
@@ -294,7 +364,7 @@ def outcome(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, converg
 
 
 def _estimates(
-    layout: Layout, theta: Array, errors: Array, at_bound: NDArray[np.bool_]
+    layout: ParameterLayout, theta: Array, errors: Array, at_bound: NDArray[np.bool_]
 ) -> dict[str, Estimate]:
     units = [layout.parameter(name).unit for name in layout.names]
     estimates = {

@@ -77,7 +77,7 @@ def robust_fit(model: Model, cases: Sequence[Record | CaseData], loss: str = "li
     """
     if loss not in _LOSSES:
         raise EstimationError(f"there is no loss named {str(loss)[:40]!r}", "take linear, huber or cauchy")
-    if loss != "linear" and (model.rippling or model.measurement):
+    if loss != "linear" and (model.angle_dependent or model.measurement):
         raise EstimationError(
             "a robust loss goes with neither laws that follow an angle nor effects of a camera",
             "fit without them, or with --loss linear",

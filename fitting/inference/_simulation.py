@@ -73,7 +73,7 @@ def simulate_path(
     SimulationError
         If the motion has no bounded solution.
     """
-    angles = bool(model.rippling)
+    angles = bool(model.angle_dependent)
     dynamics = Dynamics(model, angles=angles)
     first = np.array(
         [experiment.omega_rotor, experiment.omega_casing, *dynamics.start, *((0.0, 0.0) if angles else ())]
@@ -131,7 +131,9 @@ def simulate(
         raise SimulationError("a rotor window lies outside the recording", "move it or record for longer")
     dynamics, path = simulate_path(model, values, experiment)
     # ripples hardly change how the speeds answer to a torque: the smooth motion stands in for the whole
-    smooth = (dynamics, path) if not model.rippling else simulate_path(model.smooth, values, experiment)
+    smooth = (
+        (dynamics, path) if not model.angle_dependent else simulate_path(model.smooth, values, experiment)
+    )
     shake = _RandomTorque(*smooth, values, experiment, random)
     time = np.arange(0.0, experiment.duration, 1 / experiment.casing_fps)
     psi = _angle(path, "omega_c", time) + shake(time, 1)

@@ -69,7 +69,7 @@ def running_median(value: Array, width: int) -> Array:
 _POINTS = 160
 
 
-def rough_speeds(record: Record, points: int = _POINTS) -> tuple[Array, Array]:
+def initial_speeds(record: Record, points: int = _POINTS) -> tuple[Array, Array]:
     """Return times and speeds of rotor and casing (points, 2) from local straight lines."""
     casing = _local(record.casing, min(points, len(record.casing) // 12), record.quantity == "angle")
     windows = np.array([_local(w, 1, record.quantity == "angle")[0] for w in record.rotor])

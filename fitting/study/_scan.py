@@ -13,12 +13,13 @@ from dataclasses import dataclass
 from itertools import combinations
 
 from fitting._errors import EstimationError, FittingError
+from fitting._workers import single_blas_thread
 from fitting.dynamics._model import Model
 from fitting.effects._library import GENERAL, LIBRARY, REDUCED
 from fitting.inference._case_data import CaseData
 from fitting.inference._cross_validation import Predicted, predict_recordings
 from fitting.inference._fit import fit
-from fitting.inference._noise_level import Noise
+from fitting.inference._noise import Noise
 from fitting.inference._record import Record
 from fitting.inference._result import Estimate, Fit
 
@@ -299,6 +300,7 @@ class Scan:
         return all(f.verdict != "not converged" for f in fits)
 
 
+@single_blas_thread()
 def scan(cases: Sequence[Record | CaseData], *, progress: Progress | None = None) -> Scan:
     """Fit every on/off combination of the paper's terms, and its two models.
 

@@ -1,16 +1,351 @@
-"""The compiled kernels, or None where they were not compiled."""
+"""The kernels of tracking: one dispatcher between the compiled extension and its NumPy reference.
+
+Each kernel has a signature such as ``"f8[n,m] f8[k] -> f8[n,5]"``: element type and dimensions of its arrays in order;
+a letter stands for the same length wherever it occurs. An array of another type, another number of dimensions, another
+length or in non-contiguous memory is refused with `ValueError` before anything is computed. Arrays behind the arrow are
+written to.
+
+`COMPILED` tells which of the two is in use.
+"""
 
 from __future__ import annotations
 
-from contextlib import suppress
+import re
+from collections.abc import Callable
+from functools import cache
 from importlib import import_module
-from types import ModuleType
+from typing import Any
 
-EDITION = 5
-"""What this source needs; an older build that was left in place is not used."""
+import numpy as np
+import numpy.typing as npt
 
-loops: ModuleType | None = None
-with suppress(ImportError):
-    loops = import_module("gyrotrack._native._compiled")
-if getattr(loops, "EDITION", None) != EDITION:
-    loops = None
+from gyrotrack._native import _reference
+
+ABI = 6
+"""Version of the interface that this source expects; an extension built from another source is not used."""
+
+Array = npt.NDArray[Any]
+
+
+def _extension() -> Any:
+    try:
+        found = import_module("gyrotrack._native._compiled")
+    except ImportError:
+        return None
+    return found if getattr(found, "ABI", None) == ABI else None
+
+
+_compiled = _extension()
+COMPILED = _compiled is not None
+"""True where the compiled extension is in use, False where the NumPy reference is."""
+
+_TERM = re.compile(r"([a-z]\d)\[([^\]]*)\]")
+
+
+@cache
+def _terms(signature: str) -> tuple[tuple[str, tuple[str, ...], bool], ...]:
+    """Return element type, dimensions and whether it is written to, of each array of a signature."""
+    inputs, _, outputs = signature.partition("->")
+    return tuple(
+        (kind, tuple(dimensions.split(",")), written)
+        for part, written in ((inputs, False), (outputs, True))
+        for kind, dimensions in _TERM.findall(part)
+    )
+
+
+def _check(signature: str, arrays: tuple[Array, ...]) -> dict[str, int]:
+    """Compare arrays with a signature and return the lengths of its letters."""
+    lengths: dict[str, int] = {}
+    for number, ((kind, expected, written), array) in enumerate(
+        zip(_terms(signature), arrays, strict=True), 1
+    ):
+        what = f"array {number} of the kernel: expected {kind}[{','.join(expected)}]"
+        if array.dtype != np.dtype(kind) or not array.dtype.isnative:
+            raise ValueError(f"{what}, got elements of type {array.dtype}")
+        if array.ndim != len(expected):
+            raise ValueError(f"{what}, got {array.ndim} dimensions")
+        for letter, length in zip(expected, array.shape, strict=True):
+            known = int(letter) if letter.isdigit() else lengths.setdefault(letter, length)
+            if known != length:
+                raise ValueError(f"{what}, got shape {array.shape} where {letter} = {known}")
+        if not array.flags.c_contiguous or (written and not array.flags.writeable):
+            raise ValueError(f"{what}, got an array that is not contiguous or not writeable")
+    return lengths
+
+
+def _require(condition: bool, message: str) -> None:  # noqa: FBT001
+    if not condition:
+        raise ValueError(message)
+
+
+def _kernel(name: str) -> Callable[..., None]:
+    return getattr(_compiled if COMPILED else _reference, name)  # type: ignore[no-any-return]
+
+
+def likelihood(squares: Array, excess: Array, shares: Array, clip: float) -> Array:
+    r"""Return minus twice the mean log-likelihood of normal residuals, up to a constant, for each share.
+
+    The variance of residual k is :math:`s^2 (1 + q e_k)` with share q and excess e_k; the scale s is profiled.
+
+    Parameters
+    ----------
+    squares : ndarray of float64, shape (n,)
+        Squared residuals.
+    excess : ndarray of float64, shape (n,)
+        Excess of the squared misfit of each observation [1].
+    shares : ndarray of float64, shape (m,)
+        Values of q [1].
+    clip : float
+        Squares beyond `clip` times their median count as that.
+
+    Returns
+    -------
+    ndarray of float64, shape (m,)
+    """
+    out = np.empty(len(shares))
+    lengths = _check("f8[n] f8[n] f8[m] -> f8[m]", (squares, excess, shares, out))
+    _require(
+        lengths["n"] > 0 and lengths["m"] > 0, "the likelihood needs at least one residual and one share"
+    )
+    _kernel("likelihood")(squares, excess, shares, clip, out)
+    return out
+
+
+def match(
+    profile: Array, curve: Array, slope: Array, start: Array, seen: Array,
+    pad: int, limit: float, stride: float, rounds: int, fineness: float,
+) -> Array:  # fmt: skip
+    """Fit gain, offset and displacement of a template to each profile by Gauss-Newton.
+
+    Parameters
+    ----------
+    profile : ndarray of float64, shape (n, m)
+        One profile per frame.
+    curve, slope : ndarray of float64, shape (m + 2 pad,)
+        Template and its derivative per sample, extended by `pad` samples at both ends.
+    start : ndarray of float64, shape (n,)
+        Initial displacement [samples].
+    seen : ndarray of bool, shape (n, m)
+        Samples that are not occluded.
+    pad : int
+        Samples of the extension; at least `limit` + 2.
+    limit, stride : float
+        Largest displacement and largest step [samples].
+    rounds : int
+        Iterations at most.
+    fineness : float
+        The template is evaluated at multiples of 1/`fineness` samples.
+
+    Returns
+    -------
+    ndarray of float64, shape (n, 5)
+        Displacement [samples], gain, offset, sum of squared residuals, and the last diagonal element of the
+        inverse normal matrix.
+    """
+    out = np.empty((len(profile), 5))
+    profile, seen, start = (
+        np.ascontiguousarray(profile),
+        np.ascontiguousarray(seen),
+        np.ascontiguousarray(start),
+    )
+    lengths = _check(
+        "f8[n,m] f8[k] f8[k] f8[n] b1[n,m] -> f8[n,5]", (profile, curve, slope, start, seen, out)
+    )
+    fits = lengths["k"] == lengths["m"] + 2 * pad and limit + 2.0 <= pad
+    _require(fits, "the template must be extended by at least limit + 2 samples at both ends")
+    _kernel("match")(
+        profile, curve, slope, start, seen.view(np.uint8), pad, limit, stride, rounds, fineness, out
+    )
+    return out
+
+
+def bands(
+    windows: Array, which: Array, light: Array, offset: Array, scale: Array, mixing: Array, *, across: bool
+) -> Array:
+    """Return averages of (light * window - offset) * scale over bands of rows or columns of some windows.
+
+    Parameters
+    ----------
+    windows : ndarray of float32, shape (k, rows, columns)
+        All windows.
+    which : ndarray of int64, shape (n,)
+        Indices of the windows to average.
+    light : ndarray of float64, shape (n, columns)
+        Factor on each column.
+    offset, scale : ndarray of float64, shape (n,)
+        Offset, in units of the window, and factor.
+    mixing : ndarray of float32, shape (bands, rows) or (bands, columns)
+        Weights of each band; their sum is 1.
+    across : bool
+        Average over columns instead of rows.
+
+    Returns
+    -------
+    ndarray of float64, shape (n, bands, columns) or (n, bands, rows)
+    """
+    count, parts = len(which), len(mixing)
+    out = np.empty((count, parts, windows.shape[1] if across else windows.shape[2]))
+    last = ("f4[p,c]", "f8[n,p,r]") if across else ("f4[p,r]", "f8[n,p,c]")
+    signature = f"f4[k,r,c] i8[n] f8[n,c] f8[n] f8[n] {last[0]} -> {last[1]}"
+    _check(signature, (windows, which, light, offset, scale, mixing, out))
+    _require(
+        not count or (which.min() >= 0 and which.max() < len(windows)), "an index lies outside the windows"
+    )
+    _kernel("bands")(windows, which, light, offset, scale, mixing, across, out)
+    return out
+
+
+def crossings(curves: Array, first: int, step: int, level: float, least: float) -> Array:
+    """Return where curves fall below a level, in samples from `first` on; NaN if never, or if they begin below it.
+
+    Parameters
+    ----------
+    curves : ndarray of float64, shape (n, k, m)
+        Curves along the last axis.
+    first : int
+        Sample at which the search begins.
+    step : {1, -1}
+        Direction of the search.
+    level : float
+        The level; the crossing is interpolated linearly.
+    least : float
+        Smallest fall between two samples by which is divided.
+
+    Returns
+    -------
+    ndarray of float64, shape (n, k)
+    """
+    out = np.empty(curves.shape[:2])
+    curves = np.ascontiguousarray(curves)
+    lengths = _check("f8[n,k,m] -> f8[n,k]", (curves, out))
+    _require(0 <= first < lengths["m"] and step in (1, -1), "the search begins outside the curves")
+    _kernel("crossings")(curves, first, step, level, least, out)
+    return out
+
+
+def local_polynomials(
+    value: Array, weight: Array, half: int, degree: int, hole: int, smooth: Array, leverage: Array
+) -> None:
+    """Fit a polynomial about each point of an evenly sampled series, with weights 1 - (x / (half + 1))^2.
+
+    Parameters
+    ----------
+    value, weight : ndarray of float64, shape (n + 2 half,)
+        The series and its weights, 0 where there is no value.
+    half : int
+        Half width of the window [samples].
+    degree : int
+        0 to 3.
+    hole : int
+        Points up to this distance are left out; -1 for none.
+    smooth, leverage : ndarray of float64, shape (n,)
+        Written to: fitted value, and its derivative by the value at the point itself. NaN where the window holds too
+        few points.
+    """
+    lengths = _check("f8[m] f8[m] -> f8[n] f8[n]", (value, weight, smooth, leverage))
+    fits = lengths["m"] == lengths["n"] + 2 * half and 1 <= half <= 1 << 20
+    _require(fits and 0 <= degree <= 3 and -1 <= hole < half, "window, degree or hole do not suit the series")
+    _kernel("local_polynomials")(value, weight, half, degree, hole, smooth, leverage)
+
+
+def discs(pixels: Array, weights: tuple[float, float], radius: float) -> Array:
+    """Return the centroid of a bright disc in each window [px of the window]; NaN where it is hidden.
+
+    Level and background are quantiles of each window; a soft mask between 30 % and 70 % of the step counts pixels at
+    the edge by the share that the disc covers.
+
+    Parameters
+    ----------
+    pixels : ndarray of uint8, shape (n, 2, side, side)
+        Both chroma planes.
+    weights : tuple of float
+        Weights of the planes in the score.
+    radius : float
+        Radius of the disc [px].
+
+    Returns
+    -------
+    ndarray of float64, shape (n, 2)
+        x and y.
+    """
+    out = np.empty((len(pixels), 2))
+    _check("u1[n,2,s,s] -> f8[n,2]", (pixels, out))
+    _kernel("discs")(pixels, weights, radius, out)
+    return out
+
+
+def locate(windows: Array, column: Array, rows: tuple[int, int, int], half: int, reach: int) -> Array:
+    """Return how far a marker lies from its expected column, and its mean score there; 0 at the end of the search.
+
+    Parameters
+    ----------
+    windows : ndarray of float32, shape (n, rows, columns)
+        Windows; every row of a window is contiguous.
+    column : ndarray of float64, shape (n,)
+        First column of the search.
+    rows : tuple of int
+        Start, stop and step of the rows to average.
+    half : int
+        Half width of the marker [columns].
+    reach : int
+        Half width of the search [columns].
+
+    Returns
+    -------
+    ndarray of float64, shape (n, 2)
+        Displacement [columns] and mean score.
+    """
+    windows, column = np.ascontiguousarray(windows), np.ascontiguousarray(column)
+    out = np.empty((len(windows), 2))
+    _check("f4[n,r,c] f8[n] -> f8[n,2]", (windows, column, out))
+    begin, end, step = rows
+    fits = 0 <= begin < end <= windows.shape[1] and step >= 1
+    room = windows.shape[2] - 2 * half - 2 * reach - 2
+    _require(
+        fits and half >= 0 and reach >= 1 and room >= 0, "rows, marker or search do not suit the windows"
+    )
+    _kernel("locate")(windows, column, rows, half, reach, out)
+    return out
+
+
+def sample(
+    planes: tuple[list[Array], ...], weights: tuple[float, float], places: tuple[Array, Array, Array],
+    box: Array, ground: Array, first: Array, score: Array, out: Array,
+) -> None:  # fmt: skip
+    """Sample windows of a polar grid from planes of frames by bilinear interpolation, less a background.
+
+    Parameters
+    ----------
+    planes : tuple of one or two lists of ndarray of uint8, shape (height, width)
+        One plane per frame in each list; rows may be padded.
+    weights : tuple of float
+        Weight of each plane in the score.
+    places : tuple of ndarray, shape (rows, columns)
+        Pixel above and to the left of each sample as int32 (row in the upper, column in the lower 16 bits), and the
+        distances to the right and down as float32 [px].
+    box : ndarray of int32, shape (starts, 4)
+        Left, right, top and bottom edge of what a window that begins at a column touches.
+    ground : ndarray of float32, shape (rows, columns)
+        Background.
+    first : ndarray of int64, shape (n,)
+        First column of the window in each frame.
+    score : ndarray of float32, shape (height, width)
+        Scratch.
+    out : ndarray of float32, shape (n, rows, width)
+        Written to.
+    """
+    at, right, down = places
+    signature = "i4[r,c] f4[r,c] f4[r,c] i4[b,4] f4[r,c] i8[n] -> f4[h,w] f4[n,r,o]"
+    lengths = _check(signature, (at, right, down, box, ground, first, score, out))
+    _require(len(planes) in (1, 2), "one or two lists of planes are expected")
+    for plane in (plane for kind in planes for plane in kind):
+        fits = plane.dtype == np.uint8 and plane.shape == score.shape and plane.strides[1] == 1
+        _require(
+            fits, f"a plane has type {plane.dtype} and shape {plane.shape}, expected uint8 {score.shape}"
+        )
+    _require(all(len(kind) == lengths["n"] for kind in planes), "the number of planes and windows differ")
+    inside = first.size == 0 or (
+        first.min() >= 0 and first.max() < lengths["b"] and first.max() + lengths["o"] <= lengths["c"]
+    )
+    _require(bool(inside), "a window lies outside the ring")
+    _kernel("sample")(planes, weights, at, right, down, box, ground, first, score, out)

@@ -141,6 +141,10 @@ class SimulatedRun:
             label=label,
         )
 
+    def film_files(self, folder: Path) -> list[Path]:
+        """Return the names of the films: the casing's, then those of the rotor."""
+        return [folder / clip.name for clip in _clips(self.experiment)]
+
     def films(
         self,
         folder: Path,

@@ -28,7 +28,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._column_store import new_columns, stretches
-from gyrotrack._native._kernels import loops
+from gyrotrack._native import _kernels as kernels
 from gyrotrack._smoothing import median_of
 from gyrotrack.tracking._polar import Windows
 
@@ -227,24 +227,8 @@ def _edge(values: Floats, axis: Floats, first: int, step: int) -> Floats:
     outwards = values[:, :, first::step]
     beyond = float(np.clip(median_of(outwards[:, :, -2:]), -0.3, 0.6))
     level = 0.5 * (1.0 + beyond)
-    if loops is None:
-        place = _crossing(outwards, level)
-    else:
-        place = np.empty(values.shape[:2])
-        loops.crossing(values, place, first, step, level, _LEAST_FALL)
+    place = kernels.crossings(values, first, step, level, _LEAST_FALL)
     return np.asarray(axis[first] + step * (axis[1] - axis[0]) * place)
-
-
-def _crossing(values: Floats, level: float) -> Floats:
-    """Return the place, in samples, where a curve that starts on the marker first falls below a level; NaN if never."""
-    below = values < level
-    first = np.argmax(below, axis=2)
-    valid = below.any(axis=2) & (first > 0)
-    index = np.clip(first, 1, values.shape[2] - 1)
-    high = np.take_along_axis(values, index[..., None] - 1, axis=2)[..., 0]
-    low = np.take_along_axis(values, index[..., None], axis=2)[..., 0]
-    part = (high - level) / np.maximum(high - low, _LEAST_FALL)
-    return np.where(valid, index - 1 + np.clip(part, 0.0, 1.0), np.nan)
 
 
 def _lines(edge: Floats, r: Floats) -> tuple[Floats, Floats]:

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._column_store import stretches
-from gyrotrack._native._kernels import loops
+from gyrotrack._native import _kernels as kernels
 from gyrotrack._smoothing import local_fit
 from gyrotrack.tracking._polar import CHROMA_SHIFT
 from gyrotrack.tracking._scene import Disc
@@ -72,47 +72,8 @@ class DiscWindow:
         """Measure the disc's centre in the first `count` frames, (count, 2) in px; NaN where hidden."""
         u, v = self.disc.chroma
         norm = u * u + v * v
-        place = np.empty((count, 2))
-        if loops is not None:
-            loops.disc(self._pixels[:count], place, (u / norm, v / norm), self.disc.radius / 2.0)
-        else:
-            for first in range(0, count, _TOGETHER):
-                part = slice(first, min(first + _TOGETHER, count))
-                pixels = self._pixels[part].astype(np.float32)
-                score = pixels[:, 0] * np.float32(u / norm) + pixels[:, 1] * np.float32(v / norm)
-                place[part] = np.stack(_disc_centroid(score, self.disc.radius / 2.0), axis=1)
+        place = kernels.discs(self._pixels[:count], (u / norm, v / norm), self.disc.radius / 2.0)
         return np.asarray(2.0 * (place + self._corner) + np.array(CHROMA_SHIFT))
-
-
-def _disc_centroid(score: npt.NDArray[np.float32], radius: float) -> tuple[Floats, Floats]:
-    """Find the centroid of a bright disc in each image, (n, side, side), in px of the window.
-
-    The disc's level and the background's are taken from each frame; the mask rises softly between 30 % and
-    70 % of the step, so that the edge counts with the share of each pixel that it covers.
-    """
-    count, side, _ = score.shape
-    grid = np.arange(side, dtype=np.float64)
-    few = score[:, ::3, ::3].reshape(count, -1)
-    ranks = [int(part * (few.shape[1] - 1)) for part in (0.97, 0.5)]
-    level, ground = np.partition(few, ranks, axis=1)[:, ranks, None, None].transpose(1, 0, 2, 3)
-    step = np.maximum(level - ground, np.float32(1e-6))
-    soft = score - (ground + np.float32(0.3) * step)
-    soft /= np.float32(0.4) * step
-    np.clip(soft, 0.0, 1.0, out=soft)
-    middle = (side - 1) / 2.0
-    x, y = np.full(count, middle), np.full(count, middle)
-    for reach in (2.2 * radius + 3.0, 1.5 * radius + 1.5, 1.35 * radius + 1.0):
-        half_chord = np.sqrt(np.maximum(reach**2 - (grid - y[:, None]) ** 2, 0.0))[:, :, None]
-        weight = soft * (np.abs(grid - x[:, None])[:, None, :] < half_chord)
-        across = weight.sum(axis=1, dtype=np.float64)
-        total = np.maximum(across.sum(axis=1), 1e-9)
-        x = (across @ grid) / total
-        y = (weight.sum(axis=2, dtype=np.float64) @ grid) / total
-    expected = np.pi * radius**2
-    hidden = (total < 0.6 * expected) | (total > 1.7 * expected) | (step[:, 0, 0] < 0.3)
-    x[hidden] = np.nan
-    y[hidden] = np.nan
-    return x, y
 
 
 Complexes = npt.NDArray[np.complex128]

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
-from gyrotrack._native._kernels import loops
+from gyrotrack._native import _kernels as kernels
 from gyrotrack.tracking._acquisition import LONGEST_DWELL
 from gyrotrack.tracking._polar import Grid, Ring, Score, Windows, ring_for
 from gyrotrack.tracking._scene import Marker, Samples
@@ -145,29 +145,8 @@ class MarkerStrip:
         """
         half, reach = max(int(self.marker.half_width / self.ring.step), 1), self.slack
         column = angle / self.ring.step - self.starts[place] + (self.half - half - reach)
-        if loops is not None:
-            found, room = np.empty((len(angle), 2)), np.empty(self.width + 1)
-            loops.find(self.windows[place], column, found, room, (*self._rows, 2), half, reach)
-            return found[:, 0], found[:, 1]
-        height, frame = self._near(column, place, half, reach), np.arange(len(angle))
-        top = np.argmax(height, axis=1)
-        inner = np.clip(top, 1, 2 * reach - 1)
-        left, middle, right = (height[frame, inner + k] for k in (-1, 0, 1))
-        bend = np.minimum(left - 2.0 * middle + right, -1e-9)
-        off = np.where(inner == top, np.clip(0.5 * (left - right) / bend, -0.5, 0.5), 0.0)
-        return top - reach + off, np.where(inner == top, middle, 0.0)
-
-    def _near(self, column: Floats, place: slice, half: int, reach: int) -> Floats:
-        """Return the mean score of a marker with its near edge at given columns or up to `2 reach` beyond them."""
-        profile = self._mixing @ self.windows[place]
-        total = np.zeros((len(profile), self.width + 1))
-        np.cumsum(profile, axis=1, out=total[:, 1:])
-        box = (total[:, 2 * half + 1 :] - total[:, : -2 * half - 1]) / (2 * half + 1)
-        low = np.clip(np.floor(column).astype(np.int64), 0, box.shape[1] - 2 * reach - 2)
-        part = np.clip(column - low, 0.0, 1.0)[:, None]
-        cut = sliding_window_view(box, 2 * reach + 2, axis=1)[np.arange(len(column)), low]
-        found: Floats = (1.0 - part) * cut[:, :-1] + part * cut[:, 1:]
-        return found
+        found = kernels.locate(self.windows[place], column, (*self._rows, 2), half, reach)
+        return found[:, 0], found[:, 1]
 
     def _background(self, samples: Samples) -> Singles:
         frames = [samples.frames[k] for k in samples.spread]

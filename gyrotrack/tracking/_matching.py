@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._native._kernels import loops
+from gyrotrack._native import _kernels as kernels
 
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -67,96 +67,16 @@ def match(profile: Floats, template: Floats, start: Floats, seen: Mask) -> Match
     slope[[0, -1]] = template[1] - template[0], template[-1] - template[-2]
     limit, stride = 0.3 * len(template), 0.08 * len(template)
     shift = np.clip(np.asarray(start, dtype=np.float64), -limit, limit)
-    if loops is None:
-        shift, gain, offset, left, spread = _fit(profile, template, slope, shift, seen, limit, stride)
-    else:
-        pad = int(np.ceil(limit)) + 2
-        padded = (_with_ends(line[None], pad)[0] for line in (template, slope))
-        found = np.empty((len(shift), 5))
-        given = np.ascontiguousarray(profile), *padded, shift, np.ascontiguousarray(seen)
-        loops.fit(*given, found, pad, limit, stride, ROUNDS, FINENESS)
-        shift, gain, offset, left, spread = found.T.copy()
+    pad = int(np.ceil(limit)) + 2
+    curve, lean = (_with_ends(line[None], pad)[0] for line in (template, slope))
+    found = kernels.match(profile, curve, lean, shift, seen, pad, limit, stride, ROUNDS, FINENESS)
+    shift, gain, offset, left, spread = found.T.copy()
     misfit = np.sqrt(np.maximum(left, 0.0) / np.maximum(seen.sum(axis=1), 1)) / np.maximum(np.abs(gain), 1e-3)
     open_ = np.stack([template, np.ones_like(template), slope])
     normal = open_ @ open_.T
     best = float(np.linalg.inv(normal + 1e-9 * (1.0 + np.trace(normal)) * np.eye(3))[2, 2])
     ratio = np.sqrt(np.maximum(spread, 0.0) / best) / np.maximum(np.abs(gain), 1e-3)
     return Match(shift, gain, offset, misfit, np.where(np.isfinite(ratio), ratio, np.inf))
-
-
-def _fit(
-    profile: Floats, template: Floats, slope: Floats, start: Floats, seen: Mask, limit: float, stride: float
-) -> Floats:
-    """Go on with each profile until its place in the table stands.
-
-    Displacement, gain, offset, sum of squares left over, last entry of the inverse: (5, n).
-    """
-    weight = seen.astype(np.float64)
-    whole = bool(seen.all())
-    weighted = profile if whole else weight * profile
-    squares = np.einsum("nm,nm->n", weighted, profile)
-    table = _Table(template, slope, limit)
-    found = np.zeros((5, len(start)))
-    found[0] = start
-    moving: slice | npt.NDArray[np.int64] = slice(None)
-    for _ in range(ROUNDS):
-        place = table.place(found[0, moving])
-        curve, lean = table.curve[place], table.slope[place]
-        normal = table.normal[:, place] if whole else _moments(weight[moving], curve, lean)
-        right = _right(weighted[moving], curve, lean)
-        solution, spread = _solved(normal, right)
-        gain = solution[0]
-        off = -solution[2] / np.where(np.abs(gain) > 1e-3, gain, np.inf)
-        shift = np.clip(table.shift[place] + np.clip(off, -stride, stride), -limit, limit)
-        left = squares[moving] - (solution * right).sum(axis=0)
-        found[:, moving] = shift, gain, solution[1], left, spread
-        left_over = np.arange(len(start))[moving][table.place(shift) != place]
-        if not len(left_over):
-            break
-        moving = left_over
-    return found
-
-
-class _Table:
-    """A template and its slope at many displacements, and the normal equations that go with them."""
-
-    def __init__(self, template: Floats, slope: Floats, limit: float) -> None:
-        self._most = int(np.ceil(limit * FINENESS))
-        self.shift = np.arange(-self._most, self._most + 1) / FINENESS
-        self.curve, self.slope = displaced(template, self.shift), displaced(slope, self.shift)
-        self.normal = _moments(np.ones_like(self.curve), self.curve, self.slope)
-
-    def place(self, shift: Floats) -> npt.NDArray[np.int64]:
-        """Return the rows of the table that are nearest to displacements."""
-        return np.rint(shift * FINENESS).astype(np.int64) + self._most
-
-
-def _moments(weight: Floats, curve: Floats, slope: Floats) -> Floats:
-    """Return the upper triangle of the normal equations of (curve, 1, slope): cc, c1, cs, 11, 1s, ss."""
-    a, b = weight * curve, weight * slope
-    dot = "nm,nm->n"
-    return np.stack([
-        np.einsum(dot, a, curve), a.sum(axis=1), np.einsum(dot, a, slope),
-        weight.sum(axis=1), b.sum(axis=1), np.einsum(dot, b, slope),
-    ])  # fmt: skip
-
-
-def _right(weighted: Floats, curve: Floats, slope: Floats) -> Floats:
-    dot = "nm,nm->n"
-    return np.stack([np.einsum(dot, weighted, curve), weighted.sum(axis=1), np.einsum(dot, weighted, slope)])
-
-
-def _solved(normal: Floats, right: Floats) -> tuple[Floats, Floats]:
-    """Solve symmetric 3 x 3 systems by their cofactors; also the last diagonal entry of each inverse."""
-    a, b, c, d, e, f = normal
-    ridge = 1e-9 * (1.0 + a + d + f)
-    a, d, f = a + ridge, d + ridge, f + ridge
-    aa, bb, cc = d * f - e * e, c * e - b * f, b * e - c * d
-    dd, ee, ff = a * f - c * c, b * c - a * e, a * d - b * b
-    determinant = a * aa + b * bb + c * cc
-    x, y, z = right
-    solution = np.stack([aa * x + bb * y + cc * z, bb * x + dd * y + ee * z, cc * x + ee * y + ff * z])
-    return solution / determinant, ff / determinant
 
 
 def displaced(curve: Floats, shift: Floats) -> Floats:

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._column_store import put_away, stretches
-from gyrotrack._native._kernels import loops
+from gyrotrack._native import _kernels as kernels
 
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -135,22 +135,9 @@ def variance_inflation(off: Floats, excess: Floats) -> float:
     known = np.isfinite(off)
     if known.sum() < FEWEST:
         return 0.0
-    return float(_SHARES[int(np.argmin(_unlikely(off[known] ** 2, excess[known])))])
-
-
-def _unlikely(squares: Floats, misfit_excess: Floats) -> Floats:
-    """Return minus twice the mean log-likelihood of squared residuals for every share, but for a constant."""
-    if loops is None:
-        return np.array([_unlikely_as(squares, 1.0 + share * misfit_excess) for share in _SHARES])
-    found = np.empty(len(_SHARES))
-    loops.unlikely(squares, misfit_excess, _SHARES, found, _FAULT**2 / 0.4549)
-    return found
-
-
-def _unlikely_as(squares: Floats, variance: Floats) -> float:
-    squares = squares / variance
-    squares = np.minimum(squares, _FAULT**2 * np.median(squares) / 0.4549)
-    return float(np.log(max(squares.mean(), 1e-30)) + np.log(variance).mean())
+    clip = _FAULT**2 / 0.4549
+    unlikely = kernels.likelihood(off[known] ** 2, excess[known], _SHARES, clip)
+    return float(_SHARES[int(np.argmin(unlikely))])
 
 
 LARGEST_MISFIT = 0.12

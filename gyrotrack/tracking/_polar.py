@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
-from gyrotrack._native._kernels import loops
+from gyrotrack._native import _kernels as kernels
 from gyrotrack.video._container import Frame, Plane
 
 Maps = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
@@ -170,15 +170,9 @@ class Grid:
 
     def cut(self, frames: list[Frame], first: Integers, ground: Singles, windows: Singles) -> None:
         """Sample windows from the columns `first` (n,) on, one a frame, less the background: (n, rows, width)."""
-        if loops is not None:
-            score = self.score
-            planes = score.planes(frames)
-            loops.cut(planes, score.weights, *self._places, self.boxes, ground, first, score.buffer, windows)
-            return
-        for frame, k, window in zip(frames, first.tolist(), windows, strict=True):
-            part = (slice(None), slice(k, k + self.width))
-            self.score.unrolled(frame, self.boxes[k], self.x[part], self.y[part], window)
-            window -= ground[part]
+        score = self.score
+        planes = score.planes(frames)
+        kernels.sample(planes, score.weights, self._places, self.boxes, ground, first, score.buffer, windows)
 
     def around(self, frame: Frame, rows: slice) -> Singles:
         """Sample rows in all directions."""
@@ -186,13 +180,12 @@ class Grid:
 
     def turns(self, frames: list[Frame], rows: slice) -> Singles:
         """Sample rows in all directions in some frames, (n, rows, columns)."""
-        if loops is None:
-            return np.stack([self.around(frame, rows) for frame in frames])
-        score, places = self.score, tuple(np.ascontiguousarray(place[rows]) for place in self._places)
-        out = np.empty((len(frames), *places[0].shape), dtype=np.float32)
-        nothing, begin = np.zeros_like(places[1]), np.zeros(len(frames), dtype=np.int64)
+        score, (at, right, down) = self.score, (np.ascontiguousarray(place[rows]) for place in self._places)
+        out = np.empty((len(frames), *at.shape), dtype=np.float32)
+        nothing, begin = np.zeros_like(right), np.zeros(len(frames), dtype=np.int64)
         planes = score.planes(frames)
-        loops.cut(planes, score.weights, *places, self.whole[None], nothing, begin, score.buffer, out)
+        places = at, right, down
+        kernels.sample(planes, score.weights, places, self.whole[None], nothing, begin, score.buffer, out)
         return out
 
     @cached_property
@@ -258,13 +251,6 @@ class Windows:
         return self._mixed(mixing, across=True)
 
     def _mixed(self, mixing: Floats, *, across: bool) -> Floats:
-        count, rows, columns = len(self.which), *self.scores.shape[1:]
         weights = mixing.astype(np.float32)
-        if loops is not None:
-            found = np.empty((count, len(weights), rows if across else columns))
-            given = self.scores, self.which, self.light, self.offset, self.scale, weights
-            loops.bands(*given, found, across)
-            return found
-        lit = self.scores[self.which] * self.light[:, None, :].astype(np.float32)
-        mixed = np.matmul(lit, weights.T).transpose(0, 2, 1) if across else np.matmul(weights, lit)
-        return np.asarray((mixed - self.offset[:, None, None]) * self.scale[:, None, None])
+        given = self.scores, self.which, self.light, self.offset, self.scale, weights
+        return kernels.bands(*given, across=across)

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from fitting._numbers import measured, probability, scaled, short, typeset, unit_text
+from fitting._numbers import probability, scaled, short, typeset, unit_text, with_uncertainty
 
 
 @pytest.mark.parametrize(
@@ -16,7 +16,7 @@ from fitting._numbers import measured, probability, scaled, short, typeset, unit
     ],
 )
 def test_value_and_error_are_rounded_together(value, error, unit, text):
-    assert measured(value, error, unit) == text
+    assert with_uncertainty(value, error, unit) == text
 
 
 @pytest.mark.parametrize(
@@ -80,6 +80,6 @@ def test_scale_keeps_the_size_readable():
     ],
 )
 def test_a_number_stays_with_its_unit(text, lines):
-    from fitting._numbers import unbroken
+    from fitting._numbers import nonbreaking
 
-    assert [w.replace("\u00a0", " ") for w in unbroken(text).split(" ")] == lines
+    assert [w.replace("\u00a0", " ") for w in nonbreaking(text).split(" ")] == lines

@@ -40,7 +40,7 @@ def python(code, *blocked):
 def test_the_package_needs_neither_films_nor_terminals():
     done = python(
         "from fitting import *\nimport fitting\nassert all(hasattr(fitting, n) for n in fitting.__all__)",
-        "cv2", "av", "typer", "rich", "gyrotrack", "skimage", "matplotlib", "pandas", "pydantic",
+        "cv2", "av", "typer", "rich", "gyrotrack", "skimage", "matplotlib", "pandas",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
 
@@ -86,7 +86,7 @@ def test_models_compose():
 
 def test_a_fit_prints_itself():
     lines = repr(fitted(seed=0)).splitlines()
-    assert lines[0] == "fit: adequate; what the model leaves is noise"
+    assert lines[0] == "fit: adequate; the residuals are consistent with noise"
     assert max(map(len, lines)) <= 80
     assert any("bearing.linear.d" in line and "+-" in line and "N m s" in line for line in lines)
     held = fit(Model.of("linear"), data(seed=0), fixed={"b1": 2.88e-6})
@@ -246,10 +246,27 @@ def test_the_page_runs_as_it_stands(tmp_path, monkeypatch, capsys):
     capsys.readouterr()
     names = {}
     for block in re.findall(
-        r"```python\n(.*?)```", (ROOT / "docs/python.md").read_text(encoding="utf-8"), re.S
+        r"```python\n(.*?)```", (ROOT / "docs/how-to/python.md").read_text(encoding="utf-8"), re.S
     ):
         exec(compile(block, "python.md", "exec"), names)  # noqa: S102 - our own page
     said = capsys.readouterr().out
     assert "True (8, 8)" in said
     assert "reduced model" in said
     assert names["again"].label == "from arrays"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((42, None), "a case is a NoneType"),
+        (("reduced", "case.h5"), "a case is a str, not a Record"),
+        ((42, []), "a int is not a model"),
+        (("reduced", [], {"start": [1.0]}), "start is a list"),
+        (("reduced", [], {"ranges": {"g": 0.7}}), "the range of 'g' is 0.7"),
+    ],
+)
+def test_wrong_arguments_raise_errors_of_the_package_with_a_hint(arguments, message):
+    *positional, options = (*arguments, {}) if len(arguments) == 2 else arguments
+    with pytest.raises(fitting.FittingError, match=message) as found:
+        fitting.fit(*positional, **options)
+    assert str(found.value) == f"{found.value.message}\nHint: {found.value.hint}"

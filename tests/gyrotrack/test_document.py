@@ -78,9 +78,9 @@ def test_what_is_no_document(tmp_path, content, words):
 
 
 def test_what_is_not_there(tmp_path):
-    with pytest.raises(ConfigurationError, match="there is no profile"):
+    with pytest.raises(ConfigurationError, match="There is no profile"):
         read_document(tmp_path / "no.toml", Profile, what="profile")
-    with pytest.raises(ConfigurationError, match="cannot be read"):
+    with pytest.raises(ConfigurationError, match="not a regular file"):
         read_document(tmp_path, Profile, what="profile")
 
 

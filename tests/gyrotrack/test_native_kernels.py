@@ -1,62 +1,47 @@
-"""The compiled loops do what their twins in Python do, and what is true; they are built here from their source."""
+"""The compiled kernels against their NumPy reference, against OpenCV, and against known answers."""
 
-import importlib
-import importlib.util
-import shutil
-import subprocess
-import sys
-import sysconfig
-from pathlib import Path
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 
-import gyrotrack._native._kernels as kernels
-from gyrotrack import _smoothing as local
+from gyrotrack import _smoothing as smoothing
+from gyrotrack._native import _kernels as kernels
 from gyrotrack.tracking import _corners as corners
-from gyrotrack.tracking import _hub as disc
-from gyrotrack.tracking import _marker_window as strip_module
 from gyrotrack.tracking import _matching as matching
-from gyrotrack.tracking import _observations as oddity
-from gyrotrack.tracking import _polar as bands
-from gyrotrack.tracking import _polar as grid
 from gyrotrack.tracking._hub import DiscWindow
 from gyrotrack.tracking._marker_window import MarkerStrip
-from gyrotrack.tracking._polar import CHROMA_SHIFT, Grid, Ring, Score
+from gyrotrack.tracking._polar import CHROMA_SHIFT, Grid, Ring, Score, Windows
 from gyrotrack.tracking._scene import Disc
 from gyrotrack.video._container import Frame
 
-SOURCES = sorted(Path(kernels.__file__).parent.glob("*.c"))
 WIDTH, HEIGHT = 96, 72
 
+compiled = pytest.mark.skipif(not kernels.COMPILED, reason="the kernels were not compiled")
+ways = pytest.mark.parametrize("way", [pytest.param("compiled", marks=compiled), "reference"])
 
-@pytest.fixture(scope="module")
-def loops(tmp_path_factory):
-    compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
-    if compiler is None or sys.platform == "win32" or not SOURCES:
-        pytest.skip("no C compiler here, or no source")
-    target = tmp_path_factory.mktemp("built") / f"_compiled{sysconfig.get_config_var('EXT_SUFFIX')}"
-    missing = ["-undefined", "dynamic_lookup"] if sys.platform == "darwin" else []
-    include = f"-I{sysconfig.get_paths()['include']}"
-    words = [
-        compiler,
-        "-O2",
-        "-Wall",
-        "-Werror",
-        "-shared",
-        "-fPIC",
-        include,
-        *missing,
-        *map(str, SOURCES),
-        "-o",
-        str(target),
-    ]
-    subprocess.run([*words, "-lm"], check=True)
-    spec = importlib.util.spec_from_file_location("gyrotrack._native._compiled", target)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+
+@pytest.fixture
+def use(monkeypatch):
+    """Choose between the compiled extension and the reference."""
+    return lambda way: monkeypatch.setattr(kernels, "COMPILED", way == "compiled")
+
+
+@pytest.fixture
+def both(use):
+    """The results of the compiled extension and of the reference."""
+    if not kernels.COMPILED:
+        pytest.skip("the kernels were not compiled")
+
+    def run(work):
+        results = []
+        for way in ("compiled", "reference"):
+            use(way)
+            results.append(work())
+        return results
+
+    return run
 
 
 def _frame(make):
@@ -70,9 +55,8 @@ def _noise(seed=0):
     return lambda rows, columns: rng.integers(0, 256, (rows, columns), dtype=np.uint8)
 
 
-def _cut(monkeypatch, loops, frames, first, *, white, centre=(47.0, 35.0), columns=160):
+def _cut(frames, first, *, white, centre=(47.0, 35.0), columns=160):
     """Windows from all these frames, without a background."""
-    monkeypatch.setattr(grid, "loops", loops)
     shape = frames[0].y.shape if white else frames[0].u.shape
     score = Score(white, (0.02, 0.0) if white else (0.3, -0.7), shape)
     here = Grid(Ring(centre, 12.0, 30.0, 9, columns), 41, score)
@@ -83,23 +67,35 @@ def _cut(monkeypatch, loops, frames, first, *, white, centre=(47.0, 35.0), colum
     return windows
 
 
+@ways
 @pytest.mark.parametrize("white", [True, False])
 @pytest.mark.parametrize(
     "centre", [(47.0, 35.0), (47.3, 34.6), (3.0, 68.0)]
 )  # the last one: beyond the picture
-def test_windows_are_those_of_opencv(monkeypatch, loops, white, centre):
+def test_windows_are_those_of_opencv(use, way, white, centre):
+    use(way)
     frames = [_frame(_noise(seed)) for seed in range(40)]
     first = np.arange(40) * 4 % 160
-    ours = _cut(monkeypatch, loops, frames, first, white=white, centre=centre)
-    theirs = _cut(monkeypatch, None, frames, first, white=white, centre=centre)
-    assert np.ptp(theirs) > 1.0
-    np.testing.assert_allclose(ours, theirs, atol=2e-4)
+    ours = _cut(frames, first, white=white, centre=centre)
+    shape = frames[0].y.shape if white else frames[0].u.shape
+    grid = Grid(Ring(centre, 12.0, 30.0, 9, 160), 41, Score(white, (1.0, 0.0), shape))
+    for frame, k, window in zip(frames, first, ours, strict=True):
+        picture = (
+            0.02 * frame.y.astype(np.float32) if white else 0.3 * frame.u.astype(np.float32) - 0.7 * frame.v
+        )
+        x, y = (np.ascontiguousarray(place[:, k : k + 41]) for place in (grid.x, grid.y))
+        theirs = cv2.remap(
+            picture.astype(np.float32), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
+        np.testing.assert_allclose(window + np.linspace(0, 1, 201)[k : k + 41], theirs, atol=2e-4)
 
 
-def test_a_slope_is_sampled_exactly(monkeypatch, loops):
+@ways
+def test_a_slope_is_sampled_exactly(use, way):
+    use(way)
     ramp = np.add.outer(2 * np.arange(HEIGHT // 2), np.arange(WIDTH // 2)).astype(np.uint8)
     frame = Frame(0, 0, np.zeros((HEIGHT, WIDTH), np.uint8), ramp, np.zeros_like(ramp))
-    windows = _cut(monkeypatch, loops, [frame], [30], white=False)
+    windows = _cut([frame], [30], white=False)
     ring = Ring((47.0, 35.0), 12.0, 30.0, 9, 160)
     angle = (30 + np.arange(41)) * ring.step
     x = (47.0 + ring.radii[:, None] * np.cos(angle)) / 2
@@ -107,41 +103,53 @@ def test_a_slope_is_sampled_exactly(monkeypatch, loops):
     np.testing.assert_allclose(windows[0], 0.3 * (x + 2 * y) - np.linspace(0, 1, 201)[30:71], atol=1e-4)
 
 
-def test_planes_are_let_go(monkeypatch, loops):
+@ways
+def test_buffers_are_released_and_wrong_planes_refused(use, way):
+    use(way)
     memory = bytearray(HEIGHT * WIDTH)
     y = np.frombuffer(memory, np.uint8).reshape(HEIGHT, WIDTH)
-    _cut(monkeypatch, loops, [Frame(0, 0, y, y, y)], [0], white=True)
+    _cut([Frame(0, 0, y, y, y)], [0], white=True)
     small = Frame(0, 0, y[:-1], y, y)
-    with pytest.raises(ValueError, match="do not fit"):
-        _cut(monkeypatch, loops, [Frame(0, 0, y, y, y), small], [0, 1], white=True)
+    with pytest.raises(ValueError, match="expected uint8"):
+        _cut([Frame(0, 0, y, y, y), small], [0, 1], white=True)
     del y, small
-    memory.append(0)  # refused while anything looks into it
+    memory.append(0)  # refused while a view of it exists
 
 
+@ways
 @pytest.mark.parametrize("first", [-1, 161, 10**9])
-def test_a_window_outside_the_ring_is_refused(monkeypatch, loops, first):
-    with pytest.raises(ValueError, match="do not fit"):
-        _cut(monkeypatch, loops, [_frame(_noise())], [first], white=False)
+def test_a_window_outside_the_ring_is_refused(use, way, first):
+    use(way)
+    with pytest.raises(ValueError, match="outside the ring"):
+        _cut([_frame(_noise())], [first], white=False)
 
 
-def test_arrays_of_another_type_are_refused(loops):
-    with pytest.raises(ValueError, match="shape or type"):
-        loops.fit(
-            np.zeros((2, 5), np.float32),
-            *[np.zeros(5)] * 2,
-            np.zeros(2),
-            np.ones((2, 5), bool),
-            np.zeros((2, 5)),
-            0,
-            1,
-            1,
-            1,
-            8,
-        )
+GOOD = {
+    "likelihood": (np.ones(4), np.zeros(4), np.linspace(0, 1, 3), 10.0),
+    "match": (np.zeros((2, 5)), *[np.zeros(13)] * 2, np.zeros(2), np.ones((2, 5), bool), 4, 1.0, 1.0, 1, 8.0),
+    "crossings": (np.zeros((2, 3, 9)), 4, 1, 0.5, 0.1),
+    "discs": (np.zeros((2, 2, 9, 9), np.uint8), (1.0, 0.0), 2.0),
+    "locate": (np.zeros((2, 4, 21), np.float32), np.zeros(2), (0, 4, 2), 2, 3),
+    "local_polynomials": (np.zeros(30), np.ones(30), 5, 2, -1, np.empty(20), np.empty(20)),
+}
+
+
+@ways
+@pytest.mark.parametrize("name", GOOD)
+def test_arrays_of_another_type_or_shape_are_refused(use, way, name):
+    use(way)
+    kernel, arguments = getattr(kernels, name), GOOD[name]
+    kernel(*arguments)
+    for k, argument in enumerate(arguments):
+        if not isinstance(argument, np.ndarray):
+            continue
+        for wrong in (argument.astype(np.int64), argument.astype(">f4"), argument[None]):
+            with pytest.raises(ValueError, match="array"):
+                kernel(*arguments[:k], wrong, *arguments[k + 1 :])
 
 
 @pytest.mark.parametrize("hidden", [False, True])
-def test_fits_are_those_of_numpy(monkeypatch, loops, hidden):
+def test_matches_are_those_of_the_reference(both, hidden):
     rng = np.random.default_rng(5)
     count, m = 400, 57
     template = matching.flat_top(9, m)
@@ -153,21 +161,19 @@ def test_fits_are_those_of_numpy(monkeypatch, loops, hidden):
         seen[100:300, :25] = False
         seen[10] = False
     start = shift + rng.uniform(-2, 2, count)
-    found = {}
-    for name, here in (("compiled", loops), ("numpy", None)):
-        monkeypatch.setattr(matching, "loops", here)
-        found[name] = matching.match(profile, template, start, seen)
+    ours_, theirs_ = both(lambda: matching.match(profile, template, start, seen))
     usual = slice(20, None)
     for name in ("shift", "gain", "offset", "misfit", "weakness"):
-        ours, theirs = (getattr(found[which], name) for which in ("compiled", "numpy"))
+        ours, theirs = getattr(ours_, name), getattr(theirs_, name)
         assert np.isfinite(ours[usual]).all()
         np.testing.assert_allclose(ours[usual], theirs[usual], rtol=1e-6, atol=1e-6)
     if not hidden:
-        assert np.abs(found["compiled"].shift - shift)[usual].max() < 1.0
+        assert np.abs(ours_.shift - shift)[usual].max() < 1.0
 
 
-def test_what_is_no_number_does_no_harm(loops, monkeypatch):
-    monkeypatch.setattr(matching, "loops", loops)
+@ways
+def test_nan_does_no_harm(use, way):
+    use(way)
     profile = np.full((2, 31), np.nan)
     found = matching.match(
         profile, matching.flat_top(6, 31), np.array([0.0, np.nan]), np.ones((2, 31), dtype=bool)
@@ -175,15 +181,7 @@ def test_what_is_no_number_does_no_harm(loops, monkeypatch):
     assert found.shift.shape == (2,)
 
 
-def _both(monkeypatch, loops, module, work):
-    found = []
-    for here in (loops, None):
-        monkeypatch.setattr(module, "loops", here)
-        found.append(work())
-    return found
-
-
-def test_papers_are_found_where_opencv_and_numpy_find_them(monkeypatch, loops):
+def test_markers_are_located_as_by_the_reference(both):
     rng = np.random.default_rng(3)
     strip = MarkerStrip.__new__(MarkerStrip)
     strip.marker, strip.ring = SimpleNamespace(half_width=0.2), Ring((40.0, 30.0), 10.0, 20.0, 12, 200)
@@ -197,14 +195,14 @@ def test_papers_are_found_where_opencv_and_numpy_find_them(monkeypatch, loops):
     strip.starts = rng.integers(-400, 400, 300)
     place = slice(1, 300, 2)
     angle = (strip.starts[place] + 0.3) * strip.ring.step
-    ours, theirs = _both(monkeypatch, loops, strip_module, lambda: strip.beside(angle, place))
+    ours, theirs = both(lambda: strip.beside(angle, place))
     for mine, other in zip(ours, theirs, strict=True):
         np.testing.assert_allclose(mine, other, atol=2e-5)
     assert (ours[1][:5] < 0.3).all()
     assert np.abs(ours[0] - (middle[place] - 0.3))[5:].max() < 1.2
 
 
-def test_discs_are_those_of_numpy_and_where_they_are(monkeypatch, loops):
+def test_discs_are_those_of_numpy_and_where_they_are(both):
     rng = np.random.default_rng(4)
     window = DiscWindow(Disc((60.0, 60.0), 14.0, (-20.0, 70.0)), 200)
     side = 2 * window.half + 1
@@ -217,23 +215,25 @@ def test_discs_are_those_of_numpy_and_where_they_are(monkeypatch, loops):
         120 + cover[:, None] * np.array([-20.0, 70.0])[:, None, None] + rng.normal(0, 2, (200, 2, side, side))
     )
     window._pixels[:] = np.rint(seen)
-    ours, theirs = _both(monkeypatch, loops, disc, lambda: window.centres(200))
+    ours, theirs = both(lambda: window.centres(200))
     np.testing.assert_allclose(ours, theirs, atol=1e-4)
     assert np.isnan(ours[:5]).all()
     assert np.abs(ours[5:] - (2.0 * true[5:] + CHROMA_SHIFT)).max() < 0.4
 
 
 @pytest.mark.parametrize("count", [1, 2, 30, 4001])
-def test_likelihoods_are_those_of_numpy(monkeypatch, loops, count):
+def test_likelihoods_are_those_of_numpy(both, count):
     rng = np.random.default_rng(count)
     squares, misfit_excess = rng.standard_t(3, count) ** 2, np.clip(rng.normal(0, 6, count), 0, 24)
     squares[::7] = 0.0
-    ours, theirs = _both(monkeypatch, loops, oddity, lambda: oddity._unlikely(squares, misfit_excess))
+    ours, theirs = both(
+        lambda: kernels.likelihood(squares, misfit_excess, np.linspace(0, 1, 22), 25 / 0.4549)
+    )
     np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("across", [False, True])
-def test_bands_are_those_of_numpy(monkeypatch, loops, across):
+def test_bands_are_those_of_numpy(both, across):
     rng = np.random.default_rng(6)
     scores = rng.normal(0, 1, (40, 12, 31)).astype(np.float32)
     which = np.flatnonzero(rng.random(40) < 0.6)
@@ -242,26 +242,25 @@ def test_bands_are_those_of_numpy(monkeypatch, loops, across):
     mixing[0, 2:5], mixing[1, 5:9], mixing[2, size - 1] = 1 / 3, 1 / 4, 1.0
     light = rng.uniform(0.5, 2, (count, 31))
     light[:, 6] = 0.0
-    windows = bands.Windows(scores, which, light, rng.normal(0, 1, count), rng.uniform(0.5, 2, count))
+    windows = Windows(scores, which, light, rng.normal(0, 1, count), rng.uniform(0.5, 2, count))
     work = windows.columns if across else windows.rows
-    ours, theirs = _both(monkeypatch, loops, bands, lambda: work(mixing))
+    ours, theirs = both(lambda: work(mixing))
     assert ours.shape == (count, 3, 12 if across else 31)
     np.testing.assert_allclose(ours, theirs, atol=1e-5)
-    beyond = bands.Windows(scores, which + 40, light, windows.offset, windows.scale)
-    monkeypatch.setattr(bands, "loops", loops)
-    with pytest.raises(ValueError, match="do not fit"):
+    beyond = Windows(scores, which + 40, light, windows.offset, windows.scale)
+    with pytest.raises(ValueError, match="outside the windows"):
         beyond.rows(mixing[:, :12])
 
 
 @pytest.mark.parametrize("step", [1, -1])
-def test_edges_are_those_of_numpy_and_where_they_are(monkeypatch, loops, step):
+def test_edges_are_those_of_numpy_and_where_they_are(both, step):
     rng = np.random.default_rng(7)
     place = rng.uniform(3, 16, (50, 4))
     away = step * (np.arange(41) - 20) - place[..., None]
     curves = np.clip(0.5 - away / 3.0, 0.0, 1.0)
     curves[0], curves[1], curves[2] = 1.0, 0.0, np.nan  # no edge, no marker, no number
     axis = np.linspace(100.0, 180.0, 41)
-    ours, theirs = _both(monkeypatch, loops, corners, lambda: corners._edge(curves, axis, 20, step))
+    ours, theirs = both(lambda: corners._edge(curves, axis, 20, step))
     np.testing.assert_allclose(ours, theirs, atol=1e-9)
     assert np.isnan(ours[:3]).all()
     np.testing.assert_allclose(ours[3:], 140.0 + 2.0 * step * place[3:], atol=1e-9)
@@ -271,15 +270,13 @@ def test_edges_are_those_of_numpy_and_where_they_are(monkeypatch, loops, step):
     ("half", "degree", "hole"), [(20, 2, -1), (60, 3, -1), (24, 2, 8), (4, 0, -1), (7, 1, 2)]
 )
 @pytest.mark.parametrize("count", [3, 200, 5000])
-def test_local_polynomials_are_those_of_numpy(monkeypatch, loops, count, half, degree, hole):
+def test_local_polynomials_are_those_of_numpy(both, count, half, degree, hole):
     rng = np.random.default_rng(count)
     value = np.cumsum(rng.normal(0, 0.1, count)) + 1e-3 * np.arange(count) ** 1.5
     weight = np.where(rng.random(count) < 0.3, 0.0, rng.uniform(0.2, 3.0, count))
     weight[count // 2 : count // 2 + 3 * half] = 0.0
     value[(weight == 0) & (rng.random(count) < 0.5)] = np.nan
-    ours, theirs = _both(
-        monkeypatch, loops, local, lambda: local.local_fit(value, weight, half, degree, hole)
-    )
+    ours, theirs = both(lambda: smoothing.local_fit(value, weight, half, degree, hole))
     for mine, other in zip(ours, theirs, strict=True):
         assert (np.isnan(mine) == np.isnan(other)).all()
         seen = (weight > 0) & np.isfinite(
@@ -288,15 +285,11 @@ def test_local_polynomials_are_those_of_numpy(monkeypatch, loops, count, half, d
         np.testing.assert_allclose(mine[seen], other[seen], rtol=1e-8, atol=1e-8)
 
 
-def test_a_build_of_an_older_source_is_not_used(monkeypatch):
-    old = SimpleNamespace(EDITION=kernels.EDITION - 1)
-    monkeypatch.setitem(sys.modules, "gyrotrack._native._compiled", old)
-    try:
-        assert importlib.reload(kernels).loops is None
-    finally:
-        monkeypatch.undo()
-        importlib.reload(kernels)
+def test_an_extension_of_another_interface_is_not_used(monkeypatch):
+    monkeypatch.setattr(kernels, "import_module", lambda name: SimpleNamespace(ABI=kernels.ABI - 1))
+    assert kernels._extension() is None
 
 
-def test_source_and_package_are_of_one_edition(loops):
-    assert loops.EDITION == kernels.EDITION
+@compiled
+def test_source_and_extension_have_one_interface():
+    assert kernels._compiled.ABI == kernels.ABI

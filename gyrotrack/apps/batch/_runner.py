@@ -17,7 +17,7 @@ from gyrotrack._errors import GyrotrackError
 from gyrotrack.apps.batch._experiments import Experiment
 from gyrotrack.apps.batch._journal import Journal, contents_of, fingerprint, held, key_of
 from gyrotrack.apps.batch._steps import Outcome, Step, words_for
-from gyrotrack.apps.batch._workers import ClusterWorkers, LocalWorkers, Workers, cores
+from gyrotrack.apps.batch._workers import Certificates, ClusterWorkers, LocalWorkers, Workers, cores
 from gyrotrack.io._atomic import new_file
 from gyrotrack.io._export import plain_cell
 
@@ -115,8 +115,12 @@ class Run:
 
     def _read_sources(self) -> None:
         paths = list(dict.fromkeys(p for s in self.steps.values() for p in s.files))
-        with ThreadPoolExecutor(_READERS) as pool:
-            self._contents = {p: c or "" for p, c in zip(paths, pool.map(contents_of, paths), strict=True)}
+        try:
+            with ThreadPoolExecutor(_READERS) as pool:
+                found = list(pool.map(contents_of, paths))
+        except RuntimeError:  # no thread can be started
+            found = [contents_of(p) for p in paths]
+        self._contents = {p: c or "" for p, c in zip(paths, found, strict=True)}
 
     def _ready(self, step: Step) -> bool:
         return all(name in self.ended for name in (*step.needs, *step.wants))
@@ -384,6 +388,7 @@ def work_off(
     command: str,
     workers: int | None = None,
     scheduler: str | None = None,
+    certificates: Certificates | None = None,
     timeout: float = 7200.0,
     tell: Callable[[Step, Outcome], None],
     bar: Callable[[], AbstractContextManager[Callable[[int, int | None], None]]],
@@ -402,6 +407,8 @@ def work_off(
         Processes on this machine; one a core, if not given.
     scheduler : str, optional
         Address of a Dask cluster, in place of processes here.
+    certificates : Certificates, optional
+        TLS files for that cluster.
     timeout : float
         Seconds that one step may take.
     tell : callable
@@ -417,7 +424,9 @@ def work_off(
     began = perf_counter()
     with held(output):
         journal = Journal(output / _JOURNAL)
-        place: Workers = ClusterWorkers(scheduler) if scheduler else LocalWorkers(workers or cores())
+        place: Workers = (
+            ClusterWorkers(scheduler, certificates) if scheduler else LocalWorkers(workers or cores())
+        )
         try:
             with bar() as progress:
                 run = Run(tuple(steps), output, journal, timeout=timeout, tell=tell, progress=progress)

@@ -1,24 +1,34 @@
-"""Worker processes and Dask workers.
+"""Worker processes on this machine, and workers of a Dask cluster.
 
-It reads one JSON array of words a line and answers with one JSON object a line. When its input ends, as it does
-when we are killed, it ends too, in the middle of its work.
+A worker process reads one JSON array of words per line and answers with one JSON object per line. When its input
+ends, as it does when its parent is killed, it ends too. From a cluster come JSON bytes that are parsed here; no
+object of a foreign process is unpickled as a result.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import threading
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol
 
 from gyrotrack._errors import GyrotrackError, UsageError
 from gyrotrack._versions import __version__
 
 WORKER = "gyrotrack.apps.cli._worker_process"
+
+Answer = dict[str, Any]
+
+_GRACE = 5.0  # s that a worker has to remove what is half written before it is killed
+_LONGEST_ANSWER = 2**26  # bytes
 
 
 class Child:
@@ -32,66 +42,76 @@ class Child:
         """The process's number, while there is one."""
         return self._process.pid if self._process is not None else None
 
-    def run(self, words: Sequence[str], timeout: float | None = None) -> dict[str, Any]:
+    def run(self, words: Sequence[str], timeout: float | None = None) -> Answer:
         """Run one command.
+
+        Parameters
+        ----------
+        words : sequence of str
+            The command and its arguments.
+        timeout : float, optional
+            Seconds that it may take.
 
         Returns
         -------
         dict
-            ``code``, the exit code, and ``document``, its JSON; a process that died or was too slow answers with
-            an error document, its code "crash" or "timeout".
+            ``code``, the exit code, and ``document``, its JSON; a process that died, was too slow or could not be
+            started answers with an error document, its code "crash", "timeout" or "processes".
         """
-        process = self._process
-        if process is None or process.poll() is not None:
-            process = self._process = _start()
         late = threading.Event()
+        timer: threading.Timer | None = None
+        try:
+            process = self._process
+            if process is None or process.poll() is not None:
+                process = self._process = _start()
+            if timeout is not None:
+                running = process
 
-        def stop() -> None:
-            late.set()
-            process.kill()
+                def stop() -> None:
+                    late.set()
+                    _end(running)
 
-        timer = threading.Timer(timeout if timeout is not None else threading.TIMEOUT_MAX, stop)
-        timer.daemon = True
-        timer.start()
+                timer = threading.Timer(timeout, stop)
+                timer.daemon = True
+                timer.start()
+        except (OSError, RuntimeError) as error:  # no further process or thread
+            self.close()
+            return failure(
+                "processes",
+                f"No worker process could be started: {getattr(error, 'strerror', None) or error}.",
+                "Raise the limits of processes and open files (`ulimit -u`, `ulimit -n`).",
+            )
         try:
             line = _asked(process, words)
         finally:
-            timer.cancel()
+            if timer is not None:
+                timer.cancel()
         if not line.endswith("\n"):
             self.close()
             if late.is_set():
-                return _died(
-                    "timeout", f"It was stopped after {timeout:g} s.", "Allow it more with --timeout."
+                return failure(
+                    "timeout", f"The time limit of {timeout:g} s was reached.", "Raise it with --timeout."
                 )
             return _crashed(process.returncode)
-        answer: dict[str, Any] = json.loads(line)
-        if answer.get("version") != __version__:
-            return _died(
-                "version",
-                f"The worker runs gyrotrack {answer.get('version')}, not {__version__}.",
-                "Install the same version everywhere.",
-            )
-        return answer
+        return checked(line)
 
     def close(self) -> None:
-        """End the process."""
+        """End the process; it removes what is half written."""
         process, self._process = self._process, None
         if process is not None:
-            process.kill()
+            _end(process)
             for stream in (process.stdin, process.stdout):
                 if stream is not None:
-                    try:
+                    with suppress(OSError):
                         stream.close()
-                    except OSError:
-                        continue
             process.wait()
 
 
-def run_once(words: Sequence[str], timeout: float | None = None) -> dict[str, Any]:
-    """Run one command in a process of its own; this is what a worker of a cluster is sent."""
+def run_once(words: Sequence[str], timeout: float | None = None) -> bytes:
+    """Run one command in a process of its own and return its answer as JSON; a worker of a cluster is sent this."""
     child = Child()
     try:
-        return child.run(words, timeout)
+        return json.dumps(child.run(words, timeout)).encode()
     finally:
         child.close()
 
@@ -100,7 +120,7 @@ def _start() -> subprocess.Popen[str]:
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONUTF8": "1"}
     environment["GYROTRACK_CONFIG"] = "none"  # settings are among the words, wherever the process runs
     return subprocess.Popen(  # noqa: S603 - our own program, no shell
-        [sys.executable, "-m", WORKER],
+        [sys.executable, "-P", "-m", WORKER],  # -P: no module is imported from the working folder
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
@@ -111,8 +131,19 @@ def _start() -> subprocess.Popen[str]:
     )
 
 
+def _end(process: subprocess.Popen[str]) -> None:
+    """Ask a process to end, and kill it if it does not."""
+    if process.poll() is None:
+        with suppress(OSError):
+            process.terminate()
+        try:
+            process.wait(_GRACE)
+        except subprocess.TimeoutExpired:
+            process.kill()
+
+
 def _asked(process: subprocess.Popen[str], words: Sequence[str]) -> str:
-    """Return the line that the process answers, or nothing if it is gone."""
+    """Return the line that the process answers, or nothing if it has ended."""
     assert process.stdin is not None  # noqa: S101
     assert process.stdout is not None  # noqa: S101
     try:
@@ -123,16 +154,40 @@ def _asked(process: subprocess.Popen[str], words: Sequence[str]) -> str:
         return ""
 
 
-def _crashed(code: int | None) -> dict[str, Any]:
+def checked(text: str | bytes) -> Answer:
+    """Parse an answer and check its form; whatever does not fit becomes an error document."""
+    try:
+        answer = json.loads(text) if len(text) <= _LONGEST_ANSWER else None
+    except (ValueError, RecursionError):
+        answer = None
+    if (
+        not isinstance(answer, dict)
+        or not isinstance(answer.get("code"), int)
+        or not isinstance(answer.get("document"), dict)
+        or not isinstance(answer.get("seconds", 0.0), int | float)
+    ):
+        return failure("crash", "The worker's answer is not valid.", "Is it the same version of gyrotrack?")
+    if answer.get("version", __version__) != __version__:
+        return failure(
+            "version",
+            f"The worker runs gyrotrack {str(answer['version'])[:40]}, not {__version__}.",
+            "Install the same version everywhere.",
+        )
+    return answer
+
+
+def _crashed(code: int | None) -> Answer:
     how = f"by signal {-code}" if code and code < 0 else f"with exit code {code}"
-    return _died("crash", f"Its process ended {how}, without an answer.", "Is there enough memory?")
+    return failure(
+        "crash",
+        f"The worker process ended {how}, without an answer.",
+        "Check the limits of memory, processes and open files.",
+    )
 
 
-def _died(code: str, message: str, hint: str) -> dict[str, Any]:
+def failure(code: str, message: str, hint: str) -> Answer:
+    """Return the answer of a command that could not be run."""
     return {"code": 1, "document": {"error": {"code": code, "message": message, "hint": hint}}}
-
-
-Answer = dict[str, Any]
 
 
 class Workers(Protocol):
@@ -151,7 +206,7 @@ class LocalWorkers:
     Parameters
     ----------
     count : int
-        How many.
+        Number of processes.
     """
 
     def __init__(self, count: int) -> None:
@@ -160,8 +215,13 @@ class LocalWorkers:
         self._pool = ThreadPoolExecutor(count, thread_name_prefix="batch")
 
     def submit(self, words: Sequence[str], timeout: float | None) -> Future[Answer]:
-        """Begin a command."""
-        return self._pool.submit(self._run, list(words), timeout)
+        """Begin a command; where no thread can be started, run it now."""
+        try:
+            return self._pool.submit(self._run, list(words), timeout)
+        except RuntimeError:
+            done: Future[Answer] = Future()
+            done.set_result(self._run(list(words), timeout))
+            return done
 
     def _run(self, words: list[str], timeout: float | None) -> Answer:
         if not hasattr(self._own, "child"):
@@ -171,33 +231,83 @@ class LocalWorkers:
         return answer
 
     def close(self) -> None:
-        """Kill the processes; their outputs are whole or not there."""
+        """End the processes; their outputs are complete or absent."""
         self._pool.shutdown(wait=False, cancel_futures=True)
+        for child in self._children:  # all at once: each may take a moment to clean up
+            with suppress(OSError, ProcessLookupError):
+                if child.pid is not None:
+                    os.kill(child.pid, signal.SIGTERM)
         for child in self._children:
             child.close()
         self._pool.shutdown()
+
+
+@dataclass(frozen=True)
+class Certificates:
+    """TLS files for a cluster: certificate authority, own certificate, own key (PEM)."""
+
+    ca: Path | None = None
+    cert: Path | None = None
+    key: Path | None = None
+
+    def security(self, address: str) -> Any:
+        """Return distributed's `Security` for an address, or None for one without TLS.
+
+        Raises
+        ------
+        UsageError
+            Certificates are missing for a tls:// address, given for another one, or do not exist.
+        """
+        named = {"--tls-ca": self.ca, "--tls-cert": self.cert, "--tls-key": self.key}
+        if not address.startswith("tls://"):
+            if any(named.values()):
+                raise UsageError(
+                    f"The certificates cannot be used with the address {address[:80]}.",
+                    "Give the scheduler as tls://HOST:PORT.",
+                )
+            return None
+        for option, path in named.items():
+            if path is None:
+                raise UsageError(
+                    "A tls:// address needs a certificate authority, a certificate and a key.",
+                    f"Give {option} FILE.",
+                )
+            if not path.is_file():
+                raise UsageError(f"There is no file {path}.", f"Check {option}.")
+        from distributed import Security
+
+        return Security(  # type: ignore[no-untyped-call]
+            tls_ca_file=str(self.ca),
+            tls_client_cert=str(self.cert),
+            tls_client_key=str(self.key),
+            require_encryption=True,
+        )
 
 
 class ClusterWorkers:
     """The workers of a Dask cluster, which must see the same folders as we do.
 
     Each command runs in a process of its own on a worker, so that a film that breaks it does not break the worker;
-    when a worker is lost, the scheduler gives its commands to another.
+    when a worker is lost, the scheduler gives its commands to another. What is sent is the name of our function and
+    words; what comes back is JSON. Dask's own messages are pickled, so the scheduler must be one that the user
+    trusts: its address is never taken from the folder of the data, and with TLS both sides prove who they are.
 
     Parameters
     ----------
     address : str
-        The scheduler's address.
+        The scheduler's address, ``tls://host:port`` or ``tcp://host:port``.
+    certificates : Certificates, optional
+        Files for TLS.
 
     Raises
     ------
     UsageError
-        Dask is not installed.
+        Dask is not installed, or certificates and address do not go together.
     GyrotrackError
         The scheduler does not answer.
     """
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, certificates: Certificates | None = None) -> None:
         try:
             from distributed import Client
         except ImportError:
@@ -205,28 +315,42 @@ class ClusterWorkers:
                 "A cluster needs dask.distributed, which is not installed.",
                 'Install it: pip install "gyrotrack[cluster]"',
             ) from None
+        security = (certificates or Certificates()).security(address)
+        options: Any = {"timeout": "20s", "set_as_default": False}
+        if security is not None:
+            options["security"] = security
         try:
-            client: Any = Client(address, timeout="20s", set_as_default=False)  # type: ignore[no-untyped-call]
+            client: Any = Client(address, **options)  # type: ignore[no-untyped-call]
         except (OSError, ValueError, TimeoutError) as error:
             raise GyrotrackError(
-                f"The scheduler at {address[:80]} does not answer.", "Start it, and check the address."
+                f"The scheduler at {address[:80]} does not answer.",
+                "Start it, and check its address and certificates.",
             ) from error
         self._client = client
         self._executor = client.get_executor(pure=False)
 
     def submit(self, words: Sequence[str], timeout: float | None) -> Future[Answer]:
         """Begin a command."""
-        future: Future[Answer] = self._executor.submit(run_once, list(words), timeout)
-        return future
+        answer: Future[Answer] = Future()
+
+        def parse(done: Future[Any]) -> None:
+            try:
+                raw = done.result()
+                answer.set_result(checked(raw if isinstance(raw, bytes) else b""))
+            except BaseException as error:
+                answer.set_exception(error)
+
+        self._executor.submit(run_once, list(words), timeout).add_done_callback(parse)
+        return answer
 
     def close(self) -> None:
-        """Leave the cluster; what nobody waits for any more is not begun."""
+        """Leave the cluster; commands that have not begun are withdrawn."""
         self._executor.shutdown(wait=False)
         self._client.close()
 
 
 def cores() -> int:
-    """Return how many cores this process may use."""
+    """Return the number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return max(1, len(os.sched_getaffinity(0)))
     return os.cpu_count() or 1

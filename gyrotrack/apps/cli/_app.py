@@ -7,19 +7,23 @@ parses, calls one library function, prints through `output.Output`, and returns 
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import traceback
 import warnings
 from collections.abc import Sequence
+from contextlib import suppress
 from contextvars import ContextVar
 from pathlib import Path
+from types import FrameType
 from typing import Annotated, Any
 
 import typer
 from typer.main import get_command
 
 from gyrotrack.apps.cli._lazy import Entry, lazy_group
-from gyrotrack.apps.cli._output import DONE, FAULT, INTERRUPTED, USAGE, report_error, running
+from gyrotrack.apps.cli._output import DONE, FAULT, INTERRUPTED, TERMINATED, USAGE, report_error, running
+from gyrotrack.apps.cli._scarcity import scarce
 from gyrotrack.apps.cli._settings import Settings, find, read
 
 _DATA = "From films to data"
@@ -28,25 +32,27 @@ _ORACLE = "Known answers"
 
 COMMANDS = (
     Entry(
-        "profile", "gyrotrack.apps.cli._tracking", _DATA, "Find the markers of a film and write them down."
+        "profile", "gyrotrack.apps.cli._tracking", _DATA, "Find the markers of a film and write a profile."
     ),
     Entry(
         "extract",
         "gyrotrack.apps.cli._tracking",
         _DATA,
-        "Track a film: from frames to angles and their errors.",
+        "Track the markers in a film: angles with uncertainties.",
     ),
-    Entry("import", "gyrotrack.apps.cli._data", _DATA, "Make a case from tables of angles or speeds (CSV)."),
+    Entry(
+        "import", "gyrotrack.apps.cli._data", _DATA, "Make a case from tables of angles or rates, or points."
+    ),
     Entry("sync", "gyrotrack.apps.cli._tracking", _DATA, "Put the clips of one experiment on one clock."),
     Entry("batch", "gyrotrack.apps.cli._batch", _DATA, "Track, fit and report many cases, unattended."),
-    Entry("config", "gyrotrack.apps.cli._batch", _DATA, "Show the settings that hold, and where from."),
-    Entry("export", "gyrotrack.apps.cli._data", _DATA, "Hand the data on as CSV, Parquet or netCDF."),
-    Entry("info", "gyrotrack.apps.cli._data", _DATA, "Say what a file holds, and whether it is sound."),
+    Entry("config", "gyrotrack.apps.cli._batch", _DATA, "Show the settings in use and their origin."),
+    Entry("export", "gyrotrack.apps.cli._data", _DATA, "Export the data as CSV, Parquet or netCDF."),
+    Entry("info", "gyrotrack.apps.cli._data", _DATA, "Show the contents of a file and check its integrity."),
     Entry(
         "fit",
         "gyrotrack.apps.cli._fitting",
         _PHYSICS,
-        "Fit a model: parameters, errors, how well it describes the data.",
+        "Fit a model: parameters, uncertainties, goodness of fit.",
     ),
     Entry(
         "scan",
@@ -58,13 +64,16 @@ COMMANDS = (
         "diagnose",
         "gyrotrack.apps.cli._fitting",
         _PHYSICS,
-        "Say where the fit fails and which effect is missing.",
+        "Locate the lack of fit and rank the missing effects.",
     ),
-    Entry("improve", "gyrotrack.apps.cli._fitting", _PHYSICS, "Add effects until what is left is noise."),
     Entry(
-        "ladder", "gyrotrack.apps.cli._fitting", _PHYSICS, "List the fits so far and watch the error fall."
+        "improve",
+        "gyrotrack.apps.cli._fitting",
+        _PHYSICS,
+        "Add effects until the residuals are consistent with noise.",
     ),
-    Entry("report", "gyrotrack.apps.cli._presentation", _PHYSICS, "Write the study as one page."),
+    Entry("ladder", "gyrotrack.apps.cli._fitting", _PHYSICS, "List the fits of a case: one bar per fit."),
+    Entry("report", "gyrotrack.apps.cli._presentation", _PHYSICS, "Write a report: one HTML page or a PDF."),
     Entry(
         "figures",
         "gyrotrack.apps.cli._presentation",
@@ -75,11 +84,16 @@ COMMANDS = (
         "view",
         "gyrotrack.apps.cli._presentation",
         _PHYSICS,
-        "Look at a case in the browser and try effects on it.",
+        "Explore a case in the browser.",
     ),
     Entry("effects", "gyrotrack.apps.cli._fitting", _PHYSICS, "Show the library of effects."),
-    Entry("demo", "gyrotrack.apps.cli._simulation", _ORACLE, "Run the whole story on the sample clips."),
-    Entry("simulate", "gyrotrack.apps.cli._simulation", _ORACLE, "Make data or film with chosen effects."),
+    Entry("demo", "gyrotrack.apps.cli._simulation", _ORACLE, "Run the whole analysis of the sample clips."),
+    Entry(
+        "simulate",
+        "gyrotrack.apps.cli._simulation",
+        _ORACLE,
+        "Simulate a case with chosen effects, as data or films.",
+    ),
     Entry(
         "reveal", "gyrotrack.apps.cli._simulation", _ORACLE, "Open a sealed challenge and score the answer."
     ),
@@ -109,21 +123,59 @@ def root(
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the versions.")
     ] = False,
     _config: Annotated[
-        Path | None, typer.Option("--config", metavar="FILE", help="Settings; see `gyrotrack config`.")
+        Path | None, typer.Option("--config", metavar="FILE", help="Settings file; see `gyrotrack config`.")
     ] = None,
-    _debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of a bug.")] = False,
+    _debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an internal error.")] = False,
 ) -> None:
     """From films of a spinning gyroscope to the physics that its model is missing."""
 
 
 def main() -> None:
-    """Run the program on the command line's arguments and leave with its exit code."""
-    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
-        os.environ.setdefault(name, "1")  # many small matrices: threads only get into each other's way
+    """Run the program on the command line's arguments and exit with its code."""
+    prepare_process()
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="replace")  # a terminal that cannot show a letter is no reason to fail
+            stream.reconfigure(errors="replace")  # a terminal that cannot show a character
     sys.exit(run(sys.argv[1:]))
+
+
+def prepare_process() -> None:
+    """Set what holds for this process and for those that it starts: threads, search path, home, SIGTERM."""
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+        os.environ.setdefault(name, "1")  # the matrices are many and small
+    # no process of ours imports modules from the working folder, which holds other people's data
+    os.environ["PYTHONSAFEPATH"] = "1"
+    root = Path(__file__).parents[3]
+    if root.name not in {"site-packages", "dist-packages"}:  # run from a checkout, which they must find
+        os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (str(root), os.environ.get("PYTHONPATH"))))
+    if os.path.expanduser("~").startswith("~"):  # noqa: PTH111 - Path.home() raises: no $HOME and an unknown user
+        os.environ["HOME"] = "/nonexistent"  # the usual home of users without one; libraries ask for it
+    catch_sigterm()
+
+
+_TERMINATED: list[int] = []
+
+
+def catch_sigterm() -> None:
+    """Let SIGTERM end the command as Ctrl-C does: what is half written is removed, and the exit code is 143."""
+
+    def end(number: int, frame: FrameType | None) -> None:
+        _TERMINATED.append(number)
+        # whoever delays or forwards Ctrl-C (a file that is being written, the workbench) does so with SIGTERM
+        interrupt = signal.getsignal(signal.SIGINT)
+        if callable(interrupt):
+            interrupt(signal.SIGINT, frame)
+        else:
+            raise KeyboardInterrupt
+
+    with suppress(ValueError):  # outside the main thread there are no signals
+        signal.signal(signal.SIGTERM, end)
+
+
+def _interrupted(*, as_json: bool) -> int:
+    """Report an interrupt and return the exit code: 130 for Ctrl-C, 143 for SIGTERM."""
+    report_error("interrupted", "Interrupted.", "", as_json=as_json)
+    return TERMINATED if _TERMINATED else INTERRUPTED
 
 
 def run(arguments: Sequence[str]) -> int:
@@ -137,8 +189,7 @@ def run(arguments: Sequence[str]) -> int:
             code = _with_settings(args)
             sys.stdout.flush()
     except KeyboardInterrupt:
-        report_error("interrupted", "Interrupted.", "", as_json=as_json)
-        return INTERRUPTED
+        return _interrupted(as_json=as_json)
     except BrokenPipeError:  # the reader of our output has gone, as in `gyrotrack ... | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAULT
@@ -147,7 +198,7 @@ def run(arguments: Sequence[str]) -> int:
             traceback.print_exc()
         return _explain(error, as_json=as_json)
     if code == INTERRUPTED:  # typer turns a KeyboardInterrupt into this code
-        report_error("interrupted", "Interrupted.", "", as_json=as_json)
+        return _interrupted(as_json=as_json)
     return code if isinstance(code, int) else DONE
 
 
@@ -161,8 +212,8 @@ def settings_in_use() -> Settings:
 
 def _with_settings(args: list[str]) -> Any:
     """Run the command with the settings of a file, if there is one, as its defaults."""
-    path = find(_asked_settings(args))
-    settings = read(path, COMMANDS) if path is not None else Settings()
+    path, trusted = find(_named_settings(args))
+    settings = read(path, COMMANDS, trusted=trusted)
     token = _SETTINGS.set(settings)
     try:
         return get_command(app)(
@@ -172,8 +223,8 @@ def _with_settings(args: list[str]) -> Any:
         _SETTINGS.reset(token)
 
 
-def _asked_settings(args: list[str]) -> Path | None:
-    """Return the value of ``--config``, which stands before the command."""
+def _named_settings(args: list[str]) -> Path | None:
+    """Return the value of ``--config``, which comes before the command."""
     for i, word in enumerate(args):
         if word == "--config" and i + 1 < len(args):
             return Path(args[i + 1])
@@ -189,14 +240,13 @@ def _explain(error: Exception, *, as_json: bool) -> int:
     if hasattr(error, "format_message"):  # wrong usage, as typer sees it
         return _explain_usage(error, as_json=as_json)
     if isinstance(error, typer.Abort):
-        report_error("interrupted", "Interrupted.", "", as_json=as_json)
-        return INTERRUPTED
-    if _is_told(error):
-        told: Any = error
-        report_error(told.code, told.message, told.hint, as_json=as_json)
-        return int(getattr(told, "exit_code", FAULT))
-    if isinstance(error, MemoryError):
-        report_error("memory", "There is not enough memory.", "Work on a shorter piece.", as_json=as_json)
+        return _interrupted(as_json=as_json)
+    if _explains_itself(error):
+        stated: Any = error
+        report_error(stated.code, stated.message, stated.hint, as_json=as_json)
+        return int(getattr(stated, "exit_code", FAULT))
+    if (shortage := scarce(error)) is not None:
+        report_error(*shortage, as_json=as_json)
         return FAULT
     place = traceback.extract_tb(error.__traceback__)[-1]
     what = f"{type(error).__name__}: {error}".splitlines()[0].rstrip(".")
@@ -207,8 +257,8 @@ def _explain(error: Exception, *, as_json: bool) -> int:
     return FAULT
 
 
-def _is_told(error: Exception) -> bool:
-    """Tell whether an error speaks for itself: `gyrotrack._errors`, and the errors of the fitting package."""
+def _explains_itself(error: Exception) -> bool:
+    """Return whether an error carries code, message and hint, as those of both packages do."""
     return all(isinstance(getattr(error, name, None), str) for name in ("code", "message", "hint"))
 
 

@@ -13,7 +13,7 @@ import typer
 
 from gyrotrack._errors import UsageError
 from gyrotrack.apps.cli._lazy import function_of
-from gyrotrack.apps.cli._options import Json, Quiet, Verbose
+from gyrotrack.apps.cli._options import InertiaCasing, InertiaRotor, Json, Quiet, Verbose
 from gyrotrack.apps.cli._output import DONE, FAULT, NOT_TRUSTED, Output, command_line
 
 if TYPE_CHECKING:
@@ -34,50 +34,79 @@ class Until(StrEnum):
 
 def batch_command(
     source: Annotated[
-        Path, typer.Argument(metavar="MANIFEST|DIR", help="A manifest (TOML or CSV), or a folder of films.")
+        Path, typer.Argument(metavar="MANIFEST|DIR", help="Manifest (TOML or CSV), or folder of films.")
     ],
     *,
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the results.")
     ] = Path("gyrotrack_batch"),
     workers: Annotated[
-        int | None, typer.Option("--workers", metavar="N", min=1, help="Processes; one a core, if not given.")
+        int | None,
+        typer.Option("--workers", metavar="N", min=1, help="Worker processes; by default one per core."),
     ] = None,
     scheduler: Annotated[
         str | None,
-        typer.Option("--scheduler", metavar="ADDRESS", help="Run on the Dask cluster of this scheduler."),
+        typer.Option(
+            "--scheduler",
+            metavar="ADDRESS",
+            envvar="GYROTRACK_SCHEDULER",
+            help="Run on the Dask cluster of this scheduler: tls://HOST:PORT or tcp://HOST:PORT.",
+        ),
     ] = None,
-    until: Annotated[Until, typer.Option("--until", help="The last step.")] = Until.report,
-    model: Annotated[str, typer.Option("--model", metavar="M", help="The model to fit.")] = "reduced",
+    tls_ca: Annotated[
+        Path | None,
+        typer.Option(
+            "--tls-ca",
+            metavar="FILE",
+            envvar="GYROTRACK_TLS_CA",
+            help="Certificate authority of the cluster (PEM).",
+        ),
+    ] = None,
+    tls_cert: Annotated[
+        Path | None,
+        typer.Option(
+            "--tls-cert", metavar="FILE", envvar="GYROTRACK_TLS_CERT", help="Own certificate (PEM)."
+        ),
+    ] = None,
+    tls_key: Annotated[
+        Path | None,
+        typer.Option("--tls-key", metavar="FILE", envvar="GYROTRACK_TLS_KEY", help="Own private key (PEM)."),
+    ] = None,
+    until: Annotated[Until, typer.Option("--until", help="Last step to run.")] = Until.report,
+    model: Annotated[str, typer.Option("--model", metavar="M", help="Model to fit.")] = "reduced",
     improve: Annotated[bool, typer.Option("--improve", help="Also add effects, as `improve` does.")] = False,
     casing_fps: Annotated[
         float | None,
-        typer.Option("--casing-fps", metavar="N", help="Capture rate of the casing's films in a folder."),
+        typer.Option("--casing-fps", metavar="N", help="Capture rate of the casing films in a folder [1/s]."),
     ] = None,
     rotor_fps: Annotated[
-        float | None, typer.Option("--rotor-fps", metavar="N", help="Capture rate of the rotor's films.")
+        float | None,
+        typer.Option("--rotor-fps", metavar="N", help="Capture rate of the rotor films in a folder [1/s]."),
     ] = None,
+    inertia_rotor: InertiaRotor = None,
+    inertia_casing: InertiaCasing = None,
     timeout: Annotated[
-        float, typer.Option("--timeout", metavar="S", min=1.0, help="Seconds that one step may take.")
+        float, typer.Option("--timeout", metavar="S", min=1.0, help="Time limit of one step [s].")
     ] = 7200.0,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")
-    ] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="List the steps and run none.")] = False,
     as_json: Json = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> int:
     """Track, synchronise, fit, diagnose and report every case of a manifest or a folder.
 
-    What was done before, with the same films and settings, is kept. A film that fails stops no other. In a
-    folder, casing*.mp4 and rotor*.mp4 are a case, NAME_casing.mp4 and NAME_rotor*.mp4 the case NAME, and
-    other films are only tracked.
+    Steps that were completed with the same films and settings are not repeated. A film that fails stops no other.
+    In a folder, casing*.mp4 and rotor*.mp4 form a case, NAME_casing.mp4 and NAME_rotor*.mp4 the case NAME; other
+    films are only tracked. The address of a scheduler comes from the command line, the environment or your own
+    settings file, never from a gyrotrack.toml in the folder of the data.
 
-    Example: gyrotrack batch films/ -o results --casing-fps 260 --rotor-fps 1000
+    Example: gyrotrack batch films/ -o results --casing-fps 260 --rotor-fps 1000 --inertia-rotor 5.54e-5
+    --inertia-casing 2.06e-5
     """
-    from gyrotrack.apps.batch._experiments import read_folder, read_manifest
+    from gyrotrack.apps.batch._experiments import read_folder, read_manifest, with_inertias
     from gyrotrack.apps.batch._runner import work_off
     from gyrotrack.apps.batch._steps import Wishes, plan
+    from gyrotrack.apps.batch._workers import Certificates
 
     out = Output(as_json=as_json, quiet=quiet, verbose=verbose)
     cases = (
@@ -85,10 +114,22 @@ def batch_command(
         if source.is_dir()
         else read_manifest(source)
     )
-    steps = plan(cases, output, Wishes(until.value, _extra(), model, improve))
+    extra = _extra()
+    if until is not Until.extract:
+        by_settings = {word.partition("=")[0] for word in extra.get("sync", ())}
+        given = {
+            body: value if f"--inertia-{body}" not in by_settings else None
+            for body, value in (("rotor", inertia_rotor), ("casing", inertia_casing))
+        }
+        cases = with_inertias(cases, given, skip=by_settings)
+    steps = plan(cases, output, Wishes(until.value, extra, model, improve))
     if dry_run:
         return _say_plan(out, cases, steps, output)
 
+    if scheduler is not None and not scheduler.startswith("tls://"):
+        out.warn(
+            "the connection to the scheduler is neither encrypted nor authenticated; use tls:// addresses"
+        )
     called = command_line()
     ended = work_off(
         cases,
@@ -97,6 +138,7 @@ def batch_command(
         command=called,
         workers=workers,
         scheduler=scheduler,
+        certificates=Certificates(tls_ca, tls_cert, tls_key),
         timeout=timeout,
         tell=partial(_say_step, out),
         bar=lambda: out.progress("working"),
@@ -157,16 +199,17 @@ def _say_plan(out: Output, cases: tuple[Experiment, ...], steps: tuple[Step, ...
 
 def config_command(
     name: Annotated[
-        str | None, typer.Argument(metavar="[COMMAND]", help="Only the options of this one.")
+        str | None, typer.Argument(metavar="[COMMAND]", help="Show the options of one command.")
     ] = None,
     *,
-    everything: Annotated[bool, typer.Option("--all", help="Also what has its default.")] = False,
+    everything: Annotated[bool, typer.Option("--all", help="Also options at their defaults.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Show the settings that hold and where each is from: a file, or the default.
+    """Show the settings in use and the origin of each: a file or the default.
 
-    A flag on the command line beats the file, the file beats the default. The file is the one given with
-    --config, else $GYROTRACK_CONFIG, else gyrotrack.toml in this folder, else the user's.
+    An option on the command line overrides the file, the file overrides the default. The file is the one given
+    with --config, else $GYROTRACK_CONFIG, else gyrotrack.toml in this folder, else your own. A gyrotrack.toml that
+    is only found in this folder may not set addresses, ports, certificates, --force or paths outside the folder.
 
     Example: gyrotrack config extract
     """

@@ -13,7 +13,7 @@ import re
 import shlex
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import asdict, dataclass, is_dataclass
 from pathlib import Path
@@ -63,6 +63,7 @@ FAULT = 1
 USAGE = 2
 NOT_TRUSTED = 3
 INTERRUPTED = 130
+TERMINATED = 143
 
 Progress = Callable[[int, int | None], None]
 
@@ -124,6 +125,19 @@ class Output:
                 bars.update(task, completed=done, total=total, pace=pace)
 
             yield update
+
+
+@contextmanager
+def all_or_nothing(*outputs: Path | None) -> Iterator[None]:
+    """Remove the new ones of several outputs if the block fails or is interrupted before all are written."""
+    new = [path for path in outputs if path is not None and not path.exists()]
+    try:
+        yield
+    except BaseException:
+        for path in new:
+            with suppress(OSError):
+                path.unlink()
+        raise
 
 
 def _ignore(done: int, total: int | None) -> None:

@@ -1,15 +1,19 @@
-"""Settings files: `gyrotrack.toml` and the user's own.
+"""Settings: defaults of the options, read from a TOML file and handed to click as its `default_map`.
 
 ::
 
     [extract]
     capture_fps = 260
-    profile = "lab.toml"        # paths are taken from the folder of this file
+    profile = "lab.toml"        # relative to the folder of this file
 
     [sync]
-    inertia_rotor = 5.54e-5
+    inertia_rotor = "5.54e-5 +- 0.06e-5"
 
 The sections are the commands and the keys their options, written with ``_`` for ``-``.
+
+A file that the user names (``--config``, ``$GYROTRACK_CONFIG``) and the user's own file may set every option. A
+``gyrotrack.toml`` that is merely found in the working folder comes with the data and may be hostile: it may set the
+options in `FOUND` only, and paths only within its own folder.
 """
 
 from __future__ import annotations
@@ -34,41 +38,81 @@ if TYPE_CHECKING:
 
 NAME = "gyrotrack.toml"
 VARIABLE = "GYROTRACK_CONFIG"
-NONE = "none"  # as a name of a file: there is none
+NONE = "none"  # as a name of a file: no settings
+
+# options that a file found in the working folder may set: they decide what is computed and shown, nothing else
+_COMPUTE = (
+    "add all body capture_fps casing casing_fps centre centre_offset column data drop duration dry_run "
+    "fix format from hide hold_out improve inertia inertia_casing inertia_rotor joint json label likelihood loss "
+    "marker model omega_casing omega_rotor per_case profile quiet resume rotor rotor_fps rotor_start seed set "
+    "share sigma strength surface table timeout times torque_noise torque_time until verbose verify window "
+    "window_length"
+)
+# options that name files to read or to write; a found file may name those in its own folder
+_PATHS = "clips contact_sheet csv effects film films latex ledger output overlay picture"
+FOUND = frozenset(f"{_COMPUTE} {_PATHS}".split())
+# what only the user may say: replacing files, addresses, certificates, ports, the desktop, the machine's cores
+REFUSED = frozenset({
+    "force", "scheduler", "tls_ca", "tls_cert", "tls_key", "port", "browser", "answer", "workers",
+})  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What a file says, by command and parameter, and the line on which it says it."""
+    """Settings of a file by command and parameter, and the line of each."""
 
     path: Path | None = None
     values: dict[str, dict[str, Any]] = field(default_factory=dict)
     lines: dict[tuple[str, str], int | None] = field(default_factory=dict)
 
 
-def find(asked: Path | None = None) -> Path | None:
-    """Return the file that holds: the one asked for, $GYROTRACK_CONFIG, ./gyrotrack.toml, or the user's.
+def find(named: Path | None = None) -> tuple[Path | None, bool]:
+    """Return the file of settings and whether it is the user's own word.
+
+    The order is: the file named, $GYROTRACK_CONFIG, ./gyrotrack.toml, the user's own file.
 
     Raises
     ------
     ConfigurationError
-        The file that was asked for is not there.
+        The file that was named does not exist.
     """
-    named = asked or (Path(os.environ[VARIABLE]) if os.environ.get(VARIABLE) else None)
-    if named == Path(NONE):
-        return None
-    if named is not None:
-        if not named.is_file():
+    chosen = named or (Path(os.environ[VARIABLE]) if os.environ.get(VARIABLE) else None)
+    if chosen == Path(NONE):
+        return None, True
+    if chosen is not None:
+        if not chosen.is_file():
             raise ConfigurationError(
-                f"there is no settings file {named}", "check --config and $GYROTRACK_CONFIG"
+                f"There is no settings file {chosen}.", "Check --config and $GYROTRACK_CONFIG."
             )
-        return named
-    base = Path(os.environ.get("XDG_CONFIG_HOME") or os.environ.get("APPDATA") or Path.home() / ".config")
-    return next((p for p in (Path(NAME), base / "gyrotrack" / NAME) if p.is_file()), None)
+        return chosen, True
+    if Path(NAME).is_file():
+        return Path(NAME), False
+    own = user_file()
+    return (own, True) if own is not None and own.is_file() else (None, True)
 
 
-def read(path: Path | None, entries: tuple[Entry, ...]) -> Settings:
+def user_file() -> Path | None:
+    """Return where the user's own settings are kept; None for a user without a home."""
+    from platformdirs import user_config_path
+
+    try:
+        path = user_config_path("gyrotrack", appauthor=False, roaming=True) / NAME
+    except (RuntimeError, KeyError):
+        return None
+    return path if path.is_absolute() else None  # "~" that nobody could expand is a folder of the data
+
+
+def read(path: Path | None, entries: tuple[Entry, ...], *, trusted: bool = True) -> Settings:
     """Read a file of settings and check it against the options of all commands.
+
+    Parameters
+    ----------
+    path : Path or None
+        The file.
+    entries : tuple of Entry
+        The commands.
+    trusted : bool
+        Whether the user named the file; one that was found may set less.
 
     Raises
     ------
@@ -81,18 +125,39 @@ def read(path: Path | None, entries: tuple[Entry, ...]) -> Settings:
 
     document = read_document(path, _model(entries), what="settings file")
     text = read_text(path, what="settings file", error=ConfigurationError)
-    said = tomllib.loads(text)
-    options = {entry.name: options_of(entry) for entry in entries if entry.name in said}
+    stated = tomllib.loads(text)
     folder = path.resolve().parent
     values: dict[str, dict[str, Any]] = {}
-    lines = {}
-    for command, own in options.items():
-        section = getattr(document, command)
-        for name, key in own.items():
-            if key in said[command]:
-                values.setdefault(command, {})[name] = _plain(getattr(section, name), folder)
-                lines[command, name] = line_of(text, (command, key))
+    lines: dict[tuple[str, str], int | None] = {}
+    faults: list[str] = []
+    for entry in entries:
+        for name, key in options_of(entry).items() if entry.name in stated else ():
+            if key not in stated[entry.name]:
+                continue
+            value = getattr(getattr(document, entry.name), name)
+            lines[entry.name, name] = line = line_of(text, (entry.name, key))
+            if not trusted and (fault := _overreach(key, value, folder)):
+                faults.append(f"line {line}, {entry.name}.{key}: {fault}")
+            values.setdefault(entry.name, {})[name] = _plain(value, folder)
+    if faults:
+        raise ConfigurationError(
+            f"{path}: {'; '.join(faults[:8])}.",
+            "Give the option on the command line, or check the file and name it with --config.",
+        )
     return Settings(path, values, lines)
+
+
+def _overreach(key: str, value: Any, folder: Path) -> str:
+    """Return why a file that was only found may not set `key` to `value`; "" if it may."""
+    if key not in FOUND:
+        return "a settings file found in the working folder may not set this option"
+    if key == "model" and value in {"reduced", "general", "linear"}:
+        return ""
+    for item in value if isinstance(value, list) else [value]:
+        named = item if isinstance(item, Path) else Path(str(item)) if key == "model" else None
+        if named is not None and not (folder / named).resolve().is_relative_to(folder):
+            return "a settings file found in the working folder may name only files within that folder"
+    return ""
 
 
 def as_words(settings: Settings, entry: Entry, given: frozenset[str]) -> tuple[str, ...]:
@@ -133,7 +198,7 @@ def _options(entry: Entry) -> dict[str, tuple[str, Any]]:
 def _model(entries: tuple[Entry, ...]) -> type[BaseModel]:
     from pydantic import ConfigDict, Field, create_model
 
-    strict = ConfigDict(extra="forbid")
+    strict = ConfigDict(extra="forbid", coerce_numbers_to_str=True)
     sections: dict[str, Any] = {}
     for entry in entries:
         fields: dict[str, Any] = {

@@ -26,10 +26,10 @@ _CANDIDATES = 8
 
 def fit_tables(fit: Fit, fit_id: str, intervals: Mapping[str, Interval] | None = None) -> list[str]:
     """Return a fit as lines: verdict first, then how well it describes the data, then parameters."""
-    from fitting.inference._result import WORDS, account_lines
+    from fitting.inference._result import VERDICT_TEXT, summary_lines
     from fitting.study._serialisation import not_determined_together
 
-    lines = [f"fit {fit_id}: {WORDS[fit.verdict]}", "", *account_lines(fit)]
+    lines = [f"fit {fit_id}: {VERDICT_TEXT[fit.verdict]}", "", *summary_lines(fit)]
     for direction in not_determined_together(fit):
         parts = ", ".join(f"{n} by {100 * w:+.0f} %" for n, w in direction.items())
         lines += _wrapped(f"not determined together: {parts}")

@@ -15,7 +15,7 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
-from fitting._numbers import plain
+from fitting._numbers import to_json
 from gyrotrack._errors import GyrotrackError
 
 
@@ -112,7 +112,7 @@ def main() -> None:
         os.environ.setdefault(name, "1")
     case = Path(sys.argv[1])
     for line in sys.stdin:
-        sys.stdout.write(json.dumps(plain(_answer(line, case))) + "\n")
+        sys.stdout.write(json.dumps(to_json(_answer(line, case))) + "\n")
         sys.stdout.flush()
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import twobody
 
-from fitting._workers import Beside
+from fitting._workers import WorkerPool
 from fitting.discovery._select import improve
 from fitting.discovery._verdict import diagnose
 from fitting.dynamics._model import Model
@@ -65,8 +65,8 @@ def test_a_hidden_effect_comes_first_with_its_strength(name):
 
 def test_two_processes_say_the_same_as_one():
     fit_ = base("touchpoint.stribeck")
-    with Beside(cores=2) as beside:
-        shared = diagnose(fit_, beside=beside)
+    with WorkerPool(1) as workers:
+        shared = diagnose(fit_, workers=workers)
     alone = diagnose(fit_)
     assert shared.sentence == alone.sentence
     for a, b in zip(shared.candidates, alone.candidates, strict=True):
@@ -81,7 +81,7 @@ def test_nothing_hidden_nothing_found(ou, centre):
     assert found.failures == ()
     assert not any(c.significant and c.physical for c in found.candidates)
     assert "adequate" in found.sentence
-    assert ("camera.centre" in found.sentence) == (centre > 0)
+    assert ("Camera centre offset" in found.sentence) == (centre > 0)
 
 
 def test_a_centre_offset_is_measured_though_every_fit_takes_it_out():

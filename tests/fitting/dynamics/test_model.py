@@ -33,7 +33,7 @@ def test_parameters_by_key():
     assert model.constants == {"bearing.heating.C": 1.0}
     assert model.smooth.names == (*REDUCED, "bearing.heating")
     assert [e.name for e in model.measurement] == ["camera.clock"]
-    assert [e.name for e in Model.of(["casing.unbalance", "casing.precession"]).rippling] == [
+    assert [e.name for e in Model.of(["casing.unbalance", "casing.precession"]).angle_dependent] == [
         "casing.unbalance"
     ]
 

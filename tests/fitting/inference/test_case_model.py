@@ -9,7 +9,7 @@ from fitting.dynamics._model import Model
 from fitting.effects._library import REDUCED
 from fitting.inference._case_model import CaseModel
 from fitting.inference._initial_values import start_values
-from fitting.inference._parameters import Layout
+from fitting.inference._parameters import ParameterLayout
 
 EXTRA = {
     "touchpoint.step": {"k": 2e-6, "t0": 88.37},
@@ -29,7 +29,7 @@ EXTRA = {
 
 def model_of(name, quantity="angle"):
     measured = data(seed=0, quantity=quantity)
-    layout = Layout.of(Model.of((*REDUCED, name)), [measured.record])
+    layout = ParameterLayout.of(Model.of((*REDUCED, name)), [measured.record])
     values = twobody.truth() | {f"{name}.{k}": v for k, v in EXTRA[name].items()}
     return CaseModel(measured, layout, 0), layout, np.array([values[n] for n in layout.names])
 
@@ -49,14 +49,14 @@ def test_derivatives_match_differences(name, quantity):
         slope = (more - less) / (2 * step[i])
         size = np.abs(slope).max()
         # what follows an angle is computed about the motion at hand, and its own derivative by others left out
-        within = 2e-2 if layout.model.rippling or layout.model.measurement else 2e-4
+        within = 2e-2 if layout.model.angle_dependent or layout.model.measurement else 2e-4
         assert np.abs(found.jacobian[:, i] - slope).max() < within * size + 1e-6, key
 
 
 def test_true_parameters_leave_noise_alone():
     """Rows of the true model against the data: chi-square of 734 rows, nothing adjusted but the nuisances."""
     measured = data(seed=0)
-    layout = Layout.of(Model.of(REDUCED), [measured.record])
+    layout = ParameterLayout.of(Model.of(REDUCED), [measured.record])
     values = twobody.truth()
     rows = CaseModel(measured, layout, 0).predict(np.array([values[n] for n in layout.names])).rows
     free = measured.nuisance
@@ -81,7 +81,7 @@ def test_rippling_torque_moves_the_rows_as_the_oracle_says():
         for h in (twobody.Hidden(), twobody.Hidden(casing=gravity))
     )
     measured = CaseData.of(make_record(**twobody.film(shaken, seed=3, cameras=cameras)))
-    layout = Layout.of(Model.of((*REDUCED, "casing.unbalance")), [measured.record])
+    layout = ParameterLayout.of(Model.of((*REDUCED, "casing.unbalance")), [measured.record])
     values = twobody.truth() | {"casing.unbalance.k": 0.0, "casing.unbalance.phi": 0.9}
     theta = np.array([values[n] for n in layout.names])
     column = CaseModel(measured, layout, 0).predict(theta).jacobian[:, layout.index["casing.unbalance.k"]]
@@ -101,7 +101,7 @@ def test_rippling_torque_moves_the_rows_as_the_oracle_says():
 
 @pytest.mark.parametrize("quantity", ["angle", "omega"])
 def test_rough_speeds_are_near_the_true_ones(quantity):
-    times, speeds = data(seed=0, quantity=quantity).rough_speeds
+    times, speeds = data(seed=0, quantity=quantity).initial_speeds
     motion = twobody.simulate(seed=0)
     assert np.abs(speeds[:, 1] - motion.at(times, 1)[1])[2:-2].max() < 2.0
     inside = (times > 5) & (times < 153)
@@ -113,7 +113,7 @@ def test_starts_without_a_guess_are_of_the_right_size():
     theta = dict(
         zip(
             problem.layout.names,
-            start_values(problem.layout, problem.reference, [problem.data[0].rough_speeds]),
+            start_values(problem.layout, problem.reference, [problem.data[0].initial_speeds]),
             strict=True,
         )
     )
@@ -139,7 +139,7 @@ def test_a_law_that_follows_the_angle_may_be_held():
     true = twobody.truth()
 
     def predicted(model):
-        layout = Layout.of(model, [measured.record])
+        layout = ParameterLayout.of(model, [measured.record])
         numbers = {name: ({**true, **values})[name] for name in layout.names}
         return layout, CaseModel(measured, layout, 0).predict(np.array(list(numbers.values())))
 

@@ -7,11 +7,17 @@ from hypothesis import strategies as st
 from fitting.dynamics._model import Model
 from fitting.effects._library import REDUCED
 from fitting.effects._user import resolve
-from fitting.inference._parameters import Layout, Valley, find_valleys, from_physical, to_physical
+from fitting.inference._parameters import (
+    ParameterLayout,
+    PowerLaw,
+    find_power_laws,
+    from_physical,
+    to_physical,
+)
 from fitting.inference._record import Record
 
-VALLEYS = (Valley(1, 3, 2, 400.0),)
-SQUARE = (Valley(1, 3, 2, 90.0, 2.0),)
+VALLEYS = (PowerLaw(1, 3, 2, 400.0),)
+SQUARE = (PowerLaw(1, 3, 2, 90.0, 2.0),)
 
 
 @given(st.floats(1e-9, 1e-6), st.floats(1e-10, 1e-6), st.floats(0.3, 1.4))
@@ -36,19 +42,19 @@ def test_torque_is_the_one_of_the_formula(g, curvature, at_reference, speed):
     )
 
 
-@pytest.mark.parametrize("valleys", [VALLEYS, SQUARE])
+@pytest.mark.parametrize("power_laws", [VALLEYS, SQUARE])
 @pytest.mark.parametrize("g", [0.3, 0.7, 0.99, 1.01, 1.2, 1.4, 1.97])
-def test_slopes_match_differences(g, valleys):
+def test_slopes_match_differences(g, power_laws):
     u = np.array([2.0, 1e-4, g, 2e-5, 5.0])
-    _, slope = to_physical(u, valleys)
+    _, slope = to_physical(u, power_laws)
     for i in range(5):
         step = np.zeros(5)
         step[i] = 1e-6 * max(abs(u[i]), 1e-4)
-        rise = (to_physical(u + step, valleys)[0] - to_physical(u - step, valleys)[0]) / (2 * step[i])
+        rise = (to_physical(u + step, power_laws)[0] - to_physical(u - step, power_laws)[0]) / (2 * step[i])
         np.testing.assert_allclose(slope[:, i], rise, rtol=1e-5, atol=1e-9 * np.abs(slope[:, i]).max())
 
 
-ALONE = (Valley(None, 3, 2, 400.0),)
+ALONE = (PowerLaw(None, 3, 2, 400.0),)
 
 
 @given(st.floats(1e-10, 1e-6), st.floats(0.3, 1.4))
@@ -79,13 +85,13 @@ def layout_of(*laws, per_case=(), cases=1):
     model = Model.of(REDUCED)
     for law in laws:
         model = model.with_effect(resolve(law))
-    return Layout.of(model, records, per_case=per_case)
+    return ParameterLayout.of(model, records, per_case=per_case)
 
 
 def found(layout):
-    rough = [data(seed=0).rough_speeds] * len(layout.records)
+    rough = [data(seed=0).initial_speeds] * len(layout.records)
     names = layout.names
-    return {(names[v.d], names[v.f], names[v.g]): v for v in find_valleys(layout, rough)}
+    return {(names[v.d], names[v.f], names[v.g]): v for v in find_power_laws(layout, rough)}
 
 
 BEARING = ("bearing.linear.d", "bearing.power.f", "bearing.power.g")
@@ -93,7 +99,7 @@ BEARING = ("bearing.linear.d", "bearing.power.f", "bearing.power.g")
 
 def test_the_bearings_pair_is_found_with_a_typical_speed():
     (v,) = found(layout_of()).values()
-    _, speeds = data(seed=0).rough_speeds
+    _, speeds = data(seed=0).initial_speeds
     assert found(layout_of()).keys() == {BEARING}
     assert v.order == 1.0
     assert v.reference == pytest.approx(np.median(speeds[:, 0] - speeds[:, 1]))

@@ -11,8 +11,8 @@ from fitting.dynamics._model import Model
 from fitting.effects._library import GENERAL, LINEAR, REDUCED
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
-from fitting.inference._initial_values import first_values
-from fitting.inference._parameters import Layout
+from fitting.inference._initial_values import initial_values
+from fitting.inference._parameters import ParameterLayout
 from fitting.inference._problem import Problem
 from fitting.inference._record import make_record
 
@@ -54,7 +54,7 @@ def test_a_bearing_of_its_own_in_each_case(free):
     other = {"d": 1.3e-7, "f": 1.0e-8, "g": 1.34} if len(free) > 1 else {"d": 1.4e-7}
     both = [case({}, 21, "glass"), case(other, 22, "steel", start=(850.0, 9.0))]
     result = fit(Model.of(REDUCED), both, per_case=free)
-    assert len(result.problem.valleys) == 2
+    assert len(result.problem.power_laws) == 2
     assert result.verdict == "adequate"
     true = {twobody.KEYS[k]: v for k, v in twobody.PAPER.items() if k not in free}
     for k in free:
@@ -69,8 +69,8 @@ def test_start_values_do_not_depend_on_how_many_cases_share_them():
     starts = []
     for count in (1, 12):
         cases = [CaseData.of(replace(record, label=f"r{i}")) for i in range(count)]
-        layout = Layout.of(Model.of(REDUCED), [c.record for c in cases], share=["b1", "b2"])
-        starts.append(dict(zip(layout.names, first_values(Problem(layout, cases), None), strict=True)))
+        layout = ParameterLayout.of(Model.of(REDUCED), [c.record for c in cases], share=["b1", "b2"])
+        starts.append(dict(zip(layout.names, initial_values(Problem.of(layout, cases), None), strict=True)))
     for name in Model.of(REDUCED).free:
         assert starts[1][name] == pytest.approx(starts[0][name], rel=1e-6)
 

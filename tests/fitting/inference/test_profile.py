@@ -10,7 +10,7 @@ from fitting._errors import EffectError
 from fitting.dynamics._model import Model
 from fitting.effects._library import GENERAL, REDUCED
 from fitting.inference._fit import fit
-from fitting.inference._problem import loose_directions
+from fitting.inference._problem import degenerate_directions
 from fitting.inference._profile import profile, weakly_determined
 
 TRUTH = twobody.truth()
@@ -86,9 +86,9 @@ def test_what_is_not_determined_together_is_named():
     """Two columns that are nearly one: their sum is known to 1 %, their difference is not."""
     j = np.array([[100.0, 100.0, 0.0], [0.3, -0.3, 0.0], [0.0, 0.0, 50.0]])
     theta = np.array([1.0, 1.0, 2.0])
-    (direction,) = loose_directions(["d", "f", "b"], theta, np.linalg.inv(j.T @ j))
+    (direction,) = degenerate_directions(["d", "f", "b"], theta, np.linalg.inv(j.T @ j))
     assert set(direction) == {"d", "f"}
     assert direction["d"] == pytest.approx(-direction["f"], rel=1e-6)
-    assert loose_directions(["d", "f", "b"], theta, 1e-6 * np.eye(3)) == []
+    assert degenerate_directions(["d", "f", "b"], theta, 1e-6 * np.eye(3)) == []
     # one that is known badly by itself is no combination
-    assert loose_directions(["d", "f", "b"], theta, np.diag([9.0, 1e-6, 1e-6])) == []
+    assert degenerate_directions(["d", "f", "b"], theta, np.diag([9.0, 1e-6, 1e-6])) == []

@@ -6,14 +6,14 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from fitting.discovery._residuals import CASING, ROTOR, modelled_speed
-from fitting.discovery._select import Ladder, improve
+from fitting.discovery._select import History, improve
 from fitting.discovery._verdict import diagnose
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
 from fitting.effects._library import REDUCED
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 from fitting.inference._simulation import Experiment, simulate, simulate_path
+from fitting.inference._speed_residuals import CASING, ROTOR, modelled_speed
 
 HOSTILE = "<script>alert(1)</script> $x_ & \"q\" 'q'"
 NUMBERS = {
@@ -55,10 +55,10 @@ class _Seen(HTMLParser):
 
 def test_notebooks_show_tables_with_names_as_text(story):
     base, diagnosis, ladder, _ = story
-    assert isinstance(ladder, Ladder)
+    assert isinstance(ladder, History)
     for thing, words in (
-        (base, ("the model misses something", "bearing.power.g", HOSTILE, "N\u00a0m\u00a0s²", "±")),
-        (diagnosis, ("an effect is missing", "casing.air.quadratic", HOSTILE, "where it fails")),
+        (base, ("significant lack of fit", "bearing.power.g", HOSTILE, "N\u00a0m\u00a0s²", "±")),
+        (diagnosis, ("an effect is missing", "casing.air.quadratic", HOSTILE, "significant lack of fit")),
         (ladder, ("+casing.air.quadratic", "ΔBIC", "base")),
     ):
         seen = _Seen(thing._repr_html_())
@@ -106,5 +106,5 @@ def test_error_of_the_modelled_speed_follows_the_parameters(story):
 
 
 def test_matplotlib_is_not_imported_before_something_is_drawn():
-    code = "import sys, fitting.discovery, fitting.study._notebook; sys.exit('matplotlib' in sys.modules)"
+    code = "import sys, fitting.discovery, fitting._display; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

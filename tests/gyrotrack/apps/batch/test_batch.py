@@ -10,7 +10,7 @@ import time
 
 import pytest
 
-from gyrotrack.apps.batch._workers import Child, LocalWorkers, run_once
+from gyrotrack.apps.batch._workers import Child, LocalWorkers, checked, run_once
 from gyrotrack.apps.cli import _app as app
 from gyrotrack.io._hdf5 import read_recording
 
@@ -146,7 +146,8 @@ def test_a_process_that_dies_is_told_and_replaced():
 
 
 def test_a_step_that_takes_too_long_is_stopped(films):
-    answer = run_once(["extract", str(films / "wheel 0.mp4"), "-o", str(films / "never.h5")], timeout=0.3)
+    words = ["extract", str(films / "wheel 0.mp4"), "-o", str(films / "never.h5")]
+    answer = checked(run_once(words, timeout=0.3))
     assert answer["document"]["error"]["code"] == "timeout"
     assert not (films / "never.h5").exists()
 

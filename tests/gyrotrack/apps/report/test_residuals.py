@@ -1,10 +1,10 @@
 import numpy as np
 
-from fitting.discovery._residuals import misfits
 from fitting.dynamics._mesh import Sampler
 from fitting.dynamics._model import Model
 from fitting.effects._library import REDUCED
 from fitting.inference._fit import fit
+from fitting.inference._speed_residuals import speed_residuals
 from gyrotrack.plotting._study_data import smoothing_floor
 
 
@@ -23,7 +23,7 @@ def _mean_difference(path, other, state, misfit):
 
 def test_misfit_of_the_base_is_the_true_speed_minus_the_models(story, true_path):
     base = story.rungs[0].fit
-    casing, rotor = misfits(base, 0)
+    casing, rotor = speed_residuals(base, 0)
     model = base.predictions[0].path
     for state, found in ((1, casing), (0, rotor[0]), (0, rotor[2])):
         expected = _mean_difference(true_path, model, state, found)
@@ -37,7 +37,7 @@ def test_band_is_as_wide_as_the_noise(record_of, story):
     start = {k: e.value for k, e in story.rungs[-1].fit.estimates.items()}
     scores = []
     for seed in (11, 12, 13, 14):
-        casing, _ = misfits(fit(model, [record_of(seed)], start=start), 0)
+        casing, _ = speed_residuals(fit(model, [record_of(seed)], start=start), 0)
         scores.append(casing.value / casing.sigma)
     # 4 x 120 parts: the spread of z is 1 to about 5 %; 0.85-1.15 is three times that
     assert 0.85 < np.sqrt(np.mean(np.square(scores))) < 1.15

@@ -1,0 +1,157 @@
+"""Measured, modelled and residual speeds of a fit, with their standard uncertainties.
+
+A fit compares rows: the measured angles of a block projected on polynomials, minus those of the model,
+r = z - m. The polynomial behind the rows of a block has a mean slope in each part of it, which is the residual
+of the speed there; this is linear, D r. With the noise covariance C of the rows and the columns X of all
+free parameters, the covariance of r is C - X (X' C^-1 X)^-1 X', and the band follows from it:
+angle noise, random torque, and what the fit has absorbed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import NDArray
+
+from fitting.dynamics._mesh import Sampler
+from fitting.inference._parameters import START_CASING, START_ROTOR
+
+if TYPE_CHECKING:
+    from fitting.inference._compression import Compressed
+    from fitting.inference._noise import Whitener
+    from fitting.inference._result import Fit
+
+Array = NDArray[np.float64]
+
+ROTOR, CASING = 0, 1
+
+
+def modelled_speed(fit: Fit, case: int, body: int, time: Array) -> tuple[Array, Array]:
+    """Return the modelled speed of a body and its standard uncertainty, sqrt(s' C s) with the sensitivities s.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit.
+    case : int
+        Index of the case.
+    body : int
+        `ROTOR` or `CASING`.
+    time : ndarray, shape (n,)
+        Times within the run [s].
+
+    Returns
+    -------
+    speed, sigma : ndarray, shape (n,)
+        [rad/s].
+    """
+    prediction, model = fit.predictions[case], fit.problem.cases[case]
+    sampler = Sampler(prediction.path.mesh, time)
+    places = fit.problem.layout.places(case, (*model.dynamics.parameters, START_ROTOR, START_CASING))
+    slope = sampler.value(prediction.sensitivity.nodes[:, :, body])
+    covariance = fit.covariance[np.ix_(places, places)]
+    # a parameter that moves nothing has no finite variance and does not matter here
+    covariance = np.where(np.isfinite(covariance), covariance, 0.0)
+    variance = np.einsum("tp,pq,tq->t", slope, covariance, slope)
+    return sampler.value(prediction.path.y[..., body]), np.sqrt(np.maximum(variance, 0.0))
+
+
+_PARTS = {"casing": 2, "rotor": 5}
+_POINTS = 40
+
+
+@dataclass(frozen=True)
+class SpeedResidual:
+    """Measured minus modelled speed of a run, averaged over parts of it.
+
+    Attributes
+    ----------
+    time, width : ndarray, shape (n,)
+        Middle and length of each part [s].
+    value : ndarray
+        Mean residual of the speed [rad/s].
+    sigma : ndarray
+        Its standard deviation if there is noise alone [rad/s].
+    """
+
+    time: Array
+    width: Array
+    value: Array
+    sigma: Array
+
+
+def speed_residuals(fit: Fit, case: int) -> tuple[SpeedResidual, tuple[SpeedResidual, ...]]:
+    """Return the residual speed of the casing, and of the rotor in each of its windows.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit.
+    case : int
+        Index of the case.
+    """
+    data, noise = fit.problem.data[case], fit.noise[case]
+    prediction = fit.predictions[case]
+    moving = ~fit.problem.layout.at_bound(fit.theta)
+    free = np.concatenate([prediction.jacobian[:, moving], data.nuisance], axis=1)
+    plain = data.start_time_noise.unwhitened
+    residual = plain(_without(noise.whitener, data.nuisance, data.z - prediction.rows))
+    spread = plain(_spread(noise.whitener.at(noise.pure), free))
+    found, first = [], 0
+    for body, run in (("casing", data.casing), *(("rotor", w) for w in data.rotor)):
+        count = len(run.z)
+        rows = slice(first, first + count)
+        first += count
+        time, width, d = _slopes(run, _PARTS[body], is_angle=data.is_angle)
+        sigma = np.linalg.norm(d @ spread[rows], axis=1)
+        found.append(SpeedResidual(time, width, d @ residual[rows], sigma))
+    return found[0], tuple(found[1:])
+
+
+def _without(whitener: Whitener, columns: Array, rows: Array) -> Array:
+    """Return rows without their projection on nuisance columns."""
+    size = np.linalg.norm(columns, axis=0)
+    columns = columns[:, size > 0] / size[size > 0]
+    found = np.linalg.lstsq(whitener(columns), whitener(rows), rcond=1e-10)[0]
+    return np.asarray(rows - columns @ found)
+
+
+def _spread(whitener: Whitener, free: Array) -> Array:
+    """Return a root of the covariance of the residual rows: C^(1/2) (1 - Q Q')."""
+    size = np.linalg.norm(free, axis=0)
+    u, s, _ = np.linalg.svd(whitener(free[:, size > 0] / size[size > 0]), full_matrices=False)
+    q = u[:, s > 1e-10 * s[0]]
+    inner = np.eye(len(q)) - q @ q.T
+    m = len(whitener.values)
+    if whitener.level == 0 or m == 0:
+        return np.asarray(inner)
+    root = np.sqrt(1 + whitener.level**2 * whitener.values)
+    upper = whitener.vectors @ (root[:, None] * (whitener.vectors.T @ inner[:m]))
+    return np.concatenate([upper, inner[m:]])
+
+
+def _slopes(run: Compressed, parts: int, *, is_angle: bool) -> tuple[Array, Array, Array]:
+    """Return middles, lengths and the operator D (parts of all blocks, rows)."""
+    blocks, k, _ = run.lift.shape
+    nodes = run.node_times.reshape(blocks, k)
+    times = run.samples.time
+    operator = np.zeros((blocks * parts, blocks * k))
+    middles, lengths = np.zeros(blocks * parts), np.zeros(blocks * parts)
+    for i, (where, _) in enumerate(run.operators):
+        inside = times[where]
+        edges = np.linspace(inside[0], inside[-1], parts + 1)
+        centre, half = 0.5 * (edges[0] + edges[-1]), 0.5 * (edges[-1] - edges[0])
+        back = np.linalg.inv(run.lift[i] @ legendre.legvander((nodes[i] - centre) / half, k - 1))
+        for j in range(parts):
+            t = np.linspace(edges[j], edges[j + 1], _POINTS)
+            weight = t - t.mean()
+            weight = weight / (weight @ weight) if is_angle else np.full(_POINTS, 1 / _POINTS)
+            row = i * parts + j
+            operator[row, i * k : (i + 1) * k] = (
+                weight @ legendre.legvander((t - centre) / half, k - 1) @ back
+            )
+            middles[row], lengths[row] = t.mean(), t[-1] - t[0]
+    return middles, lengths, operator

@@ -1,0 +1,42 @@
+"""The lack of fit is chi-square where nothing is missing, and objects where something is."""
+
+import math
+
+import numpy as np
+import pytest
+import twobody
+from scipy import stats
+
+from fitting.dynamics._model import Model
+from fitting.effects._library import REDUCED
+from fitting.inference._case_data import CaseData
+from fitting.inference._fit import fit
+from fitting.inference._lack_of_fit import LackOfFit
+from fitting.inference._record import make_record
+
+
+@pytest.mark.parametrize("dof", [15, 40, 82])
+def test_the_tail_is_that_of_chi_square(dof):
+    for p in (0.5, 1e-2, 1e-4, 1e-6):
+        assert LackOfFit(float(stats.chi2.isf(p, dof)), dof).p_value == pytest.approx(p, rel=0.5)
+    assert LackOfFit(0.0, 0).p_value == 1.0
+
+
+def found(hidden, seed, model=REDUCED):
+    motion = twobody.simulate(hidden=hidden, ou=1e-7, seed=seed)
+    return fit(Model.of(model), [CaseData.of(make_record(**twobody.film(motion, seed)))])
+
+
+def test_noise_alone_leaves_as_much_as_it_should():
+    lacks = [found(twobody.Hidden(), seed).lack_of_fit for seed in range(4)]
+    chi2, dof = sum(x.chi2 for x in lacks), sum(x.dof for x in lacks)
+    assert abs(chi2 - dof) < 5 * math.sqrt(2 * dof)
+    assert min(x.p_value for x in lacks) > 1e-5
+
+
+def test_a_law_of_the_wrong_shape_does_not_pass():
+    """A drag at one speed only, hidden; a step of the friction is the best that the library has."""
+    hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -2e-6 * np.exp(-(((wc - 110) / 12) ** 2)))
+    fitted = found(hidden, 1, (*REDUCED, "touchpoint.step"))
+    assert fitted.lack_of_fit.p_value < 1e-10
+    assert fitted.verdict == "misfit"

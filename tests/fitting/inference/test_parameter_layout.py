@@ -1,0 +1,98 @@
+import numpy as np
+import pytest
+from cases import data
+
+from fitting._errors import EffectError
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
+from fitting.effects._library import LINEAR, REDUCED
+from fitting.inference._parameters import ParameterLayout
+from fitting.inference._record import Record
+
+
+@pytest.fixture(scope="module")
+def records():
+    one = data(seed=0).record
+    return [
+        Record(label, 5e-5, 2e-5 + i * 1e-6, one.casing, one.rotor)
+        for i, label in enumerate(("glass", "steel"))
+    ]
+
+
+def test_one_case_has_plain_names(records):
+    layout = ParameterLayout.of(Model.of(LINEAR), records[:1])
+    assert set(layout.names) == {
+        "rotor.air.quadratic.a2",
+        "touchpoint.constant.b1",
+        "casing.air.linear.b2",
+        "bearing.linear.d",
+        "initial.omega_r@glass",
+        "initial.omega_c@glass",
+    }
+
+
+def test_surfaces_and_air_of_the_casing_are_free_per_case(records):
+    names = ParameterLayout.of(Model.of(LINEAR), records).names
+    assert [n for n in names if n.startswith("touchpoint")] == [
+        "touchpoint.constant.b1@glass",
+        "touchpoint.constant.b1@steel",
+    ]
+    assert "casing.air.linear.b2@steel" in names
+    assert "bearing.linear.d" in names
+    assert len(names) == 2 + 2 * 2 + 2 * 2
+
+
+@pytest.mark.parametrize(
+    "share", ["touchpoint", "touchpoint.", "touchpoint.constant", "touchpoint.constant.b1", "b1"]
+)
+def test_sharing_by_prefix_effect_key_or_symbol(records, share):
+    names = ParameterLayout.of(Model.of(LINEAR), records, share=[share]).names
+    assert "touchpoint.constant.b1" in names
+    assert "casing.air.linear.b2@glass" in names
+
+
+def test_freeing_per_case(records):
+    names = ParameterLayout.of(Model.of(LINEAR), records, per_case=["bearing.linear"]).names
+    assert {"bearing.linear.d@glass", "bearing.linear.d@steel"} <= set(names)
+
+
+def test_each_case_gets_its_own_numbers(records):
+    layout = ParameterLayout.of(Model.of(LINEAR), records)
+    theta = np.arange(len(layout.names), dtype=float)
+    for i, label in enumerate(("glass", "steel")):
+        numbers = layout.numbers(theta, i)
+        assert numbers["touchpoint.constant.b1"] == layout.index[f"touchpoint.constant.b1@{label}"]
+        assert numbers["bearing.linear.d"] == layout.index["bearing.linear.d"]
+        assert numbers[INERTIA_ROTOR] == 5e-5
+        assert numbers[INERTIA_CASING] == 2e-5 + i * 1e-6
+        assert layout.start(theta, i) == (
+            layout.index[f"initial.omega_r@{label}"],
+            layout.index[f"initial.omega_c@{label}"],
+        )
+
+
+def test_unknown_names_are_refused(records):
+    for words in ({"share": ["touchpoint.rough"]}, {"per_case": ["nothing"]}):
+        with pytest.raises(EffectError, match="is no parameter of the model"):
+            ParameterLayout.of(Model.of(LINEAR), records, **words)
+
+
+def test_ranges_tighten_bounds_and_never_widen_them(records):
+    layout = ParameterLayout.of(
+        Model.of(REDUCED),
+        records[:1],
+        ranges={"bearing.power.g": (0.1, 1.3), "bearing.linear.d": (-1.0, 5e-7)},
+    )
+    lower, upper = layout.bounds()
+    g, d = layout.index["bearing.power.g"], layout.index["bearing.linear.d"]
+    assert (lower[g], upper[g]) == (0.3, 1.3)
+    assert (lower[d], upper[d]) == (0.0, 5e-7)
+    theta = np.full(len(layout.names), 1e-3)
+    theta[g], theta[d] = 1.3, 5e-7
+    assert layout.at_bound(theta)[[g, d]].all()
+    assert layout.at_bound(theta).sum() == 2
+
+
+def test_start_speeds_have_no_bounds(records):
+    layout = ParameterLayout.of(Model.of(LINEAR), records[:1])
+    assert np.isneginf(layout.bounds()[0][layout.index["initial.omega_c@glass"]])
+    assert layout.parameter("initial.omega_r@glass").unit == "rad s-1"
