@@ -27,7 +27,7 @@ Floats = npt.NDArray[np.float64]
 
 SLIP = 0.2
 """Error in rad from which a frame counts as slipped."""
-HEADER = f"{'film':24s} {'body':7s} {'rms/mrad':>9s} {'harm.':>6s} {'sigma':>6s} {'kept':>6s} {'slips':>5s} {'z':>6s} {'z har.':>6s} {'rep.':>4s}"
+HEADER = f"{'film':24s} {'body':7s}  rms/mrad  harm.  sigma   kept slips      z z har. rep."
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,9 @@ def score(recording: Recording, truth: dict[str, Floats]) -> list[Score]:
         good = np.abs(error) < SLIP
         error -= np.mean(error[good])
         rest = error
-        design = np.stack([np.ones_like(own), *(f(k * own) for k in (1, 2) for f in (np.cos, np.sin))], axis=1)
+        design = np.stack(
+            [np.ones_like(own), *(f(k * own) for k in (1, 2) for f in (np.cos, np.sin))], axis=1
+        )
         if good.sum() > 12:
             rest = error - design @ np.linalg.lstsq(design[good], error[good], rcond=None)[0]
         found.append(

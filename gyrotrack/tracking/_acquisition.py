@@ -417,7 +417,7 @@ def _radii(rings: Rings, seen: SampledMarker) -> Floats:
     out = np.full(len(along), np.nan)
     for k, curve in enumerate(along.astype(np.float64)):
         low, high = half_maximum(curve, int(np.argmax(curve)))
-        if 0.0 < low and high < len(curve) - 1:
+        if low > 0.0 and high < len(curve) - 1:
             out[k] = ring.inner + 0.5 * (low + high) * spacing
     return out
 

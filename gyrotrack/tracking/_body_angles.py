@@ -162,7 +162,7 @@ def _flattening(centre: CentrePath, views: dict[str, BodyView]) -> dict[str, Fla
 
 
 HEIGHT = 0.03
-"""Standard deviation of the height between the hub's disc and the casing's marker, in radii of its orbit: a millimetre."""
+"""Standard deviation of the height of the hub's disc above the casing's marker, in radii of its orbit: a millimetre."""
 DEPTH = 0.5
 """The same for the rotor's markers, which may be at any depth below."""
 
@@ -222,19 +222,25 @@ def separate_perspective(
     own, body_view, reference = flat["casing"], views["rotor"], flat["rotor"]
     if not own.offset or not any(m in reference.offset for m in body_view.coloured):
         return own
-    beside = axis_offset(body_view, reference, rotor)
-    error = usual_error_by_place(body_view, max(len(rotor.axis_off), 1))
+    beside, error = axis_offset(body_view, reference, rotor), usual_error_by_place(body_view)
+    # Perspective acts along the tilt; what the rotor shows across it is error.
+    azimuth = 0.5 * np.arctan2(-reference.q, -reference.p)
+    along = np.array([np.cos(azimuth), np.sin(azimuth)])
+    off = [z * body_view.radius for m, z in rotor.axis_off.items() if m in reference.offset]
+    if off:
+        error = max(error, abs(along[0] * np.mean(off).imag - along[1] * np.mean(off).real))
+    beside = along * float(along @ beside)
     axis = _beyond(reference.shift(body_view.coloured) + beside, error)
     more = (views["casing"].radius / body_view.radius) ** 2
     perspective = -more * beside
-    size = float(np.hypot(_height_error(reference, views["casing"].radius), error))
+    size = _height_error(reference, views["casing"].radius)
     expected = np.stack([np.zeros(2), axis])
     if own.doubt:
         tilted = replace(reference, p=own.p, q=own.q)
         arc = views["casing"].flattening_of_arc(centre.centre, tilted, expected + perspective, size)
         return arc.moved(-perspective)
     shift = own.shift(own.offset)
-    measured, noise = shift - perspective, usual_error_by_place(body_view) ** 2 * (1.0 + more**2)
+    measured, noise = shift - perspective, error**2 * (1.0 + more**2)
     if not rotor.axis_off:
         noise += (PERSPECTIVE * reference.tilt * views["casing"].radius) ** 2
     sure = size**2 / (size**2 + noise)
