@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from gyrotrack.apps.cli._app import run
 from gyrotrack.tracking._acquisition import acquire
 from gyrotrack.tracking._extract import extract
 from gyrotrack.tracking._profile import PAPER
@@ -80,8 +81,9 @@ def test_a_hand_in_the_first_frames_is_no_marker(draw):
         assert np.abs(error[late]).max() < 0.1, body
 
 
-def test_what_is_lost_is_said(draw):
+def test_what_is_lost_is_said(draw, tmp_path):
     path, _ = draw(**{**SMALL, "frames": 150, "white": None})
+    assert run(["extract", str(path), "-q", "-o", str(tmp_path / "film.h5")]) == 3
     recording = extract(path)
     assert recording.extra["doubts"] == [
         "no white marker is found on the rotor; check the film and the profile (--profile)."
