@@ -520,7 +520,7 @@ def table(rows, skipped, seconds):
         f"Made by `python benchmarks/robustness/cases.py --write` at {commit()} in {seconds:.0f} s; {len(rows)} cases",
         f"run, {skipped} not possible on this machine. The docstring of the script says what is counted.",
         "",
-        "| group | cases | hangs | bug messages | old results damaged | leftovers | breaches | other exit code | slowest [s] |",
+        "| group | cases | hangs | bug messages | damaged | leftovers | breaches | other exit code | slowest [s] |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for group in [*dict.fromkeys(r["group"] for r in rows), "all"]:
