@@ -512,13 +512,14 @@ def possible(case):
     return True
 
 
-def table(rows, skipped, seconds):
+def table(rows, skipped):
     kinds = ("hang", "bug", "damaged", "leftovers", "breach", "unexpected")
     lines = [
         "# Robustness: the table of cases",
         "",
-        f"Made by `python benchmarks/robustness/cases.py --write` at {commit()} in {seconds:.0f} s; {len(rows)} cases",
-        f"run, {skipped} not possible on this machine. The docstring of the script says what is counted.",
+        f"Made by `python benchmarks/robustness/cases.py --write`; {len(rows)} cases run at the commits",
+        f"{', '.join(sorted({r['commit'] for r in rows}))}, {skipped} not possible on this machine.",
+        "The docstring of the script says what is counted.",
         "",
         "| group | cases | hangs | bug messages | damaged | leftovers | breaches | other exit code | slowest [s] |",
         "|---|---|---|---|---|---|---|---|---|",
@@ -546,7 +547,6 @@ def main():
     options = parser.parse_args()
     work = options.work.resolve()
     work.mkdir(parents=True, exist_ok=True)
-    began = time.monotonic()
     stock = material(work)
     ensure((stock / "case.h5").exists(), "no case")
     rows, skipped = [], 0
@@ -564,7 +564,11 @@ def main():
             f"{row['code']!s:>4} {row['seconds']:6.1f} s  {case.group}: {case.name}  {flags}  {row['said']}",
             flush=True,
         )
-    text = table(rows, skipped, time.monotonic() - began)
+    store = work / "rows.json"  # rows of earlier runs stay until their case is run again
+    known = json.loads(store.read_text()) if store.exists() else {}
+    known |= {f"{r['group']}: {r['name']}": r | {"commit": commit()} for r in rows}
+    store.write_text(json.dumps(known, indent=1))
+    text = table(list(known.values()), skipped)
     print(text)
     if options.write:
         Path(__file__).with_suffix(".md").write_text(text)
