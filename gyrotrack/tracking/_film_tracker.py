@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._errors import VideoError
 from gyrotrack._column_store import new_columns, set_down
+from gyrotrack._errors import VideoError
 from gyrotrack.io._checkpoint import CheckpointFile
 from gyrotrack.tracking._association import LEAST_SCATTER, Motion
 from gyrotrack.tracking._body_tracker import BodyTracker
