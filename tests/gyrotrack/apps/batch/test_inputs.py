@@ -129,7 +129,7 @@ def test_folder(tmp_path):
         ("[[case]]\ncasing = 'a'\nrotor = ['b']\ndata = 'c'\n", "line 1, case[1]: a case has either"),
         ("[[clip]]\nfile = 'a'\ncapture_fps = -1\n", "line 3, clip[1].capture_fps: input should be greater"),
         ("[[clip]]\nflie = 'a'\n", "line 2, clip[1].flie: extra inputs"),
-        ("[[clip]]\nfile = 'a'\n[[clip]]\nfile = 'b/a'\n", "two cases are called 'a'"),
+        ("[[clip]]\nfile = 'a'\n[[clip]]\nfile = 'b/a'\n", "two cases have the label 'a'"),
         ("", "names no film and no case"),
         ("[[case]]\nstudy = 'no.toml'\n", "There is no study"),
     ],
