@@ -46,7 +46,7 @@ _FINE = 200.0
 _EXPLAINED = 0.4
 """Share of the change of brightness that a turning body must explain; below it nothing is tracked."""
 _OUTSIDE = 0.85
-"""The same for a hub outside the picture that was not given: a body that slides looks much like one that turns there."""
+"""The same for a hub outside the picture that was not given: a body that slides looks much like one that turns."""
 _STRETCH_SPAN = 3.0
 """Motion in rad from which the ellipse of a tilted camera is sought."""
 _STATIC_SPAN = 1.0
@@ -231,7 +231,7 @@ def _by_features(film: Film, usable: npt.NDArray[np.int64], motion: Motion) -> T
     found = follow_features((f for i, f in enumerate(film.frames()) if i in wanted), motion)
     if found is None:
         return None
-    turn, moved, formal = found
+    turn, moved, _ = found
     theta = np.unwrap(np.angle(turn))
     if not 0.01 < np.ptp(theta) < 2.0:
         return None
@@ -255,21 +255,34 @@ def _by_features(film: Film, usable: npt.NDArray[np.int64], motion: Motion) -> T
             ring = _trimmed(ring, rows)
     if share < _EXPLAINED:
         return None
-    angle = -theta
-    scatter = white_noise(angle)
-    scale = scatter / float(np.median(formal))
+    # features at the body's edge are dragged by the background: the whole picture decides
+    for _ in range(3):
+        poses = [register(p, template, theta[k], move=True) for k, p in zip(use, polars, strict=True)]
+        theta[use] = [p.angle for p in poses]
+        shift[use] += np.array([p.shift for p in poses]).clip(-2.0, 2.0)
+        polars = [ring.unwrap(f, tuple(shift[k])) for k, f in zip(use, pictures, strict=True)]
+        template = learn(polars, theta[use], allowed, ring, separate=False, plain=True)
+    template = learn(polars, theta[use], allowed, ring, separate=False)
+    every: list[Pose] = []
+    for k, frame in enumerate(f for i, f in enumerate(film.frames()) if i in wanted):
+        pose = register(ring.unwrap(frame, tuple(shift[k])), template, theta[k], move=True)
+        shift[k] += np.clip(pose.shift, -2.0, 2.0)
+        every.append(register(ring.unwrap(frame, tuple(shift[k])), template, pose.angle, move=True))
+    share, _ = explained(polars, theta[use], template)
+    angle = -np.array([p.angle for p in every])
+    formal = np.array([p.formal for p in every])
+    scale = white_noise(angle) / float(np.median(formal))
     repeated = len(film) - len(usable)
     warnings = [
         *film.warnings,
-        f"The hub moves by {float(np.abs(path - hub).std()):.1f} px rms; the angle is that of the body's features.",
+        f"The hub moves by {float(np.abs(path - hub).std()):.1f} px rms; it is measured in each frame.",
     ]
     if repeated:
         warnings.append(f"{repeated} of {len(film)} frames repeat the one before them and are left out.")
-    sigma = scale * np.maximum(formal, 0.5 * float(np.median(formal)))
     return Tracked(
         frame=usable,
         angle=angle,
-        sigma=sigma,
+        sigma=scale * formal,
         ring=ring,
         template=template,
         hub_path=shift,
