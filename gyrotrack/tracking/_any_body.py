@@ -129,7 +129,7 @@ class Tracked:
     scale : float
         Measured scatter of the angles over the Cramer-Rao bound.
     correlated : float
-        Uncertainty that frames share, from the disagreement of inner and outer half of the ring [rad].
+        Uncertainty that frames share, from the difference of two ways to measure [rad]; 0 where there is one.
     warnings : tuple of str
         What was not as it should be.
     """
@@ -255,7 +255,9 @@ def _by_features(film: Film, usable: npt.NDArray[np.int64], motion: Motion) -> T
             ring = _trimmed(ring, rows)
     if share < _EXPLAINED:
         return None
-    # features at the body's edge are dragged by the background: the whole picture decides
+    # features at the body's edge are dragged by the background: the whole picture decides, and the difference between
+    # the two is an uncertainty that neighbouring frames share
+    of_features = -theta.copy()
     for _ in range(3):
         poses = [register(p, template, theta[k], move=True) for k, p in zip(use, polars, strict=True)]
         theta[use] = [p.angle for p in poses]
@@ -272,24 +274,26 @@ def _by_features(film: Film, usable: npt.NDArray[np.int64], motion: Motion) -> T
     angle = -np.array([p.angle for p in every])
     formal = np.array([p.formal for p in every])
     scale = white_noise(angle) / float(np.median(formal))
+    correlated = float((angle - of_features).std())
     repeated = len(film) - len(usable)
     warnings = [
         *film.warnings,
-        f"The hub moves by {float(np.abs(path - hub).std()):.1f} px rms; it is measured in each frame.",
+        f"The hub moves by {float(np.abs(path - hub).std()):.1f} px rms and is measured in each frame; features and "
+        f"registration of the picture differ by {1e3 * correlated:.2g} mrad rms, which the uncertainty contains.",
     ]
     if repeated:
         warnings.append(f"{repeated} of {len(film)} frames repeat the one before them and are left out.")
     return Tracked(
         frame=usable,
         angle=angle,
-        sigma=scale * formal,
+        sigma=np.hypot(scale * formal, correlated),
         ring=ring,
         template=template,
         hub_path=shift,
         explained=share,
         way="features",
         scale=scale,
-        correlated=0.0,
+        correlated=correlated,
         warnings=tuple(warnings),
     )
 
