@@ -278,8 +278,10 @@ def _by_features(film: Film, usable: npt.NDArray[np.int64], motion: Motion) -> T
     repeated = len(film) - len(usable)
     warnings = [
         *film.warnings,
-        f"The hub moves by {float(np.abs(path - hub).std()):.1f} px rms and is measured in each frame; features and "
-        f"registration of the picture differ by {1e3 * correlated:.2g} mrad rms, which the uncertainty contains.",
+        (
+            f"The hub moves by {float(np.abs(path - hub).std()):.1f} px rms and is measured in each frame; features and "
+            f"registration of the picture differ by {1e3 * correlated:.2g} mrad rms, which the uncertainty contains."
+        ),
     ]
     if repeated:
         warnings.append(f"{repeated} of {len(film)} frames repeat the one before them and are left out.")
