@@ -279,7 +279,7 @@ def _by_features(film: Film, usable: npt.NDArray[np.int64], motion: Motion) -> T
     warnings = [
         *film.warnings,
         (
-            f"The hub moves by {float(np.abs(path - hub).std()):.1f} px rms and is measured in each frame; features and "
+            f"The hub moves by {float(np.abs(path - hub).std()):.1f} px rms and is measured; features and "
             f"registration of the picture differ by {1e3 * correlated:.2g} mrad rms, which the uncertainty contains."
         ),
     ]
