@@ -218,9 +218,9 @@ def _facts(view: StudyView) -> list[tuple[str, str]]:
             certainty += f"; indistinguishable from {', '.join(best.indistinguishable_from)}"
         else:
             certainty += "; no indistinguishable candidate"
-        rows.append(("How sure", certainty))
+        rows.append(("Significance", certainty))
     elif view.candidates:
-        rows.append(("How sure", f"{len(view.candidates)} candidate effects tested, none significant"))
+        rows.append(("Significance", f"{len(view.candidates)} candidate effects tested, none significant"))
     return rows
 
 
