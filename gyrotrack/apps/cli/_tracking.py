@@ -73,10 +73,10 @@ def profile_command(
     found = propose(video, capture_fps=capture_fps)
     comment = "".join(f"# {note}\n" for note in (f"found in {video.name} by gyrotrack profile", *found.notes))
     with all_or_nothing(target, picture):
+        if picture is not None:  # the larger file first: if it cannot be written, an old profile stays
+            write_picture(picture, found, force=force)
         with new_file(target, force=force) as stream:
             stream.write((comment + to_toml(found.profile)).encode())
-        if picture is not None:
-            write_picture(picture, found, force=force)
     for note in found.notes:
         out.warn(note)
     out.result(_profile_document(target, picture, found))
