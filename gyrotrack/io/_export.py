@@ -1,4 +1,4 @@
-"""Recordings and cases as flat tables: CSV, Parquet, netCDF."""
+"""Recordings and cases for other programs: CSV, Parquet, netCDF, JSON, text of OSP Tracker; `import` reads all back."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ def export_file(source: Path, target: Path, *, table: str = "motion", force: boo
         A recording or a case.
     target : Path
         ``.csv`` (units in the header, numbers with all their digits, empty cells for NaN), ``.parquet`` (units
-        in the fields' metadata) or ``.nc`` (netCDF-4 with everything that the file holds).
+        in the fields' metadata), ``.json`` (columns and units), ``.txt`` (OSP Tracker: a point on the unit circle for
+        each body) or ``.nc`` (netCDF-4 with everything that the file holds).
     table : str
         Which table of `columns`; netCDF takes them all.
     force : bool
@@ -105,6 +106,32 @@ def _parquet(made: Sequence[Column], stream: BinaryIO) -> None:
     pq.write_table(table, stream)
 
 
+def _json(made: Sequence[Column], stream: BinaryIO) -> None:
+    """Write columns and units; NaN becomes null."""
+    values = {c.name: [None if v != v else v for v in c.values.tolist()] for c in made}
+    document = {"columns": values, "units": {c.name: c.unit for c in made if c.unit}}
+    stream.write(json.dumps(document, allow_nan=False).encode())
+
+
+def _tracker(made: Sequence[Column], stream: BinaryIO) -> None:
+    """Write a track for each body, cos and sin of its angle about the track "origin", at the times of all bodies."""
+    columns = {c.name: c.values for c in made}
+    if not {"body", "time", "angle"} <= set(columns):
+        raise UsageError("A text of OSP Tracker holds angles of bodies only.", "Export --table motion.")
+    bodies = list(dict.fromkeys(columns["body"].tolist()))
+    times = np.unique(columns["time"])
+    places = np.full((len(times), 2 * len(bodies)), np.nan)
+    for k, body in enumerate(bodies):
+        rows = columns["body"] == body
+        at, angle = np.searchsorted(times, columns["time"][rows]), columns["angle"][rows]
+        places[at, 2 * k], places[at, 2 * k + 1] = np.cos(angle), np.sin(angle)
+    titles = ["", *(f"{body}\t" for body in bodies), "origin\t"]
+    lines = ["\t".join(titles), "\t".join(["t", *("x", "y") * (len(bodies) + 1)])]
+    for time, row in zip(times.tolist(), places.tolist(), strict=True):
+        lines.append("\t".join([repr(time), *("" if v != v else repr(v) for v in row), "0.0", "0.0"]))
+    stream.write(("\n".join(lines) + "\n").encode())
+
+
 def _netcdf(source: Path, target: Path, *, force: bool) -> dict[str, Any]:
     try:
         import h5netcdf  # noqa: F401 - xarray's engine
@@ -122,4 +149,10 @@ def _lacking(form: str, libraries: str) -> UsageError:
     )
 
 
-FORMATS: dict[str, Callable[..., Any]] = {".csv": _csv, ".parquet": _parquet, ".nc": _netcdf}
+FORMATS: dict[str, Callable[..., Any]] = {
+    ".csv": _csv,
+    ".parquet": _parquet,
+    ".nc": _netcdf,
+    ".json": _json,
+    ".txt": _tracker,
+}

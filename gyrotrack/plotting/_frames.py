@@ -90,13 +90,14 @@ _HASHED = 256 * 2**20
 
 
 def find_film(recording: Recording, folders: list[Path]) -> Path | None:
-    """Return the film that a recording was made from, if it lies in one of these folders.
+    """Return the film of a recording, if one of these folders or that of the sample clips contains it.
 
     A film of up to 256 MiB is compared byte for byte by its SHA-256; of a larger one size and number of frames
     must agree.
     """
     name = Path(recording.source).name
-    return next((f / name for f in folders if name and _is_it(f / name, recording)), None)
+    places = [*folders, Path(__file__).parents[2] / "sample_clips"]
+    return next((f / name for f in places if name and _is_it(f / name, recording)), None)
 
 
 def _is_it(path: Path, recording: Recording) -> bool:

@@ -237,6 +237,7 @@ const Charts = (() => {
     drawCursor(u, look) {
       const g = u.ctx, { left, top, width, height } = u.bbox, line = (x0, y0, x1, y1) => { g.beginPath(); g.moveTo(x0, y0); g.lineTo(x1, y1); g.stroke(); };
       g.save();
+      g.setLineDash([]);
       const zero = u.valToPos(0, "y", true);
       if (zero > top && zero < top + height) { g.strokeStyle = look.soft; g.lineWidth = 1; line(left, zero, left + width, zero); }
       const t = this.board.cursor;

@@ -28,19 +28,21 @@ if TYPE_CHECKING:
     from gyrotrack.io._inspection import Inspection
 
 
-_TABLE = "Table of the casing with a header t,angle[,sigma] or t,omega[,sigma], or points"
+_TABLE = "Angles, angular rates, pulses or points of the casing (CSV, Tracker, phyphox, Excel, MATLAB ...)"
 
 
 def import_command(
     *,
-    casing: Annotated[Path | None, typer.Option("--casing", metavar="CSV", help=f"{_TABLE}.")] = None,
+    casing: Annotated[Path | None, typer.Option("--casing", metavar="FILE", help=f"{_TABLE}.")] = None,
     rotor: Annotated[
         list[Path] | None,
-        typer.Option("--rotor", metavar="CSV", help="Table of one rotor window; once per window."),
+        typer.Option("--rotor", metavar="FILE", help="The same of one rotor window; once per window."),
     ] = None,
     body: Annotated[
         Path | None,
-        typer.Option("--body", metavar="CSV", help="Table of a single body, in place of casing and rotor."),
+        typer.Option(
+            "--body", metavar="FILE", help="The same of a single body, in place of casing and rotor."
+        ),
     ] = None,
     inertia: Annotated[
         str | None,
@@ -50,7 +52,9 @@ def import_command(
     columns: Annotated[
         list[str] | None,
         typer.Option(
-            "--column", metavar="OURS=THEIRS", help="Meaning of a column: t=Zeit, 'angle=phi [deg]'."
+            "--column",
+            metavar="QUANTITY=COLUMN",
+            help="Meaning of a column, by header or number: t=Zeit, 'angle=phi [deg]', 't=1 [us]', revolutions=3.",
         ),
     ] = None,
     marker: Annotated[
@@ -66,11 +70,13 @@ def import_command(
     ] = 0.6,
     casing_fps: Annotated[
         float | None,
-        typer.Option("--casing-fps", metavar="N", help="Capture rate of casing points without times [1/s]."),
+        typer.Option(
+            "--casing-fps", metavar="N", help="Capture rate of a file without times, casing or body [1/s]."
+        ),
     ] = None,
     rotor_fps: Annotated[
         float | None,
-        typer.Option("--rotor-fps", metavar="N", help="Capture rate of rotor points without times [1/s]."),
+        typer.Option("--rotor-fps", metavar="N", help="Capture rate of a rotor file without times [1/s]."),
     ] = None,
     rotor_start: Annotated[
         list[float] | None,
@@ -78,6 +84,24 @@ def import_command(
             "--rotor-start", metavar="T", help="Start of a rotor file of points [s]; once per file."
         ),
     ] = None,
+    pulses_per_turn: Annotated[
+        float | None,
+        typer.Option("--pulses-per-turn", metavar="N", help="The file holds times of pulses, N per turn."),
+    ] = None,
+    start: Annotated[
+        float | None, typer.Option("--from", metavar="T", help="Exclude samples before this time [s].")
+    ] = None,
+    stop: Annotated[
+        float | None, typer.Option("--to", metavar="T", help="Exclude samples after this time [s].")
+    ] = None,
+    cut: Annotated[
+        list[str] | None,
+        typer.Option("--cut", metavar="A:B", help="Exclude samples between two times [s]; repeatable."),
+    ] = None,
+    keep_all: Annotated[
+        bool,
+        typer.Option("--keep-all", help="Keep a drive at the start and a brake or rest at the end (--body)."),
+    ] = False,
     label: Label = None,
     surface: Surface = "",
     inertia_rotor: InertiaRotor = None,
@@ -87,12 +111,13 @@ def import_command(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Make a case from tables of angles or angular rates, or from points tracked by another program.
+    """Make a case from measured angles, angular rates, pulses or tracked points.
 
-    Times in s, all on one clock; angles in rad, wrapped or not. Other units are converted if the header names
-    them, as in `angle [deg]`. Without a sigma column the noise is estimated from the scatter. Points are
-    read from OSP Tracker (text), DeepLabCut and SLEAP (CSV or HDF5). With --body the case is a plain
-    spin-down of a single body; the effects that need a rotor are excluded.
+    The format is recognised by content: CSV or other text, phyphox, Excel, MATLAB, Parquet, JSON, netCDF, projects and
+    text of OSP Tracker, DeepLabCut, SLEAP, movement. Times in s, all on one clock; angles in rad, wrapped or not; other
+    units are converted if the header names them, as in `angle [deg]`. Without a sigma column the noise is estimated
+    from the scatter. With --body the case has a single body; a motor at the start and a brake or rest at the end are
+    detected, reported and excluded. Every repair is reported with its line.
 
     Example: gyrotrack import --casing casing.csv --rotor r1.csv --rotor r2.csv -o case1.h5 --inertia-rotor 5.54e-5
     --inertia-casing "20.6 +- 0.2 g cm2"
@@ -101,8 +126,8 @@ def import_command(
     from gyrotrack.io._atomic import refuse_existing
     from gyrotrack.io._hdf5 import write_case
     from gyrotrack.io.readers._import_case import import_body, import_case, summary
-    from gyrotrack.io.readers._points import Wanted
-    from gyrotrack.io.readers._text import read_names
+    from gyrotrack.io.readers._motion_table import ReadOptions, read_names
+    from gyrotrack.io.readers._run import Limits, read_cuts
 
     out = Output(as_json=as_json, quiet=quiet, verbose=verbose)
     refuse_existing(output, force=force)
@@ -113,12 +138,17 @@ def import_command(
             f"There are {len(rotor)} files of the rotor but {len(starts)} starts.",
             "Give --rotor-start once per file.",
         )
-    points = [Wanted(marker, centre, casing_fps, 0.0, likelihood)]
-    points += [Wanted(marker, centre, rotor_fps, start, likelihood) for start in starts]
     names, title = read_names(columns or ()), output.stem if label is None else label
+    options = [
+        ReadOptions(names or None, marker, centre, fps, begin, likelihood, pulses_per_turn)
+        for fps, begin in [(casing_fps, 0.0), *((rotor_fps, t) for t in starts)]
+    ]
+    limits = Limits(start, stop, read_cuts(cut or ()), keep_all)
     if body is not None and inertia is not None and casing is None and not rotor:
         moment = Inertia.of(inertia)
-        case = import_body(body, moment.value, label=title, surface=surface, names=names, wanted=points[0])
+        case = import_body(
+            body, moment.value, label=title, surface=surface, options=options[0], limits=limits
+        )
         case = replace(case, I_casing_u=moment.u)
     elif casing is not None and body is None and inertia is None:
         inertias = Inertia.required(inertia_rotor, "rotor"), Inertia.required(inertia_casing, "casing")
@@ -129,8 +159,8 @@ def import_command(
             surface=surface,
             I_rotor=inertias[0].value,
             I_casing=inertias[1].value,
-            names=names,
-            wanted=points,
+            options=options,
+            limits=limits,
         )
         case = replace(case, I_rotor_u=inertias[0].u, I_casing_u=inertias[1].u)
     else:
@@ -188,7 +218,7 @@ def export_command(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Export the data as CSV, Parquet or netCDF, according to the suffix of the output.
+    """Export the data as CSV, Parquet, netCDF, JSON or text of OSP Tracker, according to the suffix of the output.
 
     Example: gyrotrack export case1.h5 -o case1.csv
     """

@@ -1,5 +1,5 @@
 "use strict";
-/* The report: dashboards are drawn when their part is first opened; a link opens the part that it leads to; all parts are open in print. */
+/* The report: dashboards are drawn when their part is first opened; a link opens the part that it leads to; all parts open before printing. */
 (() => {
   const boards = JSON.parse(document.getElementById("dashboards").textContent);
   const drawn = new Set();
@@ -22,7 +22,7 @@
 
   document.getElementById("run").addEventListener("toggle", (event) => { if (event.target.open) draw(); });
   addEventListener("hashchange", reveal);
-  addEventListener("beforeprint", () => { for (const p of parts) p.open = true; draw(); });
+  addEventListener("beforeprint", () => { for (const p of parts) p.open = true; });
   expand.addEventListener("click", () => {
     const open = parts.some((p) => !p.open);
     for (const p of parts) p.open = open;
