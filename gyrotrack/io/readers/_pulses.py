@@ -27,6 +27,7 @@ from gyrotrack.io.readers._units import TURN
 
 _MOST_MISSED = 20
 _MOST_MARKS = 512
+_MOST_RESTARTS = 3
 _TICKS = {1e-6: "us", 1e-3: "ms"}
 
 
@@ -58,30 +59,32 @@ def read_pulses(raw: RawTable, options: ReadOptions) -> MotionTable:
         time = time * scale + options.start
     line = raw.line
     gate = _gate(raw, place, options)
-    if gate is not None:
-        state = raw.numeric(gate)
-        assert state is not None  # noqa: S101 - `_gate` returns numeric columns only
-        rising = np.flatnonzero((state[1:] > 0.5) & (state[:-1] <= 0.5)) + 1
-        notes.append(f"{raw.path.name}: events are the changes of '{raw.names[gate]}' from 0 to 1")
-        time, line = time[rising], line[rising]
-    known = np.isfinite(time)
-    time, line = continued_clock(raw.path, time[known], line[known], notes), line[known]
+    state = raw.numbers(gate, raw.names[gate]) if gate is not None else np.ones(len(time))
+    known = np.isfinite(time) & np.isfinite(state)
+    time, line, state = continued_clock(raw.path, time[known], line[known], notes), line[known], state[known]
     order = np.argsort(time, kind="stable")
     if (np.diff(order) < 0).any():
         first = int(np.flatnonzero(np.diff(time) < 0)[0]) + 1
         notes.append(
             f"{raw.path.name}: times are not increasing (line {line[first]}); events were sorted by time"
         )
-    time, line = time[order], line[order]
+    time, line, state = time[order], line[order], state[order]
+    if gate is not None:
+        rising = np.flatnonzero((state[1:] > 0.5) & (state[:-1] <= 0.5)) + 1
+        notes.append(f"{raw.path.name}: events are the changes of '{raw.names[gate]}' from 0 to 1")
+        time, line = time[rising], line[rising]
     return from_events(raw, time, line, per_turn, notes)
 
 
 def _gate(raw: RawTable, place: int, options: ReadOptions) -> int | None:
     """Return the column of a gate's state, if there is one; the marker's name chooses between several."""
     found = []
-    for i in range(len(raw.names)):
-        state = raw.numeric(i) if i != place else None
-        if state is not None and set(np.unique(state[np.isfinite(state)])) == {0.0, 1.0}:
+    for i, column in enumerate(raw.columns):
+        words = {str(c).strip() for c in column if str(c).strip()} if i != place else set()
+        whole = words - {"0", "1", "0.0", "1.0"}
+        if {"0", "1"} <= {w[0] for w in words - whole} and sum(
+            str(c).strip() in whole for c in column
+        ) < 0.02 * len(raw.line):
             found.append(i)
     named = [
         i
@@ -243,6 +246,12 @@ def read_counter(
         )
         step = np.where(resets, 1.0, step)
     at = np.flatnonzero(step > 0) + 1
+    restarts, odd = int(resets.sum()), float(((step < 0) | (step > _MOST_MISSED)).mean())
+    if restarts > _MOST_RESTARTS or odd > 0.02 or (~unique).mean() > 0.2:
+        raise DatasetError(
+            f"{raw.path}: the column {column + 1} does not count at the times of the column {time_column + 1}.",
+            "Check --column revolutions=N, and --column t=N.",
+        )
     if len(at) < FEWEST:
         raise DatasetError(
             f"{raw.path}: the counter has {len(at)} steps; at least {FEWEST} are needed.", "Check the column."
