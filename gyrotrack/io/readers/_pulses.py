@@ -109,18 +109,24 @@ def from_events(
             f"{raw.path.name}: {doubles} double pulses were left out (first: line {line[~single][0]})"
         )
     time, line = time[single], line[single]
-    step = np.diff(time)
-    around = _around(step)
-    ratio = step / around
+    count = _with_missed(raw, time, np.arange(len(time), dtype=float), line, notes)
+    return from_counts(raw, time, count, line, per_turn, notes)
+
+
+def _with_missed(raw: RawTable, time: Floats, count: Floats, line: Integers, notes: list[str]) -> Floats:
+    """Return counts to which pulses are added that are missed: intervals of a multiple of those about them."""
+    step = np.diff(time) / np.diff(count)
+    ratio = step / _around(step)
     whole = np.round(ratio)
     missed = (whole >= 2) & (whole <= _MOST_MISSED) & (np.abs(ratio - whole) < 0.12 * whole)
-    count = np.where(missed, whole, 1.0)
-    if missed.any():
-        notes.append(
-            f"{raw.path.name}: {int((count - 1).sum())} missed pulses were counted "
-            f"(first: before line {line[np.argmax(missed) + 1]})"
-        )
-    return from_counts(raw, time, np.concatenate([[0.0], np.cumsum(count)]), line, per_turn, notes)
+    if not missed.any():
+        return count
+    added = np.where(missed, (whole - 1) * np.diff(count), 0.0)
+    notes.append(
+        f"{raw.path.name}: {int(added.sum())} missed pulses were counted "
+        f"(first: before line {line[np.argmax(missed) + 1]})"
+    )
+    return np.asarray(count + np.concatenate([[0.0], np.cumsum(added)]))
 
 
 def _around(step: Floats) -> Floats:
@@ -266,8 +272,9 @@ def read_counter(
             f"intervals are {rough[0] / max(rough[1], 1e-12):.0f} times smoother"
         )
     rows = choices[int(late)][1]
-    made = _without_glitches(time[rows], total, line[rows], notes, raw)
-    return from_counts(raw, *made, options.pulses_per_turn or 1.0, notes)
+    time, total, line = _without_glitches(time[rows], total, line[rows], notes, raw)
+    total = _with_missed(raw, time, total, line, notes)
+    return from_counts(raw, time, total, line, options.pulses_per_turn or 1.0, notes)
 
 
 def _without_glitches(
