@@ -1,4 +1,4 @@
-"""Write docs/command-line.md from the commands' own help: `python docs/make_command_line.py`."""
+"""Write docs/reference/command-line.md from the commands' own help: `python docs/make_command_line.py`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typer.main import get_command
 from gyrotrack.apps.cli._app import COMMANDS, app
 from gyrotrack.apps.cli._lazy import load
 
-TARGET = Path(__file__).with_name("command-line.md")
+TARGET = Path(__file__).parent / "reference" / "command-line.md"
 
 _HEAD = """# Command line
 

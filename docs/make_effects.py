@@ -1,4 +1,4 @@
-"""Write docs/effects.md from the library of effects: `python docs/make_effects.py`."""
+"""Write docs/reference/effects.md from the library of effects: `python docs/make_effects.py`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from fitting.effects._effect import Effect
 from fitting.effects._library import GENERAL, LIBRARY, LINEAR, REDUCED
 
-TARGET = Path(__file__).with_name("effects.md")
+TARGET = Path(__file__).parent / "reference" / "effects.md"
 
 _HEAD = """# Effects
 

@@ -1,29 +1,19 @@
-"""Write the tables of docs/format.md from the layout that the program writes: `python docs/make_format.py`."""
+"""Write the tables of docs/reference/format.md from the HDF5 schema: `python docs/make_format.py`."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from gyrotrack.io import _schema as layout
-from gyrotrack.io._records import STATUS
+from gyrotrack.io import _schema as schema
 
-TARGET = Path(__file__).with_name("format.md")
+TARGET = Path(__file__).parent / "reference" / "format.md"
 BEGIN, END = "<!-- made by docs/make_format.py: begin -->\n", "<!-- made by docs/make_format.py: end -->\n"
-
-_GROUPS = (
-    ("`/frame`: the clip, frame by frame", layout.FRAME),
-    ("`/marker/<name>`: one marker", layout.MARKER),
-    ("`/body/<name>`: casing or rotor, from all its markers", layout.BODY),
-    ("`/casing` of a case", layout.SERIES),
-    ("`/rotor` of a case: all windows together", layout.WINDOWED),
-    ("`/rotor_generated` of a case, only if one was asked for", layout.GENERATED),
-)
 
 
 def tables() -> str:
     """Return the part of the page that lists every dataset."""
-    parts = [f"Layout version {layout.FORMAT_VERSION}.\n"]
-    for title, table in _GROUPS:
+    parts = [f"Layout version {schema.FORMAT_VERSION}.\n"]
+    for title, table in schema.GROUPS:
         parts += [
             f"### {title}\n",
             "| dataset | dimensions | type | units | meaning |",
@@ -33,18 +23,28 @@ def tables() -> str:
             f"| {f.name} | {', '.join(f.dims)} | {f.dtype} | {f.units} | {f.long_name} |"
             for f in table.fields
         ]
+        if table.attributes:
+            parts += [
+                "",
+                "| attribute | type | units | meaning |",
+                "|---|---|---|---|",
+                *_attributes(table.attributes),
+            ]
         parts.append("")
-    parts.append("### Values of `status`\n")
-    parts += ["| value | meaning |", "|---|---|", *(f"| {v} | {k} |" for k, v in STATUS.items()), ""]
-    parts.append("### Attributes of a recording\n")
-    parts += ["| attribute | units |", "|---|---|"]
-    parts += [f"| {a} | {layout.ATTRIBUTE_UNITS.get(a, '-')} |" for a in layout.RECORDING_ATTRIBUTES]
-    parts.append("")
+    parts += ["### Values of `status`\n", "| value | meaning |", "|---|---|"]
+    parts += [*(f"| {v} | {k} |" for k, v in schema.STATUS.items()), ""]
+    for title, attributes in schema.ATTRIBUTES:
+        parts += [f"### {title}\n", "| attribute | type | units | meaning |", "|---|---|---|---|"]
+        parts += [*_attributes(attributes), ""]
     return "\n".join(parts)
 
 
+def _attributes(attributes: tuple[schema.Attribute, ...]) -> list[str]:
+    return [f"| {a.name} | {a.kind.__name__} | {a.units or '-'} | {a.long_name} |" for a in attributes]
+
+
 def page() -> str:
-    """Return the page as it should be: its own words, and the tables between the two marks."""
+    """Return the page: its text, and the tables between the two marks."""
     head, rest = TARGET.read_text(encoding="utf-8").split(BEGIN)
     return head + BEGIN + tables() + END + rest.split(END)[1]
 

@@ -1,4 +1,4 @@
-"""Run every command of docs/walkthrough.md and put in what it says: `python docs/make_walkthrough.py` (a minute).
+"""Run the commands of docs/tutorial/walkthrough.md and insert their output: `python docs/make_walkthrough.py`.
 
 The words are kept; in each ``console`` block, what follows a line ``$ gyrotrack ...`` is replaced by what the command
 prints today, on stdout and stderr. The commands run in a folder of their own, beside the sample clips.
@@ -14,7 +14,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-TARGET = Path(__file__).with_name("walkthrough.md")
+TARGET = Path(__file__).parent / "tutorial" / "walkthrough.md"
 CLIPS = Path(__file__).resolve().parents[1] / "sample_clips"
 
 

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from fitting._errors import LedgerError as LedgerError
     from fitting._errors import RecordError as RecordError
     from fitting._errors import SimulationError as SimulationError
-    from fitting.discovery._rank import Candidate as Candidate
+    from fitting.discovery._criteria import Criteria as Criteria
+    from fitting.discovery._select import Candidate as Candidate
     from fitting.discovery._select import improve as improve
     from fitting.discovery._verdict import Diagnosis as Diagnosis
     from fitting.discovery._verdict import diagnose as diagnose
@@ -49,7 +50,8 @@ if TYPE_CHECKING:
     from fitting.study._serialisation import load_fit as load_fit
 
 _PLACES = {
-    "Candidate": ("fitting.discovery._rank", "Candidate"),
+    "Candidate": ("fitting.discovery._select", "Candidate"),
+    "Criteria": ("fitting.discovery._criteria", "Criteria"),
     "Diagnosis": ("fitting.discovery._verdict", "Diagnosis"),
     "Effect": ("fitting.effects._effect", "Effect"),
     "EffectError": ("fitting._errors", "EffectError"),
@@ -92,6 +94,7 @@ __all__ = [
     "LINEAR",
     "REDUCED",
     "Candidate",
+    "Criteria",
     "Diagnosis",
     "Effect",
     "EffectError",

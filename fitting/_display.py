@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from fitting.discovery._select import Rung
+    from fitting.discovery._select import Step
     from fitting.discovery._verdict import Diagnosis
     from fitting.inference._result import Fit
     from fitting.inference._speed_residuals import SpeedResidual
@@ -32,6 +32,7 @@ BLUE, VERMILLION, GREY, YELLOW = "#0072B2", "#D55E00", "#BBBBBB", "#F0E442"
 _VERDICTS = {
     "adequate": ("✓", "consistent with noise"),
     "misfit": ("!", "significant lack of fit"),
+    "not determined": ("!", "a parameter is not determined"),
     "not converged": ("✗", "not converged: do not use these numbers"),
     "missing_effect": ("✚", "an effect is missing"),
     "unexplained": ("!", "an unexplained torque remains"),
@@ -99,7 +100,7 @@ def diagnosis_html(diagnosis: Diagnosis) -> str:
     return _block(*parts)
 
 
-def history_html(steps: Sequence[Rung]) -> str:
+def history_html(steps: Sequence[Step]) -> str:
     """Return a history of fits as HTML: a row per fit, with a bar as long as its rms residual."""
     largest = max((s.fit.rmse_casing for s in steps), default=1.0) or 1.0
     rows = []
@@ -202,7 +203,7 @@ def plot_diagnosis(diagnosis: Diagnosis) -> Figure:
     return figure
 
 
-def plot_history(steps: Sequence[Rung]) -> Figure:
+def plot_history(steps: Sequence[Step]) -> Figure:
     """Return a figure of the rms residual and the cross-validation error, one bar per fit."""
     figure = _figure(8.0, 1.6 + 0.4 * len(steps))
     left, right = figure.subplots(1, 2, sharey=True)

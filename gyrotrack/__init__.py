@@ -1,5 +1,16 @@
 """From films of rotating bodies to their equations of motion.
 
+The way from film to case::
+
+    import gyrotrack
+
+    casing = gyrotrack.extract("casing.mp4", "casing.h5", capture_fps=260)
+    rotor = gyrotrack.extract("rotor_1.mp4", "rotor_1.h5", capture_fps=1000)
+    case = gyrotrack.sync(casing, [rotor], "case1.h5", inertia_rotor=5.54e-5, inertia_casing=2.06e-5)
+    gyrotrack.read("case1.h5")
+
+The package `fitting` goes on from the case to the model.
+
 Public names are imported on first use; ``import gyrotrack`` alone imports nothing else.
 """
 
@@ -18,9 +29,12 @@ if TYPE_CHECKING:
     from gyrotrack._errors import TrackingError as TrackingError
     from gyrotrack._errors import UsageError as UsageError
     from gyrotrack._errors import VideoError as VideoError
+    from gyrotrack.apps._api import extract as extract
+    from gyrotrack.apps._api import read as read
+    from gyrotrack.apps._api import sync as sync
     from gyrotrack.apps._simulation import SimulatedRun as SimulatedRun
+    from gyrotrack.apps._study import FitRequest as FitRequest
     from gyrotrack.apps._study import Study as Study
-    from gyrotrack.apps._study import Wish as FitRequest
     from gyrotrack.apps._study import open_study as open_study
     from gyrotrack.apps.report._page import write_report as write_report
     from gyrotrack.io._export import export_file as export_file
@@ -35,8 +49,6 @@ if TYPE_CHECKING:
     from gyrotrack.io._records import Series as Series
     from gyrotrack.io.readers._import_case import import_body as import_body
     from gyrotrack.io.readers._import_case import import_case as import_case
-    from gyrotrack.synchronisation._assembly import synchronise as sync
-    from gyrotrack.tracking._extract import extract as extract
     from gyrotrack.tracking._profile import Profile as Profile
     from gyrotrack.tracking._proposal import Proposal as Proposal
     from gyrotrack.tracking._proposal import propose as propose
@@ -48,7 +60,7 @@ _PLACES = {
     "Case": ("gyrotrack.io._records", "Case"),
     "ConfigurationError": ("gyrotrack._errors", "ConfigurationError"),
     "DatasetError": ("gyrotrack._errors", "DatasetError"),
-    "FitRequest": ("gyrotrack.apps._study", "Wish"),
+    "FitRequest": ("gyrotrack.apps._study", "FitRequest"),
     "GyrotrackError": ("gyrotrack._errors", "GyrotrackError"),
     "MarkerTrack": ("gyrotrack.io._records", "MarkerTrack"),
     "OutputError": ("gyrotrack._errors", "OutputError"),
@@ -64,14 +76,15 @@ _PLACES = {
     "UsageError": ("gyrotrack._errors", "UsageError"),
     "VideoError": ("gyrotrack._errors", "VideoError"),
     "export_file": ("gyrotrack.io._export", "export_file"),
-    "extract": ("gyrotrack.tracking._extract", "extract"),
+    "extract": ("gyrotrack.apps._api", "extract"),
     "import_body": ("gyrotrack.io.readers._import_case", "import_body"),
     "import_case": ("gyrotrack.io.readers._import_case", "import_case"),
     "open_study": ("gyrotrack.apps._study", "open_study"),
     "propose": ("gyrotrack.tracking._proposal", "propose"),
+    "read": ("gyrotrack.apps._api", "read"),
     "read_case": ("gyrotrack.io._hdf5", "read_case"),
     "read_recording": ("gyrotrack.io._hdf5", "read_recording"),
-    "sync": ("gyrotrack.synchronisation._assembly", "synchronise"),
+    "sync": ("gyrotrack.apps._api", "sync"),
     "write_case": ("gyrotrack.io._hdf5", "write_case"),
     "write_recording": ("gyrotrack.io._hdf5", "write_recording"),
     "write_report": ("gyrotrack.apps.report._page", "write_report"),
@@ -103,6 +116,7 @@ __all__ = [
     "import_case",
     "open_study",
     "propose",
+    "read",
     "read_case",
     "read_recording",
     "sync",

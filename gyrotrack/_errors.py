@@ -19,7 +19,7 @@ from __future__ import annotations
 
 
 class GyrotrackError(Exception):
-    """A fault of the input or of the environment, told in one sentence.
+    """A fault of the input or of the environment; ``str(error)`` is the message and the hint.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ class GyrotrackError(Exception):
     exit_code = 1
 
     def __init__(self, message: str, hint: str = "") -> None:
-        super().__init__(message)
+        super().__init__(f"{message} {hint}".rstrip())
         self.message = message
         self.hint = hint
 

@@ -10,7 +10,12 @@ from gyrotrack.apps.cli._app import COMMANDS
 from gyrotrack.apps.cli._lazy import load
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "CHANGELOG.md",
+    ROOT / "CONTRIBUTING.md",
+    *sorted((ROOT / "docs").rglob("*.md")),
+]
 ENTRIES = {entry.name: entry for entry in COMMANDS}
 LANGUAGES = {"sh", "console", "text", "python", "toml", "json"}
 
@@ -24,6 +29,7 @@ def commands(path):
     """Return every command of the program that a page shows to be typed."""
     found = []
     for language, text in blocks(path):
+        text = re.sub(r"\\\n *", " ", text)
         for line in text.splitlines():
             typed = line.removeprefix("$ ") if language == "console" else line
             if (language == "sh" or line.startswith("$ ")) and re.match(r"(\S*/)?gyrotrack\b", typed):

@@ -16,8 +16,7 @@ from hidden import twins
 from oracle import Oracle
 from plan import Planned
 
-from fitting.discovery._rank import Candidate
-from fitting.discovery._select import Rung, best, improve
+from fitting.discovery._select import Candidate, Step, best, improve
 from fitting.discovery._verdict import Diagnosis, diagnose
 from fitting.dynamics._model import Model
 from fitting.effects._library import LIBRARY, REDUCED
@@ -129,7 +128,7 @@ def _added(chosen: Candidate, run: Planned) -> dict[str, Any]:
     return {"name": chosen.effect.name, "parameters": rows, **refit}
 
 
-def _ladder(rungs: list[Rung], base_names: list[str], run: Planned) -> dict[str, Any]:
+def _ladder(rungs: list[Step], base_names: list[str], run: Planned) -> dict[str, Any]:
     final = [n for n in rungs[-1].fit.model.names if n not in base_names]
     if not final:
         verdict = "adequate" if rungs[-1].fit.verdict == "adequate" else "unexplained"

@@ -14,21 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import SimulationError
+from fitting.discovery._criteria import Criteria
 from fitting.dynamics._events import solve
 from fitting.dynamics._mesh import Mesh, Sampler
 from fitting.dynamics._sensitivities import angles, sensitivities
 from fitting.inference._result import Fit
 
 if TYPE_CHECKING:
-    from fitting.discovery._rank import Candidate
+    from fitting.discovery._select import Candidate
 
 
 Array = NDArray[np.float64]
 
 _POINTS = 240
 _SIGMA = 1e-3
-# sigma below which an experiment is not worth its while
-_CLEAR = 5.0
 
 
 def _options(omega_r: float, omega_c: float) -> dict[str, tuple[float, float, float]]:
@@ -50,15 +49,17 @@ def _options(omega_r: float, omega_c: float) -> dict[str, tuple[float, float, fl
     }
 
 
-def next_experiment(fit: Fit, rivals: Sequence[Candidate]) -> str:
-    """Return the experiment that parts the rivals best, in words with its sigma; empty for fewer than two.
+def next_experiment(fit: Fit, rivals: Sequence[Candidate], criteria: Criteria) -> str:
+    """Return the experiment that separates the rivals best, in words with its sigma; empty for fewer than two.
 
     Parameters
     ----------
     fit : Fit
         The base.
     rivals : sequence of Candidate
-        Refitted candidates that the present data cannot tell apart.
+        Refitted candidates that the present data cannot separate.
+    criteria : Criteria
+        `experiment_sigma`.
     """
     fits = [(c.effect.name, c.fit) for c in rivals if c.fit is not None and not c.effect.depends_on_angle]
     if len(fits) < 2:
@@ -80,16 +81,16 @@ def next_experiment(fit: Fit, rivals: Sequence[Candidate]) -> str:
         )
         if size > best_size:
             best, best_size, pair = text, size, names
-    if best_size < _CLEAR:
+    if best_size < criteria.experiment_sigma:
         return (
-            f"No run of this gyroscope with other start speeds or of other length would tell {fits[0][0]} from "
-            f"{fits[1][0]}: change what only one of them depends on (the air's pressure, the surface, the oil)."
+            f"No run of this gyroscope with other initial speeds or of other length separates {fits[0][0]} from "
+            f"{fits[1][0]}: change what only one of them depends on (air pressure, surface, lubricant)."
         )
-    return f"To tell {pair[0]} from {pair[1]}: {best} would part them by {best_size:.0f} sigma."
+    return f"To separate {pair[0]} from {pair[1]}: {best} ({best_size:.0f} sigma)."
 
 
 class _Run(NamedTuple):
-    """The casing's angle in a run, what the free parameters can do to it, and the noise of each point."""
+    """The casing's angle in a run, its free columns (orthonormal), and the noise of each point."""
 
     angle: Array
     free: Array
@@ -97,7 +98,7 @@ class _Run(NamedTuple):
 
 
 def _separation(a: _Run, b: _Run) -> float:
-    """Return how many sigma the prediction of b lies from all that a can mimic in a new run."""
+    """Return the distance of b's prediction from all that a can reproduce in a new run [sigma]."""
     difference = b.angle - a.angle
     left = difference - a.free @ (a.free.T @ difference)
     return float(np.linalg.norm(left) / a.sigma)

@@ -1,29 +1,27 @@
-"""Tests of what a named law leaves: smooth tests, nonparametric laws, periodogram.
+"""Lack-of-fit tests of a fit with its named law: smooth tests, nonparametric laws, periodogram.
 
-A law of the wrong shape leaves a torque that is a smooth function of the speed which the true law depends on, the same
-in all cases. Few numbers describe it, and noise has fewer ways to look like it than like any slow torque. The
-model gets torques piecewise linear in the speed of the casing, the rotor or the bearing, on the casing or in the
-bearing, with a few knots or with more. Each choice S, beside all that is free, takes
+A law of the wrong shape leaves a torque that is a smooth function of the speed on which the true law depends, the same
+in all cases; few numbers describe it. The model is extended by torques piecewise linear in the speed of the casing, the
+rotor or the bearing, acting on the casing or in the bearing, with 4 or 8 knots. Each choice S, besides the free
+columns, lowers chi-square by
 
     chi2 = r'S (S'S)^-1 S'r   with rank(S) degrees of freedom
 
-away if nothing is missing: a smooth test of the model at several resolutions (J. Hart, Nonparametric Smoothing and
-Lack-of-Fit Tests, Springer (1997), ch. 5-7). The least of their p-values is set against that of noise put through the
-same choices.
+if nothing is missing: a smooth test at several resolutions (J. Hart, Nonparametric Smoothing and Lack-of-Fit Tests,
+Springer (1997), ch. 5-7). The smallest p-value is calibrated on null data put through the same choices.
 
-A table that shakes, a fan, a pendulum: a torque that swings in time is fast, so that a random torque of short memory
-explains how much is left. But it stands at one frequency, and that torque at all. The model gets a cosine and a sine of
-each frequency on the casing; with the whitened responses S to the two, beside all that is free,
+A sinusoidal torque in time (a vibrating table, a fan) is fast, so that process noise of short correlation time accounts
+for its variance, but not for its single frequency. The model is extended by a cosine and a sine of each frequency on
+the casing; with their whitened responses S, besides the free columns,
 
     chi2 = r'S (S'S)^-1 S'r   with 2 degrees of freedom
 
-if nothing is missing, which is twice the power z of a periodogram. Noise reaches it anywhere among frequencies up to f
-in the share
+if nothing is missing, twice the power z of a periodogram. Noise exceeds it at some frequency up to f with probability
 
     p = W sqrt(z) exp(-z),   W = f sqrt(4 pi var t)
 
-of all records (R. Baluev, Mon. Not. R. Astron. Soc. 385, 1279 (2008), eq. 6). Slow swings, of which a record holds less
-than ten, are left to the test of slow torques.
+(R. Baluev, Mon. Not. R. Astron. Soc. 385, 1279 (2008), eq. 6). Torques with less than ten periods in the record are
+the subject of the test against slow torques.
 """
 
 from __future__ import annotations
@@ -36,7 +34,10 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.discovery._score import CaseColumns, Stage, free_score, over_many
+from fitting.discovery._criteria import Criteria
+from fitting.discovery._residuals import micro_newton_metres
+from fitting.discovery._score import CaseColumns, ScoreContext, over_many_tests, score_of_columns
+from fitting.discovery._select import Candidate
 from fitting.dynamics._mesh import Sampler
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import Prediction
@@ -61,32 +62,34 @@ def hats(speed: Array, knots: Array) -> Array:
     return np.stack([np.interp(speed, knots, row) for row in np.eye(len(knots))], axis=1)
 
 
-def any_law_of_the_casing(fit: Fit) -> float:
-    """Return the fall of the deviance by a torque on the casing that follows its speed in whatever way.
+def nonparametric_casing_law(fit: Fit) -> float:
+    """Return the fall of the deviance by any smooth function of the casing's speed as a torque on the casing.
 
-    The law is the same in all cases. It is scored as a candidate is, without a refit.
+    The law is the same in all cases. It is scored like a candidate, without a refit.
     """
     return _fall(fit, lambda case, p: speeds(case.response.centres, p)[0])
 
 
-def any_slow_torque(fit: Fit, *, apart: bool = False) -> float:
-    """Return the fall of the deviance by a torque on the casing that changes slowly in time, scored in the same way.
+def nonparametric_slow_torque(fit: Fit, *, own_phase: bool = False) -> float:
+    """Return the fall of the deviance by a slow torque in time on the casing, scored in the same way.
 
-    It is the same in all cases, or each has one of its own (`apart`).
+    It is the same in all cases, or each case has its own (`own_phase`).
     """
-    return _fall(fit, lambda case, _: case.response.centres, apart=apart)
+    return _fall(fit, lambda case, _: case.response.centres, own_phase=own_phase)
 
 
-def _fall(fit: Fit, followed: Callable[[CaseColumns, Prediction], Array], *, apart: bool = False) -> float:
+def _fall(
+    fit: Fit, followed: Callable[[CaseColumns, Prediction], Array], *, own_phase: bool = False
+) -> float:
     cases = [CaseColumns(fit, i) for i in range(len(fit.predictions))]
-    stage = Stage(fit, 1)
+    context = ScoreContext(fit, 1)
     own = [followed(c, p) for c, p in zip(cases, fit.predictions, strict=True)]
     least, most = min(float(x.min()) for x in own), max(float(x.max()) for x in own)
     found = []
     for count in KNOTS:
         knots = np.linspace(least, most, count)
         rows = [_rows(c, c.response.casing @ hats(x, knots)) for c, x in zip(cases, own, strict=True)]
-        found.append(free_score(stage, block_diagonal(rows) if apart else np.concatenate(rows)))
+        found.append(score_of_columns(context, block_diagonal(rows) if own_phase else np.concatenate(rows)))
     return max(found)
 
 
@@ -103,57 +106,58 @@ _DRAWS = 2000
 
 
 @dataclass(frozen=True)
-class Objection:
-    """Whose speed a remaining torque follows best, and the probability of as much by noise (at most)."""
+class SmoothTest:
+    """The body on whose speed a residual torque depends most clearly, and the p-value (an upper bound)."""
 
     body: str
     p_value: float
 
     @property
     def words(self) -> str:
-        """What the torque does, to be read behind the name of what leaves it."""
-        return f"follows the speed of the {self.body}"
+        """What the residual torque depends on."""
+        return f"depends on the speed of the {self.body}"
 
 
-def objection(fit: Fit) -> Objection:
-    """Return how clearly what a fit leaves follows a speed.
+def smooth_test(fit: Fit) -> SmoothTest:
+    """Return how significantly the residual torque of a fit depends on a speed.
 
     Parameters
     ----------
     fit : Fit
-        The fit with the law that was named.
+        The fit with the named law.
     """
     named, tried, free, residual = _smooth_rows(fit)
     basis = orthonormal(free, _RANK_FREE)
     left = residual - basis @ (basis.T @ residual)
-    looked = [(name, s) for name, s in zip(named, (_beside(s, basis) for s in tried), strict=True) if s.size]
-    if not looked:
-        return Objection("", 1.0)
-    # all that is looked at lies in few dimensions, and noise is the same in each of them
-    whole = orthonormal(np.concatenate([s for _, s in looked], axis=1), _RANK_FREE)
-    looks = [s.T @ whole for _, s in looked]
-    seen = _p_values(looks, (whole.T @ left)[:, None])[:, 0]
-    empty = _p_values(looks, np.random.default_rng(0).standard_normal((whole.shape[1], _DRAWS)))
-    best = int(np.argmin(seen))
-    return Objection(looked[best][0], over_many(float(seen[best]), empty.min(axis=0)))
+    columns = [(name, _orthogonal(s, basis)) for name, s in zip(named, tried, strict=True)]
+    columns = [(name, s) for name, s in columns if s.size]
+    if not columns:
+        return SmoothTest("", 1.0)
+    # all columns lie in a space of few dimensions, in which white noise is white
+    whole = orthonormal(np.concatenate([s for _, s in columns], axis=1), _RANK_FREE)
+    tests = [s.T @ whole for _, s in columns]
+    found = _p_values(tests, (whole.T @ left)[:, None])[:, 0]
+    null = _p_values(tests, np.random.default_rng(0).standard_normal((whole.shape[1], _DRAWS)))
+    best = int(np.argmin(found))
+    return SmoothTest(columns[best][0], over_many_tests(float(found[best]), null.min(axis=0)))
 
 
-def _beside(columns: Array, basis: Array) -> Array:
-    """Return an orthonormal basis of what columns do beside an orthonormal basis."""
+def _orthogonal(columns: Array, basis: Array) -> Array:
+    """Return an orthonormal basis of the part of some columns that is orthogonal to a basis."""
     columns = columns / np.maximum(np.linalg.norm(columns, axis=0), _TINY)
     columns = columns - basis @ (basis.T @ columns)
     return orthonormal(columns[:, np.linalg.norm(columns, axis=0) > _RANK_FREE], _RANK)
 
 
-def _p_values(looks: list[Array], rows: Array) -> Array:
-    """Return the p-value of each look (rows) at each set of data (columns)."""
+def _p_values(tests: list[Array], rows: Array) -> Array:
+    """Return the p-value of each test (rows) of each set of data (columns)."""
     from scipy.special import chdtrc
 
-    return np.array([chdtrc(len(look), np.sum((look @ rows) ** 2, axis=0)) for look in looks])
+    return np.array([chdtrc(len(test), np.sum((test @ rows) ** 2, axis=0)) for test in tests])
 
 
 def _smooth_rows(fit: Fit) -> tuple[list[str], list[Array], Array, Array]:
-    """Return names, and as whitened rows of all cases: torques that follow a speed, what is free, the residual."""
+    """Return names, and as whitened rows of all cases: torques of a speed, free columns, the residual."""
     cases = list(zip(fit.problem.data, fit.predictions, fit.noise, strict=True))
     responses = [TorqueResponse(data, p.motion) for data, p, _ in cases]
     each = [speeds(r.centres, p) for r, (_, p, _) in zip(responses, cases, strict=True)]
@@ -187,16 +191,16 @@ def _choices(seen: Array) -> list[tuple[int, Array, int]]:
 
 
 _FEWEST_PERIODS = 10
-# frequencies to a peak, and to a finer look about the highest one
-_A_PEAK = 2
+# trial frequencies per peak, and of the finer search about the highest one
+_PER_PEAK = 2
 _FINER = 16
-# share of its response that a torque must keep beside what is free
-_SEEN = 1e-3
+# share of its response that a torque must retain orthogonal to the free columns
+_RETAINED = 1e-3
 
 
 @dataclass(frozen=True)
-class SpectralLine:
-    """The torque on one body that swings at one frequency and stands out most.
+class PeriodogramPeak:
+    """The highest peak of the periodogram of the residual torque on one body.
 
     Attributes
     ----------
@@ -205,13 +209,13 @@ class SpectralLine:
     torque : float
         Its amplitude [N m].
     angle : float
-        The amplitude that it gives the body's angle, k / (I w^2) [rad].
+        Amplitude of the body's angle, k / (I w^2) [rad].
     label : str
         The case.
     body : str
-        What carries it: "casing", or "body" where only one was recorded.
+        "casing", or "body" where only one was recorded.
     p_value : float
-        Probability that noise stands out as much, at most.
+        Probability that noise has as high a peak (an upper bound).
     """
 
     rate: float
@@ -223,10 +227,10 @@ class SpectralLine:
 
     @property
     def words(self) -> str:
-        """What it does, to be read behind the name of what leaves it."""
+        """What the residual torque depends on."""
         return (
-            f"swings with a period of {2 * math.pi / self.rate:.4g} s in {self.label}, like a torque of "
-            f"{self.torque:.2g} N m on the {self.body}, or its angle by {1e3 * self.angle:.2g} mrad"
+            f"is sinusoidal with a period of {2 * math.pi / self.rate:.4g} s in {self.label}: a torque of "
+            f"{micro_newton_metres(self.torque)} on the {self.body}, or {1e3 * self.angle:.2g} mrad of its angle"
         )
 
     @property
@@ -235,45 +239,47 @@ class SpectralLine:
         return f"casing: k*cos({self.rate:.5g}*t + phi)"
 
 
-def spectral_line(fit: Fit) -> SpectralLine | None:
-    """Return what swings most clearly in what a fit leaves, if anything could.
+def periodogram_peak(fit: Fit) -> PeriodogramPeak | None:
+    """Return the highest peak of the periodograms of all cases; None if no record is long enough.
 
-    An encoder or the frames of a camera may err in step with a frequency of their own, by less than one angle errs: on
-    film, what swings less is none.
+    An encoder or a camera may err at a frequency of its own, by less than the noise of one angle: on film, a smaller
+    amplitude does not count.
     """
-    found = [line for line in _lines(fit) if line is not None]
+    found = [line for line in _peaks(fit) if line is not None]
     return min(found, key=lambda line: line.p_value, default=None)
 
 
-def _lines(fit: Fit) -> Iterator[SpectralLine | None]:
+def _peaks(fit: Fit) -> Iterator[PeriodogramPeak | None]:
     cases = list(zip(fit.problem.data, fit.predictions, fit.noise, strict=True))
     for data, p, noise in cases:
-        look = _Periodogram(data, p, noise)
-        lowest, highest, step = look.band
+        periodogram = _Periodogram(data, p, noise)
+        lowest, highest, step = periodogram.band
         if highest <= lowest:
             continue
         coarse = np.arange(lowest, highest, step)
-        peak = coarse[int(np.argmax(look(coarse)[0]))]
+        peak = coarse[int(np.argmax(periodogram(coarse)[0]))]
         fine = np.linspace(peak - step, peak + step, 2 * _FINER + 1)
-        power, torque = look(fine)
+        power, torque = periodogram(fine)
         top = int(np.argmax(power))
         k, rate = float(torque[top]), float(fine[top])
         angle = k / (data.record.I_casing * rate**2)
         shown = not data.record.tracked or angle > float(np.median(data.record.casing.sigma))
-        chance = len(cases) * by_noise(float(power[top]), (highest - lowest) / (2 * np.pi), look.span)
+        chance = len(cases) * false_alarm_probability(
+            float(power[top]), (highest - lowest) / (2 * np.pi), periodogram.span
+        )
         p_value = min(chance, 1.0) if shown else 1.0
-        yield SpectralLine(rate, k, angle, data.record.label, data.record.body, p_value)
+        yield PeriodogramPeak(rate, k, angle, data.record.label, data.record.body, p_value)
 
 
-def by_noise(chi2: float, band: float, span: float) -> float:
-    """Return the probability that noise reaches a chi-square of two degrees of freedom somewhere in a band.
+def false_alarm_probability(chi2: float, band: float, span: float) -> float:
+    """Return the probability that noise reaches a chi-square of two degrees of freedom anywhere in a band.
 
     Parameters
     ----------
     chi2 : float
         The largest one.
     band : float
-        Width of the frequencies that were looked at [Hz].
+        Width of the band [Hz].
     span : float
         Length of the record [s], evenly covered.
     """
@@ -283,14 +289,14 @@ def by_noise(chi2: float, band: float, span: float) -> float:
 
 
 class _Periodogram:
-    """Chi-square and amplitude [N m] of torques on the casing of one case that swing."""
+    """Chi-square and amplitude [N m] of sinusoidal torques on the casing of one case."""
 
     def __init__(self, data: CaseData, prediction: Prediction, noise: Noise) -> None:
         self._response = TorqueResponse(data, prediction.motion)
         self._project = Projection(data, noise.whitener.at(noise.pure))
         self._rows = len(data.z)
         self._basis = orthonormal(self._project(prediction.columns), _RANK_FREE)
-        self._left = self._beside(self._project((data.z - prediction.rows)[:, None]))[:, 0]
+        self._left = self._orthogonal(self._project((data.z - prediction.rows)[:, None]))[:, 0]
 
     @property
     def span(self) -> float:
@@ -301,7 +307,7 @@ class _Periodogram:
     def band(self) -> tuple[float, float, float]:
         """Lowest and highest frequency, and their distance [rad/s]."""
         cell = self._response.edges[1] - self._response.edges[0]
-        return 2 * np.pi * _FEWEST_PERIODS / self.span, 1.0 / float(cell), 2 * np.pi / self.span / _A_PEAK
+        return 2 * np.pi * _FEWEST_PERIODS / self.span, 1.0 / float(cell), 2 * np.pi / self.span / _PER_PEAK
 
     def __call__(self, rates: Array) -> tuple[Array, Array]:
         """Return chi-square and amplitude at frequencies [rad/s]."""
@@ -310,15 +316,63 @@ class _Periodogram:
         rows = np.zeros((self._rows, waves.shape[1]))
         rows[: len(self._response.casing)] = self._response.casing @ waves
         seen = self._project(rows)
-        c, s = np.split(self._beside(seen), 2, axis=1)
+        c, s = np.split(self._orthogonal(seen), 2, axis=1)
         whole = np.prod(np.split(np.sum(seen**2, axis=0), 2), axis=0)
         cc, ss, cs = np.sum(c * c, axis=0), np.sum(s * s, axis=0), np.sum(c * s, axis=0)
         x, y = c.T @ self._left, s.T @ self._left
         area = cc * ss - cs**2
-        known = area > _SEEN**2 * whole
+        known = area > _RETAINED**2 * whole
         safe = np.where(known, area, 1.0)
         a, b = (ss * x - cs * y) / safe, (cc * y - cs * x) / safe
         return np.where(known, a * x + b * y, 0.0), np.hypot(a, b)
 
-    def _beside(self, rows: Array) -> Array:
+    def _orthogonal(self, rows: Array) -> Array:
         return np.asarray(rows - self._basis @ (self._basis.T @ rows))
+
+
+# rivals that no library names
+UNKNOWN_LAW = "a law of omega_c that the library does not have"
+UNKNOWN_IN_TIME = "a torque that changes slowly in time"
+
+
+def contradiction(
+    chosen: Candidate | None, end: Fit, criteria: Criteria
+) -> SmoothTest | PeriodogramPeak | None:
+    """Return the lack-of-fit test that contradicts an answer, if one does.
+
+    Parameters
+    ----------
+    chosen : Candidate or None
+        The named effect.
+    end : Fit
+        The fit with it.
+    criteria : Criteria
+        `doubt_named` and `doubt_adequate`.
+    """
+    peak = periodogram_peak(end)
+    if peak is not None and peak.p_value < criteria.doubt_adequate:
+        return peak
+    # an equivalence class leaves the law open by itself
+    if chosen is not None and chosen.indistinguishable_from:
+        return None
+    test = smooth_test(end)
+    return (
+        test if test.p_value < (criteria.doubt_adequate if chosen is None else criteria.doubt_named) else None
+    )
+
+
+def nonparametric_rivals(fit: Fit, chosen: Candidate | None, criteria: Criteria) -> tuple[str, ...]:
+    """Return the nonparametric torques that explain as much as a single named effect does.
+
+    A periodic law, or one with a changepoint, can resemble a law of the casing's speed; one with a period of the
+    record's length resembles any slow torque in time.
+    """
+    if chosen is None or chosen.indistinguishable_from or not chosen.physical:
+        return ()
+    least = max(chosen.score, chosen.screened.score) - criteria.equivalence_width
+    found = []
+    if not chosen.effect.of_casing_speed and nonparametric_casing_law(fit) > least:
+        found.append(UNKNOWN_LAW)
+    if chosen.effect.periodic and nonparametric_slow_torque(fit, own_phase=chosen.own_phase) > least:
+        found.append(UNKNOWN_IN_TIME)
+    return tuple(found)

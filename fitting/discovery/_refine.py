@@ -1,16 +1,18 @@
-"""Refits of candidate effects on top of the base model.
+"""Refits of candidate effects on top of the base model, and of the chosen one to full convergence.
 
-About a refit, the time is moved step by step through its neighbourhood, all else following linearly,
+A candidate starts from the base's optimum at the strength and shape of its score; base and effect move together.
+Around a refit, a changepoint t0 is scanned through its neighbourhood while all other parameters follow linearly,
 
     cost(t0) = | M (z - rows(t0)) |^2,   M = 1 - J (J'J)^-1 J',
 
-and the best place is a start for another refit. A case that stays loud beside the others has its time far off: the
-first search took place while the parameters that all cases share were bent by what was missing in each. Once the
-other cases have pinned them, its whole record is searched again by the score test.
+and its minimum starts another refit. In a joint fit, a case whose process noise stays high has its changepoint far
+off: the first search took place while the shared parameters were biased by the effect that every case lacks. Once the
+other cases determine them, the whole record of that case is scored again.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -19,39 +21,66 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import FittingError, SimulationError
-from fitting.discovery._score import CaseColumns, Score, Stage, search_alone
-from fitting.effects._effect import Effect
+from fitting.discovery._criteria import DEFAULT, Criteria
+from fitting.discovery._score import CaseColumns, Score, ScoreContext, score_in_case
+from fitting.dynamics._model import Model
+from fitting.effects._effect import Effect, Parameter
 from fitting.inference._fit import fit
 from fitting.inference._lack_of_fit import orthonormal
 from fitting.inference._noise import Noise
+from fitting.inference._noise_level import measure_noise
 from fitting.inference._result import Fit
 
-# BIC must fall by this much: "positive" evidence after R. Kass, A. Raftery, J. Am. Stat. Assoc. 90, 773 (1995)
-_EVIDENCE = 2.0
+Array = NDArray[np.float64]
+
+_REACH = 0.04
+_STEPS = 48
+_RANK = 1e-7
 
 
-def excused(found: Fit) -> bool:
-    """Return whether a fit leaves more than the noise of the data, which counts as noise in it."""
+def refined(found: Fit, criteria: Criteria = DEFAULT) -> Fit:
+    """Return a quick fit at its exact minimum, with the noise measured about its own model.
+
+    Process noise that falls when an effect is added was partly that effect.
+    """
+    end = at_pure_noise(fit_at(found, found.noise), criteria)
+    noise = measure_noise(end.problem, end.theta)
+    if all(new.pure >= criteria.quieter * old.pure for new, old in zip(noise, end.noise, strict=True)):
+        return end
+    quieter = at_pure_noise(fit_at(end, noise), criteria)
+    return quieter if quieter.bic < end.bic - criteria.evidence else end
+
+
+def is_quieter(fit: Fit, than: Fit, criteria: Criteria) -> bool:
+    """Return whether a fit has less process noise than another: the pure level, or that of its model."""
+    return any(
+        n.pure < old.pure or n.level < criteria.quieter * old.level
+        for n, old in zip(fit.noise, than.noise, strict=True)
+    )
+
+
+def has_model_noise(found: Fit) -> bool:
+    """Return whether a model needs more process noise than the data has, which hides its lack of fit."""
     return any(n.level > n.pure for n in found.noise)
 
 
-def sharpest(found: Fit) -> Fit:
-    """Return a fit, or the one from a search with no more noise than the data has if that describes the data better.
+def at_pure_noise(found: Fit, criteria: Criteria) -> Fit:
+    """Return a fit, or the one at no more noise than the data has if that describes the data better.
 
-    Where the noise that a model is excused with hides what is wrong about a shape, nothing moves it.
+    Where process noise stands for a lack of fit in the shape of a law, nothing moves that shape.
     """
-    if not excused(found):
+    if not has_model_noise(found):
         return found
     pure = [replace(n, level=n.pure, whitener=n.whitener.at(n.pure)) for n in found.noise]
-    # without an excuse a search may run away to where nothing can be integrated
+    # at the pure noise a search may diverge
     with suppress(FittingError):
-        sharp = again(found, pure)
-        return sharp if sharp.deviance < found.deviance - _EVIDENCE else found
+        sharp = fit_at(found, pure)
+        return sharp if sharp.deviance < found.deviance - criteria.evidence else found
     return found
 
 
-def again(found: Fit, noise: Sequence[Noise]) -> Fit:
-    """Return a fit made again from its own values at a given noise, to the end."""
+def fit_at(found: Fit, noise: Sequence[Noise]) -> Fit:
+    """Return a fit made again from its own values at a given noise, to full convergence."""
     layout = found.problem.layout
     return fit(
         found.model,
@@ -63,59 +92,52 @@ def again(found: Fit, noise: Sequence[Noise]) -> Fit:
     )
 
 
-Array = NDArray[np.float64]
-
-_REACH = 0.04
-_STEPS = 48
-_RANK = 1e-7
-# a score that empty data would hardly ever show
-_CLEAR = 25.0
-
-
-def distant_breaks(fit: Fit, effect: Effect) -> dict[str, float]:
-    """Return the parameters of a fit with the effect set in anew in the cases in which the fit leaves a torque.
+def distant_changepoints(fit: Fit, effect: Effect, criteria: Criteria) -> dict[str, float]:
+    """Return the parameters of a fit with the changepoint searched anew in cases that keep a residual torque.
 
     Parameters
     ----------
     fit : Fit
         A fit with the effect.
     effect : Effect
-        One that has a breakpoint.
+        One with a changepoint.
+    criteria : Criteria
+        `changepoint_score`.
 
     Returns
     -------
     dict
-        Values by name; empty if nothing speaks for another time.
+        Values by name; empty if no other time is better.
     """
     layout = fit.problem.layout
     strength = next(p.symbol for p in effect.parameters if p.role == "amplitude")
     keys = [f"{effect.name}.{effect.breakpoint}", f"{effect.name}.{strength}"]
-    loud = [i for i, n in enumerate(fit.noise) if n.level > n.pure]
-    if not loud:
+    noisy = [i for i, n in enumerate(fit.noise) if n.level > n.pure]
+    if not noisy:
         return {}
-    theta, stage = fit.theta.copy(), Stage(fit, 1)
-    for index in loud:
-        found = search_alone(stage, effect, CaseColumns(fit, index).trials(effect), index)
-        if found.score > _CLEAR:
+    theta, context = fit.theta.copy(), ScoreContext(fit, 1)
+    for index in noisy:
+        found = score_in_case(context, effect, CaseColumns(fit, index).trials(effect), index)
+        if found.score > criteria.changepoint_score:
             places = [int(layout.places(index, [k])[0]) for k in keys]
             theta[places] = found.shape[0][effect.breakpoint], found.gamma[0]
     return _moved(fit, theta)
 
 
-def better_breaks(fit: Fit, effect: Effect) -> dict[str, float]:
-    """Return the parameters of a fit with the times at which an effect sets in at their best places.
+def local_changepoints(fit: Fit, effect: Effect) -> dict[str, float]:
+    """Return the parameters of a fit with each changepoint at the best time of its neighbourhood.
 
     Parameters
     ----------
     fit : Fit
         A fit with the effect.
     effect : Effect
-        One that has a breakpoint.
+        One with a changepoint.
 
     Returns
     -------
     dict
-        Values by name; empty if they stand well.
+        Values by name; empty if no other time is better.
     """
     layout, key = fit.problem.layout, f"{effect.name}.{effect.breakpoint}"
     theta = fit.theta.copy()
@@ -126,7 +148,7 @@ def better_breaks(fit: Fit, effect: Effect) -> dict[str, float]:
 
 
 def _moved(fit: Fit, theta: Array) -> dict[str, float]:
-    """Return variables by name; nothing if they are those of the fit."""
+    """Return variables by name; empty if they equal those of the fit."""
     if np.array_equal(theta, fit.theta):
         return {}
     return dict(zip(fit.problem.layout.names, theta.tolist(), strict=True))
@@ -155,45 +177,40 @@ def _best(fit: Fit, index: int, place: int) -> float:
     return float(times[best]) if costs[best] < cost(now) else now
 
 
-# a refit that lowers the deviance by so much less than promised has lost its way: rivals nearer than this are alike
-_SHORT = 10.0
-
-
-def refit(base: Fit, score: Score, *, thorough: bool = True) -> Fit | None:
+def refit(base: Fit, score: Score, criteria: Criteria, *, thorough: bool = True) -> Fit | None:
     """Return the fit of base and candidate from the base's optimum; None if there is none.
 
-    A `thorough` one tries other ways where it falls short of what the screen promised.
+    With `thorough`, a refit that falls short of its score is repeated in other ways.
     """
     found = together(base, score)
     if thorough and found is not None:
-        found = _as_promised(base, score, found)
-    if not score.effect.breakpoint:
+        found = _as_scored(base, score, found, criteria)
+    if not score.effect.breakpoint or found is None:
         return found
-    for look in (distant_breaks, better_breaks):
-        elsewhere = look(found, score.effect) if found is not None else {}
-        other = together(base, score, elsewhere) if elsewhere else None
-        found = (
-            other if other is not None and found is not None and other.deviance < found.deviance else found
-        )
-    return found
+    distant = distant_changepoints(found, score.effect, criteria)
+    found = _better(found, together(base, score, distant) if distant else None)
+    local = local_changepoints(found, score.effect)
+    return _better(found, together(base, score, local) if local else None)
 
 
-def _as_promised(base: Fit, score: Score, found: Fit) -> Fit:
-    """Return a refit, or if it falls short of what the screen promised the best of several ways to one.
+def _better(found: Fit, other: Fit | None) -> Fit:
+    return other if other is not None and other.deviance < found.deviance else found
 
-    A base that misses much excuses it with a random torque, and at that noise the search may throw away a strength,
-    or stay beside a shape, that would explain what is missed.
+
+def _as_scored(base: Fit, score: Score, found: Fit, criteria: Criteria) -> Fit:
+    """Return a refit, or if it falls short of its score the best of several.
+
+    The process noise of a base with a large lack of fit may cancel the strength, or stop at a wrong shape, of the
+    law that would explain it.
     """
 
     def short(reached: Fit) -> bool:
-        return base.deviance - reached.deviance < score.score - _SHORT
+        return base.deviance - reached.deviance < score.score - criteria.refit_shortfall
 
-    if not excused(base) or not short(found):
+    if not has_model_noise(base) or not short(found):
         return found
-    other = together(base, score, held=True)
-    if other is not None and other.deviance < found.deviance:
-        found = other
-    return sharpest(found) if short(found) else found
+    found = _better(found, together(base, score, held=True))
+    return at_pure_noise(found, criteria) if short(found) else found
 
 
 def together(
@@ -206,7 +223,7 @@ def together(
 ) -> Fit | None:
     """Return the fit of base and candidate, with some parameters common to all cases; None if there is none.
 
-    `held` keeps the strength, too, where the screen saw it until all else has followed.
+    `held` keeps the strength, as well as the shape, at its score's value until all other parameters have converged.
     """
     layout = base.problem.layout
     own = [k for k in layout.per_case if k in base.model.free]
@@ -217,7 +234,7 @@ def together(
             base.model.with_effect(score.effect),
             base.problem.data,
             share=[*shared, *common] if len(layout.records) > 1 else (),
-            per_case=[*own, *_apart(score)] if len(layout.records) > 1 else (),
+            per_case=[*own, *_own_phase_keys(score)] if len(layout.records) > 1 else (),
             start=begin if start is None else begin | dict(start),
             noise=base.noise,
             steady=[n for n in begin if _keeps(score.effect, n, held=held)] if start is None else (),
@@ -228,16 +245,16 @@ def together(
     return found if np.isfinite(found.deviance) else None
 
 
-def _apart(score: Score) -> list[str]:
-    """Return the parameters of which each case has its own though the effect is common to all."""
-    roles = {"amplitude", "phase"} if score.apart else set()
+def _own_phase_keys(score: Score) -> list[str]:
+    """Return the parameters of a shared effect of which each case has its own value."""
+    roles = {"amplitude", "phase"} if score.own_phase else set()
     return [f"{score.effect.name}.{p.symbol}" for p in score.effect.parameters if p.role in roles]
 
 
 def at_one_phase(score: Score) -> Score:
-    """Return a score as a start where all cases have the same strength and phase."""
+    """Return a score with one strength and phase common to all cases, as an initial value."""
     gamma = score.gamma.reshape(-1, 2).mean(axis=0)
-    return replace(score, gamma=gamma, columns=2, apart=False)
+    return replace(score, gamma=gamma, columns=2, own_phase=False)
 
 
 def _keeps(effect: Effect, name: str, *, held: bool) -> bool:
@@ -246,10 +263,10 @@ def _keeps(effect: Effect, name: str, *, held: bool) -> bool:
 
 
 def with_one_value(base: Fit, score: Score, found: Fit) -> Fit | None:
-    """Return the fit in which all cases have the same value of what may differ from case to case.
+    """Return the fit in which all cases share the per-case parameters of the candidate; None if it has none.
 
-    Surfaces that happen to agree need one number and not one each: a law must not lose against a rival
-    because its parameters are free to differ.
+    Surfaces that agree need one number and not one each: a law must not lose against a rival because its
+    parameters may differ between cases.
     """
     prefix = score.effect.name + "."
     keys = [k for k in found.problem.layout.per_case if k.startswith(prefix)]
@@ -263,17 +280,16 @@ def with_one_value(base: Fit, score: Score, found: Fit) -> Fit | None:
 
 
 def with_own_values(base: Fit, score: Score, found: Fit, common: Fit) -> Fit:
-    """Return the fit in which each case has its own values, begun where all have the same; the better of two."""
+    """Return the better of a fit and one with per-case values that starts from the common ones."""
     values = {name: e.value for name, e in common.estimates.items()}
     start = {n: values.get(n, values.get(n.partition("@")[0])) for n in found.problem.layout.names}
-    again = together(base, score, {n: v for n, v in start.items() if v is not None})
-    return again if again is not None and again.deviance < found.deviance else found
+    return _better(found, together(base, score, {n: v for n, v in start.items() if v is not None}))
 
 
 def start_of(base: Fit, score: Score) -> dict[str, float]:
-    """Return start values of a candidate's parameters from its score."""
+    """Return initial values of a candidate's parameters from its score."""
     effect, labels = score.effect, [r.label for r in base.problem.layout.records]
-    own = len(labels) > 1 and (score.apart or effect.per_case)
+    own = len(labels) > 1 and (score.own_phase or effect.per_case)
     phase = next((p.symbol for p in effect.parameters if p.role == "phase"), None)
     amplitude = next(p.symbol for p in effect.parameters if p.role == "amplitude")
     gamma = score.gamma.reshape(len(labels) if own else 1, -1)
@@ -289,6 +305,77 @@ def start_of(base: Fit, score: Score) -> dict[str, float]:
             }
         else:
             found = {**found, amplitude: float(gamma[i][0])}
-        common = score.shape[i] if score.apart else {}
+        common = score.shape[i] if score.own_phase else {}
         values |= {f"{effect.name}.{k}{'' if k in common else tail}": float(v) for k, v in found.items()}
     return values
+
+
+_WIDTHS = (0.02, 0.1, 0.5, 2.0)
+_POWER = re.compile(r"abs\((\w+)\)\*\*([\d.]+)\*sign\(\1\)|(\w+)\*abs\(\3\)|\b(omega_[rc]|delta)\*\*2")
+_JUMP = re.compile(r"heaviside\(t - (\w+)\)")
+
+
+def with_shape_parameter(effect: Effect) -> Effect | None:
+    """Return a law of the library with its fixed shape constant as a parameter; None if it has none.
+
+    A power of a speed has its exponent n; a step at t0 becomes (1 + tanh((t - t0) / w)) / 2 with the width w.
+    """
+    if effect.amplitude is None or effect.depends_on_angle or effect.state is not None:
+        return None
+    roles = [p.role for p in effect.parameters]
+    power = _POWER.search(effect.law)
+    if power and roles == ["amplitude"] and effect.law.count("*") - power[0].count("*") <= 2:
+        signed, order = power[1] or power[3], float(power[2] or 2.0)
+        law = f"abs({signed})**n*sign({signed})" if signed else f"abs({power[4]})**n"
+        rest = effect.law.replace(power[0], "")
+        if "omega" in rest.replace("sign(omega_c)", "") or "delta" in rest:
+            return None
+        strength = replace(effect.amplitude, unit="N m s^n")
+        exponent = Parameter("n", "1", "shape", max(0.1, order - 1), order + 1, order, meaning="its exponent")
+        return replace(effect, law=effect.law.replace(power[0], law), parameters=(strength, exponent))
+    jump = _JUMP.search(effect.law)
+    if jump and effect.breakpoint == jump[1] and roles.count("shape") == 1:
+        width = Parameter("w", "s", "shape", 1e-3, 1e3, _WIDTHS[0], _WIDTHS, meaning="its width")
+        law = effect.law.replace(jump[0], f"(0.5 + 0.5*tanh((t - {jump[1]})/w))")
+        return replace(effect, law=law, parameters=(*effect.parameters, width), breakpoint="")
+    return None
+
+
+def freed(found: Fit, effect: Effect, criteria: Criteria) -> Fit | None:
+    """Return the fit with the shape constant of one of its effects as a parameter, if BIC asks for it.
+
+    Parameters
+    ----------
+    found : Fit
+        A refined fit with the effect.
+    effect : Effect
+        The effect.
+    criteria : Criteria
+        `shape_evidence`.
+    """
+    general = with_shape_parameter(effect)
+    if general is None:
+        return None
+    layout = found.problem.layout
+    model = Model(tuple(general if e.name == effect.name else e for e in found.model.effects))
+    symbol = general.parameters[-1].symbol
+    values = {k: e.value for k, e in found.estimates.items()}
+    best: Fit | None = None
+    for start in general.parameters[-1].grid or (general.parameters[-1].start,):
+        with suppress(FittingError):
+            other = fit(
+                model,
+                found.problem.data,
+                share=[k for k in model.free if k not in layout.per_case] if len(layout.records) > 1 else (),
+                per_case=layout.per_case,
+                start=values | {f"{effect.name}.{symbol}": start},
+                noise=found.noise,
+                quick=True,
+            )
+            best = other if best is None else _better(best, other)
+    if best is None:
+        return None
+    with suppress(FittingError):
+        best = refined(best, criteria)
+        return best if best.bic < found.bic - criteria.shape_evidence else None
+    return None

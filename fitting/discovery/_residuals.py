@@ -1,13 +1,13 @@
-"""Residuals of a fit: autocorrelation, residual torque, failing intervals.
+"""Residuals of a fit: whiteness, unmodelled torque, failing intervals.
 
-Given the residual rows r = W_c u_c + W_r u_r + noise and a smooth random prior for the torques u on casing and rotor
-(an Ornstein-Uhlenbeck process of long correlation time whose level is taken from the residuals themselves), the
-posterior mean and its spread are those of a Gaussian process (C. Rasmussen, C. Williams, Gaussian
-Processes for Machine Learning, 2.2); start angles and phases are free.
+Unmodelled torque. Given r = W_c u_c + W_r u_r + noise and a smooth prior for the torques u on casing and rotor (an
+Ornstein-Uhlenbeck process of long correlation time whose level is estimated from the residuals), the posterior mean and
+standard deviation are those of a Gaussian process (C. Rasmussen, C. Williams, Gaussian Processes for Machine Learning,
+2.2); start angles and phases are free.
 
-With the whitened response S of the rows to torques sin(n psi), cos(n psi) of 1 N m, n = 1, 2, and what is left of
-it beside all that is free (parameters, phases, a centre offset, a tilt, a rolling shutter) and beside slow torques of
-any shape, because what a model misses elsewhere leaks into the few turns in which the casing is slow,
+Harmonics of the angle. With the whitened response S of the rows to torques sin(n psi), cos(n psi) of 1 N m, n = 1, 2,
+and the residual, both orthogonal to the free columns (parameters, phases, centre offset, tilt, rolling shutter) and to
+slow torques of any shape, because a lack of fit elsewhere leaks into the few turns in which the casing is slow,
 
     gamma = (S'S)^-1 S'r,   cov(gamma) = (S'S)^-1,   torque(psi) = sum_n gamma_2n-1 sin(n psi) + gamma_2n cos(n psi).
 """
@@ -21,6 +21,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.discovery._criteria import DEFAULT, Criteria
 from fitting.dynamics._mesh import Sampler
 from fitting.effects._library import LIBRARY
 from fitting.inference._case_data import CaseData
@@ -58,7 +59,7 @@ def whiteness(fit: Fit) -> list[Whiteness]:
 
     results = []
     for data, n, p in zip(fit.problem.data, fit.noise, fit.predictions, strict=True):
-        # a level of noise that has swallowed what the model misses would whiten that too
+        # process noise that stands for a lack of fit would whiten that, too
         project = Projection(data, n.whitener.at(n.pure))
         blocks, k, _ = data.casing.lift.shape
         rows = project(p.rows - data.z)[data.slices["casing"]].reshape(blocks, k)[:, :_POWERS]
@@ -82,7 +83,7 @@ _FLOOR = 3e-3
 
 @dataclass(frozen=True)
 class ResidualTorque:
-    """What is missing on one body: time [s], torque and its standard deviation [N m], and both speeds there."""
+    """Unmodelled torque on one body: time [s], torque and its standard deviation [N m], and both speeds there."""
 
     label: str
     body: str
@@ -94,7 +95,7 @@ class ResidualTorque:
 
 
 def residual_torques(fit: Fit) -> list[ResidualTorque]:
-    """Return the residual torque of each body of each case of a fit."""
+    """Return the unmodelled torque on each body of each case of a fit."""
     curves = []
     for i in range(len(fit.problem.cases)):
         curves += _case(fit, i)
@@ -102,8 +103,6 @@ def residual_torques(fit: Fit) -> list[ResidualTorque]:
 
 
 def _case(fit: Fit, index: int) -> list[ResidualTorque]:
-    from fitting.dynamics._mesh import Sampler
-
     data, prediction, noise = fit.problem.data[index], fit.predictions[index], fit.noise[index]
     response = TorqueResponse(data, prediction.motion)
     smooth = data.slices["smooth"]
@@ -126,7 +125,7 @@ def _case(fit: Fit, index: int) -> list[ResidualTorque]:
     for body in ("casing",) if data.record.single else ("casing", "rotor"):
         mean = level**2 * shaped[body].T @ seen
         learned = level**4 * np.einsum("ic,ij,jc->c", shaped[body], gain, shaped[body], optimize=True)
-        # rounding sets a floor where the data says almost everything
+        # rounding sets a floor where the data determine the torque almost completely
         sigma = np.sqrt(np.maximum(level**2 - learned, (_FLOOR * level) ** 2))
         seen_at = _seen(response.centres, data, body)
         curves.append(
@@ -140,7 +139,7 @@ def _case(fit: Fit, index: int) -> list[ResidualTorque]:
 
 
 def _seen(times: Array, data: CaseData, body: str) -> NDArray[np.bool_]:
-    """Return when a body was filmed; the rotor between its windows counts, before and after them does not."""
+    """Return when a body was filmed; for the rotor, from its first window to its last."""
     runs = (data.casing,) if body == "casing" else data.rotor
     first = min(float(r.samples.time[0]) for r in runs)
     last = max(float(r.samples.time[-1]) for r in runs)
@@ -170,7 +169,7 @@ _RANK = 1e-6
 
 @dataclass(frozen=True)
 class Ripple:
-    """What follows the angle of the casing of one case.
+    """Harmonics of the unmodelled torque in the angle of the casing of one case.
 
     Attributes
     ----------
@@ -215,7 +214,7 @@ class Ripple:
 
 
 def ripples(fit: Fit) -> list[Ripple]:
-    """Return the ripple of each case of a fit; none where speeds were measured and not angles."""
+    """Return the harmonics of each case of a fit; none where speeds were measured and not angles."""
     found = []
     cases = zip(fit.problem.cases, fit.problem.projections, fit.predictions, strict=True)
     for index, (case, project, p) in enumerate(cases):
@@ -239,9 +238,6 @@ def ripples(fit: Fit) -> list[Ripple]:
 
 
 _BAND = 1.96
-_CLEAR = 4.0
-# two amplitudes at once: noise alone is as large once in ten thousand, exp(-4.3**2 / 2)
-_CLEAR_RIPPLE = 4.3
 _TURNS = {1: "once a turn", 2: "twice a turn"}
 _SHORTEST = 1 / 100
 _MOST = 6
@@ -249,7 +245,7 @@ _MOST = 6
 
 @dataclass(frozen=True)
 class Failure:
-    """A stretch where the model fails.
+    """An interval with a significant unmodelled torque.
 
     Attributes
     ----------
@@ -258,19 +254,21 @@ class Failure:
     t_start, t_stop : float
         When [s].
     kind : str
-        "loses torque" or "gains torque" against the model; "ripple" for a torque that follows the angle.
+        "loses torque" or "gains torque" against the model; "ripple" for a harmonic of the angle.
     where : str
         In words: in the rise, near the peak, in the tail; once or twice a turn.
     size_sigma : float
         Largest distance from zero in standard deviations.
     residual_rad_s : float
-        Largest misfit of the speed in the stretch, with its sign; of a ripple, where the casing is slowest.
+        Largest speed residual in the interval, with its sign; of a harmonic, where the casing is slowest.
     residual_torque_Nm : float
-        Mean torque that the model lacks; amplitude of a ripple.
+        Mean unmodelled torque; amplitude of a harmonic.
     omega_c : tuple of float
-        The casing's lowest and highest speed in the stretch [rad/s].
+        The casing's lowest and highest speed in the interval [rad/s].
     called : str
-        What people call the body: "body" in the casing's place where only one was recorded.
+        "body" for the casing where only one body was recorded.
+    torque_sigma_Nm : float
+        Standard uncertainty of the torque; of the mean over an interval an upper bound (full correlation).
     """
 
     label: str
@@ -284,36 +282,53 @@ class Failure:
     residual_torque_Nm: float  # noqa: N815 - the unit's own capitals
     omega_c: tuple[float, float]
     called: str
+    torque_sigma_Nm: float = float("nan")  # noqa: N815
 
     def __str__(self) -> str:
+        torque = micro_newton_metres(self.residual_torque_Nm, self.torque_sigma_Nm)
         if self.kind == "ripple":
             return (
-                f"{self.where} the {self.called} feels a torque of {self.residual_torque_Nm:.2g} N m that the model "
-                f"does not have ({self.size_sigma:.0f} sigma)"
+                f"unmodelled torque on the {self.called} {self.where}, amplitude {torque} "
+                f"({self.size_sigma:.0f} sigma)"
             )
-        verb = "loses" if self.residual_torque_Nm < 0 else "gains"
+        sign = "+" if self.residual_torque_Nm > 0 else ""
         return (
-            f"from {self.t_start:.1f} s to {self.t_stop:.1f} s, {self.where}, the {self.called} {verb} "
-            f"{abs(self.residual_torque_Nm):.2g} N m more than the model says ({self.size_sigma:.0f} sigma)"
+            f"unmodelled torque on the {self.called} {sign}{torque}, {self.t_start:.1f} s to {self.t_stop:.1f} s, "
+            f"{self.where} ({self.size_sigma:.0f} sigma)"
         )
 
 
-def find_failures(fit: Fit, curves: Sequence[ResidualTorque], waves: Sequence[Ripple] = ()) -> list[Failure]:
-    """Return the stretches in which a model fails, and what follows the angle, worst first.
+def micro_newton_metres(value: float, sigma: float = float("nan")) -> str:
+    """Return a torque in uN m (nN m below 0.01 uN m), rounded to its standard uncertainty where that is known."""
+    scale, unit = (
+        (1e6, "uN m") if max(abs(value), abs(sigma) if sigma == sigma else 0.0) >= 1e-8 else (1e9, "nN m")
+    )
+    if not np.isfinite(sigma) or sigma <= 0:
+        return f"{value * scale:.3g} {unit}"
+    digits = max(0, -int(np.floor(np.log10(sigma * scale))))
+    return f"{value * scale:.{digits}f} +- {sigma * scale:.{digits}f} {unit}"
 
-    A ripple is told only where it is clearer than any stretch: a torque that lasts less than a turn cannot be told from
-    one that follows the angle, and leaks into the turns in which the casing is slow. Stretches are to be mended first.
+
+def find_failures(
+    fit: Fit, curves: Sequence[ResidualTorque], waves: Sequence[Ripple] = (), criteria: Criteria = DEFAULT
+) -> list[Failure]:
+    """Return the intervals and harmonics with a significant unmodelled torque, the most significant first.
+
+    A harmonic is reported only where it is more significant than any interval: a torque that lasts less than a turn
+    leaks into the turns in which the casing is slow.
 
     Parameters
     ----------
     fit : Fit
         The fitted model.
     curves : sequence of ResidualTorque
-        Its residual torques.
+        Its unmodelled torques.
     waves : sequence of Ripple
-        What it leaves against the angle.
+        Their harmonics in the angle.
+    criteria : Criteria
+        `failure_sigma`, `harmonic_sigma`.
     """
-    found = [f for curve in curves for f in _stretches(fit, curve)]
+    found = [f for curve in curves for f in _intervals(fit, curve, criteria.failure_sigma)]
     worst = {c.label: 0.0 for c in curves}
     for f in found:
         worst[f.label] = max(worst[f.label], f.size_sigma)
@@ -321,33 +336,33 @@ def find_failures(fit: Fit, curves: Sequence[ResidualTorque], waves: Sequence[Ri
         f
         for wave in waves
         for n in _TURNS
-        for f in _ripple(fit, wave, n)
+        for f in _harmonic(fit, wave, n, criteria.harmonic_sigma)
         if f.size_sigma > worst.get(f.label, 0.0)
     ]
     return sorted(found, key=lambda f: -f.size_sigma)[:_MOST]
 
 
-def _ripple(fit: Fit, wave: Ripple, n: int) -> list[Failure]:
+def _harmonic(fit: Fit, wave: Ripple, n: int, least: float) -> list[Failure]:
     amplitude, size = wave.size(n)
-    if size < _CLEAR_RIPPLE:
+    if size < least:
         return []
     index = fit.labels.index(wave.label)
     record, path = fit.problem.data[index].record, fit.predictions[index].path
     t = record.casing.time
     speed = np.abs(Sampler(path.mesh, t).value(path.y[..., 1]))
-    # the speed swings by torque / (inertia n omega), most where the casing is slowest but still turns
+    # the amplitude of the speed is torque / (I n omega), largest where the casing is slowest but still turns
     slowest = max(float(speed.min()), float(np.sqrt(amplitude / record.I_casing)), 1e-3)
-    swing = amplitude / (record.I_casing * n * slowest)
+    oscillation = amplitude / (record.I_casing * n * slowest)
     span = float(t[0]), float(t[-1])
     return [
         Failure(
-            wave.label, "casing", *span, "ripple", _TURNS[n], size, swing, amplitude,
-            (float(speed.min()), float(speed.max())), record.body,
+            wave.label, "casing", *span, "ripple", _TURNS[n], size, oscillation, amplitude,
+            (float(speed.min()), float(speed.max())), record.body, amplitude / size,
         )
     ]  # fmt: skip
 
 
-def _stretches(fit: Fit, curve: ResidualTorque) -> list[Failure]:
+def _intervals(fit: Fit, curve: ResidualTorque, least: float) -> list[Failure]:
     ratio = curve.torque / np.maximum(curve.sigma, 1e-300)
     outside = np.abs(ratio) > _BAND
     record = fit.problem.data[fit.labels.index(curve.label)].record
@@ -360,7 +375,7 @@ def _stretches(fit: Fit, curve: ResidualTorque) -> list[Failure]:
         if not outside[a] or curve.time[b - 1] - curve.time[a] < _SHORTEST * span:
             continue
         size = float(np.abs(ratio[a:b]).max())
-        if size < _CLEAR:
+        if size < least:
             continue
         mean = float(curve.torque[a:b].mean())
         failures.append(
@@ -376,6 +391,7 @@ def _stretches(fit: Fit, curve: ResidualTorque) -> list[Failure]:
                 mean,
                 (float(curve.omega_c[a:b].min()), float(curve.omega_c[a:b].max())),
                 called,
+                float(curve.sigma[a:b].mean()),
             )
         )
     return failures
@@ -383,12 +399,12 @@ def _stretches(fit: Fit, curve: ResidualTorque) -> list[Failure]:
 
 def _place(curve: ResidualTorque, a: int, b: int) -> str:
     peak = int(np.argmax(np.abs(curve.omega_c)))
-    top = 0.9 * abs(curve.omega_c[peak])
     if a == 0 and b == len(curve.time):
-        return "all the time"
-    if np.abs(curve.omega_c[a:b]).max() > top and a <= peak + (b - a) and b >= peak - (b - a):
-        return "near the peak"
-    return "in the rise" if b <= peak else "in the tail" if a >= peak else "around the peak"
+        return "throughout"
+    if a <= peak < b:
+        near = np.abs(curve.omega_c[a:b]).min() > 0.9 * abs(curve.omega_c[peak])
+        return "near the peak" if near else "around the peak"
+    return "in the rise" if b <= peak else "in the tail"
 
 
 def _speed_misfit(fit: Fit, curve: ResidualTorque, a: int, b: int) -> float:

@@ -1,34 +1,37 @@
-"""Score test of all candidate effects at once, without a refit.
+"""Score test of all candidate effects at once, without a refit; null distributions of the scores.
 
-The covariance of the rows of a case is C = V (1 + s^2 L) V' with the same V at every level s. So rows are turned by V'
-once, and whitened at each level by a factor a row.
+The covariance of the rows of a case is C = V (1 + s^2 L) V' with the same V at every level s of the process noise, so
+rows are rotated by V' once and whitened at each level by one factor per row.
 
 A small torque u(t) on a body moves the rows by W u, with the response W of the linearised motion to a torque
-in each of many short cells. So one matrix product gives the rows of all candidates and of all values of
-their shape constants; only laws that follow an angle, and what cameras do, are computed on the samples.
+in each of many short cells. One matrix product gives the rows of all candidates at all values of their shape
+constants; only laws of an angle and camera effects are evaluated at the samples.
 
-With rows whitened by the noise, residuals r, Jacobian J (parameters and nuisances) and columns s of a candidate,
+With whitened residuals r, Jacobian J (parameters and nuisance parameters) and columns s of a candidate,
 
     M = 1 - J (J'J)^-1 J',   gamma = (s'Ms)^-1 s'Mr,   S = gamma' (s'Ms) gamma,
 
-is the fall of chi-square that a refit would bring (C. R. Rao, Proc. Camb. Phil. Soc. 44, 50 (1948)). The level
-of the random torque competes with the effect for the same residuals, so it is profiled: the score
-is the fall of the deviance, minimised over the level without and with the effect.
+is the fall of chi-square that a refit would bring (C. R. Rao, Proc. Camb. Phil. Soc. 44, 50 (1948)). The process noise
+competes with the effect for the same residuals, so its level is profiled: the score is the fall of the deviance,
+minimised over the level without and with the effect.
 
-A candidate that tries many shapes amounts to N independent trials, p = 1 - (1 - p1)^N, with the N that reproduces the
-tail of its largest scores in empty data; the whole list amounts to so many independent candidates in the same sense.
+Candidates are correlated, and some try many shapes, so p-values come from simulated null data put through the same
+search. A candidate that tries many shapes amounts to N independent trials, p = 1 - (1 - p1)^N, with the N that
+reproduces the upper tail of its largest scores in null data; the whole list amounts to a number of independent
+candidates in the same sense (P. Westfall, S. Young, Resampling-Based Multiple Testing, Wiley (1993)).
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.discovery._criteria import Criteria
 from fitting.dynamics._mesh import Sampler
 from fitting.dynamics._model import INERTIA_CASING
 from fitting.effects._effect import Effect, Parameter
@@ -43,13 +46,13 @@ Array = NDArray[np.float64]
 
 _LEVELS = 9
 _CAMERA_WIDTH = 6
-# share of a column that is left beside the base, angles taken as exact, below which the base mimics it
+# share of a column orthogonal to the base, angles taken as exact, below which the base absorbs it
 _ABSORBED = 1e-7
 _SEED = 7
 
 
 class Level(NamedTuple):
-    """One level of the random torque: factor of each row, basis of what is free, what is left, and the deviance."""
+    """One level of process noise: gain of each row, basis of the free columns, projected residual, deviance."""
 
     gain: Array
     basis: Array
@@ -57,8 +60,16 @@ class Level(NamedTuple):
     deviance: float
 
 
-class Stage:
-    """Whitened residuals, Jacobian and empty data at several levels of the random torque."""
+class ScoreContext:
+    """Whitened residuals, free columns and null data of a fit at several levels of process noise.
+
+    Parameters
+    ----------
+    fit : Fit
+        The base.
+    draws : int
+        Number of null data sets.
+    """
 
     def __init__(self, fit: Fit, draws: int) -> None:
         self.fit = fit
@@ -66,30 +77,30 @@ class Stage:
         self.ends = np.cumsum([0, *(len(d.z) for d in data)])
         random = np.random.default_rng(_SEED)
         shares = np.linspace(0, 1, _LEVELS) if any(n.level > n.pure for n in fit.noise) else np.array([1.0])
-        self._turns = [n.whitener.vectors for n in fit.noise]
+        self._axes = [n.whitener.vectors for n in fit.noise]
         self._whiteners = [[n.whitener.at(_between(n.pure, n.level, x)) for n in fit.noise] for x in shares]
-        # a parameter on its bound is held there: what an effect would free is left to the refit
+        # a parameter at its bound is held; only the refit can release it
         moving = ~fit.problem.layout.at_bound(fit.theta)
         free = np.concatenate([p.jacobian[:, moving] for p in fit.predictions])
         nuisance = block_diagonal([d.nuisance for d in data])
         residual = np.concatenate([d.z - p.rows for d, p in zip(data, fit.predictions, strict=True)])
         everything = np.concatenate([free, nuisance], axis=1)
-        self._free = self.turned(everything)
+        self._free = self.rotated(everything)
         self._nuisance_at = free.shape[1] + np.cumsum([0, *(d.nuisance.shape[1] for d in data)])
-        self._residual = self.turned(residual)
+        self._residual = self.rotated(residual)
         self._plain = _orthonormal(everything[:, : self._nuisance_at[0]])
         self.levels = [self._level(w, self._free) for w in self._whiteners]
-        self.draws = self.turned(random.standard_normal((len(residual), draws)))
+        self.draws = self.rotated(random.standard_normal((len(residual), draws)))
 
-    def turned(self, rows: Array) -> Array:
-        """Turn rows of all cases into the axes of their noise."""
+    def rotated(self, rows: Array) -> Array:
+        """Return rows of all cases along the principal axes of their noise."""
         parts = []
-        for v, a, b in zip(self._turns, self.ends, self.ends[1:], strict=False):
+        for v, a, b in zip(self._axes, self.ends, self.ends[1:], strict=False):
             parts += [v.T @ rows[a : a + len(v)], rows[a + len(v) : b]]
         return np.concatenate(parts)
 
-    def mimicked(self, groups: Sequence[Array]) -> NDArray[np.bool_]:
-        """Return which groups of columns lie within what is free."""
+    def absorbed_by_base(self, groups: Sequence[Array]) -> NDArray[np.bool_]:
+        """Return which groups of columns the free columns of the base absorb."""
         everything = np.concatenate(groups, axis=1)
         left = everything - self._plain @ (self._plain.T @ everything)
         share = np.linalg.norm(left, axis=0) / np.maximum(np.linalg.norm(everything, axis=0), 1e-300)
@@ -105,13 +116,13 @@ class Stage:
         r = r - q @ (q.T @ r)
         return Level(gain, q, r, float(r @ r) + sum(w.log_determinant for w in whiteners))
 
-    def beside(self, columns: Array) -> list[Level]:
+    def with_free(self, columns: Array) -> list[Level]:
         """Return the levels with further columns free."""
-        free = np.concatenate([self._free, self.turned(columns)], axis=1)
+        free = np.concatenate([self._free, self.rotated(columns)], axis=1)
         return [self._level(w, free) for w in self._whiteners]
 
-    def without(self, name: str) -> list[Level]:
-        """Return the levels with a camera's nuisance taken out of what is free."""
+    def with_nuisance_removed(self, name: str) -> list[Level]:
+        """Return the levels with the columns of a camera effect no longer free."""
         skip = [int(end) - _CAMERA_WIDTH + i for end in self._nuisance_at[1:] for i in CAMERA_COLUMNS[name]]
         free = np.delete(self._free, skip, axis=1)
         return [self._level(w, free) for w in self._whiteners]
@@ -130,12 +141,12 @@ def _orthonormal(columns: Array) -> Array:
     return np.asarray(u[:, s > 1e-10 * s[0]])
 
 
-# an oscillation is looked for at frequencies so near that its phase drifts by this much in between [rad]
+# spacing of trial frequencies: phase difference over the record [rad]
 _PHASE_STEP = 1.5
-# and up to the frequency that the cells resolve [rad per cell]
+# highest trial frequency, which the cells still resolve [rad per cell]
 _FASTEST = 1.0
 _MAX_FREQUENCIES = 1500
-# times of a break are tried this many times finer than their grid says
+# changepoints are tried on a grid this many times finer than declared
 _FINER = 8
 
 
@@ -181,7 +192,7 @@ class CaseColumns:
             sine, cosine = self.case.unit_columns(
                 effect, self.prediction.path, self.prediction.sensitivity, self.numbers
             )
-            pair = [sine, cosine] if _phase(effect) else [sine]
+            pair = [sine, cosine] if _phase_symbol(effect) else [sine]
             return [Trial({}, np.stack(pair, axis=1))]
         if choices is None:
             shapes = [p for p in effect.parameters if p.role == "shape"]
@@ -198,16 +209,16 @@ class CaseColumns:
 
     def _grid(self, effect: Effect, p: Parameter) -> Array:
         first, last = self.case.data.record.span
-        if effect.state is not None and _phase(effect):
+        if effect.state is not None and _phase_symbol(effect):
             # phase of the oscillation per unit of its frequency parameter, over the whole record
             turns = self._state(effect, {p.symbol: 1.0})
-            reach = float(np.ptp(turns))
+            range_ = float(np.ptp(turns))
             fastest = _FASTEST / max(float(np.abs(np.diff(turns)).max()), 1e-300)
-            count = int(min(_MAX_FREQUENCIES, fastest * reach / _PHASE_STEP))
+            count = int(min(_MAX_FREQUENCIES, fastest * range_ / _PHASE_STEP))
             return np.linspace(fastest / max(count, 1), fastest, max(count, 1))
         grid = np.array(p.grid or (p.start,))
         if p.symbol == effect.breakpoint:
-            # the clearer a break, the narrower the hollow about its time
+            # the clearer a changepoint, the narrower the minimum around its time
             finer = np.interp(np.arange((len(grid) - 1) * _FINER + 1) / _FINER, np.arange(len(grid)), grid)
             return np.asarray(first + finer * (last - first))
         return grid * (last - first) if p.relative else grid
@@ -223,20 +234,20 @@ class CaseColumns:
             law = [self._whole[effect.joint] * np.asarray(slope)]
         else:
             values[amplitude] = 1.0
-            tape, phase = Tape([effect.expression]), _phase(effect)
+            tape, phase = Tape([effect.expression]), _phase_symbol(effect)
             law = [
                 np.asarray(tape(values | ({phase: phi} if phase else {}))[0])
                 for phi in ((0.0, np.pi / 2) if phase else (0.0,))
             ]
         unit = np.stack([v * np.ones(len(self.response.centres)) for v in law], axis=1)
         if effect.breakpoint:
-            self._part_of_cell(effect, values, unit)
+            self._jump_within_cell(effect, values, unit)
         on_rotor = {"rotor": 1.0, "casing": 0.0, "inertia": 0.0}.get(effect.joint, -1.0)
         on_casing = {"rotor": 0.0, "casing": 1.0}.get(effect.joint, 1.0)
         return on_rotor * unit, on_casing * unit
 
-    def _part_of_cell(self, effect: Effect, values: dict[str, Any], unit: Array) -> None:
-        """Let a jump within a cell act for the part of the cell that comes after it."""
+    def _jump_within_cell(self, effect: Effect, values: dict[str, Any], unit: Array) -> None:
+        """Let a jump within a cell act for the part of the cell after it."""
         edges = self.response.edges
         cell = int(np.searchsorted(edges, values[effect.breakpoint], side="right")) - 1
         if not 0 <= cell < len(unit):
@@ -273,11 +284,11 @@ class CaseColumns:
         return state
 
 
-def _phase(effect: Effect) -> str:
+def _phase_symbol(effect: Effect) -> str:
     return next((p.symbol for p in effect.parameters if p.role == "phase"), "")
 
 
-# shape constants, one set a case, and the columns over the rows of all cases
+# shape constants of each case, and the columns over the rows of all cases
 Group = tuple[tuple[dict[str, float], ...], Array]
 
 
@@ -300,11 +311,11 @@ class Score:
     trials : int
         How many choices of its shape constants were tried.
     absorbed : bool
-        The base can mimic it completely.
+        The base absorbs it completely.
     direction : ndarray
         Its whitened, projected column at the fitted strength, of unit length (for cosines).
-    apart : bool
-        Each case has a strength and a phase of its own, though not a shape.
+    own_phase : bool
+        Each case has its own strength and phase, but not its own shape.
     """
 
     effect: Effect
@@ -316,40 +327,40 @@ class Score:
     absorbed: bool
     direction: Array = field(repr=False)
     null: Array = field(repr=False)
-    apart: bool = False
+    own_phase: bool = False
 
 
-def search_alone(stage: Stage, effect: Effect, trials: list[Trial], case: int) -> Score:
-    """Return the best trial of an effect in one case, beside all that is free in every case."""
-    return search_groups(stage, effect, alone(stage, trials, case), stage.levels)
+def score_in_case(context: ScoreContext, effect: Effect, trials: list[Trial], case: int) -> Score:
+    """Return the best trial of an effect in one case, with the free columns of all cases."""
+    return best_group(context, effect, rows_of_case(context, trials, case), context.levels)
 
 
-def alone(stage: Stage, trials: list[Trial], case: int) -> list[Group]:
-    """Return the columns of one case among the rows of all."""
+def rows_of_case(context: ScoreContext, trials: list[Trial], case: int) -> list[Group]:
+    """Return the columns of one case, padded to the rows of all cases."""
     groups: list[Group] = []
     for t in trials:
-        rows = np.zeros((stage.ends[-1], t.columns.shape[1]))
-        rows[stage.ends[case] : stage.ends[case + 1]] = t.columns
+        rows = np.zeros((context.ends[-1], t.columns.shape[1]))
+        rows[context.ends[case] : context.ends[case + 1]] = t.columns
         groups.append(((t.shape,), rows))
     return groups
 
 
-def search_groups(
-    stage: Stage,
+def best_group(
+    context: ScoreContext,
     effect: Effect,
     groups: list[Group],
     levels: list[Level],
     *,
     null: bool = True,
 ) -> Score:
-    """Return the best of some groups of columns over all levels of the random torque; `null` scores empty data too."""
+    """Return the best group of columns over all levels of process noise; `null` also scores the null data."""
     bounds = _bounds(effect)
     best: tuple[float, int, Array, Array] = (-np.inf, 0, np.zeros(1), np.zeros(1))
-    absorbed = stage.mimicked([c for _, c in groups])
-    turned = stage.turned(np.concatenate([c for _, c in groups], axis=1))
+    absorbed = context.absorbed_by_base([c for _, c in groups])
+    rotated = context.rotated(np.concatenate([c for _, c in groups], axis=1))
     empty = np.zeros(0)
     for i, level in enumerate(levels):
-        columns = level.gain[:, None] * turned
+        columns = level.gain[:, None] * rotated
         columns = columns - level.basis @ (level.basis.T @ columns)
         scores, gammas = _solve(columns, level.residual, len(groups), bounds)
         scores = np.where(absorbed, 0.0, scores)
@@ -360,7 +371,7 @@ def search_groups(
             direction = columns[:, place * width : (place + 1) * width] @ gammas[place]
             best = (gain, place, gammas[place], direction / max(float(np.linalg.norm(direction)), 1e-300))
         if null and i == len(levels) - 1:
-            empty = _solve(columns, stage.draws, len(groups), bounds)[0].max(axis=0)
+            empty = _solve(columns, context.draws, len(groups), bounds)[0].max(axis=0)
     return Score(
         effect,
         max(best[0], 0.0),
@@ -374,33 +385,37 @@ def search_groups(
     )
 
 
-def free_score(stage: Stage, columns: Array) -> float:
-    """Return the fall of the deviance by columns of any strengths over all levels of the random torque."""
-    turned = stage.turned(columns)
+def score_of_columns(context: ScoreContext, columns: Array) -> float:
+    """Return the fall of the deviance by columns of any strength, over all levels of process noise."""
+    rotated = context.rotated(columns)
     gains = []
-    for level in stage.levels:
-        seen = level.gain[:, None] * turned
-        seen = seen - level.basis @ (level.basis.T @ seen)
-        score, _ = _solve(seen, level.residual, 1, (-np.inf, np.inf))
+    for level in context.levels:
+        projected = level.gain[:, None] * rotated
+        projected = projected - level.basis @ (level.basis.T @ projected)
+        score, _ = _solve(projected, level.residual, 1, (-np.inf, np.inf))
         gains.append(float(score[0]) - level.deviance)
-    return max(gains) + min(x.deviance for x in stage.levels)
+    return max(gains) + min(x.deviance for x in context.levels)
 
 
 def _solve(columns: Array, r: Array, groups: int, bounds: tuple[float, float]) -> tuple[Array, Array]:
     """Return score and strengths of each group of columns, for one residual or many."""
     width = columns.shape[1] // groups
     c = columns.reshape(len(columns), groups, width)
-    seen = np.einsum("rgw,r...->gw...", c, r) if r.ndim == 1 else (columns.T @ r).reshape(groups, width, -1)
+    projected = (
+        np.einsum("rgw,r...->gw...", c, r) if r.ndim == 1 else (columns.T @ r).reshape(groups, width, -1)
+    )
     gram = np.einsum("rgw,rgv->gwv", c, c)
     size = np.sqrt(np.maximum(np.einsum("gww->gw", gram), 1e-300))
     scaled = gram / (size[:, :, None] * size[:, None, :])
     inverse = np.linalg.pinv(scaled, rcond=1e-9, hermitian=True)
-    seen = seen / size.reshape(size.shape + (1,) * (seen.ndim - 2))
-    gamma = np.einsum("gwv,gv...->gw...", inverse, seen)
+    projected = projected / size.reshape(size.shape + (1,) * (projected.ndim - 2))
+    gamma = np.einsum("gwv,gv...->gw...", inverse, projected)
     if bounds != (-np.inf, np.inf):
-        edge = size.reshape(size.shape + (1,) * (seen.ndim - 2))
+        edge = size.reshape(size.shape + (1,) * (projected.ndim - 2))
         gamma = np.clip(gamma, bounds[0] * edge, bounds[1] * edge)
-    score = np.einsum("gw...,gw...->g...", gamma, 2 * seen - np.einsum("gwv,gv...->gw...", scaled, gamma))
+    score = np.einsum(
+        "gw...,gw...->g...", gamma, 2 * projected - np.einsum("gwv,gv...->gw...", scaled, gamma)
+    )
     return np.asarray(score), np.asarray(gamma / size.reshape(size.shape + (1,) * (gamma.ndim - 2)))
 
 
@@ -410,8 +425,8 @@ def _bounds(effect: Effect) -> tuple[float, float]:
     return (effect.amplitude.lower, effect.amplitude.upper) if effect.amplitude else (-np.inf, np.inf)
 
 
-class Chance:
-    """Tail probability of a candidate's score in empty data."""
+class NullDistribution:
+    """Null distribution of one candidate's score, from simulated null data."""
 
     def __init__(self, score: Score) -> None:
         self._columns = score.columns
@@ -419,26 +434,26 @@ class Chance:
         middle = float(np.median(self.draws))
         tail = float(np.quantile(self.draws, 0.9))
         self._trials = max(
-            _trials(float(_beyond(middle, score.columns)), 0.5),
-            _trials(float(_beyond(tail, score.columns)), 0.1),
+            _trials(float(_tail(middle, score.columns)), 0.5),
+            _trials(float(_tail(tail, score.columns)), 0.1),
         )
 
     def __call__(self, score: float) -> float:
-        """Return the probability of a score at least as large in empty data."""
+        """Return the p-value of a score."""
         return self.of(score, self._columns)
 
     def of(self, score: float, columns: int) -> float:
-        """Return the probability of a score with fewer strengths, searched over as many shapes."""
-        single = float(_beyond(score, max(columns, 1)))
+        """Return the p-value of a score with fewer strengths, searched over as many shapes."""
+        single = float(_tail(score, max(columns, 1)))
         return float(-np.expm1(self._trials * np.log1p(-min(single, 1 - 1e-12))))
 
     def of_draws(self) -> Array:
-        """Return the p-value of each empty data set."""
-        single = np.minimum(_beyond(self.draws, self._columns), 1 - 1e-12)
+        """Return the p-value of each null data set."""
+        single = np.minimum(_tail(self.draws, self._columns), 1 - 1e-12)
         return np.asarray(-np.expm1(self._trials * np.log1p(-single)))
 
 
-def _beyond(chi2: float | Array, columns: int) -> Array:
+def _tail(chi2: float | Array, columns: int) -> Array:
     """Return the probability of a larger chi-square."""
     from scipy.special import chdtrc
 
@@ -450,26 +465,193 @@ def _trials(single: float, share: float) -> float:
     return float(np.log1p(-share) / np.log1p(-min(max(single, 1e-12), 1 - 1e-12)))
 
 
-def over_many(p: float, smallest: Array) -> float:
-    """Return the probability of a p-value as small anywhere among many looks at the same data.
+def over_many_tests(p: float, smallest: Array) -> float:
+    """Return the family-wise p-value of the smallest p of many correlated tests of the same data.
 
     Parameters
     ----------
     p : float
-        The smallest.
+        The smallest p-value.
     smallest : ndarray
-        The smallest of each of many empty data sets.
+        The smallest p-value in each of many null data sets.
     """
-    looks = max(1.0, _trials(float(np.quantile(smallest, 0.1)), 0.1))
-    return float(-np.expm1(looks * np.log1p(-min(p, 1 - 1e-12))))
+    tests = max(1.0, _trials(float(np.quantile(smallest, 0.1)), 0.1))
+    return float(-np.expm1(tests * np.log1p(-min(p, 1 - 1e-12))))
 
 
-class Family:
-    """p-value over the whole list: calibrated on the smallest p of each empty data set."""
+class FamilywiseNull:
+    """Family-wise p-values over the list of candidates, calibrated on the smallest p of each null data set."""
 
-    def __init__(self, chances: Sequence[Chance]) -> None:
+    def __init__(self, chances: Sequence[NullDistribution]) -> None:
         self._smallest = np.min([c.of_draws() for c in chances], axis=0)
 
     def __call__(self, p: float) -> float:
-        """Return the probability of a p as small anywhere in the list."""
-        return over_many(p, self._smallest)
+        """Return the family-wise p-value of a single one."""
+        return over_many_tests(p, self._smallest)
+
+
+_ROUNDS = 3
+_POINTS = 9
+_MOST_SWEPT = 4
+
+
+def score(
+    fit: Fit,
+    effects: Sequence[Effect],
+    cases: Sequence[CaseColumns],
+    criteria: Criteria,
+    draws: int = 1500,
+) -> list[Score]:
+    """Score all candidates on a fit.
+
+    Parameters
+    ----------
+    fit : Fit
+        The base.
+    effects : sequence of Effect
+        Candidates that are not in the base.
+    cases : sequence of CaseColumns
+        One for each case of the fit.
+    criteria : Criteria
+        Thresholds of the search.
+    draws : int
+        Number of null data sets.
+
+    Returns
+    -------
+    list of Score
+        In the order of the effects.
+    """
+    context = ScoreContext(fit, draws)
+    tried = {e.name: _all_trials(e, cases) for e in effects}
+    scores = [_score(context, effect, tried[effect.name], criteria) for effect in effects]
+    promising = criteria.shape_share * max((s.score for s in scores), default=0.0)
+    return [
+        _shape_refined(context, s, tried[s.effect.name], cases, criteria) if s.score > promising else s
+        for s in scores
+    ]
+
+
+def _shape_refined(
+    context: ScoreContext,
+    score: Score,
+    tried: list[list[Trial]],
+    cases: Sequence[CaseColumns],
+    criteria: Criteria,
+) -> Score:
+    """Refine the shape constant of an effect that has one, between the points of its grid."""
+    shapes = [p.symbol for p in score.effect.parameters if p.role == "shape"]
+    if len(shapes) != 1:
+        return score
+    symbol, own = shapes[0], _own(score.effect, len(cases))
+    best = score
+    range_ = [
+        _neighbours([t.shape[symbol] for t in trials], best.shape[i][symbol])
+        for i, trials in enumerate(tried)
+    ]
+    for _ in range(_ROUNDS):
+        values = [np.linspace(low, high, _POINTS) for low, high in range_]
+        if not own:
+            values = [values[0]] * len(cases)
+        fresh = [
+            c.trials(score.effect, [{symbol: float(x)} for x in v])
+            for c, v in zip(cases, values, strict=True)
+        ]
+        found = _score(context, score.effect, fresh, criteria, null=False, own_phase=score.own_phase)
+        if found.score > best.score:
+            best = replace(found, null=score.null, trials=score.trials)
+        range_ = [_neighbours(list(v), best.shape[i][symbol]) for i, v in enumerate(values)]
+    return best
+
+
+def _neighbours(grid: list[float], value: float) -> tuple[float, float]:
+    """Return the points of a grid next to a value."""
+    ordered = np.sort(np.array(grid))
+    below, above = (
+        ordered[ordered < value - 1e-12 * abs(value)],
+        ordered[ordered > value + 1e-12 * abs(value)],
+    )
+    step = (ordered[-1] - ordered[0]) / max(len(ordered) - 1, 1)
+    low = below[-1] if len(below) else max(value - step, 0.3 * value)
+    return float(low), float(above[0] if len(above) else value + step)
+
+
+def _own(effect: Effect, cases: int) -> bool:
+    """Return whether each case has its own parameters of an effect."""
+    return cases > 1 and effect.per_case
+
+
+def _all_trials(effect: Effect, cases: Sequence[CaseColumns]) -> list[list[Trial]]:
+    first = cases[0].trials(effect)
+    # what the cases share must be tried with the same shapes in all of them
+    shapes = None if _own(effect, len(cases)) else [t.shape for t in first]
+    return [first, *(c.trials(effect, shapes) for c in cases[1:])]
+
+
+def _score(
+    context: ScoreContext,
+    effect: Effect,
+    trials: list[list[Trial]],
+    criteria: Criteria,
+    *,
+    null: bool = True,
+    own_phase: bool | None = None,
+) -> Score:
+    """Score an effect; unless `own_phase` is given, each case has its own phase where that is clearly better."""
+    own = _own(effect, len(trials))
+    levels = context.with_nuisance_removed(effect.name) if effect.nuisance else context.levels
+    if own_phase is None and has_phases(effect, len(trials)):
+        gains = [
+            best_group(context, effect, _stack(trials, each), levels, null=False).score
+            for each in (False, True)
+        ]
+        own_phase = gains[1] > gains[0] + criteria.own_phase * (len(trials) - 1)
+    if own_phase:
+        return replace(
+            best_group(context, effect, _stack(trials, own=True), levels, null=null), own_phase=True
+        )
+    if not own or len(trials[0]) == 1:
+        return best_group(context, effect, _stack(trials, own), levels, null=null)
+    chosen, empty = _choose(context, effect, trials, levels, null=null)
+    together = best_group(context, effect, _stack([[t] for t in chosen], own), levels, null=False)
+    return replace(together, null=empty, trials=sum(len(t) for t in trials))
+
+
+def has_phases(effect: Effect, cases: int) -> bool:
+    """Return whether an effect is periodic, so that its phase may differ between cases."""
+    return cases > 1 and effect.mechanical and any(p.role == "phase" for p in effect.parameters)
+
+
+def _choose(
+    context: ScoreContext, effect: Effect, trials: list[list[Trial]], levels: list[Level], *, null: bool
+) -> tuple[list[Trial], Array]:
+    """Choose the shapes of each case: the clearest case first, then the others given it, then all once more."""
+    groups = [rows_of_case(context, t, i) for i, t in enumerate(trials)]
+    singles = [best_group(context, effect, g, levels, null=null) for g in groups]
+    chosen = [_place(t, s) for t, s in zip(trials, singles, strict=True)]
+    order = sorted(range(len(trials)), key=lambda i: -singles[i].score)
+    if len(trials) <= _MOST_SWEPT:
+        for i in [*order[1:], *order]:
+            others = [groups[j][chosen[j]][1] for j in order if j != i]
+            inner = context.with_free(np.concatenate(others, axis=1))
+            chosen[i] = _place(trials[i], best_group(context, effect, groups[i], inner, null=False))
+    empty = np.sum([s.null for s in singles], axis=0)
+    return [t[k] for t, k in zip(trials, chosen, strict=True)], empty
+
+
+def _place(trials: list[Trial], score: Score) -> int:
+    return next(k for k, t in enumerate(trials) if t.shape == score.shape[0])
+
+
+def _stack(trials: list[list[Trial]], own: bool) -> list[Group]:  # noqa: FBT001
+    """Return for each choice of shapes the columns over the rows of all cases."""
+    result = []
+    for i in range(max(len(t) for t in trials)):
+        chosen = [t[min(i, len(t) - 1)] for t in trials]
+        columns = (
+            block_diagonal([t.columns for t in chosen])
+            if own
+            else np.concatenate([t.columns for t in chosen])
+        )
+        result.append((tuple(t.shape for t in chosen), columns))
+    return result

@@ -1,61 +1,264 @@
-"""Adding effects while they are justified; backward elimination.
+"""From scores to a ranking, and from a ranking to the effects that are added.
 
-What fluctuates fast and was missing before may have been taken for noise: it hid whatever is smaller, and made
-candidates look alike.
+1. `rank`: score every candidate, refit the promising ones, order them by BIC, mark what is indistinguishable.
+2. `select`: refine the best one; rank it and its rivals once more at its lower noise (`rescored`); add a second effect
+   if one is not enough.
+3. `improve`: forward selection while a candidate is significant, each step followed by backward elimination.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from fitting._errors import FittingError
 from fitting._workers import WorkerPool, single_blas_thread
-from fitting.discovery._rank import Candidate, arranged, rank
-from fitting.discovery._refine import again, at_one_phase, refit, sharpest, start_of
-from fitting.discovery._score import CaseColumns, Score
-from fitting.discovery._screen import screen
+from fitting.discovery._criteria import DEFAULT, Criteria
+from fitting.discovery._refine import (
+    at_one_phase,
+    fit_at,
+    is_quieter,
+    refined,
+    refit,
+    start_of,
+    with_one_value,
+    with_own_values,
+)
+from fitting.discovery._score import CaseColumns, FamilywiseNull, NullDistribution, Score, score
 from fitting.effects._effect import Effect
+from fitting.effects._library import LIBRARY
+from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 from fitting.inference._noise import Noise
-from fitting.inference._noise_level import measure_noise
-from fitting.inference._result import Fit
+from fitting.inference._result import Estimate, Fit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# noise that falls by less when an effect is added is the same noise, measured twice
-_QUIETER = 0.8
-# BIC must fall by this much: "positive" evidence after R. Kass, A. Raftery, J. Am. Stat. Assoc. 90, 773 (1995)
-_EVIDENCE = 2.0
+@dataclass(frozen=True)
+class Candidate:
+    """A candidate effect and the evidence for it.
+
+    Attributes
+    ----------
+    effect : Effect
+        The effect.
+    score : float
+        Fall of the deviance when it is added: of its refit, or as predicted by the score test.
+    delta_bic : float
+        BIC with it minus BIC without: negative is better. nan without a refit.
+    p_value : float
+        Family-wise p-value: probability of such a score anywhere in the list if nothing is missing.
+    held_out_gain : float
+        Fall of the casing's cross-validation error in units of the noise. nan without a refit.
+    indistinguishable_from : tuple of str
+        Other candidates that this data cannot separate from it.
+    estimates : dict
+        Its own parameters.
+    significant : bool
+        Whether `p_value` is below `Criteria.significance`.
+    screened : Score
+        Its score test.
+    fit : Fit or None
+        The refit.
+    """
+
+    effect: Effect
+    score: float
+    delta_bic: float
+    p_value: float
+    held_out_gain: float
+    indistinguishable_from: tuple[str, ...]
+    estimates: dict[str, Estimate]
+    significant: bool
+    screened: Score = field(repr=False)
+    fit: Fit | None = field(repr=False, default=None)
+
+    @property
+    def own_phase(self) -> bool:
+        """Whether each case has its own strength and phase."""
+        return self.effect.periodic and any("@" in name for name in self.estimates)
+
+    @property
+    def physical(self) -> bool:
+        """Whether it is physics and not an artefact of the measurement."""
+        return self.effect.kind == "physical"
 
 
-def polished(found: Fit) -> Fit:
-    """Return a fit that was made quickly, at its minimum, with the noise that its own model leaves."""
-    end = sharpest(again(found, found.noise))
-    noise = measure_noise(end.problem, end.theta)
-    if all(new.pure >= _QUIETER * old.pure for new, old in zip(noise, end.noise, strict=True)):
-        return end
-    quieter = sharpest(again(end, noise))
-    return quieter if quieter.bic < end.bic - _EVIDENCE else end
+def rank(
+    base: Fit,
+    extra: Sequence[Effect] = (),
+    *,
+    criteria: Criteria = DEFAULT,
+    refitting: bool = True,
+    workers: WorkerPool | None = None,
+) -> list[Candidate]:
+    """Return all candidates for a fit, best first.
+
+    Parameters
+    ----------
+    base : Fit
+        The fit that may lack an effect.
+    extra : sequence of Effect
+        Effects of the user, besides the library.
+    criteria : Criteria
+        Thresholds.
+    refitting : bool
+        Refit the promising candidates (otherwise the score test alone ranks).
+    workers : WorkerPool, optional
+        Processes that run some of the refits.
+    """
+    known = {e.name: e for e in (*LIBRARY.values(), *extra)}
+    names = set(base.model.names)
+    effects = [e for e in known.values() if e.name not in names and _is_applicable(e, base)]
+    cases = [CaseColumns(base, i) for i in range(len(base.problem.cases))]
+    scores = score(base, effects, cases, criteria)
+    nulls = {s.effect.name: NullDistribution(s) for s in scores}
+    family = FamilywiseNull(list(nulls.values()))
+    found = []
+    for s in scores:
+        p = family(nulls[s.effect.name](s.score))
+        found.append(Candidate(s.effect, s.score, np.nan, p, np.nan, (), {}, p < criteria.significance, s))
+    found.sort(key=lambda c: -c.score)
+    if refitting:
+        worth = _worth_refitting(found, criteria)
+        best_score = max((c.score for c, w in zip(found, worth, strict=True) if w), default=0.0)
+        promising = [
+            _Promising(c, nulls[c.effect.name], family, criteria, c.score > criteria.rival_share * best_score)
+            for c, w in zip(found, worth, strict=True)
+            if w
+        ]
+        refits = iter((workers or WorkerPool(0)).map(_refitted, base, promising, _measured))
+        found = [next(refits) if w else c for c, w in zip(found, worth, strict=True)]
+    return arranged(found, criteria)
 
 
-def is_quieter(fit: Fit, than: Fit) -> bool:
-    """Return whether there is less noise than in another fit: what no torque explains, or what the model leaves."""
-    return any(
-        n.pure < old.pure or n.level < _QUIETER * old.level
-        for n, old in zip(fit.noise, than.noise, strict=True)
+def _measured(fit: Fit) -> Sequence[CaseData]:
+    return fit.problem.data
+
+
+def _is_applicable(effect: Effect, base: Fit) -> bool:
+    if base.problem.data[0].record.single and not effect.single_body:
+        return False
+    if not effect.mechanical:
+        return base.problem.data[0].is_angle
+    return not (effect.joint == "factor" and not any(e.joint == "bearing" for e in base.model.effects))
+
+
+def _worth_refitting(candidates: Sequence[Candidate], criteria: Criteria) -> list[bool]:
+    """Return which candidates, sorted by score, to refit."""
+    worth, count, best_score = [], 0, None
+    for c in candidates:
+        open_ = not c.effect.nuisance and not c.screened.absorbed
+        if open_ and best_score is None:
+            best_score = c.score
+        promising = (
+            count < criteria.refit_most
+            and c.p_value < criteria.refit_p
+            and c.score > criteria.refit_share * (best_score or 0.0)
+        )
+        worth.append(open_ and (count < criteria.refit_least or promising))
+        count += open_
+    return worth
+
+
+class _Promising(NamedTuple):
+    candidate: Candidate
+    null: NullDistribution
+    family: FamilywiseNull
+    criteria: Criteria
+    thorough: bool
+
+
+def _refitted(base: Fit, promising: _Promising) -> Candidate:
+    """Refit base and effect together from the base's optimum."""
+    candidate, null, family, criteria, thorough = promising
+    screened = candidate.screened
+    found = refit(base, screened, criteria, thorough=thorough)
+    if found is None:
+        return candidate
+    if screened.own_phase:
+        one = refit(base, at_one_phase(screened), criteria, thorough=thorough)
+        found = one if one is not None and one.bic < found.bic else found
+    delta_bic, p = found.bic - base.bic, null(base.deviance - found.deviance)
+    common = None if screened.own_phase else with_one_value(base, screened, found)
+    if common is not None:
+        if common.deviance < found.deviance:
+            # per-case values cannot fit worse than common ones: that search failed
+            found = with_own_values(base, screened, found, common)
+            delta_bic, p = found.bic - base.bic, null(base.deviance - found.deviance)
+        delta_bic = min(delta_bic, common.bic - base.bic)
+        width = screened.columns // len(base.problem.layout.records)
+        p = min(p, min(1.0, 2 * null.of(base.deviance - common.deviance, width)))
+    p = family(p)
+    return replace(
+        candidate,
+        score=base.deviance - found.deviance,
+        delta_bic=delta_bic,
+        p_value=p,
+        significant=p < criteria.significance,
+        held_out_gain=base.cases[0].casing.held_out - found.cases[0].casing.held_out,
+        estimates=_own_estimates(found, candidate.effect),
+        fit=found,
     )
 
 
-def reconsidered(
-    base: Fit, candidates: Sequence[Candidate], chosen: Candidate, noise: Sequence[Noise]
+def _own_estimates(found: Fit, effect: Effect) -> dict[str, Estimate]:
+    return {k: e for k, e in found.estimates.items() if k.startswith(effect.name + ".")}
+
+
+def arranged(found: Sequence[Candidate], criteria: Criteria) -> list[Candidate]:
+    """Return candidates in order, best first, each with those that the data cannot separate from it."""
+
+    def order(c: Candidate) -> tuple[bool, float]:
+        penalised = c.delta_bic
+        if c.fit is None:
+            penalised = (
+                -c.score + (c.screened.columns + len(c.screened.shape[0])) * criteria.equivalence_width
+            )
+        return (not c.significant, penalised + (0.0 if c.physical else criteria.measurement_penalty))
+
+    def alike(a: Candidate, b: Candidate) -> bool:
+        if a.screened.absorbed or b.screened.absorbed or not (a.significant and b.significant):
+            return False
+        if a.fit is None or b.fit is None:
+            cosine = abs(float(a.screened.direction @ b.screened.direction))
+            return cosine > criteria.collinearity
+        return min(abs(a.delta_bic - b.delta_bic), abs(a.score - b.score)) < criteria.equivalence_width
+
+    candidates = sorted(found, key=order)
+    return [
+        replace(
+            c, indistinguishable_from=tuple(o.effect.name for o in candidates if o is not c and alike(c, o))
+        )
+        for c in candidates
+    ]
+
+
+def best(candidates: Sequence[Candidate], criteria: Criteria = DEFAULT) -> Candidate | None:
+    """Return the candidate to add next: significant, refitted, better in BIC; None if there is none.
+
+    Tracking errors are periodic in the turns of casing and rotor and in their beats, so on film a periodic law needs
+    more evidence.
+    """
+    for c in candidates:
+        if c.fit is None or not c.significant or c.effect.nuisance:
+            continue
+        tracked = any(d.record.tracked for d in c.fit.problem.data)
+        periodic = tracked and c.physical and c.effect.periodic
+        if c.delta_bic < -(criteria.evidence_periodic if periodic else criteria.evidence):
+            return c
+    return None
+
+
+def rescored(
+    base: Fit, candidates: Sequence[Candidate], chosen: Candidate, noise: Sequence[Noise], criteria: Criteria
 ) -> list[Candidate]:
-    """Return the candidates in their order and classes, one and its look-alikes refitted at another noise.
+    """Return the candidates arranged again, with one and its equivalence class refitted at another noise.
 
     Parameters
     ----------
@@ -66,55 +269,52 @@ def reconsidered(
     chosen : Candidate
         One of them.
     noise : sequence of Noise
-        What it leaves.
+        Measured about its refined fit.
+    criteria : Criteria
+        Thresholds.
     """
     try:
-        plain = again(base, noise)
+        without = fit_at(base, noise)
     except FittingError:
         return list(candidates)
     alike = {chosen.effect.name, *chosen.indistinguishable_from}
-    return arranged([_refitted(c, plain, noise) if c.effect.name in alike else c for c in candidates])
-
-
-def _refitted(c: Candidate, base: Fit, noise: Sequence[Noise]) -> Candidate:
-    """Return a candidate with its refit at another noise; without one if the search runs away there."""
-    if c.fit is None:
-        return c
-    try:
-        end = again(c.fit, noise)
-    except FittingError:
-        return replace(c, delta_bic=float("nan"), fit=None)
-    own = {k: e for k, e in end.estimates.items() if k.startswith(c.effect.name + ".")}
-    return replace(
-        c, score=base.deviance - end.deviance, delta_bic=end.bic - base.bic, estimates=own, fit=end
-    )
-
-
-_MAX_STEPS = 5
-# an effect whose strength is nearer to zero than this many standard errors is taken back
-_NEEDED = 3.3
-# with so many added, each is tried without: several wrong ones can stand in for a right one that comes last
-_CROWDED = 3
-# BIC must fall by this much: "positive" evidence after R. Kass, A. Raftery, J. Am. Stat. Assoc. 90, 773 (1995)
-# tracking errs in step with the turns of casing and rotor and with their beats: physics that swings needs "very strong"
-# evidence there
-_EVIDENCE_SWING = 10.0
+    found = []
+    for c in candidates:
+        if c.effect.name not in alike or c.fit is None:
+            found.append(c)
+            continue
+        try:
+            end = fit_at(c.fit, noise)
+        except FittingError:
+            # the search diverges at this noise
+            found.append(replace(c, delta_bic=float("nan"), fit=None))
+            continue
+        found.append(
+            replace(
+                c,
+                score=without.deviance - end.deviance,
+                delta_bic=end.bic - without.bic,
+                estimates=_own_estimates(end, c.effect),
+                fit=end,
+            )
+        )
+    return arranged(found, criteria)
 
 
 @dataclass(frozen=True)
-class Rung:
-    """One step of a ladder: what was added or dropped, and the fit."""
+class Step:
+    """One step of a history: what was added or dropped, the fit, and the candidates for the next step."""
 
     change: str
     fit: Fit
     candidates: tuple[Candidate, ...]
 
 
-class Ladder(list[Rung]):
-    """The rungs of `improve`, the base first; a notebook shows them as a table."""
+class History(list[Step]):
+    """The steps of `improve`, the base first; a notebook shows them as a table."""
 
     def plot(self) -> Figure:
-        """Draw how the error falls from rung to rung (matplotlib)."""
+        """Draw how the error falls from step to step (matplotlib)."""
         from fitting._display import plot_history
 
         return plot_history(self)
@@ -125,85 +325,153 @@ class Ladder(list[Rung]):
         return history_html(self)
 
 
+class Selection(NamedTuple):
+    """The outcome of `select`.
+
+    Attributes
+    ----------
+    candidates : list of Candidate
+        In their final order.
+    chosen : Candidate or None
+        The effect to add.
+    end : Fit
+        The fit with all that was added, refined; the base if nothing was.
+    history : History
+        Steps of the forward selection; empty where one effect was enough.
+    """
+
+    candidates: list[Candidate]
+    chosen: Candidate | None
+    end: Fit
+    history: History
+
+
+def select(
+    base: Fit,
+    candidates: Sequence[Candidate],
+    extra: Sequence[Effect],
+    criteria: Criteria,
+    workers: WorkerPool,
+) -> Selection:
+    """Return the effect to add to a fit, and the fit with it and with what else it needs.
+
+    Parameters
+    ----------
+    base : Fit
+        The fit that may lack an effect.
+    candidates : sequence of Candidate
+        Its ranking.
+    extra, criteria, workers
+        As for `rank`.
+    """
+    ranked = list(candidates)
+    chosen = best(ranked, criteria)
+    if chosen is None or chosen.fit is None:
+        return Selection(ranked, chosen, base, History())
+    end = refined(chosen.fit, criteria)
+    # process noise that falls when an effect is added may have hidden another effect, and what separates rivals
+    quieter = is_quieter(end, chosen.fit, criteria)
+    if quieter:
+        ranked = rescored(base, ranked, chosen, end.noise, criteria)
+        clearer = best(ranked, criteria)
+        if clearer is not None and clearer.fit is not None:
+            chosen, end = clearer, clearer.fit
+    history = History()
+    if quieter or fails(end, criteria):
+        history = improve(
+            base, extra, criteria=criteria, max_steps=1 + criteria.follow_up, first=ranked, workers=workers
+        )
+        end = history[-1].fit
+    return Selection(ranked, chosen, end, history)
+
+
+def fails(found: Fit, criteria: Criteria) -> bool:
+    """Return whether a converged fit has a significant lack of fit."""
+    if not found.converged:
+        return False
+    return found.lack_of_fit.p_value < criteria.lack_of_fit or any(
+        c.misfit > criteria.reduced_chi2 for c in found.cases
+    )
+
+
 @single_blas_thread()
 def improve(
     base: Fit,
     extra: Sequence[Effect] = (),
     *,
-    max_steps: int = _MAX_STEPS,
+    criteria: Criteria = DEFAULT,
+    max_steps: int | None = None,
     progress: Callable[[int, int | None], None] | None = None,
     first: Sequence[Candidate] | None = None,
     workers: WorkerPool | None = None,
-) -> Ladder:
-    """Go on adding the best effect while one is significant, then drop what is not needed.
+) -> History:
+    """Add the best effect while one is significant, then drop what is not needed.
 
     Parameters
     ----------
     base : Fit
-        Where to begin.
+        The initial model, fitted.
     extra : sequence of Effect
-        Effects of the user beside the library.
-    max_steps : int
-        At most so many effects are added.
+        Effects of the user, besides the library.
+    criteria : Criteria
+        Thresholds of every decision.
+    max_steps : int, optional
+        At most so many effects are added; `Criteria.max_steps` if not given.
     progress : callable, optional
         Called with (steps done, None).
     first : sequence of Candidate, optional
         The ranking of the base, if it is known already.
     workers : WorkerPool, optional
-        A second process that takes its share of the work.
+        Processes that share the work.
 
     Returns
     -------
-    Ladder
-        A list of rungs, the base first, the final model last.
+    History
+        A list of steps, the base first, the final model last.
     """
-    known = first if first is not None else rank(base, extra, workers=workers)
-    rungs = Ladder([Rung("", base, tuple(known))])
-    for step in range(max_steps):
-        chosen = best(rungs[-1].candidates)
+    known = first if first is not None else rank(base, extra, criteria=criteria, workers=workers)
+    history = History([Step("", base, tuple(known))])
+    for step in range(criteria.max_steps if max_steps is None else max_steps):
+        chosen = best(history[-1].candidates, criteria)
         if chosen is None or chosen.fit is None:
             break
-        rungs.append(Rung(f"+{chosen.effect.name}", polished(chosen.fit), ()))
-        rungs[-1] = _backward(rungs)
-        rungs[-1] = Rung(rungs[-1].change, rungs[-1].fit, tuple(rank(rungs[-1].fit, extra, workers=workers)))
+        history.append(Step(f"+{chosen.effect.name}", refined(chosen.fit, criteria), ()))
+        last = _backward(history, criteria)
+        candidates = rank(last.fit, extra, criteria=criteria, workers=workers)
+        history[-1] = Step(last.change, last.fit, tuple(candidates))
         if progress is not None:
             progress(step + 1, None)
-    return rungs
+    return history
 
 
-def best(candidates: Sequence[Candidate]) -> Candidate | None:
-    """Return the candidate to add next: significant, refitted, better in BIC; None if there is none."""
-    for c in candidates:
-        if c.effect.nuisance:
-            continue
-        tracked = c.fit is not None and any(d.record.tracked for d in c.fit.problem.data)
-        needed = _EVIDENCE_SWING if tracked and c.physical and c.effect.periodic else _EVIDENCE
-        if c.significant and c.fit is not None and c.delta_bic < -needed:
-            return c
-    return None
+def _backward(history: Sequence[Step], criteria: Criteria) -> Step:
+    """Drop effects that the newest one makes unnecessary.
 
-
-def _backward(rungs: list[Rung]) -> Rung:
-    """Drop effects added before that the newest makes unnecessary."""
-    newest = rungs[-1]
+    With many added, each is tried without: several wrong ones can stand for a right one that comes last.
+    """
+    newest = history[-1]
     change, current = newest.change, newest.fit
-    base_names = set(rungs[0].fit.model.names)
+    base_names = set(history[0].fit.model.names)
     while True:
         added = [e for e in current.model.effects if e.name not in base_names and e.amplitude is not None]
-        crowded = len(added) >= _CROWDED
-        spare = [e for e in added if newest.change != f"+{e.name}" and (crowded or not _stands(current, e))]
+        spare = [
+            e
+            for e in added
+            if newest.change != f"+{e.name}"
+            and (len(added) >= criteria.crowded or not _is_essential(current, e, criteria))
+        ]
         tried = ((e, _without(current, e)) for e in spare)
         gone = next(((e, found) for e, found in tried if found.bic < current.bic), None)
         if gone is None:
-            return newest if current is newest.fit else Rung(change, current, ())
+            return newest if current is newest.fit else Step(change, current, ())
         change, current = f"{change} -{gone[0].name}", gone[1]
 
 
-def _stands(fitted: Fit, effect: Effect) -> bool:
-    """Return whether the strength of an effect is far from zero in some case."""
+def _is_essential(fitted: Fit, effect: Effect, criteria: Criteria) -> bool:
+    """Return whether the strength of an effect is significantly different from zero in some case."""
     key = f"{effect.name}.{effect.amplitude.symbol}" if effect.amplitude else ""
     found = [e for k, e in fitted.estimates.items() if k.partition("@")[0] == key]
-    return any(not np.isfinite(e.stderr) or abs(e.value) > _NEEDED * e.stderr for e in found)
+    return any(not np.isfinite(e.stderr) or abs(e.value) > criteria.essential_sigma * e.stderr for e in found)
 
 
 def _without(fitted: Fit, effect: Effect) -> Fit:
@@ -223,13 +491,13 @@ _DRAWS = 2
 
 
 def needs_search(effect: Effect) -> bool:
-    """Return whether the misfit has many minima: an effect that swings at a rate, or sets in at a time, of its own."""
+    """Return whether the misfit has many minima: a frequency, or a changepoint, of the effect's own."""
     roles = {p.role for p in effect.parameters}
     return {"phase", "shape"} <= roles or bool(effect.breakpoint)
 
 
-def found_starts(base: Fit, effects: Sequence[Effect]) -> dict[str, float]:
-    """Return where to start the parameters of effects that are added to a fitted model.
+def found_starts(base: Fit, effects: Sequence[Effect], criteria: Criteria = DEFAULT) -> dict[str, float]:
+    """Return initial values of the parameters of effects that are added to a fitted model.
 
     Parameters
     ----------
@@ -237,23 +505,27 @@ def found_starts(base: Fit, effects: Sequence[Effect]) -> dict[str, float]:
         The model without them, fitted.
     effects : sequence of Effect
         What is added.
+    criteria : Criteria
+        Thresholds of the search.
 
     Returns
     -------
     dict of str to float
-        Values by the names that the parameters have in a fit; nothing for an effect whose responses vanish.
+        Values by the names that the parameters have in a fit; none for an effect that the base absorbs.
     """
     cases = [CaseColumns(base, i) for i in range(len(base.problem.cases))]
-    scores = screen(base, effects, cases, draws=_DRAWS)
-    return {k: v for s in scores if not s.absorbed for k, v in _start(base, s).items()}
-
-
-def _start(base: Fit, score: Score) -> dict[str, float]:
-    if score.apart:
-        # whether strength and phase are common to all cases is not said yet
-        return start_of(base, at_one_phase(score)) | start_of(base, score)
-    found = refit(base, score) if score.effect.breakpoint else None
-    if found is None:
-        return start_of(base, score)
-    prefix = f"{score.effect.name}."
-    return {name: e.value for name, e in found.estimates.items() if name.startswith(prefix)}
+    values: dict[str, float] = {}
+    for s in score(base, effects, cases, criteria, draws=_DRAWS):
+        if s.absorbed:
+            continue
+        if s.own_phase:
+            # whether strength and phase are common to all cases is not known yet
+            values |= start_of(base, at_one_phase(s)) | start_of(base, s)
+            continue
+        found = refit(base, s, criteria) if s.effect.breakpoint else None
+        values |= (
+            start_of(base, s)
+            if found is None
+            else {k: e.value for k, e in _own_estimates(found, s.effect).items()}
+        )
+    return values

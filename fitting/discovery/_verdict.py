@@ -1,4 +1,9 @@
-"""The verdict: adequate, missing effect, or unexplained; and its sentence."""
+"""The answer: verdict, sentences, and the line of stages that leads to them.
+
+    rank (score, refine) -> select -> lack of fit -> verdict
+
+Each stage takes what the one before returns; nothing goes back.
+"""
 
 from __future__ import annotations
 
@@ -10,27 +15,28 @@ import numpy as np
 
 from fitting._numbers import rounded
 from fitting._workers import WorkerPool, single_blas_thread
+from fitting.discovery._criteria import DEFAULT, Criteria
 from fitting.discovery._experiment import next_experiment
 from fitting.discovery._lack_of_fit import (
-    Objection,
-    SpectralLine,
-    any_law_of_the_casing,
-    any_slow_torque,
-    objection,
-    spectral_line,
+    UNKNOWN_IN_TIME,
+    UNKNOWN_LAW,
+    PeriodogramPeak,
+    SmoothTest,
+    contradiction,
+    nonparametric_rivals,
 )
-from fitting.discovery._rank import CLASS_WIDTH, Candidate, rank
 from fitting.discovery._residuals import (
     Failure,
     ResidualTorque,
     Ripple,
     Whiteness,
     find_failures,
+    micro_newton_metres,
     residual_torques,
     ripples,
     whiteness,
 )
-from fitting.discovery._select import Rung, best, improve, is_quieter, polished, reconsidered
+from fitting.discovery._select import Candidate, Selection, fails, rank, select
 from fitting.effects._effect import Effect
 from fitting.inference._result import Fit
 
@@ -38,158 +44,30 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# stand among the names of a class
-UNKNOWN_LAW = "a law of omega_c that the library does not have"
-UNKNOWN_IN_TIME = "a torque that changes slowly in time"
-
-
-def sentence(
-    fit: Fit,
-    verdict: str,
-    chosen: Candidate | None,
-    after: Sequence[Rung],
-    failures: Sequence[Failure],
-    candidates: Sequence[Candidate],
-    doubt: Objection | SpectralLine | None = None,
-) -> str:
-    """Return the answer of a diagnosis in a few sentences.
-
-    Parameters
-    ----------
-    fit : Fit
-        The base.
-    verdict : str
-        "adequate", "missing_effect" or "unexplained".
-    chosen : Candidate or None
-        The effect to add.
-    after : sequence of Rung
-        What was added to the base, step by step, if one effect was not enough.
-    failures : sequence of Failure
-        Where the base fails, worst first.
-    candidates : sequence of Candidate
-        All of them.
-    doubt : Objection or SpectralLine, optional
-        What speaks against the name.
-    """
-    if verdict == "adequate":
-        parts = ["The model is adequate: what it leaves is noise."]
-    else:
-        parts = [f"The model fails{f': {failures[0]}' if failures else ''}."]
-        if chosen is None or verdict == "unexplained":
-            parts += _remains(after[-1].fit if after else fit, chosen, doubt)
-        else:
-            parts += _missing(chosen, after)
-        parts += _edges(fit)
-    return " ".join([*parts, *_taken_out(chosen, candidates)])
-
-
-def _remains(rest: Fit, chosen: Candidate | None, doubt: Objection | SpectralLine | None) -> list[str]:
-    if doubt is not None:
-        what = f"What {'it' if chosen is None else chosen.effect.name} leaves {doubt.words}"
-        parts = [f"{what}, as noise does in {doubt.p_value:.1g} of all cases."]
-        if isinstance(doubt, SpectralLine):
-            return [
-                *parts,
-                f'No effect of the library does: add "{doubt.law}" as a hypothesis, and diagnose again.',
-            ]
-        if chosen is None:
-            return [*parts, "No effect of the library explains it."]
-        cause = "A second effect is missing as well, or a law that the library does not have"
-        return [*parts, f"{cause}: take the formula of {chosen.effect.name}, the closest, as a hypothesis."]
-    left = max((n.level for n in rest.noise), default=0.0)
-    parts = [f"An unexplained torque of {left:.2g} N m rms remains that no effect of the library explains."]
-    if chosen is not None:
-        parts.append(f"The closest formula is that of {chosen.effect.name}; take it as a hypothesis.")
-    return parts
-
-
-def _missing(chosen: Candidate, after: Sequence[Rung]) -> list[str]:
-    names = [chosen.effect.name, *chosen.indistinguishable_from]
-    what = "effect" if chosen.physical else "measurement effect"
-    if names[1:] and {UNKNOWN_LAW, UNKNOWN_IN_TIME}.issuperset(names[1:]):
-        others = ", or ".join(names[1:])
-        parts = [
-            f"What is missing is {names[0]}{_strength(chosen)}, or {others}; this data cannot tell them apart."
-        ]
-    elif len(names) == 1:
-        parts = [f"The missing {what} is {names[0]}{_strength(chosen)}."]
-    else:
-        parts = [f"One of {', '.join(names)} is missing; this data cannot tell them apart."]
-    if chosen.apart:
-        own = [
-            f"--per-case {k}"
-            for k in dict.fromkeys(k.partition("@")[0] for k in chosen.estimates if "@" in k)
-        ]
-        parts.append(f"Each case has a strength and a phase of its own: for fit, {' '.join(own)}.")
-    if len(after) > 2:
-        parts.append("With it " + ", ".join(r.change.lstrip("+") for r in after[2:]) + " is found as well.")
-    return parts
-
-
-def _edges(fit: Fit) -> list[str]:
-    """Return what to know of a parameter that its range holds, and not nature or the data."""
-    layout = fit.problem.layout
-    held = [
-        f"{name} at the edge of its range ({e.value:.4g})"
-        for name, e in fit.estimates.items()
-        if e.at_bound and name in layout.index and not layout.is_physical_bound(name)
-    ]
-    return [f"The model has {' and '.join(held)}: the law there may be another one."] if held else []
-
-
-def _taken_out(chosen: Candidate | None, candidates: Sequence[Candidate]) -> list[str]:
-    # what a torque that follows the angle leaves unexplained looks like a camera's fault as well
-    if chosen is not None and chosen.effect.depends_on_angle:
-        return []
-    parts = []
-    for c in candidates:
-        if c.effect.nuisance and c.significant:
-            size = float(np.hypot(*c.screened.gamma[:2]))
-            unit = next(p.unit for p in c.effect.parameters if p.role == "amplitude")
-            parts.append(f"The camera adds {c.effect.name} of {size:.2g} {unit}, which every fit takes out.")
-    return parts
-
-
-def _strength(c: Candidate) -> str:
-    amplitude = c.effect.amplitude
-    if amplitude is None:
-        return ""
-    found = [e for k, e in c.estimates.items() if k.partition("@")[0].endswith(f".{amplitude.symbol}")]
-    if not found:
-        return ""
-    values = ", ".join(rounded(e.value, e.stderr, e.unit) for e in found)
-    return f" with {amplitude.symbol} = {values}"
-
-
-# a second effect may be hidden beside the first; a story of three is told as unexplained
-_FOLLOW_UP = 1
-# so often is a right name doubted, and a model that misses nothing
-_DOUBTFUL = 0.01
-_ALARMING = 0.001
-
-
 @dataclass(frozen=True)
 class Diagnosis:
-    """Where a model fails and what would mend it.
+    """Where a model fails and which effects are candidates.
 
     Attributes
     ----------
+    fit : Fit
+        The fit in question.
     verdict : {"adequate", "missing_effect", "unexplained"}
         The answer.
     sentence : str
         The answer in words.
     failures : tuple of Failure
-        Where it fails, worst first.
+        Where it fails, most significant first.
     candidates : tuple of Candidate
-        What would mend it, best first.
+        Candidate effects, best first.
     next_experiment : str
-        What to measure to tell the rivals apart; empty if there are none.
+        The measurement that separates the rivals; empty if there are none.
     torques : tuple of ResidualTorque
-        The torque that is missing, as curves with bands.
+        The unmodelled torque, as curves with bands.
     ripples : tuple of Ripple
-        What is missing against the angle of the casing, with bands.
+        Harmonics of the unmodelled torque in the angle of the casing, with bands.
     whiteness : tuple of Whiteness
-        Whether what is left is independent.
+        Whether the residuals are independent.
     """
 
     fit: Fit
@@ -203,7 +81,7 @@ class Diagnosis:
     whiteness: tuple[Whiteness, ...] = field(repr=False)
 
     def plot(self) -> Figure:
-        """Draw the torque that is missing with its band, where the model fails, and the candidates (matplotlib)."""
+        """Draw the unmodelled torque with its band, where the model fails, and the candidates (matplotlib)."""
         from fitting._display import plot_diagnosis
 
         return plot_diagnosis(self)
@@ -219,94 +97,176 @@ def diagnose(
     fit: Fit,
     extra: Sequence[Effect] = (),
     *,
+    criteria: Criteria = DEFAULT,
     candidates: Sequence[Candidate] | None = None,
     workers: WorkerPool | None = None,
 ) -> Diagnosis:
-    """Say where a fit fails and which effect is missing.
+    """Return where a fit fails and which effect is missing.
 
     Parameters
     ----------
     fit : Fit
         The fit in question.
     extra : sequence of Effect
-        Effects of the user beside the library.
+        Effects of the user, besides the library.
+    criteria : Criteria
+        Thresholds of every decision.
     candidates : sequence of Candidate, optional
         The ranking of the fit, if it is known already.
     workers : WorkerPool, optional
-        A second process that takes its share of the work.
+        Processes that share the work.
 
     Returns
     -------
     Diagnosis
+
+    Raises
+    ------
+    FittingError
+        If the fit cannot be evaluated.
     """
     workers = workers or WorkerPool(0)
-    left, repeated = workers.submit(residual_torques, fit), workers.submit(ripples, fit)
-    candidates = rank(fit, extra, workers=workers) if candidates is None else candidates
-    chosen = best(candidates)
-    after: list[Rung] = []
-    end = fit
-    if chosen is not None and chosen.fit is not None:
-        end = polished(chosen.fit)
-        # noise that fell when the effect was added may have hidden another one, and what tells rivals apart
-        quieter = is_quieter(end, chosen.fit)
-        if quieter:
-            candidates = reconsidered(fit, candidates, chosen, end.noise)
-            clearer = best(candidates)
-            if clearer is not None and clearer.fit is not None:
-                chosen, end = clearer, clearer.fit
-        if end.verdict == "misfit" or quieter:
-            after = improve(fit, extra, max_steps=1 + _FOLLOW_UP, first=candidates, workers=workers)
-            end = after[-1].fit
-    doubt = _doubt(chosen, end)
-    explained = "adequate" if chosen is None else "missing_effect"
-    verdict = "unexplained" if end.verdict == "misfit" or doubt is not None else explained
-    others = _unknown(fit, chosen) if verdict == "missing_effect" and chosen is not None else ()
-    if chosen is not None and others:
-        sure, chosen = chosen, replace(chosen, indistinguishable_from=others)
-        candidates = [chosen if c is sure else c for c in candidates]
-    torques, waves = left.result(), repeated.result()
-    failures = find_failures(fit, torques, waves) if verdict != "adequate" else []
-    words = sentence(fit, verdict, chosen, after, failures, candidates, doubt)
-    rivals = [c for c in candidates if chosen and c.effect.name in chosen.indistinguishable_from]
+    curves, harmonics = workers.submit(residual_torques, fit), workers.submit(ripples, fit)
+    ranked = rank(fit, extra, criteria=criteria, workers=workers) if candidates is None else candidates
+    selection = select(fit, ranked, extra, criteria, workers)
+    misfit = fails(selection.end, criteria)
+    doubt = None if misfit else contradiction(selection.chosen, selection.end, criteria)
+    verdict = "unexplained" if misfit or doubt else "missing_effect" if selection.chosen else "adequate"
+    if verdict == "missing_effect":
+        selection = _with_rivals(selection, nonparametric_rivals(fit, selection.chosen, criteria))
+    torques, waves = curves.result(), harmonics.result()
+    failures = find_failures(fit, torques, waves, criteria) if verdict != "adequate" else []
     return Diagnosis(
         fit,
         verdict,
-        words,
+        _sentence(fit, verdict, selection, failures, doubt),
         tuple(failures),
-        tuple(candidates),
-        next_experiment(fit, [chosen, *rivals] if chosen else []),
+        tuple(selection.candidates),
+        next_experiment(fit, _class_of(selection), criteria),
         tuple(torques),
         tuple(waves),
         tuple(whiteness(fit)),
     )
 
 
-def _unknown(fit: Fit, chosen: Candidate) -> tuple[str, ...]:
-    """Return what no library has and would do as well as a single name.
-
-    An effect that swings, or sets in at a time of its own, can look like a law of the casing's speed; one that swings
-    so slowly that it hardly comes back looks like anything that changes in time.
-    """
-    if chosen.indistinguishable_from or not chosen.physical:
-        return ()
-    bar = max(chosen.score, chosen.screened.score) - CLASS_WIDTH
-    found = []
-    if not chosen.effect.of_casing_speed and any_law_of_the_casing(fit) > bar:
-        found.append(UNKNOWN_LAW)
-    if chosen.effect.periodic and any_slow_torque(fit, apart=chosen.apart) > bar:
-        found.append(UNKNOWN_IN_TIME)
-    return tuple(found)
+def _with_rivals(selection: Selection, rivals: tuple[str, ...]) -> Selection:
+    if selection.chosen is None or not rivals:
+        return selection
+    chosen = replace(selection.chosen, indistinguishable_from=rivals)
+    ranked = [chosen if c is selection.chosen else c for c in selection.candidates]
+    return selection._replace(candidates=ranked, chosen=chosen)
 
 
-def _doubt(chosen: Candidate | None, end: Fit) -> Objection | SpectralLine | None:
-    """Return what speaks against an answer."""
-    if end.verdict == "misfit":
-        return None
-    line = spectral_line(end)
-    if line is not None and line.p_value < _ALARMING:
-        return line
-    # a class of names leaves the question of the law open by itself
-    if chosen is not None and chosen.indistinguishable_from:
-        return None
-    found = objection(end)
-    return found if found.p_value < (_ALARMING if chosen is None else _DOUBTFUL) else None
+def _class_of(selection: Selection) -> list[Candidate]:
+    """Return the chosen candidate and those that are indistinguishable from it."""
+    chosen = selection.chosen
+    if chosen is None:
+        return []
+    return [chosen, *(c for c in selection.candidates if c.effect.name in chosen.indistinguishable_from)]
+
+
+def _sentence(
+    fit: Fit,
+    verdict: str,
+    selection: Selection,
+    failures: Sequence[Failure],
+    doubt: SmoothTest | PeriodogramPeak | None,
+) -> str:
+    """Return the answer in a few sentences."""
+    if verdict == "adequate":
+        parts = ["The residuals are consistent with noise; the model is adequate."]
+    else:
+        parts = [f"Significant lack of fit{f': {failures[0]}' if failures else ''}."]
+        parts += _unexplained(selection, doubt) if verdict == "unexplained" else _missing(selection)
+        parts += _active_bounds(fit)
+    return " ".join([*parts, *_nuisance(selection)])
+
+
+def _unexplained(selection: Selection, doubt: SmoothTest | PeriodogramPeak | None) -> list[str]:
+    chosen = selection.chosen
+    if doubt is None:
+        level = max((n.level for n in selection.end.noise), default=0.0)
+        parts = [
+            f"An unexplained torque of {micro_newton_metres(level)} rms remains; no effect of the library explains it."
+        ]
+        if chosen is not None:
+            parts.append(f"The closest law is {chosen.effect.name}; treat it as a hypothesis.")
+        return parts
+    after = "" if chosen is None else f" after {chosen.effect.name}"
+    parts = [f"The residual torque{after} {doubt.words} (p = {doubt.p_value:.1g})."]
+    if isinstance(doubt, PeriodogramPeak):
+        return [
+            *parts,
+            f'No effect of the library explains it: add "{doubt.law}" as a hypothesis and diagnose again.',
+        ]
+    if chosen is None:
+        return [*parts, "No effect of the library explains it."]
+    return [
+        *parts,
+        "A second effect is missing, or a law that is not in the library.",
+        f"Treat {chosen.effect.name}, the closest, as a hypothesis.",
+    ]
+
+
+def _missing(selection: Selection) -> list[str]:
+    chosen = selection.chosen
+    if chosen is None:
+        return []
+    names = [chosen.effect.name, *chosen.indistinguishable_from]
+    what = "effect" if chosen.physical else "measurement effect"
+    if names[1:] and {UNKNOWN_LAW, UNKNOWN_IN_TIME}.issuperset(names[1:]):
+        others = ", or ".join(names[1:])
+        parts = [
+            f"The missing effect is {names[0]}{_strength(chosen)}, or {others}; this data cannot separate them."
+        ]
+    elif len(names) == 1:
+        parts = [f"The missing {what} is {names[0]}{_strength(chosen)}."]
+    else:
+        parts = [f"One of {', '.join(names)} is missing; this data cannot separate them."]
+    if chosen.own_phase:
+        own = dict.fromkeys(k.partition("@")[0] for k in chosen.estimates if "@" in k)
+        parts.append(
+            f"Each case has its own strength and phase: add {' '.join(f'--per-case {k}' for k in own)} to `fit`."
+        )
+    if len(selection.history) > 2:
+        parts.append(f"Also found: {', '.join(s.change.lstrip('+') for s in selection.history[2:])}.")
+    return parts
+
+
+def _active_bounds(fit: Fit) -> list[str]:
+    """Return the parameters whose range, not nature or the data, determines their value."""
+    layout = fit.problem.layout
+    held = [
+        f"{name} = {e.value:.4g}"
+        for name, e in fit.estimates.items()
+        if e.at_bound and name in layout.index and not layout.is_physical_bound(name)
+    ]
+    return [f"Active bound: {', '.join(held)}; the law there may be another one."] if held else []
+
+
+_NUISANCE = {
+    "camera.centre": "Camera centre offset",
+    "camera.tilt": "Camera tilt",
+    "camera.shutter": "Rolling shutter",
+}
+
+
+def _nuisance(selection: Selection) -> list[str]:
+    # an unexplained torque that depends on the angle looks like a camera effect as well
+    if selection.chosen is not None and selection.chosen.effect.depends_on_angle:
+        return []
+    parts = []
+    for c in selection.candidates:
+        if c.effect.nuisance and c.significant:
+            size = float(np.hypot(*c.screened.gamma[:2]))
+            unit = next(p.unit for p in c.effect.parameters if p.role == "amplitude")
+            parts.append(f"{_NUISANCE[c.effect.name]} {1e3 * size:.2g} m{unit} (nuisance parameter, fitted).")
+    return parts
+
+
+def _strength(c: Candidate) -> str:
+    if c.effect.amplitude is None:
+        return ""
+    symbol = c.effect.amplitude.symbol
+    found = [e for k, e in c.estimates.items() if k.partition("@")[0].endswith(f".{symbol}")]
+    return f", {symbol} = {', '.join(rounded(e.value, e.stderr, e.unit) for e in found)}" if found else ""

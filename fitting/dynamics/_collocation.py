@@ -128,7 +128,7 @@ def _stretched(mesh: Mesh, y: Array, edges: Array, f: Array, pivot: float) -> tu
     end, begin = float(mesh.edges[-1]), pivot
     rate = float(ends[1] @ f[-1, :, _CASING])
     move = -float(edges[-1, _CASING]) / rate if rate else np.inf
-    share = move / (end - begin)
+    share = move / (end - begin) if end > begin else np.inf
     if not abs(share) < 0.5:
         raise SimulationError(UNBOUNDED)
     i = int(np.searchsorted(mesh.edges, pivot))

@@ -129,6 +129,21 @@ def substitute(e: Expr, values: dict[str, Expr]) -> Expr:
     return build(args[0], args[1]) if build else call(e.op, args[0])
 
 
+def divisors(e: Expr) -> list[Expr]:
+    """Return what an expression divides by: the bases of powers with a negative number as exponent.
+
+    Examples
+    --------
+    >>> [sorted(symbols(d)) for d in divisors(parse("k/(omega_c-5)"))]
+    [['omega_c']]
+    """
+    found = [d for a in e.args for d in divisors(a)]
+    if e.op == "pow" and e.args[1].op == "num" and e.args[1].value < 0:
+        base = e.args[0]
+        found.append(base.args[0] if base.op == "abs" else base)
+    return found
+
+
 def symbols(e: Expr) -> set[str]:
     """Return the names of all symbols in an expression."""
     if e.op == "sym":

@@ -6,17 +6,16 @@ import math
 import re
 import string
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
 from fitting._errors import EffectError, ExpressionError, FittingError
-from fitting._numbers import from_json
 from fitting.effects._dimension import NONE, Dimension, dimension, format_unit, parse_unit
-from fitting.effects._effect import MOMENTS, VARIABLES, Effect, Joint, Parameter, Role, State
+from fitting.effects._effect import MOMENTS, VARIABLES, Effect, Joint, Parameter, Role
 from fitting.effects._expression import ZERO, Expr, Tape, derivative, parse, sub, substitute, sym, symbols
 from fitting.effects._library import LIBRARY, find
 
@@ -25,6 +24,9 @@ UNKNOWN_UNIT = "SI"
 # of the moments those that are tried where a law has other shape constants as well
 _COARSE = 5
 _BODIES = ("rotor", "casing", "bearing")
+_FIRST_VARIABLE = {"rotor": "omega_r", "casing": "omega_c", "bearing": "delta"}
+# so many edits turn a misspelt name into that of a variable
+_EDITS = 2
 _NOT_FOR_USERS = {"temperature", "chirp", "tau", "psi", "omega"}
 
 
@@ -55,6 +57,7 @@ def formula(
         raise EffectError(
             f"the law {law!r} has no parameter to fit", "write for example: casing: -k*omega_c**3"
         )
+    _refuse_misspelt(expression, [s for s in own if s not in declared], body)
     for symbol in sorted(set(declared) - set(own)):
         raise EffectError(f"the parameter {symbol!r} does not occur in the law {law!r}", _hint())
     amplitude = _strength(law, expression, [s for s in own if not declared.get(s, {}).get("shape", False)])
@@ -78,6 +81,40 @@ def formula(
     )
     _check(effect)
     return effect
+
+
+def _refuse_misspelt(expression: Expr, undeclared: Sequence[str], body: str) -> None:
+    """Refuse parameters that nobody declared and that are probably misspelt variables.
+
+    That is a name within two edits of a variable, or, in a law that contains no variable at all, any name beside a
+    strength.
+    """
+    variables = [v for v in VARIABLES if v not in _NOT_FOR_USERS]
+    for symbol in undeclared:
+        # a short name is within two edits of nearly everything
+        near = [v for v in variables if len(v) > _EDITS + 2]
+        distance, _, variable = min((edit_distance(symbol, v), not v.endswith(body[0]), v) for v in near)
+        if distance <= _EDITS:
+            raise EffectError(
+                f"unknown name {symbol!r} in the law; did you mean {variable}?",
+                f"if it is a parameter, declare {symbol} in a file of effects (--effects) or rename it",
+            )
+    if len(undeclared) > 1 and not symbols(expression) & set(variables):
+        raise EffectError(
+            f"the law contains no variable of the {body}, only the names {', '.join(undeclared)}; "
+            f"did you mean {_FIRST_VARIABLE[body]}?",
+            "if all are parameters, declare them in a file of effects (--effects)",
+        )
+
+
+def edit_distance(a: str, b: str) -> int:
+    """Return the least number of insertions, deletions and substitutions that turn one word into another."""
+    row = list(range(len(b) + 1))
+    for i, x in enumerate(a, 1):
+        row, above = [i], row
+        for j, y in enumerate(b, 1):
+            row.append(min(above[j] + 1, row[j - 1] + 1, above[j - 1] + (x != y)))
+    return row[-1]
 
 
 def _check(effect: Effect) -> None:
@@ -321,36 +358,3 @@ def _check_keys(where: str, keys: Any) -> None:
         parse_unit(keys.get("unit", "1"), dict.fromkeys(string.ascii_lowercase, 1.0))
     except ExpressionError as fault:
         raise EffectError(f"{where}: {fault.message}", fault.hint) from None
-
-
-_NUMBERS = ("lower", "upper", "start")
-_ADDED_FIELDS = ("per_case", "per_surface", "nuisance", "equivalent")
-
-
-def own_effects(effects: Iterable[Effect]) -> list[dict[str, Any]]:
-    """Return the fields of those effects that are not, or not so, in the library."""
-    return [asdict(e) for e in effects if LIBRARY.get(e.name) != e]
-
-
-def effects_of(names: Iterable[str], own: Iterable[Mapping[str, Any]]) -> tuple[Effect, ...]:
-    """Return effects by name: those of the fields given, all others from the library."""
-    known = {str(e["name"]): effect_of(e) for e in own}
-    return tuple(known[n] if n in known else LIBRARY[n] for n in names)
-
-
-def effect_of(stored: Mapping[str, Any]) -> Effect:
-    """Return an effect from its fields."""
-    known = LIBRARY.get(str(stored["name"]))  # has the fields that were added after the ledger was written
-    fields = {k: getattr(known, k) for k in _ADDED_FIELDS if known is not None} | dict(stored)
-    fields["parameters"] = tuple(_stored_parameter(p) for p in fields["parameters"])
-    fields |= {k: tuple(fields.get(k, ())) for k in ("confused_with", "equivalent")}
-    state = fields.get("state")
-    fields["state"] = State(**state) if state else None
-    return Effect(**fields)
-
-
-def _stored_parameter(stored: Mapping[str, Any]) -> Parameter:
-    values: dict[str, Any] = {
-        k: tuple(v) if k == "grid" else from_json(v) if k in _NUMBERS else v for k, v in stored.items()
-    }
-    return Parameter(**values)

@@ -93,12 +93,12 @@ def check_intact(path: Path) -> None:
     told = seal[len(_MARK) : -1] if seal.startswith(_MARK) else None
     if told is not None and told != hashlib.sha256(content[:-_SEAL]).hexdigest().encode():
         raise RecordError(
-            f"{path} is damaged: its checksum is not that of its contents", "fetch a fresh copy"
+            f"{path} is damaged: the checksum does not match the contents", "fetch a fresh copy"
         )
     place = content.find(_HEAP)
     while place >= 0:
         if _is_endless(content, place):
-            raise RecordError(f"{path} is damaged: its texts run in circles", "fetch a fresh copy")
+            raise RecordError(f"{path} is damaged: corrupt string heap", "fetch a fresh copy")
         place = content.find(_HEAP, place + 1)
 
 
@@ -136,7 +136,8 @@ def read_record(path: str | Path) -> Record:
 
     path = Path(path)
     if not path.is_file():
-        raise RecordError(f"{path}: there is no such file")
+        what = "is not a regular file" if path.exists() else "does not exist"
+        raise RecordError(f"{path} {what}", "give the name of a case file")
     try:
         check_intact(path)
         with h5py.File(path, "r") as file:
@@ -184,6 +185,8 @@ def _read(path: Path, file: Any) -> Record:
         surface=text(attributes.get("surface")),
         I_rotor=inertias[0],
         I_casing=inertias[1],
+        I_rotor_u=float(np.asarray(attributes.get("I_rotor_u", np.nan))),
+        I_casing_u=float(np.asarray(attributes.get("I_casing_u", np.nan))),
         casing=casing,
         rotor=rotor,
         single=single,

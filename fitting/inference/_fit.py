@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from fitting._errors import EstimationError, FittingError
 from fitting.dynamics._model import Model
+from fitting.effects._expression import Expr, Tape, divisors, symbols
 from fitting.inference._case_data import CaseData
 from fitting.inference._initial_values import initial_shapes, initial_values, unknown_shapes
 from fitting.inference._noise import Noise
@@ -250,3 +251,33 @@ def _check(model: Model, data: Sequence[CaseData]) -> None:
             f"{foreign[0]} speaks of a rotor, which this record of one body does not have",
             "its laws are those that act on the casing alone: `gyrotrack effects` lists them",
         )
+    for effect in model.effects:
+        for divisor in divisors(effect.expression):
+            if any(_changes_sign(divisor, d) for d in data):
+                raise EstimationError(
+                    f"{effect.name} is singular within the measured motion: a divisor of its law, which no "
+                    "parameter changes, passes through zero.",
+                    "Write a law that is finite at every measured speed, or make the position of the pole a parameter.",
+                )
+
+
+def _changes_sign(divisor: Expr, data: CaseData) -> bool:
+    """Return whether an expression without parameters passes through zero along the measured motion.
+
+    A tenth of the range of each speed is added on both sides, as far as the speed keeps its sign: a trial of the fit
+    may start a little slower or faster than the record.
+    """
+    names = symbols(divisor)
+    if not names or not names <= {"t", "omega_r", "omega_c", "delta"}:
+        return False  # a constant, a parameter that the fit may move, or an angle
+    time, speeds = data.initial_speeds
+    own = {"omega_r": speeds[:, 0], "omega_c": speeds[:, 1], "delta": speeds[:, 0] - speeds[:, 1]}
+    motion = {"t": np.concatenate([time, time[[0, -1]]])}
+    for name, value in own.items():
+        low, high = float(value.min()), float(value.max())
+        margin = 0.1 * (high - low)
+        ends = [max(low - margin, min(low, 0.0)), min(high + margin, max(high, 0.0))]
+        motion[name] = np.concatenate([value, ends])
+    with np.errstate(all="ignore"):
+        value = np.asarray(Tape([divisor])(motion)[0])
+    return bool(np.nanmin(value, initial=np.inf) < 0 < np.nanmax(value, initial=-np.inf))

@@ -7,6 +7,7 @@ A `Record` is made from arrays (`make_record`) or a case file (`fitting.inferenc
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import compress
@@ -46,6 +47,8 @@ class Record:
         Names for people; the label tells the cases of a joint fit apart.
     I_rotor, I_casing : float
         Moments of inertia [kg m2].
+    I_rotor_u, I_casing_u : float
+        Their standard uncertainties [kg m2]; NaN if not given.
     casing : Samples
         The casing through the whole run.
     rotor : tuple of Samples
@@ -81,6 +84,8 @@ class Record:
     generated: bool = False
     windows: tuple[Samples, ...] = ()
     start_sigma: tuple[float, ...] = ()
+    I_rotor_u: float = math.nan
+    I_casing_u: float = math.nan
     digest: str = field(default="")
 
     def __post_init__(self) -> None:
@@ -117,6 +122,8 @@ def make_record(
     tracked: bool = False,
     single: bool = False,
     start_sigma: Sequence[float] = (),
+    I_rotor_u: float = math.nan,
+    I_casing_u: float = math.nan,
 ) -> Record:
     """Make a record from arrays of (time, value, sigma); samples that are not finite are left out.
 
@@ -141,7 +148,7 @@ def make_record(
         )
     return Record(
         label, I_rotor, I_casing, runs[0], windows, quantity, surface=surface, source=source, tracked=tracked,
-        start_sigma=tuple(compress(map(float, start_sigma), kept)),
+        start_sigma=tuple(compress(map(float, start_sigma), kept)), I_rotor_u=I_rotor_u, I_casing_u=I_casing_u,
     )  # fmt: skip
 
 
@@ -164,4 +171,7 @@ def _digest(record: Record) -> str:
             hasher.update(np.ascontiguousarray(a).tobytes())
     if any(record.start_sigma):
         hasher.update(repr(record.start_sigma).encode())
+    uncertainties = (record.I_rotor_u, record.I_casing_u)
+    if not all(map(math.isnan, uncertainties)):
+        hasher.update(repr(uncertainties).encode())
     return hasher.hexdigest()

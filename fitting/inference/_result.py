@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 VERDICT_TEXT = {
     "adequate": "adequate; the residuals are consistent with noise",
     "misfit": "significant lack of fit; run `gyrotrack diagnose`",
+    "not determined": "a parameter is not determined: its uncertainty exceeds its value a hundredfold",
     "not converged": "not converged; the values are not reliable",
 }
 
@@ -51,6 +52,10 @@ GENERATED = (
 )
 
 
+Array = NDArray[np.float64]
+Origin = tuple[tuple[str, ...], Array, tuple[str, ...], tuple[str, ...]]
+
+
 class FitSummary:
     """What a fit and a saved fit have in common: tables and text."""
 
@@ -58,6 +63,10 @@ class FitSummary:
     estimates: Mapping[str, Estimate]
     n_eff: float
     bic: float
+
+    def _origin(self) -> Origin:
+        """Return the names of the variables, their covariance, and sources and digests of the data."""
+        raise NotImplementedError
 
     if TYPE_CHECKING:
 
@@ -102,9 +111,17 @@ class FitSummary:
 
     def save(self, path: str | Path) -> None:
         """Write the fit as JSON, whole or not at all; `fitting.load_fit` reads it back."""
-        from fitting.study._serialisation import save_fit
+        from fitting._schema import SavedFitDocument, own_effects, write_document
 
-        save_fit(self, Path(path))
+        names, covariance, sources, digests = self._origin()
+        scalars = ("chi2", "rows", "n_eff", "deviance", "bic", "verdict")
+        same = (*scalars, "labels", "estimates", "cases", "noise")
+        document = SavedFitDocument.model_validate(
+            {k: getattr(self, k) for k in same}
+            | {"model": self.model.names, "own_effects": own_effects(self.model.effects)}
+            | {"names": names, "covariance": covariance.tolist(), "sources": sources, "digests": digests}
+        )
+        write_document(Path(path), document)
 
 
 def summary_lines(fit: FitSummary) -> list[str]:
@@ -163,12 +180,12 @@ def not_determined(estimates: Mapping[str, Estimate]) -> list[str]:
     ]
 
 
-Array = NDArray[np.float64]
-
 # chi2 per row that a model can reach, above which the lack of fit is significant (2000 rows: 1.0 +- 0.03)
-_MISFIT = 1.4
+REDUCED_CHI2 = 1.4
 # p-value of the lack-of-fit test below which the lack of fit is significant
-_IMPROBABLE = 1e-5
+LACK_OF_FIT_P = 1e-5
+# standard uncertainty over value above which a parameter is not determined, however good the fit
+UNDETERMINED = 100.0
 
 
 @dataclass(frozen=True)
@@ -214,6 +231,11 @@ class Fit(FitSummary):
     problem: Problem = field(repr=False)
     predictions: tuple[Prediction, ...] = field(repr=False)
 
+    def _origin(self) -> Origin:
+        records = [d.record for d in self.problem.data]
+        sources, digests = tuple(r.source for r in records), tuple(r.digest for r in records)
+        return self.problem.layout.names, self.covariance, sources, digests
+
     @cached_property
     def cases(self) -> tuple[CaseMetrics, ...]:
         """Figures of merit of each case."""
@@ -232,11 +254,23 @@ class Fit(FitSummary):
 
     @cached_property
     def verdict(self) -> str:
-        """One of "adequate", "misfit" and "not converged"."""
+        """One of "adequate", "misfit", "not determined" and "not converged"."""
         if not self.converged:
             return "not converged"
-        left = self.lack_of_fit.p_value < _IMPROBABLE or any(c.misfit > _MISFIT for c in self.cases)
-        return "misfit" if left else "adequate"
+        left = self.lack_of_fit.p_value < LACK_OF_FIT_P or any(c.misfit > REDUCED_CHI2 for c in self.cases)
+        if left:
+            return "misfit"
+        return "not determined" if self.undetermined else "adequate"
+
+    @property
+    def undetermined(self) -> list[str]:
+        """Parameters whose standard uncertainty exceeds their value a hundredfold; an angle is none of them."""
+        return [
+            k
+            for k in not_determined(self.estimates)
+            if self.estimates[k].stderr > UNDETERMINED * abs(self.estimates[k].value)
+            and self.problem.layout.parameter(k).role != "phase"
+        ]
 
     @property
     def reduced_chi2(self) -> float:

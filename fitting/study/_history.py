@@ -1,106 +1,132 @@
 """The history of fits of a study: a JSON ledger beside the data.
 
-A rung holds the model (with the laws of effects that are not in the library), parameters, figures of
-merit, noise, the rung it was made from, digests of the data, and the program's version. A ledger may hold
-ladders of several sets of cases; each rung says which cases it belongs to.
+An entry holds the model (with the laws of effects that are not in the library), parameters, figures of merit, noise,
+the fit that it was made from, digests of the data, and the version of the program. A ledger may hold histories of
+several sets of cases; each entry names its cases. The keys are those of `fitting._schema.EntryDocument`.
 """
 
 from __future__ import annotations
 
-import json
-import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
+
+from fitting._atomic import locked
 from fitting._errors import FittingError, LedgerError
 from fitting._numbers import to_json
+from fitting._schema import (
+    EntryDocument,
+    LedgerDocument,
+    StoredDiagnosis,
+    StoredFit,
+    as_json,
+    effects_of,
+    first_error,
+    own_effects,
+    read_json,
+    write_document,
+)
 from fitting.discovery._verdict import Diagnosis
 from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect
-from fitting.effects._user import effects_of, own_effects
 from fitting.inference._case_data import CaseData
 from fitting.inference._result import Fit
 from fitting.inference._robust import robust_fit
 from fitting.study._serialisation import (
     fit_document,
-    kept_diagnosis,
-    kept_fit,
     restored_diagnosis,
     restored_fit,
     rung_document,
+    stored_diagnosis,
+    stored_fit,
 )
 
-FORMAT = "gyrotrack ledger"
-VERSION = 1
-# what comes of a part of the file that was changed by hand: what was kept there is then found anew
+_ELSEWHERE = "move it away or choose another with --ledger"
+# faults of a part of the file that was changed by hand: its content is then computed anew
 _DAMAGED = (LookupError, TypeError, ValueError, AttributeError, FittingError)
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One rung as it is stored: see `document`, the JSON object of the rung."""
+    """One fit of a ledger.
+
+    Attributes
+    ----------
+    document : dict
+        The JSON object, with all keys of the file.
+    """
 
     document: dict[str, Any]
 
+    @cached_property
+    def stored(self) -> EntryDocument:
+        """The same, checked.
+
+        Raises
+        ------
+        pydantic.ValidationError
+            If a key is missing or of a wrong type.
+        """
+        return EntryDocument.model_validate(self.document)
+
     @property
     def fit_id(self) -> str:
-        """The name of the rung."""
-        return str(self.document["fit_id"])
+        """The name of the fit: f1, f2, ..."""
+        return self.stored.fit_id
 
     @property
     def digests(self) -> list[str]:
         """Digests of the cases that were fitted."""
-        return [str(d) for d in self.document["digests"]]
+        return self.stored.digests
 
     @property
     def choices(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """What all cases were told to share, and of what each was told to have its own."""
-        share, per_case = (tuple(map(str, self.document.get(k, ()))) for k in ("share", "per_case"))
-        return share, per_case
+        """Parameters that all cases share, and those of which each has its own, other than by default."""
+        return tuple(self.stored.share), tuple(self.stored.per_case)
 
     @property
     def model(self) -> Model:
         """The model that was fitted."""
-        return Model(effects_of(self.document["model"], self.document.get("own_effects", [])))
+        return Model(effects_of(self.stored.model, self.stored.own_effects))
 
     def shown(self, data: Sequence[CaseData]) -> Fit:
-        """Return the fit of this rung to be shown: as it was, if this very code made it, else made anew."""
-        kept, found = self.document.get("restored_from"), None
-        if kept:
+        """Return the fit for display: restored if this very code made it, else fitted again."""
+        stored, found = self.document.get("restored_from"), None
+        if stored:
             with suppress(*_DAMAGED):
-                found = restored_fit(kept, self.model, data)
+                found = restored_fit(StoredFit.model_validate(stored), self.model, data)
         return found or self.refit(data)
 
     def diagnosis(self, fit: Fit, extra: Sequence[Effect] = ()) -> Diagnosis | None:
-        """Return the diagnosis of this rung to be shown, if there was one by this very code with these effects."""
-        kept = self.document.get("diagnosis")
-        if kept:
+        """Return the diagnosis for display, if this very code made one with these effects of the user."""
+        stored = self.document.get("diagnosis")
+        if stored:
             with suppress(*_DAMAGED):
-                return restored_diagnosis(kept, fit, extra)
+                return restored_diagnosis(StoredDiagnosis.model_validate(stored), fit, extra)
         return None
 
     def refit(self, data: Sequence[CaseData]) -> Fit:
-        """Return the fit of this rung, made anew from its own parameters."""
-        start = {k: float(v["value"]) for k, v in self.document["parameters"].items()}
-        ranges = {k: (float(a), float(b)) for k, (a, b) in self.document.get("ranges", {}).items()}
+        """Return the fit, made again with its own parameters as initial values."""
         return robust_fit(
             self.model,
             data,
-            self.document.get("loss", "linear"),
-            share=self.document.get("share", ()),
-            per_case=self.document.get("per_case", ()),
-            start=start,
-            ranges=ranges,
+            self.stored.loss,
+            share=self.stored.share,
+            per_case=self.stored.per_case,
+            start={k: e.value for k, e in self.stored.parameters.items()},
+            ranges=self.stored.ranges,
         )
 
 
 class Ledger:
-    """The rungs in one file.
+    """The fits in one file.
 
     Parameters
     ----------
@@ -110,7 +136,7 @@ class Ledger:
     Raises
     ------
     LedgerError
-        If the file is there and is no ledger.
+        If the file exists and is no ledger.
     """
 
     def __init__(self, path: Path) -> None:
@@ -125,12 +151,12 @@ class Ledger:
         return cls(case.with_name(f"{case.stem}.fits.json"))
 
     def of(self, data: Sequence[CaseData]) -> list[Entry]:
-        """Return the rungs of exactly these cases."""
+        """Return the fits of exactly these cases."""
         key = sorted(d.record.digest for d in data)
         return [e for e in self.entries if sorted(e.digests) == key]
 
     def find(self, fit_id: str) -> Entry:
-        """Return a rung by its name.
+        """Return a fit by its name.
 
         Raises
         ------
@@ -155,95 +181,57 @@ class Ledger:
         ranges: dict[str, tuple[float, float]] | None = None,
         loss: str = "linear",
     ) -> Entry:
-        """Append a fit and write the file, whole or not at all; what others added meanwhile is kept."""
+        """Append a fit and write the file atomically; entries that other processes added meanwhile are kept."""
         if not share and not per_case:
             share, per_case = found.problem.layout.choices
-        with _alone(self.path.parent):
-            if self.path.exists():
-                self.entries = _read(self.path)
+        records = [d.record for d in found.problem.data]
+        with self._locked():
             fit_id = f"f{1 + max((int(e.fit_id[1:]) for e in self.entries), default=0)}"
-            document = fit_document(found, fit_id) | {
-                "parent": parent,
-                "added": added,
-                "rung": rung_document(found, fit_id, added, previous),
-                "digests": [d.record.digest for d in found.problem.data],
-                "sources": [d.record.source for d in found.problem.data],
-                "own_effects": own_effects(found.model.effects),
-                "share": list(share),
-                "per_case": list(per_case),
-                "ranges": {k: list(v) for k, v in (ranges or {}).items()},
-                "loss": loss,
-                "data": found.problem.data[0].record.quantity,
-                "rotor": "generated" if found.problem.data[0].record.generated else "windows",
-                "created": datetime.now(UTC).isoformat(timespec="seconds"),
-                "software_version": _version(),
-                # a robust fit is one of pseudo-values, which are not kept
-                "restored_from": kept_fit(found) if loss == "linear" else None,
-            }
-            entry = Entry(to_json(document))
+            document = EntryDocument(
+                **fit_document(found, fit_id),
+                parent=parent,
+                added=added,
+                rung=rung_document(found, fit_id, added, previous),  # type: ignore[arg-type]  # pydantic reads it
+                digests=[r.digest for r in records],
+                sources=[r.source for r in records],
+                own_effects=own_effects(found.model.effects),
+                share=list(share),
+                per_case=list(per_case),
+                ranges=ranges or {},
+                loss=loss,
+                data=records[0].quantity,
+                rotor="generated" if records[0].generated else "windows",
+                created=datetime.now(UTC).isoformat(timespec="seconds"),
+                software_version=_version(),
+                # a robust fit is one of pseudo-values, which are not stored
+                restored_from=as_json(stored_fit(found)) if loss == "linear" else None,
+            )
+            entry = Entry(to_json(document.model_dump(exclude={"diagnosis"})))
             self.entries.append(entry)
-            self._write()
             return entry
 
     def keep_diagnosis(self, fit_id: str, found: Diagnosis, extra: Sequence[Effect] = ()) -> None:
-        """Keep with a rung what was found missing in it, so that it can be shown again without a new search."""
-        with _alone(self.path.parent):
-            self.entries = _read(self.path)
-            self.find(fit_id).document["diagnosis"] = to_json(kept_diagnosis(found, extra))
-            self._write()
+        """Store the diagnosis of a fit, so that it can be displayed again without a new search."""
+        with self._locked():
+            self.find(fit_id).document["diagnosis"] = as_json(stored_diagnosis(found, extra))
 
-    def _write(self) -> None:
-        document = {"format": FORMAT, "version": VERSION, "fits": [e.document for e in self.entries]}
-        part = self.path.with_name(self.path.name + ".part")
-        try:
-            with part.open("w", encoding="utf-8") as stream:
-                json.dump(document, stream, indent=1, allow_nan=False)
-                stream.flush()
-                os.fsync(stream.fileno())
-            part.replace(self.path)
-        except OSError as fault:
-            with suppress(OSError):  # on a read-only disk not even that is allowed
-                part.unlink(missing_ok=True)
-            raise LedgerError(
-                f"{self.path} cannot be written: {fault.strerror}", "choose another with --ledger"
-            ) from None
-
-
-@contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Keep other processes from adding to ledgers in a folder while the block runs, where the system can."""
-    try:
-        import fcntl
-
-        handle = os.open(folder, os.O_RDONLY)
-    except (ImportError, OSError):  # no locks here; two fits at the same moment may then overtake each other
-        yield
-        return
-    try:
-        with suppress(OSError):
-            fcntl.flock(handle, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(handle)
+    @contextmanager
+    def _locked(self) -> Iterator[None]:
+        """Read the file again, let the block change the entries, and write them, while no other process can."""
+        with locked(self.path):
+            if self.path.exists():
+                self.entries = _read(self.path)
+            yield
+            write_document(self.path, LedgerDocument(fits=[e.document for e in self.entries]))
 
 
 def _read(path: Path) -> list[Entry]:
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as fault:
-        raise LedgerError(
-            f"{path} is not a ledger of fits: {fault}", "move it away or choose another with --ledger"
-        ) from None
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise LedgerError(f"{path} is not a ledger of fits", "move it away or choose another with --ledger")
-    if int(document.get("version", 0)) > VERSION:
-        raise LedgerError(f"{path} was written by a newer version", "update gyrotrack")
-    entries = [Entry(d) for d in document.get("fits", []) if isinstance(d, dict)]
-    if any(not {"fit_id", "model", "parameters", "digests"} <= set(e.document) for e in entries):
-        raise LedgerError(
-            f"{path} is damaged: a fit lacks its model or parameters",
-            "move it away or choose another with --ledger",
-        )
+    entries = [Entry(d) for d in read_json(path, LedgerDocument, "is not a ledger of fits", _ELSEWHERE).fits]
+    for entry in entries:
+        try:
+            _ = entry.stored
+        except ValidationError as fault:
+            raise LedgerError(f"{path} is damaged: {first_error(fault)}", _ELSEWHERE) from None
     return entries
 
 

@@ -1,6 +1,6 @@
-"""Cases studied together, the history of their fits, and the next fit.
+"""Cases studied together, the history of their fits, and requests for the next fit.
 
-What fits is imported where it is needed: the commands that take a study must come up fast.
+`fitting` is imported where it is needed, so that commands start fast.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from gyrotrack._errors import UsageError
 
 if TYPE_CHECKING:
     from fitting._workers import WorkerPool
-    from fitting.discovery._select import Rung
+    from fitting.discovery._select import Step
     from fitting.discovery._verdict import Diagnosis
     from fitting.dynamics._model import Model
     from fitting.effects._effect import Effect
@@ -27,13 +27,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Study:
-    """Cases that are looked at together, and their fits so far."""
+    """Cases that are fitted together, and the history of their fits.
+
+    Attributes
+    ----------
+    data : tuple of CaseData
+        The cases, compressed for fitting.
+    ledger : Ledger
+        Their fits so far, and those of other sets of cases in the same file.
+    """
 
     data: tuple[CaseData, ...]
     ledger: Ledger
 
     def entry(self, fit_id: str | None) -> Entry | None:
-        """Return the rung asked for, or the latest one of these cases, or None."""
+        """Return the fit of this name, by default the latest of these cases; None if there is none."""
         if fit_id is not None:
             found = self.ledger.find(fit_id)
             if sorted(found.digests) != sorted(d.record.digest for d in self.data):
@@ -45,24 +53,24 @@ class Study:
         return entries[-1] if entries else None
 
     def model(self, names: Iterable[str]) -> Model:
-        """Return the model of these effects, or the part of it that one body alone has if there is but one."""
+        """Return the model of these effects; for a recording of one body the part that applies to it."""
         from fitting.dynamics._model import Model
 
         whole = Model.of(names)
         return whole.alone if self.data[0].record.single else whole
 
-    def rungs_to(self, fit_id: str | None) -> list[Rung]:
-        """Return the fit asked for, or the latest, and those that it was made from, the first one first."""
-        from fitting.discovery._select import Rung
+    def steps_to(self, fit_id: str | None) -> list[Step]:
+        """Return a fit (by default the latest) after those that it was made from, the first one first."""
+        from fitting.discovery._select import Step
 
         if self.entry(fit_id) is None:
             fit, _ = self.base(None)
-            return [Rung("", fit, ())]
+            return [Step("", fit, ())]
         chain = self._chain(fit_id)
-        return [Rung(str(e.document.get("added", "")), e.shown(self.data), ()) for e in reversed(chain)]
+        return [Step(str(e.document.get("added", "")), e.shown(self.data), ()) for e in reversed(chain)]
 
     def _chain(self, fit_id: str | None) -> list[Entry]:
-        """Return the rung asked for, or the latest, and those that it was made from, the first one last."""
+        """Return an entry (by default the latest) before those that it was made from, the first one last."""
         entry = self.entry(fit_id)
         if entry is None:
             return []
@@ -77,12 +85,12 @@ class Study:
     def diagnosis(
         self, fit_id: str | None, fit: Fit, extra: Sequence[Effect] = (), *, workers: WorkerPool | None = None
     ) -> Diagnosis:
-        """Return the diagnosis of the first of the rungs that led to a fit, kept if there is one, else made and kept.
+        """Return the diagnosis of the first fit of a history: the stored one, or a new one that is then stored.
 
         Parameters
         ----------
         fit_id : str or None
-            The last of the rungs, as for `rungs_to`.
+            The last fit of the history, as for `steps_to`.
         fit : Fit
             The fit of the first.
         extra : sequence of Effect
@@ -100,22 +108,22 @@ class Study:
         return found
 
     def keep_diagnosis(self, fit_id: str, found: Diagnosis, extra: Sequence[Effect] = ()) -> None:
-        """Keep a diagnosis with its rung, where the ledger can be written; it can be found again without."""
+        """Store a diagnosis with its fit; where the ledger cannot be written, nothing is stored."""
         from fitting._errors import LedgerError
 
         with suppress(LedgerError):
             self.ledger.keep_diagnosis(fit_id, found, extra)
 
-    def keep(self, rungs: Sequence[Rung], first: str) -> list[Entry]:
-        """Keep the rungs of a ladder whose first one is the fit `first` of the ledger; return all of them."""
+    def keep(self, steps: Sequence[Step], first: str) -> list[Entry]:
+        """Store the steps of a history whose first is the fit `first` of the ledger; return all entries."""
         entries = [self.ledger.find(first)]
-        for before, rung in pairwise(rungs):
+        for before, step in pairwise(steps):
             parent = entries[-1].fit_id
-            entries.append(self.ledger.add(rung.fit, parent=parent, added=rung.change, previous=before.fit))
+            entries.append(self.ledger.add(step.fit, parent=parent, added=step.change, previous=before.fit))
         return entries
 
     def base(self, fit_id: str | None) -> tuple[Fit, str]:
-        """Return the fit to start from and its name; without any the reduced model is fitted and kept."""
+        """Return the fit of this name (by default the latest) and its name; without any, of the reduced model."""
         from fitting.effects._library import REDUCED
         from fitting.inference._fit import fit
 
@@ -139,7 +147,7 @@ def open_study(
 def read_cases(
     cases: Sequence[Path], *, data: str | None = None, rotor: str = "windows"
 ) -> tuple[CaseData, ...]:
-    """Read cases and project them: what was measured, or the paper's velocities and generated rotor curve."""
+    """Read cases and compress them: data as measured, or the paper's velocities and generated rotor curve."""
     from fitting.inference._case_data import CaseData
     from fitting.inference._case_file import read_record
 
@@ -162,22 +170,22 @@ _NAMED = ("reduced", "general", "linear")
 
 
 @dataclass(frozen=True)
-class Wish:
-    """A model to be fitted to the cases of a study.
+class FitRequest:
+    """A request to fit a model to the cases of a study.
 
     Attributes
     ----------
     model : str, optional
-        reduced, general, linear, or the name of a TOML file. Without it the wish is a change of an earlier fit, and
-        if there is none the reduced model.
+        reduced, general, linear, or the name of a TOML file. Without it the request changes an earlier fit, and if
+        there is none the reduced model.
     add, drop : tuple of str
         Effects by name, and for `add` also laws such as ``casing: -k*omega_c**3``.
     own : sequence of Effect
         Effects of the user, which `add` may name.
     share, per_case : tuple of str
-        Parameters with one value for all cases, or with a value for each.
+        Parameters with one value for all cases, or with one for each.
     held : mapping
-        Values of parameters that are not fitted [SI].
+        Values of parameters that are held fixed [SI].
     loss : str
         linear, huber or cauchy.
     """
@@ -192,24 +200,24 @@ class Wish:
     loss: str = "linear"
 
     def fit(self, study: Study, start: str | None = None) -> tuple[Fit, str]:
-        """Fit, and keep the result in the ledger.
+        """Fit, and store the result in the ledger.
 
         Parameters
         ----------
         study : Study
             The cases.
         start : str, optional
-            Name of the fit that is changed; the latest, if not given.
+            Name of the fit that is changed; by default the latest.
 
         Returns
         -------
         tuple of (Fit, str)
-            What was found, and its name in the ledger.
+            The result, and its name in the ledger.
 
         Raises
         ------
         UsageError
-            There is no such model, or the fit `start` is not one of these cases.
+            The model is unknown, or the fit `start` is not one of these cases.
         """
         wanted, entry = self._wanted(study, start)
         share, per_case = self._choices(entry, wanted)
@@ -244,13 +252,13 @@ class Wish:
         try:
             return robust_fit(wanted, study.data, self.loss, start=start, **options)
         except FittingError:
-            # what suited the parent may be no start for the new model: the program's own then
+            # the parent's values can be poor initial values of the new model: use the program's own
             if start is None:
                 raise
             return robust_fit(wanted, study.data, self.loss, **options)
 
     def _choices(self, entry: Entry | None, wanted: Model) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Return what to share and what not: as the fit that is changed does, where the wish has no other word."""
+        """Return what is shared and what is not: as in the fit that is changed, unless the request says otherwise."""
         if entry is None:
             return self.share, self.per_case
         from fitting.inference._parameters import covers
@@ -265,7 +273,7 @@ class Wish:
 
     @property
     def change(self) -> str:
-        """The wish in few words, as the ladder shows it."""
+        """The request in few words, for the history."""
         steps = [
             *(f"+{a}" for a in self.add),
             *(f"-{d}" for d in self.drop),
@@ -275,7 +283,7 @@ class Wish:
         return " ".join(steps) or (self.model or "")
 
     def _wanted(self, study: Study, start: str | None) -> tuple[Model, Entry | None]:
-        """Return the model, and the rung of which it is a change."""
+        """Return the model, and the entry of the ledger that it changes."""
         from fitting.effects._library import REDUCED
 
         follows = self.model is None and (self.add or self.drop or start)

@@ -1,175 +1,21 @@
-"""Recordings and cases as flat tables: CSV, Parquet, netCDF."""
+"""Recordings and cases for other programs: CSV, Parquet, netCDF, JSON, text of OSP Tracker; `import` reads all back."""
 
 from __future__ import annotations
 
 import csv
 import io
 import json
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-import numpy.typing as npt
 
 from gyrotrack._errors import UsageError
 from gyrotrack.io._atomic import new_file
 from gyrotrack.io._hdf5 import read_case, read_kind, read_recording
-from gyrotrack.io._records import STATUS, Case, Recording
-from gyrotrack.io._schema import BODY, CASE, FRAME, MARKER, SERIES, Table
-
-_WORDS = np.array(list(STATUS), dtype=object)
-
-
-@dataclass(frozen=True)
-class Column:
-    """One column: its name, its unit ("" for words), and a value for each row."""
-
-    name: str
-    unit: str
-    values: npt.NDArray[Any]
-
-    @property
-    def heading(self) -> str:
-        """The name with its unit in brackets, as `import` reads it."""
-        return (
-            f"{self.name} [{_READABLE.get(self.unit, self.unit)}]"
-            if self.unit not in {"", "1"}
-            else self.name
-        )
-
-
-_READABLE = {"rad s-1": "rad/s"}
-
-
-def columns(content: Recording | Case, table: str = "motion") -> tuple[Column, ...]:
-    """Return a recording or a case as columns of equal length.
-
-    Parameters
-    ----------
-    content : Recording or Case
-        What to hand on.
-    table : {"motion", "markers", "frames"}
-        The angles and speeds of the bodies; every marker in every frame; the frames of each clip. The rows of
-        several bodies, markers or clips follow one another and are told apart by the first columns.
-
-    Returns
-    -------
-    tuple of Column
-        Times in s, angles in rad, speeds in rad s-1, lengths in px; NaN where nothing is known.
-
-    Raises
-    ------
-    UsageError
-        There is no such table, or nothing in it.
-    """
-    if table not in TABLES:
-        raise UsageError(f"There is no table '{table}'.", f"There are: {', '.join(TABLES)}.")
-    parts = TABLES[table](content)
-    if not parts:
-        raise UsageError(f"There are no {table} in this file.", "Recordings of films hold them.")
-    return tuple(
-        Column(c.name, c.unit, np.concatenate([part[i].values for part in parts]))
-        for i, c in enumerate(parts[0])
-    )
-
-
-def to_dataframe(content: Recording | Case, table: str = "motion") -> Any:
-    """Return `columns` as a pandas DataFrame; the units stand in its ``attrs["units"]``.
-
-    Raises
-    ------
-    UsageError
-        As for `columns`, or pandas is not installed.
-
-    Examples
-    --------
-    >>> from gyrotrack.dataset import read_case
-    >>> frame = to_dataframe(read_case("case1.h5"))  # doctest: +SKIP
-    >>> frame.groupby("body")["omega"].max()  # doctest: +SKIP
-    """
-    try:
-        import pandas as pd
-    except ImportError:
-        raise UsageError(
-            "A DataFrame needs pandas, which is not installed.",
-            'Install it: pip install "gyrotrack[notebook]"',
-        ) from None
-    made = columns(content, table)
-    frame = pd.DataFrame({c.name: c.values for c in made})
-    frame.attrs["units"] = {c.name: c.unit for c in made if c.unit}
-    return frame
-
-
-def _motion(content: Recording | Case) -> list[list[Column]]:
-    if isinstance(content, Recording):
-        return [
-            [_word("body", name, len(body.time)), *_of(BODY, vars(body))]
-            for name, body in content.bodies.items()
-        ]
-    parts = []
-    for name, series in (("casing", content.casing), ("rotor", content.rotor)):
-        rows = len(series.time)
-        window = series.window if series.window is not None else np.zeros(rows, dtype=np.int64)
-        parts.append([_word("body", name, rows), Column("window", "1", window), *_of(SERIES, vars(series))])
-    return [part for part in parts if len(part[0].values)]
-
-
-def _markers(content: Recording | Case) -> list[list[Column]]:
-    return [
-        [
-            _word("clip", clip, len(recording.time)),
-            _word("marker", name, len(recording.time)),
-            _word("body", marker.body, len(recording.time)),
-            *_of(MARKER, {**vars(marker), "frame": recording.frame_index}),
-        ]
-        for clip, recording in _clips(content).items()
-        for name, marker in recording.markers.items()
-    ]
-
-
-def _frames(content: Recording | Case) -> list[list[Column]]:
-    return [
-        [
-            _word("clip", clip, len(r.time)),
-            *_of(FRAME, {**vars(r), "frame": r.frame_index, "index": r.frame_index}),
-        ]
-        for clip, r in _clips(content).items()
-    ]
-
-
-TABLES: dict[str, Callable[[Recording | Case], list[list[Column]]]] = {
-    "motion": _motion,
-    "markers": _markers,
-    "frames": _frames,
-}
-
-
-def _clips(content: Recording | Case) -> dict[str, Recording]:
-    return {content.source: content} if isinstance(content, Recording) else content.recordings
-
-
-def _word(name: str, word: str, rows: int) -> Column:
-    return Column(name, "", np.full(rows, word, dtype=object))
-
-
-def _of(table: Table, values: Mapping[str, Any]) -> list[Column]:
-    """Return the fields of a layout's table, those with more than one number a sample spread out."""
-    made = []
-    for f in table.fields:
-        value = np.asarray(values[f.name])
-        if f.name == "status":
-            made.append(Column(f.name, "", _WORDS[value]))
-        elif value.ndim == 1:
-            made.append(Column(f.name, f.units, value))
-        else:
-            for place in np.ndindex(value.shape[1:]):
-                *side, axis = place
-                name = "_".join([f.name, *(str(s) for s in side), "xy"[axis]])
-                made.append(Column(name, f.units, value[(slice(None), *place)]))
-    return made
-
+from gyrotrack.io._records import Column, columns
+from gyrotrack.io._schema import CASE
 
 _BLOCK = 20_000
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
@@ -184,7 +30,8 @@ def export_file(source: Path, target: Path, *, table: str = "motion", force: boo
         A recording or a case.
     target : Path
         ``.csv`` (units in the header, numbers with all their digits, empty cells for NaN), ``.parquet`` (units
-        in the fields' metadata) or ``.nc`` (netCDF-4 with everything that the file holds).
+        in the fields' metadata), ``.json`` (columns and units), ``.txt`` (OSP Tracker: a point on the unit circle for
+        each body) or ``.nc`` (netCDF-4 with everything that the file holds).
     table : str
         Which table of `columns`; netCDF takes them all.
     force : bool
@@ -259,6 +106,32 @@ def _parquet(made: Sequence[Column], stream: BinaryIO) -> None:
     pq.write_table(table, stream)
 
 
+def _json(made: Sequence[Column], stream: BinaryIO) -> None:
+    """Write columns and units; NaN becomes null."""
+    values = {c.name: [None if v != v else v for v in c.values.tolist()] for c in made}
+    document = {"columns": values, "units": {c.name: c.unit for c in made if c.unit}}
+    stream.write(json.dumps(document, allow_nan=False).encode())
+
+
+def _tracker(made: Sequence[Column], stream: BinaryIO) -> None:
+    """Write a track for each body, cos and sin of its angle about the track "origin", at the times of all bodies."""
+    columns = {c.name: c.values for c in made}
+    if not {"body", "time", "angle"} <= set(columns):
+        raise UsageError("A text of OSP Tracker holds angles of bodies only.", "Export --table motion.")
+    bodies = list(dict.fromkeys(columns["body"].tolist()))
+    times = np.unique(columns["time"])
+    places = np.full((len(times), 2 * len(bodies)), np.nan)
+    for k, body in enumerate(bodies):
+        rows = columns["body"] == body
+        at, angle = np.searchsorted(times, columns["time"][rows]), columns["angle"][rows]
+        places[at, 2 * k], places[at, 2 * k + 1] = np.cos(angle), np.sin(angle)
+    titles = ["", *(f"{body}\t" for body in bodies), "origin\t"]
+    lines = ["\t".join(titles), "\t".join(["t", *("x", "y") * (len(bodies) + 1)])]
+    for time, row in zip(times.tolist(), places.tolist(), strict=True):
+        lines.append("\t".join([repr(time), *("" if v != v else repr(v) for v in row), "0.0", "0.0"]))
+    stream.write(("\n".join(lines) + "\n").encode())
+
+
 def _netcdf(source: Path, target: Path, *, force: bool) -> dict[str, Any]:
     try:
         import h5netcdf  # noqa: F401 - xarray's engine
@@ -276,4 +149,10 @@ def _lacking(form: str, libraries: str) -> UsageError:
     )
 
 
-FORMATS: dict[str, Callable[..., Any]] = {".csv": _csv, ".parquet": _parquet, ".nc": _netcdf}
+FORMATS: dict[str, Callable[..., Any]] = {
+    ".csv": _csv,
+    ".parquet": _parquet,
+    ".nc": _netcdf,
+    ".json": _json,
+    ".txt": _tracker,
+}

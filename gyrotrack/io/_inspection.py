@@ -12,7 +12,8 @@ import numpy as np
 
 from gyrotrack.io import _schema as layout
 from gyrotrack.io._hdf5 import load_case, load_json, load_recording, open_dataset
-from gyrotrack.io._records import STATUS, BodyTrack, Case, Floats, Recording, Series
+from gyrotrack.io._records import BodyTrack, Case, Floats, Recording, Series
+from gyrotrack.io._schema import STATUS
 from gyrotrack.io._tables import attribute, check_storage, load
 
 _PROVENANCE = ("format_version", "software_version", "created", "command")

@@ -8,17 +8,20 @@ which the bodies turn; lengths in the image in px. A missing number is NaN, neve
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack._errors import UsageError
+from gyrotrack.io._schema import BODY, FRAME, MARKER, SERIES, STATUS, Table
+
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 Codes = npt.NDArray[np.int8]
-
-STATUS = {"ok": 0, "blurred": 1, "occluded": 2, "out_of_frame": 3, "lost": 4}
 
 
 @dataclass(frozen=True)
@@ -124,10 +127,14 @@ class Recording:
     extra: dict[str, Any] = field(default_factory=dict)
 
     def to_dataframe(self, table: str = "motion") -> Any:
-        """Return the table "motion", "markers" or "frames" as a pandas DataFrame (see `gyrotrack.exporting`)."""
-        from gyrotrack.io._export import to_dataframe
+        """Return the table "motion", "markers" or "frames" as a pandas DataFrame; ``attrs["units"]`` has the units.
 
-        return to_dataframe(self, table)
+        Raises
+        ------
+        UsageError
+            As for `columns`, or pandas is not installed.
+        """
+        return _dataframe(columns(self, table))
 
 
 @dataclass(frozen=True)
@@ -191,9 +198,10 @@ class GeneratedCurve:
 class Case:
     """One experiment on one clock.
 
-    `I_rotor` and `I_casing` are moments of inertia [kg m2]; `quantity` is what was measured, "angle" or
-    "omega" (then the angle is its integral). With `bodies` "one" a single body stands in the casing's place, and the
-    rotor's series is empty.
+    `I_rotor` and `I_casing` are moments of inertia and `I_rotor_u`, `I_casing_u` their standard uncertainties
+    [kg m2], NaN if not given; `quantity` is what was measured, "angle" or
+    "omega" (then the angle is its integral). With `bodies` "one" the series `casing` is that of the single
+    body, and `rotor` is empty.
     """
 
     I_rotor: float
@@ -209,9 +217,153 @@ class Case:
     warnings: tuple[str, ...] = ()
     extra: dict[str, Any] = field(default_factory=dict)
     bodies: str = "two"
+    I_rotor_u: float = math.nan
+    I_casing_u: float = math.nan
 
     def to_dataframe(self, table: str = "motion") -> Any:
-        """Return the table "motion", "markers" or "frames" as a pandas DataFrame (see `gyrotrack.exporting`)."""
-        from gyrotrack.io._export import to_dataframe
+        """Return the table "motion", "markers" or "frames" as a pandas DataFrame; ``attrs["units"]`` has the units.
 
-        return to_dataframe(self, table)
+        Raises
+        ------
+        UsageError
+            As for `columns`, or pandas is not installed.
+        """
+        return _dataframe(columns(self, table))
+
+
+_WORDS = np.array(list(STATUS), dtype=object)
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column: its name, its unit ("" for words), and a value for each row."""
+
+    name: str
+    unit: str
+    values: npt.NDArray[Any]
+
+    @property
+    def heading(self) -> str:
+        """The name with its unit in brackets, as `import` reads it."""
+        return (
+            f"{self.name} [{_READABLE.get(self.unit, self.unit)}]"
+            if self.unit not in {"", "1"}
+            else self.name
+        )
+
+
+_READABLE = {"rad s-1": "rad/s"}
+
+
+def columns(content: Recording | Case, table: str = "motion") -> tuple[Column, ...]:
+    """Return a recording or a case as columns of equal length.
+
+    Parameters
+    ----------
+    content : Recording or Case
+        Source of the columns.
+    table : {"motion", "markers", "frames"}
+        The angles and speeds of the bodies; every marker in every frame; the frames of each clip. The rows of
+        several bodies, markers or clips follow one another and are distinguished by the first columns.
+
+    Returns
+    -------
+    tuple of Column
+        Times in s, angles in rad, speeds in rad s-1, lengths in px; NaN where not measured.
+
+    Raises
+    ------
+    UsageError
+        There is no such table, or nothing in it.
+    """
+    if table not in TABLES:
+        raise UsageError(f"Unknown table '{table}'.", f"Use one of {', '.join(TABLES)}.")
+    parts = TABLES[table](content)
+    if not parts:
+        raise UsageError(f"The file has no {table}.", "Only recordings of films have them.")
+    return tuple(
+        Column(c.name, c.unit, np.concatenate([part[i].values for part in parts]))
+        for i, c in enumerate(parts[0])
+    )
+
+
+def _dataframe(made: tuple[Column, ...]) -> Any:
+    try:
+        import pandas as pd
+    except ImportError:
+        raise UsageError(
+            "A DataFrame needs pandas, which is not installed.",
+            'Install it: pip install "gyrotrack[notebook]"',
+        ) from None
+    frame = pd.DataFrame({c.name: c.values for c in made})
+    frame.attrs["units"] = {c.name: c.unit for c in made if c.unit}
+    return frame
+
+
+def _motion(content: Recording | Case) -> list[list[Column]]:
+    if isinstance(content, Recording):
+        return [
+            [_word("body", name, len(body.time)), *_of(BODY, vars(body))]
+            for name, body in content.bodies.items()
+        ]
+    parts = []
+    for name, series in (("casing", content.casing), ("rotor", content.rotor)):
+        rows = len(series.time)
+        window = series.window if series.window is not None else np.zeros(rows, dtype=np.int64)
+        parts.append([_word("body", name, rows), Column("window", "1", window), *_of(SERIES, vars(series))])
+    return [part for part in parts if len(part[0].values)]
+
+
+def _markers(content: Recording | Case) -> list[list[Column]]:
+    return [
+        [
+            _word("clip", clip, len(recording.time)),
+            _word("marker", name, len(recording.time)),
+            _word("body", marker.body, len(recording.time)),
+            *_of(MARKER, {**vars(marker), "frame": recording.frame_index}),
+        ]
+        for clip, recording in _clips(content).items()
+        for name, marker in recording.markers.items()
+    ]
+
+
+def _frames(content: Recording | Case) -> list[list[Column]]:
+    return [
+        [
+            _word("clip", clip, len(r.time)),
+            *_of(FRAME, {**vars(r), "frame": r.frame_index, "index": r.frame_index}),
+        ]
+        for clip, r in _clips(content).items()
+    ]
+
+
+TABLES: dict[str, Callable[[Recording | Case], list[list[Column]]]] = {
+    "motion": _motion,
+    "markers": _markers,
+    "frames": _frames,
+}
+
+
+def _clips(content: Recording | Case) -> dict[str, Recording]:
+    return {content.source: content} if isinstance(content, Recording) else content.recordings
+
+
+def _word(name: str, word: str, rows: int) -> Column:
+    return Column(name, "", np.full(rows, word, dtype=object))
+
+
+def _of(table: Table, values: Mapping[str, Any]) -> list[Column]:
+    """Return the fields of a table; a field with several numbers per sample becomes several columns."""
+    made = []
+    for f in table.fields:
+        value = np.asarray(values[f.name])
+        if f.name == "status":
+            made.append(Column(f.name, "", _WORDS[value]))
+        elif value.ndim == 1:
+            made.append(Column(f.name, f.units, value))
+        else:
+            for place in np.ndindex(value.shape[1:]):
+                *side, axis = place
+                name = "_".join([f.name, *(str(s) for s in side), "xy"[axis]])
+                made.append(Column(name, f.units, value[(slice(None), *place)]))
+    return made

@@ -1,20 +1,22 @@
-"""The HDF5 schema: names, dimensions, units and meanings of everything in a file.
+"""The HDF5 schema: names, types, dimensions, units and meanings of everything in a file.
 
-A `Field` is one HDF5 dataset. The dimensions named here become dimension scales: one that is also a field
-(time, frame) is a coordinate with values, the others (side, xy) only count.
+Writing, reading, checking and docs/format.md follow from the tables in this module. A `Field` is one HDF5 dataset
+and an `Attribute` one scalar attribute of its group. The dimensions become dimension scales: one that is also a
+field (time, frame) is a coordinate with values, the others (side, xy) are indices.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
-
-from gyrotrack.io._records import STATUS
 
 FORMAT = "gyrotrack"
 FORMAT_VERSION = "1.0"
 RECORDING = "recording"
 CASE = "case"
+
+STATUS = {"ok": 0, "blurred": 1, "occluded": 2, "out_of_frame": 3, "lost": 4}
 
 
 @dataclass(frozen=True)
@@ -30,17 +32,32 @@ class Field:
 
 
 @dataclass(frozen=True)
+class Attribute:
+    """One scalar attribute; without a default it is required, and a NaN is not written.
+
+    `field` is the name of the attribute in the record in memory, if it differs.
+    """
+
+    name: str
+    kind: type[Any]
+    units: str
+    long_name: str
+    default: Any = None
+    field: str = ""
+
+    @property
+    def key(self) -> str:
+        """The name of the field of the record in memory."""
+        return self.field or self.name
+
+
+@dataclass(frozen=True)
 class Table:
-    """The datasets of one kind of group, and its natural plot (NXdata signal and axes)."""
+    """The datasets of one kind of group, its attributes, and its natural plot (NXdata signal; axes follow)."""
 
     fields: tuple[Field, ...]
     signal: str
-    axis: str
-
-    @property
-    def scale(self) -> str:
-        """The dimension that all fields share, the first of the first field."""
-        return self.fields[0].dims[0]
+    attributes: tuple[Attribute, ...] = ()
 
 
 LENGTH_ONLY = {"side": "corner of the base: 0, 1", "xy": "image axis: x to the right, y down"}
@@ -58,7 +75,6 @@ FRAME = Table(
         Field("centre_sigma", _F, "px", "uncertainty of the centre"),
     ),
     signal="centre",
-    axis="frame",
 )
 
 MARKER = Table(
@@ -77,7 +93,7 @@ MARKER = Table(
             "status",
             _F,
             "1",
-            "how the marker was seen",
+            "detection status of the marker",
             "i1",
             {"flag_values": list(STATUS.values()), "flag_meanings": " ".join(STATUS)},
         ),
@@ -85,7 +101,10 @@ MARKER = Table(
         Field("sigma_calibrated", _F, "rad", "calibrated uncertainty of angle_fine"),
     ),
     signal="angle",
-    axis="frame",
+    attributes=(
+        Attribute("body", str, "", "the body that carries the marker: casing or rotor"),
+        Attribute("mount_angle", float, "rad", "angle of the marker on its body"),
+    ),
 )
 
 BODY = Table(
@@ -99,7 +118,15 @@ BODY = Table(
         Field("omega_sigma", _T, "rad s-1", "uncertainty of the angular velocity"),
     ),
     signal="omega",
-    axis="time",
+    attributes=(Attribute("smoothing_width", int, "", "points of the median that gave omega"),),
+)
+
+_SIGMA_SOURCE = Attribute(
+    "sigma_source",
+    str,
+    "",
+    "measured (tracking), given (in a table), estimated (from the scatter), mixed",
+    "measured",
 )
 
 SERIES = Table(
@@ -112,13 +139,13 @@ SERIES = Table(
         Field("turn", _T, "1", "whole turns in the angle", "i8"),
     ),
     signal="omega",
-    axis="time",
+    attributes=(_SIGMA_SOURCE,),
 )
 
 WINDOWED = Table(
     (*SERIES.fields, Field("window", _T, "1", "rotor clip that the sample came from", "i8")),
     signal="omega",
-    axis="time",
+    attributes=(_SIGMA_SOURCE,),
 )
 
 GENERATED = Table(
@@ -127,35 +154,58 @@ GENERATED = Table(
         Field("omega", _T, "rad s-1", "angular velocity of the rotor, generated"),
     ),
     signal="omega",
-    axis="time",
+    attributes=(Attribute("method", str, "", "method that generated the curve"),),
 )
 
 RECORDING_ATTRIBUTES = (
-    "source",
-    "source_sha256",
-    "width",
-    "height",
-    "capture_fps",
-    "container_fps",
-    "frames_declared",
-    "frames_decoded",
-    "sense",
-    "body",
+    Attribute("source", str, "", "file name of the film"),
+    Attribute("source_sha256", str, "", "SHA-256 of the film"),
+    Attribute("width", int, "px", "width of the frames"),
+    Attribute("height", int, "px", "height of the frames"),
+    Attribute("capture_fps", float, "s-1", "capture rate of the camera"),
+    Attribute("container_fps", float, "s-1", "rate that the container declares"),
+    Attribute("frames_declared", int, "", "number of frames that the container declares"),
+    Attribute("frames_decoded", int, "", "number of frames decoded"),
+    Attribute("sense", int, "", "factor applied to angles in the image: +1 or -1"),
+    Attribute("body", str, "", "casing, rotor or both"),
 )
-"""Scalar attributes of a recording, named like the fields of `records.Recording`."""
 
-ATTRIBUTE_UNITS = {
-    "width": "px",
-    "height": "px",
-    "capture_fps": "s-1",
-    "container_fps": "s-1",
-    "I_rotor": "kg m2",
-    "I_casing": "kg m2",
-    "clock_offset": "s",
-    "clock_offset_sigma": "s",
-    "clock_rate": "1",
-    "clock_rate_sigma": "1",
-    "angle_offset": "rad",
-    "mount_angle": "rad",
-}
-"""Units of the attributes that have one; stored beside them as `<name>_units`."""
+CASE_ATTRIBUTES = (
+    Attribute("I_rotor", float, "kg m2", "moment of inertia of the rotor"),
+    Attribute("I_casing", float, "kg m2", "moment of inertia of the casing"),
+    Attribute("I_rotor_u", float, "kg m2", "standard uncertainty of I_rotor; absent if not given", math.nan),
+    Attribute(
+        "I_casing_u", float, "kg m2", "standard uncertainty of I_casing; absent if not given", math.nan
+    ),
+    Attribute("label", str, "", "name of the case"),
+    Attribute("surface", str, "", "surface on which the casing turned"),
+    Attribute("quantity", str, "", "what was measured: angle or omega", "angle"),
+    Attribute("bodies", str, "", "two, or one (a single body, stored as the casing)", "two"),
+)
+
+PLACEMENT_ATTRIBUTES = (
+    Attribute("clock_offset", float, "s", "start of the clip on the casing camera's clock"),
+    Attribute("clock_offset_sigma", float, "s", "standard uncertainty of clock_offset"),
+    Attribute("clock_rate", float, "1", "rate of the clip's clock on the casing camera's clock"),
+    Attribute("clock_rate_sigma", float, "1", "standard uncertainty of clock_rate"),
+    Attribute("angle_offset", float, "rad", "angle added to the clip's angles"),
+    Attribute("sync_ambiguous", int, "", "1 if another start of the clip is not excluded", field="ambiguous"),
+    Attribute("sync_method", str, "", "method that gave the start of the clip", field="method"),
+)
+
+GROUPS = (
+    ("`/frame`: the clip, frame by frame", FRAME),
+    ("`/marker/<name>`: one marker", MARKER),
+    ("`/body/<name>`: casing or rotor, from all its markers", BODY),
+    ("`/casing` of a case", SERIES),
+    ("`/rotor` of a case: all windows", WINDOWED),
+    ("`/rotor_generated` of a case, only if one was requested", GENERATED),
+)
+"""All tables of a file and their place, for docs/format.md."""
+
+ATTRIBUTES = (
+    ("Attributes of a recording", RECORDING_ATTRIBUTES),
+    ("Attributes of a case", CASE_ATTRIBUTES),
+    ("Further attributes of `/recording/<name>` in a case", PLACEMENT_ATTRIBUTES),
+)
+"""All attributes of groups that are not tables, for docs/format.md."""

@@ -1,13 +1,13 @@
-"""Tables of the schema as HDF5 datasets.
+"""Tables and attributes of the schema as HDF5 datasets and attributes.
 
-Reading trusts nothing: before a byte of data is read, the dataset must be stored in the file itself, be of
-the declared kind and dimensions, and not claim more than its stored bytes can hold.
+Before a dataset is read, it must be stored in the file itself, have the declared type and dimensions, and not claim
+more bytes than its stored chunks can hold.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -20,15 +20,24 @@ from gyrotrack._column_store import set_down
 from gyrotrack._errors import DatasetError
 from gyrotrack._versions import __version__, versions
 from gyrotrack.io import _schema as layout
-from gyrotrack.io._schema import ATTRIBUTE_UNITS, LENGTH_ONLY, Field, Table
-from gyrotrack.io._validation import check_bytes, own_member, place
+from gyrotrack.io._schema import LENGTH_ONLY, Attribute, Field, Table
+from gyrotrack.io._validation import check_bytes, location, own_member
 
 CHUNK = 8192  # values along the first dimension: 64 kB a column, whole short clips in one chunk
 
 
-def write_table(group: Any, table: Table, values: Mapping[str, npt.ArrayLike]) -> None:
-    """Write the datasets of `table` with units, dimension scales and NXdata attributes into `group`."""
-    arrays = {f.name: np.asarray(values[f.name], dtype=f.dtype) for f in table.fields}
+def write_table(group: Any, table: Table, record: Any, **extra: npt.ArrayLike) -> None:
+    """Write the datasets and attributes of `table` into `group`, with units, dimension scales and NXdata attributes.
+
+    Parameters
+    ----------
+    record : object
+        Has a field for each dataset and attribute; `extra` holds datasets that are not fields of it.
+    """
+    arrays = {
+        f.name: np.asarray(extra[f.name] if f.name in extra else getattr(record, f.name), dtype=f.dtype)
+        for f in table.fields
+    }
     for f in table.fields:
         dataset = _create(group, f.name, arrays[f.name])
         dataset.attrs["units"] = f.units
@@ -41,6 +50,7 @@ def write_table(group: Any, table: Table, values: Mapping[str, npt.ArrayLike]) -
     group.attrs["NX_class"] = "NXdata"
     group.attrs["signal"] = table.signal
     group.attrs["axes"] = [d for f in table.fields if f.name == table.signal for d in f.dims]
+    write_attributes(group, table.attributes, record)
 
 
 def _create(group: Any, name: str, array: npt.NDArray[Any]) -> Any:
@@ -68,21 +78,35 @@ def _attach_scales(group: Any, f: Field, shape: tuple[int, ...]) -> None:
             group[f.name].dims[axis].attach_scale(group[dim])
 
 
-def write_attributes(group: Any, values: Mapping[str, Any]) -> None:
-    """Write scalar attributes, each with a unit beside it where `layout` gives one."""
-    for name, value in values.items():
-        group.attrs[name] = value
-        if name in ATTRIBUTE_UNITS:
-            group.attrs[f"{name}_units"] = ATTRIBUTE_UNITS[name]
+def write_attributes(group: Any, attributes: Sequence[Attribute], record: Any) -> None:
+    """Write the attributes of `record`, each with its unit as ``<name>_units``; a NaN means not given."""
+    for a in attributes:
+        value = a.kind(getattr(record, a.key))
+        if value != value:
+            continue
+        group.attrs[a.name] = value
+        if a.units:
+            group.attrs[f"{a.name}_units"] = a.units
 
 
-def read_table(group: Any, table: Table) -> dict[str, npt.NDArray[Any]]:
-    """Read the datasets of `table` from `group`.
+def read_attributes(group: Any, attributes: Sequence[Attribute]) -> dict[str, Any]:
+    """Read attributes by the names of the record's fields.
 
     Raises
     ------
     DatasetError
-        A dataset is missing, of another kind, stored elsewhere, too large to be true, or damaged.
+        One is absent and has no default, or is of another type.
+    """
+    return {a.key: attribute(group, a.name, a.kind, a.default) for a in attributes}
+
+
+def read_table(group: Any, table: Table) -> dict[str, npt.NDArray[Any]]:
+    """Read the datasets of `table` from `group`; its attributes are read by `read_attributes`.
+
+    Raises
+    ------
+    DatasetError
+        A dataset is absent, of another type, stored in another file, larger than its stored bytes, or damaged.
     """
     values: dict[str, npt.NDArray[Any]] = {}
     for f in table.fields:
@@ -98,7 +122,7 @@ def child(group: Any, name: str) -> Any:
     """Return a direct member of `group`; it must be there, and be no link to elsewhere."""
     link = group.get(name, getlink=True) if name in group.keys() else None  # noqa: SIM118 - `in group` follows links
     if link is None:
-        raise DatasetError(f"{place(group)} lacks '{name}'.", "The file is not complete; make it again.")
+        raise DatasetError(f"{location(group)} lacks '{name}'.", "The file is not complete; make it again.")
     return own_member(group, name)
 
 
@@ -106,17 +130,17 @@ def child_group(group: Any, name: str) -> Any:
     """Return a direct member of `group` that is itself a group."""
     member = child(group, name)
     if not isinstance(member, h5py.Group):
-        raise DatasetError(f"{place(group)}: '{name}' is not a group.", "The file is not in this layout.")
+        raise DatasetError(f"{location(group)}: '{name}' is not a group.", "The file is not in this layout.")
     return member
 
 
 def check_storage(dataset: Any) -> None:
     """Refuse a dataset whose bytes lie in another file, or that claims more than its bytes can hold."""
     if not isinstance(dataset, h5py.Dataset):
-        raise DatasetError(f"{place(dataset)} is not a dataset.", "The file is not in this layout.")
+        raise DatasetError(f"{location(dataset)} is not a dataset.", "The file is not in this layout.")
     if dataset.shape is None or dataset.dtype.kind not in "iuf" or dataset.dtype.itemsize > 16:
         raise DatasetError(
-            f"{place(dataset)} does not hold plain numbers.", "The file is not in this layout."
+            f"{location(dataset)} does not hold plain numbers.", "The file is not in this layout."
         )
     check_bytes(dataset)
 
@@ -128,12 +152,12 @@ def _check_shape(dataset: Any, f: Field, length: int | None) -> None:
     )
     if len(dataset.shape) != len(f.dims) or tuple(dataset.shape) != wanted:
         raise DatasetError(
-            f"{place(dataset)} has the shape {tuple(dataset.shape)}, not {wanted}.",
+            f"{location(dataset)} has the shape {tuple(dataset.shape)}, not {wanted}.",
             "The file is not in this layout.",
         )
     if f.dtype != "f8" and dataset.dtype.kind == "f":
         raise DatasetError(
-            f"{place(dataset)} does not hold whole numbers.", "The file is not in this layout."
+            f"{location(dataset)} does not hold whole numbers.", "The file is not in this layout."
         )
 
 
@@ -143,7 +167,8 @@ def load(dataset: Any) -> npt.NDArray[Any]:
         return np.asarray(dataset[()])
     except (OSError, RuntimeError, ValueError) as error:
         raise DatasetError(
-            f"{place(dataset)} cannot be read: the file is damaged.", "Make it again, or fetch a fresh copy."
+            f"{location(dataset)} cannot be read: the file is damaged.",
+            "Make it again, or fetch a fresh copy.",
         ) from error
 
 
@@ -159,13 +184,13 @@ def attribute(group: Any, name: str, kind: type[Any], default: Any = None) -> An
         if default is not None:
             return default
         raise DatasetError(
-            f"{place(group)} lacks the attribute '{name}'.", "The file is not complete; make it again."
+            f"{location(group)} lacks the attribute '{name}'.", "The file is not complete; make it again."
         )
     try:
         return _as_kind(_scalar(group, name), kind)
     except (TypeError, ValueError, OSError, RuntimeError, OverflowError) as error:
         raise DatasetError(
-            f"{place(group)}: the attribute '{name}' is not a {_KIND_WORDS[kind]}.",
+            f"{location(group)}: the attribute '{name}' is not a {_KIND_WORDS[kind]}.",
             "The file is not in this layout.",
         ) from error
 

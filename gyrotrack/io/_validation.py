@@ -1,17 +1,12 @@
-"""What is refused in an HDF5 file before anything of it is read.
+"""File validation: an HDF5 file is checked before anything in it is read.
 
-A file can lead a reader elsewhere: by external and soft links, by datasets whose bytes lie in other files
-(external storage, virtual datasets), by filters that load plugins; and it can claim terabytes in a few bytes. The
-whole tree is walked, link by link, without following any that is not a plain one.
+External and soft links, external storage, virtual datasets, filters that load plugins, and sizes that the stored bytes
+cannot fill are refused; the whole tree is walked without following links.
 
-Such a collection is a chain: each object says how far away the next one is. HDF5 (2.0, as it comes with h5py)
-follows the chain without a doubt, so that an empty piece of free space keeps it in one place for ever. Nothing
-that Python could do would interrupt it.
-
-HDF5 keeps checksums of data and of most metadata, but not of the heap with texts of varying length, and a byte
-flipped there can send the library round in circles for ever. Every file written here therefore ends with a line
-that holds the SHA-256 of all before it; HDF5 does not look beyond its own end. A file that another program has
-changed has lost the line, or is told to be damaged.
+The string heap (global heap collections, ``GCOL``) is a chain of objects, each with its length; HDF5 2.0 loops for
+ever on an empty object of free space, and nothing in Python can interrupt it. HDF5 has checksums of data and most
+metadata but not of this heap. Every file therefore ends with a line that holds the SHA-256 of all bytes before it;
+HDF5 does not read beyond its own end. A file changed by another program has no such line, or fails the check.
 """
 
 from __future__ import annotations
@@ -33,8 +28,8 @@ SLACK = 2**22  # bytes that a small dataset may claim beyond that (chunks are pa
 KNOWN_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
 
 
-def guarded(file: Any) -> None:
-    """Walk a whole file and refuse it if anything in it leads out of it or claims more than it holds.
+def check_tree(file: Any) -> None:
+    """Walk a file and refuse links and storage outside it, and sizes that its bytes cannot fill.
 
     Raises
     ------
@@ -51,11 +46,13 @@ def guarded(file: Any) -> None:
             continue
         seen.add(address)
         if depth > DEEPEST:
-            raise DatasetError(f"{place(group)} lies too deep.", "The file is damaged or forged.")
+            raise DatasetError(f"{location(group)} is nested too deep.", "The file is damaged or malicious.")
         for name in group:
             count += 1
             if count > MOST_MEMBERS:
-                raise DatasetError(f"{file.filename} has too many members.", "The file is damaged or forged.")
+                raise DatasetError(
+                    f"{file.filename} has too many members.", "The file is damaged or malicious."
+                )
             member = own_member(group, name)
             if isinstance(member, h5py.Group):
                 todo.append((member, depth + 1))
@@ -67,13 +64,14 @@ def own_member(group: Any, name: str) -> Any:
     """Return a direct member of `group`, refusing links that lead out of the file or to another name."""
     if not isinstance(group.get(name, getlink=True), h5py.HardLink):
         raise DatasetError(
-            f"{place(group)} holds '{name}' as a link to somewhere else.", "Such links are not followed."
+            f"{location(group)} has a link to another place, '{name}'.",
+            "Links are not followed; copy the data into the file.",
         )
     return group[name]
 
 
 def check_bytes(dataset: Any) -> None:
-    """Refuse a dataset whose bytes lie in another file, are packed in an unknown way, or cannot be so many.
+    """Refuse a dataset with external storage, an unknown filter, or a size beyond its stored bytes.
 
     Raises
     ------
@@ -81,12 +79,14 @@ def check_bytes(dataset: Any) -> None:
         Naming the place.
     """
     if dataset.is_virtual or dataset.external:
-        raise DatasetError(f"{place(dataset)} takes its numbers from another file.", "That is not followed.")
+        raise DatasetError(
+            f"{location(dataset)} stores its data in another file.", "Copy the data into the file."
+        )
     plist = dataset.id.get_create_plist()
     filters = {plist.get_filter(i)[0] for i in range(plist.get_nfilters())}
     if not filters <= KNOWN_FILTERS:
         raise DatasetError(
-            f"{place(dataset)} is packed in an unknown way.", "Write it with gzip or unpacked."
+            f"{location(dataset)} uses an unknown compression filter.", "Write it with gzip or uncompressed."
         )
     if dataset.shape is None:
         return
@@ -95,13 +95,13 @@ def check_bytes(dataset: Any) -> None:
     chunk = int(np.prod(dataset.chunks or (0,), dtype=object)) * dataset.dtype.itemsize
     if claimed > MAX_BYTES or max(claimed, chunk) > stored * MAX_INFLATION + SLACK:
         raise DatasetError(
-            f"{place(dataset)} claims {claimed:,} bytes but holds {stored:,}.",
-            "The file is damaged or forged.",
+            f"{location(dataset)} claims {claimed:,} bytes but holds {stored:,}.",
+            "The file is damaged or malicious.",
         )
 
 
-def place(item: Any) -> str:
-    """Name the file and the place in it, for a message."""
+def location(item: Any) -> str:
+    """Return the file name and the path in the file, for messages."""
     return f"{item.file.filename}:{item.name}"
 
 
@@ -111,7 +111,7 @@ _BLOCK = 2**20
 
 
 def has_endless_heap(path: Path) -> bool:
-    """Tell whether reading a text from a file of HDF5 could take for ever."""
+    """Return whether the string heap of an HDF5 file is corrupt such that reading it never ends."""
     with path.open("rb") as stream:
         return any(_is_endless(stream, place) for place in _collections(stream))
 
@@ -150,27 +150,27 @@ MARK = b"\ngyrotrack sha256 "
 LENGTH = len(MARK) + 65
 
 
-def sealed(stream: BinaryIO) -> bytes:
-    """Return the line that follows in a file what is left of `stream`."""
+def checksum_line(stream: BinaryIO) -> bytes:
+    """Return the checksum line of the rest of `stream`."""
     return _line(stream, None)
 
 
-def is_broken(path: Path) -> bool:
-    """Tell whether a file ends with a seal that is not that of its contents; without a seal it is not broken."""
+def checksum_fails(path: Path) -> bool:
+    """Return whether a file ends with a checksum line that does not match; without the line it is not checked."""
     with path.open("rb") as stream:
         size = stream.seek(0, 2)
         if size < LENGTH:
             return False
         stream.seek(size - LENGTH)
-        seal = stream.read(LENGTH)
-        if not seal.startswith(MARK):
+        line = stream.read(LENGTH)
+        if not line.startswith(MARK):
             return False
         stream.seek(0)
-        return seal != _line(stream, size - LENGTH)
+        return line != _line(stream, size - LENGTH)
 
 
 def _line(stream: BinaryIO, left: int | None) -> bytes:
-    """Return the seal of the next `left` bytes, or of all to the end."""
+    """Return the checksum of the next `left` bytes, or of all to the end."""
     digest = hashlib.sha256()
     while left != 0 and (block := stream.read(_BLOCK if left is None else min(_BLOCK, left))):
         digest.update(block)

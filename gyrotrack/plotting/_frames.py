@@ -20,7 +20,8 @@ import numpy.typing as npt
 from gyrotrack._column_store import set_down
 from gyrotrack._errors import OutputError, UsageError, VideoError
 from gyrotrack.io._atomic import new_file, refuse_existing
-from gyrotrack.io._records import STATUS, MarkerTrack, Recording
+from gyrotrack.io._records import MarkerTrack, Recording
+from gyrotrack.io._schema import STATUS
 from gyrotrack.tracking._film_tracker import Progress
 from gyrotrack.video._container import Frame, file_sha256, opened, orientation_of, planes_of, probe
 from gyrotrack.video._decoder import Reader
@@ -89,13 +90,14 @@ _HASHED = 256 * 2**20
 
 
 def find_film(recording: Recording, folders: list[Path]) -> Path | None:
-    """Return the film that a recording was made from, if it lies in one of these folders.
+    """Return the film of a recording, if one of these folders or that of the sample clips contains it.
 
     A film of up to 256 MiB is compared byte for byte by its SHA-256; of a larger one size and number of frames
     must agree.
     """
     name = Path(recording.source).name
-    return next((f / name for f in folders if name and _is_it(f / name, recording)), None)
+    places = [*folders, Path(__file__).parents[2] / "sample_clips"]
+    return next((f / name for f in places if name and _is_it(f / name, recording)), None)
 
 
 def _is_it(path: Path, recording: Recording) -> bool:

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrotrack.plotting._style import BLUE, GREEN, PURPLE, VERMILLION, canvas, plain, thin
+from gyrotrack.plotting._charts import Chart, Trace, concatenated, draw
+from gyrotrack.plotting._style import BLUE, GREEN, PURPLE, VERMILLION, canvas, plain
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from fitting.inference._case_data import CaseData
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Shown:
+class CaseFit:
     """One of the paper's fits of one case: its short name, the fit, and which of the fit's cases it is."""
 
     name: str
@@ -36,15 +36,15 @@ class Shown:
 
 @dataclass(frozen=True)
 class PaperCase:
-    """One case: its record, the tracking behind it if there is any, and its fits (RM, GM, RM-JF, GM-JF)."""
+    """One case: its record, its recordings if there are any, and its fits (RM, GM, RM-JF, GM-JF)."""
 
     label: str
     data: CaseData
     case: Case | None
-    fits: tuple[Shown, ...]
+    fits: tuple[CaseFit, ...]
 
     @property
-    def reduced(self) -> Shown:
+    def reduced(self) -> CaseFit:
         """The separate fit of the reduced model."""
         return self.fits[0]
 
@@ -55,29 +55,29 @@ def paper_cases(scan: Scan, data: Sequence[CaseData], cases: Sequence[Case]) -> 
     short = {"reduced": "RM", "general": "GM"}
     found = []
     for i, d in enumerate(data):
-        fits = [Shown(short[m.name], m.separate[i], 0) for m in scan.models]
-        fits += [Shown(f"{short[m.name]}-JF", m.joint, i) for m in scan.models if m.joint is not None]
+        fits = [CaseFit(short[m.name], m.separate[i], 0) for m in scan.models]
+        fits += [CaseFit(f"{short[m.name]}-JF", m.joint, i) for m in scan.models if m.joint is not None]
         found.append(PaperCase(d.record.label, d, known.get(d.record.label), tuple(fits)))
     return found
 
 
 def clear_frame(cases: Sequence[PaperCase], folders: Sequence[Path]) -> NDArray[np.uint8] | None:
-    """Return a frame (red, green, blue) on which most markers are found, drawn over; None without any film."""
+    """Return the frame (red, green, blue) with most markers found, with overlay; None without any film."""
     from gyrotrack._errors import GyrotrackError
-    from gyrotrack.io._records import STATUS
+    from gyrotrack.io._schema import STATUS
     from gyrotrack.plotting._frames import Film, find_film
 
     for case in cases:
-        # clips of the rotor show all papers at the higher rate
+        # clips at the higher rate show the markers of both bodies
         recordings = case.case.recordings.values() if case.case is not None else ()
         for r in sorted(recordings, key=lambda r: -r.capture_fps):
             path = find_film(r, list(folders))
             if path is None or not r.markers:
                 continue
-            whole = np.sum([m.status == STATUS["ok"] for m in r.markers.values()], axis=0)
+            found_markers = np.sum([m.status == STATUS["ok"] for m in r.markers.values()], axis=0)
             try:
                 with Film(path, r) as film:
-                    picture = film.picture(int(np.argmax(whole)))
+                    picture = film.picture(int(np.argmax(found_markers)))
             except GyrotrackError:
                 continue
             if picture is not None:
@@ -85,14 +85,13 @@ def clear_frame(cases: Sequence[PaperCase], folders: Sequence[Path]) -> NDArray[
     return None
 
 
-_LOOKS: dict[str, dict[str, Any]] = {
-    "RM": {"color": BLUE, "linestyle": (0, (1, 1.4)), "linewidth": 2.2},
-    "GM": {"color": VERMILLION, "linestyle": (0, (5, 2))},
-    "RM-JF": {"color": PURPLE, "linestyle": (0, (6, 2, 1.5, 2))},
-    "GM-JF": {"color": GREEN, "linestyle": (0, (6, 2, 1.5, 2, 1.5, 2))},
+# dashes of the four fits; of curves that coincide, each later one is thinner
+_STYLES: dict[str, tuple[str, tuple[float, ...], float]] = {
+    "RM": (BLUE, (2.0, 3.0), 3.0),
+    "GM": (VERMILLION, (9.0, 3.6), 1.8),
+    "RM-JF": (PURPLE, (7.0, 2.4, 1.8, 2.4), 1.4),
+    "GM-JF": (GREEN, (6.0, 2.0, 1.5, 2.0, 1.5, 2.0), 1.0),
 }
-# curves that may lie on each other, the later the thinner
-_WIDTHS = (3.0, 1.8, 1.2, 0.7)
 _NAMES = "RM: reduced model, GM: general model, fitted to this case alone; JF: fitted to all cases jointly."
 _CURVE, _POINTS = 900, 2500
 _ACROSS, _WIDE, _HIGH = 2, 4.8, 3.4
@@ -108,47 +107,53 @@ class PaperFigure:
 
 
 def paper_figures(cases: Sequence[PaperCase], frame: NDArray[np.uint8] | None) -> list[PaperFigure]:
-    """Return the figures; the first, a frame of the film, only where a film was found.
+    """Return the figures of the paper; the first, a frame of the film, only where a film was found.
 
-    Call it, and save what it returns, inside `style.look`.
+    Call it, and save what it returns, inside `style`.
     """
     found = []
     if frame is not None:
-        found.append(_gyroscope(frame))
-    data = (
+        figure = canvas(_WIDE, _WIDE * frame.shape[0] / frame.shape[1])
+        ax = figure.subplots()
+        ax.imshow(frame)
+        ax.set_axis_off()
+        caption = "A frame of the film with the centre, the near corners of the markers, and the rays to their middles."
+        found.append(PaperFigure("gyroscope", figure, caption))
+    for name, chart, caption in (
         ("angular-positions", _angles, "Angular position of the casing, median over 51 points."),
         (
             "rotor-data",
             _rotor_data,
             (
-                "Angular velocity of the rotor: measured in its windows (with two standard deviations) and the curve "
-                "between them, of the reduced model or as it came with the case."
+                "Angular velocity of the rotor: measured in its windows (with two standard uncertainties) and the "
+                "curve between them, of the reduced model or as stored with the case."
             ),
         ),
         ("rotor-fits", _rotor_fits, f"Angular velocity of the rotor and its fits. {_NAMES}"),
         (
             "casing-fits",
             _casing_fits,
-            f"Angular velocity of the casing (dots, with two standard deviations) and its fits. {_NAMES}",
+            f"Angular velocity of the casing (grey, with two standard uncertainties) and its fits. {_NAMES}",
         ),
         (
             "residuals",
             _residuals,
             (
-                "Normalised residuals of the casing's angular velocity, fit minus measured over the standard deviation "
-                f"that noise gives them. {_NAMES}"
+                "Normalised residuals of the casing's angular velocity, fit minus measured over the standard "
+                f"uncertainty due to noise. {_NAMES}"
             ),
         ),
         (
             "energy",
             _energy,
-            f"Kinetic energy plus all that friction has taken, against the start; constant for a right model. {_NAMES}",
+            f"Kinetic plus dissipated energy relative to its initial value; constant for a complete model. {_NAMES}",
         ),
-    )
-    return [*found, *(PaperFigure(name, _panels(cases, draw), caption) for name, draw, caption in data)]
+    ):
+        found.append(PaperFigure(name, _panels(cases, chart), caption))
+    return found
 
 
-def _panels(cases: Sequence[PaperCase], draw: Callable[[Axes, PaperCase], None]) -> Figure:
+def _panels(cases: Sequence[PaperCase], chart: Callable[[PaperCase], Chart]) -> Figure:
     across = min(_ACROSS, len(cases))
     down = -(-len(cases) // across)
     figure = canvas(_WIDE * across, _HIGH * down)
@@ -157,27 +162,18 @@ def _panels(cases: Sequence[PaperCase], draw: Callable[[Axes, PaperCase], None])
         if i >= len(cases):
             ax.set_visible(False)
             continue
-        draw(ax, cases[i])
+        draw(ax, chart(cases[i]), most=_POINTS)
         ax.set_title(f"({chr(ord('a') + i)})  {plain(cases[i].label)}" if len(cases) > 1 else "")
-        ax.set_xlabel("time [s]")
-        ax.margins(x=0.01)
         if len(ax.get_legend_handles_labels()[1]) > 1:
             ax.legend(loc="best")
     return figure
 
 
-def _gyroscope(frame: NDArray[np.uint8]) -> PaperFigure:
-    figure = canvas(_WIDE, _WIDE * frame.shape[0] / frame.shape[1])
-    ax = figure.subplots()
-    ax.imshow(frame)
-    ax.set_axis_off()
-    caption = (
-        "A frame of the film with the centre, the near corners of the papers, and the rays to their middles."
-    )
-    return PaperFigure("gyroscope", figure, caption)
+def _chart(title: str, unit: str, traces: Sequence[Trace]) -> Chart:
+    return Chart("paper", title, unit, tuple(traces), "")
 
 
-def _angles(ax: Axes, case: PaperCase) -> None:
+def _angles(case: PaperCase) -> Chart:
     from scipy.ndimage import median_filter
 
     from fitting.inference._velocity import WIDTH
@@ -188,112 +184,93 @@ def _angles(ax: Axes, case: PaperCase) -> None:
     else:
         steps = 0.5 * (casing.value[1:] + casing.value[:-1]) * np.diff(casing.time)
         angle = np.concatenate([[0.0], np.cumsum(steps)])
-    ax.plot(*thin(casing.time, angle, _POINTS), color="black", linewidth=1.4)
-    ax.set_ylabel(r"$\psi_c$ [rad]")
+    return _chart(r"$\psi_c$", "rad", [Trace("casing", casing.time, angle, "black")])
 
 
-def _rotor_data(ax: Axes, case: PaperCase) -> None:
-    from fitting.inference._speed_residuals import ROTOR, modelled_speed
-
-    curve = case.case.rotor_generated if case.case is not None else None
-    if curve is not None:
-        ax.plot(*thin(curve.time, curve.omega, _POINTS), color="black", linewidth=1.2, label="generated")
-    else:
-        time = _times(case)
-        value, sigma = modelled_speed(case.reduced.fit, case.reduced.index, ROTOR, time)
-        ax.fill_between(time, value - 2 * sigma, value + 2 * sigma, color="black", alpha=0.2, linewidth=0)
-        ax.plot(time, value, color="black", linewidth=1.2, label="reduced model")
-    _measured_rotor(ax, case)
-    ax.set_ylabel(r"$\omega_r$ [rad/s]")
-
-
-def _measured_rotor(ax: Axes, case: PaperCase) -> None:
+def _rotor_data(case: PaperCase) -> Chart:
+    from fitting.inference._speed_residuals import ROTOR
     from fitting.inference._velocity import speeds
 
+    generated = case.case.rotor_generated if case.case is not None else None
+    if generated is not None:
+        traces = [Trace("generated", generated.time, generated.omega, "black", width=1.4)]
+    else:
+        traces = [_modelled(case.reduced, ROTOR, "reduced model", "black", (), 1.4)]
     series = case.case.rotor if case.case is not None else None
     for i, w in enumerate(case.data.record.rotor):
         time, omega = speeds(w, case.data.record.quantity)
-        colour, label = (VERMILLION, GREEN, BLUE, PURPLE)[i % 4], f"window {i + 1}" if i < 3 else None
+        sigma = None
         if series is not None and len(series.time):
             sigma = np.interp(time, series.time, np.nan_to_num(series.omega_sigma))
-            ax.fill_between(time, omega - 2 * sigma, omega + 2 * sigma, color=colour, alpha=0.35, linewidth=0)
-        ax.plot(*thin(time, omega, _POINTS // 5), color=colour, linewidth=3, label=label)
+        colour = (VERMILLION, GREEN, BLUE, PURPLE)[i % 4]
+        label = f"window {i + 1}" if i < 3 else "_more"
+        traces.append(Trace(label, time, omega, colour, sigma, width=3.0, scale="reference"))
+    return _chart(r"$\omega_r$", "rad/s", traces)
 
 
-def _rotor_fits(ax: Axes, case: PaperCase) -> None:
+def _modelled(
+    shown: CaseFit, body: int, label: str, colour: str, dash: tuple[float, ...], width: float
+) -> Trace:
+    from fitting.inference._speed_residuals import modelled_speed
+
+    mesh = shown.fit.predictions[shown.index].path.mesh
+    time = np.linspace(mesh.edges[0], mesh.edges[-1], _CURVE)
+    value, sigma = modelled_speed(shown.fit, shown.index, body, time)
+    return Trace(label, time, value, colour, sigma, width=width, dash=dash)
+
+
+def _fits(case: PaperCase, body: int) -> list[Trace]:
+    return [
+        _modelled(f, body, f.name, colour, dash, width)
+        for f in case.fits
+        for colour, dash, width in [_STYLES[f.name]]
+    ]
+
+
+def _rotor_fits(case: PaperCase) -> Chart:
     from fitting.inference._speed_residuals import ROTOR
+    from fitting.inference._velocity import speeds
 
-    for w in case.data.record.rotor:
-        ax.axvspan(w.time[0], w.time[-1], color="#dddddd", linewidth=0, zorder=0)
-    _fits(ax, case, ROTOR)
-    ax.set_ylabel(r"$\omega_r$ [rad/s]")
+    parts = [(*speeds(w, case.data.record.quantity), None) for w in case.data.record.rotor]
+    measured = concatenated("measured", parts, "#c9c9c9", width=6.0, scale="reference")
+    return _chart(r"$\omega_r$", "rad/s", [measured, *_fits(case, ROTOR)])
 
 
-def _casing_fits(ax: Axes, case: PaperCase) -> None:
+def _casing_fits(case: PaperCase) -> Chart:
     from fitting.inference._speed_residuals import CASING
     from fitting.inference._velocity import speeds
 
     time, omega = speeds(case.data.record.casing, case.data.record.quantity)
+    sigma = None
     if case.case is not None:
-        series = case.case.casing
-        sigma = np.interp(time, series.time, np.nan_to_num(series.omega_sigma))
-        step = max(1, len(time) // _POINTS)
-        few = slice(None, None, step)
-        ax.fill_between(
-            time[few],
-            (omega - 2 * sigma)[few],
-            (omega + 2 * sigma)[few],
-            color="#999999",
-            alpha=0.5,
-            linewidth=0,
-        )
-    ax.plot(*thin(time, omega, _POINTS), color="black", marker=".", markersize=1.5, linestyle="none")
-    _fits(ax, case, CASING)
-    ax.set_ylabel(r"$\omega_c$ [rad/s]")
+        sigma = np.interp(time, case.case.casing.time, np.nan_to_num(case.case.casing.omega_sigma))
+    measured = Trace("measured", time, omega, "#8c8c8c", sigma, width=3.0, scale="reference")
+    return _chart(r"$\omega_c$", "rad/s", [measured, *_fits(case, CASING)])
 
 
-def _fits(ax: Axes, case: PaperCase, body: int) -> None:
-    from fitting.inference._speed_residuals import modelled_speed
-
-    time = _times(case)
-    for shown in case.fits:
-        value, sigma = modelled_speed(shown.fit, shown.index, body, time)
-        colour = _LOOKS[shown.name]["color"]
-        ax.fill_between(time, value - 2 * sigma, value + 2 * sigma, color=colour, alpha=0.15, linewidth=0)
-        ax.plot(time, value, label=shown.name, **_LOOKS[shown.name])
-
-
-def _residuals(ax: Axes, case: PaperCase) -> None:
+def _residuals(case: PaperCase) -> Chart:
     from fitting.inference._speed_residuals import speed_residuals
 
-    for shown, width in zip(case.fits, _WIDTHS, strict=False):
-        casing, _ = speed_residuals(shown.fit, shown.index)
+    traces: list[Trace] = []
+    for f in case.fits:
+        casing, _ = speed_residuals(f.fit, f.index)
         known = casing.sigma > 0
         z = -casing.value[known] / casing.sigma[known]
-        ax.plot(
-            casing.time[known],
-            z,
-            label=shown.name,
-            **{**_LOOKS[shown.name], "linestyle": "-", "linewidth": width},
-        )
-    ax.axhspan(-2, 2, color="#cccccc", alpha=0.6, linewidth=0, zorder=0)
-    ax.axhline(0, color="#777777", linewidth=0.8)
-    ax.set_ylabel(r"$(\omega_{c,\mathrm{fit}} - \omega_{c,\mathrm{exp}}) / \sigma$")
+        if not traces:
+            ones = np.ones_like(z)
+            traces.append(Trace("±2 σ", casing.time[known], 0 * ones, "#cccccc", ones, "band"))
+        colour, _, width = _STYLES[f.name]
+        traces.append(Trace(f.name, casing.time[known], z, colour, width=width))
+    return _chart(r"$\omega_c$, fit − measured", "σ", traces)
 
 
-def _energy(ax: Axes, case: PaperCase) -> None:
+def _energy(case: PaperCase) -> Chart:
     from fitting.inference._metrics import energy_balance
 
-    for shown, width in zip(case.fits, _WIDTHS, strict=False):
-        fit, i = shown.fit, shown.index
-        balance = energy_balance(fit.problem.cases[i], fit.theta, fit.predictions[i].path)
+    traces = []
+    for f in case.fits:
+        balance = energy_balance(f.fit.problem.cases[f.index], f.fit.theta, f.fit.predictions[f.index].path)
         change = 100 * (balance.energy / balance.energy[0] - 1)
-        look_ = {**_LOOKS[shown.name], "linestyle": "-", "linewidth": width}
-        ax.plot(*thin(balance.time, change, _CURVE), label=shown.name, **look_)
-    ax.axhline(0, color="#777777", linewidth=0.8)
-    ax.set_ylabel(r"$K_f + \int \tau\,d\psi$, change [%]")
-
-
-def _times(case: PaperCase) -> Array:
-    mesh = case.reduced.fit.predictions[case.reduced.index].path.mesh
-    return np.linspace(mesh.edges[0], mesh.edges[-1], _CURVE)
+        colour, _, width = _STYLES[f.name]
+        traces.append(Trace(f.name, balance.time, change, colour, width=width))
+    return _chart(r"$K_f + \int \tau\,d\psi$, change", "%", traces)

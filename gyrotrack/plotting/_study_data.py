@@ -1,10 +1,4 @@
-"""What figures and reports show of a study, collected from fits.
-
-The paper's smoothing of a noisy angle has an error of its own, which no model can lower. It is found by
-putting the modelled angle, with noise as strong as that of the data, through the same smoothing. The noise is
-that of the fastest changes, which no motion makes: third differences of white noise of rms s have an rms of
-s sqrt(20).
-"""
+"""What figures, report and workbench show of a study, computed from its fits."""
 
 from __future__ import annotations
 
@@ -16,24 +10,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.inference._speed_residuals import SpeedResidual, speed_residuals
+from gyrotrack.plotting._charts import Interval
 
 if TYPE_CHECKING:
-    from fitting.discovery._rank import Candidate
     from fitting.discovery._residuals import Failure, ResidualTorque
-    from fitting.discovery._select import Rung
+    from fitting.discovery._select import Candidate
+    from fitting.discovery._select import Step as FitStep
     from fitting.discovery._verdict import Diagnosis
     from fitting.inference._result import Fit
 
 
 Array = NDArray[np.float64]
+Residual = SpeedResidual
 
 _SEED = 1
 _NORMAL = 0.6745  # median of the absolute value of a standard normal variable
-_THIRD = 20.0  # 1 + 9 + 9 + 1
+_THIRD_DIFFERENCE = 20.0  # 1 + 9 + 9 + 1: its variance for white noise of variance 1
+_MODEL_POINTS = 800
+_WINDOW_POINTS = 60
+_ENERGY_PIECES = 50
+_MOST_ALTERNATIVES = 3
 
 
 def smoothing_floor(fit: Fit) -> float:
-    """Return the rms error of the casing's speed that noise alone leaves, over all cases [rad/s]."""
+    """Return the rms error of the casing's smoothed speed that noise alone makes, over all cases [rad/s].
+
+    The smoothing of the paper has an error of its own, which no model lowers. It is found by putting the modelled
+    angle with added noise through the same smoothing. The noise level is that of third differences of the data,
+    whose rms is sqrt(20) times that of white noise.
+    """
     return float(np.sqrt(np.mean([_floor(fit, i) ** 2 for i in range(len(fit.problem.data))])))
 
 
@@ -44,25 +49,26 @@ def _floor(fit: Fit, case: int) -> float:
 
     record, path = fit.problem.data[case].record, fit.predictions[case].path
     measured = record.casing
-    noise = float(np.median(np.abs(np.diff(measured.value, 3)))) / _NORMAL / np.sqrt(_THIRD)
+    noise = float(np.median(np.abs(np.diff(measured.value, 3)))) / _NORMAL / np.sqrt(_THIRD_DIFFERENCE)
     sampler = Sampler(path.mesh, measured.time)
     omega = sampler.value(path.y[..., 1])
     exact = sampler.integral(*path.angle(path.states[1])) if record.quantity == "angle" else omega
-    # the seed is fixed so that a report does not change from run to run
-    shaken = exact + noise * np.random.default_rng(_SEED).standard_normal(len(exact))
-    time, seen = speeds(Samples(measured.time, shaken, measured.sigma), record.quantity)
-    return float(np.sqrt(np.mean((seen - np.interp(time, measured.time, omega)) ** 2)))
+    # a fixed seed, so that a report is the same in every run
+    noisy = exact + noise * np.random.default_rng(_SEED).standard_normal(len(exact))
+    time, smoothed = speeds(Samples(measured.time, noisy, measured.sigma), record.quantity)
+    return float(np.sqrt(np.mean((smoothed - np.interp(time, measured.time, omega)) ** 2)))
 
 
-_MODEL_POINTS = 800
-_WINDOW_POINTS = 60
-_ENERGY_PIECES = 50
-_SUGGESTED = 3
+def residual_rms(residuals: Sequence[Residual], noise: Sequence[Residual]) -> float:
+    """Return the rms of residuals in units of the standard uncertainty that noise alone gives to `noise`."""
+    z = [r.value[n.sigma > 0] / n.sigma[n.sigma > 0] for r, n in zip(residuals, noise, strict=True)]
+    joined = np.concatenate(z) if z else np.zeros(0)
+    return float(np.sqrt(np.mean(joined**2))) if len(joined) else float("nan")
 
 
 @dataclass(frozen=True)
 class Curve:
-    """A curve with its standard deviation (zero where it has none)."""
+    """A curve: time [s], value, and its standard uncertainty (zero where it has none)."""
 
     time: Array
     value: Array
@@ -71,16 +77,15 @@ class Curve:
 
 @dataclass(frozen=True)
 class Energy:
-    """Balance K + losses over its first value, minus 1: as it is, its running mean, and its largest size."""
+    """Relative drift of kinetic plus dissipated energy: its running mean, and its largest size."""
 
-    exact: Curve
     mean: Curve
     drift: float
 
 
 @dataclass(frozen=True)
-class Supplied:
-    """Torque on each body that a model has and the base lacks [N m], along its own motion; `name` says which."""
+class AddedTorque:
+    """Torque of a model minus that of the base on each body [N m], along the motion of that model."""
 
     name: str
     time: Array
@@ -94,48 +99,48 @@ class Supplied:
 
 
 @dataclass(frozen=True)
-class Seen:
+class CaseModel:
     """One case under one model.
 
     Attributes
     ----------
     casing : Curve
-        Modelled speed [rad/s] and its standard deviation from the parameters' errors.
+        Modelled speed [rad/s] and its standard uncertainty from that of the parameters.
     rotor : tuple of Curve
         The same in each window.
-    casing_misfit, rotor_misfit : SpeedResidual, tuple of SpeedResidual
+    casing_residual, rotor_residual : Residual, tuple of Residual
         Measured minus modelled speed.
     torques : dict of str to ResidualTorque
-        What the model lacks, for each body.
+        Unmodelled torque on each body.
     """
 
     casing: Curve
     rotor: tuple[Curve, ...]
-    casing_misfit: SpeedResidual
-    rotor_misfit: tuple[SpeedResidual, ...]
+    casing_residual: Residual
+    rotor_residual: tuple[Residual, ...]
     torques: dict[str, ResidualTorque]
 
 
 @dataclass(frozen=True)
 class CaseView:
-    """One case: what was measured, and what the first and the last model make of it.
+    """One case under the first and the last model of a history of fits.
 
     Attributes
     ----------
     body : str
-        What people call the body in the casing's place: "body" where only one was recorded.
+        Name of the filmed body: "casing", or "body" where only one was recorded.
     casing, rotor : Curve, tuple of Curve
         Measured speed, smoothed as in the paper [rad/s].
-    models : tuple of Seen
+    models : tuple of CaseModel
         The base and, if anything was added, the final model.
-    supplied : Supplied or None
-        Torque on each body that the final model has and the base lacks.
-    suggested : tuple of Supplied
-        The same for the best other candidates, each refitted.
+    added : AddedTorque or None
+        Torque of the final model minus that of the base.
+    alternatives : tuple of AddedTorque
+        The same for the best other candidate effects, each after a refit.
     energy : tuple of Energy
-        The balance of each rung.
+        Energy balance of each step.
     failures : tuple of Failure
-        Where the base fails.
+        Intervals in which the base fails.
     """
 
     label: str
@@ -144,31 +149,46 @@ class CaseView:
     body: str
     casing: Curve
     rotor: tuple[Curve, ...]
-    models: tuple[Seen, ...]
-    supplied: Supplied | None
-    suggested: tuple[Supplied, ...]
+    models: tuple[CaseModel, ...]
+    added: AddedTorque | None
+    alternatives: tuple[AddedTorque, ...]
     energy: tuple[Energy, ...]
     failures: tuple[Failure, ...]
 
+    @property
+    def intervals(self) -> tuple[Interval, ...]:
+        """Intervals in which the base fails, for the charts."""
+        return intervals_of(self.failures)
+
+
+def intervals_of(failures: Sequence[Failure]) -> tuple[Interval, ...]:
+    """Return the intervals in which a model fails, for the charts."""
+    return tuple(
+        Interval(
+            f.t_start, f.t_stop, f"{f.t_start:.1f}–{f.t_stop:.1f} s, {f.called}, {f.size_sigma:.0f} σ", f.body
+        )
+        for f in failures
+    )
+
 
 def case_view(
-    rungs: Sequence[Rung],
+    rungs: Sequence[FitStep],
     diagnosis: Diagnosis | None,
     torques: Sequence[tuple[ResidualTorque, ...]],
     index: int,
 ) -> CaseView:
-    """Return one case under the first and the last model of a ladder.
+    """Return one case under the first and the last model of a history.
 
     Parameters
     ----------
-    rungs : sequence of Rung
-        The ladder, base first.
+    rungs : sequence of FitStep
+        The history of fits, base first.
     diagnosis : Diagnosis or None
         That of the base.
     torques : sequence
-        What the first and the last model lack.
+        Unmodelled torques of the first and the last model.
     index : int
-        Which case.
+        Index of the case.
     """
     from fitting.inference._velocity import speeds
 
@@ -182,9 +202,9 @@ def case_view(
         body=record.body,
         casing=_measured(*speeds(record.casing, record.quantity)),
         rotor=tuple(_measured(*speeds(w, record.quantity)) for w in record.rotor),
-        models=tuple(_seen(f, t, index) for f, t in zip(fits, torques, strict=True)),
-        supplied=_supplied("final model", base, final, index) if len(fits) > 1 else None,
-        suggested=_suggested(base, final, diagnosis, index),
+        models=tuple(_case_model(f, t, index) for f, t in zip(fits, torques, strict=True)),
+        added=_added_torque("final model", base, final, index) if len(fits) > 1 else None,
+        alternatives=_alternatives(base, final, diagnosis, index),
         energy=tuple(_energy(r.fit, index) for r in rungs),
         failures=tuple(f for f in (diagnosis.failures if diagnosis else ()) if f.label == record.label),
     )
@@ -194,11 +214,11 @@ def _measured(time: Array, omega: Array) -> Curve:
     return Curve(time, omega, np.zeros_like(omega))
 
 
-def _seen(fit: Fit, torques: Sequence[ResidualTorque], index: int) -> Seen:
+def _case_model(fit: Fit, torques: Sequence[ResidualTorque], index: int) -> CaseModel:
     record = fit.problem.data[index].record
     casing, rotor = speed_residuals(fit, index)
     ends = record.casing.time[[0, -1]]
-    return Seen(
+    return CaseModel(
         _modelled(fit, index, 1, np.linspace(ends[0], ends[1], _MODEL_POINTS)),
         tuple(
             _modelled(fit, index, 0, np.linspace(w.time[0], w.time[-1], _WINDOW_POINTS)) for w in record.rotor
@@ -215,10 +235,10 @@ def _modelled(fit: Fit, index: int, body: int, time: Array) -> Curve:
     return Curve(time, *modelled_speed(fit, index, body, time))
 
 
-def _suggested(base: Fit, final: Fit, diagnosis: Diagnosis | None, index: int) -> tuple[Supplied, ...]:
+def _alternatives(base: Fit, final: Fit, diagnosis: Diagnosis | None, index: int) -> tuple[AddedTorque, ...]:
     """Return the torques of the best candidates that were refitted and are not in the final model."""
     found = [
-        _supplied(c.effect.name, base, c.fit, index)
+        _added_torque(c.effect.name, base, c.fit, index)
         for c in (diagnosis.candidates if diagnosis is not None else ())
         if c.fit is not None
         and c.physical
@@ -226,10 +246,10 @@ def _suggested(base: Fit, final: Fit, diagnosis: Diagnosis | None, index: int) -
         and not c.effect.depends_on_angle
         and c.effect.name not in final.model.names
     ]
-    return tuple(s for s in found if s is not None)[:_SUGGESTED]
+    return tuple(s for s in found if s is not None)[:_MOST_ALTERNATIVES]
 
 
-def _supplied(name: str, base: Fit, other: Fit, index: int) -> Supplied | None:
+def _added_torque(name: str, base: Fit, other: Fit, index: int) -> AddedTorque | None:
     """Return the torque that another model has and the base lacks, along the other's motion."""
     from fitting.dynamics._mesh import Sampler
 
@@ -246,7 +266,7 @@ def _supplied(name: str, base: Fit, other: Fit, index: int) -> Supplied | None:
     seen = state[:, [path.states.index(s) for s in old.dynamics.states]]
     had = old.dynamics.rates(time, seen, base.problem.layout.numbers(base.theta, index))[:, :2]
     torque = (gained - had) * inertia
-    return Supplied(name, time, state[:, 1].copy(), torque[:, 0].copy(), torque[:, 1].copy())
+    return AddedTorque(name, time, state[:, 1].copy(), torque[:, 0].copy(), torque[:, 1].copy())
 
 
 def _energy(fit: Fit, index: int) -> Energy:
@@ -257,12 +277,12 @@ def _energy(fit: Fit, index: int) -> Energy:
     balance = energy_balance(fit.problem.cases[index], fit.theta, fit.predictions[index].path)
     drift = balance.energy / balance.energy[0] - 1
     mean = uniform_filter1d(drift, max(1, len(drift) // _ENERGY_PIECES), mode="nearest")
-    return Energy(_measured(balance.time, drift), _measured(balance.time, mean), balance.drift)
+    return Energy(_measured(balance.time, mean), balance.drift)
 
 
 @dataclass(frozen=True)
 class Step:
-    """One rung: what was changed and what the errors did; see `fitting.study._serialisation.rung_document`."""
+    """One step of the history: the change, and its figures of merit."""
 
     change: str
     rmse: float
@@ -276,12 +296,8 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Content:
-    """Everything that a report shows about the fits.
-
-    `models` in a case has the base and, if anything was added, the final model. `rmse_floor` is what noise
-    alone makes of the casing's rms error [rad/s].
-    """
+class StudyView:
+    """What a report shows of the fits; `rmse_floor` is the noise limit of the casing's rms error [rad/s]."""
 
     steps: tuple[Step, ...]
     rmse_floor: float
@@ -297,8 +313,17 @@ class Content:
 
     @property
     def body(self) -> str:
-        """What people call the body in the casing's place: "body" where only one was recorded."""
+        """Name of the filmed body: "casing", or "body" where only one was recorded."""
         return self.cases[0].body
+
+    @property
+    def residual_rms(self) -> tuple[float, ...]:
+        """The rms residual of the casing for the base and the final model, in units of the final model's noise."""
+        noise = [v.models[-1].casing_residual for v in self.cases]
+        count = len(self.cases[0].models)
+        return tuple(
+            residual_rms([v.models[i].casing_residual for v in self.cases], noise) for i in range(count)
+        )
 
     @property
     def improved(self) -> bool:
@@ -306,13 +331,13 @@ class Content:
         return len(self.steps) > 1
 
 
-def gather(rungs: Sequence[Rung], diagnosis: Diagnosis | None) -> Content:
+def gather(rungs: Sequence[FitStep], diagnosis: Diagnosis | None) -> StudyView:
     """Collect what is to be shown.
 
     Parameters
     ----------
-    rungs : sequence of Rung
-        The ladder, base first.
+    rungs : sequence of FitStep
+        The history of fits, base first.
     diagnosis : Diagnosis or None
         That of the base.
     """
@@ -326,7 +351,7 @@ def gather(rungs: Sequence[Rung], diagnosis: Diagnosis | None) -> Content:
     verdict = ladder_verdict(rungs)
     if len(rungs) == 1 and diagnosis is not None:
         verdict = diagnosis.verdict
-    return Content(
+    return StudyView(
         steps=_steps(rungs),
         rmse_floor=smoothing_floor(final),
         base=base,
@@ -341,7 +366,7 @@ def gather(rungs: Sequence[Rung], diagnosis: Diagnosis | None) -> Content:
     )
 
 
-def _steps(rungs: Sequence[Rung]) -> tuple[Step, ...]:
+def _steps(rungs: Sequence[FitStep]) -> tuple[Step, ...]:
     from fitting.study._serialisation import rung_document
 
     steps = []
@@ -369,12 +394,3 @@ def _torques(fit: Fit, diagnosis: Diagnosis | None) -> tuple[ResidualTorque, ...
     if diagnosis is not None and diagnosis.fit is fit:
         return diagnosis.torques
     return tuple(residual_torques(fit))
-
-
-def correlations(fit: Fit) -> tuple[list[str], Array]:
-    """Return the names of the parameters that have a finite error, and their correlation matrix."""
-    variance = np.diag(fit.covariance)
-    keep = np.flatnonzero(np.isfinite(variance) & (variance > 0))
-    root = np.sqrt(variance[keep])
-    matrix = fit.covariance[np.ix_(keep, keep)] / np.outer(root, root)
-    return [fit.problem.layout.names[i] for i in keep], np.clip(matrix, -1, 1)

@@ -1,4 +1,4 @@
-"""One style for all figures: colours, sizes, reproducible SVG."""
+"""Style of all figures: colours, sizes, reproducible SVG with themes."""
 
 from __future__ import annotations
 
@@ -8,17 +8,11 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from gyrotrack.plotting._study_data import CaseView
 
 
 # M. Okabe, K. Ito, Color Universal Design (2008)
@@ -28,7 +22,7 @@ GREY, PALE = "#8c8c8c", "#d9d9d9"
 BEFORE, AFTER, FAILING = VERMILLION, BLUE, YELLOW
 
 WIDTH = 9.2
-_LOOK: dict[str, Any] = {
+_SETTINGS: dict[str, Any] = {
     "axes.axisbelow": True,
     "axes.edgecolor": "#444444",
     "axes.grid": True,
@@ -61,6 +55,8 @@ _DROPPED = re.compile(
     r"<!--.*?-->|<metadata>.*?</metadata>|<style[^>]*>.*?</style>|<\?xml.*?\?>|<!DOCTYPE.*?>", re.DOTALL
 )
 _NAMES = re.compile(r'(\bid="|xlink:href="#|url\(#)')
+# characters of this program that the font has
+_DRAWN = "±σχΔ²³µ−–→…×"
 _SIZE = re.compile(r'<svg ([^>]*?)width="([\d.]+)pt" height="([\d.]+)pt"([^>]*)>|<svg ([^>]*)>')
 
 
@@ -71,13 +67,13 @@ class Picture:
     Attributes
     ----------
     name : str
-        Its place in the page, unique, made by the program.
+        Identifier, unique on a page.
     svg : str
         Markup made by matplotlib alone: all text is drawn as outlines.
     caption : str
-        What is seen; plain text.
+        How the figure is to be read; plain text.
     finding : str
-        What it says, for those who do not see it; plain text.
+        What the figure shows, also its text alternative; plain text.
     """
 
     name: str
@@ -87,11 +83,11 @@ class Picture:
 
 
 @contextmanager
-def look(changes: Mapping[str, Any] | None = None) -> Iterator[None]:
-    """Use the look of the report inside the block."""
+def style(changes: Mapping[str, Any] | None = None) -> Iterator[None]:
+    """Use the settings of all figures inside the block."""
     import matplotlib as mpl
 
-    settings: Any = {**_LOOK, **(changes or {})}
+    settings: Any = {**_SETTINGS, **(changes or {})}
     with mpl.rc_context():
         mpl.rcdefaults()  # neither a matplotlibrc in the working folder nor the user's changes a figure
         mpl.rcParams.update(settings)
@@ -99,15 +95,10 @@ def look(changes: Mapping[str, Any] | None = None) -> Iterator[None]:
 
 
 def canvas(width: float, height: float) -> Figure:
-    """Return an empty figure, in inches; no window system is asked."""
+    """Return an empty figure of this size [inch], independent of any window system."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height))
-
-
-def picture(name: str, figure: Figure, caption: str, finding: str) -> Picture:
-    """Return a figure as markup for the page."""
-    return Picture(name, markup(figure, name, finding), caption, finding)
 
 
 def markup(figure: Figure, name: str, finding: str, *, tight: bool = False) -> str:
@@ -115,13 +106,13 @@ def markup(figure: Figure, name: str, finding: str, *, tight: bool = False) -> s
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     stream = io.StringIO()
-    nothing: dict[str, Any] = {"Date": None, "Creator": None, "Format": None, "Type": None}
+    metadata: dict[str, Any] = {"Date": None, "Creator": None, "Format": None, "Type": None}
     if tight:
-        figure.savefig(stream, format="svg", metadata=nothing, bbox_inches="tight", pad_inches=0.03)
+        figure.savefig(stream, format="svg", metadata=metadata, bbox_inches="tight", pad_inches=0.03)
     else:
-        # one pass: `savefig` would draw all of it once more, to find the places that are found here while drawing
+        # `savefig` would lay the figure out twice
         surface: Any = FigureCanvasSVG(figure)
-        surface.print_svg(stream, metadata=nothing)
+        surface.print_svg(stream, metadata=metadata)
     text = _DROPPED.sub("", stream.getvalue()).strip()
     text = _NAMES.sub(lambda m: f"{m[1]}{name}-", text)
     label = html.escape(finding, quote=True)
@@ -134,8 +125,8 @@ def markup(figure: Figure, name: str, finding: str, *, tight: bool = False) -> s
 
 
 def plain(text: str, most: int = 34) -> str:
-    """Return text of users for a figure: no mathematics, no characters that the font lacks, not too long."""
-    text = "".join(c if 32 <= ord(c) < 127 else "?" for c in text)
+    """Return text of users for a figure: no mathematics, no characters that the font lacks, at most `most` long."""
+    text = "".join(c if 32 <= ord(c) < 127 or c in _DRAWN else "?" for c in text)
     text = text if len(text) <= most else text[: most - 3] + "..."
     return text.replace("$", r"\$")
 
@@ -149,56 +140,29 @@ def legend(axes: Axes, **changes: Any) -> None:
         "ncols": 4,
         "handlelength": 1.6,
     }
-    axes.legend(**{**place, **changes})
+    axes.legend(**{**place, **changes}, fontsize=9)
 
 
-def zero(axes: Axes) -> None:
-    """Draw a line at zero, behind everything."""
-    axes.axhline(0, color="#777777", linewidth=0.8, zorder=0.8)
+# colours of figures that a page replaces by those of its theme
+_THEMED = {
+    "#000000": "ink",
+    "#444444": "ink",
+    "#777777": "muted",
+    "#8c8e94": "muted",
+    "#a9abb1": "measured",
+    "#e6e6e6": "grid",
+    "#ffffff": "paper",
+    "#d9d9d9": "pale",
+    BLUE.lower(): "blue",
+    VERMILLION.lower(): "vermillion",
+    GREEN.lower(): "green",
+    ORANGE.lower(): "orange",
+    PURPLE.lower(): "purple",
+    SKY.lower(): "sky",
+}
+_COLOUR = re.compile("|".join(_THEMED))
 
 
-def panel(axes: Axes, letter: str, title: str) -> None:
-    """Write the letter and the title of a panel."""
-    axes.set_title(f"({letter})  {title}" if letter else title)
-
-
-def get_ready() -> None:
-    """Load what all figures need, in a process that will draw some."""
-    import matplotlib.backends.backend_svg  # noqa: F401
-
-
-Array = NDArray[np.float64]
-
-MOST = 2000
-
-
-def thin(time: Array, value: Array, most: int = MOST) -> tuple[Array, Array]:
-    """Return at most `most` of the points, in order.
-
-    Parameters
-    ----------
-    time, value : ndarray, shape (n,)
-        The curve; no value is made up, each point that is returned is one of these.
-    most : int
-        How many points may stay.
-    """
-    if len(time) <= most:
-        return time, value
-    edges = np.linspace(0, len(time), most // 2 + 1).astype(int)
-    low = [a + int(np.argmin(value[a:b])) for a, b in pairwise(edges)]
-    high = [a + int(np.argmax(value[a:b])) for a, b in pairwise(edges)]
-    keep = np.unique([*low, *high])
-    return time[keep], value[keep]
-
-
-def failing(ax: Axes, view: CaseView, body: str, within: tuple[float, float] | None = None) -> None:
-    """Shade where the base model fails on a body; only what lies `within` two times, if they are given."""
-    label: str | None = "base model fails"
-    for f in view.failures:
-        start, stop = (
-            (f.t_start, f.t_stop) if within is None else (max(f.t_start, within[0]), min(f.t_stop, within[1]))
-        )
-        if f.body != body or start >= stop:
-            continue
-        ax.axvspan(start, stop, color=FAILING, alpha=0.3, linewidth=0, zorder=0.5, label=label)
-        label = None
+def themed(svg: str) -> str:
+    """Return markup whose colours follow the custom properties --ink, --blue ... of the page."""
+    return _COLOUR.sub(lambda m: f"var(--{_THEMED[m[0]]}, {m[0]})", svg)

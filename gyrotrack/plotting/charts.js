@@ -1,102 +1,11 @@
 "use strict";
-/* Charts of long curves on one time axis.
- *
- * Of a curve with more points than the screen has columns, M4 keeps in each column the first, the last, the
- * lowest and the highest point: the line drawn through them is the one drawn through all points, so that no peak
- * is lost (U. Jugel, Z. Jerzak, G. Hackenbroich, V. Markl, Proc. VLDB Endow. 7, 797 (2014)).
- * Names from files only ever become text nodes.
- */
+/* Dashboards of charts on one time axis, drawn by uPlot: common zoom and cursor, legend switches, shaded intervals
+ * in which the model fails, keyboard, and export. Names from files only ever become text nodes. */
 const Charts = (() => {
-  const LEFT = 66, RIGHT = 10, TOP = 6, BOTTOM = 20;
-  const FONT = "12px system-ui, -apple-system, 'Segoe UI', Roboto, 'DejaVu Sans', sans-serif";
-  const NONE = -32768;
-
-  function bytes(text) {
-    const raw = atob(text), out = new Uint8Array(raw.length);
-    for (let i = 0; i < raw.length; i++) out[i] = raw.charCodeAt(i);
-    return out.buffer;
-  }
-
-  function column(packed) {
-    const out = new Float64Array(packed.count);
-    if ("step" in packed) {
-      for (let i = 0; i < out.length; i++) out[i] = packed.start + i * packed.step;
-    } else if ("floats" in packed) {
-      out.set(new Float32Array(bytes(packed.floats)));
-    } else {
-      const steps = new Int16Array(bytes(packed.steps));
-      for (let i = 0; i < out.length; i++) {
-        out[i] = steps[i] === NONE ? NaN : packed.offset + steps[i] * packed.scale;
-      }
-    }
-    return out;
-  }
-
-  /* the first place whose time is not before t */
-  function place(time, t) {
-    let low = 0, high = time.length;
-    while (low < high) {
-      const middle = (low + high) >> 1;
-      if (time[middle] < t) low = middle + 1; else high = middle;
-    }
-    return low;
-  }
-
-  /* the points of a curve that show in [from, to] on so many columns; a gap keeps one point that is no number */
-  function m4(time, value, from, to, columns) {
-    const first = Math.max(0, place(time, from) - 1), last = Math.min(time.length - 1, place(time, to));
-    const kept = [];
-    if (last - first <= 4 * columns) {
-      for (let i = first; i <= last; i++) kept.push(i);
-      return kept;
-    }
-    const width = (to - from) / columns;
-    let i = first;
-    while (i <= last) {
-      const bin = Math.floor((time[i] - from) / width);
-      const begin = i;
-      let low = -1, high = -1, gap = -1;
-      for (; i <= last && Math.floor((time[i] - from) / width) === bin; i++) {
-        const y = value[i];
-        if (Number.isNaN(y)) { gap = i; continue; }
-        if (low < 0 || y < value[low]) low = i;
-        if (high < 0 || y > value[high]) high = i;
-      }
-      const chosen = [begin, i - 1];
-      if (low >= 0) chosen.push(low, high);
-      if (gap >= 0) chosen.push(gap);
-      chosen.sort((a, b) => a - b);
-      for (const c of chosen) if (kept[kept.length - 1] !== c) kept.push(c);
-    }
-    return kept;
-  }
-
-  function ticks(low, high, most) {
-    const rough = (high - low) / Math.max(1, most);
-    if (!(rough > 0) || !Number.isFinite(rough)) return { values: [low], places: 2 };
-    const power = 10 ** Math.floor(Math.log10(rough));
-    const step = [1, 2, 5, 10].map((m) => m * power).find((s) => s >= rough * 0.999);
-    const values = [];
-    for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) values.push(k * step);
-    return { values, places: Math.max(0, -Math.floor(Math.log10(step) + 1e-9)) };
-  }
-
-  function number(x, places) {
-    if (places > 6) return x.toExponential(1);
-    return (Object.is(Math.round(x * 10 ** places), -0) ? 0 : x).toFixed(places).replace("-", "\u2212");
-  }
-
-  /* four digits for the value below the pointer, or as many as are asked for */
-  function told(x, digits = 4) {
-    if (!Number.isFinite(x)) return "\u2013";
-    const size = Math.abs(x);
-    if (size === 0 || (size >= 1e-3 && size < 1e5)) {
-      return String(Number(x.toPrecision(digits))).replace("-", "\u2212");
-    }
-    const [mantissa, power] = x.toExponential(digits - 1).split("e");
-    const raised = [...String(Number(power))].map((c) => c === "-" ? "\u207b" : "\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079"[c]);
-    return `${mantissa.replace("-", "\u2212")}\u00a0\u00d7\u00a010${raised.join("")}`;
-  }
+  const NONE = -32768, HEIGHT = 170;
+  const DARK = { "#0072b2": "#56b4e9", "#d55e00": "#ff8f4a", "#009e73": "#35c79a", "#cc79a7": "#e39cc4", "#000000": "#f2f2f2",
+    "#555555": "#b9b9b9", "#56b4e9": "#8fd0f5", "#e69f00": "#f0b429" };
+  const dark = matchMedia("(prefers-color-scheme: dark)");
 
   function element(name, attributes = {}, ...children) {
     const out = document.createElement(name);
@@ -105,303 +14,422 @@ const Charts = (() => {
     return out;
   }
 
-  function swatch(trace) {
-    const space = "http://www.w3.org/2000/svg";
-    const svg = document.createElementNS(space, "svg");
-    svg.setAttribute("viewBox", "0 0 22 10");
-    svg.setAttribute("aria-hidden", "true");
-    const shape = document.createElementNS(space, trace.kind === "band" ? "rect" : "line");
-    const at = trace.kind === "band"
-      ? { x: 0, y: 0, width: 22, height: 10, fill: trace.colour, opacity: 0.5 }
-      : { x1: 0, x2: 22, y1: 5, y2: 5, stroke: trace.colour, "stroke-width": Math.min(5, trace.width + 0.7),
-          "stroke-dasharray": trace.dash.join(" ") };
-    for (const [key, value] of Object.entries(at)) shape.setAttribute(key, value);
-    svg.append(shape);
-    return svg;
+  function button(text, label, work) {
+    const out = element("button", { type: "button", "aria-label": label, title: label }, text);
+    out.addEventListener("click", work);
+    return out;
+  }
+
+  /* a number with four digits, or as many as are wanted */
+  function format(x, digits = 4) {
+    if (x === null || x === undefined || !Number.isFinite(x)) return "\u2013";
+    const size = Math.abs(x);
+    if (size === 0 || (size >= 1e-3 && size < 1e5)) return String(Number(x.toPrecision(digits))).replace("-", "\u2212");
+    const [mantissa, power] = x.toExponential(digits - 1).split("e");
+    const raised = [...String(Number(power))].map((c) => c === "-" ? "\u207b" : "\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079"[c]);
+    return `${mantissa.replace("-", "\u2212")}\u00a0\u00d7\u00a010${raised.join("")}`;
+  }
+
+  const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer;
+
+  /* numbers as the program packs them; nan becomes null */
+  function column(packed) {
+    const out = new Array(packed.count);
+    if ("step" in packed) for (let i = 0; i < out.length; i++) out[i] = packed.start + i * packed.step;
+    else if ("floats" in packed) {
+      const read = new Float32Array(bytes(packed.floats));
+      for (let i = 0; i < out.length; i++) out[i] = packed.first + read[i];
+    } else {
+      const read = new Int16Array(bytes(packed.steps));
+      for (let i = 0; i < out.length; i++) out[i] = read[i] === NONE ? null : packed.offset + read[i] * packed.scale;
+    }
+    return out;
+  }
+
+  /* The vertical scale of what is visible within [from, to]: reference traces, else all normal ones, set the height;
+   * everything else, bands included, widens it by at most that height. Hidden traces have no influence. */
+  function limits(traces, from, to) {
+    const range = (list, band) => {
+      let low = Infinity, high = -Infinity;
+      for (const t of list) {
+        for (let i = 0; i < t.x.length; i++) {
+          const v = t.value[i];
+          if (v === null || t.x[i] < from || t.x[i] > to) continue;
+          const edge = band && t.sigma && t.sigma[i] !== null ? 2 * t.sigma[i] : 0;
+          if (v - edge < low) low = v - edge;
+          if (v + edge > high) high = v + edge;
+        }
+      }
+      return [low, high];
+    };
+    const shown = traces.filter((t) => t.shown && t.scale !== "none");
+    const curves = shown.filter((t) => t.kind !== "band");
+    const reference = curves.filter((t) => t.scale === "reference");
+    const [low, high] = range(reference.length ? reference : curves, false);
+    let [least, most] = range(shown, true);
+    const height = high - low;
+    if (height > 0) { least = Math.max(least, low - height); most = Math.min(most, high + height); }
+    if (!(least <= most)) return [-1, 1];
+    const room = 0.06 * (most - least) || Math.abs(most) * 0.05 || 1;
+    return [least - room, most + room];
+  }
+
+  function theme() {
+    const style = getComputedStyle(document.documentElement);
+    const read = (name, other) => style.getPropertyValue(name).trim() || other;
+    return { ink: read("--ink", "#1b1b1f"), grid: read("--grid", "#e3e4e8"), failing: read("--failing", "#f9f2a8"),
+      paper: read("--paper", "#ffffff"), soft: read("--soft", "#55575d") };
+  }
+
+  const shade = (colour) => dark.matches ? DARK[colour.toLowerCase()] || colour : colour;
+  const faded = (colour, share) => colour + Math.round(255 * share).toString(16).padStart(2, "0");
+
+  function save(blob, name) {
+    const link = element("a", { href: URL.createObjectURL(blob), download: name });
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 1000);
   }
 
   class Panel {
     constructor(board, chart) {
       this.board = board;
-      this.canvas = element("canvas", { role: "img" });
-      this.head = element("p", { class: "head" });
-      this.root = element("figure", { class: "panel" }, this.head, this.canvas);
+      this.head = element("div", { class: "head" });
+      this.plot = element("div", { class: "plot", role: "img" });
+      this.root = element("figure", { class: "panel" }, this.head, this.plot);
+      this.hidden = new Set();
       this.set(chart);
-      this.listen();
     }
 
     set(chart) {
       this.chart = chart;
-      this.canvas.setAttribute("aria-label", `${chart.title}. ${chart.finding}`);
-      this.traces = chart.traces.map((t) => ({
-        ...t, time: column(t.time), value: column(t.value), sigma: t.sigma ? column(t.sigma) : null,
-      }));
+      this.plot.setAttribute("aria-label", `${chart.title}. ${chart.finding}`);
+      this.traces = chart.traces.map((t) => ({ ...t, x: column(t.x), value: column(t.value),
+        sigma: t.sigma ? column(t.sigma) : null, shown: !this.hidden.has(t.label) }));
       this.values = this.traces.map(() => element("span"));
-      this.head.replaceChildren(element("b", {}, `${chart.title} [${chart.axis}]`), ...this.traces.map((t, i) =>
-        element("span", { class: "key" }, swatch(t), t.label, " ", this.values[i])));
+      const keys = this.traces.map((t, i) => {
+        const swatch = element("span", { class: t.kind === "band" ? "swatch band" : "swatch", "aria-hidden": "true" });
+        const colour = shade(t.colour);
+        if (t.kind === "band") swatch.style.background = colour; else swatch.style.borderTopColor = colour;
+        if (t.dash.length) swatch.style.borderTopStyle = "dashed";
+        const key = button("", `${t.label}: show or hide`, () => this.toggle(i));
+        key.className = "key";
+        key.setAttribute("aria-pressed", String(t.shown));
+        key.append(swatch, t.label, " ", this.values[i]);
+        key.removeAttribute("aria-label");
+        return key;
+      });
+      this.keys = keys;
+      const title = chart.title.charAt(0).toUpperCase() + chart.title.slice(1);
+      this.head.replaceChildren(element("b", {}, `${title} [${chart.unit}]${chart.is_time ? "" : `, against ${chart.x_label}`}`), ...keys, this.saving());
+      this.build();
+    }
+
+    saving() {
+      const name = this.chart.name;
+      const out = element("details", { class: "save" }, element("summary", { "aria-label": `save ${this.chart.title}` }, "save"),
+        element("div", {}, button("PNG", `save ${name} as PNG`, () => this.png()), button("SVG", `save ${name} as SVG`, () => this.svg()),
+          button("CSV", `save ${name} as CSV`, () => this.csv())));
+      return out;
+    }
+
+    toggle(i) {
+      const t = this.traces[i];
+      t.shown = !t.shown;
+      if (t.shown) this.hidden.delete(t.label); else this.hidden.add(t.label);
+      this.keys[i].setAttribute("aria-pressed", String(t.shown));
+      for (const s of this.series[i]) this.u.setSeries(s, { show: t.shown });
+      this.rescale();
+    }
+
+    build() {
+      if (this.u) this.u.destroy();
+      const look = theme(), tables = [], series = [{}], bands = [];
+      this.series = [];
+      let next = 1;
+      for (const t of this.traces) {
+        const colour = shade(t.colour), mine = [], table = [t.x];
+        if (t.sigma) {
+          const edge = (f) => t.value.map((v, i) => v === null || t.sigma[i] === null ? null : v + f * t.sigma[i]);
+          table.push(edge(2), edge(-2));
+          for (let k = 0; k < 2; k++) series.push({ stroke: "transparent", width: 0, points: { show: false }, show: t.shown });
+          bands.push({ series: [next, next + 1], fill: faded(colour, t.kind === "band" ? 0.45 : 0.22) });
+          mine.push(next, next + 1);
+          next += 2;
+        }
+        if (t.kind !== "band") {
+          table.push(t.value);
+          series.push({ stroke: colour, width: t.width, dash: t.dash, show: t.shown,
+            points: t.kind === "points" ? { show: t.x.length < 1500, size: 4, fill: colour, width: 0 } : { show: false } });
+          mine.push(next);
+          t.at = next++;
+        }
+        this.series.push(mine);
+        tables.push(table);
+      }
+      const axis = (more) => ({ stroke: look.ink, grid: { stroke: look.grid, width: 1 }, ticks: { stroke: look.grid, size: 4, width: 1 },
+        font: "12px system-ui, 'DejaVu Sans', sans-serif", ...more });
+      const number = (u, splits) => splits.map((v) => format(v, 6));
+      const own = this.chart.is_time;
+      const options = {
+        width: Math.max(200, this.plot.clientWidth || 600), height: HEIGHT, series, bands, padding: [8, 10, 0, 0],
+        legend: { show: false },
+        cursor: { drag: { x: true, y: false, setScale: false }, sync: own ? { key: this.board.key } : undefined, points: { size: 6 },
+          bind: { dblclick: () => () => { this.board.show(...this.board.whole); if (!own) this.local = null; this.rescale(); return null; } } },
+        scales: { x: { time: false, range: () => this.xRange() }, y: { range: () => limits(this.traces, ...this.xRange()) } },
+        axes: [axis({ size: 30, values: own ? (u, splits) => number(u, splits).map((v) => `${v} s`) : number }), axis({ size: 62, values: number })],
+        hooks: {
+          drawClear: [(u) => this.shadeIntervals(u, look)],
+          draw: [(u) => this.drawCursor(u, look)],
+          setSelect: [(u) => this.selected(u)],
+          setCursor: [(u) => this.read(u)],
+        },
+      };
+      this.u = new uPlot(options, uPlot.join(tables, tables.map((t) => t.map(() => 2))), this.plot);
+      this.listen();
+    }
+
+    xRange() {
+      if (this.chart.is_time) return this.board.range;
+      if (this.local) return this.local;
+      let low = Infinity, high = -Infinity;
+      for (const t of this.traces) if (t.scale !== "none") for (const x of t.x) { if (x < low) low = x; if (x > high) high = x; }
+      return low < high ? [low, high] : [0, 1];
+    }
+
+    rescale() { this.u.setData(this.u.data, true); }
+
+    selected(u) {
+      if (u.select.width < 4) return;
+      const from = u.posToVal(u.select.left, "x"), to = u.posToVal(u.select.left + u.select.width, "x");
+      u.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
+      if (this.chart.is_time) this.board.show(from, to);
+      else { this.local = [from, to]; this.rescale(); }
     }
 
     listen() {
-      const at = (event) => {
-        const box = this.canvas.getBoundingClientRect();
-        return this.board.time((event.clientX - box.left - LEFT) / (box.width - LEFT - RIGHT));
-      };
-      this.canvas.addEventListener("pointerdown", (event) => {
-        if (event.button !== 0) return;
-        this.canvas.setPointerCapture(event.pointerId);
-        this.board.chosen = [at(event), at(event)];
-        this.begin = event.clientX;
-      });
-      this.canvas.addEventListener("pointermove", (event) => {
-        this.board.pointer = at(event);
-        if (this.board.chosen && this.begin !== undefined) this.board.chosen[1] = at(event);
-        this.board.ask();
-      });
-      this.canvas.addEventListener("pointerleave", () => { this.board.pointer = null; this.board.ask(); });
-      this.canvas.addEventListener("pointerup", (event) => {
-        const chosen = this.board.chosen;
-        this.board.chosen = null;
-        if (this.begin === undefined || !chosen) return;
-        const far = Math.abs(event.clientX - this.begin) > 4;
-        this.begin = undefined;
-        if (far) this.board.show(Math.min(...chosen), Math.max(...chosen));
-        else if (this.board.options.click) this.board.options.click(at(event), this.chart.name);
-        this.board.ask();
-      });
-      this.canvas.addEventListener("pointercancel", () => { this.board.chosen = null; this.begin = undefined; });
-      this.canvas.addEventListener("dblclick", () => this.board.show(...this.board.whole));
+      const over = this.u.over;
+      let begin = null;
+      const time = (event) => this.u.posToVal(event.clientX - over.getBoundingClientRect().left, "x");
+      const use = (event) => { if (this.chart.is_time && this.board.options.click) this.board.options.click(time(event), this.chart.name); };
+      over.addEventListener("mousedown", (event) => { begin = event.clientX; });
+      over.addEventListener("mouseup", (event) => { if (begin !== null && Math.abs(event.clientX - begin) < 4) use(event); begin = null; });
+      over.addEventListener("mousemove", (event) => { if (event.shiftKey && !event.buttons) use(event); });
+      over.addEventListener("wheel", (event) => {
+        if (!this.chart.is_time || !(event.ctrlKey || event.metaKey)) return;
+        event.preventDefault();
+        this.board.scale(event.deltaY > 0 ? 1.25 : 0.8, time(event));
+      }, { passive: false });
     }
 
-    draw() {
-      const box = this.canvas.getBoundingClientRect();
-      if (box.width < LEFT + RIGHT + 20) return;
-      const dense = window.devicePixelRatio || 1;
-      const width = Math.round(box.width * dense), height = Math.round(box.height * dense);
-      if (this.canvas.width !== width || this.canvas.height !== height) {
-        this.canvas.width = width;
-        this.canvas.height = height;
-      }
-      const g = this.canvas.getContext("2d");
-      g.setTransform(dense, 0, 0, dense, 0, 0);
-      g.clearRect(0, 0, box.width, box.height);
-      const w = box.width - LEFT - RIGHT, h = box.height - TOP - BOTTOM;
-      const [from, to] = this.board.range;
-      const kept = this.traces.map((t) => m4(t.time, t.value, from, to, Math.ceil(w * dense)));
-      const [low, high] = this.limits(kept, from, to);
-      const x = (t) => LEFT + (t - from) / (to - from) * w;
-      const y = (v) => TOP + (high - v) / (high - low) * h;
+    shadeIntervals(u, look) {
+      if (!this.chart.is_time) return;
+      const g = u.ctx, { left, top, width, height } = u.bbox;
       g.save();
-      g.beginPath();
-      g.rect(LEFT, TOP, w, h);
-      g.clip();
-      g.fillStyle = "#f9f2a8";
-      for (const m of this.board.marks) g.fillRect(x(m.start), TOP, Math.max(1.5, x(m.stop) - x(m.start)), h);
-      g.restore();
-      this.axes(g, x, y, from, to, low, high, w, h);
-      g.save();
-      g.beginPath();
-      g.rect(LEFT, TOP, w, h);
-      g.clip();
-      this.traces.forEach((t, i) => this.trace(g, t, kept[i], x, y));
-      if (this.board.cursor !== null) {
-        g.strokeStyle = "#000"; g.lineWidth = 1.5;
-        g.beginPath(); g.moveTo(x(this.board.cursor), TOP); g.lineTo(x(this.board.cursor), TOP + h); g.stroke();
-      }
-      if (this.board.chosen) {
-        const [a, b] = this.board.chosen.map(x);
-        g.fillStyle = "rgba(0, 114, 178, 0.18)";
-        g.fillRect(Math.min(a, b), TOP, Math.abs(b - a), h);
-      }
-      if (this.board.pointer !== null) {
-        g.strokeStyle = "#555"; g.lineWidth = 1; g.setLineDash([3, 3]);
-        g.beginPath(); g.moveTo(x(this.board.pointer), TOP); g.lineTo(x(this.board.pointer), TOP + h); g.stroke();
+      g.beginPath(); g.rect(left, top, width, height); g.clip();
+      g.fillStyle = look.failing;
+      for (const m of this.board.intervals) {
+        const a = u.valToPos(m.start, "x", true), b = u.valToPos(m.stop, "x", true);
+        g.fillRect(a, top, Math.max(2, b - a), height);
       }
       g.restore();
-      this.read();
     }
 
-    limits(kept, from, to) {
-      let low = Infinity, high = -Infinity;
-      this.traces.forEach((t, k) => {
-        if (t.beside) return;
-        for (const i of kept[k]) {
-          if (Number.isNaN(t.value[i]) || t.time[i] < from || t.time[i] > to) continue;
-          const edge = t.kind === "band" && t.sigma ? 2 * t.sigma[i] : 0;
-          low = Math.min(low, t.value[i] - edge);
-          high = Math.max(high, t.value[i] + edge);
-        }
-      });
-      if (!(low <= high)) return [-1, 1];
-      const room = 0.07 * (high - low) || Math.abs(high) * 0.05 || 1;
-      return [low - room, high + room];
-    }
-
-    axes(g, x, y, from, to, low, high, w, h) {
-      g.font = FONT;
-      g.lineWidth = 1;
-      const across = ticks(from, to, w / 95), up = ticks(low, high, h / 22);
-      g.strokeStyle = "#e3e4e8";
-      g.beginPath();
-      for (const v of across.values) { const p = Math.round(x(v)) + 0.5; g.moveTo(p, TOP); g.lineTo(p, TOP + h); }
-      for (const v of up.values) { const p = Math.round(y(v)) + 0.5; g.moveTo(LEFT, p); g.lineTo(LEFT + w, p); }
-      g.stroke();
-      if (low < 0 && high > 0) {
-        g.strokeStyle = "#777";
-        g.beginPath(); g.moveTo(LEFT, y(0)); g.lineTo(LEFT + w, y(0)); g.stroke();
-      }
-      g.strokeStyle = "#444";
-      g.beginPath(); g.moveTo(LEFT, TOP); g.lineTo(LEFT, TOP + h); g.lineTo(LEFT + w, TOP + h); g.stroke();
-      g.fillStyle = "#3a3b40";
-      g.textAlign = "center"; g.textBaseline = "top";
-      across.values.forEach((v, i) => {
-        if (x(v) < LEFT + w - 14 || !i) g.fillText(number(v, across.places), x(v), TOP + h + 4);
-      });
-      g.textAlign = "right";
-      g.fillText("s", LEFT + w, TOP + h + 4);
-      g.textBaseline = "middle";
-      for (const v of up.values) g.fillText(number(v, up.places), LEFT - 5, y(v));
-    }
-
-    trace(g, t, kept, x, y) {
-      if (t.sigma) {
-        g.globalAlpha = t.kind === "band" ? 0.5 : 0.22;
-        g.fillStyle = t.colour;
-        this.runs(t, kept, (run) => {
-          g.beginPath();
-          run.forEach((i, n) => g[n ? "lineTo" : "moveTo"](x(t.time[i]), y(t.value[i] + 2 * t.sigma[i])));
-          for (let n = run.length - 1; n >= 0; n--) g.lineTo(x(t.time[run[n]]), y(t.value[run[n]] - 2 * t.sigma[run[n]]));
-          g.fill();
-        });
-        g.globalAlpha = 1;
-      }
-      if (t.kind === "band") return;
-      g.strokeStyle = t.colour;
-      g.fillStyle = t.colour;
-      g.lineWidth = t.width;
-      g.lineJoin = "round";
-      g.setLineDash(t.dash);
-      this.runs(t, kept, (run) => {
-        g.beginPath();
-        run.forEach((i, n) => g[n ? "lineTo" : "moveTo"](x(t.time[i]), y(t.value[i])));
-        g.stroke();
-        if (run.length === 1 || (t.kind === "points" && run.length < 400)) {
-          for (const i of run) { g.beginPath(); g.arc(x(t.time[i]), y(t.value[i]), 2.1, 0, 7); g.fill(); }
-        }
-      });
+    drawCursor(u, look) {
+      const g = u.ctx, { left, top, width, height } = u.bbox, line = (x0, y0, x1, y1) => { g.beginPath(); g.moveTo(x0, y0); g.lineTo(x1, y1); g.stroke(); };
+      g.save();
       g.setLineDash([]);
-    }
-
-    runs(t, kept, use) {
-      let run = [];
-      for (const i of kept) {
-        if (Number.isNaN(t.value[i]) || (t.sigma && Number.isNaN(t.sigma[i]))) {
-          if (run.length) use(run);
-          run = [];
-        } else run.push(i);
+      const zero = u.valToPos(0, "y", true);
+      if (zero > top && zero < top + height) { g.strokeStyle = look.soft; g.lineWidth = 1; line(left, zero, left + width, zero); }
+      const t = this.board.cursor;
+      if (this.chart.is_time && t !== null) {
+        const x = u.valToPos(t, "x", true);
+        g.strokeStyle = look.ink; g.lineWidth = 2 * devicePixelRatio;
+        if (x >= left && x <= left + width) line(x, top, x, top + height);
       }
-      if (run.length) use(run);
+      g.restore();
     }
 
-    read() {
-      const t = this.board.pointer;
-      this.traces.forEach((trace, k) => {
+    /* the values of all traces at the cursor */
+    read(u) {
+      const x = u.cursor.left >= 0 ? u.posToVal(u.cursor.left, "x") : null;
+      this.traces.forEach((t, k) => {
         let text = "";
-        if (t !== null && trace.kind !== "band" && trace.time.length) {
-          let i = Math.min(place(trace.time, t), trace.time.length - 1);
-          if (i > 0 && t - trace.time[i - 1] < trace.time[i] - t) i--;
-          text = told(trace.value[i]);
+        if (x !== null && t.kind !== "band" && t.x.length) {
+          let low = 0, high = t.x.length - 1;
+          while (low < high) { const m = (low + high) >> 1; if (t.x[m] < x) low = m + 1; else high = m; }
+          if (low > 0 && x - t.x[low - 1] < t.x[low] - x) low--;
+          text = format(t.value[low]);
         }
         if (this.values[k].textContent !== text) this.values[k].textContent = text;
       });
     }
+
+    resize() {
+      const width = this.plot.clientWidth;
+      if (width > 100 && Math.abs(width - this.u.width) > 1) this.u.setSize({ width, height: HEIGHT });
+    }
+
+    file(kind) { return `${this.chart.name}.${kind}`; }
+
+    csv() {
+      const rows = [["curve", this.chart.is_time ? "time [s]" : this.chart.x_label, `value [${this.chart.unit}]`, `u [${this.chart.unit}]`]];
+      const quote = (x) => /[",\n]/.test(x) ? `"${x.replaceAll('"', '""')}"` : x;
+      const [from, to] = this.xRange();
+      for (const t of this.traces) {
+        if (!t.shown) continue;
+        t.x.forEach((x, i) => { if (x >= from && x <= to && t.value[i] !== null) rows.push([t.label, x, t.value[i], t.sigma?.[i] ?? ""]); });
+      }
+      save(new Blob([rows.map((r) => r.map((c) => quote(String(c))).join(",")).join("\n") + "\n"], { type: "text/csv" }), this.file("csv"));
+    }
+
+    png() {
+      const from = this.u.ctx.canvas, head = Math.round(22 * devicePixelRatio), look = theme();
+      const out = element("canvas", { width: from.width, height: from.height + head }), g = out.getContext("2d");
+      g.fillStyle = look.paper;
+      g.fillRect(0, 0, out.width, out.height);
+      g.fillStyle = look.ink;
+      g.font = `bold ${Math.round(13 * devicePixelRatio)}px system-ui, sans-serif`;
+      g.fillText(`${this.chart.title} [${this.chart.unit}]`, 10 * devicePixelRatio, 0.75 * head);
+      g.drawImage(from, 0, head);
+      out.toBlob((blob) => save(blob, this.file("png")));
+    }
+
+    svg() {
+      const u = this.u, space = "http://www.w3.org/2000/svg", [from, to] = this.xRange(), look = theme();
+      const make = (name, attributes, text) => {
+        const out = document.createElementNS(space, name);
+        for (const [k, v] of Object.entries(attributes)) out.setAttribute(k, v);
+        if (text !== undefined) out.textContent = text;
+        return out;
+      };
+      const ratio = devicePixelRatio, box = { x: u.bbox.left / ratio, y: u.bbox.top / ratio + 22, width: u.bbox.width / ratio, height: u.bbox.height / ratio };
+      const X = (v) => (box.x + u.valToPos(v, "x")).toFixed(2), Y = (v) => (box.y + u.valToPos(v, "y")).toFixed(2);
+      const root = make("svg", { xmlns: space, width: u.width, height: u.height + 22, "font-family": "sans-serif", "font-size": 11 });
+      root.append(make("rect", { width: "100%", height: "100%", fill: look.paper }), make("text", { x: 10, y: 15, "font-weight": "bold", fill: look.ink }, `${this.chart.title} [${this.chart.unit}]`));
+      const clip = make("clipPath", { id: "area" });
+      clip.append(make("rect", box));
+      root.append(clip);
+      for (const [k, axis] of u.axes.entries()) {
+        axis._splits.forEach((v, i) => {
+          const at = k ? Y(v) : X(v), [x1, x2, y1, y2] = k ? [box.x, box.x + box.width, at, at] : [at, at, box.y, box.y + box.height];
+          if (k ? at < box.y || at > box.y + box.height : at < box.x || at > box.x + box.width) return;
+          root.append(make("line", { x1, x2, y1, y2, stroke: look.grid }), make("text", k ? { x: box.x - 5, y: Number(at) + 4, "text-anchor": "end", fill: look.ink }
+            : { x: at, y: box.y + box.height + 16, "text-anchor": "middle", fill: look.ink }, axis._values[i] ?? ""));
+        });
+      }
+      const area = make("g", { "clip-path": "url" + "(#area)", fill: "none" });
+      for (const t of this.traces) {
+        if (!t.shown) continue;
+        const colour = shade(t.colour);
+        let line = "", up = [], down = [], pen = false;
+        const close = () => {
+          if (up.length > 1) area.append(make("path", { d: `M${up.join("L")}L${down.reverse().join("L")}Z`, fill: colour, "fill-opacity": t.kind === "band" ? 0.45 : 0.22 }));
+          up = []; down = []; pen = false;
+        };
+        t.x.forEach((x, i) => {
+          const v = t.value[i], s = t.sigma?.[i];
+          if (v === null || x < from || x > to) { close(); return; }
+          line += `${pen ? "L" : "M"}${X(x)},${Y(v)}`;
+          pen = true;
+          if (s !== undefined && s !== null) { up.push(`${X(x)},${Y(v + 2 * s)}`); down.push(`${X(x)},${Y(v - 2 * s)}`); }
+        });
+        close();
+        if (t.kind !== "band") area.append(make("path", { d: line, stroke: colour, "stroke-width": t.width, "stroke-dasharray": t.dash.join(" ") }));
+      }
+      root.append(area);
+      save(new Blob([new XMLSerializer().serializeToString(root)], { type: "image/svg+xml" }), this.file("svg"));
+    }
   }
+
+  let boards = 0;
 
   class Board {
     constructor(root, board, options = {}) {
       this.root = root;
       this.options = options;
-      this.pointer = this.chosen = this.cursor = null;
-      this.marks = [];
+      this.cursor = null;
+      this.key = `board${boards++}`;
+      this.intervals = [];
       root.classList.add("board");
-      this.buttons = element("span", { class: "marks" });
+      this.marks = element("span", { class: "marks" });
       this.shown = element("p", { class: "shown", role: "status" });
-      this.tools = element("div", { class: "tools", role: "group", "aria-label": "zoom of all plots" });
-      const button = (text, label, act) => {
-        const out = element("button", { type: "button", "aria-label": label, title: label }, text);
-        out.addEventListener("click", act);
-        return out;
-      };
-      this.tools.append(
+      const tools = element("div", { class: "tools", role: "group", "aria-label": "zoom of all charts" },
         button("whole run", "show the whole run", () => this.show(...this.whole)),
         button("+", "zoom in", () => this.scale(0.5)), button("\u2212", "zoom out", () => this.scale(2)),
-        button("\u25c0", "earlier", () => this.move(-0.4)), button("\u25b6", "later", () => this.move(0.4)),
-        this.buttons, this.shown);
-      this.makeButton = button;
+        button("\u25c0", "earlier", () => this.move(-0.4)), button("\u25b6", "later", () => this.move(0.4)), this.marks, this.shown);
       this.body = element("div");
-      root.replaceChildren(this.tools, this.body);
+      root.replaceChildren(tools, this.body);
+      root.addEventListener("keydown", (event) => this.pressed(event));
       this.panels = [];
       this.set(board);
-      new ResizeObserver(() => this.ask()).observe(this.body);
+      new ResizeObserver(() => { for (const p of this.panels) p.resize(); }).observe(this.body);
+      dark.addEventListener("change", () => { for (const p of this.panels) p.set(p.chart); });
     }
 
     set(board) {
       const kept = this.range;
-      board.charts.forEach((chart, i) => {
-        if (this.panels[i]) this.panels[i].set(chart);
-        else { this.panels[i] = new Panel(this, chart); this.body.append(this.panels[i].root); }
-      });
-      for (const old of this.panels.splice(board.charts.length)) old.root.remove();
       let low = Infinity, high = -Infinity;
-      for (const p of this.panels) for (const t of p.traces) if (t.time.length) {
-        low = Math.min(low, t.time[0]); high = Math.max(high, t.time[t.time.length - 1]);
+      for (const c of board.charts) if (c.is_time) for (const t of c.traces) {
+        const x = column(t.x);
+        if (x.length) { low = Math.min(low, x[0]); high = Math.max(high, x[x.length - 1]); }
       }
       this.whole = low < high ? [low, high] : [0, 1];
-      this.marks = board.marks;
-      this.buttons.replaceChildren(...board.marks.map((m) => {
-        const out = this.makeButton(m.text, `show the failing stretch ${m.text}`, () => {
+      this.range = kept || this.whole;
+      this.intervals = board.intervals;
+      board.charts.forEach((chart, i) => {
+        if (this.panels[i]) this.panels[i].set(chart);
+        else {
+          this.panels[i] = new Panel(this, chart);
+          this.body.append(this.panels[i].root);
+          this.panels[i].resize();
+        }
+      });
+      for (const old of this.panels.splice(board.charts.length)) old.root.remove();
+      this.marks.replaceChildren(...board.intervals.map((m) => {
+        const out = button(m.text, `show the interval ${m.text}, in which the model fails`, () => {
           const room = Math.max(0.5 * (m.stop - m.start), 0.005 * (this.whole[1] - this.whole[0]));
           this.show(m.start - room, m.stop + room);
-          if (this.options.stretch) this.options.stretch(m.start, m.stop);
+          if (this.options.interval) this.options.interval(m.start, m.stop);
         });
         out.className = "mark";
         return out;
       }));
-      this.show(...(kept || this.whole));
+      this.show(...this.range);
     }
 
-    time(share) { return this.range[0] + Math.min(1, Math.max(0, share)) * (this.range[1] - this.range[0]); }
+    pressed(event) {
+      if (event.target.closest("summary, input, select") || event.altKey || event.ctrlKey || event.metaKey) return;
+      const acts = { ArrowLeft: () => this.move(-0.2), ArrowRight: () => this.move(0.2), "+": () => this.scale(0.5), "-": () => this.scale(2), Home: () => this.show(...this.whole) };
+      if (acts[event.key]) { event.preventDefault(); acts[event.key](); }
+    }
 
     show(from, to) {
       const [low, high] = this.whole;
-      const least = 1e-5 * (high - low);
       from = Math.max(low, from); to = Math.min(high, to);
-      if (!(to - from > least)) return;
+      if (!(to - from > 1e-5 * (high - low))) return;
       this.range = [from, to];
-      const text = `shown: ${told(from)} s to ${told(to)} s`;
+      const text = `shown: ${format(from)} s to ${format(to)} s`;
       if (this.shown.textContent !== text) this.shown.textContent = text;
-      this.ask();
+      for (const p of this.panels) if (p.chart.is_time) p.rescale();
     }
 
-    scale(factor) {
-      const middle = 0.5 * (this.range[0] + this.range[1]), half = 0.5 * factor * (this.range[1] - this.range[0]);
-      this.show(middle - half, middle + half);
+    scale(factor, about = 0.5 * (this.range[0] + this.range[1])) {
+      this.show(about - factor * (about - this.range[0]), about + factor * (this.range[1] - about));
     }
 
     move(share) {
       const width = this.range[1] - this.range[0];
-      let from = this.range[0] + share * width;
-      from = Math.min(Math.max(from, this.whole[0]), this.whole[1] - width);
+      const from = Math.min(Math.max(this.range[0] + share * width, this.whole[0]), this.whole[1] - width);
       this.show(from, from + width);
     }
 
-    setCursor(time) { this.cursor = time; this.ask(); }
-
-    ask() {
+    setCursor(time) {
+      this.cursor = time;
       if (this.waiting) return;
       this.waiting = true;
-      requestAnimationFrame(() => { this.waiting = false; for (const p of this.panels) p.draw(); });
+      requestAnimationFrame(() => { this.waiting = false; for (const p of this.panels) if (p.chart.is_time) p.u.redraw(false); });
     }
   }
 
-  return { Board, element, told, m4, column };
+  return { Board, element, button, format, column, limits };
 })();

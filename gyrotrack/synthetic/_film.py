@@ -6,9 +6,7 @@ granted. Scalers differ here by half a luma pixel, which is why the conversion i
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable
-from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -17,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrotrack._errors import OutputError
+from gyrotrack.io._atomic import new_path
 
 Frame = NDArray[np.uint8]
 
@@ -140,21 +138,8 @@ def write_film(
     """
     film = film or Film()
     path = Path(path)
-    if path.exists() and not force:
-        raise OutputError(f"{path} exists already.", "Give another name, or ask for it to be replaced.")
-    part = path.with_name(path.name + ".part")
-    try:
-        count = _encode(part, frames, (width, height), fps, Fraction(container_fps or fps), film)
-        with part.open("rb+") as handle:
-            os.fsync(handle.fileno())
-        part.replace(path)
-    except OSError as error:
-        hint = "Check the folder and the free space."
-        raise OutputError(f"{path} cannot be written: {error}.", hint) from error
-    finally:
-        with suppress(FileNotFoundError):
-            part.unlink()
-    return count
+    with new_path(path, force=force) as part:
+        return _encode(part, frames, (width, height), fps, Fraction(container_fps or fps), film)
 
 
 def _encode(

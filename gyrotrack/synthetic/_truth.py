@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrotrack._errors import OutputError
+from gyrotrack.io._atomic import new_file, write_text
 from gyrotrack.synthetic._film import Film, write_film
 from gyrotrack.synthetic._motion import Motion
 from gyrotrack.synthetic._render import Renderer
@@ -71,9 +72,9 @@ class Truth:
         arrays, scalars = self._flat()
         if path.suffix == ".json":
             lists = {name: array.tolist() for name, array in arrays.items()}
-            path.write_text(json.dumps({**scalars, **lists}), encoding="utf-8")
+            write_text(path, json.dumps({**scalars, **lists}))
             return
-        with path.open("wb") as handle:
+        with new_file(path, force=True) as handle:
             np.savez_compressed(handle, allow_pickle=False, scalars=np.array(json.dumps(scalars)), **arrays)
 
     def _flat(self) -> tuple[dict[str, Array], dict[str, Any]]:

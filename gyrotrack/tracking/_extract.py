@@ -16,9 +16,10 @@ from gyrotrack._column_store import new_columns, put_away, stretches
 from gyrotrack._errors import DatasetError, TrackingError, UsageError, VideoError
 from gyrotrack._smoothing import WIDTH, angular_velocity
 from gyrotrack._versions import __version__
+from gyrotrack.io._checkpoint import CheckpointFile
 from gyrotrack.io._hdf5 import read_recording, read_settings, write_recording
-from gyrotrack.io._journal import Journal
-from gyrotrack.io._records import STATUS, BodyTrack, MarkerTrack, Recording
+from gyrotrack.io._records import BodyTrack, MarkerTrack, Recording
+from gyrotrack.io._schema import STATUS
 from gyrotrack.tracking._acquisition import acquire
 from gyrotrack.tracking._body_angles import TrackedBodies, join_bodies, trusted_times
 from gyrotrack.tracking._colour import single_threaded
@@ -151,7 +152,7 @@ def extract(
     times: str = "auto",
     threads: int = 2,
     progress: Progress | None = None,
-    journal: Journal | None = None,
+    journal: CheckpointFile | None = None,
 ) -> Recording:
     """Track the markers in a film.
 
@@ -174,7 +175,7 @@ def extract(
         Threads of the decoder.
     progress : callable, optional
         Called with (frames done, frames declared or None).
-    journal : Journal, optional
+    journal : CheckpointFile, optional
         Keeps what was measured on the way, and lets a run go on that was killed; made with `run_facts`.
 
     Raises
@@ -412,7 +413,9 @@ class ExtractionJob:
             return None
         if recording is None or recording.source_sha256 != file_sha256(self.video):
             return None
-        with Journal(self.target, {}) as journal:  # of a run that was killed just after it wrote the output
+        with CheckpointFile(
+            self.target, {}
+        ) as journal:  # of a run that was killed just after it wrote the output
             journal.discard()
         return recording
 
@@ -450,7 +453,7 @@ class ExtractionJob:
         VideoError, TrackingError, OutputError
             The film cannot be read, shows no markers, or the output cannot be written.
         """
-        with Journal(
+        with CheckpointFile(
             self.target, run_facts(self.video, self.profile, self.body, self.times), resume=resume
         ) as journal:
             taken = frames_done(journal)
@@ -478,7 +481,7 @@ class ExtractionJob:
         return recording, time_base
 
 
-def _resumed(journal: Journal, taken: int) -> str:
+def _resumed(journal: CheckpointFile, taken: int) -> str:
     if taken:
         return f"going on after frame {taken - 1}"
     if journal.other:

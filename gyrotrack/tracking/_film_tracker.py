@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._column_store import new_columns, set_down
-from gyrotrack.io._journal import Journal
+from gyrotrack.io._checkpoint import CheckpointFile
 from gyrotrack.tracking._association import LEAST_SCATTER, Motion
 from gyrotrack.tracking._body_tracker import BodyTracker
 from gyrotrack.tracking._hub import DiscWindow
@@ -179,7 +179,7 @@ BATCHES = 2
 _STATE, _STAMPS = "state:", "stamps"
 
 
-def frames_done(journal: Journal) -> int:
+def frames_done(journal: CheckpointFile) -> int:
     """Return how many frames an unfinished run has done, as its journal says."""
     last = 0
     for record in journal.records():
@@ -192,11 +192,11 @@ class ObservationLog:
 
     Parameters
     ----------
-    journal : Journal, optional
+    journal : Checkpoint, optional
         Where to keep them; without it they are kept in memory.
     """
 
-    def __init__(self, journal: Journal | None = None) -> None:
+    def __init__(self, journal: CheckpointFile | None = None) -> None:
         self._journal = journal
         self._waiting: list[Rows] = []
         self._start = Checkpoint({}, {})

@@ -37,15 +37,16 @@ import csv
 import io
 import os
 import re
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from gyrotrack._errors import ConfigurationError
+from gyrotrack._errors import ConfigurationError, UsageError
+from gyrotrack._inertia import Inertia
 from gyrotrack._toml import check, read_document, read_text
 
 Body = Literal["casing", "rotor", ""]
@@ -78,8 +79,8 @@ class Experiment:
         A case file that exists already, in place of films.
     surface : str
         What the casing turned on.
-    inertia_rotor, inertia_casing : float or None
-        Moments of inertia [kg m2].
+    inertia_rotor, inertia_casing : str or None
+        Moments of inertia as `gyrotrack._inertia.Inertia` reads them.
     folder : str
         Name of its folder among the results; unique.
     """
@@ -88,8 +89,8 @@ class Experiment:
     clips: tuple[Clip, ...] = ()
     data: Path | None = None
     surface: str = ""
-    inertia_rotor: float | None = None
-    inertia_casing: float | None = None
+    inertia_rotor: str | None = None
+    inertia_casing: str | None = None
     folder: str = ""
 
     @property
@@ -146,6 +147,61 @@ def folder_name(label: str) -> str:
     return f"{name}_" if name.partition(".")[0].casefold() in _DEVICES else name
 
 
+def with_inertias(
+    experiments: Iterable[Experiment], given: Mapping[str, str | None], skip: Collection[str] = ()
+) -> tuple[Experiment, ...]:
+    """Return the experiments with moments of inertia where their notes name none.
+
+    Parameters
+    ----------
+    experiments : iterable of Experiment
+        Those of a manifest or a folder.
+    given : mapping
+        The values of the options, by body.
+    skip : collection of str
+        Options (``--inertia-rotor``) that the settings of the command `sync` give.
+
+    Raises
+    ------
+    UsageError
+        A case of films has no moment of inertia for one of its bodies.
+    """
+    made = []
+    for e in experiments:
+        if e.data is None and not e.alone:
+            own: dict[str, Any] = {
+                f"inertia_{body}": getattr(e, f"inertia_{body}") or given[body]
+                for body in ("rotor", "casing")
+            }
+            for body in ("rotor", "casing"):
+                text = own[f"inertia_{body}"]
+                if text is not None:
+                    Inertia.of(text, body)
+                elif f"--inertia-{body}" not in skip:
+                    raise UsageError(
+                        f"The moment of inertia of the {body} of the case '{e.label[:60]}' is not given.",
+                        f"Write inertia_{body} in the manifest or study.toml, or give --inertia-{body}.",
+                    )
+            made.append(replace(e, **own))
+        else:
+            made.append(e)
+    return tuple(made)
+
+
+def _inertia_text(value: Any) -> str | None:
+    if value is None:
+        return None
+    text = value if isinstance(value, str) else repr(value)
+    try:
+        Inertia.of(text)
+    except UsageError as error:
+        raise ValueError(error.message) from None
+    return text
+
+
+InertiaText = Annotated[str | None, BeforeValidator(_inertia_text)]
+
+
 class Film(BaseModel):
     """One film."""
 
@@ -164,8 +220,8 @@ class Study(BaseModel):
 
     label: str = Field(min_length=1, max_length=120)
     surface: str = ""
-    inertia_rotor: float | None = Field(default=None, gt=0)
-    inertia_casing: float | None = Field(default=None, gt=0)
+    inertia_rotor: InertiaText = None
+    inertia_casing: InertiaText = None
     clip: tuple[Film, ...] = Field(min_length=1, max_length=100)
 
 
@@ -276,8 +332,8 @@ class Defaults(_Strict):
     rotor_fps: float | None = Field(default=None, gt=0)
     profile: str | None = None
     surface: str | None = None
-    inertia_rotor: float | None = Field(default=None, gt=0)
-    inertia_casing: float | None = Field(default=None, gt=0)
+    inertia_rotor: InertiaText = None
+    inertia_casing: InertiaText = None
 
 
 class CaseEntry(Defaults):
@@ -325,8 +381,8 @@ class _Row(_Strict):
     capture_fps: float | None = Field(default=None, gt=0)
     profile: str | None = None
     surface: str | None = None
-    inertia_rotor: float | None = Field(default=None, gt=0)
-    inertia_casing: float | None = Field(default=None, gt=0)
+    inertia_rotor: InertiaText = None
+    inertia_casing: InertiaText = None
 
 
 def read_manifest(path: Path) -> tuple[Experiment, ...]:

@@ -17,7 +17,7 @@ from typing import Any, BinaryIO
 from gyrotrack._errors import OutputError
 from gyrotrack._versions import __version__
 from gyrotrack.apps.batch._steps import Outcome, Step
-from gyrotrack.io._atomic import lock
+from gyrotrack.io._atomic import locked, refuse_special
 
 HEADER = {"format": "gyrotrack batch", "version": 1}
 
@@ -40,6 +40,7 @@ class Journal:
         self.path = path
         self._records: dict[str, dict[str, Any]] = {}
         self._torn = False
+        refuse_special(path, OutputError)
         if path.exists():
             self._read()
 
@@ -159,8 +160,7 @@ def held(results: Path) -> Iterator[None]:
     OutputError
         Another batch is at work there, the folder cannot be made, or it holds something else.
     """
-    with _opened(results) as stream:
-        lock(stream, results)
+    with _opened(results), locked(results):
         yield
 
 
@@ -171,6 +171,7 @@ def _opened(results: Path) -> BinaryIO:
             raise OutputError(
                 f"{results} holds something that is not of a batch.", "Choose an empty folder with -o."
             )
+        refuse_special(results / "batch.lock", OutputError)
         return (results / "batch.lock").open("ab")
     except OSError as error:
         raise OutputError(

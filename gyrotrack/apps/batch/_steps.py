@@ -140,7 +140,7 @@ def _sync(e: Experiment, casing: Step, rotors: Sequence[Step], case: Path) -> St
     for body in ("rotor", "casing"):
         inertia = getattr(e, f"inertia_{body}")
         if inertia is not None:
-            words += [f"--inertia-{body}", repr(inertia)]
+            words += [f"--inertia-{body}", inertia]
     return Step(
         f"{e.folder}/sync",
         e.folder,

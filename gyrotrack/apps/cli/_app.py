@@ -32,25 +32,27 @@ _ORACLE = "Known answers"
 
 COMMANDS = (
     Entry(
-        "profile", "gyrotrack.apps.cli._tracking", _DATA, "Find the markers of a film and write them down."
+        "profile", "gyrotrack.apps.cli._tracking", _DATA, "Find the markers of a film and write a profile."
     ),
     Entry(
         "extract",
         "gyrotrack.apps.cli._tracking",
         _DATA,
-        "Track a film: from frames to angles and their errors.",
+        "Track the markers in a film: angles with uncertainties.",
     ),
-    Entry("import", "gyrotrack.apps.cli._data", _DATA, "Make a case from tables of angles or speeds (CSV)."),
+    Entry(
+        "import", "gyrotrack.apps.cli._data", _DATA, "Make a case from tables of angles or rates, or points."
+    ),
     Entry("sync", "gyrotrack.apps.cli._tracking", _DATA, "Put the clips of one experiment on one clock."),
     Entry("batch", "gyrotrack.apps.cli._batch", _DATA, "Track, fit and report many cases, unattended."),
     Entry("config", "gyrotrack.apps.cli._batch", _DATA, "Show the settings in use and their origin."),
-    Entry("export", "gyrotrack.apps.cli._data", _DATA, "Hand the data on as CSV, Parquet or netCDF."),
-    Entry("info", "gyrotrack.apps.cli._data", _DATA, "Say what a file holds, and whether it is sound."),
+    Entry("export", "gyrotrack.apps.cli._data", _DATA, "Export the data as CSV, Parquet or netCDF."),
+    Entry("info", "gyrotrack.apps.cli._data", _DATA, "Show the contents of a file and check its integrity."),
     Entry(
         "fit",
         "gyrotrack.apps.cli._fitting",
         _PHYSICS,
-        "Fit a model: parameters, errors, how well it describes the data.",
+        "Fit a model: parameters, uncertainties, goodness of fit.",
     ),
     Entry(
         "scan",
@@ -62,13 +64,16 @@ COMMANDS = (
         "diagnose",
         "gyrotrack.apps.cli._fitting",
         _PHYSICS,
-        "Say where the fit fails and which effect is missing.",
+        "Locate the lack of fit and rank the missing effects.",
     ),
-    Entry("improve", "gyrotrack.apps.cli._fitting", _PHYSICS, "Add effects until what is left is noise."),
     Entry(
-        "ladder", "gyrotrack.apps.cli._fitting", _PHYSICS, "List the fits so far and watch the error fall."
+        "improve",
+        "gyrotrack.apps.cli._fitting",
+        _PHYSICS,
+        "Add effects until the residuals are consistent with noise.",
     ),
-    Entry("report", "gyrotrack.apps.cli._presentation", _PHYSICS, "Write the study as one page."),
+    Entry("ladder", "gyrotrack.apps.cli._fitting", _PHYSICS, "List the fits of a case: one bar per fit."),
+    Entry("report", "gyrotrack.apps.cli._presentation", _PHYSICS, "Write a report: one HTML page or a PDF."),
     Entry(
         "figures",
         "gyrotrack.apps.cli._presentation",
@@ -79,11 +84,16 @@ COMMANDS = (
         "view",
         "gyrotrack.apps.cli._presentation",
         _PHYSICS,
-        "Look at a case in the browser and try effects on it.",
+        "Explore a case in the browser.",
     ),
     Entry("effects", "gyrotrack.apps.cli._fitting", _PHYSICS, "Show the library of effects."),
-    Entry("demo", "gyrotrack.apps.cli._simulation", _ORACLE, "Run the whole story on the sample clips."),
-    Entry("simulate", "gyrotrack.apps.cli._simulation", _ORACLE, "Make data or film with chosen effects."),
+    Entry("demo", "gyrotrack.apps.cli._simulation", _ORACLE, "Run the whole analysis of the sample clips."),
+    Entry(
+        "simulate",
+        "gyrotrack.apps.cli._simulation",
+        _ORACLE,
+        "Simulate a case with chosen effects, as data or films.",
+    ),
     Entry(
         "reveal", "gyrotrack.apps.cli._simulation", _ORACLE, "Open a sealed challenge and score the answer."
     ),
@@ -113,9 +123,9 @@ def root(
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the versions.")
     ] = False,
     _config: Annotated[
-        Path | None, typer.Option("--config", metavar="FILE", help="Settings; see `gyrotrack config`.")
+        Path | None, typer.Option("--config", metavar="FILE", help="Settings file; see `gyrotrack config`.")
     ] = None,
-    _debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of a bug.")] = False,
+    _debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an internal error.")] = False,
 ) -> None:
     """From films of a spinning gyroscope to the physics that its model is missing."""
 

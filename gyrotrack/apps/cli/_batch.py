@@ -13,7 +13,7 @@ import typer
 
 from gyrotrack._errors import UsageError
 from gyrotrack.apps.cli._lazy import function_of
-from gyrotrack.apps.cli._options import Json, Quiet, Verbose
+from gyrotrack.apps.cli._options import InertiaCasing, InertiaRotor, Json, Quiet, Verbose
 from gyrotrack.apps.cli._output import DONE, FAULT, NOT_TRUSTED, Output, command_line
 
 if TYPE_CHECKING:
@@ -83,6 +83,8 @@ def batch_command(
         float | None,
         typer.Option("--rotor-fps", metavar="N", help="Capture rate of the rotor films in a folder [1/s]."),
     ] = None,
+    inertia_rotor: InertiaRotor = None,
+    inertia_casing: InertiaCasing = None,
     timeout: Annotated[
         float, typer.Option("--timeout", metavar="S", min=1.0, help="Time limit of one step [s].")
     ] = 7200.0,
@@ -98,9 +100,10 @@ def batch_command(
     films are only tracked. The address of a scheduler comes from the command line, the environment or your own
     settings file, never from a gyrotrack.toml in the folder of the data.
 
-    Example: gyrotrack batch films/ -o results --casing-fps 260 --rotor-fps 1000
+    Example: gyrotrack batch films/ -o results --casing-fps 260 --rotor-fps 1000 --inertia-rotor 5.54e-5
+    --inertia-casing 2.06e-5
     """
-    from gyrotrack.apps.batch._experiments import read_folder, read_manifest
+    from gyrotrack.apps.batch._experiments import read_folder, read_manifest, with_inertias
     from gyrotrack.apps.batch._runner import work_off
     from gyrotrack.apps.batch._steps import Wishes, plan
     from gyrotrack.apps.batch._workers import Certificates
@@ -111,7 +114,15 @@ def batch_command(
         if source.is_dir()
         else read_manifest(source)
     )
-    steps = plan(cases, output, Wishes(until.value, _extra(), model, improve))
+    extra = _extra()
+    if until is not Until.extract:
+        by_settings = {word.partition("=")[0] for word in extra.get("sync", ())}
+        given = {
+            body: value if f"--inertia-{body}" not in by_settings else None
+            for body, value in (("rotor", inertia_rotor), ("casing", inertia_casing))
+        }
+        cases = with_inertias(cases, given, skip=by_settings)
+    steps = plan(cases, output, Wishes(until.value, extra, model, improve))
     if dry_run:
         return _say_plan(out, cases, steps, output)
 

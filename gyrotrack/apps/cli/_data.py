@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,8 +12,6 @@ import typer
 
 from gyrotrack._errors import UsageError
 from gyrotrack.apps.cli._options import (
-    I_CASING,
-    I_ROTOR,
     Force,
     InertiaCasing,
     InertiaRotor,
@@ -29,78 +28,106 @@ if TYPE_CHECKING:
     from gyrotrack.io._inspection import Inspection
 
 
-_TABLE = "Table with a header, t,angle[,sigma] or t,omega[,sigma], or points"
+_TABLE = "Angles, angular rates, pulses or points of the casing (CSV, Tracker, phyphox, Excel, MATLAB ...)"
 
 
 def import_command(
     *,
-    casing: Annotated[Path | None, typer.Option("--casing", metavar="CSV", help=f"{_TABLE}.")] = None,
+    casing: Annotated[Path | None, typer.Option("--casing", metavar="FILE", help=f"{_TABLE}.")] = None,
     rotor: Annotated[
-        list[Path] | None, typer.Option("--rotor", metavar="CSV", help="The same; give it once per window.")
+        list[Path] | None,
+        typer.Option("--rotor", metavar="FILE", help="The same of one rotor window; once per window."),
     ] = None,
     body: Annotated[
         Path | None,
-        typer.Option("--body", metavar="CSV", help="One body that spins down by itself, in place of both."),
+        typer.Option(
+            "--body", metavar="FILE", help="The same of a single body, in place of casing and rotor."
+        ),
     ] = None,
     inertia: Annotated[
-        float | None, typer.Option("--inertia", metavar="X", help="Its moment of inertia [kg m2].")
+        str | None,
+        typer.Option("--inertia", metavar="I", help="Moment of inertia of the single body [kg m2]."),
     ] = None,
     output: OutputFile,
     columns: Annotated[
         list[str] | None,
         typer.Option(
-            "--column", metavar="OURS=THEIRS", help="What a column means: t=Zeit, 'angle=phi [deg]'."
+            "--column",
+            metavar="QUANTITY=COLUMN",
+            help="Meaning of a column, by header or number: t=Zeit, 'angle=phi [deg]', 't=1 [us]', revolutions=3.",
         ),
     ] = None,
     marker: Annotated[
-        str | None, typer.Option("--marker", metavar="NAME", help="The point to follow, in files of points.")
+        str | None, typer.Option("--marker", metavar="NAME", help="Point to follow, in files of points.")
     ] = None,
     centre: Annotated[
         str | None,
-        typer.Option(
-            "--centre", metavar="C", help="What it goes about: a point, a place as 320,240, or orbit."
-        ),
+        typer.Option("--centre", metavar="C", help="Centre of rotation: a point, X,Y in px, or orbit."),
     ] = None,
     likelihood: Annotated[
         float,
-        typer.Option("--likelihood", metavar="P", help="Leave out points that are less sure than this."),
+        typer.Option("--likelihood", metavar="P", help="Smallest likelihood of a point that is used."),
     ] = 0.6,
     casing_fps: Annotated[
         float | None,
-        typer.Option("--casing-fps", metavar="N", help="Rate of points that are counted by frame."),
+        typer.Option(
+            "--casing-fps", metavar="N", help="Capture rate of a file without times, casing or body [1/s]."
+        ),
     ] = None,
     rotor_fps: Annotated[
-        float | None, typer.Option("--rotor-fps", metavar="N", help="The same of the rotor's.")
+        float | None,
+        typer.Option("--rotor-fps", metavar="N", help="Capture rate of a rotor file without times [1/s]."),
     ] = None,
     rotor_start: Annotated[
         list[float] | None,
         typer.Option(
-            "--rotor-start", metavar="T", help="When a rotor file of points starts [s]; once per file."
+            "--rotor-start", metavar="T", help="Start of a rotor file of points [s]; once per file."
         ),
     ] = None,
+    pulses_per_turn: Annotated[
+        float | None,
+        typer.Option("--pulses-per-turn", metavar="N", help="The file holds times of pulses, N per turn."),
+    ] = None,
+    start: Annotated[
+        float | None, typer.Option("--from", metavar="T", help="Exclude samples before this time [s].")
+    ] = None,
+    stop: Annotated[
+        float | None, typer.Option("--to", metavar="T", help="Exclude samples after this time [s].")
+    ] = None,
+    cut: Annotated[
+        list[str] | None,
+        typer.Option("--cut", metavar="A:B", help="Exclude samples between two times [s]; repeatable."),
+    ] = None,
+    keep_all: Annotated[
+        bool,
+        typer.Option("--keep-all", help="Keep a drive at the start and a brake or rest at the end (--body)."),
+    ] = False,
     label: Label = None,
     surface: Surface = "",
-    inertia_rotor: InertiaRotor = I_ROTOR,
-    inertia_casing: InertiaCasing = I_CASING,
+    inertia_rotor: InertiaRotor = None,
+    inertia_casing: InertiaCasing = None,
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Make a case from tables of angles or speeds (CSV), or from points that another program followed.
+    """Make a case from measured angles, angular rates, pulses or tracked points.
 
-    Times in s, all on one clock; angles in rad, wrapped or not. Other units are taken if the header names
-    them, as in `angle [deg]`. Without a sigma column the noise is estimated from the scatter. Points are
-    read from OSP Tracker (text), DeepLabCut and SLEAP (CSV or HDF5). With --body the case is a plain
-    spin-down: the body stands in the casing's place, and the effects that need a rotor are left out.
+    The format is recognised by content: CSV or other text, phyphox, Excel, MATLAB, Parquet, JSON, netCDF, projects and
+    text of OSP Tracker, DeepLabCut, SLEAP, movement. Times in s, all on one clock; angles in rad, wrapped or not; other
+    units are converted if the header names them, as in `angle [deg]`. Without a sigma column the noise is estimated
+    from the scatter. With --body the case has a single body; a motor at the start and a brake or rest at the end are
+    detected, reported and excluded. Every repair is reported with its line.
 
-    Example: gyrotrack import --casing casing.csv --rotor r1.csv --rotor r2.csv -o case1.h5
+    Example: gyrotrack import --casing casing.csv --rotor r1.csv --rotor r2.csv -o case1.h5 --inertia-rotor 5.54e-5
+    --inertia-casing "20.6 +- 0.2 g cm2"
     """
+    from gyrotrack._inertia import Inertia
     from gyrotrack.io._atomic import refuse_existing
     from gyrotrack.io._hdf5 import write_case
     from gyrotrack.io.readers._import_case import import_body, import_case, summary
-    from gyrotrack.io.readers._points import Wanted
-    from gyrotrack.io.readers._text import read_names
+    from gyrotrack.io.readers._motion_table import ReadOptions, read_names
+    from gyrotrack.io.readers._run import Limits, read_cuts
 
     out = Output(as_json=as_json, quiet=quiet, verbose=verbose)
     refuse_existing(output, force=force)
@@ -111,25 +138,34 @@ def import_command(
             f"There are {len(rotor)} files of the rotor but {len(starts)} starts.",
             "Give --rotor-start once per file.",
         )
-    points = [Wanted(marker, centre, casing_fps, 0.0, likelihood)]
-    points += [Wanted(marker, centre, rotor_fps, start, likelihood) for start in starts]
     names, title = read_names(columns or ()), output.stem if label is None else label
+    options = [
+        ReadOptions(names or None, marker, centre, fps, begin, likelihood, pulses_per_turn)
+        for fps, begin in [(casing_fps, 0.0), *((rotor_fps, t) for t in starts)]
+    ]
+    limits = Limits(start, stop, read_cuts(cut or ()), keep_all)
     if body is not None and inertia is not None and casing is None and not rotor:
-        case = import_body(body, inertia, label=title, surface=surface, names=names, wanted=points[0])
+        moment = Inertia.of(inertia)
+        case = import_body(
+            body, moment.value, label=title, surface=surface, options=options[0], limits=limits
+        )
+        case = replace(case, I_casing_u=moment.u)
     elif casing is not None and body is None and inertia is None:
+        inertias = Inertia.required(inertia_rotor, "rotor"), Inertia.required(inertia_casing, "casing")
         case = import_case(
             casing,
             rotor,
             label=title,
             surface=surface,
-            I_rotor=inertia_rotor,
-            I_casing=inertia_casing,
-            names=names,
-            wanted=points,
+            I_rotor=inertias[0].value,
+            I_casing=inertias[1].value,
+            options=options,
+            limits=limits,
         )
+        case = replace(case, I_rotor_u=inertias[0].u, I_casing_u=inertias[1].u)
     else:
         raise UsageError(
-            "A case is made of --casing and --rotor, or of --body and --inertia.", "Give one of these pairs."
+            "A case needs --casing and --rotor, or --body and --inertia.", "Give one of these pairs."
         )
     settings = {"casing": casing, "rotor": rotor, "body": body, "inertia": inertia, **case.extra}
     write_case(output, case, command=command_line(), settings=settings, force=force)
@@ -160,7 +196,7 @@ def _line(name: str, part: dict[str, Any]) -> str:
 
 
 class Table(StrEnum):
-    """What to export."""
+    """Table to export."""
 
     motion = "motion"
     markers = "markers"
@@ -168,20 +204,21 @@ class Table(StrEnum):
 
 
 def export_command(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A case or a recording.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Case or recording.")],
     *,
     output: OutputFile,
     table: Annotated[
         Table,
         typer.Option(
-            "--table", help="Angles of the bodies, or every marker or frame of the films (CSV, Parquet)."
+            "--table",
+            help="Angles of the bodies, or every marker or every frame of the films (CSV, Parquet).",
         ),
     ] = Table.motion,
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Hand the data on as CSV, Parquet or netCDF, by the suffix of the output.
+    """Export the data as CSV, Parquet, netCDF, JSON or text of OSP Tracker, according to the suffix of the output.
 
     Example: gyrotrack export case1.h5 -o case1.csv
     """
@@ -197,16 +234,14 @@ def export_command(
 
 
 def info_command(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording or a case.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Recording or case.")],
     *,
-    verify: Annotated[
-        bool, typer.Option("--verify", help="Re-read every chunk against its checksum.")
-    ] = False,
+    verify: Annotated[bool, typer.Option("--verify", help="Check every chunk against its checksum.")] = False,
     as_json: Json = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> int:
-    """Say what a file holds, and whether it is sound (exit code 3 if not).
+    """Show the contents of a file and check its integrity (exit code 3 if it is damaged).
 
     Example: gyrotrack info case1.h5 --verify
     """

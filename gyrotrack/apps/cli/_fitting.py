@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gyrotrack._errors import DatasetError, UsageError
-from gyrotrack.apps._study import Wish, open_study, read_cases
+from gyrotrack.apps._study import FitRequest, open_study, read_cases
 from gyrotrack.apps.cli._options import (
     CaseFiles,
     DataKind,
@@ -51,59 +51,61 @@ def fit_command(
         typer.Option(
             "--model",
             metavar="M",
-            help="reduced, general, linear, or a TOML file; reduced, if nothing was fitted yet.",
+            help="Model: reduced, general, linear, or a TOML file; by default reduced for the first fit.",
         ),
     ] = None,
     add: Annotated[
         list[str] | None,
-        typer.Option("--add", metavar="E", help="Add an effect by name, or a law: 'casing: -k*omega_c**3'."),
+        typer.Option(
+            "--add", metavar="E", help="Effect to add, by name or as a law: 'casing: -k*omega_c**3'."
+        ),
     ] = None,
-    drop: Annotated[list[str] | None, typer.Option("--drop", metavar="E", help="Take an effect out.")] = None,
+    drop: Annotated[list[str] | None, typer.Option("--drop", metavar="E", help="Effect to remove.")] = None,
     effects: EffectsFile = None,
     joint: Annotated[bool, typer.Option("--joint", help="Fit the cases together.")] = False,
     share: Annotated[
-        list[str] | None, typer.Option("--share", metavar="P", help="One value for all cases.")
+        list[str] | None, typer.Option("--share", metavar="P", help="Parameter with one value for all cases.")
     ] = None,
     per_case: Annotated[
-        list[str] | None, typer.Option("--per-case", metavar="P", help="A value for each case.")
+        list[str] | None, typer.Option("--per-case", metavar="P", help="Parameter with one value per case.")
     ] = None,
     profile: Annotated[
         list[str] | None,
         typer.Option(
             "--profile",
             metavar="P",
-            help="95 % interval of a parameter by its profile likelihood; 'weak' for all that are weakly known.",
+            help="Parameter whose 95 % interval is computed by profile likelihood; 'weak' for all weakly determined.",
         ),
     ] = None,
     fix: Annotated[
-        list[str] | None, typer.Option("--fix", metavar="P=V", help="Hold a parameter at a value (SI units).")
+        list[str] | None, typer.Option("--fix", metavar="P=V", help="Parameter held at a value (SI units).")
     ] = None,
     data: DataKind = None,
     rotor: RotorKind = "windows",
     loss: Annotated[
-        str, typer.Option("--loss", metavar="L", help="linear, huber or cauchy: how much outliers count.")
+        str, typer.Option("--loss", metavar="L", help="Loss function: linear, huber or cauchy.")
     ] = "linear",
     hold_out: Annotated[
-        bool, typer.Option("--hold-out", help="Also predict each recording from a fit of the others.")
+        bool, typer.Option("--hold-out", help="Also predict each case from a fit of the others.")
     ] = False,
     start: From = None,
     ledger: LedgerFile = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> int:
-    """Fit a model to angles: parameters, their errors, and how well it describes the data.
+    """Fit a model: parameters, uncertainties, goodness of fit.
 
-    With --add or --drop the latest fit is the start; the new fit is a further rung of the ladder.
+    With --add or --drop the fit continues from the latest one and is added to its history.
 
     Example: gyrotrack fit case1.h5 --add casing.air.quadratic
     """
     if (share or per_case or hold_out) and not joint:
-        raise UsageError("--share, --per-case and --hold-out speak of a joint fit.", "Add --joint.")
+        raise UsageError("--share, --per-case and --hold-out need a joint fit.", "Add --joint.")
     if loss not in _LOSSES:
         raise UsageError(f"There is no loss named {loss[:40]!r}.", f"Losses: {', '.join(_LOSSES)}.")
     out = Output(as_json=as_json, quiet=quiet)
     groups = [cases] if joint else [[case] for case in cases]
-    wish = Wish(
+    request = FitRequest(
         model=model,
         add=tuple(add or ()),
         drop=tuple(drop or ()),
@@ -118,7 +120,7 @@ def fit_command(
         study = open_study(group, ledger, data=data, rotor=rotor)
         with out.progress("fitting") as progress:
             progress(0, None)
-            found, fit_id = wish.fit(study, start)
+            found, fit_id = request.fit(study, start)
             intervals = _intervals(found, profile or ())
             predicted = _predicted(found) if hold_out else None
             bias = _bias(found)
@@ -182,7 +184,9 @@ def _held(fix: Sequence[str]) -> dict[str, float]:
         except ValueError:
             equals = ""
         if not equals:
-            raise UsageError(f"{text[:60]!r} holds no parameter.", "Write it as --fix bearing.power.g=0.7.")
+            raise UsageError(
+                f"{text[:60]!r} does not fix a parameter.", "Write it as --fix bearing.power.g=0.7."
+            )
     return held
 
 
@@ -200,10 +204,11 @@ def scan_command(
     cases: CaseFiles,
     *,
     csv: Annotated[
-        Path | None, typer.Option("--csv", metavar="FILE", help="Write all fits as one flat table.")
+        Path | None, typer.Option("--csv", metavar="FILE", help="Also write all fits as one flat table.")
     ] = None,
     latex: Annotated[
-        Path | None, typer.Option("--latex", metavar="FILE", help="Write the tables as LaTeX (booktabs).")
+        Path | None,
+        typer.Option("--latex", metavar="FILE", help="Also write the tables as LaTeX (booktabs)."),
     ] = None,
     data: DataKind = None,
     rotor: RotorKind = "windows",
@@ -213,9 +218,9 @@ def scan_command(
 ) -> int:
     """Fit every on/off combination of the paper's terms, and its reduced and general models.
 
-    For each case: five runs that leave out one drag each, fifteen with all choices of the bearing's laws. For all
-    cases: both models separately and together, their figures of merit, and how steady each parameter is.
-    Nothing is kept in the ledger.
+    For each case: five fits without one drag each, fifteen with all choices of the bearing's laws. For all cases:
+    both models separately and jointly, their figures of merit, and the scatter of each parameter. Nothing is added
+    to the history of fits.
 
     Example: gyrotrack scan case1.h5 case2.h5 --latex tables.tex
     """
@@ -251,9 +256,9 @@ def diagnose_command(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Say where the current fit fails, in time, speed and torque, and which effect is missing.
+    """Locate the lack of fit in time, speed and torque, and rank the effects that could be missing.
 
-    Several cases are looked at together. Without a fit so far the reduced model is fitted first.
+    Several cases are diagnosed jointly. Without an earlier fit the reduced model is fitted first.
 
     Example: gyrotrack diagnose case1.h5
     """
@@ -282,7 +287,7 @@ def improve_command(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Add effects one by one until what is left is noise, and print the ladder of fits.
+    """Add effects one by one until the residuals are consistent with noise, and print the history of fits.
 
     Example: gyrotrack improve case1.h5
     """
@@ -309,9 +314,9 @@ def improve_command(
 
 
 _WORDS = {
-    "adequate": "the model was adequate already; nothing was added",
-    "missing_effect": "what was missing has been added; what is left is noise",
-    "unexplained": "an unexplained torque remains; see `gyrotrack diagnose`",
+    "adequate": "the model is adequate; no effect was added",
+    "missing_effect": "the missing effect was added; the residuals are consistent with noise",
+    "unexplained": "an unexplained torque remains; run `gyrotrack diagnose`",
 }
 
 
@@ -324,7 +329,7 @@ def ladder_command(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """List the fits of these cases so far: a bar a rung.
+    """List the fits of these cases: one bar per fit.
 
     Example: gyrotrack ladder case1.h5
     """
@@ -332,19 +337,19 @@ def ladder_command(
     study = open_study(cases, ledger, data=data, rotor=rotor)
     entries = study.ledger.of(study.data)
     if not entries:
-        raise DatasetError("There is no fit of these cases yet.", "Make one with `gyrotrack fit`.")
+        raise DatasetError("There is no fit of these cases yet.", "Run `gyrotrack fit`.")
     rungs = [{**e.document["rung"], "parent": e.document.get("parent", "")} for e in entries]
     out.result({"ladder": rungs})
     out.show(*ladder_tables(rungs, study.data[0].record.body))
 
 
 def effects_command(
-    name: Annotated[str | None, typer.Argument(metavar="NAME", help="One effect in full.")] = None,
+    name: Annotated[str | None, typer.Argument(metavar="NAME", help="Effect to show in full.")] = None,
     *,
     effects: EffectsFile = None,
     as_json: Json = False,
 ) -> None:
-    """Show the library of effects: formula, units, signature, what it is confused with.
+    """Show the library of effects: formula, units, signature, similar effects.
 
     Example: gyrotrack effects casing.air.quadratic
     """
@@ -403,9 +408,9 @@ def _page(e: Effect) -> str:
         lines.append(f"  d({e.state.symbol})/dt = {e.state.rate}")
     lines += [f"  {p.symbol:<7}[{p.unit}]  {p.meaning}" for p in e.parameters]
     if e.signature:
-        lines += textwrap.wrap(f"  seen as: {e.signature}", 79, subsequent_indent="    ")
+        lines += textwrap.wrap(f"  signature: {e.signature}", 79, subsequent_indent="    ")
     if e.confused_with:
-        lines.append(f"  looks like: {', '.join(e.confused_with)}")
+        lines.append(f"  similar to: {', '.join(e.confused_with)}")
     if e.source:
         lines.append(f"  source: {e.source}")
     return "\n".join(lines)

@@ -31,7 +31,7 @@ def report_command(
     cases: CaseFiles,
     *,
     output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="FILE", help="The report to write: .html or .pdf.")
+        Path, typer.Option("-o", "--output", metavar="FILE", help="Report to write: .html or .pdf.")
     ] = Path("report.html"),
     films: Films = None,
     effects: EffectsFile = None,
@@ -41,7 +41,7 @@ def report_command(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write a report of the latest fit and the rungs that led to it: one HTML file or a PDF, no network.
+    """Write a report of the latest fit and its history: one self-contained HTML file or a PDF.
 
     Frames of the films are shown where the films are found.
 
@@ -51,15 +51,13 @@ def report_command(
     from gyrotrack.apps.report._page import write_report
     from gyrotrack.io._atomic import refuse_existing
     from gyrotrack.io._hdf5 import read_case
-    from gyrotrack.plotting._style import get_ready
 
     out = Output(as_json=as_json, quiet=quiet)
     refuse_existing(output, force=force)
     study = open_study(cases, ledger)
     with WorkerPool() as workers, out.progress("writing the report") as progress:
         progress(0, None)
-        workers.submit(get_ready)
-        rungs = study.rungs_to(start)
+        rungs = study.steps_to(start)
         diagnosis = study.diagnosis(start, rungs[0].fit, own_effects(effects), workers=workers)
         recordings = [read_case(case) for case in cases]
         where = {"command": command_line(), "ledger": str(study.ledger.path)}
@@ -71,7 +69,6 @@ def report_command(
             films=film_folders(cases, films),
             provenance=where,
             force=force,
-            workers=workers,
         )
     out.result({"output": output, "fits": [r.change or "base" for r in rungs], "verdict": diagnosis.verdict})
     out.show(f"written: {output}")
@@ -85,9 +82,7 @@ def figures_command(
     ] = Path("figures"),
     formats: Annotated[
         list[str] | None,
-        typer.Option(
-            "--format", metavar="F", help="pdf, svg or png; several by giving it again. pdf, if not given."
-        ),
+        typer.Option("--format", metavar="F", help="pdf (default), svg or png; repeat it for several."),
     ] = None,
     films: Films = None,
     force: Force = False,
@@ -96,7 +91,8 @@ def figures_command(
 ) -> int:
     """Draw the paper's seven figures and write its eight tables for any study, ready for LaTeX.
 
-    The fits are those of `gyrotrack scan`; nothing is kept in the ledger. The figure of the gyroscope needs a film.
+    The fits are those of `gyrotrack scan`; the history of fits is not changed. The figure of the gyroscope needs a
+    film.
 
     Example: gyrotrack figures case1.h5 case2.h5 -o figures --format pdf --format png
     """
@@ -129,7 +125,7 @@ def figures_command(
     out.result({"output": output, "files": files, "figures": len(drawn)})
     out.show(f"written: {len(files)} files in {output}")
     if "gyroscope" not in drawn:
-        out.note("no film was found for the figure of the gyroscope; name its folder with --films")
+        out.note("No film was found for the figure of the gyroscope; name its folder with --films.")
     return DONE if found.converged else NOT_TRUSTED
 
 
@@ -140,7 +136,7 @@ def _wanted(formats: list[str] | None, output: Path, *, force: bool) -> list[str
     wanted = list(dict.fromkeys(formats or FORMATS[:1]))
     unknown = [f for f in wanted if f not in FORMATS]
     if unknown:
-        raise UsageError(f"{unknown[0]} is no format of figures.", f"Formats: {', '.join(FORMATS)}.")
+        raise UsageError(f"{unknown[0]} is not a format of figures.", f"Formats: {', '.join(FORMATS)}.")
     if output.exists() and not output.is_dir():
         raise OutputError(f"{output} is a file.", "Give the name of a folder with -o.")
     if not force and output.is_dir() and any(output.glob("tables.tex")):
@@ -156,20 +152,20 @@ def view_command(
     films: Films = None,
     port: Annotated[
         int,
-        typer.Option("--port", metavar="N", min=0, max=65535, help="Port of the page; 0 takes a free one."),
+        typer.Option("--port", metavar="N", min=0, max=65535, help="Port of the page; 0 selects a free one."),
     ] = 0,
     browser: Annotated[
-        bool, typer.Option("--browser/--no-browser", help="Open the page in the browser of this desktop.")
+        bool, typer.Option("--browser/--no-browser", help="Open the page in the browser of the desktop.")
     ] = True,
     start: From = None,
     ledger: LedgerFile = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Look at a case in the browser: frames with overlay, residuals, ranking; add and drop effects and see.
+    """Explore a case in the browser: frames with overlay, residuals, candidates; add and remove effects.
 
-    The page is served on this machine's own address, to nobody but the holder of the address that is printed. It
-    ends with Ctrl-C or with the button Quit. Fits are kept in the ledger when the page is told to.
+    The page is served on the loopback address, and only to the holder of the address that is printed. It ends with
+    Ctrl-C or with the button Quit.
 
     Example: gyrotrack view case1.h5
     """

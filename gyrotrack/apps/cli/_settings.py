@@ -198,7 +198,7 @@ def _options(entry: Entry) -> dict[str, tuple[str, Any]]:
 def _model(entries: tuple[Entry, ...]) -> type[BaseModel]:
     from pydantic import ConfigDict, Field, create_model
 
-    strict = ConfigDict(extra="forbid")
+    strict = ConfigDict(extra="forbid", coerce_numbers_to_str=True)
     sections: dict[str, Any] = {}
     for entry in entries:
         fields: dict[str, Any] = {

@@ -14,8 +14,6 @@ import typer
 from gyrotrack._errors import DatasetError, GyrotrackError
 from gyrotrack.apps._study import changed, open_study
 from gyrotrack.apps.cli._options import (
-    I_CASING,
-    I_ROTOR,
     EffectsFile,
     Force,
     InertiaCasing,
@@ -31,11 +29,12 @@ from gyrotrack.apps.cli._output import Output, Progress, all_or_nothing, command
 from gyrotrack.apps.cli._tables import diagnosis_tables, fit_tables, ladder_tables
 
 if TYPE_CHECKING:
-    from fitting.discovery._select import Rung
+    from fitting.discovery._select import Step
     from fitting.discovery._verdict import Diagnosis
 
 
-_WINDOWS = (0.025, 0.35, 0.75)  # when the rotor is filmed, as shares of the whole, if nothing is said
+_PAPER_ROTOR, _PAPER_CASING = 5.54e-5, 2.06e-5  # kg m2
+_WINDOWS = (0.025, 0.35, 0.75)  # default starts of the rotor windows, as shares of the duration
 
 
 def simulate_command(
@@ -43,66 +42,83 @@ def simulate_command(
     output: OutputFile,
     add: Annotated[
         list[str] | None,
-        typer.Option("--add", metavar="E", help="An effect beside the reduced model, by name or as a law."),
+        typer.Option("--add", metavar="E", help="Effect to add to the reduced model, by name or as a law."),
     ] = None,
-    drop: Annotated[list[str] | None, typer.Option("--drop", metavar="E", help="Take an effect out.")] = None,
+    drop: Annotated[list[str] | None, typer.Option("--drop", metavar="E", help="Effect to remove.")] = None,
     effects: EffectsFile = None,
     set_values: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="A parameter, as casing.air.quadratic.k=1e-9."),
+        typer.Option(
+            "--set", metavar="KEY=VALUE", help="Parameter, as casing.air.quadratic.k=1e-9 (SI units)."
+        ),
     ] = None,
     strength: Annotated[
         float,
         typer.Option(
             "--strength",
-            help="Torque of added effects over the budget of 1e-4 N m, where --set says nothing.",
+            help="Torque of added effects in units of 1e-4 N m, unless --set gives it.",
         ),
     ] = 0.01,
     omega_rotor: Annotated[
-        float, typer.Option("--omega-rotor", help="Speed of the rotor at the start [rad/s].")
+        float, typer.Option("--omega-rotor", help="Initial angular rate of the rotor [rad/s].")
     ] = 900.0,
     omega_casing: Annotated[
-        float, typer.Option("--omega-casing", help="Speed of the casing at the start [rad/s].")
+        float, typer.Option("--omega-casing", help="Initial angular rate of the casing [rad/s].")
     ] = 5.0,
-    duration: Annotated[float, typer.Option("--duration", help="Length of the recording [s].")] = 200.0,
+    duration: Annotated[float, typer.Option("--duration", help="Duration of the recording [s].")] = 200.0,
     window: Annotated[
-        list[float] | None, typer.Option("--window", metavar="T", help="Start of a rotor clip [s].")
+        list[float] | None,
+        typer.Option("--window", metavar="T", help="Start of a rotor window [s]; once per window."),
     ] = None,
     window_length: Annotated[
-        float, typer.Option("--window-length", help="Length of the rotor clips [s].")
+        float, typer.Option("--window-length", help="Duration of the rotor windows [s].")
     ] = 3.0,
-    casing_fps: Annotated[float, typer.Option("--casing-fps", help="Frames a second on the casing.")] = 260.0,
-    rotor_fps: Annotated[float, typer.Option("--rotor-fps", help="Frames a second on the rotor.")] = 1000.0,
-    sigma: Annotated[float, typer.Option("--sigma", help="Noise of the angles [rad].")] = 1e-3,
+    casing_fps: Annotated[
+        float, typer.Option("--casing-fps", help="Capture rate of the casing camera [1/s].")
+    ] = 260.0,
+    rotor_fps: Annotated[
+        float, typer.Option("--rotor-fps", help="Capture rate of the rotor camera [1/s].")
+    ] = 1000.0,
+    sigma: Annotated[
+        float, typer.Option("--sigma", help="Standard deviation of the angle noise [rad].")
+    ] = 1e-3,
     torque_noise: Annotated[
-        float, typer.Option("--torque-noise", help="Rms of a random torque [N m].")
+        float, typer.Option("--torque-noise", help="Rms of the random torque [N m].")
     ] = 0.0,
-    torque_time: Annotated[float, typer.Option("--torque-time", help="Its correlation time [s].")] = 1.0,
+    torque_time: Annotated[
+        float, typer.Option("--torque-time", help="Correlation time of the random torque [s].")
+    ] = 1.0,
     centre_offset: Annotated[
-        float, typer.Option("--centre-offset", help="Once-a-turn error of the angle [rad].")
+        float, typer.Option("--centre-offset", help="Amplitude of the centre offset in the angle [rad].")
     ] = 0.0,
-    seed: Annotated[int, typer.Option("--seed", help="Of all noise.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", help="Random seed.")] = 0,
     film: Annotated[
-        Path | None, typer.Option("--film", metavar="DIR", help="Draw the films as well, into this folder.")
+        Path | None, typer.Option("--film", metavar="DIR", help="Also render the films into this folder.")
     ] = None,
     hide: Annotated[
-        bool, typer.Option("--hide", help="Draw an effect by lot and seal its name beside the case.")
+        bool, typer.Option("--hide", help="Add a random effect and store its name in a sealed file.")
     ] = False,
-    label: Annotated[str | None, typer.Option("--label", metavar="L", help="Name of the case.")] = None,
+    label: Annotated[
+        str | None,
+        typer.Option("--label", metavar="L", help="Name of the case; by default that of the file."),
+    ] = None,
     surface: Surface = "",
-    inertia_rotor: InertiaRotor = I_ROTOR,
-    inertia_casing: InertiaCasing = I_CASING,
+    inertia_rotor: InertiaRotor = None,
+    inertia_casing: InertiaCasing = None,
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Make a case of the paper's gyroscope with chosen effects, as data or as film.
+    """Simulate a case of the paper's gyroscope with chosen effects, as data or as films.
+
+    Moments of inertia that are not given are those of the paper, 5.54e-5 and 2.06e-5 kg m2.
 
     Example: gyrotrack simulate -o case.h5 --add casing.air.quadratic --strength 0.03
     """
     from fitting.dynamics._model import Model
     from fitting.effects._library import REDUCED
     from fitting.inference._simulation import Experiment
+    from gyrotrack._inertia import Inertia
     from gyrotrack.apps._challenge import hide_effect
     from gyrotrack.apps._simulation import SimulatedRun, write_record
     from gyrotrack.io._atomic import refuse_existing
@@ -129,7 +145,12 @@ def simulate_command(
     hidden = hide_effect(model, strength) if hide else None
     if hidden is not None:
         model, strength, seed = hidden.model, hidden.strength, hidden.seed
-    inertias = (inertia_rotor, inertia_casing)
+    if inertia_rotor is None or inertia_casing is None:
+        out.note("Moments of inertia not given are those of the paper: rotor 5.54e-5, casing 2.06e-5 kg m2.")
+    inertias = (
+        Inertia.of(inertia_rotor or _PAPER_ROTOR, "rotor").value,
+        Inertia.of(inertia_casing or _PAPER_CASING, "casing").value,
+    )
     run = SimulatedRun.of(model, strength, experiment, inertias, seed, set_values or ())
     films = run.film_files(film) if film is not None else []
     if film is not None and film.is_dir():
@@ -160,14 +181,18 @@ Answer = tuple[list[str], dict[str, tuple[float, float]]]
 
 
 def reveal_command(
-    seal: Annotated[Path, typer.Argument(metavar="SEAL.json", help="The seal, made by `simulate --hide`.")],
+    seal: Annotated[
+        Path, typer.Argument(metavar="SEAL.json", help="Sealed file, made by `simulate --hide`.")
+    ],
     case: Annotated[
-        Path | None, typer.Argument(metavar="[CASE.h5]", help="The case; its latest fit is the answer.")
+        Path | None, typer.Argument(metavar="[CASE.h5]", help="Case whose latest fit is the answer.")
     ] = None,
     *,
     answer: Annotated[
         str | None,
-        typer.Option("--answer", metavar="E", help="The answer: an effect, several by commas, or `none`."),
+        typer.Option(
+            "--answer", metavar="E", help="Answer: an effect, several separated by commas, or `none`."
+        ),
     ] = None,
     ledger: LedgerFile = None,
     as_json: Json = False,
@@ -227,7 +252,7 @@ def demo_command(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Run the whole story on the sample clips: film, angles, one clock, model, what is missing, report.
+    """Run the whole analysis of the sample clips: films, angles, common clock, model, missing effect, report.
 
     Example: gyrotrack demo -o gyrotrack_demo
     """
@@ -238,7 +263,7 @@ def demo_command(
     output.mkdir(parents=True, exist_ok=True)
     out.show(f"1. Four films of one run, in {folder}: angles of the markers in every frame\n")
     recordings = _extract(out, folder, study["clip"], output)
-    out.show("\n2. Both cameras on one clock, through the casing's angle that both see\n")
+    out.show("\n2. Both cameras on one clock, by the angle of the casing in both films\n")
     case = output / "case.h5"
     casing = [r for r, c in zip(recordings, study["clip"], strict=True) if c["body"] == "casing"]
     rotors = [r for r, c in zip(recordings, study["clip"], strict=True) if c["body"] != "casing"]
@@ -276,7 +301,7 @@ def _study(out: Output, case: Path, output: Path, film: Path) -> dict[str, Any]:
     return {"case": case, "report": report, "picture": picture, **document}
 
 
-def _found(out: Output, case: Path) -> tuple[list[Rung], Diagnosis, dict[str, Any]]:
+def _found(out: Output, case: Path) -> tuple[list[Step], Diagnosis, dict[str, Any]]:
     """Fit the reduced model, diagnose and improve it; return the ladder, the diagnosis, and both in JSON."""
     from fitting.discovery._select import improve
     from fitting.discovery._verdict import diagnose
@@ -297,7 +322,7 @@ def _found(out: Output, case: Path) -> tuple[list[Rung], Diagnosis, dict[str, An
     out.show("\n4. Where it fails, and which effect is missing", f"\n$ gyrotrack diagnose {case}\n")
     diagnosis = diagnose(base)
     out.show(*diagnosis_tables(diagnosis, first.fit_id))
-    out.show("\n5. Add it, and watch the error fall", f"\n$ gyrotrack improve {case}\n")
+    out.show("\n5. Add it and fit again", f"\n$ gyrotrack improve {case}\n")
     rungs = improve(base, first=diagnosis.candidates)
     kept = study.keep(rungs, first.fit_id)
     steps = [entry.document["rung"] for entry in kept]

@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gyrotrack.apps.cli._options import (
-    I_CASING,
-    I_ROTOR,
     Force,
     InertiaCasing,
     InertiaRotor,
@@ -33,29 +31,27 @@ if TYPE_CHECKING:
 
 
 def profile_command(
-    video: Annotated[
-        Path, typer.Argument(metavar="VIDEO", help="The film; best one that shows all markers.")
-    ],
+    video: Annotated[Path, typer.Argument(metavar="VIDEO", help="Film that shows all markers.")],
     *,
     output: OptionalOutputFile = None,
     picture: Annotated[
         Path | None,
         typer.Option(
-            "--picture", metavar="FILE.png", help="Also draw what was chosen into a frame of the film."
+            "--picture", metavar="FILE.png", help="Also draw the chosen markers into a frame of the film."
         ),
     ] = None,
     capture_fps: Annotated[
         float | None,
-        typer.Option("--capture-fps", metavar="N", help="Write the camera's rate into the profile too."),
+        typer.Option("--capture-fps", metavar="N", help="Capture rate of the camera, for the profile [1/s]."),
     ] = None,
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> int | None:
-    """Find the markers of a film by themselves and write a profile that `extract --profile` reads.
+    """Find the markers of a film and write a profile that `extract --profile` reads.
 
-    Looks for colours that turn about a common centre, tells which of them sit on one body, and takes the
-    faster body for the rotor. What is in doubt is said; the profile is a text file and can be changed.
+    Searches for colours that turn about a common centre, groups them by body, and takes the faster body for the
+    rotor. Doubts are reported; the profile is a text file and can be edited.
 
     Example: gyrotrack profile rotor_1.mp4 -o mine.toml --picture mine.png
     """
@@ -136,7 +132,7 @@ def _profile_lines(target: Path, found: Proposal) -> str:
 
 
 class Body(StrEnum):
-    """Which body to track."""
+    """Body to track."""
 
     casing = "casing"
     rotor = "rotor"
@@ -144,7 +140,7 @@ class Body(StrEnum):
 
 
 class Times(StrEnum):
-    """Where the times of the frames are from."""
+    """Origin of the times of the frames."""
 
     auto = "auto"
     stamps = "stamps"
@@ -152,31 +148,33 @@ class Times(StrEnum):
 
 
 def extract_command(
-    video: Annotated[Path, typer.Argument(metavar="VIDEO", help="The film.")],
+    video: Annotated[Path, typer.Argument(metavar="VIDEO", help="Film.")],
     *,
     output: OptionalOutputFile = None,
     capture_fps: Annotated[
         float | None,
-        typer.Option("--capture-fps", metavar="N", help="Frames per second of the camera (slow motion)."),
+        typer.Option("--capture-fps", metavar="N", help="Capture rate of the camera [1/s]."),
     ] = None,
     times: Annotated[
         Times,
         typer.Option(
             "--times",
-            help="Count frames, or take the time stamps; auto: these where the camera's rate varied.",
+            help="Count frames, or use the timestamps; auto: timestamps where the capture rate varied.",
         ),
     ] = Times.auto,
     profile: Annotated[
         Path | None,
-        typer.Option("--profile", metavar="P.toml", help="Markers and colours; the paper's, if not given."),
+        typer.Option(
+            "--profile", metavar="P.toml", help="Markers and colours; by default those of the paper."
+        ),
     ] = None,
     body: Annotated[
-        Body | None, typer.Option("--body", help="Track only this body; all that are seen, if not given.")
+        Body | None, typer.Option("--body", help="Track this body only; by default every body in view.")
     ] = None,
     overlay: Annotated[
         Path | None,
         typer.Option(
-            "--overlay", metavar="FILE", help="Also draw what was found: a film (.mp4) or a sheet (.png)."
+            "--overlay", metavar="FILE", help="Also draw the detections: film (.mp4) or sheet (.png)."
         ),
     ] = None,
     contact_sheet: Annotated[
@@ -184,11 +182,11 @@ def extract_command(
         typer.Option(
             "--contact-sheet",
             metavar="FILE.png",
-            help="Also draw twelve frames with corners, angle, status, sigma.",
+            help="Also draw twelve frames with corners, angle, status and uncertainty.",
         ),
     ] = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Go on with a run that was killed; start, if there is none.")
+        bool, typer.Option("--resume", help="Continue an interrupted run, if there is one.")
     ] = False,
     force: Force = False,
     as_json: Json = False,
@@ -196,7 +194,7 @@ def extract_command(
 ) -> None:
     """Track the markers in a film and write the angles of casing and rotor, with uncertainties.
 
-    What is measured on the way is kept beside the output (OUT.h5.unfinished) until that is written.
+    A checkpoint (OUT.h5.unfinished) is kept until the output is written; --resume continues from it.
 
     Example: gyrotrack extract rotor_1.mp4 --capture-fps 1000 -o rotor_1.h5
     """
@@ -243,9 +241,9 @@ def extract_command(
 def _tracked(
     task: ExtractionJob, done: Recording | None, out: Output, *, resume: bool, force: bool
 ) -> tuple[Recording, float]:
-    """Return the recording, tracked now unless that is done, and the frames tracked in a second."""
+    """Return the recording, tracked now unless it is complete, and the frames tracked per second."""
     if done is not None:
-        out.note(f"{task.target} is complete already")
+        out.note(f"{task.target} is complete already.")
         return done, float("nan")
     return task.run(
         command=command_line(),
@@ -259,7 +257,7 @@ def _tracked(
 def _extraction_document(target: Path, recording: Recording, fps: float) -> dict[str, Any]:
     import numpy as np
 
-    from gyrotrack.io._records import STATUS
+    from gyrotrack.io._schema import STATUS
 
     return {
         "output": target,
@@ -304,14 +302,14 @@ def _extraction_lines(document: dict[str, Any]) -> str:
 
 
 def sync_command(
-    casing: Annotated[Path, typer.Argument(metavar="CASING.h5", help="The recording of the casing.")],
-    rotors: Annotated[list[Path], typer.Argument(metavar="ROTOR.h5...", help="The recordings of the rotor.")],
+    casing: Annotated[Path, typer.Argument(metavar="CASING.h5", help="Recording of the casing.")],
+    rotors: Annotated[list[Path], typer.Argument(metavar="ROTOR.h5...", help="Recordings of the rotor.")],
     *,
     output: OutputFile,
     label: Label = None,
     surface: Surface = "",
-    inertia_rotor: InertiaRotor = I_ROTOR,
-    inertia_casing: InertiaCasing = I_CASING,
+    inertia_rotor: InertiaRotor = None,
+    inertia_casing: InertiaCasing = None,
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -319,29 +317,29 @@ def sync_command(
 ) -> None:
     """Put the clips of one experiment on one clock, and make a case of them.
 
-    The rotor clips must show the casing too: its angle, seen by both cameras, tells when each clip started.
+    The rotor clips must show the casing too: its angle, measured by both cameras, determines when each clip started.
+    Torques follow from the moments of inertia, which have no default; an uncertainty is optional.
 
-    Example: gyrotrack sync casing.h5 rotor_1.h5 rotor_2.h5 -o case1.h5 --surface "grey cardstock"
+    Example: gyrotrack sync casing.h5 rotor_1.h5 rotor_2.h5 -o case1.h5 --inertia-rotor "5.54e-5 +- 0.06e-5"
+    --inertia-casing "206 g cm2"
     """
+    from gyrotrack._inertia import Inertia
+    from gyrotrack.apps._api import synchronised
     from gyrotrack.io._atomic import refuse_existing
-    from gyrotrack.io._hdf5 import read_recording, write_case
-    from gyrotrack.synchronisation._assembly import synchronise
+    from gyrotrack.io._hdf5 import write_case
 
     out = Output(as_json=as_json, quiet=quiet, verbose=verbose)
+    inertias = Inertia.required(inertia_rotor, "rotor"), Inertia.required(inertia_casing, "casing")
     refuse_existing(output, force=force)
-    recordings = [read_recording(path) for path in (casing, *rotors)]
+    title = label if label is not None else output.stem
     with out.progress("matching clips") as progress:
-        done = synchronise(
-            recordings[0],
-            recordings[1:],
-            [path.name for path in (casing, *rotors)],
-            label=label if label is not None else output.stem,
-            surface=surface,
-            I_rotor=inertia_rotor,
-            I_casing=inertia_casing,
-            progress=progress,
-        )
-    settings = {"casing": casing, "rotors": rotors, "I_rotor": inertia_rotor, "I_casing": inertia_casing}
+        done = synchronised(casing, rotors, title, surface, inertias, progress)
+    settings = {
+        "casing": casing,
+        "rotors": rotors,
+        "I_rotor": inertias[0].value,
+        "I_casing": inertias[1].value,
+    }
     write_case(output, done.case, command=command_line(), settings=settings, force=force)
     for warning in done.case.warnings:
         out.warn(warning)

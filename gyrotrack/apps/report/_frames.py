@@ -117,7 +117,7 @@ def _chosen(r: Recording, placement: Placement | None, stretches: Sequence[tuple
 
 
 def _words(r: Recording, placement: Placement | None, index: int) -> str:
-    from gyrotrack.io._records import STATUS
+    from gyrotrack.io._schema import STATUS
 
     names = {code: word.replace("_", " ") for word, code in STATUS.items()}
     time = r.time[index] if placement is None else on_clock(placement, r.time)[index]

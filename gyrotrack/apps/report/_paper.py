@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from gyrotrack._errors import OutputError
 from gyrotrack.io._atomic import new_file, refuse_existing
 from gyrotrack.plotting._paper import PaperFigure, clear_frame, paper_cases, paper_figures
-from gyrotrack.plotting._style import look
+from gyrotrack.plotting._style import style
 
 if TYPE_CHECKING:
     from fitting.inference._case_data import CaseData
@@ -67,7 +67,7 @@ def write_figures(
     """
     documents: dict[str, bytes] = {}
     shown = paper_cases(scan, data, cases)
-    with look(_PRINT):
+    with style(_PRINT):
         figures = paper_figures(shown, clear_frame(shown, films))
         for figure in figures:
             documents |= {f"{figure.name}.{kind}": _drawn(figure, kind) for kind in formats}
@@ -77,7 +77,7 @@ def write_figures(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(
-            f"The folder {folder} cannot be made: {error.strerror}.", "Choose another with -o."
+            f"Cannot create the folder {folder}: {error.strerror}.", "Choose another with -o."
         ) from None
     for name in documents:
         refuse_existing(folder / name, force=force)
@@ -94,8 +94,8 @@ def _drawn(figure: PaperFigure, kind: str) -> bytes:
         "svg": {"Date": None, "Creator": None},
         "png": {"Software": None},
     }
-    nothing: Any = known[kind]
-    figure.figure.savefig(stream, format=kind, dpi=_DPI, metadata=nothing)
+    metadata: Any = known[kind]
+    figure.figure.savefig(stream, format=kind, dpi=_DPI, metadata=metadata)
     return stream.getvalue()
 
 

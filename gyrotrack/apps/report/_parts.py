@@ -1,4 +1,4 @@
-"""The sections of a report in reading order."""
+"""The contents of a report: answer, figures and tables, in reading order."""
 
 from __future__ import annotations
 
@@ -7,90 +7,61 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fitting._numbers import probability, typeset
-from fitting._workers import WorkerPool
-from gyrotrack.apps.report._plausibility import origin_rows
-from gyrotrack.plotting._study_data import CaseView, Content
-from gyrotrack.plotting._style import Picture
+from fitting._numbers import probability, scaled, short, typeset
+from gyrotrack.apps.report import _tables as tables
+from gyrotrack.apps.report._frames import contact_sheets
+from gyrotrack.plotting import _case_charts as charts
+from gyrotrack.plotting._charts import Dashboard, chart_picture
+from gyrotrack.plotting._discovery import candidates_picture, history_finding, history_picture
+from gyrotrack.plotting._parameters import correlation_picture, formula
+from gyrotrack.plotting._study_data import CaseView, StudyView
+from gyrotrack.plotting._style import AFTER, Picture
+from gyrotrack.plotting._tracking import Tracks, sync_picture, tracks_of
 
 if TYPE_CHECKING:
+    from fitting.discovery._residuals import Failure
     from fitting.inference._result import Fit
     from gyrotrack.apps.report._frames import Sheet
     from gyrotrack.io._records import Case
-    from gyrotrack.plotting._tracking import Tracks
-
-
-@dataclass(frozen=True)
-class Section:
-    """The figures of one case, under a heading if there are several."""
-
-    heading: str
-    surface: str
-    motion: tuple[Picture, ...]
-    misfit: tuple[Picture, ...]
-    torque: Picture
-    energy: Picture
-    tracking: tuple[Picture, ...]
-    sheets: tuple[Sheet, ...]
-
-
-def section(
-    view: CaseView,
-    index: int,
-    changes: tuple[str, ...],
-    heading: str,
-    case: Case | None,
-    tracks: Tracks | None,
-    films: Sequence[Path],
-) -> Section:
-    """Return the figures of the case at `index`; those of tracking and films if there is a `case` with its clips.
-
-    `changes` are the names of the ladder's rungs.
-    """
-    from gyrotrack.apps.report._frames import contact_sheets
-    from gyrotrack.plotting._motion import casing_picture, misfit_picture, rotor_picture
-    from gyrotrack.plotting._parameters import energy_picture
-    from gyrotrack.plotting._torque import torque_picture
-
-    stretches = [(f.t_start, f.t_stop) for f in view.failures]
-    return Section(
-        heading=heading,
-        surface=view.surface,
-        misfit=(misfit_picture(view, f"misfit{index}"),),
-        motion=(
-            casing_picture(view, f"casing{index}"),
-            *((rotor_picture(view, f"rotor{index}"),) if view.rotor else ()),
-        ),
-        torque=torque_picture(view, f"torque{index}"),
-        energy=energy_picture(view, changes, f"energy{index}"),
-        tracking=_tracking(view, tracks, index),
-        sheets=tuple(contact_sheets(case, films, stretches)) if case is not None and films else (),
-    )
-
-
-def _tracking(view: CaseView, tracks: Tracks | None, index: int) -> tuple[Picture, ...]:
-    from gyrotrack.plotting._tracking import centre_picture, sigma_picture, sync_picture
-
-    if tracks is None:
-        return ()
-    return (
-        sigma_picture(tracks, view, f"sigma{index}"),
-        centre_picture(tracks, view, f"centre{index}"),
-        sync_picture(tracks, f"sync{index}"),
-    )
 
 
 _DOUBTFUL = 0.01
+_MOST_INTERVALS = 3
+# the figures of the first screen [inch]: two stacked, one as high as both
+_WIDE, _TALL = (6.6, 2.45), (4.6, 5.1)
 _VERDICTS = {
-    "adequate": ("good", "✓", "The model is adequate"),
-    "missing_effect": ("found", "✚", "A missing effect was found"),
-    "unexplained": ("open", "!", "An unexplained torque remains"),
+    "adequate": ("good", "✓", "Consistent with noise"),
+    "missing_effect": ("found", "✚", "Missing effect"),
+    "unexplained": ("open", "!", "Unexplained torque"),
+}
+_FINAL = {
+    "adequate": "The residual of the final model is consistent with noise.",
+    "misfit": "The final model has a significant lack of fit; the added effect is a hypothesis.",
+    "not determined": "The data do not determine every parameter of the final model; drop what is not needed.",
+    "not converged": "The final fit did not converge; its numbers are not valid.",
 }
 
 
 @dataclass(frozen=True)
+class Section:
+    """The figures of one case, under a heading if there are several cases.
+
+    `overview` are speed, residual and torque against speed; `details` are drawn only where no script runs (PDF).
+    """
+
+    heading: str
+    surface: str
+    overview: tuple[Picture, ...]
+    windows: Picture | None
+    details: tuple[Picture, ...]
+    sync: Picture | None
+    dashboard: Dashboard
+    sheets: tuple[Sheet, ...]
+
+
+@dataclass(frozen=True)
 class Equation:
-    """One line of a model: drawn, and as text if it could not be."""
+    """One line of a model: typeset, and as text where it cannot be."""
 
     latex: str
     svg: str
@@ -98,7 +69,7 @@ class Equation:
 
 @dataclass(frozen=True)
 class Added:
-    """An effect that was added: where it acts, its law (as two drawings), what tells it from others, what was found."""
+    """An added effect: where it acts, its law (twice, since ids are unique), its signature, its parameters."""
 
     name: str
     joint: str
@@ -109,137 +80,191 @@ class Added:
 
 
 def report_parts(
-    content: Content,
+    view: StudyView,
     recordings: Sequence[Case],
     films: Sequence[Path],
     provenance: Mapping[str, str],
-    workers: WorkerPool,
+    *,
+    static: bool,
 ) -> dict[str, Any]:
-    """Return everything that stands in a report, ready to be laid out; `workers` draw some figures."""
-    from gyrotrack.apps.report import _tables as tables
-    from gyrotrack.apps.report._dashboard import case_board
-    from gyrotrack.apps.report._plausibility import plausibility_rows
-    from gyrotrack.plotting._discovery import candidates_picture, ladder_picture
-    from gyrotrack.plotting._parameters import correlation_picture
-    from gyrotrack.plotting._tracking import tracks_of
+    """Return everything that a report contains, ready for layout.
 
-    clips = [row for case in recordings for row in tables.clip_rows(case.recordings, case.placements)]
+    Parameters
+    ----------
+    view : StudyView
+        The fits.
+    recordings : sequence of Case
+        The cases with their clips.
+    films : sequence of Path
+        Folders that may contain the films.
+    provenance : mapping
+        Further lines of provenance.
+    static : bool
+        Whether to draw the charts that a page with scripts draws by itself.
+    """
     by_label = {case.label: case for case in recordings}
-    tracks = {label: tracks_of(case) for label, case in by_label.items()}
-    steps = tuple(s.change for s in content.steps)
-    several = len(content.cases) > 1
-    cases = [
-        (v, i, steps, v.label if several else "", by_label.get(v.label), tracks.get(v.label), films)
-        for i, v in enumerate(content.cases)
+    plausibility = tables.plausibility_rows(view.final)
+    unphysical = sorted({p.effect for p in plausibility if p.is_unphysical})
+    sections = [
+        _section(view, i, by_label.get(v.label), films, static=static) for i, v in enumerate(view.cases)
     ]
-    here = len(cases) // 2
-    later = [workers.submit(section, *case) for case in cases[here:]]
-    correlation = workers.submit(correlation_picture, content)
-    candidate_rows = workers.submit(tables.candidate_rows, content)
-    parts: dict[str, Any] = {
-        "content": content,
-        "title": ", ".join(v.label for v in content.cases),
-        "verdict": _headline(content),
-        "sentence": typeset(content.sentence),
-        "outcome": outcome(content),
-        "failures": _failures(content),
-        "ladder": ladder_picture(content),
-        "sections": [section(*case) for case in cases[:here]],
-        "boards": [case_board(v, tracks.get(v.label), steps) for v in content.cases],
-        "candidates": candidates_picture(content.candidates),
-        "tried": "Effects that were tried, and are not needed"
-        if content.verdict == "adequate" and not content.improved
-        else "What would mend the base model",
-        "parameters": tables.parameter_rows(content),
-        "plausibility": plausibility_rows(content.final),
-        "base_equations": _equations(content.base, "base"),
-        "final_equations": _equations(content.final, "final") if content.improved else [],
-        "added": _added(content),
-        "whiteness": _whiteness(content),
-        "clips": clips,
-        "provenance": origin_rows(content.base, provenance),
+    return {
+        "view": view,
+        "title": ", ".join(v.label for v in view.cases),
+        "verdict": _headline(view),
+        "facts": _facts(view),
+        "rms": [f"{short(x, 2)}" for x in view.residual_rms],
+        "sentence": typeset(view.sentence),
+        "outcome": f"{history_finding(view)} {_FINAL[view.final.verdict]}"
+        if view.improved
+        else history_finding(view),
+        "caveat": f"Negative dissipation, unphysical: {', '.join(unphysical)}. The parameters of this model are no "
+        "physical constants; check them before use."
+        if unphysical
+        else "",
+        "failures": _failures(view),
+        "sections": sections,
+        "history": history_picture(view),
+        "candidates": candidates_picture(view.candidates),
+        "candidate_rows": tables.candidate_rows(view),
+        "parameters": tables.parameter_rows(view),
+        "correlation": correlation_picture(view),
+        "plausibility": plausibility,
+        "base_equations": _equations(view.base, "base"),
+        "final_equations": _equations(view.final, "final") if view.improved else [],
+        "added": _added(view),
+        "whiteness": _whiteness(view),
+        "clips": [row for case in recordings for row in tables.clip_rows(case.recordings, case.placements)],
+        "provenance": tables.origin_rows(view.base, provenance),
     }
-    parts["sections"] += [task.result() for task in later]
-    parts["correlation"], parts["candidate_rows"] = correlation.result(), candidate_rows.result()
-    return parts
 
 
-def outcome(content: Content) -> str:
-    """Return what the final model says, in words."""
-    from gyrotrack.plotting._discovery import ladder_finding
-
-    if not content.improved:
-        return ladder_finding(content)
-    end = {
-        "adequate": "What the final model leaves is noise.",
-        "misfit": "The final model still misses something: take what was added as a hypothesis.",
-        "not converged": "The final fit did not converge: do not trust its numbers.",
-    }[content.final.verdict]
-    return f"{ladder_finding(content)} {end}"
-
-
-def _headline(content: Content) -> tuple[str, str, str]:
-    """Return the kind of verdict, its sign, and the verdict in words, with the effects that are missing."""
-    kind, sign, words = _VERDICTS[content.verdict]
-    if content.verdict != "missing_effect":
-        return kind, sign, words
-    best = next((c for c in content.candidates if c.significant), None)
-    names = content.added or ((best.effect.name,) if best is not None else ())
-    rivals = {c.effect.name: c.indistinguishable_from for c in content.candidates}
-    told = [f"one of {', '.join((n, *rivals[n]))}" if rivals.get(n) else n for n in names]
-    return kind, sign, f"{words}: {' and '.join(told)}" if told else words
-
-
-def _whiteness(content: Content) -> str:
-    """Return what the test of whiteness says, and what a small p means where the verdict is noise all the same."""
-    several = len(content.whiteness) > 1
-    text = ", ".join(f"{label} " * several + f"p {_equal(probability(p))}" for label, p in content.whiteness)
-    small = any(p < _DOUBTFUL for _, p in content.whiteness) and content.final.verdict == "adequate"
-    return text + (
-        ". A small p here means that neighbours are alike, as a random torque makes them; the verdict allows for that"
-        if small
-        else ""
+def _section(
+    view: StudyView, index: int, case: Case | None, films: Sequence[Path], *, static: bool
+) -> Section:
+    v = view.cases[index]
+    steps = [s.change for s in view.steps]
+    tracks = tracks_of(case) if case is not None else None
+    intervals = [i for i in v.intervals if i.body == "casing"]
+    overview = (
+        (charts.speed_chart(v, "casing"), _WIDE),
+        (charts.normalised_chart(v), _WIDE),
+        (charts.torque_speed_chart(v, alternatives=False), _TALL),
     )
+    return Section(
+        heading=v.label if len(view.cases) > 1 else "",
+        surface=v.surface,
+        overview=tuple(
+            chart_picture(c, intervals if c.name != "speed" else (), name=f"{c.name}{index}", size=size)
+            for c, size in overview
+        ),
+        windows=charts.windows_picture(v, f"windows{index}") if v.rotor else None,
+        details=_details(v, index, steps, tracks) if static else (),
+        sync=sync_picture(tracks, f"sync{index}") if tracks is not None else None,
+        dashboard=charts.case_dashboard(v, tracks, steps),
+        sheets=tuple(contact_sheets(case, films, [(f.t_start, f.t_stop) for f in v.failures]))
+        if case is not None and films
+        else (),
+    )
+
+
+def _details(v: CaseView, index: int, steps: Sequence[str], tracks: Tracks | None) -> tuple[Picture, ...]:
+    """Return the figures that the page draws as interactive charts."""
+    found = [charts.torque_chart(v, "casing")]
+    if v.rotor:
+        found.append(charts.torque_chart(v, "rotor"))
+    found.append(charts.energy_chart(v, steps))
+    if tracks is not None:
+        found += charts.tracking_charts(tracks)
+    return tuple(
+        chart_picture(
+            c, [i for i in v.intervals if i.body == "casing"], name=f"{c.name}{index}", size=(6.6, 2.4)
+        )
+        for c in found
+    )
+
+
+def _headline(view: StudyView) -> tuple[str, str, str]:
+    """Return the kind of verdict, its sign, and the verdict with the missing effects."""
+    kind, sign, words = _VERDICTS[view.verdict]
+    if view.verdict != "missing_effect":
+        return kind, sign, words
+    best = next((c for c in view.candidates if c.significant), None)
+    names = view.added or ((best.effect.name,) if best is not None else ())
+    rivals = {c.effect.name: c.indistinguishable_from for c in view.candidates}
+    said = [f"one of {', '.join((n, *rivals[n]))}" if rivals.get(n) else n for n in names]
+    return kind, sign, f"{words}: {' and '.join(said)}" if said else words
+
+
+def _facts(view: StudyView) -> list[tuple[str, str]]:
+    """Return where the base model fails, and how certain the answer is."""
+    rows = []
+    failures = sorted((f for v in view.cases for f in v.failures), key=lambda f: -f.size_sigma)
+    if failures:
+        more = f"; {len(failures) - _MOST_INTERVALS} more" if len(failures) > _MOST_INTERVALS else ""
+        rows.append(
+            ("Where", "Unmodelled torque " + "; ".join(map(_interval, failures[:_MOST_INTERVALS])) + more)
+        )
+    best = next((c for c in view.candidates if c.significant), None)
+    if best is not None:
+        certainty = f"ΔBIC {short(best.delta_bic)}, " if best.delta_bic == best.delta_bic else ""
+        certainty += f"p {_equal(probability(best.p_value))}"
+        if best.indistinguishable_from:
+            certainty += f"; indistinguishable from {', '.join(best.indistinguishable_from)}"
+        else:
+            certainty += "; no indistinguishable candidate"
+        rows.append(("How sure", certainty))
+    elif view.candidates:
+        rows.append(("How sure", f"{len(view.candidates)} candidate effects tested, none significant"))
+    return rows
+
+
+def _interval(f: Failure) -> str:
+    factor, prefix = scaled(abs(f.residual_torque_Nm))
+    sign = "" if f.kind == "ripple" else "+" if f.residual_torque_Nm > 0 else "−"
+    size = f"{sign}{short(factor * abs(f.residual_torque_Nm), 2)} {prefix}N m"
+    return f"{size} on the {f.called} from {f.t_start:.1f} s to {f.t_stop:.1f} s ({f.size_sigma:.0f} σ)"
+
+
+def _failures(view: StudyView) -> list[str]:
+    several = len(view.cases) > 1
+    return [(f"{f.label}: " if several else "") + typeset(str(f)) for v in view.cases for f in v.failures]
+
+
+def _whiteness(view: StudyView) -> str:
+    """Return the result of the test of whiteness, and why a small p need not contradict the verdict."""
+    several = len(view.whiteness) > 1
+    text = ", ".join(f"{label} " * several + f"p {_equal(probability(p))}" for label, p in view.whiteness)
+    if any(p < _DOUBTFUL for _, p in view.whiteness) and view.final.verdict == "adequate":
+        text += ". A small p means correlated residuals; process noise makes them, and the verdict accounts for it"
+    return text
 
 
 def _equal(number: str) -> str:
     return number if number.startswith("<") else f"= {number}"
 
 
-def _failures(content: Content) -> list[str]:
-    return [
-        (f"{f.label}: " if len(content.cases) > 1 else "") + typeset(str(f))
-        for v in content.cases
-        for f in v.failures
-    ]
-
-
 def _equations(fit: Fit, name: str) -> list[Equation]:
-    from gyrotrack.plotting._parameters import formula
-
     lines = fit.model.equations(single=fit.problem.data[0].record.single)
     return [Equation(line, formula(line, f"{name}{i}")) for i, line in enumerate(lines)]
 
 
-def _added(content: Content) -> list[Added]:
-    """Return the effects that were added."""
+def _added(view: StudyView) -> list[Added]:
+    """Return the added effects."""
     from fitting.effects._latex import latex
-    from gyrotrack.apps.report._tables import JOINTS, named
-    from gyrotrack.plotting._parameters import formula
-    from gyrotrack.plotting._style import AFTER
 
     found = []
-    for i, effect in enumerate(e for e in content.final.model.effects if e.name in content.added):
+    for i, effect in enumerate(e for e in view.final.model.effects if e.name in view.added):
         source = latex(effect.expression)
         above, below = (
             Equation(effect.law, formula(source, f"{n}{i}", colour=AFTER)) for n in ("top", "below")
         )
         values = [
-            named(k, e)
-            for k, e in content.final.estimates.items()
+            tables.named(k, e)
+            for k, e in view.final.estimates.items()
             if k.partition("@")[0].rpartition(".")[0] == effect.name
         ]
-        joint = (JOINTS | {"casing": content.body}).get(effect.joint, effect.joint)
-        seen = effect.signature.replace("the casing", f"the {content.body}")
-        found.append(Added(effect.name, joint, above, below, seen, ", ".join(values)))
+        joint = (tables.JOINTS | {"casing": view.body}).get(effect.joint, effect.joint)
+        signature = effect.signature.replace("the casing", f"the {view.body}")
+        found.append(Added(effect.name, joint, above, below, signature, ", ".join(values)))
     return found

@@ -1,22 +1,29 @@
-"""The tables of a report."""
+"""The tables of a report: parameters, candidates, plausibility, clips, provenance."""
 
 from __future__ import annotations
 
 import math
+import platform
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import metadata
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fitting._numbers import probability, short, with_uncertainty
-from gyrotrack.plotting._study_data import Content
+from gyrotrack.plotting._study_data import StudyView
 
 if TYPE_CHECKING:
-    from fitting.inference._result import Estimate
+    from fitting.effects._effect import Effect
+    from fitting.inference._case_data import CaseData
+    from fitting.inference._result import Estimate, Fit
     from gyrotrack.io._records import Placement, Recording
 
 
+Array = NDArray[np.float64]
 JOINTS = {
     "rotor": "rotor",
     "casing": "casing",
@@ -26,7 +33,7 @@ JOINTS = {
     "camera.rotor": "camera (rotor)",
 }
 _MOVED = 3.0
-_LOWERED = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+_SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 _GREEK = {"omega": "ω", "phi": "φ", "eps": "ε", "tau": "τ", "psi": "ψ", "kappa": "κ", "chi": "χ"}
 
 
@@ -47,7 +54,7 @@ class ParameterRow:
 
 @dataclass(frozen=True)
 class CandidateRow:
-    """One candidate; `svg` is its law drawn, `law` the same as text."""
+    """One candidate effect; `svg` is its law typeset, `law` the same as text."""
 
     effect: str
     kind: str
@@ -65,7 +72,7 @@ class CandidateRow:
 
 @dataclass(frozen=True)
 class ClipRow:
-    """One clip behind a case."""
+    """One clip of a case."""
 
     source: str
     body: str
@@ -78,30 +85,30 @@ class ClipRow:
     warnings: tuple[str, ...]
 
 
-def parameter_rows(content: Content) -> list[ParameterRow]:
-    """Return the parameters of the final model, with what the base had for them."""
+def parameter_rows(view: StudyView) -> list[ParameterRow]:
+    """Return the parameters of the final model, with their values in the base model."""
     from fitting.inference._result import not_determined
 
-    weak = set(not_determined(content.final.estimates))
+    weak = set(not_determined(view.final.estimates))
     rows = []
-    for name, e in content.final.estimates.items():
+    for name, e in view.final.estimates.items():
         key, _, label = name.partition("@")
         effect, _, symbol = key.rpartition(".")
         head, index = _split(symbol)
-        before = content.base.estimates.get(name) if content.improved else None
+        before = view.base.estimates.get(name) if view.improved else None
         rows.append(
             ParameterRow(
                 symbol=_GREEK.get(head, head),
                 index=index + ("0" if effect == "initial" else ""),
-                effect="start speed" if effect == "initial" else effect,
-                case=label if len(content.cases) > 1 else "",
+                effect="initial value" if effect == "initial" else effect,
+                case=label if len(view.cases) > 1 else "",
                 value=with_uncertainty(e.value, e.stderr, e.unit),
                 relative=_relative(e),
                 before=with_uncertainty(before.value, before.stderr, before.unit)
                 if before is not None
                 else "",
-                note=_note(e, before, undetermined=name in weak, fixed=key in content.final.model.constants),
-                is_new=effect in content.added,
+                note=_note(e, before, undetermined=name in weak, fixed=key in view.final.model.constants),
+                is_new=effect in view.added,
             )
         )
     return rows
@@ -124,20 +131,20 @@ def _note(e: Estimate, before: Estimate | None, *, undetermined: bool, fixed: bo
     if fixed:
         return "not fitted"
     if e.at_bound:
-        return "on its bound"
+        return "at a bound"
     if undetermined:
-        return "not determined by this data"
+        return "not determined by these data"
     if before is not None and math.isfinite(before.stderr) and before.stderr > 0:
         away = abs(before.value - e.value) / math.hypot(
             before.stderr, e.stderr if math.isfinite(e.stderr) else 0.0
         )
         if away > _MOVED:
-            return f"moved by {away:.0f} σ"
+            return f"changed by {away:.0f} σ"
     return ""
 
 
-def candidate_rows(content: Content) -> list[CandidateRow]:
-    """Return the candidates, best first, each with its law drawn."""
+def candidate_rows(view: StudyView) -> list[CandidateRow]:
+    """Return the candidate effects, best first."""
     from fitting.effects._latex import latex
     from gyrotrack.plotting._parameters import formula
 
@@ -145,7 +152,7 @@ def candidate_rows(content: Content) -> list[CandidateRow]:
         CandidateRow(
             effect=c.effect.name,
             kind="physics" if c.physical else "measurement",
-            joint=(JOINTS | {"casing": content.body}).get(c.effect.joint, c.effect.joint),
+            joint=(JOINTS | {"casing": view.body}).get(c.effect.joint, c.effect.joint),
             score=short(c.score),
             delta_bic=short(c.delta_bic),
             p_value=probability(c.p_value),
@@ -156,7 +163,7 @@ def candidate_rows(content: Content) -> list[CandidateRow]:
             svg=formula(latex(c.effect.expression), f"law{i}", size=11.5),
             significant=c.significant,
         )
-        for i, c in enumerate(content.candidates)
+        for i, c in enumerate(view.candidates)
     ]
 
 
@@ -164,16 +171,16 @@ def named(key: str, e: Estimate) -> str:
     """Return ``k = (9.996 ± 0.002) × 10⁻¹¹ N m s²`` for a parameter."""
     head, index = _split(key.partition("@")[0].rpartition(".")[2])
     symbol = _GREEK.get(head, head) + (
-        f"_{index}" if index and not index.isdigit() else index.translate(_LOWERED)
+        f"_{index}" if index and not index.isdigit() else index.translate(_SUBSCRIPTS)
     )
     at = f" ({key.partition('@')[2]})" if "@" in key else ""
     return f"{symbol}{at} = {with_uncertainty(e.value, e.stderr, e.unit)}" + (
-        " (on its bound)" if e.at_bound else ""
+        " (at a bound)" if e.at_bound else ""
     )
 
 
 def clip_rows(recordings: Mapping[str, Recording], placements: Mapping[str, Placement]) -> list[ClipRow]:
-    """Return what tracking made of each clip."""
+    """Return the quality of tracking of each clip."""
     return [_clip(r, placements.get(key)) for key, r in recordings.items()]
 
 
@@ -190,7 +197,7 @@ def _clip(r: Recording, placement: Placement | None) -> ClipRow:
         offset="–" if placement is None else _offset(placement),
         ambiguous="–"
         if placement is None
-        else ("yes: another start cannot be excluded" if placement.ambiguous else "no"),
+        else ("yes: another start is possible" if placement.ambiguous else "no"),
         warnings=r.warnings,
     )
 
@@ -201,7 +208,7 @@ def _milliradians(sigma: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
 
 
 def _statuses(status: np.ndarray[tuple[int], np.dtype[np.int8]]) -> str:
-    from gyrotrack.io._records import STATUS
+    from gyrotrack.io._schema import STATUS
 
     total = max(1, len(status))
     parts = []
@@ -217,3 +224,158 @@ def _offset(p: Placement) -> str:
     if p.clock_rate != 1.0 or (math.isfinite(p.clock_rate_sigma) and p.clock_rate_sigma > 0):
         text += f"; rate {with_uncertainty(p.clock_rate, p.clock_rate_sigma, '1')}"
     return text
+
+
+# plausibility
+
+_POINTS = 800
+_NEGLIGIBLE = 1e-3
+# an energy is distinguished from zero from so many standard uncertainties on
+_RESOLVED = 2.0
+
+
+@dataclass(frozen=True)
+class Plausibility:
+    """One effect in one case: largest torques on both bodies, dissipated energy, its share, and a judgement."""
+
+    effect: str
+    case: str
+    rotor: str
+    casing: str
+    energy: str
+    share: str
+    judgement: str
+    is_unphysical: bool
+
+
+def plausibility_rows(fit: Fit) -> list[Plausibility]:
+    """Return torque and dissipated energy of each effect along the modelled motion of each case.
+
+    The torque of an effect is that of the model minus that of the model without it. The dissipated energy is minus the
+    integral of its power, with the standard uncertainty that the covariance of the effect's parameters gives it along a
+    fixed motion. An effect that is no friction by its law (it depends on time or on the angle) may supply energy.
+    """
+    several = len(fit.problem.data) > 1
+    return [row for i in range(len(fit.problem.data)) for row in _plausibility(fit, i, named=several)]
+
+
+def _plausibility(fit: Fit, index: int, *, named: bool) -> list[Plausibility]:
+    from fitting.dynamics._mesh import Sampler
+    from fitting.dynamics._model import Dynamics
+
+    case, path, layout = fit.problem.cases[index], fit.predictions[index].path, fit.problem.layout
+    record = fit.problem.data[index].record
+    inertia = np.array([record.I_rotor, record.I_casing])
+    time = np.linspace(path.mesh.edges[0], path.mesh.edges[-1], _POINTS)
+    state = Sampler(path.mesh, time).value(path.y)
+    found = []
+    model = layout.model.smooth
+    for effect in model.effects:
+        rest = Dynamics(model.without(effect.name))
+        if effect.joint == "inertia" or not set(rest.states) <= set(path.states):
+            continue
+        without = state[:, [path.states.index(s) for s in rest.states]]
+
+        def torque(theta: Array, rest: Dynamics = rest, without: Array = without) -> Array:
+            numbers = layout.numbers(theta, index)
+            whole = case.dynamics.rates(time, state, numbers)[:, :2]
+            return np.asarray((whole - rest.rates(time, without, numbers)[:, :2]) * inertia)
+
+        def energy(tau: Array) -> float:
+            return -float(np.trapezoid(np.sum(tau * state[:, :2], axis=1), time))
+
+        at = [
+            i
+            for i, n in enumerate(layout.names)
+            if n.partition("@")[0].rpartition(".")[0] == effect.name
+            and n.partition("@")[2] in {"", record.label}
+        ]
+        tau = torque(fit.theta)
+        gradient = []
+        for i in at:
+            step = np.zeros_like(fit.theta)
+            step[i] = 1e-4 * abs(fit.theta[i]) or 1e-12
+            gradient.append(
+                (energy(torque(fit.theta + step)) - energy(torque(fit.theta - step))) / (2 * step[i])
+            )
+        g = np.array(gradient)
+        variance = float(g @ np.nan_to_num(fit.covariance[np.ix_(at, at)], posinf=0.0) @ g) if at else 0.0
+        found.append((effect, tau, energy(tau), math.sqrt(max(variance, 0.0))))
+    total = sum(max(e, 0.0) for _, _, e, _ in found) or 1.0
+    rows = []
+    for effect, tau, e, u in found:
+        judgement = _judgement(e, u, total, may_supply=_may_supply(effect))
+        rows.append(
+            Plausibility(
+                effect=effect.name,
+                case=record.label if named else "",
+                rotor=short(float(np.abs(tau[:, 0]).max())),
+                casing=short(float(np.abs(tau[:, 1]).max())),
+                energy=with_uncertainty(e, u, ""),
+                share=f"{100 * e / total:.1f} %".replace("-", "−"),
+                judgement=judgement,
+                is_unphysical=judgement == UNPHYSICAL,
+            )
+        )
+    return rows
+
+
+def _may_supply(effect: Effect) -> bool:
+    """Return whether a law is no friction: it depends on time or angle, or modifies another torque."""
+    from fitting.effects._expression import symbols
+
+    drives = effect.depends_on_angle or any(p.role == "phase" for p in effect.parameters)
+    return drives or effect.joint == "factor" or "t" in symbols(effect.expression)
+
+
+UNPHYSICAL = "negative dissipation: unphysical"
+
+
+def _judgement(energy: float, sigma: float, total: float, *, may_supply: bool) -> str:
+    if abs(energy) < _NEGLIGIBLE * total:
+        return "negligible"
+    if abs(energy) < _RESOLVED * sigma:
+        return "not distinguished from zero"
+    if energy > 0:
+        return "dissipates"
+    return "supplies energy" if may_supply else UNPHYSICAL
+
+
+# provenance
+
+_LIBRARIES = ("numpy", "scipy", "h5py", "matplotlib", "av", "opencv-contrib-python-headless")
+
+
+def origin_rows(fit: Fit, given: Mapping[str, str]) -> list[tuple[str, str]]:
+    """Return the rows (what, from where): those `given`, the data of the fit, the versions."""
+    from gyrotrack._versions import __version__
+
+    rows = [(str(k), str(v)) for k, v in given.items()]
+    for data in fit.problem.data:
+        r = data.record
+        rows.append((f"case {r.label}", f"{r.source or 'in memory'}; SHA-256 of the numbers {r.digest}"))
+        rows.append((f"samples of {r.label}", _samples(data)))
+    rows.append(("gyrotrack", __version__))
+    rows.append(("Python", f"{platform.python_version()} on {sys.platform}"))
+    return [*rows, *_versions()]
+
+
+def _samples(data: CaseData) -> str:
+    r = data.record
+    if r.single:
+        facts = f"one body {len(r.casing)}; {data.n_effective:.0f} effective; I {short(r.I_casing, 4)} kg m²"
+        return f"{facts}; measured: {r.quantity}"
+    rotor = f"rotor {sum(len(w) for w in r.rotor)} in {len(r.rotor)} windows"
+    inertia = f"I_rotor {short(r.I_rotor, 4)}, I_casing {short(r.I_casing, 4)} kg m²"
+    seen = f"casing {len(r.casing)}, {rotor}; {data.n_effective:.0f} effective"
+    return f"{seen}; {inertia}; measured: {r.quantity}"
+
+
+def _versions() -> list[tuple[str, str]]:
+    rows: list[tuple[str, str]] = []
+    for name in _LIBRARIES:
+        try:
+            rows.append((name, metadata.version(name)))
+        except metadata.PackageNotFoundError:
+            continue
+    return [("libraries", ", ".join(f"{n} {v}" for n, v in rows))]

@@ -1,9 +1,32 @@
 "use strict";
-/* The boards of the report: one for each case, from the data that the page carries. */
+/* The report: dashboards are drawn when their part is first opened; a link opens the part that it leads to; all parts open before printing. */
 (() => {
-  const boards = JSON.parse(document.getElementById("boards").textContent);
-  boards.forEach((board, i) => {
-    const root = document.getElementById(`board${i}`);
-    if (root) new Charts.Board(root, board);
+  const boards = JSON.parse(document.getElementById("dashboards").textContent);
+  const drawn = new Set();
+  const parts = [...document.querySelectorAll("details.part")];
+  const expand = document.getElementById("expand");
+
+  function draw() {
+    boards.forEach((board, i) => {
+      const root = document.getElementById(`board${i}`);
+      if (!root || drawn.has(i)) return;
+      drawn.add(i);
+      new Charts.Board(root, board);
+    });
+  }
+
+  function reveal() {
+    const part = location.hash && document.getElementById(location.hash.slice(1))?.closest("details.part");
+    if (part) { part.open = true; part.scrollIntoView(); }
+  }
+
+  document.getElementById("run").addEventListener("toggle", (event) => { if (event.target.open) draw(); });
+  addEventListener("hashchange", reveal);
+  addEventListener("beforeprint", () => { for (const p of parts) p.open = true; });
+  expand.addEventListener("click", () => {
+    const open = parts.some((p) => !p.open);
+    for (const p of parts) p.open = open;
+    expand.textContent = open ? "Collapse all" : "Expand all";
   });
+  reveal();
 })();

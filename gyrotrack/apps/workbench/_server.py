@@ -22,7 +22,7 @@ from gyrotrack._errors import GyrotrackError, UsageError
 from gyrotrack.apps.workbench._films import Clips, profile_text
 from gyrotrack.apps.workbench._ranking import Ranker
 from gyrotrack.apps.workbench._session import Session, library_document
-from gyrotrack.plotting import _interactive as charts
+from gyrotrack.plotting import _charts as charts
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -68,19 +68,19 @@ class Guard:
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
-        status = self._judged(scope)
-        if status != _WELCOME:
+        status = self._status(scope)
+        if status != _ACCEPTED:
             await _refuse(scope, status, send)
             return
 
-        async def sealed(message: Any) -> None:
+        async def with_headers(message: Any) -> None:
             if message["type"] == "http.response.start":
                 message = {**message, "headers": [*message.get("headers", []), *_HEADERS]}
             await send(message)
 
-        await self._app(scope, receive, sealed)
+        await self._app(scope, receive, with_headers)
 
-    def _judged(self, scope: Scope) -> int:
+    def _status(self, scope: Scope) -> int:
         if scope["type"] != "http":
             return _FORBIDDEN
         headers = scope["headers"]
@@ -97,10 +97,10 @@ class Guard:
             asked = parse_qs(scope["query_string"], max_num_fields=8) if scope["query_string"] else {}
             given += asked.get(b"token", [])
         fits = any(hmac.compare_digest(g, self._token) for g in given)
-        return _WELCOME if fits else _FORBIDDEN
+        return _ACCEPTED if fits else _FORBIDDEN
 
 
-_WELCOME, _FORBIDDEN, _MISDIRECTED = 200, 403, 400
+_ACCEPTED, _FORBIDDEN, _MISDIRECTED = 200, 403, 400
 
 
 async def _refuse(scope: Scope, status: int, send: Send) -> None:
@@ -159,24 +159,24 @@ def refusal(error: Exception) -> Response:
     return JSONResponse({"error": {"code": code, "message": message, "hint": str(hint)}}, 400)
 
 
-def text(wish: dict[str, Any], name: str) -> str:
+def text(asked: dict[str, Any], name: str) -> str:
     """Return a text that is asked for; nothing, if it is none."""
-    value = wish.get(name, "")
+    value = asked.get(name, "")
     return value if isinstance(value, str) else ""
 
 
-def whole(wish: dict[str, Any], name: str) -> int:
+def whole(asked: dict[str, Any], name: str) -> int:
     """Return a whole number that is asked for; -1, if there is none."""
     try:
-        return int(wish.get(name, -1))
+        return int(asked.get(name, -1))
     except (TypeError, ValueError, OverflowError):
         raise GyrotrackError(f"{name} is not a whole number.") from None
 
 
-def number(wish: dict[str, Any], name: str) -> float:
+def number(asked: dict[str, Any], name: str) -> float:
     """Return a place on a frame that is asked for, as a share of its width or height."""
     try:
-        value = float(wish.get(name, "nan"))
+        value = float(asked.get(name, "nan"))
     except (TypeError, ValueError, OverflowError):
         value = float("nan")
     if not 0.0 <= value <= 1.0:
@@ -214,6 +214,10 @@ class Workbench:
             Route("/api/state", self._state),
             Route("/api/change", self._change, methods=["POST"]),
             Route("/api/go", self._go, methods=["POST"]),
+            Route("/api/compare", self._compare, methods=["POST"]),
+            Route("/api/undo", self._undo, methods=["POST"]),
+            Route("/api/delete", self._delete, methods=["POST"]),
+            Route("/api/note", self._note, methods=["POST"]),
             Route("/api/keep", self._keep, methods=["POST"]),
             Route("/api/rank", self._rank, methods=["POST"]),
             Route("/api/frame", self._frame),
@@ -251,12 +255,27 @@ class Workbench:
         return await answered(work)
 
     async def _change(self, request: Request) -> Response:
-        wish = await body_of(request)
-        return await answered(lambda: self.session.change(add=text(wish, "add"), drop=text(wish, "drop")))
+        asked = await body_of(request)
+        return await answered(lambda: self.session.change(add=text(asked, "add"), drop=text(asked, "drop")))
 
     async def _go(self, request: Request) -> Response:
-        wish = await body_of(request)
-        return await answered(lambda: self.session.go(whole(wish, "place")))
+        asked = await body_of(request)
+        return await answered(lambda: self.session.go(whole(asked, "place")))
+
+    async def _compare(self, request: Request) -> Response:
+        asked = await body_of(request)
+        return await answered(lambda: self.session.compare(whole(asked, "place")))
+
+    async def _undo(self, _request: Request) -> Response:
+        return await answered(self.session.undo)
+
+    async def _delete(self, request: Request) -> Response:
+        asked = await body_of(request)
+        return await answered(lambda: self.session.delete(whole(asked, "place")))
+
+    async def _note(self, request: Request) -> Response:
+        asked = await body_of(request)
+        return await answered(lambda: self.session.annotate(whole(asked, "place"), text(asked, "note")))
 
     async def _keep(self, _request: Request) -> Response:
         return await answered(self.session.keep)
@@ -279,16 +298,16 @@ class Workbench:
         return Response(image, media_type="image/jpeg")
 
     async def _colour(self, request: Request) -> Response:
-        wish = await body_of(request)
+        asked = await body_of(request)
         return await answered(
             lambda: self.clips.colour(
-                text(wish, "clip"), whole(wish, "index"), number(wish, "x"), number(wish, "y")
+                text(asked, "clip"), whole(asked, "index"), number(asked, "x"), number(asked, "y")
             )
         )
 
     async def _profile(self, request: Request) -> Response:
-        wish = await body_of(request)
-        return await answered(lambda: {"toml": profile_text(wish)})
+        asked = await body_of(request)
+        return await answered(lambda: {"toml": profile_text(asked)})
 
     async def _quit(self, _request: Request) -> Response:
         self.stop()
@@ -302,8 +321,8 @@ def page_text(label: str) -> tuple[str, str]:
     folder = resources.files("gyrotrack.apps.workbench")
     environment = Environment(autoescape=True, undefined=StrictUndefined)
     template = environment.from_string(folder.joinpath("page.html.jinja").read_text("utf-8"))
-    scripts = (charts.script(), folder.joinpath("view.js").read_text("utf-8"))
-    style = folder.joinpath("view.css").read_text("utf-8") + charts.style()
+    scripts = (*charts.scripts(), folder.joinpath("view.js").read_text("utf-8"))
+    style = charts.theme() + folder.joinpath("view.css").read_text("utf-8") + charts.style()
     page = template.render(title=label, style=style, scripts=scripts)
     return page, charts.content_policy(scripts, connect=True)
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from threading import RLock
 from typing import TYPE_CHECKING, Any
 
 from gyrotrack._errors import GyrotrackError
-from gyrotrack.plotting._interactive import board_document
+from gyrotrack.plotting._charts import dashboard_document, interval_document
 
 if TYPE_CHECKING:
     from fitting.discovery._residuals import ResidualTorque
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def library_document() -> list[dict[str, Any]]:
-    """Return the effects of the library for the list that the page offers; every fit takes out those `free`."""
+    """Return the effects of the library for the list that the page offers; those `free` are nuisance parameters."""
     from fitting.effects._library import LIBRARY
 
     return [{"name": e.name, "joint": e.joint, "law": e.law, "free": e.nuisance} for e in LIBRARY.values()]
@@ -29,7 +30,7 @@ _LONGEST = 500
 
 @dataclass
 class Step:
-    """One rung: what was changed, from which rung, the fit, and the name under which the ledger keeps it."""
+    """One fit of the history: its change, its parent, its name in the ledger, and the user's note."""
 
     change: str
     parent: int
@@ -37,23 +38,27 @@ class Step:
     fit_id: str = ""
     sharp: bool = True
     torques: tuple[ResidualTorque, ...] | None = None
+    note: str = ""
+    is_deleted: bool = False
 
 
 class Session:
-    """One case on the workbench.
+    """One case on the workbench: a tree of fits of which one is shown.
+
+    Steps keep their index for the whole session; a deleted one is hidden and comes back with `undo`.
 
     Parameters
     ----------
     data : CaseData
         The case.
     base : Fit
-        Where to begin.
+        The first fit.
     fit_id : str
         Its name in the ledger.
     ledger : Ledger
-        Where fits are kept, if the user asks for it.
+        Where fits are stored on request.
     case : Case or None
-        The case with the tracking behind it.
+        The case with its recordings.
     """
 
     def __init__(
@@ -63,7 +68,10 @@ class Session:
         self._data, self._ledger, self._case = data, ledger, case
         self.steps = [Step("base", -1, base, fit_id)]
         self.current = 0
-        # what the last search found for the parameters of each candidate: a good place to start
+        # the step with which the current one is compared; its parent if negative
+        self.reference = -1
+        self._undo: list[Callable[[], None]] = []
+        # parameters that the last search found for each candidate, as initial values
         self.found: dict[str, dict[str, float]] = {}
 
     @property
@@ -110,19 +118,75 @@ class Session:
             except FittingError:  # what suited the old model may be no start for the new one
                 found = fit(model, [self._data], noise=noise, quick=True)
             self.steps.append(Step(" ".join(words), self.current, found, sharp=False))
-            self.current = len(self.steps) - 1
+            self._show(len(self.steps) - 1)
             return self.state()
 
     def go(self, place: int) -> dict[str, Any]:
-        """Go to another rung."""
+        """Show another step."""
         with self._lock:
-            if not 0 <= place < len(self.steps):
-                raise GyrotrackError("There is no such fit.")
-            self.current = place
+            self._show(self._existing(place))
             return self.state()
 
+    def compare(self, place: int) -> dict[str, Any]:
+        """Compare the current step with another one; with its parent if `place` is negative."""
+        with self._lock:
+            self.reference = self._existing(place) if place >= 0 else -1
+            return self.state()
+
+    def undo(self) -> dict[str, Any]:
+        """Take back the last change of the view or of the tree; fits stay in the tree."""
+        with self._lock:
+            if not self._undo:
+                raise GyrotrackError("There is nothing to undo.")
+            self._undo.pop()()
+            return self.state()
+
+    def delete(self, place: int) -> dict[str, Any]:
+        """Remove a step that has no successors and is not in the ledger."""
+        with self._lock:
+            step = self.steps[self._existing(place)]
+            if place == 0 or step.fit_id:
+                raise GyrotrackError("A fit that is kept in the ledger cannot be deleted here.")
+            if any(s.parent == place and not s.is_deleted for s in self.steps):
+                raise GyrotrackError("This fit has successors.", "Delete those first.")
+            before = self.current, self.reference
+            step.is_deleted = True
+            if self.current == place:
+                self.current = step.parent
+            if place == self.reference:
+                self.reference = -1
+
+            def restore() -> None:
+                step.is_deleted = False
+                self.current, self.reference = before
+
+            self._undo.append(restore)
+            return self.state()
+
+    def annotate(self, place: int, note: str) -> dict[str, Any]:
+        """Set the note of a step (for this session)."""
+        with self._lock:
+            step, old = self.steps[self._existing(place)], self.steps[place].note
+            step.note = note.strip()[:_LONGEST]
+            self._undo.append(lambda: setattr(step, "note", old))
+            return self.state()
+
+    def _existing(self, place: int) -> int:
+        if not 0 <= place < len(self.steps) or self.steps[place].is_deleted:
+            raise GyrotrackError("There is no such fit.")
+        return place
+
+    def _show(self, place: int) -> None:
+        before = self.current, self.reference
+
+        def back() -> None:
+            self.current, self.reference = before
+
+        self._undo.append(back)
+        self.current, self.reference = place, -1
+
     def keep(self) -> dict[str, Any]:
-        """Fit the current model to its minimum, and write it and the rungs that led to it into the ledger."""
+        """Fit the current model to its minimum, and store it and its predecessors in the ledger."""
         with self._lock:
             self._keep(self.current)
             return self.state()
@@ -140,13 +204,13 @@ class Session:
         return step.fit_id
 
     def _sharpen(self, step: Step) -> None:
-        from fitting.discovery._select import polished
+        from fitting.discovery._refine import refined
 
         if not step.sharp:
-            step.fit, step.sharp, step.torques = polished(step.fit), True, None
+            step.fit, step.sharp, step.torques = refined(step.fit), True, None
 
     def remember(self, answer: dict[str, Any]) -> dict[str, Any]:
-        """Keep what a search found for the parameters of the candidates, and return its answer as it is to be read."""
+        """Keep the parameters of the candidates of a search as initial values, and return its answer, typeset."""
         from fitting._numbers import typeset
 
         candidates = answer.get("diagnosis", {}).get("candidates", [])
@@ -161,8 +225,8 @@ class Session:
         return answer
 
     def model_document(self) -> dict[str, Any]:
-        """Return the current model as a ledger keeps it, for the process that ranks."""
-        from fitting.effects._user import own_effects
+        """Return the current model as a ledger stores it, for the process that ranks candidates."""
+        from fitting._schema import own_effects
 
         with self._lock:
             fit = self.fit
@@ -172,12 +236,12 @@ class Session:
                     "model": list(fit.model.names),
                     "parameters": {k: {"value": e.value} for k, e in fit.estimates.items()},
                     "digests": [self._data.record.digest],
-                    "own_effects": own_effects(fit.model.effects),
+                    "own_effects": [asdict(e) for e in own_effects(fit.model.effects)],
                 }
             )
 
     def state(self, *, whole: bool = False) -> dict[str, Any]:
-        """Return what the page shows; with `whole` also the curves that no fit changes."""
+        """Return what the page shows; with `whole` also the charts that no fit changes."""
         from fitting._numbers import with_uncertainty
 
         with self._lock:
@@ -203,7 +267,9 @@ class Session:
                         }
                         for k, e in fit.estimates.items()
                     ],
-                    "ladder": [self._rung(i) for i in range(len(self.steps))],
+                    "ladder": [self._rung(i) for i, s in self._tree() if not s.is_deleted],
+                    "compared": self._compared(step),
+                    "can_undo": bool(self._undo),
                     "board": board,
                 }
             )
@@ -215,24 +281,54 @@ class Session:
         previous = self.steps[step.parent].fit if step.parent >= 0 else None
         document = rung_document(step.fit, step.fit_id, step.change, previous)
         keys = ("added", "rmse_casing", "reduced_chi2", "held_out", "delta_bic", "torque_left_Nm", "verdict")
-        return {"fit_id": step.fit_id, "parent": step.parent} | {k: document[k] for k in keys}
+        depth, up = 0, step.parent
+        while up >= 0:
+            depth, up = depth + 1, self.steps[up].parent
+        own = {
+            "place": place,
+            "depth": depth,
+            "fit_id": step.fit_id,
+            "parent": step.parent,
+            "note": step.note,
+        }
+        return own | {k: document[k] for k in keys}
+
+    def _tree(self) -> list[tuple[int, Step]]:
+        """Return the steps with their places, every one followed by its successors."""
+        found: list[tuple[int, Step]] = []
+
+        def visit(place: int) -> None:
+            found.append((place, self.steps[place]))
+            for i, s in enumerate(self.steps):
+                if s.parent == place:
+                    visit(i)
+
+        visit(0)
+        return found
+
+    def _compared(self, step: Step) -> int:
+        """Return the place of the step with which one is compared; negative if there is none."""
+        return (
+            self.reference if self.reference >= 0 and self.steps[self.reference] is not step else step.parent
+        )
 
     def _board(self, step: Step, *, whole: bool) -> dict[str, Any]:
         from fitting.discovery._residuals import find_failures
-        from fitting.discovery._select import Rung
-        from gyrotrack.apps.report._dashboard import case_board, mark
-        from gyrotrack.plotting._study_data import case_view
+        from fitting.discovery._select import Step as FitStep
+        from gyrotrack.plotting._case_charts import case_dashboard
+        from gyrotrack.plotting._study_data import case_view, intervals_of
         from gyrotrack.plotting._tracking import tracks_of
 
-        before = self.steps[step.parent] if step.parent >= 0 else None
+        compared = self._compared(step)
+        before = self.steps[compared] if compared >= 0 else None
         steps = [s for s in (before, step) if s is not None]
-        rungs = [Rung(s.change, s.fit, ()) for s in steps]
+        rungs = [FitStep(s.change, s.fit, ()) for s in steps]
         view = case_view(rungs, None, [self._torques(s) for s in steps], 0)
         tracks = tracks_of(self._case) if whole and self._case is not None else None
-        names = ("before", "now") if before is not None else ("now",)
-        board = board_document(case_board(view, tracks, [s.change for s in steps], names=names))
+        names = (f"fit {compared + 1}", f"fit {self.current + 1}") if before is not None else ("fit 1",)
+        board = dashboard_document(case_dashboard(view, tracks, [s.change for s in steps], names=names))
         failures = find_failures(step.fit, list(self._torques(step)))
-        board["marks"] = [asdict(mark(f)) for f in failures]
+        board["intervals"] = [interval_document(i) for i in intervals_of(failures)]
         return board
 
     def _torques(self, step: Step) -> tuple[ResidualTorque, ...]:

@@ -1,13 +1,13 @@
 "use strict";
-/* The workbench. Every text from the server becomes a text node; nothing is ever read as markup. */
+/* The workbench. Every text from the server becomes a text node, never markup. */
 (() => {
   const token = new URLSearchParams(location.search).get("token") || "";
-  const { Board, element, told } = Charts;
+  const { Board, element, button, format } = Charts;
   const at = (id) => document.getElementById(id);
   const BODIES = ["rotor", "casing"];
   const COLOURS = ["red", "orange", "yellow", "green", "cyan", "blue", "magenta", "white"];
   let board = null, fixed = [], clips = [], clip = null, index = 0, playing = false, until = null, searches = 0,
-    free = new Set();
+    free = new Set(), undoable = false, shown = 0;
 
   async function ask(path, body) {
     const options = { headers: { "x-gyrotrack-token": token } };
@@ -19,7 +19,7 @@
     try {
       answer = await fetch(path, options);
     } catch {
-      throw new Error("The program does not answer: it was ended, or is busy. Start gyrotrack view again.");
+      throw new Error("No answer from the program. Start gyrotrack view again if it has ended.");
     }
     if (answer.headers.get("content-type")?.startsWith("image/")) return answer.blob();
     if (!answer.headers.get("content-type")?.includes("json")) throw new Error(await answer.text());
@@ -41,6 +41,8 @@
   async function act(work) {
     complain(null);
     document.body.setAttribute("aria-busy", "true");
+    const began = performance.now();
+    const clock = setInterval(() => { at("busy").textContent = `fitting \u2026 ${((performance.now() - began) / 1000).toFixed(0)} s`; }, 1000);
     for (const b of document.querySelectorAll(".side button")) b.disabled = true;
     try {
       return await work();
@@ -48,29 +50,29 @@
       complain(error);
       return null;
     } finally {
+      clearInterval(clock);
+      at("busy").textContent = "";
       document.body.removeAttribute("aria-busy");
       for (const b of document.querySelectorAll(".side button")) b.disabled = false;
+      at("undo").disabled = !undoable;
     }
   }
 
-  function button(text, label, work) {
-    const out = element("button", { type: "button", "aria-label": label }, text);
-    out.addEventListener("click", work);
-    return out;
-  }
-
   const VERDICTS = {
-    adequate: "adequate: what the model leaves is noise", misfit: "the model misses something",
-    "not converged": "not converged: do not trust these numbers",
+    adequate: "consistent with noise", misfit: "significant lack of fit",
+    "not determined": "a parameter is not determined by the data", "not converged": "not converged: numbers are not valid",
   };
 
   function render(state) {
     at("verdict").textContent = VERDICTS[state.verdict] || state.verdict;
     at("verdict").className = state.verdict;
+    undoable = state.can_undo;
+    at("undo").disabled = !undoable;
+    shown = state.current;
     const charts = [...state.board.charts];
     if (!board) {
       fixed = charts.filter((c) => c.name === "sigma" || c.name === "centre");
-      board = new Board(at("board"), state.board, { click: (t) => seek(t), stretch: (a, b) => stretch(a, b) });
+      board = new Board(at("board"), state.board, { click: (t) => seek(t), interval: (a, b) => stretch(a, b) });
     } else {
       board.set({ ...state.board, charts: [...charts, ...fixed] });
     }
@@ -79,18 +81,35 @@
       element("span", { class: "law" }, e.name === `${e.joint}: ${e.law}` ? "" : `${e.joint}: ${e.law}`),
       button("drop", `drop ${e.name}`, () => change({ drop: e.name })))));
     at("parameters").replaceChildren(...state.parameters.map((p) => element("tr", {},
-      element("th", { scope: "row" }, p.name), element("td", {}, p.value + (p.at_bound ? " (on its bound)" : "")))));
+      element("th", { scope: "row" }, p.name), element("td", {}, p.value + (p.at_bound ? " (at a bound)" : "")))));
     const largest = Math.max(...state.ladder.map((r) => r.rmse_casing || 0));
-    at("ladder").replaceChildren(...state.ladder.map((r, i) => {
+    at("ladder").replaceChildren(...state.ladder.map((r) => {
       const bar = element("span", { class: "bar", "aria-hidden": "true" });
       bar.style.width = `${Math.max(1, 100 * r.rmse_casing / largest)}%`;
       const name = (r.parent >= 0 ? r.added : "start") + (r.fit_id ? ` (${r.fit_id})` : "");
-      return element("tr", i === state.current ? { class: "now" } : {},
-        element("th", { scope: "row" }, name, bar), element("td", {}, told(r.rmse_casing, 3)),
-        element("td", {}, told(r.reduced_chi2, 3)), element("td", {}, told(r.held_out, 3)),
-        element("td", {}, i ? told(r.delta_bic, 3) : "\u2013"),
-        element("td", {}, i === state.current ? "shown" : button("show", `show fit ${i + 1}`, () => go(i))));
+      const head = element("th", { scope: "row" }, (r.depth ? "\u2514 " : "") + name, bar,
+        element("span", { class: "more" }, [`fit ${r.place + 1}`, r.note].filter(Boolean).join(": ")));
+      head.style.paddingLeft = `${0.8 * Math.max(0, r.depth - 1)}rem`;
+      const now = r.place === state.current, leaf = !r.fit_id && r.place > 0 && !state.ladder.some((o) => o.parent === r.place);
+      const acts = element("td", {});
+      if (now) acts.append("shown ");
+      else acts.append(button("show", `show fit ${r.place + 1}`, () => go(r.place)));
+      if (!now && r.place === state.compared) acts.append("compared ");
+      else if (!now) acts.append(button("compare", `compare with fit ${r.place + 1}`, () => apply("/api/compare", { place: r.place })));
+      if (leaf) acts.append(button("delete", `delete fit ${r.place + 1}`, () => apply("/api/delete", { place: r.place })));
+      return element("tr", now ? { class: "now" } : {}, head, element("td", {}, format(r.rmse_casing, 3)),
+        element("td", {}, format(r.reduced_chi2, 3)), element("td", {}, format(r.held_out, 3)),
+        element("td", {}, r.parent >= 0 ? format(r.delta_bic, 3) : "\u2013"), acts);
     }));
+    at("note").value = state.ladder.find((r) => r.place === state.current)?.note || "";
+  }
+
+  /* ask for a change of the tree or of the view; search again if another fit is shown */
+  async function apply(path, body) {
+    const before = shown, state = await act(() => ask(path, body));
+    if (!state) return;
+    render(state);
+    if (shown !== before) search();
   }
 
   async function change(wish) {
@@ -101,14 +120,11 @@
     return true;
   }
 
-  async function go(place) {
-    const state = await act(() => ask("/api/go", { place }));
-    if (state) { render(state); search(); }
-  }
+  const go = (place) => apply("/api/go", { place });
 
   async function search() {
     const mine = ++searches;
-    at("searching").textContent = "Searching the library for what is missing \u2026";
+    at("searching").textContent = "Testing candidate effects \u2026";
     at("ranking").replaceChildren();
     at("sentence").textContent = "";
     let found = null, trouble = null;
@@ -119,16 +135,16 @@
       return;
     }
     const shown = found.diagnosis.candidates.filter((c) => c.score > 0).slice(0, 12);
-    at("searching").textContent = shown.length ? "" : "No candidate scores.";
+    at("searching").textContent = shown.length ? "" : "No candidate effect has a positive score.";
     at("sentence").textContent = found.diagnosis.sentence;
     at("ranking").replaceChildren(...shown.map((c) => element("tr", c.significant ? {} : { class: "pale" },
       element("th", { scope: "row" }, c.effect, element("span", { class: "more" }, [
         ...(c.kind === "measurement" ? ["artefact"] : []),
-        ...(c.indistinguishable_from.length ? [`not told from ${c.indistinguishable_from.join(", ")}`] : []),
+        ...(c.indistinguishable_from.length ? [`indistinguishable from ${c.indistinguishable_from.join(", ")}`] : []),
       ].join("; "))),
-      element("td", {}, told(c.score, 3)), element("td", {}, c.delta_bic === null ? "\u2013" : told(c.delta_bic, 3)),
-      element("td", {}, c.p_value < 1e-30 ? "< 10\u207b\u00b3\u2070" : told(c.p_value, 1)),
-      element("td", {}, free.has(c.effect) ? "in every fit"
+      element("td", {}, format(c.score, 3)), element("td", {}, c.delta_bic === null ? "\u2013" : format(c.delta_bic, 3)),
+      element("td", {}, c.p_value < 1e-30 ? "< 10\u207b\u00b3\u2070" : format(c.p_value, 1)),
+      element("td", {}, free.has(c.effect) ? "always fitted"
         : button("add", `add ${c.effect}`, () => change({ add: c.effect }))))));
   }
 
@@ -186,15 +202,18 @@
 
   function stop() { playing = false; at("play").textContent = "Play"; }
 
+  /* every frame in turn, or at a share of real time with frames left out */
   async function play(end) {
     until = Math.min(end, clip.frames - 1);
     if (playing) return;
     playing = true;
     at("play").textContent = "Pause";
+    const first = index, start = performance.now();
     while (playing && index < until) {
-      const began = performance.now();
-      await show(index + 1);
-      await new Promise((done) => setTimeout(done, Math.max(0, 40 - (performance.now() - began))));
+      const began = performance.now(), speed = Number(at("speed").value);
+      const next = speed ? first + Math.floor((began - start) / 1000 * clip.rate * speed) : index + 1;
+      if (next > index) await show(Math.min(next, until));
+      await new Promise((done) => setTimeout(done, Math.max(speed ? 5 : 0, (speed ? 15 : 40) - (performance.now() - began))));
     }
     stop();
   }
@@ -255,9 +274,20 @@
     event.preventDefault();
     if (await change({ add: at("wish").value })) at("wish").value = "";
   });
-  at("keep").addEventListener("click", async () => {
-    const state = await act(() => ask("/api/keep", {}));
-    if (state) render(state);
+  at("keep").addEventListener("click", () => apply("/api/keep", {}));
+  at("undo").addEventListener("click", () => apply("/api/undo", {}));
+  at("note").addEventListener("change", () => apply("/api/note", { place: shown, note: at("note").value }));
+  document.addEventListener("keydown", (event) => {
+    const typing = event.target.closest("input:not([type=range]):not([type=checkbox]), select, textarea");
+    if ((event.ctrlKey || event.metaKey) && event.key === "z" && !typing) { event.preventDefault(); if (undoable) apply("/api/undo", {}); return; }
+    if (typing || event.ctrlKey || event.metaKey || event.altKey) return;
+    const film = clip && clip.found, acts = {
+      "/": () => at("wish").focus(),
+      ",": () => film && (stop(), show(index - 1)),
+      ".": () => film && (stop(), show(index + 1)),
+    };
+    if (event.key === " " && film && !event.target.closest("button, summary, a, input")) { event.preventDefault(); at("play").click(); }
+    else if (acts[event.key]) { event.preventDefault(); acts[event.key](); }
   });
   at("clip").addEventListener("change", () => { stop(); index = 0; choose(at("clip").value); });
   at("seek").addEventListener("input", () => { stop(); show(Number(at("seek").value)); });
@@ -273,7 +303,7 @@
     stop();
     searches++;
     if (await act(() => ask("/api/quit", {}))) {
-      document.body.replaceChildren(element("main", {}, element("p", { id: "ended" }, "gyrotrack has ended. This page can be closed.")));
+      document.body.replaceChildren(element("main", {}, element("p", { id: "ended" }, "gyrotrack has ended. Close this page.")));
     }
   });
   start();

@@ -1,4 +1,4 @@
-"""From imported series to a case."""
+"""A case from imported motions."""
 
 from __future__ import annotations
 
@@ -13,27 +13,20 @@ import numpy.typing as npt
 from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack._smoothing import angular_velocity, median_smooth
 from gyrotrack.io._records import Case, Floats, Series
-from gyrotrack.io.readers._points import Wanted
-from gyrotrack.io.readers._series import Table, read_table
-from gyrotrack.io.readers._text import Names
+from gyrotrack.io.readers._motion_table import MotionTable, ReadOptions
+from gyrotrack.io.readers._registry import read_motion
+from gyrotrack.io.readers._run import Limits, limited, run_of
+from gyrotrack.io.readers._scatter import pieces, scatter
+from gyrotrack.io.readers._units import TURN
 
-TURN = 2 * np.pi
-GAP = 20.0
 _SMOOTHING = 31
+_SHORTEST = 3
+"""Samples of the shortest piece that is kept between gaps."""
 
 
 def is_wrapped(angle: Floats) -> bool:
-    """Tell whether all angles lie within one turn, as wrapped ones do."""
-    return bool(np.ptp(angle) <= TURN * (1 + 1e-6))
-
-
-def pieces(time: Floats) -> list[slice]:
-    """Return the pieces between gaps longer than 20 sample intervals."""
-    step = np.diff(time)
-    if not len(step):
-        return [slice(0, len(time))]
-    cuts = np.flatnonzero(step > GAP * np.median(step)) + 1
-    return [slice(int(a), int(b)) for a, b in zip([0, *cuts], [*cuts, len(time)], strict=True)]
+    """Return whether angles are wrapped: all within one turn (but for noise), with steps of more than half a turn."""
+    return bool(np.ptp(angle) <= 1.05 * TURN and (np.abs(np.diff(angle)) > TURN / 2).any())
 
 
 def unwrap(time: Floats, angle: Floats) -> tuple[Floats, list[float]]:
@@ -56,55 +49,12 @@ def unwrap(time: Floats, angle: Floats) -> tuple[Floats, list[float]]:
     return unwrapped, [float(t) for t in time[:-1][doubtful]]
 
 
-BLOCK = 15
-ORDER = 3
-NEIGHBOURS = 41
-FLOOR = 1e-6
-_MEDIAN_OF_CHI2 = 11 * (1 - 2 / (9 * 11)) ** 3 / 11  # median of chi2 / dof for dof = BLOCK - ORDER - 1 = 11
-
-
-def scatter(time: Floats, value: Floats) -> Floats:
-    """Return the uncertainty of each sample, from the residuals of short cubics.
-
-    In blocks of 15 samples a cubic is fitted; the running median over 41 blocks of the residual variance,
-    divided by the median of chi2 / dof, is robust against blocks with an outlier and follows slow changes.
-    What changes more slowly than a block (a centre that is off, a tilt) is not seen.
-
-    Parameters
-    ----------
-    time, value : ndarray, shape (n,)
-        The series, in pieces without 2 pi steps; n >= 8.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        One sigma, in the unit of `value`, never below 1e-6.
-    """
-    starts = np.arange(0, max(len(time) - BLOCK, 0) + 1, BLOCK)
-    centre = np.array([float(np.mean(time[i : i + BLOCK])) for i in starts])
-    variance = np.array([_residual_variance(time[i : i + BLOCK], value[i : i + BLOCK]) for i in starts])
-    half = NEIGHBOURS // 2
-    smooth = [np.median(variance[max(0, k - half) : k + half + 1]) for k in range(len(starts))]
-    sigma = np.sqrt(np.interp(time, centre, np.asarray(smooth)) / _MEDIAN_OF_CHI2)
-    floored: Floats = np.maximum(sigma, FLOOR)
-    return floored
-
-
-def _residual_variance(time: Floats, value: Floats) -> float:
-    if len(time) <= ORDER + 1:
-        return 0.0
-    width = max(float(np.ptp(time)), 1e-300)
-    basis = np.vander((time - time.mean()) / width, ORDER + 1)
-    residual = value - basis @ np.linalg.lstsq(basis, value, rcond=None)[0]
-    return float(residual @ residual) / (len(time) - ORDER - 1)
-
-
 SMOOTHING = 51  # points of the paper's medians
 
 
 @dataclass(frozen=True)
 class Piece:
-    """One stretch of one table: s, rad and rad/s, all of shape (n,)."""
+    """One piece of one table without gaps: s, rad and rad/s, all of shape (n,)."""
 
     time: Floats
     angle: Floats
@@ -113,22 +63,39 @@ class Piece:
     omega_sigma: Floats
 
 
-def pieces_of(table: Table, notes: list[str]) -> list[Piece]:
+def unwrapped(table: MotionTable, notes: list[str]) -> Floats:
+    """Return the values of a table, angles without steps of a turn; doubtful gaps are added to `notes`."""
+    if table.quantity != "angle" or table.counted or not is_wrapped(table.value):
+        return table.value
+    value, doubtful = unwrap(table.time, table.value)
+    notes += [f"{table.path.name}: a turn may be lost in the gap after {t:.3f} s" for t in doubtful]
+    return value
+
+
+def pieces_of(table: MotionTable, value: Floats, notes: list[str]) -> list[Piece]:
     """Cut a table at its gaps and bring each piece to angles, speeds and their uncertainties.
 
-    Where the table has no sigma it is estimated from the scatter; what is doubtful is added to `notes`.
+    Where the table has no sigma it is estimated from the scatter, and is at least that of the resolution of the file
+    (quantisation step / sqrt(12)); repairs are added to `notes`.
     """
-    cuts = pieces(table.time)
-    value = table.value
-    if table.quantity == "angle" and is_wrapped(value):
-        value, doubtful = unwrap(table.time, value)
-        notes += [f"{table.path.name}: a turn may be lost in the gap after {t:.3f} s" for t in doubtful]
+    cuts = [slice(0, len(table.time))] if table.counted else pieces(table.time)
+    short = [cut for cut in cuts if cut.stop - cut.start < _SHORTEST]
+    if short and len(short) < len(cuts):
+        lost = sum(cut.stop - cut.start for cut in short)
+        notes.append(f"{table.path.name}: {lost} samples that stand alone between gaps were left out")
+        cuts = [cut for cut in cuts if cut not in short]
     sigma = table.sigma
     if sigma is None:
-        sigma = np.concatenate([scatter(table.time[cut], value[cut]) for cut in cuts])
-        notes.append(
-            f"{table.path.name}: sigma was estimated from the scatter, median {np.median(sigma):.2g}"
-        )
+        sigma = np.full(len(value), np.nan)
+        for cut in cuts:
+            sigma[cut] = np.maximum(scatter(table.time[cut], value[cut]), table.least_sigma)
+        median = float(np.nanmedian(sigma))
+        notes.append(f"{table.path.name}: sigma was estimated from the scatter, median {median:.2g}")
+        if table.least_sigma > 0.5 * median:
+            notes.append(
+                f"{table.path.name}: the values are quantised; sigma is at least step / sqrt(12) = "
+                f"{table.least_sigma:.2g}"
+            )
     make = _from_angles if table.quantity == "angle" else _from_speeds
     made = [make(table.time[cut], value[cut], sigma[cut]) for cut in cuts]
     for piece in made:
@@ -216,8 +183,8 @@ def import_case(
     surface: str = "",
     I_rotor: float = I_ROTOR,
     I_casing: float = I_CASING,
-    names: Names | None = None,
-    wanted: Sequence[Wanted] = (),
+    options: Sequence[ReadOptions] = (),
+    limits: Limits | None = None,
 ) -> Case:
     """Read tables of one experiment, all on one clock, and make a case of them.
 
@@ -231,10 +198,10 @@ def import_case(
         Name of the case, and what the casing turned on.
     I_rotor, I_casing : float
         Moments of inertia [kg m2]; the paper's by default.
-    names : mapping, optional
-        What the columns of the tables mean, as `header.read_names` makes it.
-    wanted : sequence of Wanted, optional
-        How points become an angle: of the casing, then of each rotor table.
+    options : sequence of ReadOptions, optional
+        How the files are read: of the casing, then of each rotor file.
+    limits : Limits, optional
+        Times to keep and to leave out.
 
     Returns
     -------
@@ -254,10 +221,14 @@ def import_case(
     if not rotors:
         raise UsageError("There is no table of the rotor.", "Give one with --rotor.")
     paths = (casing, *rotors)
-    tables = [read_table(p, names, w) for p, w in zip(paths, wanted or [Wanted()] * len(paths), strict=True)]
+    given = [
+        replace(o, body=o.body or ("rotor" if k else "casing"))
+        for k, o in enumerate(options or [ReadOptions()] * len(paths))
+    ]
+    tables = [limited(read_motion(p, o), limits or Limits()) for p, o in zip(paths, given, strict=True)]
     quantity = _common_quantity(tables)
     notes = [note for table in tables for note in table.notes]
-    body, *wheels = (pieces_of(table, notes) for table in tables)
+    body, *wheels = (pieces_of(table, unwrapped(table, notes), notes) for table in tables)
     windows = sorted((piece for wheel in wheels for piece in wheel), key=lambda piece: piece.time[0])
     notes += _misplaced(body, windows)
     sense, doubts = _sense(body, windows)
@@ -280,10 +251,10 @@ def import_body(
     *,
     label: str = "",
     surface: str = "",
-    names: Names | None = None,
-    wanted: Wanted | None = None,
+    options: ReadOptions | None = None,
+    limits: Limits | None = None,
 ) -> Case:
-    """Make a case of one body that spins down by itself: a wheel, or a bearing on a rig.
+    """Make a case of one body: a wheel, a bearing on a rig, a pendulum.
 
     Parameters
     ----------
@@ -291,11 +262,15 @@ def import_body(
         Its angles or speeds, as for `import_case`.
     inertia : float
         Its moment of inertia [kg m2].
+    options : ReadOptions, optional
+        How the file is read.
+    limits : Limits, optional
+        Times to keep and to leave out; without `keep_all` a drive, a brake and rest are left out too.
 
     Returns
     -------
     Case
-        With the body in the casing's place, `bodies` "one" and an empty rotor.
+        With the body as the casing, `bodies` "one" and an empty rotor.
 
     Raises
     ------
@@ -304,9 +279,12 @@ def import_body(
     """
     if not inertia > 0:
         raise UsageError("A moment of inertia must be positive.", "Give it in kg m2, such as 5.54e-5.")
-    read = read_table(table, names, wanted)
-    notes = list(read.notes)
-    parts = pieces_of(read, notes)
+    limits = limits or Limits()
+    read = limited(read_motion(table, options), limits)
+    notes: list[str] = []
+    read, value = run_of(read, unwrapped(read, notes), limits)
+    notes = [*read.notes, *notes]
+    parts = pieces_of(read, value, notes)
     sense = 1 if sum(p.angle[-1] - p.angle[0] for p in parts) >= 0 else -1
     if sense < 0:
         notes.append("the body turns in the negative sense: all signs were reversed (sense -1)")
@@ -325,7 +303,7 @@ def import_body(
     )
 
 
-def _common_quantity(tables: list[Table]) -> str:
+def _common_quantity(tables: list[MotionTable]) -> str:
     for table in tables[1:]:
         if table.quantity != tables[0].quantity:
             raise DatasetError(
@@ -335,7 +313,7 @@ def _common_quantity(tables: list[Table]) -> str:
     return tables[0].quantity
 
 
-def _origins(tables: list[Table], sense: int) -> dict[str, Any]:
+def _origins(tables: list[MotionTable], sense: int) -> dict[str, Any]:
     """Return what the case file keeps of the tables."""
     return {
         "sources": [{"file": str(t.path), "sha256": t.sha256, "samples": len(t.time)} for t in tables],
@@ -344,7 +322,7 @@ def _origins(tables: list[Table], sense: int) -> dict[str, Any]:
     }
 
 
-def _sigma_source(tables: list[Table]) -> str:
+def _sigma_source(tables: list[MotionTable]) -> str:
     origins = {"given" if table.sigma is not None else "estimated" for table in tables}
     return origins.pop() if len(origins) == 1 else "mixed"
 

@@ -1,7 +1,7 @@
-"""Point files in HDF5: SLEAP, DeepLabCut.
+"""HDF5 files of other programs: points of SLEAP, DeepLabCut and movement; and cases of this one.
 
-pandas stores them as a pickle, which is a program. Here its instructions are only looked at: those that make
-lists and tuples of words are followed, any other ends the reading.
+pandas stores the names of columns as a pickle, which is a program. It is never executed: opcodes that make lists and
+tuples of words are interpreted, any other ends the reading.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ import numpy as np
 
 from gyrotrack._errors import DatasetError
 from gyrotrack.io._tables import check_storage, load
-from gyrotrack.io._validation import guarded
+from gyrotrack.io._validation import check_tree
 from gyrotrack.io.readers._points import Points
+from gyrotrack.io.readers._raw_table import RawTable, table_of
 
 _MARK = object()
 _MOST = 10_000
@@ -90,11 +91,11 @@ def _gather(stack: list[Any], name: str) -> None:
         stack.append(items if name == "LIST" else tuple(items))
 
 
-_FOREIGN = "SLEAP's analysis files and DeepLabCut's tables are read; a case is made with `gyrotrack sync`."
+_FOREIGN = "Analysis files of SLEAP, tables of DeepLabCut, poses of movement, and cases are read."
 
 
-def read_point_file(path: Path, sha256: str) -> Points:
-    """Read points from an HDF5 file that another program wrote.
+def read_hdf5(path: Path, sha256: str, body: str = "") -> Points | RawTable:
+    """Read points from an HDF5 file that another program wrote, or a body of a case or an exported netCDF.
 
     Raises
     ------
@@ -103,7 +104,11 @@ def read_point_file(path: Path, sha256: str) -> Points:
     """
     try:
         with h5py.File(path, "r", locking=False) as file:
-            guarded(file)
+            check_tree(file)
+            if str(file.attrs.get("format", "")) == "gyrotrack":
+                return _own(path, sha256, file, body)
+            if "position" in file and "keypoints" in file:
+                return _movement(path, sha256, file)
             if {"tracks", "node_names"} <= set(file.keys()):
                 return _sleap(path, sha256, file)
             table = file.get("df_with_missing/table")
@@ -115,6 +120,59 @@ def read_point_file(path: Path, sha256: str) -> Points:
     except (OSError, RuntimeError, KeyError, ValueError, TypeError, IndexError) as error:
         raise DatasetError(f"{path} cannot be read as points: {str(error)[:100]}.", _FOREIGN) from error
     raise DatasetError(f"{path} is an HDF5 file, but holds no points of a kind that is known.", _FOREIGN)
+
+
+def _own(path: Path, sha256: str, file: Any, body: str) -> RawTable:
+    """Return a body of a case, as `sync`, `import` or `export` (netCDF) write it."""
+    name = body or "casing"
+    if name not in file or "time" not in file[name]:
+        raise DatasetError(
+            f"{path} has no series '{name}'.", "Give a case; recordings go through `gyrotrack sync`."
+        )
+    group = file[name]
+    wanted = {"time": "t", "angle": "angle", "sigma": "sigma"}
+    if str(file.attrs.get("quantity", "angle")) == "omega":
+        wanted = {"time": "t", "omega": "omega", "omega_sigma": "sigma"}
+    for column in wanted:
+        check_storage(group[column])
+    return table_of(path, sha256, list(wanted.values()), [load(group[column]) for column in wanted])
+
+
+def _movement(path: Path, sha256: str, file: Any) -> Points:
+    """Return the keypoints in a netCDF of `movement`: position (time, space, keypoints, individuals)."""
+    position, names, times = file["position"], file["keypoints"], file["time"]
+    for dataset in (position, times):
+        check_storage(dataset)
+    if position.ndim == 3:
+        values = load(position)[..., None]
+    elif position.ndim == 4:
+        values = load(position)
+    else:
+        raise DatasetError(
+            f"{path}: 'position' has the shape {position.shape}, not (time, 2, keypoints).", _FOREIGN
+        )
+    if values.shape[3] != 1 or values.shape[1] < 2 or values.shape[2] != names.shape[0]:
+        raise DatasetError(f"{path} holds {values.shape[3]} tracked individuals.", "Export one individual.")
+    points = [n.decode("utf-8", "replace") if isinstance(n, bytes) else str(n) for n in names[()].tolist()]
+    sure = {}
+    if "confidence" in file and file["confidence"].shape[:2] == (values.shape[0], len(points)):
+        check_storage(file["confidence"])
+        confidence = np.asarray(load(file["confidence"]), dtype=float).reshape(
+            values.shape[0], len(points), -1
+        )[..., 0]
+        sure = dict(zip(points, confidence.T, strict=True))
+    unit = file.attrs.get("time_unit", times.attrs.get("units", "frames"))
+    unit = unit.decode() if isinstance(unit, bytes) else str(unit)
+    places = {name: np.asarray(values[:, :2, i, 0], dtype=float) for i, name in enumerate(points)}
+    return Points(
+        path,
+        sha256,
+        np.asarray(load(times), dtype=float),
+        places,
+        sure,
+        y_down=True,
+        counted=not unit.startswith("s"),
+    )
 
 
 def _sleap(path: Path, sha256: str, file: Any) -> Points:

@@ -11,12 +11,8 @@ import numpy as np
 from gyrotrack._errors import DatasetError
 from gyrotrack.io._records import Floats
 from gyrotrack.io.readers._points import Points
-from gyrotrack.io.readers._text import delimiter_of, is_number, split
-
-Lines = Sequence[tuple[int, str]]
-
-_TIMES = {"t", "time", "t [s]", "t (s)", "zeit"}
-_FRAMES = {"frame", "frame_idx", "step"}
+from gyrotrack.io.readers._raw_table import Lines, delimiter_of, is_number, number_of, split
+from gyrotrack.io.readers._units import factor, header_of, role_of
 
 
 def read_point_table(path: Path, sha256: str, lines: Lines) -> Points | None:
@@ -48,7 +44,8 @@ def _tracker(path: Path, sha256: str, lines: Lines) -> Points | None:
     else:
         return None
     titles = split(lines[above - 1][1], delimiter) if above else []
-    time = [i for i, n in enumerate(names) if n in _TIMES] or [i for i, n in enumerate(names) if n in _FRAMES]
+    roles = [role_of(header_of(n)[0]) for n in names]
+    time = [i for i, r in enumerate(roles) if r == "t"] or [i for i, r in enumerate(roles) if r == "frame"]
     if not time:
         raise DatasetError(
             f"{path}, line {lines[above][0]}: there is no column for the time.",
@@ -59,12 +56,16 @@ def _tracker(path: Path, sha256: str, lines: Lines) -> Points | None:
         path, lines[above + 1 :], delimiter, len(names), sorted({time[0], *sum(columns.values(), ())})
     )
     places = {name: np.stack([table[x], table[y]], axis=1) for name, (x, y) in columns.items()}
-    return Points(path, sha256, table[time[0]], places, {}, y_down=False, counted=names[time[0]] in _FRAMES)
+    return Points(path, sha256, table[time[0]], places, {}, y_down=False, counted=roles[time[0]] == "frame")
 
 
 def _axis(name: str) -> tuple[str, str]:
     """Split ``x``, ``x_{mass A}``, ``x_A``, ``A_x``, ``A.x`` or ``x (m)`` into axis and track."""
     bare = re.sub(r"\s*[\[(][^\])]*[\])]$", "", name.strip())
+    unit = header_of(name)[1]
+    if "/" in unit or factor("", unit) is not None:  # an axis of a sensor, not a place
+        return "", ""
+    bare = re.sub(r"_(px|m|cm|mm)$", "", bare)
     found = re.fullmatch(r"([xyXY])(?:[_ ]\{?(.+?)\}?)?|(.+?)[_. ]([xyXY])", bare)
     if found is None:
         return "", ""
@@ -164,11 +165,13 @@ def _grouped(path: Path, sha256: str, frame: Floats, columns: list[tuple[str, st
 def _numbers(
     path: Path, lines: Lines, delimiter: str | None, width: int, wanted: Sequence[int] | range
 ) -> dict[int, Floats]:
-    rows = []
+    rows: list[list[float]] = []
     for number, line in lines:
         cells = split(line, delimiter)
         if delimiter is not None and len(cells) == width + 1 and not cells[-1]:
             cells = cells[:-1]
+        if number == lines[-1][0] and len(cells) < width and len(rows) > 1:
+            break  # the last row is cut short
         if len(cells) > width or (len(cells) < width and delimiter is None):
             raise DatasetError(f"{path}, line {number}: {len(cells)} cells where the header has {width}.")
         cells += [""] * (width - len(cells))
@@ -178,12 +181,10 @@ def _numbers(
 
 
 def _number(path: Path, line: int, cell: str, *, decimal: bool) -> float:
-    text = cell.replace(",", ".") if decimal else cell
-    if text.casefold() in {"", "nan", "na", "-", "none"}:
-        return float("nan")
-    if not is_number(text):
+    value = number_of(cell, decimal_comma=decimal)
+    if value is None:
         raise DatasetError(
             f"{path}, line {line}: '{cell[:30]}' is not a number.",
             "Leave the cell empty where a value is missing.",
         )
-    return float(text)
+    return value

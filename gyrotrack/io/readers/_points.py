@@ -1,4 +1,4 @@
-"""Points followed by another program, and the angle of one about another."""
+"""Points tracked by another program, and the angle of one about another."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 
 from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack.io._records import Floats
+from gyrotrack.io.readers._motion_table import FEWEST, ReadOptions, frame_rate
 
 CENTRES = ("centre", "center", "axis", "axle", "hub", "origin", "middle", "pivot")
 ORBIT = "orbit"
-FEWEST = 8
 
 
 @dataclass(frozen=True)
@@ -27,9 +27,9 @@ class Points:
     time : ndarray, shape (n,)
         Times [s], or numbers of frames where `counted`.
     places : dict of ndarray, shape (n, 2)
-        x and y of each point; NaN where it was not seen.
+        x and y of each point; NaN where it was not tracked.
     likelihood : dict of ndarray, shape (n,)
-        How sure the other program was, 0 to 1; empty if it does not say.
+        Likelihood given by the other program, 0 to 1; empty if absent.
     y_down : bool
         Whether y grows downwards, as in pictures.
     counted : bool
@@ -46,93 +46,65 @@ class Points:
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """How points become an angle.
-
-    Attributes
-    ----------
-    marker, centre : str or None
-        Names of points; the centre may also be a place, "12.5,40", or "orbit": the middle of the marker's path.
-    fps : float or None
-        Frames a second, where a file counts frames.
-    start : float
-        Time of the first frame [s], added to all times.
-    likelihood : float
-        Points that are less sure than this are left out.
-    """
-
-    marker: str | None = None
-    centre: str | None = None
-    fps: float | None = None
-    start: float = 0.0
-    likelihood: float = 0.6
-
-
-@dataclass(frozen=True)
-class Turning:
-    """A point's angle [rad] about a centre, counter-clockwise as seen, wrapped; NaN where it is not known."""
+class PointAngle:
+    """A point's angle [rad] about a centre, counter-clockwise as seen, wrapped; NaN where not known."""
 
     time: Floats
     angle: Floats
     notes: tuple[str, ...]
 
 
-def angle_of(points: Points, wanted: Wanted) -> Turning:
+def angle_of(points: Points, options: ReadOptions) -> PointAngle:
     """Return the angle of the marker about the centre: atan2(y - y0, x - x0), with y upwards.
 
     Raises
     ------
     UsageError
-        The marker or the rate is not known, or a name is none of the points.
+        The marker or the frame rate is not given, or a name is unknown.
     DatasetError
-        The marker does not go about the centre, or is hardly ever seen.
+        The marker comes too close to the centre, or is tracked in too few frames.
     """
     time = points.time.astype(float)
     if points.counted:
-        if not (wanted.fps and wanted.fps > 0):
-            raise UsageError(
-                f"{points.path} counts frames and does not say at what rate they were captured.",
-                "Give the rate with --casing-fps or --rotor-fps.",
-            )
-        time = time / wanted.fps
-    named_centre = _centre_name(points, wanted)
-    name = _marker_name(points, wanted, named_centre)
-    place = np.where(_sure(points, name, wanted), points.places[name].T, np.nan).T
-    centre, where = _centre(points, wanted, named_centre, place)
+        time = time / frame_rate(points.path, options)
+    named_centre = _centre_name(points, options)
+    name = _marker_name(points, options, named_centre)
+    place = np.where(_sure(points, name, options), points.places[name].T, np.nan).T
+    centre, where = _centre(points, options, named_centre, place)
     arm = place - centre
     seen = np.isfinite(arm).all(axis=1)
     if seen.sum() < FEWEST:
         raise DatasetError(
-            f"{points.path}: '{name[:40]}' is seen in {seen.sum()} frames; at least {FEWEST} are needed.",
-            "Check the name of the point and the likelihood asked for.",
+            f"{points.path}: '{name[:40]}' is tracked in {seen.sum()} frames; at least {FEWEST} are needed.",
+            "Check the name of the point and --likelihood.",
         )
     length = np.hypot(*arm.T)
     if np.nanmin(length) < 0.2 * np.nanmedian(length):
         raise DatasetError(
-            f"{points.path}: '{name[:40]}' does not stay away from {where}, so that its angle means nothing.",
+            f"{points.path}: '{name[:40]}' comes too close to {where}: its angle is undefined.",
             "Name the centre with --centre, as a point or as a place: --centre 320,240.",
         )
     up = -arm[:, 1] if points.y_down else arm[:, 1]
     notes = (f"{points.path.name}: angle of '{name}' about {where}",)
-    return Turning(time + wanted.start, np.arctan2(up, arm[:, 0]), notes)
+    return PointAngle(time + options.start, np.arctan2(up, arm[:, 0]), notes)
 
 
-def _centre_name(points: Points, wanted: Wanted) -> str | None:
-    if wanted.centre is None:
+def _centre_name(points: Points, options: ReadOptions) -> str | None:
+    if options.centre is None:
         return next((n for n in points.places if n.casefold() in CENTRES), None)
-    if wanted.centre == ORBIT or _as_place(wanted.centre) is not None:
+    if options.centre == ORBIT or _as_place(options.centre) is not None:
         return None
-    return _known(points, wanted.centre)
+    return _known(points, options.centre)
 
 
-def _marker_name(points: Points, wanted: Wanted, centre: str | None) -> str:
-    if wanted.marker is not None:
-        return _known(points, wanted.marker)
+def _marker_name(points: Points, options: ReadOptions, centre: str | None) -> str:
+    if options.marker is not None:
+        return _known(points, options.marker)
+    if options.body in points.places:
+        return options.body
     others = [n for n in points.places if n != centre]
     if len(others) != 1:
-        raise UsageError(
-            f"{points.path} holds the points {_list(others)}.", "Say which one to follow with --marker."
-        )
+        raise UsageError(f"{points.path} holds the points {_list(others)}.", "Choose one with --marker.")
     return others[0]
 
 
@@ -144,20 +116,20 @@ def _known(points: Points, name: str) -> str:
     return name
 
 
-def _sure(points: Points, name: str, wanted: Wanted) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+def _sure(points: Points, name: str, options: ReadOptions) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
     if name not in points.likelihood:
         return np.ones(len(points.time), dtype=bool)
-    return np.asarray(points.likelihood[name] >= wanted.likelihood)
+    return np.asarray(points.likelihood[name] >= options.likelihood)
 
 
-def _centre(points: Points, wanted: Wanted, name: str | None, place: Floats) -> tuple[Floats, str]:
+def _centre(points: Points, options: ReadOptions, name: str | None, place: Floats) -> tuple[Floats, str]:
     if name is not None:
-        return np.where(_sure(points, name, wanted), points.places[name].T, np.nan).T, f"'{name}'"
-    fixed = _as_place(wanted.centre or "")
+        return np.where(_sure(points, name, options), points.places[name].T, np.nan).T, f"'{name}'"
+    fixed = _as_place(options.centre or "")
     if fixed is not None:
         return fixed, f"({fixed[0]:g}, {fixed[1]:g})"
     found = circle_centre(place)
-    return found, f"the middle of its path, ({found[0]:.4g}, {found[1]:.4g})"
+    return found, f"the centre of its path, ({found[0]:.4g}, {found[1]:.4g})"
 
 
 def circle_centre(place: Floats) -> Floats:

@@ -1,9 +1,11 @@
 """What was added in vain is taken back, all of it, and what is common to all cases stays so."""
 
+import pytest
 import twobody
 from swings import APART, records, unbalance
 
-from fitting.discovery._select import Rung, _backward
+from fitting.discovery._criteria import Criteria
+from fitting.discovery._select import Step, _backward
 from fitting.dynamics._model import Model
 from fitting.effects._library import REDUCED
 from fitting.inference._fit import fit
@@ -12,12 +14,13 @@ from fitting.inference._record import make_record
 DRAG = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -4e-10 * abs(wc) * wc)
 
 
+@pytest.mark.slow
 def test_all_that_stood_in_for_the_newest_is_dropped():
     record = make_record(**twobody.film(twobody.simulate(hidden=DRAG, ou=5e-8, seed=3), 3))
     base = fit(Model.of(REDUCED), [record])
     vain = ("touchpoint.drift", "bearing.drift")
     full = fit(Model.of((*REDUCED, *vain, "casing.air.quadratic")), [record])
-    rung = _backward([Rung("", base, ()), Rung("+casing.air.quadratic", full, ())])
+    rung = _backward([Step("", base, ()), Step("+casing.air.quadratic", full, ())], Criteria())
     assert set(rung.fit.model.names) == {*REDUCED, "casing.air.quadratic"}
     assert all(f"-{name}" in rung.change for name in vain)
 
@@ -27,6 +30,6 @@ def test_phases_of_their_own_stay_when_another_effect_is_dropped():
     base = fit(Model.of(REDUCED), data)
     own = ["casing.unbalance.k", "casing.unbalance.phi"]
     full = fit(Model.of((*REDUCED, "bearing.drift", "casing.unbalance")), data, per_case=own)
-    rung = _backward([Rung("", base, ()), Rung("+casing.unbalance", full, ())])
+    rung = _backward([Step("", base, ()), Step("+casing.unbalance", full, ())], Criteria())
     assert rung.change == "+casing.unbalance -bearing.drift"
     assert "casing.unbalance.phi@case2" in rung.fit.estimates

@@ -6,8 +6,7 @@ from functools import cache
 import pytest
 import twobody
 
-from fitting.discovery._rank import rank
-from fitting.discovery._select import best
+from fitting.discovery._select import best, rank
 from fitting.dynamics._model import Model
 from fitting.effects._library import LIBRARY, REDUCED
 from fitting.inference._case_data import CaseData
@@ -30,6 +29,7 @@ def named(tracked, effect, delta_bic):
     return best([candidate]) is not None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", ["casing.precession", "casing.unbalance"])
 def test_what_swings_needs_very_strong_evidence_on_film(effect):
     assert not named(True, effect, -5.0)

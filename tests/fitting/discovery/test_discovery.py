@@ -81,7 +81,7 @@ def test_nothing_hidden_nothing_found(ou, centre):
     assert found.failures == ()
     assert not any(c.significant and c.physical for c in found.candidates)
     assert "adequate" in found.sentence
-    assert ("camera.centre" in found.sentence) == (centre > 0)
+    assert ("Camera centre offset" in found.sentence) == (centre > 0)
 
 
 def test_a_centre_offset_is_measured_though_every_fit_takes_it_out():

@@ -5,8 +5,7 @@ import math
 import pytest
 from swings import ALIKE, APART, RATE, STRENGTH, precession, records, unbalance
 
-from fitting.discovery._rank import rank
-from fitting.discovery._select import found_starts
+from fitting.discovery._select import found_starts, rank
 from fitting.discovery._verdict import diagnose
 from fitting.dynamics._model import Model
 from fitting.effects._library import LIBRARY, REDUCED
@@ -17,6 +16,7 @@ def off(estimate, phi):
     return math.remainder(estimate.value - phi, 2 * math.pi) / estimate.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "law"),
     [("casing.unbalance", unbalance), pytest.param("casing.precession", precession, marks=pytest.mark.slow)],
@@ -26,7 +26,7 @@ def test_each_recording_has_its_own_phase(name, law):
     assert answer.verdict == "missing_effect"
     best = answer.candidates[0]
     assert best.effect.name == name
-    assert best.apart
+    assert best.own_phase
     assert "Each case has a strength and a phase of its own" in answer.sentence
     for i, phi in enumerate(APART, 1):
         k = best.estimates[f"{name}.k@case{i}"]
@@ -38,7 +38,7 @@ def test_each_recording_has_its_own_phase(name, law):
 def test_one_phase_is_told_as_one():
     (best, *_) = (c for c in rank(fit(Model.of(REDUCED), records(unbalance, ALIKE))) if c.fit is not None)
     assert best.effect.name == "casing.unbalance"
-    assert not best.apart
+    assert not best.own_phase
     k, phi = (best.estimates[f"casing.unbalance.{s}"] for s in ("k", "phi"))
     assert k.value == pytest.approx(STRENGTH, abs=4 * k.stderr)
     assert abs(off(phi, ALIKE[0])) < 4

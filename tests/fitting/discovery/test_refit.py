@@ -3,9 +3,9 @@
 import pytest
 import twobody
 
+from fitting.discovery._criteria import Criteria
 from fitting.discovery._refine import refit, together
-from fitting.discovery._score import CaseColumns
-from fitting.discovery._screen import screen
+from fitting.discovery._score import CaseColumns, score
 from fitting.dynamics._model import Model
 from fitting.effects._library import LIBRARY, REDUCED
 from fitting.inference._case_data import CaseData
@@ -28,11 +28,11 @@ def base():
 
 def test_a_refit_that_falls_short_of_its_promise_is_begun_in_another_way(base):
     assert base.verdict == "misfit"
-    (score,) = screen(base, [LIBRARY["bearing.linear"]], [CaseColumns(base, 0)])
-    plain = together(base, score)
-    assert base.deviance - plain.deviance < 0.1 * score.score
-    found = refit(base, score)
-    assert base.deviance - found.deviance > score.score
+    (scored,) = score(base, [LIBRARY["bearing.linear"]], [CaseColumns(base, 0)], Criteria())
+    plain = together(base, scored)
+    assert base.deviance - plain.deviance < 0.1 * scored.score
+    found = refit(base, scored, Criteria())
+    assert base.deviance - found.deviance > scored.score
     assert found.verdict == "adequate"
     estimate = found.estimates["bearing.linear.d"]
     assert abs(estimate.value - PAR["d"]) < 4 * estimate.stderr

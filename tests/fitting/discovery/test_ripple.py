@@ -37,7 +37,7 @@ def test_gravity_on_an_unbalance(order):
     assert ripple.torque.max() == pytest.approx(once, rel=0.3)
     (failure,) = [f for f in find_failures(found, (), [ripple]) if f.kind == "ripple"]
     assert failure.where == "once a turn"
-    assert "once a turn the casing feels a torque" in str(failure)
+    assert "unmodelled torque on the casing once a turn" in str(failure)
 
 
 @pytest.mark.parametrize(("centre", "width"), [(10, 3), (12, 1), (30, 3)])  # rad/s

@@ -7,7 +7,7 @@ import pytest
 from fitting._errors import EffectError, ExpressionError
 from fitting.effects._dimension import parse_unit
 from fitting.effects._library import find
-from fitting.effects._user import read_effects, resolve
+from fitting.effects._user import formula, read_effects, resolve
 
 
 def parts(effect):
@@ -258,3 +258,35 @@ def test_a_moment_that_was_told_is_believed(tmp_path):
     (t0,) = (p for p in step.parameters if p.symbol == "t0")
     assert step.breakpoint == "t0"
     assert (t0.start, t0.relative) == (61.0, False)
+
+
+@pytest.mark.parametrize(
+    ("text", "meant"),
+    [
+        ("casing: -k*omga_c", "omega_c"),
+        ("casing: -k*omegac**2", "omega_c"),
+        ("rotor: -k*Omega_r", "omega_r"),
+        ("bearing: k*deltta", "delta"),
+        ("casing: k*sin(psi_x - phi)", "psi_c"),
+        ("casing: -k*speed", "omega_c"),
+        ("bearing: k*slip**n", "delta"),
+    ],
+)
+def test_misspelt_variables_are_refused(text, meant):
+    with pytest.raises(EffectError, match=f"did you mean {meant}"):
+        resolve(text)
+
+
+@pytest.mark.parametrize(
+    "text", ["casing: k", "casing: -k*exp(-t/tau0)", "casing: -k*omega_c*exp(-omega_c/w1)", "bearing: k*t"]
+)
+def test_parameters_are_no_misspelt_variables(text):
+    assert resolve(text).amplitude.symbol == "k"
+
+
+def test_a_declared_parameter_may_look_like_a_variable():
+    law = "-k*omega_c*exp(-omega_c/omega_0)"
+    with pytest.raises(EffectError, match="did you mean omega_"):
+        formula("x", "casing", law, {})
+    keys = {"omega_0": {"unit": "s-1", "start": 50.0}}
+    assert [p.symbol for p in formula("x", "casing", law, keys).parameters] == ["k", "omega_0"]

@@ -5,12 +5,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from fitting._errors import EstimationError, RecordError
-from fitting.discovery._lack_of_fit import objection
+from fitting.discovery._lack_of_fit import smooth_test
 from fitting.discovery._select import improve
 from fitting.discovery._verdict import diagnose
 from fitting.dynamics._model import Model
 from fitting.effects._library import REDUCED
-from fitting.effects._user import resolve
+from fitting.effects._user import formula, resolve
 from fitting.inference._fit import fit
 from fitting.inference._record import make_record
 
@@ -91,16 +91,27 @@ def test_what_is_missing_is_found():
 
 def test_what_a_wrong_law_leaves_follows_the_speed_of_the_body():
     cubic = fit(BASE.with_effect(resolve("casing: -k*omega_c**3")), [wheel(SQUARE)])
-    assert objection(cubic).body == "body"
-    assert objection(cubic).p_value < 1e-3
+    assert smooth_test(cubic).body == "body"
+    assert smooth_test(cubic).p_value < 1e-3
     right = fit(BASE.with_effect(resolve("casing: -k*omega_c*abs(omega_c)")), [wheel(SQUARE)])
-    assert objection(right).p_value > 1e-3
+    assert smooth_test(right).p_value > 1e-3
 
 
 def test_a_law_of_ones_own():
     found = fit(BASE.with_effect(resolve("casing: -k*omega_c*abs(omega_c)")), [wheel(SQUARE)])
     (name,) = [n for n in found.estimates if n.endswith(".k")]
     assert abs(pull(found, name, SQUARE)) < 4
+
+
+def test_a_degenerate_law_is_never_adequate():
+    """Only the product of k and w1 enters: the fit is good, and neither is determined."""
+    law = formula("own", "casing", "-k*w1*omega_c", {"w1": {"unit": "1", "start": 1.0}})
+    found = fit(Model.of(["touchpoint.constant"]).with_effect(law), [wheel()])
+    assert found.undetermined == ["own.k", "own.w1"]
+    assert found.verdict == "not determined"
+    whole = fit(BASE, [wheel()])
+    assert whole.undetermined == []
+    assert whole.verdict == "adequate"
 
 
 def test_what_needs_a_rotor_is_refused():

@@ -6,7 +6,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from fitting.discovery._select import Ladder, improve
+from fitting.discovery._select import History, improve
 from fitting.discovery._verdict import diagnose
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
 from fitting.effects._library import REDUCED
@@ -55,7 +55,7 @@ class _Seen(HTMLParser):
 
 def test_notebooks_show_tables_with_names_as_text(story):
     base, diagnosis, ladder, _ = story
-    assert isinstance(ladder, Ladder)
+    assert isinstance(ladder, History)
     for thing, words in (
         (base, ("significant lack of fit", "bearing.power.g", HOSTILE, "N\u00a0m\u00a0s²", "±")),
         (diagnosis, ("an effect is missing", "casing.air.quadratic", HOSTILE, "significant lack of fit")),

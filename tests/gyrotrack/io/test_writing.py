@@ -9,9 +9,15 @@ from pathlib import Path
 
 import pytest
 
+from fitting._errors import LedgerError, RecordError
+from fitting.inference._case_file import read_record
+from fitting.study._history import Ledger
 from gyrotrack._errors import DatasetError, OutputError
-from gyrotrack.io._atomic import new_file, new_hdf5
+from gyrotrack.io._atomic import locked, new_file, remove_temporaries
+from gyrotrack.io._checkpoint import CheckpointFile
 from gyrotrack.io._hdf5 import read_recording, write_recording
+from gyrotrack.io._write_buffer import new_hdf5
+from gyrotrack.io.readers._import_case import import_body
 
 
 def names(folder):
@@ -73,7 +79,7 @@ def test_two_writers_of_one_file_do_not_mix(tmp_path):
     path = tmp_path / "a"
     with new_file(path) as stream:
         stream.write(b"first")
-        with pytest.raises(OutputError, match="another process"):
+        with pytest.raises(OutputError, match="another program"):
             write(path)
     assert path.read_bytes() == b"first"
     assert names(tmp_path) == ["a"]
@@ -87,12 +93,86 @@ def test_a_file_made_meanwhile_is_not_overwritten(tmp_path):
     assert names(tmp_path) == ["a"]
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_full_disk_is_one_sentence(tmp_path, monkeypatch):
-    with Path("/dev/full").open("wb", buffering=0) as full:
-        monkeypatch.setattr("gyrotrack.io._atomic._open_part", lambda part: full)
-        with pytest.raises(OutputError, match="disk is full"):
-            write(tmp_path / "a", b"x" * 100_000)
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs file size limits and named pipes")
+@pytest.mark.parametrize("old", [b"old", None])
+def test_a_file_size_limit_leaves_the_old_file_and_nothing_else(tmp_path, old):
+    path = tmp_path / "a"
+    if old is not None:
+        path.write_bytes(old)
+    code = f"""
+import resource
+from pathlib import Path
+resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+from gyrotrack._errors import OutputError
+from fitting._errors import LedgerError, RecordError
+from fitting.inference._case_file import read_record
+from fitting.study._history import Ledger
+from gyrotrack.io._atomic import locked, new_file, remove_temporaries
+from gyrotrack.io._checkpoint import CheckpointFile
+from gyrotrack.io.readers._import_case import import_body
+try:
+    with new_file(Path({str(path)!r}), force=True) as stream:
+        stream.write(bytes(5000))
+except OutputError as error:
+    print(error)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == f"{path} cannot be written: the file size limit is reached.\n"
+    assert names(tmp_path) == (["a"] if old is not None else [])
+    assert old is None or path.read_bytes() == old
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+@pytest.mark.parametrize("name", ["a", "a.part"])
+def test_a_pipe_in_place_of_an_output_is_refused(tmp_path, name):
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(OutputError, match="is a named pipe, not a regular file"):
+        write(tmp_path / "a", force=True)
+    assert names(tmp_path) == [name]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+def test_a_pipe_in_place_of_an_input_ledger_or_checkpoint_is_refused(tmp_path, capsys):
+    os.mkfifo(tmp_path / "p")
+    os.mkfifo(tmp_path / "p.unfinished")
+    with pytest.raises(DatasetError, match="named pipe"):
+        read_recording(tmp_path / "p")
+    with pytest.raises(DatasetError, match="named pipe"):
+        import_body(tmp_path / "p", 1e-3)
+    with pytest.raises(OutputError, match="named pipe"):
+        CheckpointFile(tmp_path / "p", {})
+    with pytest.raises(LedgerError, match="regular file"):
+        Ledger(tmp_path / "p")
+    with pytest.raises(RecordError, match="regular file"):
+        read_record(tmp_path / "p")
+
+
+def write_and_be_ended(path):
+    with new_file(path) as stream:
+        stream.write(b"half")
+        remove_temporaries()
+        assert names(path.parent) == []
+
+
+def test_temporaries_in_flight_are_removed_on_request(tmp_path):
+    with pytest.raises(OutputError):
+        write_and_be_ended(tmp_path / "a")
+    assert names(tmp_path) == []
+
+
+def test_a_locked_file_is_one_sentence_after_the_time_limit(tmp_path, monkeypatch):
+    monkeypatch.setattr("gyrotrack.io._atomic.LOCK_TIMEOUT", 0.1)
+    with locked(tmp_path / "a"):
+        with (
+            pytest.raises(OutputError, match=r"is locked by another program; waited 0\.1 s"),
+            locked(tmp_path / "a"),
+        ):
+            pass
+        with locked(tmp_path / "b"):
+            pass
+    with locked(tmp_path / "a"):
+        pass
+    assert names(tmp_path) == []
 
 
 @pytest.mark.skipif(

@@ -14,6 +14,8 @@ from gyrotrack.synchronisation._assembly import synchronise
 
 NAMES = ["casing.h5", "a.h5", "b.h5", "c.h5"]
 
+INERTIAS = ["--inertia-rotor", "5.54e-5", "--inertia-casing", "2.06e-5"]
+
 
 @pytest.fixture
 def recordings(make_recordings):
@@ -107,7 +109,7 @@ class TestCommand:
         return tmp_path
 
     def test_json(self, files, capsys):
-        assert app.run(["sync", "casing.h5", "a.h5", "b.h5", "-o", "case.h5", "--json"]) == 0
+        assert app.run(["sync", "casing.h5", "a.h5", "b.h5", "-o", "case.h5", "--json", *INERTIAS]) == 0
         said = json.loads(capsys.readouterr().out)
         assert said["output"] == "case.h5"
         assert [clip["source"] for clip in said["clips"]] == ["a.h5", "b.h5"]
@@ -125,13 +127,13 @@ class TestCommand:
         assert read_record(files / "case.h5").start_sigma == (told["b.h5"], told["a.h5"])
 
     def test_table(self, files, capsys):
-        assert app.run(["sync", "casing.h5", "b.h5", "-o", "case.h5"]) == 0
+        assert app.run(["sync", "casing.h5", "b.h5", "-o", "case.h5", *INERTIAS]) == 0
         said = capsys.readouterr()
         assert "b.h5" in said.out
         assert max(map(len, said.out.splitlines())) <= 80
 
     def test_a_case_is_not_a_recording(self, files, capsys):
-        app.run(["sync", "casing.h5", "b.h5", "-o", "case.h5"])
-        assert app.run(["sync", "case.h5", "b.h5", "-o", "again.h5"]) == 1
+        app.run(["sync", "casing.h5", "b.h5", "-o", "case.h5", *INERTIAS])
+        assert app.run(["sync", "case.h5", "b.h5", "-o", "again.h5", *INERTIAS]) == 1
         assert "is a case, not a recording" in capsys.readouterr().err
         assert not (files / "again.h5").exists()

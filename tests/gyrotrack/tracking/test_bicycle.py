@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrotrack.io._records import STATUS
+from gyrotrack.io._schema import STATUS
 from gyrotrack.tracking._extract import extract
 from gyrotrack.tracking._profile import load
 

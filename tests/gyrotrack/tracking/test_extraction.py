@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gyrotrack._errors import TrackingError, UsageError, VideoError
-from gyrotrack.io._records import STATUS
+from gyrotrack.io._schema import STATUS
 from gyrotrack.tracking._extract import extract
 from gyrotrack.tracking._profile import parse
 

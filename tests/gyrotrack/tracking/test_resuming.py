@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from gyrotrack.apps.cli._app import run
-from gyrotrack.io._journal import Journal, journal_path
+from gyrotrack.io._checkpoint import CheckpointFile, checkpoint_path
 from gyrotrack.tracking._extract import extract, run_facts
 from gyrotrack.tracking._film_tracker import frames_done
 from gyrotrack.tracking._profile import PAPER
@@ -49,9 +49,9 @@ def test_a_stopped_run_ends_with_the_same_numbers(every_batch, clip, at, request
     film, _ = request.getfixturevalue(clip)
     whole = extract(film)
     facts = run_facts(film, PAPER, None)
-    with pytest.raises(KeyboardInterrupt), Journal(tmp_path / "o.h5", facts) as journal:
+    with pytest.raises(KeyboardInterrupt), CheckpointFile(tmp_path / "o.h5", facts) as journal:
         extract(film, progress=stopping(at), journal=journal)
-    with Journal(tmp_path / "o.h5", facts, resume=True) as journal:
+    with CheckpointFile(tmp_path / "o.h5", facts, resume=True) as journal:
         assert frames_done(journal) == at
         done = []
         again = extract(film, progress=lambda n, _: done.append(n), journal=journal)
@@ -72,9 +72,9 @@ def test_the_command_goes_on_and_knows_when_it_is_done(every_batch, casing_clip,
     whole = content(target)
     target.unlink()
     facts = run_facts(casing_clip[0], PAPER, None)
-    with pytest.raises(KeyboardInterrupt), Journal(target, facts) as journal:
+    with pytest.raises(KeyboardInterrupt), CheckpointFile(target, facts) as journal:
         extract(casing_clip[0], progress=stopping(128), journal=journal)
-    assert journal_path(target).exists()
+    assert checkpoint_path(target).exists()
     capsys.readouterr()
     assert run(["extract", film, "-o", str(target), "--resume"]) == 0
     assert "after frame 127" in capsys.readouterr().err
@@ -89,9 +89,9 @@ def test_the_command_goes_on_and_knows_when_it_is_done(every_batch, casing_clip,
 
 def test_a_journal_that_does_not_fit_the_film_is_started_anew(every_batch, casing_clip, rotor_clip, tmp_path):
     output = tmp_path / "o.h5"
-    with pytest.raises(KeyboardInterrupt), Journal(output, {"film": "x"}) as journal:
+    with pytest.raises(KeyboardInterrupt), CheckpointFile(output, {"film": "x"}) as journal:
         extract(casing_clip[0], progress=stopping(128), journal=journal)
-    with Journal(
+    with CheckpointFile(
         output, {"film": "x"}, resume=True
     ) as journal:  # as if the film had been changed behind our back
         again = extract(rotor_clip[0], journal=journal)
@@ -161,9 +161,9 @@ def test_killed_at_random_moments_it_ends_with_the_same_numbers(long_film, tmp_p
                 except subprocess.TimeoutExpired:
                     process.send_signal(signal.SIGKILL)
             kills += 1
-            kept += journal_path(target).exists()
+            kept += checkpoint_path(target).exists()
         assert content(target) == whole
-        assert not journal_path(target).exists()
+        assert not checkpoint_path(target).exists()
     assert kept > 2
 
 

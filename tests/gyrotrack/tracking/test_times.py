@@ -6,8 +6,8 @@ import av
 import numpy as np
 import pytest
 
-from gyrotrack.io._journal import Journal
-from gyrotrack.io._records import STATUS
+from gyrotrack.io._checkpoint import CheckpointFile
+from gyrotrack.io._schema import STATUS
 from gyrotrack.synthetic._film import to_planes
 from gyrotrack.synthetic._motion import Motion
 from gyrotrack.synthetic._render import Renderer
@@ -235,9 +235,9 @@ class TestRepeatedFrames:
                 raise KeyboardInterrupt
 
         facts = run_facts(film, PAPER, None)
-        with pytest.raises(KeyboardInterrupt), Journal(tmp_path / "o.h5", facts) as journal:
+        with pytest.raises(KeyboardInterrupt), CheckpointFile(tmp_path / "o.h5", facts) as journal:
             extract(film, progress=stopping, journal=journal)
-        with Journal(tmp_path / "o.h5", facts, resume=True) as journal:
+        with CheckpointFile(tmp_path / "o.h5", facts, resume=True) as journal:
             again = extract(film, journal=journal)
         assert again.warnings == whole.warnings
         for name, body in whole.bodies.items():

@@ -71,9 +71,9 @@ def test_toml(write, tmp_path):
         Clip(tmp_path / "pvc1/r1.mp4", "rotor", 1000),
         Clip(Path("/films/r1.mp4"), "rotor", 1000),
     )
-    assert (pvc.label, pvc.folder, pvc.surface, pvc.inertia_rotor) == ("pvc 1", "pvc_1", "PVC", 5e-5)
+    assert (pvc.label, pvc.folder, pvc.surface, pvc.inertia_rotor) == ("pvc 1", "pvc_1", "PVC", "5e-05")
     assert (old.label, old.data) == ("case7", tmp_path / "old/case7.h5")
-    assert (noted.label, noted.inertia_rotor, noted.inertia_casing) == ("noted", 7e-5, 2e-6)
+    assert (noted.label, noted.inertia_rotor, noted.inertia_casing) == ("noted", "7e-05", "2e-06")
     assert [c.body for c in noted.clips] == ["casing", "rotor"]
     assert wheel.alone
     assert wheel.clips[0] == Clip(tmp_path / "wheel.mp4", "", 300, tmp_path / "wheel.toml")

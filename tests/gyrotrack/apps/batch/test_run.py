@@ -258,8 +258,9 @@ def test_a_folder_with_other_things_is_refused(lab):
         lab()
 
 
-def test_one_batch_at_a_time(lab):
-    with held(lab.results), pytest.raises(OutputError, match="another process"):
+def test_one_batch_at_a_time(lab, monkeypatch):
+    monkeypatch.setattr("gyrotrack.io._atomic.LOCK_TIMEOUT", 0.1)
+    with held(lab.results), pytest.raises(OutputError, match="another program"):
         lab()
 
 

@@ -59,13 +59,11 @@ def test_paths_are_taken_from_the_folder_of_the_file(gyrotrack, here):
 
 
 def test_every_fault_is_named_with_its_line(gyrotrack, here):
-    (here / "gyrotrack.toml").write_text(
-        '[extract]\ncapture_fsp = 3\n\n[sync]\ninertia_rotor = "a"\n[fitt]\n'
-    )
+    (here / "gyrotrack.toml").write_text('[extract]\ncapture_fsp = 3\n\n[sync]\nquiet = "a"\n[fitt]\n')
     for words in (["config"], ["effects"]):
         said = gyrotrack(*words)
         assert said.code == 1
-        for place in ("line 2, extract.capture_fsp", "line 5, sync.inertia_rotor", "line 6, fitt"):
+        for place in ("line 2, extract.capture_fsp", "line 5, sync.quiet", "line 6, fitt"):
             assert place in said.err
     said = gyrotrack("--config", "no.toml", "effects", "--json")
     assert said.error["code"] == "configuration"

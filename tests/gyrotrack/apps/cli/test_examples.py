@@ -18,8 +18,8 @@ SERVED = {"view"}  # runs until it is stopped; it has tests of its own
 
 def example(entry):
     """Return the words of the example in a command's help."""
-    (line,) = re.findall(r"Example: gyrotrack (.*)", inspect.getdoc(function_of(entry)))
-    return shlex.split(line)
+    (lines,) = re.findall(r"Example: gyrotrack (.*(?:\n.+)*)", inspect.getdoc(function_of(entry)))
+    return shlex.split(lines)
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,7 @@
 """`gyrotrack fit`: what it refuses, and what it fits of the data when told."""
 
+import time
+
 import pytest
 
 
@@ -123,3 +125,20 @@ def test_a_change_keeps_what_was_shared_unless_told_otherwise(gyrotrack, case):
     changed = named("--add", "casing.air.quadratic")
     assert {"casing.air.linear.b2", "rotor.air.quadratic.a2@plain", "casing.air.quadratic.k"} <= changed
     assert "rotor.air.quadratic.a2" in named("--drop", "casing.air.quadratic", "--share", "rotor.air")
+
+
+@pytest.mark.parametrize(
+    ("law", "refused"),
+    [
+        ("casing: k/(omega_c-10)", True),
+        ("casing: k/abs(omega_c-10)", True),
+        ("rotor: k*(omega_r-850)**-2", True),
+        ("casing: k/(1+(omega_c/20)**2)", False),
+        ("casing: k/(omega_c+0.1)", False),
+    ],
+)
+def test_a_pole_within_the_motion_is_refused_at_once(gyrotrack, case, law, refused):
+    began = time.process_time()
+    said = gyrotrack("fit", case("plain"), "--add", law, "--json")
+    assert (said.code == 1 and "singular" in said.error["message"]) == refused
+    assert time.process_time() - began < 10

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from fitting.discovery._select import Rung, improve
+from fitting.discovery._select import Step, improve
 from fitting.discovery._verdict import Diagnosis, diagnose
 from fitting.dynamics._mesh import Path
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
@@ -35,7 +35,7 @@ SHORT = Experiment(duration=60.0, casing_fps=60.0, rotor_fps=250.0, windows=(3.0
 @dataclass(frozen=True)
 class Story:
     record: Record
-    rungs: list[Rung]
+    rungs: list[Step]
     diagnosis: Diagnosis
 
 

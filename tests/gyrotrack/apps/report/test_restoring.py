@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from fitting.discovery._select import Rung
+from fitting._schema import StoredFit
+from fitting.discovery._select import Step
 from fitting.inference._case_data import CaseData
 from fitting.study import _serialisation as restoring
 from fitting.study._history import Ledger
@@ -29,7 +30,7 @@ def never(*_args, **_kwargs):
 
 def test_fits_are_not_searched_again(story, study, monkeypatch):
     monkeypatch.setattr("fitting.study._history.robust_fit", never)
-    for old, new in zip(story.rungs, study.rungs_to(None), strict=True):
+    for old, new in zip(story.rungs, study.steps_to(None), strict=True):
         assert new.change == old.change
         np.testing.assert_array_equal(new.fit.theta, old.fit.theta)
         assert new.fit.verdict == old.fit.verdict
@@ -41,7 +42,7 @@ def test_fits_are_not_searched_again(story, study, monkeypatch):
 
 def test_a_diagnosis_is_not_made_again(story, study, monkeypatch):
     monkeypatch.setattr("fitting.discovery._verdict.diagnose", never)
-    rungs = study.rungs_to(None)
+    rungs = study.steps_to(None)
     new, old = study.diagnosis(None, rungs[0].fit), story.diagnosis
     for name in ("verdict", "sentence", "failures", "next_experiment"):
         assert getattr(new, name) == getattr(old, name)
@@ -57,18 +58,23 @@ def test_a_diagnosis_is_not_made_again(story, study, monkeypatch):
 
 
 def test_a_report_shows_the_same_curves(story, study):
-    rungs = study.rungs_to(None)
+    rungs = study.steps_to(None)
     new = gather(rungs, study.diagnosis(None, rungs[0].fit))
-    old = gather([Rung(r.change, r.fit, ()) for r in story.rungs], story.diagnosis)
-    assert [s.name for s in new.cases[0].suggested] == [s.name for s in old.cases[0].suggested]
-    for a, b in zip(new.cases[0].suggested, old.cases[0].suggested, strict=True):
+    old = gather([Step(r.change, r.fit, ()) for r in story.rungs], story.diagnosis)
+    assert [s.name for s in new.cases[0].alternatives] == [s.name for s in old.cases[0].alternatives]
+    for a, b in zip(new.cases[0].alternatives, old.cases[0].alternatives, strict=True):
         np.testing.assert_allclose(a.casing, b.casing, rtol=1e-9, atol=1e-15)
 
 
 def test_other_code_finds_anew(study, monkeypatch):
     monkeypatch.setattr(restoring, "fingerprint", lambda: "another")
     entry = study.entry(None)
-    assert restoring.restored_fit(entry.document["restored_from"], entry.model, study.data) is None
+    assert (
+        restoring.restored_fit(
+            StoredFit.model_validate(entry.document["restored_from"]), entry.model, study.data
+        )
+        is None
+    )
     assert entry.diagnosis(entry.refit(study.data)) is None
 
 

@@ -15,7 +15,7 @@ def test_picture_is_drawn_and_stays_the_same(story, tmp_path, suffix):
 
 
 def test_other_names_and_existing_files_are_refused(story, tmp_path):
-    with pytest.raises(OutputError, match="no name of a picture"):
+    with pytest.raises(OutputError, match="Unknown picture format"):
         story_picture(story.rungs, story.diagnosis, tmp_path / "story.gif")
     (tmp_path / "story.png").write_bytes(b"mine")
     with pytest.raises(OutputError, match="exists already"):

@@ -3,7 +3,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gyrotrack.io.readers._import_case import TURN, is_wrapped, pieces, unwrap
+from gyrotrack.io.readers._import_case import is_wrapped, unwrap
+from gyrotrack.io.readers._scatter import pieces
+from gyrotrack.io.readers._units import TURN
 
 
 def wrapped(angle, low=0.0):
@@ -60,5 +62,6 @@ def test_long_gaps_part_the_pieces():
 
 
 def test_wrapped_angles_stay_within_a_turn():
-    assert is_wrapped(np.linspace(-3, 3, 50))
+    assert is_wrapped(np.angle(np.exp(1j * np.linspace(0, 20, 50))))
+    assert not is_wrapped(np.linspace(-3, 3, 50))
     assert not is_wrapped(np.linspace(0, 7, 50))

@@ -1,0 +1,362 @@
+"""The JSON documents of fits, diagnoses and histories: one schema, from which writing and reading follow.
+
+Numbers are in SI units. JSON has neither nan nor infinity: nan is written as null, infinity as "inf" (see
+`fitting._numbers.to_json`), and both are read back. Unknown keys are ignored, keys with a default may be missing, so
+that files of older versions stay readable.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+from pydantic import AliasChoices, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+
+from fitting._atomic import refuse_special, write_text
+from fitting._errors import LedgerError
+from fitting._numbers import to_json
+from fitting.effects._effect import Effect
+from fitting.effects._library import LIBRARY
+
+# fields of an effect that older versions did not write
+_ADDED_FIELDS = ("per_case", "per_surface", "nuisance", "equivalent")
+
+
+def _with_added_fields(stored: Any) -> Any:
+    """Return a stored effect with the fields that its namesake in the library has and it lacks."""
+    known = LIBRARY.get(str(stored.get("name"))) if isinstance(stored, Mapping) else None
+    return {**{k: getattr(known, k) for k in _ADDED_FIELDS}, **stored} if known is not None else stored
+
+
+Number = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
+Flag = Annotated[bool, BeforeValidator(bool)]
+StoredEffect = Annotated[Effect, BeforeValidator(_with_added_fields)]
+
+
+class Document(BaseModel):
+    """An object of a JSON document; made from keywords, or from an object with attributes of the same names."""
+
+    model_config = ConfigDict(from_attributes=True, extra="ignore")
+
+
+class EstimateDocument(Document):
+    """A parameter: value, standard error (nan on a bound), unit, whether its bound is active."""
+
+    value: Number
+    stderr: Number = math.nan
+    unit: str = ""
+    at_bound: Flag = False
+
+
+class BodyDocument(Document):
+    """Figures of merit of one body: R2, rms residual [rad/s], reduced chi2, cross-validation error [noise]."""
+
+    r2: Number
+    rmse: Number
+    reduced_chi2: Number
+    held_out: Number
+
+
+class MetricsDocument(Document):
+    """Figures of merit of one case; `misfit` is chi2 over the rows that a model can reach."""
+
+    label: str
+    casing: BodyDocument
+    rotor: BodyDocument
+    energy_drift: Number
+    misfit: Number
+
+
+class CaseDocument(MetricsDocument):
+    """The same with the process noise: pure, as the model leaves it [N m], and the scale of the angle noise."""
+
+    torque_noise_Nm: Number = Field(validation_alias=AliasChoices("torque_noise_Nm", "pure"))  # noqa: N815
+    torque_left_Nm: Number = Field(validation_alias=AliasChoices("torque_left_Nm", "level"))  # noqa: N815
+    noise_scale: Number = Field(validation_alias=AliasChoices("noise_scale", "scale"))
+
+
+class FitDocument(Document):
+    """What `fit --json` prints."""
+
+    fit_id: str
+    model: list[str]
+    parameters: dict[str, EstimateDocument]
+    cases: list[CaseDocument] = []
+    n_eff: Number = math.nan
+    bic: Number = math.nan
+    verdict: str = ""
+    equations: list[str] = []
+    not_determined: list[str] = []
+    not_determined_together: list[dict[str, Number]] = []
+
+
+class FailureDocument(Document):
+    """An interval of significant lack of fit."""
+
+    label: str
+    body: str
+    t_start: Number
+    t_stop: Number
+    kind: str
+    where: str
+    size_sigma: Number
+    residual_rad_s: Number
+    residual_torque_Nm: Number  # noqa: N815 - the unit's own capitals
+    torque_sigma_Nm: Number = math.nan  # noqa: N815
+    omega_c: tuple[Number, Number]
+
+
+class StoredFailure(FailureDocument):
+    """The same with the name of the body in sentences."""
+
+    called: str
+
+
+class CandidateDocument(Document):
+    """A candidate effect with its score."""
+
+    effect: str
+    kind: str
+    score: Number
+    delta_bic: Number
+    p_value: Number
+    significant: Flag
+    held_out_gain: Number
+    indistinguishable_from: list[str]
+    parameters: dict[str, EstimateDocument]
+    law: str
+
+
+class WhitenessDocument(Document):
+    """Test of the independence of one case's residuals."""
+
+    label: str
+    p_value: Number
+
+
+class TorqueDocument(Document):
+    """Unmodelled torque on one body with its standard uncertainty, and the motion at the same times."""
+
+    label: str
+    body: str
+    time: list[Number]
+    omega_r: list[Number]
+    omega_c: list[Number]
+    delta: list[Number]
+    torque_Nm: list[Number]  # noqa: N815
+    sigma_Nm: list[Number]  # noqa: N815
+
+
+class RippleDocument(Document):
+    """Unmodelled torque against the angle of the casing, with its standard uncertainty."""
+
+    label: str
+    angle: list[Number]
+    torque_Nm: list[Number]  # noqa: N815
+    sigma_Nm: list[Number]  # noqa: N815
+
+
+class DiagnosisDocument(Document):
+    """What `diagnose --json` prints."""
+
+    fit_id: str
+    verdict: str
+    sentence: str
+    failures: list[FailureDocument]
+    candidates: list[CandidateDocument]
+    next_experiment: str
+    whiteness: list[WhitenessDocument]
+    energy_drift: dict[str, Number]
+    residual_torque: list[TorqueDocument]
+    residual_ripple: list[RippleDocument]
+
+
+class StepDocument(Document):
+    """One fit of a history: what was changed, and what the errors did."""
+
+    fit_id: str
+    added: str
+    model: list[str]
+    rmse_casing: Number
+    reduced_chi2: Number
+    held_out: Number
+    delta_bic: Number
+    energy_drift: Number
+    torque_left_Nm: Number  # noqa: N815
+    moved: list[str]
+    verdict: str
+
+
+class NoiseDocument(Document):
+    """Noise of one case: scale of the angle noise, process noise [N m], as `fitting.inference._noise_level` has it."""
+
+    scale: Number
+    pure: Number
+    level: Number
+
+
+class StoredNoise(NoiseDocument):
+    """The same with the correlation time [s] and the excess."""
+
+    time: Number
+    excess: Number
+
+
+class StoredFit(Document):
+    """The state from which a fit is restored without a search; valid for the code with this digest alone."""
+
+    code: str
+    theta: list[Number]
+    per_case: list[str]
+    ranges: dict[str, tuple[Number, Number]]
+    noise: list[StoredNoise]
+    converged: bool
+
+
+class StoredCandidate(Document):
+    """A candidate effect as it is restored for display."""
+
+    effect: str
+    own_effects: list[StoredEffect]
+    score: Number
+    delta_bic: Number
+    p_value: Number
+    held_out_gain: Number
+    significant: Flag
+    indistinguishable_from: list[str]
+    estimates: dict[str, EstimateDocument]
+    fit: StoredFit | None
+
+
+class StoredDiagnosis(Document):
+    """The state from which a diagnosis is restored without a search; `extra` are the user's effects."""
+
+    code: str
+    extra: list[StoredEffect]
+    verdict: str
+    sentence: str
+    failures: list[StoredFailure]
+    candidates: list[StoredCandidate]
+    next_experiment: str
+
+
+class EntryDocument(FitDocument):
+    """One fit of a ledger.
+
+    `restored_from` (`StoredFit`) and `diagnosis` (`StoredDiagnosis`) save time only: they are checked where they are
+    used, and ignored if they are damaged.
+    """
+
+    parent: str = ""
+    added: str = ""
+    rung: StepDocument | None = None
+    digests: list[str]
+    sources: list[str] = []
+    own_effects: list[StoredEffect] = []
+    share: list[str] = []
+    per_case: list[str] = []
+    ranges: dict[str, tuple[Number, Number]] = {}
+    loss: str = "linear"
+    data: str = "angle"
+    rotor: str = "windows"
+    created: str = ""
+    software_version: str = ""
+    restored_from: Any = None
+    diagnosis: Any = None
+
+
+class LedgerDocument(Document):
+    """A ledger: the history of fits of one or several studies. Entries keep keys that this version does not know."""
+
+    format: str = "gyrotrack ledger"
+    version: int = 1
+    fits: list[dict[str, Any]] = []
+
+
+class SavedFitDocument(Document):
+    """What `Fit.save` writes: a fit without its data."""
+
+    format: str = "gyrotrack fit"
+    version: int = 1
+    model: list[str]
+    own_effects: list[StoredEffect]
+    labels: list[str]
+    estimates: dict[str, EstimateDocument]
+    cases: list[MetricsDocument]
+    noise: list[NoiseDocument]
+    verdict: str
+    names: list[str]
+    covariance: list[list[Number]]
+    sources: list[str]
+    digests: list[str]
+    chi2: Number
+    rows: int
+    n_eff: Number
+    deviance: Number
+    bic: Number
+
+
+def own_effects(effects: Iterable[Effect]) -> list[Effect]:
+    """Return the effects that are not, or not in this form, in the library."""
+    return [e for e in effects if LIBRARY.get(e.name) != e]
+
+
+def effects_of(names: Iterable[str], own: Iterable[Effect]) -> tuple[Effect, ...]:
+    """Return effects by name: the user's own, all others from the library."""
+    known = {e.name: e for e in own}
+    return tuple(known[n] if n in known else LIBRARY[n] for n in names)
+
+
+def as_json(document: Document) -> dict[str, Any]:
+    """Return a document as `json` can write it."""
+    return dict(to_json(document.model_dump()))
+
+
+def write_document(path: Path, document: Document) -> None:
+    """Write a document as a JSON file, atomically.
+
+    Raises
+    ------
+    LedgerError
+        If it cannot be written.
+    """
+    write_text(path, json.dumps(as_json(document), indent=1, allow_nan=False))
+
+
+_D = TypeVar("_D", LedgerDocument, SavedFitDocument)
+
+
+def read_json(path: Path, kind: type[_D], what: str, hint: str) -> _D:
+    """Read a JSON file of a kind: a ledger or a saved fit.
+
+    Raises
+    ------
+    LedgerError
+        If the file is missing, of another kind, of a newer version, or damaged.
+    """
+    refuse_special(path)
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as fault:
+        raise LedgerError(f"{path}: {fault.strerror or fault}") from None
+    except (ValueError, RecursionError):
+        document = None
+    expected = kind.model_fields["format"].default
+    if not isinstance(document, dict) or document.get("format") != expected:
+        raise LedgerError(f"{path} {what}", hint)
+    version = document.get("version")
+    if isinstance(version, int) and version > kind.model_fields["version"].default:
+        raise LedgerError(f"{path} was written by a newer version", "update gyrotrack")
+    try:
+        return kind.model_validate(document)
+    except ValidationError as fault:
+        raise LedgerError(f"{path} is damaged: {first_error(fault)}", hint) from None
+
+
+def first_error(fault: ValidationError) -> str:
+    """Return where and what the first error of a document is."""
+    error = fault.errors(include_url=False, include_input=False)[0]
+    return f"{'.'.join(map(str, error['loc'])) or 'document'}: {error['msg'][:120]}"

@@ -1,0 +1,461 @@
+"""Samples of one motion: how a file is to be read, how its columns are interpreted, and what is repaired.
+
+Times are sorted, repeated times averaged, and rows without a value left out; every repair is reported with its line. A
+clock that restarts, or a cell that is no number, is refused with its line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack._errors import DatasetError, UsageError
+from gyrotrack.io._records import Floats, Integers
+from gyrotrack.io.readers._raw_table import RawTable
+from gyrotrack.io.readers._units import ROLES, UNITS, clean, factor, header_of, role_of
+
+FEWEST = 8
+_MICROS = 2**32
+"""Ticks after which the clock of a microcontroller restarts (Arduino `micros` and `millis`)."""
+
+Names = Mapping[str, tuple[str, str]]
+"""Column of the file (header or number, case-folded), the quantity it holds, and its unit ("" if the header has it)."""
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """How a file becomes a motion.
+
+    Attributes
+    ----------
+    names : mapping
+        Columns by header or number, as `read_names` returns them; empty: by the headers.
+    marker, centre : str or None
+        Names of points; the centre may also be coordinates, "12.5,40", or "orbit": the centre of the marker's path.
+    fps : float or None
+        Frames per second, where a file counts frames.
+    start : float
+        Time of the first frame [s], added to all times.
+    likelihood : float
+        Points with a lower likelihood are left out.
+    pulses_per_turn : float or None
+        Pulses per turn, where a file holds times of events.
+    body : str
+        "casing" or "rotor", which decides between two columns that differ by this word.
+    """
+
+    names: Names | None = None
+    marker: str | None = None
+    centre: str | None = None
+    fps: float | None = None
+    start: float = 0.0
+    likelihood: float = 0.6
+    pulses_per_turn: float | None = None
+    body: str = ""
+
+
+@dataclass(frozen=True)
+class MotionTable:
+    """The samples of one file, all finite, in order of time, in SI units.
+
+    Attributes
+    ----------
+    quantity : str
+        What `value` is: "angle" [rad] or "omega" [rad s-1].
+    time, value : ndarray, shape (n,)
+        Times [s] and values.
+    sigma : ndarray, shape (n,), or None
+        Standard uncertainty of the values, if the file gives it.
+    line : ndarray, shape (n,)
+        Line of the file of each sample.
+    notes : tuple of str
+        Repairs and choices made while reading.
+    least_sigma : float
+        Lower bound of an estimated uncertainty, from the resolution of the file.
+    counted : bool
+        Whether the samples are pulses: angles are unwrapped and gaps do not interrupt them.
+    """
+
+    path: Path
+    sha256: str
+    quantity: str
+    time: Floats
+    value: Floats
+    sigma: Floats | None
+    line: Integers
+    notes: tuple[str, ...]
+    least_sigma: float = 0.0
+    counted: bool = False
+
+    def only(self, keep: npt.NDArray[np.bool_], *notes: str) -> MotionTable:
+        """Return the chosen samples, with further notes."""
+        return replace(
+            self,
+            time=self.time[keep],
+            value=self.value[keep],
+            sigma=None if self.sigma is None else self.sigma[keep],
+            line=self.line[keep],
+            notes=(*self.notes, *notes),
+        )
+
+
+def read_names(given: Iterable[str]) -> Names:
+    """Return what options such as ``t=Zeit``, ``angle=phi [deg]`` or ``t=1 [us]`` mean.
+
+    Raises
+    ------
+    UsageError
+        One is not of this form, or its left side is not a quantity.
+    """
+    names: dict[str, tuple[str, str]] = {}
+    for option in given:
+        ours, equals, theirs = (part.strip() for part in option.partition("="))
+        if not equals or ours not in ROLES or not theirs:
+            raise UsageError(
+                f"{option[:60]!r}: unknown column.",
+                f"Write for example t=Zeit; quantities are {', '.join(ROLES)}.",
+            )
+        names[theirs.casefold()] = (ours, "")
+        bare, unit = header_of(theirs) if theirs.endswith(("]", ")")) else (theirs, "")
+        if unit:
+            names.setdefault(bare.casefold(), (ours, clean(unit)))
+    return names
+
+
+EXPECTED = (
+    "The header must be `t,angle`, `t,angle,sigma`, `t,omega` or `t,omega,sigma`, or name them with --column."
+)
+
+
+def find_columns(raw: RawTable, options: ReadOptions) -> tuple[dict[str, int], dict[str, str], list[str]]:
+    """Return the column and the unit of each quantity, and the names of the columns that are not used.
+
+    Raises
+    ------
+    DatasetError
+        Two columns have the same meaning.
+    """
+    found: dict[str, list[int]] = {}
+    units: dict[int, str] = {}
+    for index, name in enumerate(raw.names):
+        bare, unit = header_of(name)
+        units[index] = clean(raw.units[index] or unit)
+        role = role_of(bare) if name and not options.names else None
+        if options.names:
+            for text in (name.casefold(), bare.casefold(), str(index + 1)):
+                if text and text in options.names:
+                    role, given = options.names[text]
+                    units[index] = given or units[index]
+                    break
+        elif role in {None, "angle", "omega"} and units[index]:
+            role = next(
+                (r for r in ("angle", "omega") if units[index].casefold() in UNITS[r]),
+                None if role is None else role,
+            )
+            if role == "omega" and factor("omega", units[index]) is None:
+                role = None
+        if role in {"angle", "omega"} and units[index].casefold() in {
+            "km/h",
+            "m/s",
+            "mph",
+            "v",
+            "m",
+            "px",
+            "state",
+        }:
+            role = None
+        if role is not None:
+            found.setdefault(role, []).append(index)
+    chosen: dict[str, int] = {}
+    for role, places in found.items():
+        chosen[role] = places[0] if len(places) == 1 else _one_of(raw, role, places, options)
+    if options.names and "t" not in chosen and not raw.headed:
+        chosen["t"] = 0
+    if options.names and "t" not in chosen:
+        chosen |= {
+            role: i for i, name in reversed(list(enumerate(raw.names)))
+            for role in (role_of(header_of(name)[0]),) if role in {"t", "frame"} and i not in chosen.values()
+        }  # fmt: skip
+    unused = [n or str(i + 1) for i, n in enumerate(raw.names) if i not in chosen.values()]
+    return chosen, {role: units[i] for role, i in chosen.items()}, unused
+
+
+def _one_of(raw: RawTable, role: str, places: list[int], options: ReadOptions) -> int:
+    """Choose between several columns of one meaning."""
+    names = [raw.names[i] for i in places]
+    exact = [i for i in places if header_of(raw.names[i])[0].casefold() in {"t", "time", "zeit"}]
+    if role == "t":
+        return (exact or places)[0]
+    plain = [i for i in places if header_of(raw.names[i])[0].casefold() == "sigma"]
+    if role == "sigma" and len(plain) == 1:
+        return plain[0]
+    if options.body:
+        of_body = [i for i in places if options.body in raw.names[i].casefold()]
+        if len(of_body) == 1:
+            return of_body[0]
+    stems = {_without_axis(n) for n in names}
+    values = [raw.numeric(i) for i in places]
+    if len(stems) == 1 and all(v is not None for v in values):  # three axes of one sensor
+        return places[int(np.argmax([float(np.nanmean(np.square(v))) for v in values if v is not None]))]
+    raise DatasetError(
+        f"{raw.path}, line {raw.header_line}: {len(places)} columns mean '{role}': "
+        f"{', '.join(map(repr, names))[:120]}.",
+        f"Choose one, for example --column '{role}={names[0]}'.",
+    )
+
+
+def _without_axis(name: str) -> str:
+    return " ".join(w for w in name.casefold().replace("_", " ").split() if w not in {"x", "y", "z"})
+
+
+def times_of(
+    raw: RawTable, columns: Mapping[str, int], units: Mapping[str, str], options: ReadOptions
+) -> Floats:
+    """Return the times of a table [s]: its time column, or frames divided by the rate.
+
+    Raises
+    ------
+    DatasetError
+        There is no column for the time, or its unit is unknown.
+    UsageError
+        The file counts frames and the rate is not given.
+    """
+    if "t" in columns:
+        time = raw.numbers(columns["t"], "t", times=True)
+        return time * scale_of(raw, "t", units["t"]) + options.start
+    if "frame" in columns:
+        return raw.numbers(columns["frame"], "frame") / frame_rate(raw.path, options) + options.start
+    where = f"{raw.path}, line {raw.header_line}"
+    if not raw.headed and not options.names:
+        raise DatasetError(
+            f"{where}: there is no header above the {len(raw.names)} columns of numbers.",
+            "Name them by number: --column t=1 --column angle=2; or give --pulses-per-turn.",
+        )
+    raise DatasetError(f"{where}: there is no column for the time.", EXPECTED)
+
+
+def frame_rate(path: Path, options: ReadOptions) -> float:
+    """Return the frame rate given by the user.
+
+    Raises
+    ------
+    UsageError
+        It is not given or not positive.
+    """
+    if not (options.fps and options.fps > 0):
+        raise UsageError(
+            f"{path} counts frames and does not give the rate at which they were captured.",
+            "Give the rate with --casing-fps or --rotor-fps.",
+        )
+    return options.fps
+
+
+def scale_of(raw: RawTable, role: str, unit: str) -> float:
+    """Return the factor of a column to SI units.
+
+    Raises
+    ------
+    DatasetError
+        The unit is unknown.
+    """
+    if not unit:
+        return 1.0
+    scale = factor(role, unit)
+    if scale is None:
+        raise DatasetError(
+            f"{raw.path}, line {raw.header_line}: the unit '{unit[:30]}' is not known.",
+            f"Use one of {', '.join(UNITS[role])}.",
+        )
+    return scale
+
+
+def interpret(raw: RawTable, options: ReadOptions) -> MotionTable:
+    """Return the angle or the angular velocity in a table.
+
+    Raises
+    ------
+    DatasetError
+        A column is missing, ambiguous or of unknown unit; a cell is no number; the clock restarts; too few samples.
+    """
+    columns, units, unused = find_columns(raw, options)
+    quantity = "angle" if "angle" in columns else "omega"
+    if quantity not in columns and ("t" in columns or "frame" in columns):
+        raise DatasetError(
+            f"{raw.path}, line {raw.header_line}: there is no column for the angle or omega.",
+            EXPECTED + " Times of events need --pulses-per-turn.",
+        )
+    time = times_of(raw, columns, units, options)
+    if quantity not in columns:
+        raise DatasetError(
+            f"{raw.path}, line {raw.header_line}: there is no column for the angle or omega.", EXPECTED
+        )
+    value = raw.numbers(columns[quantity], quantity)
+    notes = list(raw.notes)
+    unit = units[quantity]
+    if quantity == "angle" and not unit and _wraps_at_360(value):
+        unit = "deg"
+        notes.append(f"{raw.path.name}: the angles wrap at 360 and were taken as degrees")
+    scale = scale_of(raw, quantity, unit)
+    sigma = None
+    if "sigma" in columns:
+        sigma_unit = units["sigma"]
+        sigma = raw.numbers(columns["sigma"], "sigma") * (
+            scale_of(raw, quantity, sigma_unit) if sigma_unit else scale
+        )
+    if quantity == "angle" and "omega" in columns:
+        unused.append(raw.names[columns["omega"]] or "omega")
+    if unused:
+        notes.append(f"{raw.path.name}: ignored the column(s) {', '.join(map(repr, unused))[:120]}")
+    title = raw.names[columns[quantity]]
+    axes = sum(_without_axis(n) == _without_axis(title) for n in raw.names)
+    if axes > 1 and not options.names:
+        notes.append(f"{raw.path.name}: of {axes} axes '{title}' has the largest signal and was taken")
+    least_sigma = resolution(value) * scale / float(np.sqrt(12))
+    return checked(raw, quantity, time, value * scale, sigma, notes, least_sigma=least_sigma)
+
+
+def _wraps_at_360(value: Floats) -> bool:
+    """Return whether angles without a unit are in degrees: a range of one turn in degrees, with jumps of it."""
+    known = value[np.isfinite(value)]
+    jumps = np.abs(np.diff(known))
+    return bool(len(known) > 2 and 200 < np.ptp(known) <= 400 and (np.abs(jumps - 360) < 60).any())
+
+
+def resolution(value: Floats) -> float:
+    """Return the step of which all differences between values are multiples (quantisation); 0 if there is none."""
+    known = np.unique(value[np.isfinite(value)])
+    if len(known) < 3:
+        return 0.0
+    steps = np.diff(known)
+    steps = steps[steps > 1e-9 * max(float(np.abs(known).max()), 1e-300)]
+    if not len(steps):
+        return 0.0
+    step = float(np.median(steps[steps < 1.5 * steps.min()]))
+    whole = np.round((known - known[0]) / step)
+    sparse = len(known) > 0.5 * np.isfinite(value).sum()
+    if not whole[-1] or (sparse and len(np.unique(np.round(steps / step))) < 2):
+        return 0.0
+    step = float(known[-1] - known[0]) / float(whole[-1])
+    off = (known - known[0]) / step
+    return step if (np.abs(off - np.round(off)) < 0.1).mean() > 0.95 else 0.0
+
+
+def checked(
+    raw: RawTable,
+    quantity: str,
+    time: Floats,
+    value: Floats,
+    sigma: Floats | None,
+    notes: list[str],
+    *,
+    least_sigma: float = 0.0,
+    fewest: int = FEWEST,
+) -> MotionTable:
+    """Return a motion after repairs of its times; rows without a value are left out.
+
+    Raises
+    ------
+    DatasetError
+        A sigma is not positive, the clock restarts, or too few samples remain.
+    """
+    name, line = raw.path.name, raw.line
+    absent = np.isnan(time)
+    if absent.any():
+        notes.append(
+            f"{name}: {absent.sum()} rows without a time were left out (first: line {line[absent][0]})"
+        )
+    seen = np.isfinite(value) & ~absent
+    if sigma is not None:
+        _refuse(raw, seen & np.isnan(sigma), "the sigma is missing", "Give it, or remove the column.")
+        _refuse(raw, seen & ~(sigma > 0), "the sigma is not positive", "A sigma is greater than zero.")
+    lost = int((~seen & ~absent).sum())
+    if lost:
+        notes.append(f"{name}: {lost} rows without a value were left out")
+    if seen.sum() < fewest:
+        raise DatasetError(
+            f"{raw.path} has {seen.sum()} samples with a value; at least {fewest} are needed.",
+            "Give a longer recording.",
+        )
+    made = MotionTable(
+        raw.path, raw.sha256, quantity, time[seen], value[seen], None if sigma is None else sigma[seen], line[seen],
+        (), least_sigma,
+    )  # fmt: skip
+    made = in_order(made, notes)
+    if len(made.time) < fewest:
+        raise DatasetError(
+            f"{raw.path} has {len(made.time)} samples at different times; at least {fewest} are needed.",
+            "Give a longer recording.",
+        )
+    return replace(made, notes=tuple(notes))
+
+
+def _refuse(raw: RawTable, wrong: npt.NDArray[np.bool_], what: str, hint: str) -> None:
+    if wrong.any():
+        raise DatasetError(f"{raw.path}, line {raw.line[np.argmax(wrong)]}: {what}.", hint)
+
+
+def in_order(table: MotionTable, notes: list[str]) -> MotionTable:
+    """Return a table with strictly increasing times: sorted, repeated times averaged; repairs are added to `notes`.
+
+    Raises
+    ------
+    DatasetError
+        The times restart: two recordings in one file, or a clock that was reset.
+    """
+    name = table.path.name
+    table = replace(table, time=continued_clock(table.path, table.time, table.line, notes))
+    backward = np.flatnonzero(np.diff(table.time) < 0)
+    if len(backward):
+        order = np.argsort(table.time, kind="stable")
+        notes.append(
+            f"{name}: times are not increasing (line {table.line[backward[0] + 1]}); {len(backward)} steps back, "
+            "rows were sorted by time"
+        )
+        table = table.only(order)  # type: ignore[arg-type]
+    repeated = np.flatnonzero(np.diff(table.time) == 0)
+    if len(repeated):
+        notes.append(
+            f"{name}: {len(repeated)} repeated times (first: line {table.line[repeated[0] + 1]}); "
+            "their values were averaged"
+        )
+        time, first, count = np.unique(table.time, return_index=True, return_counts=True)
+        table = replace(
+            table,
+            time=time,
+            value=np.add.reduceat(table.value, first) / count,
+            sigma=None if table.sigma is None else np.sqrt(np.add.reduceat(table.sigma**2, first)) / count,
+            line=table.line[first],
+        )
+    return table
+
+
+def continued_clock(path: Path, time: Floats, line: Integers, notes: list[str]) -> Floats:
+    """Return times with the restarts of a 32-bit counter undone.
+
+    Raises
+    ------
+    DatasetError
+        The times restart in another way.
+    """
+    step = np.diff(time)
+    back = np.flatnonzero(step < 0)
+    if not len(back) or len(time) < 2 * FEWEST:
+        return time
+    usual = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
+    for period in (_MICROS * 1e-6, _MICROS * 1e-3, float(_MICROS)):
+        if (np.abs(step[back] + period) < 0.02 * period).all():
+            notes.append(
+                f"{path.name}: the 32-bit clock restarts at line {line[back[0] + 1]}; times were continued"
+            )
+            return np.concatenate([[time[0]], time[0] + np.cumsum(np.where(step < 0, step + period, step))])
+    lengths = np.diff([0, *(back + 1), len(time)])
+    if len(back) <= 5 and lengths.min() >= FEWEST and (-step[back] > 20 * usual).all():
+        raise DatasetError(
+            f"{path}: times are not strictly increasing (line {line[back[0] + 1]}): the clock restarts.",
+            "Split the file there: it holds several recordings.",
+        )
+    return time

@@ -1,0 +1,306 @@
+"""Pulses: times of events, gates and counters of revolutions.
+
+The angle of pulse k is 2 pi k / N for N pulses per turn, corrected for the errors of the marks; its time is uncertain.
+The uncertainty of the angle is omega times that of the time, from the scatter of the times about short cubics in k and
+from the resolution of the clock, q / sqrt(12).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from gyrotrack._errors import DatasetError, UsageError
+from gyrotrack.io._records import Floats, Integers
+from gyrotrack.io.readers._motion_table import (
+    FEWEST,
+    MotionTable,
+    ReadOptions,
+    continued_clock,
+    find_columns,
+    scale_of,
+    times_of,
+)
+from gyrotrack.io.readers._raw_table import RawTable
+from gyrotrack.io.readers._scatter import scatter
+from gyrotrack.io.readers._units import TURN
+
+_MOST_MISSED = 20
+_MOST_MARKS = 512
+_TICKS = {1e-6: "us", 1e-3: "ms"}
+
+
+def read_pulses(raw: RawTable, options: ReadOptions) -> MotionTable:
+    """Return the angle of a body from a column of event times, or from a gate's state.
+
+    With a column of states (0 and 1), an event is each change from 0 to 1; otherwise each row is one.
+
+    Raises
+    ------
+    DatasetError, UsageError
+        There are no event times, too few, or the number of pulses per turn is not positive.
+    """
+    per_turn = options.pulses_per_turn or 0.0
+    if not per_turn > 0:
+        raise UsageError(
+            "The number of pulses per turn is not positive.", "Give --pulses-per-turn 1 or more."
+        )
+    notes = list(raw.notes)
+    if raw.headed or options.names:
+        columns, units, _ = find_columns(raw, options)
+        place = columns.get("t", 0)
+        time = times_of(raw, {"t": place}, {"t": units.get("t", "")}, options)
+    else:
+        place, time = 0, raw.numbers(0, "t", times=True)
+        scale = clock_scale(time)
+        if scale != 1.0:
+            notes.append(f"{raw.path.name}: times are whole numbers and were taken as {_TICKS[scale]}")
+        time = time * scale + options.start
+    line = raw.line
+    gate = _gate(raw, place, options)
+    if gate is not None:
+        state = raw.numeric(gate)
+        assert state is not None  # noqa: S101 - `_gate` returns numeric columns only
+        rising = np.flatnonzero((state[1:] > 0.5) & (state[:-1] <= 0.5)) + 1
+        notes.append(f"{raw.path.name}: events are the changes of '{raw.names[gate]}' from 0 to 1")
+        time, line = time[rising], line[rising]
+    known = np.isfinite(time)
+    time, line = continued_clock(raw.path, time[known], line[known], notes), line[known]
+    order = np.argsort(time, kind="stable")
+    if (np.diff(order) < 0).any():
+        first = int(np.flatnonzero(np.diff(time) < 0)[0]) + 1
+        notes.append(
+            f"{raw.path.name}: times are not increasing (line {line[first]}); events were sorted by time"
+        )
+    time, line = time[order], line[order]
+    return from_events(raw, time, line, per_turn, notes)
+
+
+def _gate(raw: RawTable, place: int, options: ReadOptions) -> int | None:
+    """Return the column of a gate's state, if there is one; the marker's name chooses between several."""
+    found = []
+    for i in range(len(raw.names)):
+        state = raw.numeric(i) if i != place else None
+        if state is not None and set(np.unique(state[np.isfinite(state)])) == {0.0, 1.0}:
+            found.append(i)
+    named = [
+        i
+        for i in found
+        if options.marker is not None and options.marker.casefold() in raw.names[i].casefold()
+    ]
+    return next(iter(named or found), None)
+
+
+def from_events(
+    raw: RawTable, time: Floats, line: Integers, per_turn: float, notes: list[str]
+) -> MotionTable:
+    """Return the angle of a body at its pulses; missed pulses are counted and double ones left out."""
+    if len(time) < FEWEST:
+        raise DatasetError(
+            f"{raw.path} has {len(time)} pulses; at least {FEWEST} are needed.", "Give a longer recording."
+        )
+    single = _without_doubles(time)
+    doubles = int((~single).sum())
+    if doubles:
+        notes.append(
+            f"{raw.path.name}: {doubles} double pulses were left out (first: line {line[~single][0]})"
+        )
+    time, line = time[single], line[single]
+    step = np.diff(time)
+    around = _around(step)
+    ratio = step / around
+    whole = np.round(ratio)
+    missed = (whole >= 2) & (whole <= _MOST_MISSED) & (np.abs(ratio - whole) < 0.12 * whole)
+    count = np.where(missed, whole, 1.0)
+    if missed.any():
+        notes.append(
+            f"{raw.path.name}: {int((count - 1).sum())} missed pulses were counted "
+            f"(first: before line {line[np.argmax(missed) + 1]})"
+        )
+    return from_counts(raw, time, np.concatenate([[0.0], np.cumsum(count)]), line, per_turn, notes)
+
+
+def _around(step: Floats) -> Floats:
+    """Return the usual interval about each one: the geometric mean of the medians of three before and three after."""
+    if len(step) < 3:
+        return np.full(len(step), np.median(step) if len(step) else np.nan)
+    logs = np.log(np.maximum(step, 1e-300))
+    width = len(step)
+    padded = np.concatenate([np.full(3, logs[min(2, width - 1)]), logs, np.full(3, logs[max(width - 3, 0)])])
+    sides = [np.median([padded[i : i + width] for i in range(first, first + 3)], axis=0) for first in (0, 4)]
+    return np.asarray(np.exp(np.mean(sides, axis=0)))
+
+
+def _without_doubles(time: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    """Return which pulses to keep: of two less than a third of the usual interval apart, the one that fits better."""
+    keep = np.ones(len(time), dtype=bool)
+    for _ in range(20):
+        index = np.flatnonzero(keep)
+        step = np.diff(time[index])
+        usual = _around(step)
+        last, dropped = -3, False
+        for k in np.flatnonzero(step < 0.35 * usual).tolist():
+            before = step[k - 1] if k else np.inf
+            after = step[k + 1] if k + 1 < len(step) else np.inf
+            if k <= last + 2 or min(before, after) + step[k] > 1.6 * usual[k]:
+                continue  # next to one that was left out, or jitter of one pulse
+            later = abs(np.log((after + step[k]) / usual[k])) < abs(np.log((before + step[k]) / usual[k]))
+            keep[index[k + 1 if later else k]] = False
+            last, dropped = k, True
+        if not dropped:
+            break
+    return keep
+
+
+def from_counts(
+    raw: RawTable, time: Floats, count: Floats, line: Integers, per_turn: float, notes: list[str]
+) -> MotionTable:
+    """Return the angle at times at which a count is known, with the uncertainty of the times."""
+    angle = TURN * (count - mark_errors(time, count, per_turn, raw, notes)) / per_turn
+    clock = _tick(time)
+    timing = np.maximum(scatter(angle * per_turn / TURN, time, 1e-9), clock / np.sqrt(12))
+    slope = np.abs(np.gradient(angle, time)) if len(time) > 1 else np.zeros(len(time))
+    sigma = np.maximum(slope * timing, 1e-6)
+    notes.append(
+        f"{raw.path.name}: {len(time)} pulses, {per_turn:g} per turn; uncertainty of their times "
+        f"{1e6 * np.median(timing):.3g} us (median), resolution of the clock {1e6 * clock:.3g} us"
+    )
+    return MotionTable(raw.path, raw.sha256, "angle", time, angle, sigma, line, tuple(notes), counted=True)
+
+
+def mark_errors(time: Floats, count: Floats, per_turn: float, raw: RawTable, notes: list[str]) -> Floats:
+    """Return the error of each pulse's mark, in pulses: the median over the turns of what repeats once per turn.
+
+    The times of mark 0, interpolated by a cubic spline, say where the other marks are.
+    """
+    marks = round(per_turn)
+    none = np.zeros(len(time))
+    if marks != per_turn or not 2 <= marks <= _MOST_MARKS:
+        return none
+    kind = np.round(count).astype(int) % marks
+    zero = np.flatnonzero(kind == 0)
+    if len(zero) < 9 or (np.bincount(kind, minlength=marks) < 8).any():
+        return none
+    inside = (time >= time[zero[0]]) & (time <= time[zero[-1]])
+    off = count - CubicSpline(time[zero], count[zero])(time)
+    errors = np.array([np.median(off[inside & (kind == k)]) for k in range(marks)])
+    spread = np.array([np.median(np.abs(off[inside & (kind == k)] - errors[k])) for k in range(marks)])
+    errors = np.where(np.abs(errors) > 2 * spread / np.sqrt(len(zero)), errors, 0.0)
+    if not errors.any():
+        return none
+    errors -= errors.mean()
+    notes.append(
+        f"{raw.path.name}: errors of the {marks} marks, repeated every turn, were removed "
+        f"({1e3 * TURN / per_turn * float(np.sqrt(np.mean(errors**2))):.3g} mrad rms)"
+    )
+    return np.asarray(errors[kind])
+
+
+def _tick(time: Floats) -> float:
+    """Return the resolution of a clock [s]: the greatest common divisor of its times in ms or us; 0 if finer."""
+    for unit in (1e-3, 1e-6):
+        ticks = np.round(time / unit)
+        if (np.abs(time / unit - ticks) < 1e-3).all():
+            return float(np.gcd.reduce(np.abs(np.diff(ticks)).astype(np.int64))) * unit
+    return 0.0
+
+
+def read_counter(
+    raw: RawTable, column: int, options: ReadOptions, time_column: int = 0, unit: str = ""
+) -> MotionTable:
+    """Return the angle of a body from a column that counts its revolutions (or pulses), at the times of its steps.
+
+    Rows are written at events of several sensors; a logger may write the count one row late. Of both readings the
+    one with the smoother intervals is taken.
+    """
+    notes = list(raw.notes)
+    ticks = raw.numbers(time_column, "t", times=True)
+    count = raw.numbers(column, "revolutions")
+    known = np.isfinite(ticks) & np.isfinite(count)
+    ticks, count, line = ticks[known], count[known], raw.line[known]
+    scale = scale_of(raw, "t", unit)
+    if not unit and not raw.headed:
+        scale = clock_scale(ticks)
+        if scale != 1.0:
+            notes.append(f"{raw.path.name}: times are whole numbers and were taken as {_TICKS[scale]}")
+    time = continued_clock(raw.path, ticks * scale, line, notes) + options.start
+    order = np.argsort(time, kind="stable")
+    if (np.diff(order) < 0).any():
+        back = int(np.flatnonzero(np.diff(time) < 0)[0]) + 1
+        notes.append(
+            f"{raw.path.name}: times are not increasing (line {line[back]}); rows were sorted by time"
+        )
+    time, count, line = time[order], count[order], line[order]
+    unique = np.concatenate([[True], np.diff(time) > 0])
+    if not unique.all():
+        notes.append(f"{raw.path.name}: {int((~unique).sum())} repeated rows were left out")
+    time, count, line = time[unique], count[unique], line[unique]
+    step = np.diff(count)
+    resets = step < 0
+    if resets.any():
+        notes.append(
+            f"{raw.path.name}: the counter restarts at line {line[np.argmax(resets) + 1]}; it was continued"
+        )
+        step = np.where(resets, 1.0, step)
+    at = np.flatnonzero(step > 0) + 1
+    if len(at) < FEWEST:
+        raise DatasetError(
+            f"{raw.path}: the counter has {len(at)} steps; at least {FEWEST} are needed.", "Check the column."
+        )
+    total = np.cumsum(step)[at - 1]
+    choices = [(0, at), (1, at - 1)]
+    rough = [_roughness(time[rows], total) for _, rows in choices]
+    late = rough[1] < 0.7 * rough[0]
+    if late:
+        notes.append(
+            f"{raw.path.name}: the counter is written one row late: with the times of the rows before, its "
+            f"intervals are {rough[0] / max(rough[1], 1e-12):.0f} times smoother"
+        )
+    rows = choices[int(late)][1]
+    made = _without_glitches(time[rows], total, line[rows], notes, raw)
+    return from_counts(raw, *made, options.pulses_per_turn or 1.0, notes)
+
+
+def _without_glitches(
+    time: Floats, total: Floats, line: Integers, notes: list[str], raw: RawTable
+) -> tuple[Floats, Floats, Integers]:
+    """Leave out counts that came too early for the speed about them: false pulses."""
+    keep = _without_doubles(time)
+    false = int((~keep).sum())
+    if not false:
+        return time, total, line
+    notes.append(f"{raw.path.name}: {false} false pulses were left out (first: line {line[~keep][0]})")
+    extra = np.concatenate([[0.0], np.diff(total)])
+    shift = np.cumsum(np.where(keep, 0.0, extra))
+    return time[keep], (total - shift)[keep], line[keep]
+
+
+def _roughness(time: Floats, count: Floats) -> float:
+    step = np.diff(time)
+    change = np.abs(np.diff(np.log(np.maximum(step, 1e-12) / np.diff(count))))
+    return float(np.mean(np.minimum(change, 1.0)))
+
+
+def clock_scale(ticks: Floats) -> float:
+    """Return the factor to seconds of a clock that counts: us if whole numbers step by 1000, ms if by 10."""
+    known = ticks[np.isfinite(ticks)]
+    if not len(known) or (known != np.round(known)).any():
+        return 1.0
+    typical = float(np.median(np.abs(np.diff(known)))) if len(known) > 1 else 0.0
+    return 1e-6 if typical >= 1000 else 1e-3 if typical > 10 else 1.0
+
+
+def counters_of(raw: RawTable) -> list[int]:
+    """Return the columns of a table without header that count: whole, never decreasing by one row, in steps of one."""
+    found = []
+    for i in range(1, len(raw.names)):
+        values = raw.numeric(i)
+        if values is None:
+            continue
+        values = values[np.isfinite(values)]
+        if len(values) < FEWEST or (values != np.round(values)).any():
+            continue
+        step = np.diff(values)
+        if (step >= 0).mean() > 0.99 and (step == 1).sum() >= FEWEST and np.isin(step, (0, 1)).mean() > 0.9:
+            found.append(i)
+    return found

@@ -1,0 +1,285 @@
+"""Tables of other programs before they are interpreted: named columns of numbers or text, and files of text.
+
+Text is read as it comes: UTF-8, UTF-16 or Latin-1; comma, semicolon, tab or blanks between the cells; a decimal comma
+where it does not separate the cells; comment lines with ``#``; lines above the header; a line of units below it.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack._errors import DatasetError
+from gyrotrack.io._atomic import refuse_special
+from gyrotrack.io._records import Floats, Integers
+from gyrotrack.io.readers._units import is_unit
+
+MOST_BYTES = 2**30
+_MISSING = {"", "nan", "na", "n/a", "-", "none", "null", "#n/a", "inf"} - {"inf"}
+
+Lines = Sequence[tuple[int, str]]
+
+
+@dataclass(frozen=True)
+class RawTable:
+    """Columns as they stand in a file.
+
+    Attributes
+    ----------
+    path, sha256 :
+        The file and the hash of its bytes.
+    names, units : tuple of str
+        Header of each column and its unit if it stands apart; names are empty without a header.
+    columns : tuple
+        Numbers (ndarray, shape (n,)) or cells of text (list of str), one per column.
+    line : ndarray, shape (n,)
+        Line or row of the file of each sample.
+    header_line : int
+        Line of the header.
+    notes : tuple of str
+        Repairs made while reading.
+    """
+
+    path: Path
+    sha256: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    columns: tuple[Floats | list[str], ...]
+    line: Integers
+    header_line: int = 1
+    decimal_comma: bool = False
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def headed(self) -> bool:
+        """Whether the columns have names."""
+        return any(self.names)
+
+    def numbers(self, index: int, name: str = "", *, times: bool = False) -> Floats:
+        """Return a column as numbers; NaN where a cell is empty.
+
+        Raises
+        ------
+        DatasetError
+            A cell is neither a number nor empty.
+        """
+        column = self.columns[index]
+        if isinstance(column, np.ndarray):
+            return np.asarray(column, dtype=float)
+        made = np.empty(len(column))
+        for row, cell in enumerate(column):
+            value = number_of(cell, decimal_comma=self.decimal_comma, times=times)
+            if value is None or math.isinf(value):
+                raise DatasetError(
+                    f"{self.path}, line {self.line[row]}: '{cell[:30]}' in the column "
+                    f"'{name or self.names[index] or index + 1}' is not a number.",
+                    "Leave the cell empty where a value is missing.",
+                )
+            made[row] = value
+        return made
+
+    def numeric(self, index: int) -> Floats | None:
+        """Return a column as numbers, or None if it holds text."""
+        try:
+            return self.numbers(index)
+        except DatasetError:
+            return None
+
+
+def number_of(cell: str, *, decimal_comma: bool = False, times: bool = False) -> float | None:
+    """Return the number in a cell, NaN if it is empty, None if it is something else.
+
+    With `times` also clock times, ``12:03:04.5`` or ISO 8601, in seconds.
+    """
+    text = cell.replace(",", ".") if decimal_comma else cell
+    if text.casefold() in _MISSING:
+        return math.nan
+    if is_number(text):
+        return float(text)
+    if times and ":" in text:
+        try:
+            return datetime.fromisoformat(text).timestamp()
+        except ValueError:
+            clock = re.fullmatch(r"(?:(\d+):)?(\d+):(\d+(?:\.\d*)?)", text)
+            if clock:
+                return 3600.0 * float(clock[1] or 0) + 60.0 * float(clock[2]) + float(clock[3])
+    return None
+
+
+def is_number(text: str) -> bool:
+    """Return whether a cell is a number as other programs write them."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return "_" not in text
+
+
+def read_bytes(path: Path) -> bytes:
+    """Return the bytes of a file.
+
+    Raises
+    ------
+    DatasetError
+        It does not exist, is not a regular file, or is far too large.
+    """
+    refuse_special(path)
+    try:
+        if path.stat().st_size > MOST_BYTES:
+            raise DatasetError(f"{path} is larger than 1 GiB.", "Check the name of the file.")
+        return path.read_bytes()
+    except FileNotFoundError as error:
+        raise DatasetError(f"{path} does not exist.", "Check the name.") from error
+    except OSError as error:
+        raise DatasetError(
+            f"{path} cannot be read: {error.strerror}.", "Give the name of a CSV file."
+        ) from error
+
+
+def content_lines(path: Path, content: bytes) -> list[tuple[int, str]]:
+    """Return the lines that are neither blank nor comments, each with its number.
+
+    Raises
+    ------
+    DatasetError
+        The file is not text.
+    """
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        text = content.decode("utf-16", errors="replace")
+    elif b"\0" in content:
+        halves = content[1:4000:2], content[0:4000:2]
+        zeros = [half.count(0) > 0.9 * max(len(half), 1) and len(half) > 8 for half in halves]
+        if not any(zeros):
+            raise DatasetError(
+                f"{path} is not a table of text.", "Give a CSV file; films go through `gyrotrack extract`."
+            )
+        text = content.decode("utf-16-le" if zeros[0] else "utf-16-be", errors="replace").lstrip("\ufeff")
+    else:
+        try:
+            text = content.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            text = content.decode("latin-1")
+    return [
+        (number, line)
+        for number, line in enumerate(text.splitlines(), start=1)
+        if line.strip(' \t,;"') and not line.lstrip().startswith("#")
+    ]
+
+
+def split(line: str, delimiter: str | None) -> list[str]:
+    """Return the cells of a line, without blanks and quotes around them."""
+    return [cell.strip().strip('"').strip() for cell in line.split(delimiter)]
+
+
+def delimiter_of(line: str) -> str | None:
+    """Return what separates the cells of a line: semicolon, tab or comma, else blanks (None)."""
+    return next((d for d in (";", "\t", ",") if d in line), None)
+
+
+def _is_data(cells: Sequence[str], *, comma: bool) -> bool:
+    """Return whether a line holds samples: a number or clock time first among its filled cells, or mostly numbers."""
+    filled = [c for c in cells if c]
+    known = [number_of(c, decimal_comma=comma, times=True) is not None for c in filled]
+    return bool(filled) and (known[0] or sum(known) > len(known) / 2)
+
+
+def read_text(path: Path, sha256: str, lines: Lines) -> RawTable:
+    """Return the table in the lines of a text file.
+
+    Raises
+    ------
+    DatasetError
+        There are no samples, or a line has another number of cells than the header.
+    """
+    delimiter = delimiter_of(lines[0][1]) or delimiter_of(lines[len(lines) // 2][1])
+    comma = delimiter != ","
+    first = next(
+        (i for i, (_, text) in enumerate(lines) if _is_data(split(text, delimiter), comma=comma)), None
+    )
+    if first is None:
+        raise DatasetError(f"{path} has a header but no rows.", "Write the samples below the header.")
+    delimiter = (
+        delimiter_of(lines[first][1]) if first and not delimiter_of(lines[first - 1][1]) else delimiter
+    )
+    comma = delimiter != ","
+    rows = [split(text, delimiter) for _, text in lines[first:]]
+    names: list[str] = []
+    units: list[str] = []
+    header_line = lines[first][0]
+    if first:
+        above = [split(text, delimiter) for _, text in lines[:first]]
+        names, header_line = above[-1], lines[first - 1][0]
+        if len(above) > 1 and len(above[-2]) == len(names) and _are_units(names):
+            units, names, header_line = names, above[-2], lines[first - 2][0]
+    width = len(names) or max({len(r) for r in rows}, key=[len(r) for r in rows].count)
+    rows, kept, notes = _even_rows(
+        path, rows, np.array([n for n, _ in lines[first:]], dtype=np.int64), width, delimiter
+    )
+    return RawTable(
+        path,
+        sha256,
+        tuple(names) if names else ("",) * width,
+        tuple(units) if units else ("",) * width,
+        tuple([row[i] for row in rows] for i in range(width)),
+        kept,
+        header_line,
+        comma,
+        tuple(notes),
+    )
+
+
+def _are_units(cells: Sequence[str]) -> bool:
+    filled = [c.strip("[]()") for c in cells if c]
+    return bool(filled) and sum(is_unit(c) for c in filled) >= len(filled) / 2
+
+
+def _even_rows(
+    path: Path, rows: list[list[str]], line: Integers, width: int, delimiter: str | None
+) -> tuple[list[list[str]], Integers, list[str]]:
+    """Bring all rows to the same number of cells; a last row that is cut short is left out."""
+    notes: list[str] = []
+    if delimiter == "," and all(
+        len(r) == 2 * width and all(c.lstrip("+-").isdigit() for c in r[::2]) for r in rows
+    ):
+        rows = [[f"{r[2 * i]}.{r[2 * i + 1]}" for i in range(width)] for r in rows]
+        notes.append(
+            f"{path.name}: the comma is both the decimal sign and the separator; cells were joined in pairs"
+        )
+    keep = np.ones(len(rows), dtype=bool)
+    for i, row in enumerate(rows):
+        if delimiter is not None and len(row) == width + 1 and not row[-1]:
+            row.pop()  # a delimiter at the end of the line
+        if len(row) == width:
+            continue
+        if i == len(rows) - 1 and len(row) < width and i:
+            keep[i] = False
+            notes.append(f"{path.name}, line {line[i]}: the last row is cut short and was left out")
+            continue
+        raise DatasetError(
+            f"{path}, line {line[i]}: {len(row)} cells where the header has {width}.",
+            "Separate the cells with ';' where the comma is the decimal sign." if len(row) > width else "",
+        )
+    return [r for r, k in zip(rows, keep, strict=True) if k], line[keep], notes
+
+
+def table_of(
+    path: Path, sha256: str, names: Sequence[str], columns: Sequence[npt.ArrayLike], units: Sequence[str] = ()
+) -> RawTable:
+    """Return a table of numeric columns of equal length, as binary formats hold them."""
+    made = tuple(np.asarray(c, dtype=float).ravel() for c in columns)
+    rows = len(made[0]) if made else 0
+    return RawTable(
+        path,
+        sha256,
+        tuple(names),
+        tuple(units) or ("",) * len(made),
+        made,
+        np.arange(1, rows + 1, dtype=np.int64),
+    )

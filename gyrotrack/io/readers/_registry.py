@@ -1,0 +1,173 @@
+"""The formats of imported files. A new format is one module with a reader and one entry in `FORMATS`.
+
+A format is recognised by the content of the file, never by its name; the first entry that matches reads it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from gyrotrack._errors import DatasetError
+from gyrotrack.io.readers._binary_tables import read_json, read_matlab, read_parquet, read_zip
+from gyrotrack.io.readers._motion_table import (
+    EXPECTED,
+    MotionTable,
+    ReadOptions,
+    find_columns,
+    in_order,
+    interpret,
+)
+from gyrotrack.io.readers._point_files import read_hdf5
+from gyrotrack.io.readers._point_tables import read_point_table
+from gyrotrack.io.readers._points import Points, angle_of
+from gyrotrack.io.readers._pulses import counters_of, read_counter, read_pulses
+from gyrotrack.io.readers._raw_table import RawTable, content_lines, read_bytes, read_text
+from gyrotrack.io.readers._tracker_project import read_project
+
+Content = RawTable | Points
+
+
+@dataclass(frozen=True)
+class Format:
+    """One format: its name, the test of a file's bytes, and the reader (path, SHA-256, bytes, options)."""
+
+    name: str
+    matches: Callable[[bytes], bool]
+    read: Callable[[Path, str, bytes, ReadOptions], Content]
+
+
+def _text(path: Path, sha256: str, content: bytes, options: ReadOptions) -> Content:
+    lines = content_lines(path, content)
+    if not lines:
+        raise DatasetError(f"{path} is empty.", EXPECTED)
+    points = read_point_table(path, sha256, lines) if not options.names else None
+    return points if points is not None else read_text(path, sha256, lines)
+
+
+def _refused(reason: str, hint: str) -> Callable[[Path, str, bytes, ReadOptions], Content]:
+    def read(path: Path, *_: object) -> Content:
+        raise DatasetError(f"{path} {reason}.", hint)
+
+    return read
+
+
+def _is_project(content: bytes) -> bool:
+    return content.lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"<") and b"cabrillo.tracker" in content[:5000]
+
+
+FORMATS: tuple[Format, ...] = (
+    Format(
+        "HDF5 (SLEAP, DeepLabCut, movement, gyrotrack)",
+        lambda c: c.startswith(b"\x89HDF"),
+        lambda p, h, _, o: read_hdf5(p, h, o.body),
+    ),
+    Format("Tracker project", _is_project, lambda p, h, c, _: read_project(p, h, c)),
+    Format("Excel or zipped CSV", lambda c: c.startswith(b"PK"), lambda p, h, c, _: read_zip(p, h, c)),
+    Format(
+        "Excel 97",
+        lambda c: c.startswith(b"\xd0\xcf\x11\xe0"),
+        _refused("is an Excel 97 workbook (.xls)", "Save it as .xlsx or CSV."),
+    ),
+    Format(
+        "MATLAB 7.3",
+        lambda c: c.startswith(b"MATLAB 7.3"),
+        _refused("is a MATLAB 7.3 file", "Save it with -v7."),
+    ),
+    Format("MATLAB", lambda c: c.startswith(b"MATLAB 5.0"), lambda p, h, c, _: read_matlab(p, h, c)),
+    Format("Parquet", lambda c: c.startswith(b"PAR1"), lambda p, h, c, _: read_parquet(p, h, c)),
+    Format(
+        "JSON",
+        lambda c: c.lstrip(b"\xef\xbb\xbf \r\n\t")[:1] in {b"{", b"["},
+        lambda p, h, c, _: read_json(p, h, c),
+    ),
+    Format("text", lambda c: True, _text),  # noqa: ARG005 - the last format takes what no other recognises
+)
+
+
+def read_motion(path: Path, options: ReadOptions | None = None) -> MotionTable:
+    """Read the motion of one body from a file of any known format.
+
+    Parameters
+    ----------
+    path : Path
+        Angles or angular velocities, pulses, a counter, or points that another program tracked.
+    options : ReadOptions, optional
+        Columns, points, rates.
+
+    Raises
+    ------
+    DatasetError
+        The file does not exist, is in no known format, or a line is wrong; the message names file and line.
+    UsageError
+        An option is needed: the marker, the frame rate, the pulses per turn.
+    """
+    path, options = Path(path), options or ReadOptions()
+    content = read_bytes(path)
+    sha256 = hashlib.sha256(content).hexdigest()
+    found = next(f for f in FORMATS if f.matches(content)).read(path, sha256, content, options)
+    return _of_points(found, options) if isinstance(found, Points) else _of_table(found, options)
+
+
+def _of_table(raw: RawTable, options: ReadOptions) -> MotionTable:
+    """Return the motion in a table: of a body, a counter, pulses, or a column of angles or speeds."""
+    raw = _of_body(raw, options)
+    if raw.headed or options.names:
+        columns, units, _ = find_columns(raw, options)
+        if "revolutions" in columns and not set(columns) & {"angle", "omega"}:
+            return read_counter(raw, columns["revolutions"], options, columns.get("t", 0), units.get("t", ""))
+    elif not options.pulses_per_turn:
+        counters = counters_of(raw)
+        if len(counters) > 1:
+            numbers = ", ".join(str(i + 1) for i in counters)
+            raise DatasetError(
+                f"{raw.path}: the columns {numbers} count revolutions.",
+                f"Choose one: --column revolutions={counters[0] + 1}.",
+            )
+        if counters:
+            return read_counter(raw, counters[0], options)
+    return read_pulses(raw, options) if options.pulses_per_turn else interpret(raw, options)
+
+
+def _of_body(raw: RawTable, options: ReadOptions) -> RawTable:
+    """Return the rows of one body, where a table holds several (as `export` writes them)."""
+    place = next(
+        (i for i, n in enumerate(raw.names) if n.casefold() == "body" and isinstance(raw.columns[i], list)),
+        None,
+    )
+    if place is None:
+        return raw
+    words = np.array([str(w) for w in raw.columns[place]])
+    bodies = sorted(set(words))
+    body = options.body if options.body in bodies else bodies[0] if len(bodies) == 1 else None
+    if body is None:
+        raise DatasetError(
+            f"{raw.path} has the bodies {', '.join(bodies)[:80]}.", "Import it with --casing and --rotor."
+        )
+    rows = np.flatnonzero(words == body)
+    columns = tuple(c[rows] if isinstance(c, np.ndarray) else [c[i] for i in rows] for c in raw.columns)
+    return replace(raw, columns=columns, line=raw.line[rows])
+
+
+def _of_points(points: Points, options: ReadOptions) -> MotionTable:
+    found = angle_of(points, options)
+    seen = np.isfinite(found.angle) & np.isfinite(found.time)
+    lost = int((~seen).sum())
+    notes = [*found.notes]
+    if lost:
+        notes.append(f"{points.path.name}: {lost} frames without the marker were left out")
+    if (np.diff(found.time[seen]) < 0).any():
+        at = int(np.flatnonzero(np.diff(found.time[seen]) < 0)[0]) + 2
+        notes.append(
+            f"{points.path.name}: times are not increasing (sample {at}); samples were sorted by time"
+        )
+    order = np.flatnonzero(seen)[np.argsort(found.time[seen], kind="stable")]
+    order = order[np.concatenate([[True], np.diff(found.time[order]) > 0])] if len(order) else order
+    made = MotionTable(
+        points.path, points.sha256, "angle", found.time[order], found.angle[order], None, order + 1, ()
+    )
+    return replace(in_order(made, notes), notes=tuple(notes))

@@ -1,0 +1,215 @@
+"""What of a recording belongs to the run: limits by hand, a drive at the start, a brake or rest at the end.
+
+The speed is taken in blocks of samples. A drive (a motor, a hand) is recognised by a changepoint of the deceleration:
+before it the speed is held or grows, after it the body slows down; a brake by a deceleration of three times that before
+it and more, to the end of the motion; rest by a speed that is not distinguishable from zero; a disturbance by a speed
+that grows again. A body that changes its sense of rotation more than once oscillates and is not cut.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from gyrotrack._errors import UsageError
+from gyrotrack.io._records import Floats
+from gyrotrack.io.readers._motion_table import FEWEST, MotionTable
+
+_BLOCKS = 400
+_LEAST_BLOCK = 4
+_STEEPER = 3.0
+"""Ratio of decelerations from which the later one is a brake."""
+_SIGNIFICANT = 6.0
+"""Standard errors by which the slopes before and after a drive's end differ."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Times of the recording's own clock [s] that the user wants: first, last, and intervals to leave out."""
+
+    start: float | None = None
+    stop: float | None = None
+    cuts: tuple[tuple[float, float], ...] = ()
+    keep_all: bool = False
+
+
+def read_cuts(given: Sequence[str]) -> tuple[tuple[float, float], ...]:
+    """Return intervals written as ``A:B`` [s].
+
+    Raises
+    ------
+    UsageError
+        One is not of this form, or B is not greater than A.
+    """
+    cuts = []
+    for text in given:
+        first, _, last = text.partition(":")
+        try:
+            cut = (float(first), float(last))
+        except ValueError:
+            cut = (1.0, 0.0)
+        if not cut[0] < cut[1]:
+            raise UsageError(f"{text[:40]!r} is not an interval of time.", "Write --cut 12.5:14 in seconds.")
+        cuts.append(cut)
+    return tuple(cuts)
+
+
+def limited(table: MotionTable, limits: Limits) -> MotionTable:
+    """Return the samples within the limits and outside the cuts.
+
+    Raises
+    ------
+    UsageError
+        Fewer samples remain than a fit needs.
+    """
+    keep = np.ones(len(table.time), dtype=bool)
+    if limits.start is not None:
+        keep &= table.time >= limits.start
+    if limits.stop is not None:
+        keep &= table.time <= limits.stop
+    for first, last in limits.cuts:
+        keep &= (table.time < first) | (table.time > last)
+    if keep.all():
+        return table
+    if keep.sum() < FEWEST:
+        raise UsageError(
+            f"{table.path}: {keep.sum()} samples remain between the limits; it has times from "
+            f"{table.time[0]:.6g} to {table.time[-1]:.6g} s.",
+            "Choose --from, --to and --cut within these times.",
+        )
+    return table.only(
+        keep,
+        f"{table.path.name}: {int((~keep).sum())} samples outside --from, --to or in --cut were left out",
+    )
+
+
+def run_of(table: MotionTable, value: Floats, limits: Limits) -> tuple[MotionTable, Floats]:
+    """Return the samples of the free motion and their unwrapped values: without drive, brake and rest.
+
+    Parameters
+    ----------
+    table : MotionTable
+        A recording of one body.
+    value : ndarray, shape (n,)
+        Its angles without steps of a turn [rad], or its angular velocities [rad/s].
+
+    Returns
+    -------
+    MotionTable, ndarray
+        What belongs to the run, with a note for each part that was cut; everything with `keep_all`.
+    """
+    if limits.keep_all or len(table.time) < 8 * _LEAST_BLOCK:
+        return table, value
+    time, speed, error = speeds(table, value)
+    if len(time) < 12:
+        return table, value
+    sense = np.sign(speed[np.abs(speed) > 0.1 * np.abs(speed).max()])
+    if np.count_nonzero(np.diff(sense)) > 1:
+        return table, value
+    speed = np.abs(median_filter(speed, 5, mode="nearest"))
+    begin, driven = _release(time, speed)
+    end, stopped = _arrest(time, speed, error, begin)
+    first = time[begin] if driven else -np.inf
+    last = time[end] if stopped else np.inf
+    keep = (table.time >= first) & (table.time <= last)
+    if keep.all() or keep.sum() < 60:
+        return table, value
+    notes = []
+    if driven:
+        notes.append(
+            f"{table.path.name}: the body is driven until {first:.2f} s (changepoint of its deceleration); "
+            f"{int((table.time < first).sum())} samples were left out (--keep-all keeps them)"
+        )
+    if stopped:
+        notes.append(
+            f"{table.path.name}: the body {stopped} after {last:.2f} s; {int((table.time > last).sum())} samples were "
+            "left out (--keep-all keeps them)"
+        )
+    return table.only(keep, *notes), value[keep]
+
+
+def speeds(table: MotionTable, value: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return times, angular velocities [rad/s] and their standard errors in blocks of samples."""
+    size = max(_LEAST_BLOCK, len(table.time) // (_BLOCKS * (4 if table.counted else 1)))
+    edges = np.arange(0, len(table.time) - size + 1, size)
+    time, speed, error = (np.empty(len(edges)) for _ in range(3))
+    for k, start in enumerate(edges):
+        t, v = table.time[start : start + size], value[start : start + size]
+        time[k] = t.mean()
+        if table.quantity == "omega":
+            speed[k], error[k] = np.median(v), v.std() / np.sqrt(size)
+            continue
+        x = t - t.mean()
+        spread = float(x @ x)
+        speed[k] = float(x @ v) / spread
+        residual = v - v.mean() - speed[k] * x
+        error[k] = np.sqrt(max(float(residual @ residual) / max(size - 2, 1), 0.0) / spread)
+    return time, speed, error
+
+
+def _release(time: Floats, speed: Floats) -> tuple[int, bool]:
+    """Return the block from which the body coasts, and whether it was driven before."""
+    top = float(speed.max())
+    last_high = int(np.flatnonzero(speed >= 0.99 * top)[-1])
+    falling = np.flatnonzero(speed[last_high:] < 0.85 * top)
+    reach = last_high + (int(falling[0]) if len(falling) else len(speed) - last_high - 1)
+    reach = max(reach, min(last_high + 6, len(speed) - 1))
+    low = max(0, 2 * last_high - reach - 6)
+    best: tuple[float, int, float, float, float] | None = None
+    for k in range(max(low + 2, 2), reach - 2):
+        before, after = slice(low, k + 1), slice(k, reach + 1)
+        if k + 1 - low < 3:
+            continue
+        b, rb, ub = _slope(time[before], speed[before])
+        a, ra, ua = _slope(time[after], speed[after])
+        if best is None or rb + ra < best[0]:
+            best = (rb + ra, k, b, a, float(np.hypot(ua, ub)))
+    if best is None:
+        return 0, False
+    _, k, b, a, u = best
+    held = b > 0.4 * a and a < 0 and b - a > _SIGNIFICANT * u
+    grown = speed[0] < 0.9 * top and last_high > 2
+    if held:
+        return min(k + 1, len(time) - 1), True
+    if grown:
+        return min(last_high + 1, len(time) - 1), True
+    return 0, False
+
+
+def _slope(time: Floats, speed: Floats) -> tuple[float, float, float]:
+    """Return the slope of a line, its sum of squares, and the slope's standard error."""
+    x = time - time.mean()
+    spread = max(float(x @ x), 1e-300)
+    slope = float(x @ speed) / spread
+    residual = speed - speed.mean() - slope * x
+    rest = float(residual @ residual)
+    return slope, rest, float(np.sqrt(rest / max(len(time) - 2, 1) / spread))
+
+
+def _arrest(time: Floats, speed: Floats, error: Floats, begin: int) -> tuple[int, str]:
+    """Return the last block of the free motion, and what ends it ("" if nothing does)."""
+    top = float(speed[begin:].max())
+    noise = 3 * float(np.median(error[-max(len(error) // 10, 3) :])) + 1e-3 * top
+    moving = np.flatnonzero(speed > noise)
+    end = int(moving[-1]) if len(moving) else len(speed) - 1
+    what = "rests" if end < len(speed) - 3 else ""
+    lowest = np.minimum.accumulate(speed[begin : end + 1])
+    rising = np.flatnonzero((speed[begin : end + 1] > 1.25 * lowest + 2e-3 * top) & (lowest < 0.2 * top))
+    if len(rising) > 2 and np.diff(rising).max() < 5:
+        end, what = (
+            begin + int(np.argmin(speed[begin : begin + int(rising[0])])),
+            "is disturbed (its speed grows again)",
+        )
+    slowing = -np.gradient(speed, time)
+    span = max(5, (end - begin) // 10)
+    brake = 0
+    for k in range(end - 1, begin + span, -1):
+        before = float(np.median(slowing[max(begin, k - span) : k]))
+        if slowing[k : end + 1].min() <= 0 or before <= 0:
+            break
+        if (slowing[k : end + 1] > _STEEPER * before).all() and speed[k - 1] > 0.05 * top:
+            brake = k
+    return (brake - 1, "is braked") if brake else (end, what)

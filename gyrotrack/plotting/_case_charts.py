@@ -1,0 +1,384 @@
+"""The charts of one case: speeds, residuals, unmodelled torque, energy balance, quality of tracking."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting._numbers import scaled, short
+from gyrotrack.plotting._charts import Chart, Dashboard, Trace, concatenated, draw
+from gyrotrack.plotting._study_data import CaseView, Residual, residual_rms
+from gyrotrack.plotting._style import (
+    AFTER,
+    BEFORE,
+    BLUE,
+    GREEN,
+    ORANGE,
+    PURPLE,
+    SKY,
+    VERMILLION,
+    WIDTH,
+    Picture,
+    canvas,
+    markup,
+    style,
+)
+from gyrotrack.plotting._tracking import Tracks, centre_finding, sigma_finding
+
+Array = NDArray[np.float64]
+
+NAMES = ("base model", "final model")
+_MEASURED, _NOISE, _INK = "#a9abb1", "#8c8e94", "#000000"
+_MODEL_STYLES: tuple[tuple[str, tuple[float, ...]], ...] = ((BEFORE, ()), (AFTER, (6.0, 3.0)))
+_ALTERNATIVES = (GREEN, PURPLE, ORANGE)
+_STEPS = (GREEN, PURPLE, SKY, "#555555")
+_CLIPS = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY)
+_POWERS = {"": "1", "m": "10⁻³", "µ": "10⁻⁶", "n": "10⁻⁹", "p": "10⁻¹²"}
+# where the standard uncertainty of a torque exceeds its smallest value so many times, the data say little
+_UNKNOWN = 3.0
+# residuals larger than this [σ] are drawn on a scale that is linear up to _LINEAR and logarithmic beyond
+_LARGE, _LINEAR = 20.0, 3.0
+
+
+def case_dashboard(
+    view: CaseView, tracks: Tracks | None, steps: Sequence[str], *, names: Sequence[str] = NAMES
+) -> Dashboard:
+    """Return all charts of one case.
+
+    Parameters
+    ----------
+    view : CaseView
+        The case under its first and its last model.
+    tracks : Tracks or None
+        What tracking recorded of its clips.
+    steps : sequence of str
+        Names of the steps of the history of fits.
+    names : sequence of str
+        Names of the first and the last model.
+    """
+    bodies = ("casing", "rotor") if view.rotor else ("casing",)
+    charts = [speed_chart(view, "casing", names), residual_chart(view, "casing", names)]
+    charts.append(torque_speed_chart(view, names))
+    charts += [torque_chart(view, b, names) for b in bodies]
+    if view.rotor:
+        charts += [speed_chart(view, "rotor", names), residual_chart(view, "rotor", names)]
+    charts += [normalised_chart(view, names), energy_chart(view, steps)]
+    if tracks is not None:
+        charts += tracking_charts(tracks)
+    return Dashboard(view.label, tuple(charts), view.intervals)
+
+
+def _called(view: CaseView, body: str) -> str:
+    return view.body if body == "casing" else body
+
+
+def speed_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> Chart:
+    """Return measured and modelled speed of a body."""
+    measured = (view.casing,) if body == "casing" else view.rotor
+    traces = [
+        concatenated(
+            "measured", [(c.time, c.value, None) for c in measured], _MEASURED, width=3.0, scale="reference"
+        )
+    ]
+    for m, label, (colour, dash) in zip(view.models, names, _MODEL_STYLES, strict=False):
+        curves = (m.casing,) if body == "casing" else m.rotor
+        parts = [(c.time, c.value, c.sigma) for c in curves]
+        traces.append(concatenated(label, parts, colour, width=1.5, dash=dash))
+    largest = max(float(np.abs(c.value).max()) for c in measured)
+    known = [float(m.casing.sigma.max()) for m in view.models]
+    caption = (
+        "Angular velocity, smoothed as in the paper (median over 51 points); bands: ±2 σ of the parameters"
+    )
+    caption += f" (at most {short(2 * max(known), 2)} rad/s)." if body == "casing" else "."
+    finding = f"The speed of the {_called(view, body)} reaches {short(largest)} rad/s."
+    return Chart(
+        "speed" if body == "casing" else "rotor",
+        f"Speed of the {_called(view, body)}",
+        "rad/s",
+        tuple(traces),
+        finding,
+        caption=caption,
+    )
+
+
+def residual_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> Chart:
+    """Return measured minus modelled speed of a body for each model, with one band of the noise."""
+    groups = [(m.casing_residual,) if body == "casing" else m.rotor_residual for m in view.models]
+    factor, prefix = scaled(max(float(np.abs(r.value).max()) for g in groups for r in g))
+    band = [(r.time, 0.0 * r.value, factor * r.sigma) for r in groups[-1]]
+    traces = [concatenated("±2 σ of noise", band, _NOISE, kind="band")]
+    for g, label, (colour, _) in zip(groups, names, _MODEL_STYLES, strict=False):
+        parts = [(r.time, factor * r.value, None) for r in g]
+        traces.append(concatenated(label, parts, colour, kind="points", width=1.2))
+    called = _called(view, body)
+    width = float(np.median(groups[0][0].width))
+    return Chart(
+        f"residual-{body}",
+        f"Residual, {called}",
+        f"{prefix}rad/s",
+        tuple(traces),
+        residual_finding(groups, called),
+        caption=f"Measured minus modelled angular velocity of the {called}, mean over {short(width, 2)} s. "
+        "Grey band: ±2 σ of noise alone, the same for all models.",
+    )
+
+
+def residual_finding(groups: Sequence[Sequence[Residual]], called: str) -> str:
+    """Return the size of the residuals in units of the noise, before and after."""
+    rms = [residual_rms(g, groups[-1]) for g in groups]
+    largest = [max(float(np.abs(r.value).max()) for r in g) for g in groups]
+    text = f"Residual of the {called} with the base model: up to {short(largest[0])} rad/s, rms {short(rms[0])} σ"
+    if len(groups) > 1:
+        text += f"; with the final model: up to {short(largest[-1])} rad/s, rms {short(rms[-1])} σ"
+    return text + " (1 σ = noise limit)."
+
+
+def normalised_chart(view: CaseView, names: Sequence[str] = NAMES) -> Chart:
+    """Return the residuals of all models in units of the noise of the last one, with one band."""
+    noise = view.models[-1].casing_residual.sigma
+    known = noise > 0
+    scale = np.where(known, noise, 1.0)
+    time = view.models[-1].casing_residual.time
+    nothing = np.where(known, 0.0, np.nan)
+    traces = [Trace("±2 σ of noise", time, nothing, _NOISE, np.where(known, 1.0, np.nan), "band")]
+    for m, label, (colour, _) in zip(view.models, names, _MODEL_STYLES, strict=False):
+        z = np.where(known, m.casing_residual.value / scale, np.nan)
+        traces.append(Trace(label, time, z, colour, kind="points", width=1.2))
+    largest = max(float(np.nanmax(np.abs(t.value), initial=0.0)) for t in traces)
+    return Chart(
+        "normalised",
+        f"Residual, {view.body}",
+        "σ",
+        tuple(traces),
+        residual_finding([(m.casing_residual,) for m in view.models], view.body),
+        caption=f"Measured minus modelled angular velocity of the {view.body}, divided by the standard uncertainty due "
+        "to noise, the same for all models. Grey band: ±2 σ.",
+        linear_within=_LINEAR if largest > _LARGE else 0.0,
+    )
+
+
+def _torque_scale(view: CaseView, body: str) -> tuple[float, str]:
+    return scaled(max(float(np.abs(m.torques[body].torque).max()) for m in view.models))
+
+
+def _known(torque: Array, sigma: Array) -> tuple[Array, Array]:
+    """Return torque and standard uncertainty, nan where the data say little about them."""
+    known = sigma <= _UNKNOWN * sigma.min()
+    return np.where(known, torque, np.nan), np.where(known, sigma, np.nan)
+
+
+def torque_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> Chart:
+    """Return the unmodelled torque on a body against time, with the law that was added and alternatives."""
+    factor, prefix = _torque_scale(view, body)
+    traces = []
+    for m, label, (colour, _) in zip(view.models, names, _MODEL_STYLES, strict=False):
+        torque, sigma = _known(m.torques[body].torque, m.torques[body].sigma)
+        traces.append(Trace(label, m.torques[body].time, factor * torque, colour, factor * sigma))
+    if view.added is not None and view.added.on(body).any():
+        a = view.added
+        law = factor * a.on(body)
+        traces.append(Trace("added law", a.time, law, _INK, dash=(2.0, 2.0), scale="none"))
+    for a, colour in zip(view.alternatives, _ALTERNATIVES, strict=False):
+        if a.on(body).any():
+            law = factor * a.on(body)
+            traces.append(Trace(a.name, a.time, law, colour, width=1.2, dash=(6.0, 2.0), scale="none"))
+    called = _called(view, body)
+    return Chart(
+        f"torque-{body}",
+        f"Unmodelled torque, {called}",
+        f"{prefix}N m",
+        tuple(traces),
+        _torque_finding(view, body),
+        caption="Torque that the model lacks, inferred from the residual without assuming a law; bands: ±2 σ. "
+        "Dotted (added law): torque of the final model minus that of the base; dashed: the same for other candidates "
+        "after a refit.",
+    )
+
+
+def torque_speed_chart(view: CaseView, names: Sequence[str] = NAMES, *, alternatives: bool = True) -> Chart:
+    """Return the unmodelled torque on the casing against its speed, with the law that was added (and alternatives)."""
+    factor, prefix = _torque_scale(view, "casing")
+    traces: list[Trace] = []
+    for m, label, (colour, _) in zip(view.models, names, _MODEL_STYLES, strict=False):
+        curve = m.torques["casing"]
+        torque, sigma = _known(curve.torque, curve.sigma)
+        branches = _branches(curve.omega_c)
+        for k, part in enumerate(branches):
+            rising = k == 0 and len(branches) > 1
+            traces.append(
+                Trace(
+                    f"{label}, speeding up" if rising else label,
+                    curve.omega_c[part],
+                    factor * torque[part],
+                    colour,
+                    factor * sigma[part],
+                    dash=(4.0, 2.0) if rising else (),
+                )
+            )
+    for a, colour, width in [
+        *([(view.added, _INK, 1.8)] if view.added is not None else []),
+        *(
+            (x, c, 1.2)
+            for x, c in zip(view.alternatives if alternatives else (), _ALTERNATIVES, strict=False)
+        ),
+    ]:
+        law = factor * a.casing
+        if not law.any():
+            continue
+        branches = _branches(a.omega_c)
+        for k, part in enumerate(branches):
+            name = "added law" if a is view.added else a.name
+            name += ", speeding up" if k == 0 and len(branches) > 1 else ""
+            dash = (2.0, 2.0) if k == 0 else (1.0, 1.0)
+            traces.append(
+                Trace(name, a.omega_c[part], law[part], colour, width=width, dash=dash, scale="none")
+            )
+    return Chart(
+        "torque-speed",
+        f"Unmodelled torque, {view.body}",
+        f"{prefix}N m",
+        tuple(traces),
+        _torque_finding(view, "casing"),
+        x_label=f"speed of the {view.body} [rad/s]",
+        caption="Torque that the model lacks against speed, inferred from the residual without assuming a law; "
+        f"bands: ±2 σ. Dashed: while the {view.body} speeds up. A friction that depends on speed alone gives one "
+        "curve for both. Dotted: the law that was added, after a refit of the other parameters.",
+    )
+
+
+def _branches(speed: Array) -> list[NDArray[np.intp]]:
+    """Return the indices, by increasing speed, before and after the peak of the speed; one list if either is short."""
+    peak = int(np.argmax(np.abs(speed)))
+    parts = [np.arange(peak + 1), np.arange(peak, len(speed))]
+    if min(map(len, parts)) < 3:
+        parts = [max(parts, key=len)]
+    found = []
+    for part in parts:
+        _, first = np.unique(speed[part], return_index=True)
+        found.append(part[first])
+    return found
+
+
+def _torque_finding(view: CaseView, body: str) -> str:
+    parts = []
+    for m, label in zip(view.models, NAMES, strict=False):
+        curve = m.torques[body]
+        if not curve.torque.any():
+            parts.append(f"No unmodelled torque is resolved with the {label}.")
+            continue
+        outside = float(np.mean(np.abs(curve.torque) > 2 * curve.sigma))
+        largest = int(np.argmax(np.abs(curve.torque)))
+        factor, prefix = scaled(abs(float(curve.torque[largest])))
+        parts.append(
+            f"Unmodelled torque on the {_called(view, body)} with the {label}: up to "
+            f"{short(factor * abs(float(curve.torque[largest])))} {prefix}N m, outside ±2 σ for {100 * outside:.0f} % "
+            "of the time."
+        )
+    return " ".join(parts)
+
+
+def energy_chart(view: CaseView, steps: Sequence[str]) -> Chart:
+    """Return the relative drift of the energy balance for each step of the history."""
+    colours = [BEFORE, *[_STEPS[i % len(_STEPS)] for i in range(len(view.energy) - 2)], AFTER]
+    factor, prefix = scaled(max(e.drift for e in view.energy))
+    traces = [
+        Trace(step, e.mean.time, factor * e.mean.value, colour)
+        for e, step, colour in zip(view.energy, steps, colours, strict=False)
+    ]
+    drifts = [short(e.drift) for e in view.energy]
+    finding = (
+        f"Largest relative drift of the energy balance: {' → '.join(dict.fromkeys([drifts[0], drifts[-1]]))}."
+    )
+    return Chart(
+        "energy",
+        "Energy balance, drift",
+        _POWERS[prefix],
+        tuple(traces),
+        finding,
+        caption="Kinetic energy plus dissipated energy, relative to its initial value, running mean; it is constant "
+        f"for a complete model. The measured speed of the {view.body} enters.",
+    )
+
+
+def tracking_charts(tracks: Tracks) -> list[Chart]:
+    """Return the standard uncertainty of the angles and the motion of the centre in the picture."""
+    sigma: list[Trace] = []
+    for body in sorted({s.body for s in tracks.sigmas}):
+        curves = [(s.clip, s.time, 1e3 * s.value) for s in tracks.sigmas if s.body == body]
+        sigma += _lanes(body, curves, len(sigma))
+    centre: list[Trace] = []
+    for axis in (0, 1):
+        curves = [(c.clip, c.time, c.place[:, axis]) for c in tracks.centres]
+        centre += _lanes("xy"[axis], curves, len(centre))
+    charts = []
+    if sigma:
+        finding = sigma_finding(tracks.sigmas)
+        caption = "From the agreement of the markers and their sharpness."
+        charts.append(
+            Chart("sigma", "Uncertainty of the angles", "mrad", tuple(sigma), finding, caption=caption)
+        )
+    finding = centre_finding(tracks.centres)
+    caption = "Centre in the picture, relative to its median; tracking corrects the angles for it."
+    charts.append(Chart("centre", "Motion of the centre", "px", tuple(centre), finding, caption=caption))
+    return charts
+
+
+def _lanes(prefix: str, curves: Sequence[tuple[str, Array, Array]], used: int) -> list[Trace]:
+    """Return curves (clip, time, value) as few traces: those that do not overlap in time share one."""
+    lanes: list[tuple[str, list[tuple[Array, Array, None]]]] = []
+    for name, time, value in sorted(curves, key=lambda c: float(c[1][0])):
+        free = next((lane for _, lane in lanes if lane[-1][0][-1] < time[0]), None)
+        if free is None:
+            lanes.append((name, [(time, value, None)]))
+        else:
+            free.append((time, value, None))
+    return [
+        concatenated(
+            f"{prefix}, {name}" + (" …" if len(lane) > 1 else ""),
+            lane,
+            _CLIPS[(used + i) % len(_CLIPS)],
+            width=1.0,
+        )
+        for i, (name, lane) in enumerate(lanes)
+    ]
+
+
+_MOST_WINDOWS = 8
+_ACROSS = 4
+
+
+def windows_picture(view: CaseView, name: str) -> Picture:
+    """Draw speed and residual of the rotor, each window magnified."""
+    count = len(view.rotor)
+    shown = np.unique(np.linspace(0, count - 1, min(count, _MOST_WINDOWS)).round().astype(int))
+    across = min(_ACROSS, len(shown))
+    down = -(-len(shown) // across)
+    speed, residual = speed_chart(view, "rotor"), residual_chart(view, "rotor")
+    intervals = [i for i in view.intervals if i.body == "rotor"]
+    with style():
+        figure = canvas(WIDTH, 3.6 * down)
+        axes = figure.subplots(2 * down, across, squeeze=False, height_ratios=[1.15, 1] * down)
+        for ax in axes.flat:
+            ax.set_visible(False)
+        for place, i in enumerate(shown):
+            row, column = divmod(place, across)
+            time, value = view.rotor[i].time, view.rotor[i].value
+            room = 0.02 * (time[-1] - time[0])
+            window = (float(time[0] - room), float(time[-1] + room))
+            pair = axes[2 * row, column], axes[2 * row + 1, column]
+            draw(pair[0], speed, intervals, window=window, limits=(float(value.min()), float(value.max())))
+            draw(pair[1], residual, intervals, window=window)
+            for ax in pair:
+                ax.set_visible(True)
+                ax.set_ylabel(ax.get_ylabel() if column == 0 else "", fontsize=9)
+            pair[0].set_title(f"window {i + 1}", fontweight="normal")
+            pair[0].set_xticklabels([])
+            pair[0].set_xlabel("")
+        handles, names = axes[0, 0].get_legend_handles_labels()
+        figure.legend(handles, names, loc="outside upper right", ncols=3)
+        more = f" {len(shown)} of {count} windows are shown." if len(shown) < count else ""
+        return Picture(
+            name, markup(figure, name, residual.finding), residual.caption + more, residual.finding
+        )

@@ -1,0 +1,456 @@
+"""Charts: every curve is described once and drawn by matplotlib (files, PDF) or by uPlot (browser).
+
+A `Chart` holds traces (numbers, label, colour); it does not know who draws it. Its vertical scale follows the
+data: what the chart shows for reference only, or what carries no information (a band far wider than the curves, as
+an undetermined parameter makes it), has no influence on the scale.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+from importlib import resources
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrotrack.plotting._style import FAILING, Picture, canvas, legend, markup, plain
+from gyrotrack.plotting._style import style as style_context
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+Array = NDArray[np.float64]
+TIME = "time [s]"
+# a band wider than this many spans of the curves of its chart carries no information and is not drawn
+_WIDEST_BAND = 2.0
+# 16-bit integers: 1/65000 of the range, less than a hundredth of a pixel of a curve that fills a screen
+_STEPS = 32767
+_REGULAR = 1e-6
+# characters that end a script element, or begin a comment or another element, are written as JSON escapes
+_ESCAPES = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One curve.
+
+    Parameters
+    ----------
+    label : str
+        Name in the legend.
+    x, value : ndarray, shape (n,)
+        Abscissa, increasing, and value; nan interrupts the curve.
+    colour : str
+        As in CSS and matplotlib.
+    sigma : ndarray, shape (n,), optional
+        Standard uncertainty; a band of plus and minus two of them is drawn.
+    kind : {"line", "points", "band"}
+        A line, points joined by a line, or the band alone.
+    width : float
+        Width of the line [px].
+    dash : tuple of float
+        Lengths of strokes and gaps [px]; empty for a full line.
+    scale : {"normal", "reference", "none"}
+        Influence on the vertical scale. Where a chart has reference traces (measurements), the others widen its
+        scale by at most its own height on either side; a trace with "none" never does.
+    """
+
+    label: str
+    x: Array
+    value: Array
+    colour: str
+    sigma: Array | None = None
+    kind: Literal["line", "points", "band"] = "line"
+    width: float = 1.5
+    dash: tuple[float, ...] = ()
+    scale: Literal["normal", "reference", "none"] = "normal"
+
+
+@dataclass(frozen=True)
+class Chart:
+    """One pair of axes.
+
+    Parameters
+    ----------
+    name : str
+        Identifier, unique on a page.
+    title, unit : str
+        The quantity on the vertical axis and its unit.
+    traces : tuple of Trace
+        The curves. Bands that carry no information are removed on construction.
+    finding : str
+        What the chart shows, in a sentence (text alternative).
+    x_label : str
+        The horizontal axis; charts against time share zoom and cursor.
+    caption : str
+        How the chart is to be read.
+    linear_within : float
+        If positive, matplotlib draws a vertical scale that is linear up to this size and logarithmic beyond.
+    """
+
+    name: str
+    title: str
+    unit: str
+    traces: tuple[Trace, ...]
+    finding: str
+    x_label: str = TIME
+    caption: str = ""
+    linear_within: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "traces", informative(self.traces))
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Vertical limits of the whole chart, without margins."""
+        return vertical_limits(self.traces)
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An interval of time [s] that is shaded in all charts, with a short text; `body` is the one it concerns."""
+
+    start: float
+    stop: float
+    text: str
+    body: str = ""
+
+
+@dataclass(frozen=True)
+class Dashboard:
+    """Charts of one case and the intervals in which its model fails."""
+
+    title: str
+    charts: tuple[Chart, ...]
+    intervals: tuple[Interval, ...] = field(default=())
+
+
+def _range(values: Sequence[Array]) -> tuple[float, float]:
+    known = [v[np.isfinite(v)] for v in values]
+    known = [v for v in known if len(v)]
+    return (min(float(v.min()) for v in known), max(float(v.max()) for v in known)) if known else (0.0, 0.0)
+
+
+def _span(traces: Sequence[Trace]) -> float:
+    """Return the height of the reference traces, or else of all that influence the scale."""
+    values = [t.value for t in traces if t.scale == "reference" and t.kind != "band"]
+    low, high = _range(values or [t.value for t in traces if t.scale != "none" and t.kind != "band"])
+    return high - low
+
+
+def informative(traces: Sequence[Trace]) -> tuple[Trace, ...]:
+    """Return traces without the parts of bands that are wider than the chart.
+
+    Parameters
+    ----------
+    traces : sequence of Trace
+        The curves of one chart. A band of noise (kind "band") stays as it is.
+    """
+    span = _span(traces)
+    found = []
+    for t in traces:
+        if t.sigma is not None and t.kind != "band" and span > 0:
+            known = np.isfinite(t.sigma)
+            narrow = known & (2 * np.where(known, t.sigma, 0.0) <= _WIDEST_BAND * span)
+            if not narrow.all():
+                wide = bool((known & ~narrow).any())
+                label = f"{t.label} (band wider than the chart)" if wide else t.label
+                sigma = np.where(narrow, t.sigma, np.nan) if narrow.any() else None
+                t = replace(t, sigma=sigma, label=label)
+        found.append(t)
+    return tuple(found)
+
+
+def vertical_limits(traces: Sequence[Trace]) -> tuple[float, float]:
+    """Return limits that hold what carries information.
+
+    The values of reference traces, or of all traces with an influence where there is none, set the height;
+    everything else, bands included, widens it by at most that height on either side.
+    """
+    main = [t for t in traces if t.scale == "reference"] or [t for t in traces if t.scale == "normal"]
+    low, high = _range([t.value for t in main if t.kind != "band"] or [t.value for t in main])
+    room = high - low
+    edges = []
+    for t in traces:
+        if t.scale != "none":
+            edges += [t.value] if t.sigma is None else [t.value, t.value - 2 * t.sigma, t.value + 2 * t.sigma]
+    least, most = _range(edges) if edges else (low, high)
+    if room <= 0:
+        return (least, most) if most > least else (low - 1.0, high + 1.0)
+    return max(least, low - room), min(most, high + room)
+
+
+def thin(x: Array, value: Array, most: int = 2000) -> tuple[Array, Array]:
+    """Return at most `most` points of a curve: the lowest and the highest of each bin, so that no peak is lost.
+
+    Parameters
+    ----------
+    x, value : ndarray, shape (n,)
+        The curve. Only its own points are returned, in order.
+    most : int
+        Largest number of points.
+    """
+    if len(x) <= most:
+        return x, value
+    edges = np.linspace(0, len(x), most // 2 + 1).astype(int)
+    low = [a + int(np.argmin(value[a:b])) for a, b in pairwise(edges)]
+    high = [a + int(np.argmax(value[a:b])) for a, b in pairwise(edges)]
+    keep = np.unique([*low, *high])
+    return x[keep], value[keep]
+
+
+def concatenated(
+    label: str, curves: Sequence[tuple[Array, Array, Array | None]], colour: str, **options: Any
+) -> Trace:
+    """Return one trace of curves (x, value, sigma) that do not overlap, interrupted between them."""
+    x, value, sigma = [], [], []
+    for i, (t, v, s) in enumerate(curves):
+        x.append(t)
+        value.append(v)
+        sigma.append(np.zeros_like(v) if s is None else s)
+        if i + 1 < len(curves) and len(t) and len(curves[i + 1][0]):
+            x.append(np.array([0.5 * (t[-1] + curves[i + 1][0][0])]))
+            value.append(np.array([np.nan]))
+            sigma.append(np.array([np.nan]))
+    joined = [np.concatenate(part) if part else np.zeros(0) for part in (x, value, sigma)]
+    has_band = bool(np.nansum(joined[2]) > 0)
+    return Trace(label, joined[0], joined[1], colour, joined[2] if has_band else None, **options)
+
+
+# matplotlib
+
+
+def draw(
+    ax: Axes,
+    chart: Chart,
+    intervals: Sequence[Interval] = (),
+    *,
+    window: tuple[float, float] | None = None,
+    limits: tuple[float, float] | None = None,
+    most: int = 1200,
+) -> None:
+    """Draw a chart into axes of matplotlib.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where to draw; labels and limits are set, no legend.
+    chart : Chart
+        What to draw.
+    intervals : sequence of Interval
+        Shaded intervals [s].
+    window : (float, float), optional
+        The part of the horizontal axis to draw.
+    limits : (float, float), optional
+        Vertical limits, in place of those of the chart.
+    most : int
+        Largest number of points of a curve.
+    """
+    from matplotlib.ticker import NullLocator
+
+    label: str | None = "model fails"
+    for i in intervals:
+        start, stop = (
+            (i.start, i.stop) if window is None else (max(i.start, window[0]), min(i.stop, window[1]))
+        )
+        if start < stop:
+            ax.axvspan(start, stop, color=FAILING, alpha=0.3, linewidth=0, zorder=0.5, label=label)
+            label = None
+    for t in chart.traces:
+        x, value, sigma = t.x, t.value, t.sigma
+        if window is not None:
+            inside = (x >= window[0]) & (x <= window[1])
+            x, value, sigma = x[inside], value[inside], None if sigma is None else sigma[inside]
+        if sigma is not None:
+            step = max(1, len(x) // most)
+            lower, upper = value - 2 * sigma, value + 2 * sigma
+            alpha = 0.55 if t.kind == "band" else 0.22
+            name = t.label if t.kind == "band" else None
+            ax.fill_between(
+                x[::step], lower[::step], upper[::step], color=t.colour, alpha=alpha, linewidth=0, label=name
+            )
+        if t.kind != "band":
+            marks: dict[str, Any] = {"marker": "o", "markersize": 2.2} if t.kind == "points" else {}
+            ax.plot(
+                *thin(x, value, most),
+                color=t.colour,
+                linewidth=0.85 * t.width,
+                linestyle=(0, tuple(d / (0.85 * t.width) for d in t.dash)) if t.dash else "-",
+                label=plain(t.label, 60),
+                **marks,
+            )
+    low, high = limits or chart.limits
+    if chart.linear_within > 0:
+        ax.set_yscale("symlog", linthresh=chart.linear_within, linscale=0.8, subs=[])
+        ax.set_ylim(min(1.5 * low, -1.5 * chart.linear_within), max(1.5 * high, 1.5 * chart.linear_within))
+        decades = 10.0 ** np.arange(1, 1 + max(1, np.ceil(np.log10(max(abs(low), abs(high), 10.0)))))
+        ax.set_yticks([*-decades[::-1], 0.0, *decades], minor=False)
+        ax.yaxis.set_major_formatter("{x:g}")
+        ax.yaxis.set_minor_locator(NullLocator())
+    else:
+        room = 0.05 * (high - low) or 1.0
+        ax.set_ylim(low - room, high + room)
+    if low < 0 < high:
+        ax.axhline(0, color="#777777", linewidth=0.8, zorder=0.8)
+    if window is not None:
+        ax.set_xlim(*window)
+    else:
+        ax.margins(x=0.01)
+    ax.set_xlabel(chart.x_label)
+    ax.set_ylabel(f"{chart.title} [{chart.unit}]")
+
+
+def chart_picture(
+    chart: Chart,
+    intervals: Sequence[Interval] = (),
+    *,
+    name: str = "",
+    size: tuple[float, float] = (9.2, 3.3),
+) -> Picture:
+    """Return a chart as a figure of a page.
+
+    Parameters
+    ----------
+    chart : Chart
+        What to draw.
+    intervals : sequence of Interval
+        Shaded intervals [s], where the chart is against time.
+    name : str
+        Identifier of the figure; by default that of the chart.
+    size : (float, float)
+        Width and height [inch].
+    """
+    with style_context():
+        figure = canvas(*size)
+        ax = figure.subplots()
+        draw(ax, chart, intervals if chart.x_label == TIME else ())
+        legend(ax, ncols=max(2, int(size[0] / 2.3)))
+        name = name or chart.name
+        return Picture(name, markup(figure, name, chart.finding), chart.caption, chart.finding)
+
+
+# the browser
+
+
+def dashboard_document(board: Dashboard) -> dict[str, Any]:
+    """Return a dashboard as the script `charts.js` reads it."""
+    return {
+        "title": board.title,
+        "intervals": [interval_document(i) for i in board.intervals],
+        "charts": [
+            {
+                "name": c.name,
+                "title": c.title,
+                "unit": c.unit,
+                "finding": c.finding,
+                "x_label": c.x_label,
+                "is_time": c.x_label == TIME,
+                "traces": [_trace(t) for t in c.traces],
+            }
+            for c in board.charts
+        ],
+    }
+
+
+def interval_document(i: Interval) -> dict[str, Any]:
+    """Return an interval as the script reads it."""
+    return {"start": i.start, "stop": i.stop, "text": i.text}
+
+
+def _trace(t: Trace) -> dict[str, Any]:
+    document: dict[str, Any] = {
+        "label": t.label,
+        "colour": t.colour,
+        "kind": t.kind,
+        "width": t.width,
+        "dash": list(t.dash),
+        "scale": t.scale,
+        "x": _abscissa(t.x),
+        "value": _values(t.value),
+    }
+    if t.sigma is not None:
+        document["sigma"] = _values(t.sigma)
+    return document
+
+
+def _abscissa(x: Array) -> dict[str, Any]:
+    """Return start and step of regular values, else each of them (32-bit, relative to the first)."""
+    if len(x) > 2:
+        step = float(x[-1] - x[0]) / (len(x) - 1)
+        if step > 0 and np.abs(x - x[0] - step * np.arange(len(x))).max() < _REGULAR * step:
+            return {"start": float(x[0]), "step": step, "count": len(x)}
+    first = float(x[0]) if len(x) else 0.0
+    return {"floats": _packed((x - first).astype("<f4")), "first": first, "count": len(x)}
+
+
+def _values(value: Array) -> dict[str, Any]:
+    """Return values as 16-bit integers with scale and offset; the lowest integer means nan."""
+    known = np.isfinite(value)
+    low, high = (float(value[known].min()), float(value[known].max())) if known.any() else (0.0, 0.0)
+    middle, half = 0.5 * low + 0.5 * high, max(0.5 * high - 0.5 * low, 1e-300)
+    steps = np.full(len(value), -_STEPS - 1, dtype="<i2")
+    steps[known] = np.round((value[known] - middle) / half * _STEPS)
+    return {"steps": _packed(steps), "scale": half / _STEPS, "offset": middle, "count": len(value)}
+
+
+def _packed(numbers: NDArray[Any]) -> str:
+    return base64.b64encode(numbers.tobytes()).decode("ascii")
+
+
+@cache
+def scripts() -> tuple[str, str]:
+    """Return the scripts of interactive charts: uPlot (MIT licence) and what this package adds."""
+    licence = "/* uPlot 1.6.32, (c) Leon Sorokin, MIT licence, https://github.com/leeoniya/uPlot */\n"
+    return licence + _read("vendor/uPlot.iife.min.js"), _read("charts.js")
+
+
+@cache
+def style() -> str:
+    """Return the style sheet of interactive charts."""
+    return _read("vendor/uPlot.min.css") + _read("charts.css")
+
+
+@cache
+def theme() -> str:
+    """Return the custom properties (colours, light and dark) of report and workbench."""
+    return _read("theme.css")
+
+
+def as_data(document: Any) -> str:
+    """Return a document as JSON for a ``script`` element of the type application/json."""
+    return json.dumps(document, allow_nan=False, separators=(",", ":")).translate(_ESCAPES)
+
+
+def content_policy(scripts: Sequence[str], *, connect: bool = False) -> str:
+    """Return a content security policy under which these scripts run and nothing else.
+
+    Parameters
+    ----------
+    scripts : sequence of str
+        The exact text of each inline script.
+    connect : bool
+        Whether the page may talk to the server that it came from.
+    """
+    hashes = [base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts]
+    allowed = " ".join(f"'sha256-{h}'" for h in hashes) or "'none'"
+    parts = [
+        "default-src 'none'",
+        f"script-src {allowed}",
+        "style-src 'unsafe-inline'",
+        "img-src data: blob:" if connect else "img-src data:",
+        "base-uri 'none'",
+        "form-action 'none'",
+    ]
+    return "; ".join([*parts, "connect-src 'self'"] if connect else parts)
+
+
+def _read(name: str) -> str:
+    return resources.files("gyrotrack.plotting").joinpath(name).read_text("utf-8")

@@ -1,0 +1,76 @@
+"""Every decision threshold is a documented field of one record, and the answer follows it."""
+
+from dataclasses import FrozenInstanceError, fields, replace
+from functools import cache
+
+import pytest
+import twobody
+
+import fitting
+from fitting.discovery._criteria import Criteria
+from fitting.discovery._select import best, rank
+from fitting.discovery._verdict import diagnose
+from fitting.dynamics._model import Model
+from fitting.effects._library import REDUCED
+from fitting.inference._fit import fit
+from fitting.inference._record import make_record
+
+
+@cache
+def base():
+    hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -4e-7 * (wc / 160) ** 2)
+    motion = twobody.simulate(hidden=hidden, seed=2)
+    return fit(Model.of(REDUCED), [make_record(**twobody.film(motion, 2))])
+
+
+@cache
+def ranked():
+    return rank(base())
+
+
+def test_it_prints_on_one_screen_with_the_meaning_of_every_field():
+    lines = str(fitting.Criteria()).splitlines()
+    assert len(lines) == 1 + len(fields(Criteria)) <= 45
+    assert max(map(len, lines)) <= 112
+    assert all(
+        f.name in line and f.metadata["meaning"] for f, line in zip(fields(Criteria), lines[1:], strict=True)
+    )
+    assert "0.01* " in str(replace(Criteria(), significance=0.01))  # a changed value is marked
+
+
+def test_it_is_immutable_and_refuses_nonsense():
+    with pytest.raises(FrozenInstanceError):
+        Criteria().evidence = 3.0
+    for wrong in (
+        {"significance": 2.0},
+        {"evidence": float("nan")},
+        {"refit_most": -1},
+        {"explained": "half"},
+    ):
+        with pytest.raises(fitting.EstimationError, match=next(iter(wrong))):
+            Criteria(**wrong)
+
+
+def test_evidence_decides_what_is_added():
+    first = best(ranked())
+    assert first is not None
+    assert best(ranked(), Criteria(evidence=-first.delta_bic + 1, evidence_periodic=1e9)) is None
+    assert best(ranked(), Criteria(evidence=-first.delta_bic - 1)) is first
+
+
+def test_significance_decides_the_verdict():
+    assert diagnose(base()).verdict == "missing_effect"
+    none = diagnose(base(), criteria=Criteria(significance=0.0))
+    assert not any(c.significant for c in none.candidates)
+    assert none.verdict != "missing_effect"
+
+
+def test_the_width_of_a_class_decides_who_is_in_it():
+    wide = diagnose(base(), criteria=Criteria(equivalence_width=1e6))
+    narrow = diagnose(base(), criteria=Criteria(equivalence_width=0.0))
+    assert len(wide.candidates[0].indistinguishable_from) > len(narrow.candidates[0].indistinguishable_from)
+
+
+def test_failure_sigma_decides_what_is_reported():
+    assert diagnose(base()).failures
+    assert not diagnose(base(), criteria=Criteria(failure_sigma=1e6, harmonic_sigma=1e6)).failures

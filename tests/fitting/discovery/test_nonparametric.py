@@ -1,0 +1,91 @@
+"""A law of the casing's speed, or of time, that no library has is a rival of names that are no such law."""
+
+import math
+from dataclasses import replace
+from functools import cache
+
+import pytest
+import twobody
+
+from fitting.discovery._lack_of_fit import (
+    UNKNOWN_IN_TIME,
+    UNKNOWN_LAW,
+    nonparametric_casing_law,
+    nonparametric_slow_torque,
+)
+from fitting.discovery._select import rank
+from fitting.discovery._verdict import diagnose
+from fitting.dynamics._model import Model
+from fitting.effects._library import LIBRARY, REDUCED
+from fitting.effects._user import resolve
+from fitting.inference._case_data import CaseData
+from fitting.inference._fit import fit
+from fitting.inference._record import make_record
+
+RESONANCE = "casing: -k*exp(-((omega_c - 110)/30)**2)"
+HIDDEN = {
+    "resonance": twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -4e-7 * math.exp(-(((wc - 110) / 30) ** 2))),
+    "wear": twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -1.5e-6 * (t / 200) ** 2),
+    "swing": twobody.Hidden(casing=lambda t, wr, wc, pr, pc: 4e-7 * math.cos(0.5 * t)),
+    "step": twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -6e-7 if t >= 88.0 else 0.0),
+}
+
+
+@cache
+def base(name):
+    motion = twobody.simulate(hidden=HIDDEN[name], ou=1e-7, seed=5)
+    return fit(Model.of(REDUCED), [CaseData.of(make_record(**twobody.film(motion, 5)))])
+
+
+def gain(name, effect, **start):
+    found = fit(base(name).model.with_effect(effect), base(name).problem.data, start=start or None)
+    return base(name).deviance - found.deviance
+
+
+def test_any_law_is_as_good_as_the_true_one():
+    truth = gain("resonance", resolve(RESONANCE))
+    assert truth > 30
+    assert nonparametric_casing_law(base("resonance")) == pytest.approx(truth, abs=15)
+
+
+def test_a_step_is_no_law_of_the_speed():
+    step = gain("step", LIBRARY["touchpoint.step"], **{"touchpoint.step.t0": 88.0})
+    assert nonparametric_casing_law(base("step")) < 0.6 * step
+    assert diagnose(base("step")).candidates[0].indistinguishable_from == ()
+
+
+def test_any_slow_torque_is_as_good_as_the_true_one():
+    truth = gain("wear", resolve("casing: -k*t**2"))
+    assert truth > 30
+    assert nonparametric_slow_torque(base("wear")) == pytest.approx(truth, abs=15)
+
+
+def test_a_swing_that_comes_back_is_no_slow_torque():
+    assert nonparametric_slow_torque(base("swing")) < 0.1 * gain(
+        "swing", resolve("casing: k*cos(0.5*t + phi)")
+    )
+
+
+def test_a_swing_that_hardly_comes_back_may_be_any_slow_torque():
+    found = base("wear")
+    (swing,) = (c for c in rank(found) if c.effect.name == "casing.precession")
+    answer = diagnose(found, candidates=[replace(swing, indistinguishable_from=())])
+    assert answer.verdict == "missing_effect"
+    assert UNKNOWN_IN_TIME in answer.candidates[0].indistinguishable_from
+    assert f"or {UNKNOWN_IN_TIME}; this data cannot separate them" in answer.sentence
+
+
+def test_laws_of_the_speed_are_no_rivals_of_themselves():
+    own = {name for name, e in LIBRARY.items() if e.of_casing_speed}
+    assert own >= {"casing.air.quadratic", "touchpoint.stribeck", "casing.air.laminar"}
+    assert not own & {"touchpoint.step", "casing.precession", "casing.windage", "bearing.drift"}
+
+
+def test_what_swings_may_be_an_unknown_law(monkeypatch):
+    """Where any law of the casing's speed does as well, the answer says so."""
+    found = base("step")
+    monkeypatch.setattr("fitting.discovery._lack_of_fit.nonparametric_casing_law", lambda _: 1e4)
+    doubtful = diagnose(found)
+    assert doubtful.verdict == "missing_effect"
+    assert doubtful.candidates[0].indistinguishable_from == (UNKNOWN_LAW,)
+    assert f"or {UNKNOWN_LAW}; this data cannot separate them" in doubtful.sentence

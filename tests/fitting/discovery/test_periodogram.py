@@ -1,0 +1,89 @@
+"""A torque that swings in time is told apart from a random one, with its frequency and its size."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import twobody
+from scipy import stats
+
+from fitting.discovery._lack_of_fit import false_alarm_probability, periodogram_peak
+from fitting.discovery._verdict import diagnose
+from fitting.dynamics._model import Model
+from fitting.effects._library import REDUCED
+from fitting.effects._user import resolve
+from fitting.inference._fit import fit
+from fitting.inference._record import make_record
+
+TORQUE, RATE, PHASE = 8e-7, 2.3, 0.7
+SHAKEN = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: TORQUE * math.cos(RATE * t + PHASE))
+NOISE = 1e-7
+BASE = Model.of(REDUCED)
+
+
+def found(hidden, seed, model=BASE, **record):
+    film = twobody.film(twobody.simulate(hidden=hidden, ou=NOISE, seed=seed), seed)
+    return fit(model, [make_record(**film, **record)])
+
+
+@pytest.fixture(scope="module")
+def shaken():
+    return found(SHAKEN, 3)
+
+
+def test_a_swing_that_passes_for_a_random_torque_is_found(shaken):
+    assert shaken.verdict == "adequate"  # by a random torque several times as strong as the true one
+    assert shaken.noise[0].pure > 3 * NOISE
+    line = periodogram_peak(shaken)
+    assert line.p_value < 1e-12
+    span = shaken.problem.data[0].record.span
+    assert line.rate == pytest.approx(RATE, abs=0.3 / (span[1] - span[0]))
+    assert line.torque == pytest.approx(TORQUE, rel=0.1)
+    assert line.angle == pytest.approx(TORQUE / (twobody.I_CASING * RATE**2), rel=0.1)
+
+
+def test_the_answer_tells_it_and_its_law_mends_it(shaken):
+    answer = diagnose(shaken, candidates=[])
+    line = periodogram_peak(shaken)
+    assert answer.verdict == "unexplained"
+    assert f"is sinusoidal with a period of {2 * math.pi / line.rate:.4g} s" in answer.sentence
+    assert f'"{line.law}"' in answer.sentence
+    mended = found(SHAKEN, 3, BASE.with_effect(resolve(line.law)))
+    k = next(e for name, e in mended.estimates.items() if name.endswith(".k"))
+    phi = next(e for name, e in mended.estimates.items() if name.endswith(".phi"))
+    assert abs(k.value) == pytest.approx(TORQUE, abs=4 * k.stderr)
+    assert math.cos(phi.value - PHASE) * np.sign(k.value) == pytest.approx(1.0, abs=0.01)
+    assert mended.noise[0].pure < 2 * NOISE
+    assert periodogram_peak(mended).p_value > 1e-3
+
+
+def test_on_film_a_swing_below_the_error_of_an_angle_is_no_evidence():
+    faint = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: 0.1 * SHAKEN.casing(t, wr, wc, pr, pc))
+    told, filmed = (periodogram_peak(found(faint, 4, tracked=tracked)) for tracked in (False, True))
+    assert told.p_value < 1e-6
+    assert filmed == replace(told, p_value=1.0)
+
+
+def test_noise_reaches_a_power_as_often_as_is_said():
+    """Against periodograms of white noise, evenly sampled, with as fine a grid."""
+    n, span = 600, 200.0
+    rng = np.random.default_rng(0)
+    t = (np.arange(n) + 0.5) * span / n
+    rates = np.arange(0.4, 4.0, math.pi / span)
+    waves = np.concatenate([np.cos(np.outer(rates, t)), np.sin(np.outer(rates, t))])
+    power = (waves @ rng.standard_normal((n, 1500))) ** 2 * 2 / n
+    largest = (power[: len(rates)] + power[len(rates) :]).max(axis=0)
+    band = 3.6 / (2 * math.pi)
+    for level in (0.1, 0.02):
+        beyond = np.sum([false_alarm_probability(chi2, band, span) < level for chi2 in largest])
+        assert stats.binom.ppf(1e-4, len(largest), 0.4 * level) <= beyond
+        assert beyond <= stats.binom.ppf(1 - 1e-4, len(largest), level)
+
+
+@pytest.mark.slow
+def test_noise_swings_no_more_often_than_said():
+    p = np.array([periodogram_peak(found(twobody.Hidden(), seed)).p_value for seed in range(30)])
+    for level in (0.03, 0.1, 0.3):
+        assert np.sum(p < level) <= stats.binom.ppf(0.999, len(p), level)
+    assert np.sum(p < 0.5) >= 2

@@ -1,0 +1,71 @@
+"""One name is doubted where what it leaves follows a speed, and not where it is right."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+import twobody
+from scipy import stats
+
+from fitting.discovery._lack_of_fit import smooth_test
+from fitting.discovery._select import rank
+from fitting.discovery._verdict import diagnose
+from fitting.dynamics._model import Model
+from fitting.effects._library import REDUCED
+from fitting.inference._case_data import CaseData
+from fitting.inference._fit import fit
+from fitting.inference._record import make_record
+
+NOTHING = twobody.Hidden()
+# a drag at one speed of the casing only: no law of the library
+DIP = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -3.2e-7 * np.exp(-(((wc - 110) / 12) ** 2)))
+DRAG = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -2e-10 * abs(wc) * wc)
+
+
+@lru_cache(maxsize=2)
+def filmed(seed, hidden):
+    motion = twobody.simulate(hidden=hidden, ou=1e-7, seed=seed)
+    return CaseData.of(make_record(**twobody.film(motion, seed)))
+
+
+def found(seed, hidden, *more):
+    return fit(Model.of((*REDUCED, *more)), [filmed(seed, hidden)])
+
+
+@pytest.mark.parametrize("seed", [1, 5])
+def test_a_law_that_any_slow_torque_lets_pass_is_doubted(seed):
+    named = found(seed, DIP, "touchpoint.step")
+    assert named.verdict == "adequate"
+    assert smooth_test(named).p_value < 0.01
+    assert smooth_test(named).body == "casing"
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_right_law_is_not_doubted(seed):
+    assert smooth_test(found(seed, DRAG, "casing.air.quadratic")).p_value > 0.01
+
+
+def test_a_doubted_name_is_a_hypothesis():
+    base = found(5, DIP)
+    (step,) = (c for c in rank(base) if c.effect.name == "touchpoint.step")
+    answer = diagnose(base, candidates=[replace(step, indistinguishable_from=())])
+    assert answer.verdict == "unexplained"
+    assert "depends on the speed of the casing" in answer.sentence
+    assert "hypothesis" in answer.sentence
+
+
+def test_what_follows_a_speed_is_told_though_no_law_of_the_library_is_like_it():
+    answer = diagnose(found(5, DIP), candidates=[])
+    assert answer.verdict == "unexplained"
+    assert "No effect of the library explains it" in answer.sentence
+
+
+@pytest.mark.slow
+def test_noise_is_doubted_no_more_often_than_said():
+    """The looks overlap: small probabilities are those of noise, large ones are told larger than they are."""
+    p = np.array([smooth_test(found(seed, NOTHING)).p_value for seed in range(30)])
+    for level in (0.02, 0.1, 0.3):
+        assert np.sum(p < level) <= stats.binom.ppf(0.999, len(p), level)
+    # and not never
+    assert np.sum(p < 0.5) >= 2

@@ -1,0 +1,56 @@
+"""Dissipated energies: sum, sign and uncertainty."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gyrotrack.apps.report._tables import UNPHYSICAL, plausibility_rows
+
+ADDED = "casing.air.quadratic"
+
+
+def _number(text):
+    """Return value and uncertainty of (a ± b) × 10ⁿ or a ± b."""
+    raised = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
+    text = text.replace("\u2212", "-").replace("(", "").replace(")", "")
+    body, _, power = text.partition(" × 10")
+    value, _, sigma = body.partition(" ± ")
+    factor = 10.0 ** int((power or "⁰").translate(raised).split()[0])
+    return float(value) * factor, float(sigma or "nan") * factor
+
+
+def test_all_dissipation_is_the_loss_of_kinetic_energy(story):
+    fit = story.rungs[-1].fit
+    path, record = fit.predictions[0].path, story.record
+    inertia = np.array([record.I_rotor, record.I_casing])
+    kinetic = [0.5 * float(np.sum(inertia * y[:2] ** 2)) for y in (path.y[0, 0], path.y[-1, -1])]
+    total = sum(_number(row.energy)[0] for row in plausibility_rows(fit))
+    assert total == pytest.approx(kinetic[0] - kinetic[1], rel=1e-2)
+
+
+def test_the_uncertainty_is_that_of_the_amplitude(story):
+    fit = story.rungs[-1].fit
+    (row,) = [r for r in plausibility_rows(fit) if r.effect == ADDED]
+    energy, sigma = _number(row.energy)
+    k = fit.estimates[f"{ADDED}.k"]
+    assert sigma / energy == pytest.approx(k.stderr / k.value, rel=0.3)
+    assert row.judgement == "dissipates"
+
+
+def test_a_negative_friction_is_called_unphysical(story):
+    fit = story.rungs[-1].fit
+    theta = fit.theta.copy()
+    at = fit.problem.layout.names.index(f"{ADDED}.k")
+    theta[at] = -theta[at]
+    (row,) = [r for r in plausibility_rows(replace(fit, theta=theta)) if r.effect == ADDED]
+    assert row.is_unphysical
+    assert row.judgement == UNPHYSICAL == "negative dissipation: unphysical"
+    assert row.energy.startswith(("−", "(−"))
+    # within its uncertainty it is not
+    covariance = fit.covariance.copy()
+    covariance[at, at] = (10 * theta[at]) ** 2
+    (row,) = [
+        r for r in plausibility_rows(replace(fit, theta=theta, covariance=covariance)) if r.effect == ADDED
+    ]
+    assert row.judgement == "not distinguished from zero"

@@ -1,0 +1,351 @@
+"""Each format by its content: units, signs and uncertainties; and what `export` writes comes back."""
+
+import io
+import json
+import zipfile
+
+import numpy as np
+import pytest
+
+from gyrotrack._errors import DatasetError, UsageError
+from gyrotrack.io._export import export_file
+from gyrotrack.io._hdf5 import write_case
+from gyrotrack.io.readers._import_case import import_body, import_case
+from gyrotrack.io.readers._motion_table import ReadOptions, read_names, resolution
+from gyrotrack.io.readers._registry import read_motion
+from gyrotrack.io.readers._run import Limits, read_cuts
+from gyrotrack.io.readers._units import TURN
+
+TIME = np.arange(400) / 100
+ANGLE = 0.3 + 20 * TIME - 1.5 * TIME**2
+
+
+def write(path, text):
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+def rows(*columns, sep=","):
+    return "".join(sep.join(repr(float(v)) for v in row) + "\n" for row in zip(*columns, strict=True))
+
+
+def options(*columns, **others):
+    return ReadOptions(names=read_names(columns) if columns else None, **others)
+
+
+@pytest.mark.parametrize(
+    ("text", "given"),
+    [
+        ("Zeit (ms);Winkel (deg)\n" + rows(1e3 * TIME, np.degrees(ANGLE), sep=";").replace(".", ","), {}),
+        ("logger 7\nserial 12\nt_us,psi_rad\n" + rows(1e6 * TIME, ANGLE), {}),
+        ("Time,Angle\ns,deg\n\n" + rows(TIME, np.degrees(ANGLE)), {}),
+        ("time [min],rotation angle [turns]\n" + rows(TIME / 60, ANGLE / TURN), {}),
+        (rows(TIME, np.degrees(ANGLE)), {"names": ["t=1", "angle=2 [deg]"]}),
+        (rows(np.degrees(ANGLE), 1e6 * TIME), {"names": ["t=2 [us]", "angle=1 [deg]"]}),
+        ("frame,theta_rad\n" + rows(np.arange(400), ANGLE), {"fps": 100.0}),
+    ],
+)
+def test_texts_of_any_header_and_unit(tmp_path, text, given):
+    names = given.pop("names", ())
+    read = read_motion(write(tmp_path / "a", text), options(*names, **given))
+    assert read.quantity == "angle"
+    np.testing.assert_allclose(read.time, TIME, atol=1e-9)
+    np.testing.assert_allclose(read.value, ANGLE, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor"), [("rpm", TURN / 60), ("dps", np.pi / 180), ("Hz", TURN), ("rad/s", 1.0)]
+)
+def test_speeds_in_their_units(tmp_path, unit, factor):
+    read = read_motion(
+        write(tmp_path / "a", f"time (s)\tGyroscope z ({unit})\n" + rows(TIME, ANGLE, sep="\t"))
+    )
+    assert read.quantity == "omega"
+    np.testing.assert_allclose(read.value, factor * ANGLE)
+
+
+def test_the_axis_of_a_gyroscope_with_the_largest_signal(tmp_path):
+    head = '"Time (s)"\t"Gyroscope x (rad/s)"\t"Gyroscope y (rad/s)"\t"Gyroscope z (rad/s)"\n'
+    text = head + rows(TIME, 0.1 * np.sin(TIME), -np.cos(3 * TIME), 0 * TIME, sep="\t")
+    read = read_motion(write(tmp_path / "a", text))
+    np.testing.assert_allclose(read.value, -np.cos(3 * TIME))
+    assert any("Gyroscope y" in n for n in read.notes)
+    with zipfile.ZipFile(tmp_path / "b", "w") as archive:
+        archive.writestr("meta/time.csv", "event,time\nSTART,0\n")
+        archive.writestr("Raw Data.csv", text)
+    np.testing.assert_array_equal(read_motion(tmp_path / "b").value, read.value)
+    chosen = read_motion(tmp_path / "b", options("omega=Gyroscope x (rad/s)"))
+    np.testing.assert_allclose(chosen.value, 0.1 * np.sin(TIME))
+
+
+def test_repairs_are_reported_with_their_lines(tmp_path):
+    values = np.stack([TIME, ANGLE], axis=1)
+    values[100:102] = values[[101, 100]]
+    values = np.insert(values, 50, values[50], axis=0)
+    read = read_motion(write(tmp_path / "a", "t,angle\n" + rows(*values.T) + "4.0"))
+    np.testing.assert_allclose(read.time, TIME)
+    np.testing.assert_allclose(read.value, ANGLE)
+    told = " ".join(read.notes)
+    for words in (
+        "1 repeated times (first: line 53)",
+        "not increasing (line 104)",
+        "line 403: the last row is cut short",
+    ):
+        assert words in told
+
+
+def test_a_clock_that_restarts(tmp_path):
+    ticks = (TIME * 1e6 + 2**32 - 1.2e6) % 2**32
+    read = read_motion(write(tmp_path / "a", "t [us],angle\n" + rows(ticks, ANGLE)))
+    np.testing.assert_allclose(read.time - read.time[0], TIME, atol=1e-9)
+    again = np.concatenate([TIME[:200], TIME[:200]])
+    with pytest.raises(DatasetError, match=r"not strictly increasing \(line 202\): the clock restarts"):
+        read_motion(write(tmp_path / "b", "t,angle\n" + rows(again, ANGLE)))
+
+
+def test_a_quantised_encoder(tmp_path):
+    step = 360 / 1000
+    turned = np.degrees(40 * TIME - 10 * TIME**2)[:200]
+    text = "Time,Angle\n" + rows(TIME[:200], np.round(turned / step) * step % 360)
+    case = import_body(write(tmp_path / "a", text), 1e-3)
+    np.testing.assert_allclose(
+        case.casing.angle - case.casing.angle[0], np.radians(turned), atol=np.radians(step)
+    )
+    assert np.min(case.casing.sigma) == pytest.approx(np.radians(step) / np.sqrt(12), rel=1e-6)
+    assert resolution(np.cumsum(np.linspace(1, 1.02, 300))) == 0.0  # nearly even, but not quantised
+
+
+def spin_down(per_turn, jitter=0.0, *, seed=0, turns=400):
+    """Times at which a body with omega = 60 exp(-t / 40) passes its marks."""
+    angle = TURN * np.arange(turns * per_turn) / per_turn
+    angle = angle[angle < 0.95 * 60 * 40]
+    times = -40 * np.log(1 - angle / (60 * 40))
+    return times + np.random.default_rng(seed).normal(0, jitter, len(times)), angle
+
+
+def test_pulses_missed_and_doubled(tmp_path):
+    times, angle = spin_down(1, 1e-5)
+    bad = np.sort(np.concatenate([np.delete(times, [40, 41, 120]), [times[200] + 0.004]]))
+    read = read_motion(
+        write(tmp_path / "a", "".join(f"{t!r}\n" for t in bad.tolist())), ReadOptions(pulses_per_turn=1)
+    )
+    assert "1 double pulses" in " ".join(read.notes)
+    assert "3 missed pulses" in " ".join(read.notes)
+    np.testing.assert_allclose(read.value, np.delete(angle, [40, 41, 120]))
+    assert np.diff(times).max() > 6 * np.diff(times).min()
+
+
+@pytest.mark.parametrize("per_turn", [1, 8])
+def test_the_uncertainty_of_pulses_is_that_of_their_times(tmp_path, per_turn):
+    times, angle = spin_down(per_turn, 2e-5)
+    text = "".join(f"{t!r}\n" for t in times.tolist())
+    read = read_motion(write(tmp_path / "a", text), ReadOptions(pulses_per_turn=per_turn))
+    error = read.value - 60 * 40 * (1 - np.exp(-read.time / 40))
+    z = (error - error.mean()) / read.sigma
+    assert 0.8 < np.std(z) < 1.2
+    np.testing.assert_allclose(read.value, angle, atol=1e-3)
+
+
+def test_errors_of_the_marks_are_removed(tmp_path):
+    marks = np.array([0.0, 0.02, -0.03, 0.01])
+    angle = TURN * np.arange(1200) / 4 + np.tile(marks, 300)
+    times = -40 * np.log(1 - angle / (60 * 40))
+    text = "".join(f"{t!r}\n" for t in times.tolist())
+    read = read_motion(write(tmp_path / "a", text), ReadOptions(pulses_per_turn=4))
+    error = read.value - angle
+    assert np.std(error[8:-8]) < 2e-3
+
+
+def test_a_counter_that_is_written_one_row_late(tmp_path):
+    wheel, _ = spin_down(1)
+    drum = np.arange(1, 500) * 0.0611
+    events = sorted([(t, 0) for t in wheel.tolist()] + [(t, 1) for t in drum.tolist()])
+    counts, lines = [5, 9], []
+    late = (5, 9)
+    for t, which in events:
+        counts[which] += 1
+        lines.append(f"{round(t * 1e6)},1.5,{late[0]},2.5,{late[1]}\n")
+        late = tuple(counts)
+    path = write(tmp_path / "a", "".join(lines))
+    with pytest.raises(DatasetError, match="columns 3, 5 count revolutions"):
+        read_motion(path)
+    read = read_motion(path, options("revolutions=3"))
+    assert any("one row late" in n for n in read.notes)
+    expected = 60 * 40 * (1 - np.exp(-read.time / 40))
+    np.testing.assert_allclose(read.value - read.value[0], expected - expected[0], atol=1e-3)
+
+
+def driven(brake=False, rest=False):
+    """A body held at 50 rad/s for 10 s, then slowed down by 0.5 rad/s2; braked or at rest at the end."""
+    time = np.arange(0, 80, 0.02)
+    slowing = np.where(time > 10, 0.5, 0.0)
+    if brake:
+        slowing = np.where(time > 60, 8.0, slowing)
+    omega = np.maximum(50 - np.cumsum(slowing) * 0.02 * (1.6 if rest else 1), 0)
+    return time, omega
+
+
+@pytest.mark.parametrize(
+    ("brake", "rest", "end"), [(False, False, None), (True, False, 60), (False, True, 72.5)]
+)
+def test_what_belongs_to_the_run(tmp_path, brake, rest, end):
+    time, omega = driven(brake, rest)
+    noisy = omega + np.random.default_rng(3).normal(0, 0.02, len(time))
+    path = write(tmp_path / "a", "t,omega\n" + rows(time, noisy))
+    case = import_body(path, 1e-3)
+    assert case.casing.time[0] == pytest.approx(10, abs=1)
+    assert case.casing.time[-1] == pytest.approx(end or 80, abs=1)
+    assert any("is driven until" in w for w in case.warnings)
+    assert any("is braked" in w for w in case.warnings) == brake
+    assert len(import_body(path, 1e-3, limits=Limits(keep_all=True)).casing.time) == len(time)
+    by_hand = import_body(path, 1e-3, limits=Limits(12, 50, ((20, 30),), keep_all=True)).casing.time
+    assert by_hand[0] == pytest.approx(12, abs=0.021)
+    assert by_hand[-1] == pytest.approx(50, abs=0.021)
+    assert not ((by_hand > 20) & (by_hand < 30)).any()
+
+
+def test_oscillations_and_plain_coast_downs_are_not_cut(tmp_path):
+    time = np.arange(0, 60, 0.02)
+    swinging = np.exp(-time / 50) * np.cos(2 * time)
+    coasting = 50 * np.exp(-time / 30)
+    for k, omega in enumerate((swinging, coasting)):
+        noisy = omega + np.random.default_rng(4).normal(0, 0.01, len(time))
+        case = import_body(write(tmp_path / str(k), "t,omega\n" + rows(time, noisy)), 1e-3)
+        assert len(case.casing.time) == len(time)
+
+
+@pytest.mark.parametrize("text", ["1", "a:b", "3:2", "1:"])
+def test_cuts_that_are_none(text):
+    with pytest.raises(UsageError, match="not an interval"):
+        read_cuts([text])
+
+
+TRK = """<?xml version="1.0" encoding="UTF-8"?>
+<object class="org.opensourcephysics.cabrillo.tracker.TrackerPanel">
+<property name="videoclip" type="object">
+<object class="VideoClip">
+<property name="startframe" type="int">10</property>
+<property name="starttime" type="double">500.0</property>
+</object></property>
+<property name="clipcontrol" type="object">
+<object class="C">
+<property name="delta_t" type="double">10.0</property>
+</object></property>
+<property name="coords" type="object">
+<object class="I">
+<property name="framedata" type="array">
+<property name="[0]" type="object">
+<object class="F">
+<property name="xorigin" type="double">320.0</property>
+<property name="yorigin" type="double">240.0</property>
+<property name="angle" type="double">30.0</property>
+<property name="xscale" type="double">50.0</property>
+<property name="yscale" type="double">50.0</property>
+</object></property></property>
+</object></property>
+<property name="length_unit" type="string">cm</property>
+<property name="tracks" type="collection">
+<property name="item" type="object">
+<object class="org.opensourcephysics.cabrillo.tracker.PointMass">
+<property name="name" type="string">m</property>
+<property name="framedata" type="array">%s</property>
+</object></property></property>
+</object>"""
+
+
+def project(angle):
+    cell = (
+        '<property name="[%d]" type="object"><object class="P"><property name="x" type="double">%r</property>'
+        '<property name="y" type="double">%r</property></object></property>'
+    )
+    x, y = 320 + 90 * np.cos(angle), 240 - 90 * np.sin(angle)
+    return TRK % "".join(cell % (k + 10, float(x[k]), float(y[k])) for k in range(len(angle)) if k != 7)
+
+
+def test_a_tracker_project(tmp_path):
+    read = read_motion(write(tmp_path / "a.xml", project(ANGLE)))
+    seen = np.arange(400) != 7
+    np.testing.assert_allclose(read.time, 0.5 + TIME[seen])
+    error = np.angle(np.exp(1j * (read.value - (ANGLE[seen] - np.pi / 6))))
+    assert np.abs(error).max() < 1e-9
+    for bad in (project(ANGLE)[:5000], "<!DOCTYPE a [<!ENTITY b 'c'>]>" + project(ANGLE)):
+        with pytest.raises(DatasetError):
+            read_motion(write(tmp_path / "b.trk", bad))
+
+
+def test_matlab_and_excel(tmp_path):
+    from scipy.io import savemat
+
+    savemat(tmp_path / "a.mat", {"t": TIME, "phi_deg": np.degrees(ANGLE), "note": "x"})
+    savemat(tmp_path / "s.mat", {"run": {"time": TIME, "angle": ANGLE}})
+    found = [read_motion(tmp_path / n) for n in ("a.mat", "s.mat")]
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    book.active.append(["made by a logger"])
+    book.active.append(["time [s]", "angle [rad]"])
+    for row in zip(TIME.tolist(), ANGLE.tolist(), strict=True):
+        book.active.append(row)
+    stream = io.BytesIO()
+    book.save(stream)
+    found.append(read_motion(write(tmp_path / "a.csv", stream.getvalue())))
+    for read in found:
+        np.testing.assert_allclose(read.time, TIME)
+        np.testing.assert_allclose(read.value, ANGLE)
+
+
+def test_a_pose_file_of_movement(tmp_path):
+    xr = pytest.importorskip("xarray")
+    pytest.importorskip("h5netcdf")
+    place = np.stack([320 + 90 * np.cos(ANGLE), 240 - 90 * np.sin(ANGLE)], axis=1)
+    position = np.stack([place, np.full_like(place, [320, 240])], axis=2)[..., None]
+    dims = ("time", "space", "keypoints", "individuals")
+    coords = {"time": TIME, "space": ["x", "y"], "keypoints": ["tape", "hub"], "individuals": ["a"]}
+    data = xr.Dataset({"position": (dims, position)}, coords=coords, attrs={"time_unit": "seconds"})
+    data.to_netcdf(tmp_path / "p.nc", engine="h5netcdf")
+    read = read_motion(tmp_path / "p.nc")
+    np.testing.assert_allclose(read.time, TIME)
+    assert np.abs(np.angle(np.exp(1j * (read.value - ANGLE)))).max() < 1e-9
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".json", ".parquet", ".txt", ".nc"])
+def test_what_is_exported_is_imported(tmp_path, suffix):
+    if suffix in {".parquet", ".nc"}:
+        pytest.importorskip("pyarrow")
+        pytest.importorskip("h5netcdf")
+    rng = np.random.default_rng(1)
+    for name, scale in (("c", 1.0), ("r", -2.0)):
+        write(
+            tmp_path / name,
+            "t,angle,sigma\n" + rows(TIME, scale * ANGLE + rng.normal(0, 1e-3, 400), 0 * TIME + 1e-3),
+        )
+    case = import_case(tmp_path / "c", [tmp_path / "r"])
+    write_case(tmp_path / "case.h5", case, command="", settings={})
+    target = tmp_path / f"out{suffix}"
+    export_file(tmp_path / "case.h5", target)
+    again = import_case(target, [target])
+    for name in ("casing", "rotor"):
+        one, two = getattr(case, name), getattr(again, name)
+        np.testing.assert_allclose(two.time, one.time, rtol=1e-12)
+        turned = TURN * np.round((two.angle - one.angle) / TURN)[0]
+        np.testing.assert_allclose(two.angle - turned, one.angle, rtol=1e-9, atol=1e-9)
+        if suffix != ".txt":
+            np.testing.assert_allclose(two.sigma, one.sigma)
+
+
+@pytest.mark.parametrize(
+    ("content", "match"),
+    [
+        (b"PK\x03\x04 broken", "damaged archive"),
+        (b"\xd0\xcf\x11\xe0\xa1\xb1", "Excel 97"),
+        (b"MATLAB 5.0 MAT-file broken", "MATLAB file"),
+        (b"MATLAB 7.3 MAT-file", "MATLAB 7.3"),
+        (b"PAR1 broken", "Parquet"),
+        (b"{", "not a JSON table"),
+        (json.dumps({"a": 3}).encode(), "not a JSON table"),
+        (b"<object cabrillo.tracker", "Tracker project"),
+    ],
+)
+def test_broken_files_are_one_sentence(tmp_path, content, match):
+    with pytest.raises(DatasetError, match=match) as caught:
+        read_motion(write(tmp_path / "a", content))
+    assert "\n" not in caught.value.message
