@@ -5,14 +5,20 @@ from importlib.metadata import version as _version
 project = "gyrotrack"
 author = "The gyrotrack developers"
 version = release = _version("gyrotrack")
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.mathjax",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.viewcode",
+]
 exclude_patterns = ["_build", "make_*.py"]
 html_theme = "furo"
 html_title = "gyrotrack"
 html_show_copyright = False
 # what a page links to outside this folder is read on the project's site, not in the built pages
 suppress_warnings = ["myst.xref_missing", "myst.header"]
-myst_enable_extensions = ["colon_fence", "dollarmath"]
+myst_enable_extensions = ["colon_fence", "dollarmath", "amsmath"]
 myst_heading_anchors = 3
 autodoc_typehints = "none"
 autodoc_class_signature = "separated"  # the docstrings name types and shapes

@@ -27,6 +27,8 @@ from fitting._schema import (
     EstimateDocument,
     FailureDocument,
     FitDocument,
+    NuisanceDocument,
+    RemainderDocument,
     RippleDocument,
     SavedFitDocument,
     StepDocument,
@@ -41,6 +43,7 @@ from fitting._schema import (
     own_effects,
     read_json,
 )
+from fitting.discovery._remainder import Nuisance, Remainder
 from fitting.discovery._residuals import Failure, ResidualTorque, residual_torques, ripples, whiteness
 from fitting.discovery._score import Score
 from fitting.discovery._select import Candidate, Step
@@ -111,6 +114,10 @@ def diagnosis_document(d: Diagnosis, fit_id: str) -> dict[str, Any]:
         sentence=d.sentence,
         failures=[FailureDocument.model_validate(f) for f in d.failures],
         candidates=[_candidate(c) for c in d.candidates],
+        form=d.form,
+        explained=d.explained,
+        remainder=RemainderDocument.model_validate(d.remainder) if d.remainder is not None else None,
+        nuisance=[NuisanceDocument.model_validate(n) for n in d.nuisance],
         next_experiment=d.next_experiment,
         whiteness=[WhitenessDocument.model_validate(w) for w in d.whiteness],
         energy_drift={c.label: c.energy_drift for c in d.fit.cases},
@@ -363,6 +370,10 @@ def stored_diagnosis(found: Diagnosis, extra: Sequence[Effect] = ()) -> StoredDi
             )
             for c in found.candidates
         ],
+        form=found.form,
+        explained=found.explained,
+        remainder=RemainderDocument.model_validate(found.remainder) if found.remainder is not None else None,
+        nuisance=[NuisanceDocument.model_validate(n) for n in found.nuisance],
         next_experiment=found.next_experiment,
     )
 
@@ -389,6 +400,10 @@ def restored_diagnosis(stored: StoredDiagnosis, fit: Fit, extra: Sequence[Effect
         stored.sentence,
         tuple(Failure(**f.model_dump()) for f in stored.failures),
         tuple(_restored_candidate(c, fit) for c in stored.candidates),
+        stored.form,
+        stored.explained,
+        Remainder(**stored.remainder.model_dump()) if stored.remainder is not None else None,
+        tuple(Nuisance(**n.model_dump()) for n in stored.nuisance),
         stored.next_experiment,
         tuple(residual_torques(fit)),
         tuple(ripples(fit)),

@@ -319,10 +319,19 @@ class FilmTracker:
     def __init__(self, scene: Scene, samples: Samples) -> None:
         keep_out = 1.25 * scene.disc.radius + 1.0 if scene.disc else 0.0
         self.bodies = {
-            b: BodyTracker(b, scene.of(b), samples, scene.centre, keep_out, BATCH) for b in scene.bodies
+            b: BodyTracker(
+                b,
+                scene.of(b),
+                samples,
+                scene.axis(b),
+                keep_out + float(np.hypot(*scene.offsets.get(b, (0.0, 0.0)))),
+                BATCH,
+            )
+            for b in scene.bodies
         }
         self.disc = DiscWindow(scene.disc, BATCH) if scene.disc else None
         self.centre = scene.centre
+        self._offsets = {b: scene.offsets.get(b, (0.0, 0.0)) for b in scene.bodies}
         self.size = samples.size
         self.filled = 0
 
@@ -394,8 +403,9 @@ class FilmTracker:
         x, y = np.median(recent, axis=0)
         if np.hypot(x - self.centre[0], y - self.centre[1]) > _MOVE:
             self.centre = (float(x), float(y))
-            for body in self.bodies.values():
-                body.aim(self.centre)
+            for name, body in self.bodies.items():
+                dx, dy = self._offsets[name]
+                body.aim((self.centre[0] + dx, self.centre[1] + dy))
 
 
 class _Advance:

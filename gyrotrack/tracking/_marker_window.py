@@ -149,7 +149,7 @@ class MarkerStrip:
         return found[:, 0], found[:, 1]
 
     def _background(self, samples: Samples) -> Singles:
-        frames = samples.frames[: samples.head] if self.white else samples.frames
+        frames = samples.frames if self.white else [samples.frames[k] for k in samples.spread]
         seen = np.stack([self.grid.around(frame, slice(None)) for frame in frames], axis=-1)
         ranks = (len(frames) - 1) // 2, len(frames) // 2
         seen.partition(ranks, axis=-1)

@@ -232,7 +232,7 @@ def _white(samples: Samples, ring: Ring, bodies: dict[Body, Group]) -> ProposedM
         return None
     others = placed([c.sampled for c in group.members])
     proposed = MarkerProfile(name="white", colour="white", body="rotor")
-    marker = find_white(samples, ring, proposed, others)
+    marker = find_white(samples, range(samples.head), ring, proposed, others)
     if marker is None or not is_marker_sized(marker):
         return None
     lengths = [s.marker.outer - s.marker.inner for s in others]

@@ -43,6 +43,12 @@ COMMANDS = (
     Entry(
         "import", "gyrotrack.apps.cli._data", _DATA, "Make a case from tables of angles or rates, or points."
     ),
+    Entry(
+        "spindown",
+        "gyrotrack.apps.cli._spindown",
+        _DATA,
+        "Measure one rotating body: film or table to report.",
+    ),
     Entry("sync", "gyrotrack.apps.cli._tracking", _DATA, "Put the clips of one experiment on one clock."),
     Entry("batch", "gyrotrack.apps.cli._batch", _DATA, "Track, fit and report many cases, unattended."),
     Entry("config", "gyrotrack.apps.cli._batch", _DATA, "Show the settings in use and their origin."),
