@@ -398,6 +398,7 @@ def film_recording(source: Path, wish: Wish, progress: Progress | None = None) -
                 "ring_px": [tracked.ring.inner, tracked.ring.outer],
                 "explained": tracked.explained,
                 "scatter_over_bound": tracked.scale,
+                "correlated_rad": tracked.correlated,
                 "hub_motion_px": tracked.template.hub_sigma,
             },
         },

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._errors import TrackingError, UsageError
-from gyrotrack.tracking._hub_search import Motion, Proposal, propose_hubs
+from gyrotrack.tracking._hub_search import Motion, Proposal, follow_features, propose_hubs, still_point
 from gyrotrack.tracking._registration import (
     TURN,
     Picture,
@@ -43,8 +43,10 @@ _TRIAL = 300  # frames on which a hub is tried
 _LEARNT = 300  # frames from which the body's picture is learnt
 _COARSE = 48.0
 _FINE = 200.0
-_EXPLAINED = 0.25
+_EXPLAINED = 0.4
 """Share of the change of brightness that a turning body must explain; below it nothing is tracked."""
+_OUTSIDE = 0.85
+"""The same for a hub outside the picture that was not given: a body that slides looks much like one that turns."""
 _STRETCH_SPAN = 3.0
 """Motion in rad from which the ellipse of a tilted camera is sought."""
 _STATIC_SPAN = 1.0
@@ -127,7 +129,7 @@ class Tracked:
     scale : float
         Measured scatter of the angles over the Cramer-Rao bound.
     correlated : float
-        Uncertainty that frames share, from the disagreement of inner and outer half of the ring [rad].
+        Uncertainty that frames share, from the difference of two ways to measure [rad]; 0 where there is one.
     warnings : tuple of str
         What was not as it should be.
     """
@@ -194,6 +196,8 @@ def track_body(
         proposals = [Proposal(hub, "given")]
     else:
         proposals = propose_hubs(block, motion)
+    if hub is None and (loose := _by_features(film, usable, motion)) is not None:
+        return loose
     trials = [trial for p in proposals for trial in _trials(p, block, motion)]
     trials.sort(key=lambda trial: -trial.score - 0.02 * trial.static)
     if not trials or trials[0].score < 0.02:
@@ -205,13 +209,95 @@ def track_body(
         (_refined_trial(trial, block, keep=hub is not None) for trial in _distinct(trials)),
         key=lambda t: t.score,
     )
-    if best.score < _EXPLAINED:
+    height, width = motion.mean.shape
+    outside = hub is None and not (0 <= best.ring.hub[0] < width and 0 <= best.ring.hub[1] < height)
+    needed = _OUTSIDE if outside else _EXPLAINED
+    if best.score < needed:
         raise TrackingError(
             f"no body that turns about a hub is found in {film.path.name}: the best reading explains "
-            f"{100 * max(best.score, 0):.0f} % of the change of brightness, {100 * _EXPLAINED:.0f} % are needed",
+            f"{100 * max(best.score, 0):.0f} % of the change of brightness, {100 * needed:.0f} % are needed",
             "give the centre of rotation with --hub X,Y",
         )
     return _measure(film, usable, first, best, motion, progress)
+
+
+def _by_features(film: Film, usable: npt.NDArray[np.int64], motion: Motion) -> Tracked | None:
+    """Track a body without an axle, such as a hanging table, by its features; None for any other film.
+
+    A body on an axle is left to registration, which uses the whole picture: features are for a hub that moves by more
+    than a pixel and a turn of less than a radian to both sides.
+    """
+    wanted = set(usable.tolist())
+    found = follow_features((f for i, f in enumerate(film.frames()) if i in wanted), motion)
+    if found is None:
+        return None
+    turn, moved, _ = found
+    theta = np.unwrap(np.angle(turn))
+    if not 0.01 < np.ptp(theta) < 2.0:
+        return None
+    start = complex(*still_point(turn, moved))
+    path = turn * start + moved
+    hub = complex(np.mean(path))
+    if np.abs(path - hub).std() < 0.5 and np.abs(path - hub).max() < 2.0:
+        return None
+    ring = ring_for((hub.real, hub.imag), motion, _COARSE)
+    if ring is None:
+        return None
+    shift = np.stack([(path - hub).real, (path - hub).imag], axis=1)
+    use = np.unique(np.linspace(0, len(usable) - 1, 150).astype(int))
+    pictures = film.some(usable[use])
+    for again in range(2):
+        polars = [ring.unwrap(f, tuple(shift[k])) for k, f in zip(use, pictures, strict=True)]
+        allowed = ring.inside(motion.mean.shape)
+        template = learn(polars, theta[use], allowed, ring, separate=False, plain=True)
+        share, rows = explained(polars, theta[use], template)
+        if not again:
+            ring = _trimmed(ring, rows)
+    if share < _EXPLAINED:
+        return None
+    # features at the body's edge are dragged by the background: the whole picture decides, and the difference between
+    # the two is an uncertainty that neighbouring frames share
+    of_features = -theta.copy()
+    for _ in range(3):
+        poses = [register(p, template, theta[k], move=True) for k, p in zip(use, polars, strict=True)]
+        theta[use] = [p.angle for p in poses]
+        shift[use] += np.array([p.shift for p in poses]).clip(-2.0, 2.0)
+        polars = [ring.unwrap(f, tuple(shift[k])) for k, f in zip(use, pictures, strict=True)]
+        template = learn(polars, theta[use], allowed, ring, separate=False, plain=True)
+    template = learn(polars, theta[use], allowed, ring, separate=False)
+    every: list[Pose] = []
+    for k, frame in enumerate(f for i, f in enumerate(film.frames()) if i in wanted):
+        pose = register(ring.unwrap(frame, tuple(shift[k])), template, theta[k], move=True)
+        shift[k] += np.clip(pose.shift, -2.0, 2.0)
+        every.append(register(ring.unwrap(frame, tuple(shift[k])), template, pose.angle, move=True))
+    share, _ = explained(polars, theta[use], template)
+    angle = -np.array([p.angle for p in every])
+    formal = np.array([p.formal for p in every])
+    scale = white_noise(angle) / float(np.median(formal))
+    correlated = float((angle - of_features).std())
+    repeated = len(film) - len(usable)
+    warnings = [
+        *film.warnings,
+        (
+            f"The hub moves by {float(np.abs(path - hub).std()):.1f} px rms and is measured; features and "
+            f"registration of the picture differ by {1e3 * correlated:.2g} mrad rms, which the uncertainty contains."
+        ),
+    ]
+    if repeated:
+        warnings.append(f"{repeated} of {len(film)} frames repeat the one before them and are left out.")
+    return Tracked(
+        frame=usable,
+        angle=angle,
+        sigma=np.hypot(scale * formal, correlated),
+        ring=ring,
+        template=template,
+        hub_path=shift,
+        explained=share,
+        way="features",
+        scale=scale,
+        correlated=correlated,
+        warnings=tuple(warnings),
+    )
 
 
 def fresh_frames(film: Film) -> npt.NDArray[np.int64]:
@@ -305,18 +391,15 @@ def _refined_trial(trial: _Trial, block: Sequence[Plane], *, keep: bool) -> _Tri
     ring, angle = trial.ring, trial.angle
     polars = [ring.unwrap(frame) for frame in block]
     _, rows = _score(polars, angle, ring.inside(shape), ring)
-    good = np.flatnonzero(np.convolve(rows, np.ones(3) / 3, mode="same") > 0.3 * rows.max())
-    if len(good) > 3:
-        step = (ring.outer - ring.inner) / ring.rows
-        inner = max(ring.inner + step * (good[0] - 1), 2.0)
-        outer = ring.inner + step * (good[-1] + 2)
-        ring = Ring.about(ring.hub, inner, outer, finest=_COARSE, start=ring.start, span=ring.span)
+    ring = _trimmed(ring, rows)
     use = np.unique(np.linspace(0, len(block) - 1, 60).astype(int))
     few = [block[i] for i in use]
 
     def tried(place: Floats, angle: Floats) -> tuple[float, Floats]:
         there = _placed(ring, place)
         allowed = there.inside(shape)
+        if allowed.mean() < 0.7 * ring.inside(shape).mean():  # the ring leaves the picture
+            return -math.inf, angle
         polars = [there.unwrap(frame) for frame in few]
         for _ in range(2):
             template = learn(polars, angle, allowed, there, separate=_separable(angle), plain=True)
@@ -357,6 +440,17 @@ def _refined_trial(trial: _Trial, block: Sequence[Plane], *, keep: bool) -> _Tri
     angle = np.array([register(p, template, a + offset).angle for p, a in zip(polars, angle, strict=True)])
     score, _ = _score(polars, angle, allowed, ring)
     return replace(trial, ring=ring, angle=angle, score=score)
+
+
+def _trimmed(ring: Ring, rows: Floats) -> Ring:
+    """Return the part of a coarse ring in which the turning explains what changes."""
+    good = np.flatnonzero(np.convolve(rows, np.ones(3) / 3, mode="same") > 0.3 * rows.max())
+    if len(good) < 4:
+        return ring
+    step = (ring.outer - ring.inner) / ring.rows
+    inner = max(ring.inner + step * (good[0] - 1), 2.0)
+    outer = ring.inner + step * (good[-1] + 2)
+    return Ring.about(ring.hub, inner, outer, finest=_COARSE, start=ring.start, span=ring.span)
 
 
 def _free(ring: Ring, angle: Floats, *, given: bool) -> list[int]:

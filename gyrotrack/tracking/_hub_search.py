@@ -8,7 +8,7 @@ body); the centre of the orbit of a compact spot. Which of them is right is deci
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,6 +21,8 @@ Plane = npt.NDArray[np.uint8]
 
 _PAIRS = 40
 _FEATURES = 400
+_STRAY = 8.0  # px from the similarity at which a feature is given up
+_FEWEST = 12  # features that a similarity needs
 _FARTHEST = 6.0  # picture sizes; a hub farther off than that has no curvature that could be measured
 
 
@@ -240,6 +242,88 @@ def similarity(first: Plane, second: Plane, mask: Plane) -> tuple[complex, compl
     z0 = start[moves][use] @ np.array([1, 1j])
     z1 = end[moves][use] @ np.array([1, 1j])
     return a, complex(np.mean(z1) - a * np.mean(z0))
+
+
+def follow_features(
+    frames: Iterable[Plane], motion: Motion
+) -> tuple[npt.NDArray[np.complex128], npt.NDArray[np.complex128], Floats] | None:
+    """Follow the features of a body by optical flow from frame to frame; None where too few are left.
+
+    Returns
+    -------
+    a, b, sigma : ndarray, shape (n,)
+        z -> a z + b, |a| = 1, from the first frame to each, and the formal uncertainty of arg a [rad] from the scatter
+        of the features.
+    """
+    smooth = cv2.blur(motion.deviation, (5, 5))
+    strong = motion.moving & (smooth > float(np.median(smooth[motion.moving])))
+    mask = cv2.dilate(strong.astype(np.uint8), np.ones((5, 5), np.uint8)).astype(np.uint8)
+    flow: Any = cv2.calcOpticalFlowPyrLK
+    options: dict[str, Any] = {"winSize": (21, 21), "maxLevel": 3}
+    turn, moved, sigma = [], [], []
+    before: Plane | None = None
+    start: Any = None
+    now: Any = None
+    base_a, base_b = 1.0 + 0.0j, 0.0 + 0.0j
+    for frame in frames:
+        if before is None:
+            start = now = cv2.goodFeaturesToTrack(frame, _FEATURES, 0.01, 7, mask=mask)
+            if start is None or len(start) < _FEWEST:
+                return None
+            before = frame.copy()
+            turn.append(1.0 + 0.0j)
+            moved.append(0.0 + 0.0j)
+            sigma.append(np.nan)
+            continue
+        there, status, _ = flow(before, frame, now, None, **options)
+        back, again, _ = flow(frame, before, there, None, **options)
+        sure = (status[:, 0] == 1) & (again[:, 0] == 1) & (np.abs(now - back).max(axis=(1, 2)) < 0.3)
+        start, now = start[sure], there[sure]
+        before = frame.copy()
+        if len(start) < _FEWEST:
+            return None
+        found, inside = cv2.estimateAffinePartial2D(
+            start[:, 0], now[:, 0], method=cv2.RANSAC, ransacReprojThreshold=1.5, maxIters=500
+        )
+        use = inside[:, 0] == 1 if found is not None else np.zeros(len(start), dtype=bool)
+        if use.sum() < max(_FEWEST, 0.2 * len(start)):
+            return None
+        z0, z1 = (points[use, 0] @ np.array([1, 1j]) for points in (start, now))
+        weight = np.ones(len(z0))
+        for _ in range(
+            8
+        ):  # a window that holds some still background is dragged: Tukey's weights leave it out
+            middle_0, middle_1 = np.average(z0, weights=weight), np.average(z1, weights=weight)
+            a = complex(np.vdot((z0 - middle_0) * weight, z1 - middle_1))
+            a /= max(abs(a), 1e-12)
+            b = complex(middle_1 - a * middle_0)
+            rest = np.abs(z1 - a * z0 - b)
+            scale = max(3.0 * float(np.median(rest)), 1e-3)
+            weight = np.maximum(1.0 - (rest / scale) ** 2, 1e-6) ** 2
+        far = np.abs(
+            (now[:, 0] - start[:, 0]) @ np.array([1, 1j]) - (a - 1) * (start[:, 0] @ np.array([1, 1j])) - b
+        )
+        start, now = start[far < _STRAY], now[far < _STRAY]
+        spread = float(np.sqrt(np.average(rest**2, weights=weight) / 2))
+        arm = float(np.sqrt(np.sum(weight * np.abs(z0 - middle_0) ** 2)))
+        sigma.append(spread / max(arm, 1e-12))
+        turn.append(a * base_a)
+        moved.append(a * base_b + b)
+        if (use.sum() < 0.5 * _FEATURES and use.sum() < 60) or len(start) < 2 * _FEWEST:
+            fresh = cv2.goodFeaturesToTrack(frame, _FEATURES, 0.01, 7, mask=mask)
+            if fresh is not None and len(fresh) > len(start):
+                start = now = fresh
+                base_a, base_b = turn[-1], moved[-1]
+    sigma[0] = float(np.nanmedian(sigma))
+    return np.array(turn), np.array(moved), np.array(sigma)
+
+
+def still_point(turn: npt.NDArray[np.complex128], moved: npt.NDArray[np.complex128]) -> tuple[float, float]:
+    """Return the point of the body, by its place in the first frame, that moves least."""
+    left = turn - turn.mean()
+    right = -(moved - moved.mean())
+    place = complex(np.vdot(left, right) / max(float(np.sum(np.abs(left) ** 2)), 1e-12))
+    return place.real, place.imag
 
 
 def _middle(motion: Motion) -> tuple[float, float] | None:

@@ -254,6 +254,8 @@ def register(polar: Picture, template: Template, start: float, *, move: bool = F
         weight = area * np.roll(usable, -whole, axis=1) / np.maximum(variance, template.noise)
         if template.part is not None:
             weight = weight * template.part
+        if not float(weight.sum()) > 0:  # all of the ring is outside the picture
+            return Pose(start, float("inf"), (0.0, 0.0), float("inf"), 0.0, float("inf"))
         level = float(np.sum(weight * body) / np.sum(weight))
         columns = [-slope, np.ones_like(body), body - level]
         if move or template.hub_sigma:
@@ -266,7 +268,7 @@ def register(polar: Picture, template: Template, start: float, *, move: bool = F
         normal = (weighted @ basis.T).astype(np.float64)
         if len(columns) > 3 and template.hub_sigma:
             normal[3:, 3:] += np.eye(2) / template.hub_sigma**2
-        normal += np.eye(len(normal)) * 1e-9 * np.trace(normal) / len(normal)
+        normal += np.eye(len(normal)) * (1e-9 * np.trace(normal) / len(normal) + 1e-12)
         solved = np.linalg.solve(normal, (weighted @ residual.ravel()).astype(np.float64))
         misfit = float(
             np.sum(robust * (residual - (basis.T @ solved).reshape(body.shape)) ** 2) / np.sum(area)
@@ -494,6 +496,6 @@ def explained(polars: Sequence[Picture], angles: Floats, template: Template) -> 
         noise += 2 * template.noise * usable.sum(axis=1)
     rows = np.where(total > 1.1 * noise, 1.0 - (rest - noise).clip(0) / np.maximum(total - noise, 1e-9), 0.0)
     whole = float(total.sum() - noise.sum())
-    if whole < 0.1 * noise.sum():
+    if whole <= 0.1 * noise.sum():
         return 0.0, rows
     return 1.0 - max(float(rest.sum() - noise.sum()), 0.0) / whole, rows

@@ -284,6 +284,6 @@ def _options(args: list[str]) -> list[str]:
 
 
 def _without_debug(args: list[str]) -> tuple[list[str], bool]:
-    """Take ``--debug`` out, wherever it stands before ``--``."""
+    """Take ``--debug`` out, at any place before ``--``."""
     head = _options(args)
     return [a for a in head if a != "--debug"] + args[len(head) :], "--debug" in head

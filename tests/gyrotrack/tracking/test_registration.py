@@ -144,3 +144,24 @@ def test_circle_through_an_arc_with_strays():
     x[::9] += 60
     centre = fit_circle(x + rng.normal(0, 0.05, 60), y + rng.normal(0, 0.05, 60))
     assert np.hypot(centre[0] - 500, centre[1] + 80) < 3
+
+
+def test_a_body_without_an_axle():
+    """A disc on a string: it turns to and fro while its hub moves."""
+    draw, _ = renderer(60)
+    t = np.arange(150)
+    angles = 0.2 * np.sin(2 * np.pi * t / 41)
+    rng = np.random.default_rng(4)
+    frames = []
+    for k, angle in enumerate(angles):
+        place = np.float32([[1, 0, 3 * np.sin(k / 9.0)], [0, 1, 2 * np.cos(k / 7.0)]])
+        clean = draw(angle)
+        moved = cv2.warpAffine(
+            clean, place, clean.shape[::-1], flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+        )
+        frames.append(np.clip(np.rint(moved + rng.normal(0, 2, clean.shape)), 0, 255).astype(np.uint8))
+    found = track_body(Rendered(frames))
+    assert found.way == "features"
+    error = -found.angle - angles[found.frame]
+    assert np.std(error) < 0.005
+    assert np.polyfit(angles[found.frame], -found.angle, 1)[0] == pytest.approx(1, abs=0.01)
