@@ -24,6 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._column_store import new_columns, set_down
+from gyrotrack._errors import VideoError
 from gyrotrack.io._checkpoint import CheckpointFile
 from gyrotrack.tracking._association import LEAST_SCATTER, Motion
 from gyrotrack.tracking._body_tracker import BodyTracker
@@ -470,6 +471,11 @@ def track_film(
             notes.add(work.digest(), work, reader, frame, end=True)
         if progress is not None:
             progress(reader.decoded, total)
+        if not reader.decoded:
+            raise VideoError(
+                f"No frame of {path} could be decoded.",
+                "Check the limits of threads and memory (`ulimit -u`, `ulimit -v`).",
+            )
         times = timing.of(reader.pts_seconds(), tick)
         return _watched(scene, work.size, reader, times, notes.rows(reader.decoded))
 

@@ -78,6 +78,7 @@ COMMANDS = (
         _PHYSICS,
         "Add effects until the residuals are consistent with noise.",
     ),
+    Entry("budget", "gyrotrack.apps.cli._budget", _PHYSICS, "Uncertainty budget of every parameter (GUM)."),
     Entry("ladder", "gyrotrack.apps.cli._fitting", _PHYSICS, "List the fits of a case: one bar per fit."),
     Entry("report", "gyrotrack.apps.cli._presentation", _PHYSICS, "Write a report: one HTML page or a PDF."),
     Entry(
@@ -283,6 +284,6 @@ def _options(args: list[str]) -> list[str]:
 
 
 def _without_debug(args: list[str]) -> tuple[list[str], bool]:
-    """Take ``--debug`` out, wherever it stands before ``--``."""
+    """Take ``--debug`` out, at any place before ``--``."""
     head = _options(args)
     return [a for a in head if a != "--debug"] + args[len(head) :], "--debug" in head
