@@ -67,7 +67,7 @@ class Extent:
 
 
 def aligned(score: Strips, column: npt.NDArray[np.int64], use: npt.NDArray[np.bool_]) -> Floats:
-    """Return the interquartile mean of the strips about a marker, `REACH` to each side: (rows, columns).
+    """Return the mean of the middle quarter of the strips about a marker, `REACH` to each side: (rows, columns).
 
     A hand in a few of the samples does not change it.
     """
@@ -76,8 +76,8 @@ def aligned(score: Strips, column: npt.NDArray[np.int64], use: npt.NDArray[np.bo
     index = (column[use][:, None] + np.arange(-reach, reach + 1)) % columns
     patch = np.take_along_axis(score[use], index[:, None, :], axis=2)
     patch.sort(axis=0)
-    quarter = len(patch) // 4
-    return np.asarray(patch[quarter : len(patch) - quarter].mean(axis=0), dtype=np.float64)
+    tail = 3 * len(patch) // 8
+    return np.asarray(patch[tail : len(patch) - tail].mean(axis=0), dtype=np.float64)
 
 
 def extent_of(patch: Floats, ring: Ring) -> Extent | None:
@@ -214,7 +214,8 @@ def _brightest(profile: Strips, half: int) -> tuple[npt.NDArray[np.int64], npt.N
     mean = boxed(profile, half)
     column = np.argmax(mean, axis=1)
     peak = mean[np.arange(len(mean)), column]
-    return column, peak > 0.5 * float(np.median(np.sort(peak)[len(peak) // 2 :]))
+    # Less than half of the samples show the marker hidden, and less than a third something brighter, as a hand.
+    return column, peak > 0.5 * float(np.quantile(peak, 0.6))
 
 
 def _dwell(angle: Floats, reach: float) -> float:
@@ -508,7 +509,8 @@ def acquire(samples: Samples, profile: Profile, where: str) -> Scene:
         )
     missing = tuple(wanted.name for wanted in profile.marker if wanted.name not in markers)
     warnings = (_NO_DISC,) if disc is None and profile.centre == "circle" else ()
-    return Scene(centre, disc, tuple(markers.values()), missing, warnings, offsets)
+    body_of: dict[str, str] = {wanted.name: wanted.body for wanted in profile.marker}
+    return Scene(centre, disc, tuple(markers.values()), missing, warnings, offsets, body_of)
 
 
 def _find_orbit(samples: Samples, profile: Profile) -> Orbit | None:

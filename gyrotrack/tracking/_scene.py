@@ -86,6 +86,8 @@ class Scene:
         By body, where the centre of its orbits lies relative to `centre`, (x, y) in px, y downwards: a body below the
         plane of the hub circles another point of the picture when the camera is tilted. Bodies without a significant
         offset are not in it.
+    body_of : dict of str
+        The body of each marker of the profile, also of those that were not found.
     warnings : tuple of str
         What the user should know.
     """
@@ -96,6 +98,7 @@ class Scene:
     missing: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     offsets: dict[str, tuple[float, float]] = field(default_factory=dict)
+    body_of: dict[str, str] = field(default_factory=dict)
 
     def axis(self, body: str) -> tuple[float, float]:
         """Return the centre of a body's orbits at the time of acquisition, (x, y) in px."""

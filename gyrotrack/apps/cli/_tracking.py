@@ -21,7 +21,7 @@ from gyrotrack.apps.cli._options import (
     Surface,
     Verbose,
 )
-from gyrotrack.apps.cli._output import NOT_TRUSTED, Output, all_or_nothing, command_line
+from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output, all_or_nothing, command_line
 
 if TYPE_CHECKING:
     from gyrotrack.io._records import Recording
@@ -191,7 +191,7 @@ def extract_command(
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
-) -> None:
+) -> int:
     """Track the markers in a film and write the angles of casing and rotor, with uncertainties.
 
     A checkpoint (OUT.h5.unfinished) is kept until the output is written; --resume continues from it.
@@ -236,6 +236,7 @@ def extract_command(
         raise
     out.result(document)
     out.show(_extraction_lines(document))
+    return NOT_TRUSTED if recording.extra.get("doubts") else DONE
 
 
 def _tracked(
