@@ -199,6 +199,31 @@ class DiagnosisDocument(Document):
     residual_ripple: list[RippleDocument]
 
 
+class ContributionDocument(Document):
+    """One source of uncertainty of a parameter: type A or B, contribution, sensitivity, share of the variance."""
+
+    source: str
+    type: str
+    u: Number
+    sensitivity: float | None
+    share: Number
+
+
+class ParameterBudgetDocument(Document):
+    """A parameter with its combined standard uncertainty and the contributions, largest first."""
+
+    value: Number
+    u: Number
+    unit: str
+    contributions: list[ContributionDocument]
+
+
+class BudgetDocument(Document):
+    """What `budget --json` prints, beside the name of the fit."""
+
+    parameters: dict[str, ParameterBudgetDocument]
+
+
 class StepDocument(Document):
     """One fit of a history: what was changed, and what the errors did."""
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from fitting._errors import FittingError, LedgerError
 from fitting._schema import (
+    BudgetDocument,
     CandidateDocument,
     CaseDocument,
     DiagnosisDocument,
@@ -28,6 +29,7 @@ from fitting._schema import (
     FailureDocument,
     FitDocument,
     NuisanceDocument,
+    ParameterBudgetDocument,
     RemainderDocument,
     RippleDocument,
     SavedFitDocument,
@@ -50,6 +52,7 @@ from fitting.discovery._select import Candidate, Step
 from fitting.discovery._verdict import Diagnosis
 from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect
+from fitting.inference._budget import ParameterBudget
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 from fitting.inference._metrics import BodyMetrics, CaseMetrics
@@ -92,6 +95,12 @@ def fit_document(fit: Fit, fit_id: str) -> dict[str, Any]:
 def bias_document(bias: Mapping[str, CurveBias]) -> dict[str, dict[str, float]]:
     """Return by how much a generated rotor curve moved each parameter, as plain numbers."""
     return {name: {**asdict(b), "errors": b.errors} for name, b in bias.items()}
+
+
+def budget_document(found: Mapping[str, ParameterBudget]) -> dict[str, Any]:
+    """Return an uncertainty budget under the keys of `budget --json`."""
+    parameters = {k: ParameterBudgetDocument.model_validate(b) for k, b in found.items()}
+    return BudgetDocument(parameters=parameters).model_dump()
 
 
 def not_determined_together(fit: Fit) -> list[dict[str, float]]:

@@ -327,6 +327,7 @@ class FilmTracker:
                 scene.axis(b),
                 keep_out + float(np.hypot(*scene.offsets.get(b, (0.0, 0.0)))),
                 BATCH,
+                scene.offsets.get(b, (0.0, 0.0)),
             )
             for b in scene.bodies
         }

@@ -185,6 +185,7 @@ class MarkerWindow:
     def __init__(self, strip: MarkerStrip, coarse: Floats) -> None:
         count = len(coarse)
         self.known = np.isfinite(coarse)
+        self.radius = strip.marker.radius
         self.start = strip.starts[:count].copy()
         self.fraction = np.where(self.known, coarse / strip.ring.step - self.start, 0.0)
         self.first = (self.start - strip.half) % strip.ring.columns

@@ -284,3 +284,16 @@ class TestAsAProcess:
         assert done.returncode == 2
         assert done.stdout == ""
         assert "Missing argument" in done.stderr
+
+
+def test_the_budget_of_a_fit(gyrotrack, case):
+    path = case("plain")
+    found = gyrotrack("budget", path, "--clock-rate", "1e-3", "--json").json
+    assert found["fit_id"] == "f1"
+    b = found["parameters"]["casing.air.linear.b2"]
+    clock = next(c for c in b["contributions"] if c["source"] == "clock rate")
+    assert clock["type"] == "B"
+    assert clock["u"] == pytest.approx(1e-3 * b["value"], rel=0.01)  # N m s has one second below the line
+    said = gyrotrack("budget", path)
+    assert "casing.air.linear.b2" in said.out
+    assert gyrotrack("budget", path, "--clock-rate", "2").code == 2
