@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from fitting.effects._library import REDUCED as REDUCED
     from fitting.effects._user import read_effects as read_effects
     from fitting.effects._user import resolve as effect
+    from fitting.inference._budget import budget as budget
     from fitting.inference._cross_validation import predict_recordings as predict_recordings
     from fitting.inference._profile import profile as profile_interval
     from fitting.inference._record import Record as Record
@@ -73,6 +74,7 @@ _PLACES = {
     "RecordError": ("fitting._errors", "RecordError"),
     "Scan": ("fitting.study._scan", "Scan"),
     "SimulationError": ("fitting._errors", "SimulationError"),
+    "budget": ("fitting.inference._budget", "budget"),
     "diagnose": ("fitting.discovery._verdict", "diagnose"),
     "effect": ("fitting.effects._user", "resolve"),
     "fit": ("fitting._api", "fit"),
@@ -112,6 +114,7 @@ __all__ = [
     "RecordError",
     "Scan",
     "SimulationError",
+    "budget",
     "diagnose",
     "effect",
     "fit",

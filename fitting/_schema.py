@@ -110,9 +110,10 @@ class FailureDocument(Document):
 
 
 class StoredFailure(FailureDocument):
-    """The same with the name of the body in sentences."""
+    """The same with the name of the body in sentences and the uncertainty of the torque."""
 
     called: str
+    torque_sigma_Nm: Number = math.nan  # noqa: N815 - the unit's own capitals
 
 
 class CandidateDocument(Document):
@@ -128,6 +129,26 @@ class CandidateDocument(Document):
     indistinguishable_from: list[str]
     parameters: dict[str, EstimateDocument]
     law: str
+
+
+class RemainderDocument(Document):
+    """What is still significant after the named effect: rms torque, share of the mean square, p-value."""
+
+    torque_rms_Nm: Number  # noqa: N815 - the unit's own capitals
+    share: Number
+    p_value: Number
+    sentence: str
+
+
+class NuisanceDocument(Document):
+    """An always fitted camera effect of one case."""
+
+    effect: str
+    label: str
+    value: Number
+    stderr: Number
+    unit: str
+    p_value: Number
 
 
 class WhitenessDocument(Document):
@@ -167,11 +188,40 @@ class DiagnosisDocument(Document):
     sentence: str
     failures: list[FailureDocument]
     candidates: list[CandidateDocument]
+    form: str | None = None
+    explained: float | None = None
+    remainder: RemainderDocument | None = None
+    nuisance: list[NuisanceDocument] = []
     next_experiment: str
     whiteness: list[WhitenessDocument]
     energy_drift: dict[str, Number]
     residual_torque: list[TorqueDocument]
     residual_ripple: list[RippleDocument]
+
+
+class ContributionDocument(Document):
+    """One source of uncertainty of a parameter: type A or B, contribution, sensitivity, share of the variance."""
+
+    source: str
+    type: str
+    u: Number
+    sensitivity: float | None
+    share: Number
+
+
+class ParameterBudgetDocument(Document):
+    """A parameter with its combined standard uncertainty and the contributions, largest first."""
+
+    value: Number
+    u: Number
+    unit: str
+    contributions: list[ContributionDocument]
+
+
+class BudgetDocument(Document):
+    """What `budget --json` prints, beside the name of the fit."""
+
+    parameters: dict[str, ParameterBudgetDocument]
 
 
 class StepDocument(Document):
@@ -240,6 +290,10 @@ class StoredDiagnosis(Document):
     sentence: str
     failures: list[StoredFailure]
     candidates: list[StoredCandidate]
+    form: str | None = None
+    explained: float | None = None
+    remainder: RemainderDocument | None = None
+    nuisance: list[NuisanceDocument] = []
     next_experiment: str
 
 

@@ -77,7 +77,10 @@ class WorkerPool:
     def __enter__(self) -> Self:
         if self.processes > 0:
             context = get_context("spawn")
-            self._executor = ProcessPoolExecutor(self.processes, context, initializer=_start_worker)
+            try:
+                self._executor = ProcessPoolExecutor(self.processes, context, initializer=_start_worker)
+            except (OSError, ImportError):  # no semaphores: /dev/shm is missing or read-only
+                return self
             self._submit(int)  # the first worker imports its modules while the caller is busy
         return self
 

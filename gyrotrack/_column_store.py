@@ -1,8 +1,8 @@
-"""Long columns in an unnamed memory-mapped file, so that memory does not grow with the film.
+"""Long columns in an unnamed memory-mapped file, so that memory does not grow with the length of the film.
 
-A film's quantities have as many values as it has frames. Kept here they are arrays like any other, but only those
-that are being worked on lie in memory: `set_down` gives back what was touched, and it comes from the file when it is
-touched again. Columns of short films, and all where the system has no such files, are plain arrays.
+The columns are ordinary arrays, but only the pages in use occupy memory: `set_down` releases the pages that were read
+or written, and the system reads them again from the file on the next access. Columns of short films, and all
+columns where the system has no such files, are plain arrays.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ import numpy.typing as npt
 Array = npt.NDArray[Any]
 
 LEAST_BYTES = 1 << 18
-"""Size of a table from which it is worth a file."""
+"""Size [bytes] from which a table is kept in a file."""
 STRETCH = 4096
-"""Rows that are worked on at a time."""
+"""Rows that are processed at a time."""
 _TOGETHER = 8
-"""Stretches after which columns are set down: the system takes its time for it."""
+"""Blocks of rows after which pages are released; each release takes time."""
 MOST_FILES = 128
-"""Files at a time: each takes a handle, of which a process may have some hundred."""
+"""Largest number of files: each takes a file handle."""
 _ALIGNED = 64
 _LEAVE: int | None = getattr(mmap, "MADV_DONTNEED", None)  # not on Windows
 _files: WeakSet[mmap.mmap] = WeakSet()
@@ -57,7 +57,7 @@ def new_columns(rows: int, kinds: Mapping[str, tuple[tuple[int, ...], npt.DTypeL
 
 
 def put_away(columns: Mapping[str, Array]) -> dict[str, Array]:
-    """Return the same columns, kept out of the way; all have the same length."""
+    """Return copies of columns of equal length in a file."""
     rows = len(next(iter(columns.values()))) if columns else 0
     kept = new_columns(rows, {name: (values.shape[1:], values.dtype) for name, values in columns.items()})
     for name, values in columns.items():
@@ -67,7 +67,7 @@ def put_away(columns: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def stretches(rows: int) -> Iterator[slice]:
-    """Yield slices of some thousand rows that cover all, and set down now and then what was touched meanwhile."""
+    """Yield slices of `STRETCH` rows that cover all rows, and release pages after every few of them."""
     for count, start in enumerate(range(0, rows, STRETCH), start=1):
         yield slice(start, min(start + STRETCH, rows))
         if count % _TOGETHER == 0:
@@ -75,14 +75,14 @@ def stretches(rows: int) -> Iterator[slice]:
 
 
 def set_down() -> None:
-    """Give the memory back in which columns lie for the moment; their values stay."""
+    """Release the memory of all columns; their values stay in the file."""
     for file in list(_files):
         if _LEAVE is not None:
             file.madvise(_LEAVE)
 
 
 def _mapped(size: int) -> mmap.mmap | None:
-    """Return an unnamed file of this size in memory; None if the system does not give one, or has no room."""
+    """Return a memory-mapped unnamed file of this size; None if the system has none, or no space."""
     if _LEAVE is None or len(_files) >= MOST_FILES or not hasattr(os, "posix_fallocate"):
         return None
     try:

@@ -39,7 +39,7 @@ class GyrotrackError(Exception):
 
 
 class VideoError(GyrotrackError):
-    """A film that cannot be read, or not in the way that was asked for."""
+    """A film that cannot be read as requested."""
 
     code = "video"
 
@@ -63,7 +63,7 @@ class TrackingError(GyrotrackError):
 
 
 class DatasetError(GyrotrackError):
-    """A data file that is not ours, is not sound, or lacks what is needed."""
+    """A data file of another program, damaged, or incomplete."""
 
     code = "dataset"
 
@@ -75,7 +75,7 @@ class SyncError(GyrotrackError):
 
 
 class OutputError(GyrotrackError):
-    """A result that cannot be written where it was asked for."""
+    """A result that cannot be written."""
 
     code = "output"
 

@@ -1,4 +1,4 @@
-"""TOML files written by users: read with a limit, validated, every fault named by line and key."""
+"""TOML files written by users: size-limited, validated, every fault reported with line and key."""
 
 from __future__ import annotations
 
@@ -82,11 +82,11 @@ def read_document(
     path : Path
         The file; at most 1 MB of text.
     model : type of pydantic.BaseModel
-        What it must hold.
+        Schema of the content.
     what : str
-        What the file is, for messages ("profile", "manifest").
+        Kind of file, for messages ("profile", "manifest").
     error : type of GyrotrackError
-        What to raise.
+        Class of the exception.
 
     Raises
     ------

@@ -92,6 +92,8 @@ def _answered(found: Diagnosis, run: Planned) -> dict[str, Any]:
     named = [chosen.effect.name, *chosen.indistinguishable_from] if chosen else []
     return {
         "verdict": found.verdict,
+        "form": found.form,
+        "explained": found.explained,
         "named": named,
         "kinds": [LIBRARY[n].kind if n in LIBRARY else "unknown" for n in named],
         "ranked": _ranked(found.candidates, run),

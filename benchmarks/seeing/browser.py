@@ -78,8 +78,8 @@ def page_of_report(browser: Any, report: Path) -> dict[str, Any]:
         if len(opened) < 3:
             page.close()
     points = page.evaluate(
-        "JSON.parse(document.getElementById('boards').textContent)"
-        ".map((b) => Math.max(...b.charts.flatMap((c) => c.traces.map((t) => t.time.count))))"
+        "JSON.parse(document.getElementById('dashboards').textContent)"
+        ".map((b) => Math.max(...b.charts.flatMap((c) => c.traces.map((t) => t.x.count))))"
     )
     page.evaluate(_WATCH)
     _zoom(page)
@@ -96,7 +96,7 @@ def _usable(page: Any) -> float:
 
 
 def _zoom(page: Any) -> None:
-    canvas = page.locator(".board canvas").first
+    canvas = page.locator(".board .u-over").first
     canvas.scroll_into_view_if_needed()
     box = canvas.bounding_box()
     middle = box["y"] + box["height"] / 2

@@ -39,6 +39,7 @@ from fitting.discovery._residuals import micro_newton_metres
 from fitting.discovery._score import CaseColumns, ScoreContext, over_many_tests, score_of_columns
 from fitting.discovery._select import Candidate
 from fitting.dynamics._mesh import Sampler
+from fitting.effects._effect import Effect, Parameter
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import Prediction
 from fitting.inference._lack_of_fit import block_diagonal, orthonormal
@@ -330,6 +331,65 @@ class _Periodogram:
         return np.asarray(rows - self._basis @ (self._basis.T @ rows))
 
 
+_ORDERS = (3, 4, 5, 6)
+_WAVE = (Parameter("k", "N m"), Parameter("phi", "rad", "phase"))
+
+
+@dataclass(frozen=True)
+class HarmonicTest:
+    """The harmonic of the casing's angle, of third order or more, that the residual torque contains most clearly.
+
+    Attributes
+    ----------
+    order : int
+        Periods per turn.
+    torque : float
+        Its amplitude in the case where it is largest [N m].
+    p_value : float
+        Probability that noise has as clear a harmonic (Bonferroni bound over the orders).
+    """
+
+    order: int
+    torque: float
+    p_value: float
+
+    @property
+    def words(self) -> str:
+        """What the residual torque depends on."""
+        return f"contains harmonic {self.order} of psi_c, amplitude {micro_newton_metres(self.torque)}"
+
+
+def harmonic_test(fit: Fit) -> HarmonicTest:
+    """Return the most significant harmonic of the casing's angle that no law of the library describes.
+
+    chi2 = r'S (S'S)^-1 S'r with 2 degrees of freedom per case, S the whitened responses to sin(n psi), cos(n psi)
+    orthogonal to the free columns.
+    """
+    from scipy.special import chdtrc
+
+    found = HarmonicTest(0, 0.0, 1.0)
+    for order in _ORDERS:
+        law = Effect("harmonic", "casing", f"k*sin({order}*psi_c - phi)", _WAVE)
+        chi2, torque, count = 0.0, 0.0, 0
+        for index, (data, p, n) in enumerate(zip(fit.problem.data, fit.predictions, fit.noise, strict=True)):
+            if not data.is_angle:
+                continue
+            numbers = fit.problem.layout.numbers(fit.theta, index)
+            sine, cosine = fit.problem.cases[index].unit_columns(law, p.path, p.sensitivity, numbers)
+            project = Projection(data, n.whitener.at(n.pure))
+            basis = orthonormal(project(p.columns), _RANK_FREE)
+            rows = project(np.stack([sine, cosine, data.z - p.rows], axis=1))
+            rows = rows - basis @ (basis.T @ rows)
+            s, r = rows[:, :2], rows[:, 2]
+            gamma = np.linalg.pinv(s.T @ s, hermitian=True) @ (s.T @ r)
+            chi2, count = chi2 + float(gamma @ (s.T @ r)), count + 2
+            torque = max(torque, float(np.hypot(*gamma)))
+        p_value = min(1.0, len(_ORDERS) * float(chdtrc(count, chi2))) if count else 1.0
+        if p_value < found.p_value:
+            found = HarmonicTest(order, torque, p_value)
+    return found
+
+
 # rivals that no library names
 UNKNOWN_LAW = "a law of omega_c that the library does not have"
 UNKNOWN_IN_TIME = "a torque that changes slowly in time"
@@ -337,7 +397,7 @@ UNKNOWN_IN_TIME = "a torque that changes slowly in time"
 
 def contradiction(
     chosen: Candidate | None, end: Fit, criteria: Criteria
-) -> SmoothTest | PeriodogramPeak | None:
+) -> SmoothTest | PeriodogramPeak | HarmonicTest | None:
     """Return the lack-of-fit test that contradicts an answer, if one does.
 
     Parameters
@@ -352,6 +412,10 @@ def contradiction(
     peak = periodogram_peak(end)
     if peak is not None and peak.p_value < criteria.doubt_adequate:
         return peak
+    if chosen is not None and chosen.effect.depends_on_angle:
+        harmonic = harmonic_test(end)
+        if harmonic.p_value < criteria.doubt_adequate:
+            return harmonic
     # an equivalence class leaves the law open by itself
     if chosen is not None and chosen.indistinguishable_from:
         return None

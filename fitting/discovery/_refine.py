@@ -79,17 +79,25 @@ def at_pure_noise(found: Fit, criteria: Criteria) -> Fit:
     return found
 
 
-def fit_at(found: Fit, noise: Sequence[Noise]) -> Fit:
-    """Return a fit made again from its own values at a given noise, to full convergence."""
+def fit_at(found: Fit, noise: Sequence[Noise], values: Mapping[str, float] | None = None) -> Fit:
+    """Return a fit made again at a given noise, from its own values or some others, to full convergence."""
     layout = found.problem.layout
+    own = {k: e.value for k, e in found.estimates.items()}
     return fit(
         found.model,
         found.problem.data,
         share=[k for k in found.model.free if k not in layout.per_case] if len(layout.records) > 1 else (),
         per_case=layout.per_case,
-        start={k: e.value for k, e in found.estimates.items()},
+        start=own | {k: v for k, v in (values or {}).items() if k in own},
         noise=noise,
     )
+
+
+def from_values_of(found: Fit, other: Fit) -> Fit:
+    """Return a fit, or the one from the values of another model if that describes the data better."""
+    with suppress(FittingError):
+        return _better(found, fit_at(found, found.noise, {k: e.value for k, e in other.estimates.items()}))
+    return found
 
 
 def distant_changepoints(fit: Fit, effect: Effect, criteria: Criteria) -> dict[str, float]:

@@ -36,7 +36,6 @@ from fitting.dynamics._mesh import Sampler
 from fitting.dynamics._model import INERTIA_CASING
 from fitting.effects._effect import Effect, Parameter
 from fitting.effects._expression import Tape, derivative
-from fitting.inference._case_data import CAMERA_COLUMNS
 from fitting.inference._case_model import CaseModel, Prediction
 from fitting.inference._lack_of_fit import block_diagonal
 from fitting.inference._noise import TorqueResponse, Whitener
@@ -45,7 +44,6 @@ from fitting.inference._result import Fit
 Array = NDArray[np.float64]
 
 _LEVELS = 9
-_CAMERA_WIDTH = 6
 # share of a column orthogonal to the base, angles taken as exact, below which the base absorbs it
 _ABSORBED = 1e-7
 _SEED = 7
@@ -86,9 +84,8 @@ class ScoreContext:
         residual = np.concatenate([d.z - p.rows for d, p in zip(data, fit.predictions, strict=True)])
         everything = np.concatenate([free, nuisance], axis=1)
         self._free = self.rotated(everything)
-        self._nuisance_at = free.shape[1] + np.cumsum([0, *(d.nuisance.shape[1] for d in data)])
         self._residual = self.rotated(residual)
-        self._plain = _orthonormal(everything[:, : self._nuisance_at[0]])
+        self._plain = _orthonormal(free)
         self.levels = [self._level(w, self._free) for w in self._whiteners]
         self.draws = self.rotated(random.standard_normal((len(residual), draws)))
 
@@ -119,12 +116,6 @@ class ScoreContext:
     def with_free(self, columns: Array) -> list[Level]:
         """Return the levels with further columns free."""
         free = np.concatenate([self._free, self.rotated(columns)], axis=1)
-        return [self._level(w, free) for w in self._whiteners]
-
-    def with_nuisance_removed(self, name: str) -> list[Level]:
-        """Return the levels with the columns of a camera effect no longer free."""
-        skip = [int(end) - _CAMERA_WIDTH + i for end in self._nuisance_at[1:] for i in CAMERA_COLUMNS[name]]
-        free = np.delete(self._free, skip, axis=1)
         return [self._level(w, free) for w in self._whiteners]
 
 
@@ -599,7 +590,7 @@ def _score(
 ) -> Score:
     """Score an effect; unless `own_phase` is given, each case has its own phase where that is clearly better."""
     own = _own(effect, len(trials))
-    levels = context.with_nuisance_removed(effect.name) if effect.nuisance else context.levels
+    levels = context.levels
     if own_phase is None and has_phases(effect, len(trials)):
         gains = [
             best_group(context, effect, _stack(trials, each), levels, null=False).score

@@ -20,6 +20,8 @@ from fitting.discovery._criteria import DEFAULT, Criteria
 from fitting.discovery._refine import (
     at_one_phase,
     fit_at,
+    freed,
+    from_values_of,
     is_quieter,
     refined,
     refit,
@@ -114,7 +116,9 @@ def rank(
     """
     known = {e.name: e for e in (*LIBRARY.values(), *extra)}
     names = set(base.model.names)
-    effects = [e for e in known.values() if e.name not in names and _is_applicable(e, base)]
+    effects = [
+        e for e in known.values() if e.name not in names and not e.nuisance and _is_applicable(e, base)
+    ]
     cases = [CaseColumns(base, i) for i in range(len(base.problem.cases))]
     scores = score(base, effects, cases, criteria)
     nulls = {s.effect.name: NullDistribution(s) for s in scores}
@@ -153,7 +157,7 @@ def _worth_refitting(candidates: Sequence[Candidate], criteria: Criteria) -> lis
     """Return which candidates, sorted by score, to refit."""
     worth, count, best_score = [], 0, None
     for c in candidates:
-        open_ = not c.effect.nuisance and not c.screened.absorbed
+        open_ = not c.screened.absorbed
         if open_ and best_score is None:
             best_score = c.score
         promising = (
@@ -246,7 +250,7 @@ def best(candidates: Sequence[Candidate], criteria: Criteria = DEFAULT) -> Candi
     more evidence.
     """
     for c in candidates:
-        if c.fit is None or not c.significant or c.effect.nuisance:
+        if c.fit is None or not c.significant:
             continue
         tracked = any(d.record.tracked for d in c.fit.problem.data)
         periodic = tracked and c.physical and c.effect.periodic
@@ -334,14 +338,17 @@ class Selection(NamedTuple):
         In their final order.
     chosen : Candidate or None
         The effect to add.
+    named : Fit
+        The refined fit with this effect alone; the base if there is none.
     end : Fit
-        The fit with all that was added, refined; the base if nothing was.
+        The refined fit with all that was added, a freed shape constant or a second effect; the base if nothing was.
     history : History
         Steps of the forward selection; empty where one effect was enough.
     """
 
     candidates: list[Candidate]
     chosen: Candidate | None
+    named: Fit
     end: Fit
     history: History
 
@@ -367,7 +374,7 @@ def select(
     ranked = list(candidates)
     chosen = best(ranked, criteria)
     if chosen is None or chosen.fit is None:
-        return Selection(ranked, chosen, base, History())
+        return Selection(ranked, None, base, base, History())
     end = refined(chosen.fit, criteria)
     # process noise that falls when an effect is added may have hidden another effect, and what separates rivals
     quieter = is_quieter(end, chosen.fit, criteria)
@@ -381,8 +388,37 @@ def select(
         history = improve(
             base, extra, criteria=criteria, max_steps=1 + criteria.follow_up, first=ranked, workers=workers
         )
-        end = history[-1].fit
-    return Selection(ranked, chosen, end, history)
+        named, end = history[1].fit if len(history) > 1 else end, history[-1].fit
+    else:
+        named = end
+        end = _with_free_shape(end, chosen, (), criteria) or end
+    if end is not named:
+        named = from_values_of(named, end)
+    if chosen.indistinguishable_from and end is not named:
+        # at the noise of the most complete fit the data may separate the class
+        separated = rescored(base, ranked, chosen, end.noise, criteria)
+        clearer = best(separated, criteria)
+        if clearer is not None and clearer.effect.name == chosen.effect.name:
+            ranked, chosen = separated, clearer
+    return Selection(ranked, chosen, named, end, history)
+
+
+def _with_free_shape(
+    found: Fit, chosen: Candidate, following: Sequence[Candidate], criteria: Criteria
+) -> Fit | None:
+    """Return the fit with the shape constant of the newest law freed, if BIC asks for it more than for another effect.
+
+    The law of an equivalence class is open: its shape is freed only where the fit fails.
+    """
+    if chosen.effect not in found.model.effects:
+        return None
+    if chosen.indistinguishable_from and not fails(found, criteria):
+        return None
+    general = freed(found, chosen.effect, criteria)
+    rival = best(following, criteria) if general is not None else None
+    if general is None or rival is None or rival.fit is None:
+        return general
+    return general if general.bic < refined(rival.fit, criteria).bic else None
 
 
 def fails(found: Fit, criteria: Criteria) -> bool:
@@ -405,7 +441,7 @@ def improve(
     first: Sequence[Candidate] | None = None,
     workers: WorkerPool | None = None,
 ) -> History:
-    """Add the best effect while one is significant, then drop what is not needed.
+    """Add the best effect while one is significant, free its shape constant if needed, drop what is not needed.
 
     Parameters
     ----------
@@ -439,6 +475,13 @@ def improve(
         last = _backward(history, criteria)
         candidates = rank(last.fit, extra, criteria=criteria, workers=workers)
         history[-1] = Step(last.change, last.fit, tuple(candidates))
+        general = _with_free_shape(last.fit, chosen, candidates, criteria)
+        if general is not None:
+            symbol = (
+                general.model.effects[general.model.names.index(chosen.effect.name)].parameters[-1].symbol
+            )
+            candidates = rank(general, extra, criteria=criteria, workers=workers)
+            history.append(Step(f"+{chosen.effect.name}.{symbol}", general, tuple(candidates)))
         if progress is not None:
             progress(step + 1, None)
     return history

@@ -1,6 +1,6 @@
 """The answer: verdict, sentences, and the line of stages that leads to them.
 
-    rank (score, refine) -> select -> lack of fit -> verdict
+    rank (score, refine) -> select -> lack of fit -> grade -> verdict
 
 Each stage takes what the one before returns; nothing goes back.
 """
@@ -11,8 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from fitting._numbers import rounded
 from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._criteria import DEFAULT, Criteria
@@ -20,11 +18,13 @@ from fitting.discovery._experiment import next_experiment
 from fitting.discovery._lack_of_fit import (
     UNKNOWN_IN_TIME,
     UNKNOWN_LAW,
+    HarmonicTest,
     PeriodogramPeak,
     SmoothTest,
     contradiction,
     nonparametric_rivals,
 )
+from fitting.discovery._remainder import Grade, Nuisance, Remainder, grade, nuisance_parameters
 from fitting.discovery._residuals import (
     Failure,
     ResidualTorque,
@@ -60,6 +60,15 @@ class Diagnosis:
         Where it fails, most significant first.
     candidates : tuple of Candidate
         Candidate effects, best first.
+    form : {"exact", "approximate", None}
+        Whether the named effect leaves nothing significant, or explains at least `Criteria.explained` of the unmodelled
+        torque while something significant remains; None where no effect explains that much by itself.
+    explained : float or None
+        Share of the mean square unmodelled torque that the best effect explains (0-1); None without one.
+    remainder : Remainder or None
+        What is still significant after it.
+    nuisance : tuple of Nuisance
+        Camera effects that every fit frees, with their values.
     next_experiment : str
         The measurement that separates the rivals; empty if there are none.
     torques : tuple of ResidualTorque
@@ -75,6 +84,10 @@ class Diagnosis:
     sentence: str
     failures: tuple[Failure, ...]
     candidates: tuple[Candidate, ...]
+    form: str | None
+    explained: float | None
+    remainder: Remainder | None
+    nuisance: tuple[Nuisance, ...]
     next_experiment: str
     torques: tuple[ResidualTorque, ...] = field(repr=False)
     ripples: tuple[Ripple, ...] = field(repr=False)
@@ -131,17 +144,24 @@ def diagnose(
     selection = select(fit, ranked, extra, criteria, workers)
     misfit = fails(selection.end, criteria)
     doubt = None if misfit else contradiction(selection.chosen, selection.end, criteria)
-    verdict = "unexplained" if misfit or doubt else "missing_effect" if selection.chosen else "adequate"
+    size = grade(fit, selection, doubt, criteria, misfit=misfit)
+    verdict = _verdict(selection, size, significant=misfit or doubt is not None)
     if verdict == "missing_effect":
-        selection = _with_rivals(selection, nonparametric_rivals(fit, selection.chosen, criteria))
+        rivals = size.rivals or nonparametric_rivals(fit, selection.chosen, criteria)
+        selection = _with_rivals(selection, rivals)
+    nuisance = nuisance_parameters(selection.end)
     torques, waves = curves.result(), harmonics.result()
     failures = find_failures(fit, torques, waves, criteria) if verdict != "adequate" else []
     return Diagnosis(
         fit,
         verdict,
-        _sentence(fit, verdict, selection, failures, doubt),
+        _sentence(fit, verdict, selection, failures, doubt, size, nuisance, criteria),
         tuple(failures),
         tuple(selection.candidates),
+        size.form,
+        size.explained,
+        size.remainder,
+        tuple(nuisance),
         next_experiment(fit, _class_of(selection), criteria),
         tuple(torques),
         tuple(waves),
@@ -149,10 +169,22 @@ def diagnose(
     )
 
 
+def _verdict(selection: Selection, size: Grade, *, significant: bool) -> str:
+    """Return "adequate", "missing_effect" or "unexplained": a matter of size, not of significance alone."""
+    if selection.chosen is None:
+        return "unexplained" if significant else "adequate"
+    if size.form is not None:
+        return "missing_effect"
+    # a second effect of the library completes it; a law of another shape is none of the library's
+    completed = set(selection.end.model.names) > set(selection.named.model.names)
+    return "missing_effect" if completed and not significant else "unexplained"
+
+
 def _with_rivals(selection: Selection, rivals: tuple[str, ...]) -> Selection:
     if selection.chosen is None or not rivals:
         return selection
-    chosen = replace(selection.chosen, indistinguishable_from=rivals)
+    own = selection.chosen.indistinguishable_from
+    chosen = replace(selection.chosen, indistinguishable_from=tuple(dict.fromkeys((*own, *rivals))))
     ranked = [chosen if c is selection.chosen else c for c in selection.candidates]
     return selection._replace(candidates=ranked, chosen=chosen)
 
@@ -170,57 +202,67 @@ def _sentence(
     verdict: str,
     selection: Selection,
     failures: Sequence[Failure],
-    doubt: SmoothTest | PeriodogramPeak | None,
+    doubt: SmoothTest | PeriodogramPeak | HarmonicTest | None,
+    size: Grade,
+    nuisance: Sequence[Nuisance],
+    criteria: Criteria,
 ) -> str:
     """Return the answer in a few sentences."""
     if verdict == "adequate":
         parts = ["The residuals are consistent with noise; the model is adequate."]
     else:
         parts = [f"Significant lack of fit{f': {failures[0]}' if failures else ''}."]
-        parts += _unexplained(selection, doubt) if verdict == "unexplained" else _missing(selection)
+        parts += (
+            _unexplained(selection, doubt, size) if verdict == "unexplained" else _missing(selection, size)
+        )
         parts += _active_bounds(fit)
-    return " ".join([*parts, *_nuisance(selection)])
+    return " ".join([*parts, *_nuisance(selection.chosen, nuisance, criteria)])
 
 
-def _unexplained(selection: Selection, doubt: SmoothTest | PeriodogramPeak | None) -> list[str]:
+def _unexplained(
+    selection: Selection, doubt: SmoothTest | PeriodogramPeak | HarmonicTest | None, size: Grade
+) -> list[str]:
     chosen = selection.chosen
-    if doubt is None:
-        level = max((n.level for n in selection.end.noise), default=0.0)
-        parts = [
-            f"An unexplained torque of {micro_newton_metres(level)} rms remains; no effect of the library explains it."
-        ]
-        if chosen is not None:
-            parts.append(f"The closest law is {chosen.effect.name}; treat it as a hypothesis.")
-        return parts
-    after = "" if chosen is None else f" after {chosen.effect.name}"
-    parts = [f"The residual torque{after} {doubt.words} (p = {doubt.p_value:.1g})."]
     if isinstance(doubt, PeriodogramPeak):
+        after = "" if chosen is None else f" after {chosen.effect.name}"
         return [
-            *parts,
+            f"The residual torque{after} {doubt.words} (p = {doubt.p_value:.1g}).",
             f'No effect of the library explains it: add "{doubt.law}" as a hypothesis and diagnose again.',
         ]
-    if chosen is None:
-        return [*parts, "No effect of the library explains it."]
+    if chosen is not None and size.explained is not None and size.remainder is not None:
+        share = f"{100 * max(size.explained, 0.0):.0f} % of the mean square unmodelled torque"
+        return [
+            f"No effect of the library explains it; the closest, {chosen.effect.name}, explains {share}.",
+            size.remainder.sentence,
+            f"A second effect is missing, or a law that is not in the library: {chosen.effect.name} is a hypothesis.",
+        ]
+    if doubt is not None:
+        return [
+            f"The residual torque {doubt.words} (p = {doubt.p_value:.1g}).",
+            "No effect of the library explains it.",
+        ]
+    level = max((n.level for n in selection.end.noise), default=0.0)
     return [
-        *parts,
-        "A second effect is missing, or a law that is not in the library.",
-        f"Treat {chosen.effect.name}, the closest, as a hypothesis.",
+        f"An unexplained torque of {micro_newton_metres(level)} rms remains; no effect of the library explains it."
     ]
 
 
-def _missing(selection: Selection) -> list[str]:
+def _missing(selection: Selection, size: Grade) -> list[str]:
     chosen = selection.chosen
     if chosen is None:
         return []
     names = [chosen.effect.name, *chosen.indistinguishable_from]
     what = "effect" if chosen.physical else "measurement effect"
+    close = "close to " if size.form == "approximate" else ""
     if names[1:] and {UNKNOWN_LAW, UNKNOWN_IN_TIME}.issuperset(names[1:]):
         others = ", or ".join(names[1:])
         parts = [
-            f"The missing effect is {names[0]}{_strength(chosen)}, or {others}; this data cannot separate them."
+            f"The missing effect is {close}{names[0]}{_strength(chosen)}, or {others}; this data cannot separate them."
         ]
     elif len(names) == 1:
-        parts = [f"The missing {what} is {names[0]}{_strength(chosen)}."]
+        parts = [f"The missing {what} is {close}{names[0]}{_strength(chosen)}."]
+    elif close:
+        parts = [f"A law close to {', '.join(names)} is missing; this data cannot separate them."]
     else:
         parts = [f"One of {', '.join(names)} is missing; this data cannot separate them."]
     if chosen.own_phase:
@@ -228,8 +270,8 @@ def _missing(selection: Selection) -> list[str]:
         parts.append(
             f"Each case has its own strength and phase: add {' '.join(f'--per-case {k}' for k in own)} to `fit`."
         )
-    if len(selection.history) > 2:
-        parts.append(f"Also found: {', '.join(s.change.lstrip('+') for s in selection.history[2:])}.")
+    if size.remainder is not None:
+        parts.append(size.remainder.sentence)
     return parts
 
 
@@ -251,17 +293,15 @@ _NUISANCE = {
 }
 
 
-def _nuisance(selection: Selection) -> list[str]:
+def _nuisance(chosen: Candidate | None, found: Sequence[Nuisance], criteria: Criteria) -> list[str]:
     # an unexplained torque that depends on the angle looks like a camera effect as well
-    if selection.chosen is not None and selection.chosen.effect.depends_on_angle:
+    if chosen is not None and chosen.effect.depends_on_angle:
         return []
-    parts = []
-    for c in selection.candidates:
-        if c.effect.nuisance and c.significant:
-            size = float(np.hypot(*c.screened.gamma[:2]))
-            unit = next(p.unit for p in c.effect.parameters if p.role == "amplitude")
-            parts.append(f"{_NUISANCE[c.effect.name]} {1e3 * size:.2g} m{unit} (nuisance parameter, fitted).")
-    return parts
+    return [
+        f"{_NUISANCE[n.effect]} {1e3 * n.value:.2g} m{n.unit} (nuisance parameter, fitted)."
+        for n in found
+        if len(found) * n.p_value < criteria.significance
+    ]
 
 
 def _strength(c: Candidate) -> str:

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from fitting.dynamics._mesh import Path, Sampler
 from fitting.dynamics._sensitivities import angles
 from fitting.effects._library import NUISANCE
+from fitting.inference._angle_noise import AngleNoise, estimate_angle_noise
 from fitting.inference._compression import (
     BLOCKS,
     CASING_DEGREE,
@@ -148,8 +149,29 @@ class CaseData:
     @cached_property
     def z(self) -> Array:
         """Return the measured rows."""
-        rows = np.concatenate([self.casing.z, *(w.z for w in self.rotor), self.casing.harmonic])
-        return self.start_time_noise.whitened(rows)
+        return self.whitened(
+            np.concatenate([self.casing.z, *(w.z for w in self.rotor), self.casing.harmonic])
+        )
+
+    @cached_property
+    def angle_noise(self) -> AngleNoise:
+        """Correlated angle noise of the casing; white if none is significant, or if speeds were measured."""
+        if not self.is_angle:
+            return AngleNoise()
+        return estimate_angle_noise(
+            self.casing, self.casing.at_samples(camera_columns(self.casing.samples))[0]
+        )
+
+    def whitened(self, rows: Array) -> Array:
+        """Return rows with unit white measurement noise, from rows in units of the white noise of the frames."""
+        return self._casing_transformed(self.start_time_noise.whitened(rows), self.angle_noise.inverse)
+
+    def unwhitened(self, rows: Array) -> Array:
+        """Return the rows before `whitened`."""
+        return self._casing_transformed(self.start_time_noise.unwhitened(rows), self.angle_noise.root)
+
+    def _casing_transformed(self, rows: Array, root: Array) -> Array:
+        return np.concatenate([root @ rows[: len(root)], rows[len(root) :]]) if len(root) else rows
 
     @cached_property
     def start_time_noise(self) -> StartTimeNoise:
@@ -164,7 +186,7 @@ class CaseData:
         return {
             "casing": slice(0, a),
             "rotor": slice(a, b),
-            "harmonic": slice(b, len(self.z)),
+            "harmonic": slice(b, b + len(self.casing.harmonic)),
             "smooth": slice(0, b),
         }
 
@@ -213,7 +235,7 @@ class CaseData:
 
     def rows(self, casing: Array, rotor: Sequence[Array]) -> Array:
         """Return the rows of a smooth function given at the nodes of the casing and of each window."""
-        return self.start_time_noise.whitened(self._rows(casing, rotor))
+        return self.whitened(self._rows(casing, rotor))
 
     def _rows(self, casing: Array, rotor: Sequence[Array]) -> Array:
         parts = [
@@ -227,7 +249,7 @@ class CaseData:
         """Return the rows of any function given at the samples of the casing (samples, columns)."""
         polynomial, harmonic = self.casing.at_samples(values)
         middle = np.zeros((self.slices["rotor"].stop - self.slices["rotor"].start, values.shape[1]))
-        return np.concatenate([polynomial, middle, harmonic])
+        return self.whitened(np.concatenate([polynomial, middle, harmonic]))
 
     def observe(self, path: Path, nodes: Array | None = None) -> Array:
         """Return the rows of a solution, or of columns of a sensitivity of its states.
@@ -248,7 +270,7 @@ class CaseData:
             values.append(self._seen(sampler, path, state, nodes))
         ends = np.cumsum([len(w.node_times) for w in self.rotor])[:-1]
         rows = self._rows(values[0], [] if self.record.single else np.split(values[1], ends))
-        return self.start_time_noise.whitened(self._mend_kinks(path, nodes, rows))
+        return self.whitened(self._mend_kinks(path, nodes, rows))
 
     def _seen(self, sampler: Sampler, path: Path, state: int, nodes: Array | None) -> Array:
         if nodes is None:

@@ -303,4 +303,4 @@ class CaseModel:
         out = np.zeros(len(self.data.z))
         parts = [w.at_samples(law(w, 0, w.samples.time[0])[:, None])[0][:, 0] for w in self.data.rotor]
         out[self.data.slices["rotor"]] = np.concatenate(parts)
-        return self.data.start_time_noise.whitened(out)
+        return self.data.whitened(out)

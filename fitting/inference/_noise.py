@@ -412,16 +412,24 @@ def _stretches(data: CaseData) -> list[tuple[Array, Array]]:
         nodes = data.casing.node_times.reshape(blocks, k)[part]
         x = 2 * (nodes - nodes.min()) / (nodes.max() - nodes.min()) - 1
         powers = np.polynomial.legendre.legvander(x.ravel(), _SLOW_TORQUES + 2).reshape(*x.shape, -1)
-        free = (data.casing.lift[part] @ powers).reshape(len(rows), -1)
+        values = np.zeros((blocks, k, powers.shape[-1]))
+        values[part] = powers
+        free = data.rows(values.reshape(blocks * k, -1), _nothing(data, powers.shape[-1]))[rows]
         stretches.append((rows, np.concatenate([free, data.nuisance[rows]], axis=1)))
     first = len(data.casing.z)
     # a generated curve has no noise
-    for window in () if data.record.generated else data.rotor:
+    for i, window in enumerate(() if data.record.generated else data.rotor):
         t = window.node_times - window.node_times.mean()
         rows = first + np.arange(len(t))
         first += len(t)
-        stretches.append((rows, window.at_nodes(np.stack([np.ones_like(t), t, t**2], axis=1))))
+        parabola = _nothing(data, 3)
+        parabola[i] = np.stack([np.ones_like(t), t, t**2], axis=1)
+        stretches.append((rows, data.rows(np.zeros((len(data.casing.node_times), 3)), parabola)[rows]))
     return stretches
+
+
+def _nothing(data: CaseData, columns: int) -> list[Array]:
+    return [np.zeros((len(w.node_times), columns)) for w in data.rotor]
 
 
 def _likelihoods(stretch: tuple[Array, Array], residual: Array, covariance: Array, levels: Array) -> Array:

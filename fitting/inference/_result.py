@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from fitting._errors import EstimationError
 from fitting._numbers import rounded
 from fitting.dynamics._model import Model
+from fitting.inference._angle_noise import AngleNoise
 from fitting.inference._case_model import Prediction
 from fitting.inference._lack_of_fit import LackOfFit, lack_of_fit
 from fitting.inference._metrics import CaseMetrics, EnergyBalance, case_metrics, energy_balance
@@ -140,7 +141,11 @@ def summary_lines(fit: FitSummary) -> list[str]:
         f"effective samples {fit.n_eff:.0f}, BIC {fit.bic:.1f}"
     )
     left = ", ".join(f"{level:.2g}" for level in _levels(fit))
-    lines += [f"process noise of this model: {left} N m rms", ""]
+    lines.append(f"process noise of this model: {left} N m rms")
+    for label, noise in _angle_noises(fit):
+        level = rounded(1e3 * noise.sigma, 1e3 * noise.sigma_u, "mrad")
+        lines.append(f"correlated angle noise{label}: {level}, correlation time {noise.time:.2g} s")
+    lines.append("")
     held = fit.model.constants
     for name, e in fit.estimates.items():
         note = " (at its bound)" if e.at_bound else " (held)" if name in held else ""
@@ -158,6 +163,12 @@ def summary_lines(fit: FitSummary) -> list[str]:
 
 def _levels(fit: FitSummary) -> Sequence[float]:
     return [n.level for n in getattr(fit, "noise", ())]
+
+
+def _angle_noises(fit: FitSummary) -> list[tuple[str, AngleNoise]]:
+    data = fit.problem.data if isinstance(fit, Fit) else ()
+    found = [(f" of {d.record.label}" if len(data) > 1 else "", d.angle_noise) for d in data]
+    return [(label, noise) for label, noise in found if noise.sigma]
 
 
 def not_determined(estimates: Mapping[str, Estimate]) -> list[str]:

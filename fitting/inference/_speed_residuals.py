@@ -97,7 +97,7 @@ def speed_residuals(fit: Fit, case: int) -> tuple[SpeedResidual, tuple[SpeedResi
     prediction = fit.predictions[case]
     moving = ~fit.problem.layout.at_bound(fit.theta)
     free = np.concatenate([prediction.jacobian[:, moving], data.nuisance], axis=1)
-    plain = data.start_time_noise.unwhitened
+    plain = data.unwhitened
     residual = plain(_without(noise.whitener, data.nuisance, data.z - prediction.rows))
     spread = plain(_spread(noise.whitener.at(noise.pure), free))
     found, first = [], 0

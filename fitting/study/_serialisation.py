@@ -21,12 +21,16 @@ from numpy.typing import NDArray
 
 from fitting._errors import FittingError, LedgerError
 from fitting._schema import (
+    BudgetDocument,
     CandidateDocument,
     CaseDocument,
     DiagnosisDocument,
     EstimateDocument,
     FailureDocument,
     FitDocument,
+    NuisanceDocument,
+    ParameterBudgetDocument,
+    RemainderDocument,
     RippleDocument,
     SavedFitDocument,
     StepDocument,
@@ -41,12 +45,14 @@ from fitting._schema import (
     own_effects,
     read_json,
 )
+from fitting.discovery._remainder import Nuisance, Remainder
 from fitting.discovery._residuals import Failure, ResidualTorque, residual_torques, ripples, whiteness
 from fitting.discovery._score import Score
 from fitting.discovery._select import Candidate, Step
 from fitting.discovery._verdict import Diagnosis
 from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect
+from fitting.inference._budget import ParameterBudget
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 from fitting.inference._metrics import BodyMetrics, CaseMetrics
@@ -91,6 +97,12 @@ def bias_document(bias: Mapping[str, CurveBias]) -> dict[str, dict[str, float]]:
     return {name: {**asdict(b), "errors": b.errors} for name, b in bias.items()}
 
 
+def budget_document(found: Mapping[str, ParameterBudget]) -> dict[str, Any]:
+    """Return an uncertainty budget under the keys of `budget --json`."""
+    parameters = {k: ParameterBudgetDocument.model_validate(b) for k, b in found.items()}
+    return BudgetDocument(parameters=parameters).model_dump()
+
+
 def not_determined_together(fit: Fit) -> list[dict[str, float]]:
     """Return degenerate combinations of parameters: relative changes by name, the largest 1."""
     kept = [i for i, n in enumerate(fit.problem.layout.names) if not n.startswith("initial.")]
@@ -111,6 +123,10 @@ def diagnosis_document(d: Diagnosis, fit_id: str) -> dict[str, Any]:
         sentence=d.sentence,
         failures=[FailureDocument.model_validate(f) for f in d.failures],
         candidates=[_candidate(c) for c in d.candidates],
+        form=d.form,
+        explained=d.explained,
+        remainder=RemainderDocument.model_validate(d.remainder) if d.remainder is not None else None,
+        nuisance=[NuisanceDocument.model_validate(n) for n in d.nuisance],
         next_experiment=d.next_experiment,
         whiteness=[WhitenessDocument.model_validate(w) for w in d.whiteness],
         energy_drift={c.label: c.energy_drift for c in d.fit.cases},
@@ -368,6 +384,10 @@ def stored_diagnosis(found: Diagnosis, extra: Sequence[Effect] = ()) -> StoredDi
             )
             for c in found.candidates
         ],
+        form=found.form,
+        explained=found.explained,
+        remainder=RemainderDocument.model_validate(found.remainder) if found.remainder is not None else None,
+        nuisance=[NuisanceDocument.model_validate(n) for n in found.nuisance],
         next_experiment=found.next_experiment,
     )
 
@@ -394,6 +414,10 @@ def restored_diagnosis(stored: StoredDiagnosis, fit: Fit, extra: Sequence[Effect
         stored.sentence,
         tuple(Failure(**f.model_dump()) for f in stored.failures),
         tuple(_restored_candidate(c, fit) for c in stored.candidates),
+        stored.form,
+        stored.explained,
+        Remainder(**stored.remainder.model_dump()) if stored.remainder is not None else None,
+        tuple(Nuisance(**n.model_dump()) for n in stored.nuisance),
         stored.next_experiment,
         tuple(residual_torques(fit)),
         tuple(ripples(fit)),

@@ -1,4 +1,4 @@
-"""Contents of a file, and their soundness."""
+"""Contents of a file and their consistency."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ _PROVENANCE = ("format_version", "software_version", "created", "command")
 
 @dataclass(frozen=True)
 class Inspection:
-    """What was found in one file.
+    """Contents of one file.
 
     Attributes
     ----------
     kind : str
         "recording" or "case".
     holds : dict
-        The contents in numbers, as JSON can hold them.
+        The contents in numbers, serialisable as JSON.
     problems : tuple of str
-        What makes the file unsound; empty for a sound one.
+        Inconsistencies; empty for a consistent file.
     datasets_verified, chunks_verified : int
         How many were re-read because of `verify`.
     """
@@ -46,19 +46,19 @@ class Inspection:
 
 
 def inspect_file(path: Path, *, verify: bool = False) -> Inspection:
-    """Read a file of this format and say what it holds.
+    """Read a file of this format and return its contents in numbers.
 
     Parameters
     ----------
     path : Path
         A recording or a case.
     verify : bool
-        Re-read every chunk of every dataset, known or not, against its checksum.
+        Read every chunk of every dataset and compare it with its checksum.
 
     Raises
     ------
     DatasetError
-        The file is not one of ours, or is damaged.
+        The file has another format, or is damaged.
     """
     with open_dataset(path) as file:
         kind = attribute(file, "kind", str)
@@ -131,7 +131,7 @@ def describe_case(case: Case) -> dict[str, Any]:
 def describe_motion(
     track: BodyTrack | Series, chosen: Any = slice(None), key: str = "sigma"
 ) -> dict[str, Any]:
-    """Return when a body was seen, how fast it turned, and how well that is known (`key`: angle or speed)."""
+    """Return the times, angular velocities and median sigma of a body (`key`: sigma of the angle or of the speed)."""
     time, omega, sigma = track.time[chosen], track.omega[chosen], getattr(track, key)[chosen]
     fast = omega[np.isfinite(omega)]
     known = sigma[np.isfinite(sigma)]
@@ -203,7 +203,11 @@ def _time_problems(name: str, time: Floats) -> list[str]:
         return [
             f"{name} have times that are not numbers" if name == "the frames" else f"{name} lacks some times"
         ]
-    return [f"the times of {name} do not increase"] if (np.diff(time) <= 0).any() else []
+    return (
+        [f"the times of {name} are not strictly increasing (sample {int(np.argmax(np.diff(time) <= 0)) + 2})"]
+        if (np.diff(time) <= 0).any()
+        else []
+    )
 
 
 def _datasets(group: Any, seen: set[int]) -> Iterator[Any]:

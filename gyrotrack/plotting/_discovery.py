@@ -204,7 +204,7 @@ def figures_of_merit(
     limit : float or None
         Its noise limit, if one is known.
     texts : list of str
-        Text beside each bar; the number where it is empty.
+        Text at the end of each bar; the number where it is empty.
     """
     from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 

@@ -265,7 +265,7 @@ def _marker_line(name: str, k: int, recording: Recording) -> str:
     if not np.isfinite(marker.angle_fine[k]):
         return text
     text += f", {marker.angle_fine[k]:.4f} +- {marker.sigma_calibrated[k]:.4f}"
-    return text + (f" (paper {marker.sigma[k]:.2f})" if np.isfinite(marker.sigma[k]) else "")
+    return text + (f" (marker {marker.sigma[k]:.2f})" if np.isfinite(marker.sigma[k]) else "")
 
 
 def _heading(recording: Recording, width: int) -> Picture:

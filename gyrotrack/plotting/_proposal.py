@@ -51,18 +51,18 @@ def write_picture(path: Path, proposal: Proposal, *, force: bool = False) -> Non
 
 
 def _mean_colour(
-    picture: Picture, paper: Marker, angle: float, centre: tuple[float, float]
+    picture: Picture, geometry: Marker, angle: float, centre: tuple[float, float]
 ) -> tuple[int, int, int]:
     """Return the mean colour (blue, green, red) of the middle of a marker."""
     mask = np.zeros(picture.shape[:2], dtype=np.uint8)
-    depth = 0.25 * (paper.outer - paper.inner)
-    cv2.fillPoly(mask, [_sector(paper, angle, centre, 1.0, depth, 0.5)], 255)
+    depth = 0.25 * (geometry.outer - geometry.inner)
+    cv2.fillPoly(mask, [_sector(geometry, angle, centre, 1.0, depth, 0.5)], 255)
     b, g, r, _ = cv2.mean(picture, mask)
     return round(b), round(g), round(r)
 
 
 def _sector(
-    paper: Marker,
+    geometry: Marker,
     angle: float,
     centre: tuple[float, float],
     scale: float,
@@ -70,8 +70,8 @@ def _sector(
     width: float = 1.0,
 ) -> npt.NDArray[np.int32]:
     """Return the outline of the part of the ring that a marker covers, (m, 2) in px of the enlarged picture."""
-    turn = angle + width * paper.half_width * np.linspace(-1.0, 1.0, 9)
-    radius = np.repeat([paper.inner + inset, paper.outer - inset], 9)
+    turn = angle + width * geometry.half_width * np.linspace(-1.0, 1.0, 9)
+    radius = np.repeat([geometry.inner + inset, geometry.outer - inset], 9)
     turn = np.concatenate([turn, turn[::-1]])
     x = centre[0] + radius * np.cos(turn)
     y = centre[1] - radius * np.sin(turn)
@@ -86,16 +86,16 @@ def _draw_marker(
     centre: tuple[float, float],
     scale: float,
 ) -> None:
-    paper = marker.marker
+    geometry = marker.marker
     middle = _point(centre, scale)
-    for radius in (paper.inner, paper.outer):
+    for radius in (geometry.inner, geometry.outer):
         cv2.circle(big, middle, round(radius * scale), _MARK, 1, cv2.LINE_AA)
     contours, _ = cv2.findContours(
         _mask(frame, marker, angle, centre, big.shape), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
     )
     for thickness, colour in ((3, _EDGE), (1, _MARK)):
         cv2.drawContours(big, contours, -1, colour, thickness, cv2.LINE_AA)
-    away = (paper.outer + 14.0) * np.array([np.cos(angle), -np.sin(angle)])
+    away = (geometry.outer + 14.0) * np.array([np.cos(angle), -np.sin(angle)])
     x, y = _point((centre[0] + away[0], centre[1] + away[1]), scale)
     text = marker.profile.name
     wide, high = 10 * len(text) + 6, 20
@@ -109,21 +109,21 @@ def _mask(
     frame: Frame, marker: ProposedMarker, angle: float, centre: tuple[float, float], shape: tuple[int, ...]
 ) -> npt.NDArray[np.uint8]:
     """Return the pixels of the enlarged picture that have a marker's colour, near the place where it is."""
-    paper = marker.marker
-    planes = [frame.y] if paper.colour == "white" else [frame.u, frame.v]
-    weights = paper.contrast[: len(planes)]
+    geometry = marker.marker
+    planes = [frame.y] if geometry.colour == "white" else [frame.u, frame.v]
+    weights = geometry.contrast[: len(planes)]
     norm = float(np.sum(np.square(weights)))
     score = np.sum([w * p.astype(np.float32) for w, p in zip(weights, planes, strict=True)], axis=0) / norm
-    step = 1 if paper.colour == "white" else 2
+    step = 1 if geometry.colour == "white" else 2
     y, x = np.mgrid[: score.shape[0], : score.shape[1]].astype(np.float64) * step
     if step == 2:
         x, y = x + CHROMA_SHIFT[0], y + CHROMA_SHIFT[1]
     radius = np.hypot(x - centre[0], y - centre[1])
     off = np.abs(np.angle(np.exp(1j * (np.arctan2(-(y - centre[1]), x - centre[0]) - angle))))
-    ring = (radius > paper.inner - 4) & (radius < paper.outer + 4)
-    ground = float(np.median(score[ring & (off > 1.5 * paper.half_width)]))
-    level = float(np.median(score[ring & (off < 0.5 * paper.half_width)]))
-    here = ring & (off < 1.4 * paper.half_width + 0.05)
+    ring = (radius > geometry.inner - 4) & (radius < geometry.outer + 4)
+    ground = float(np.median(score[ring & (off > 1.5 * geometry.half_width)]))
+    level = float(np.median(score[ring & (off < 0.5 * geometry.half_width)]))
+    here = ring & (off < 1.4 * geometry.half_width + 0.05)
     soft = np.where(here, (score - ground) / max(level - ground, 1e-6), 0.0).astype(np.float32)
     large = cv2.resize(soft, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR)
     return np.asarray(large > 0.5, dtype=np.uint8)
@@ -154,18 +154,18 @@ def _panel(proposal: Proposal, colours: dict[str, tuple[int, int, int]], height:
         top = 76 + 78 * k
         cv2.rectangle(panel, (16, top), (80, top + 60), colours[marker.profile.name], cv2.FILLED)
         cv2.rectangle(panel, (16, top), (80, top + 60), _FAINT, 1)
-        paper = marker.marker
+        geometry = marker.marker
         hue = "" if marker.profile.hue is None else f", hue {marker.profile.hue:.0f} deg"
-        wide = 2.0 * paper.radius * np.tan(min(paper.half_width, 1.4))
+        wide = 2.0 * geometry.radius * np.tan(min(geometry.half_width, 1.4))
         _write(panel, f"{marker.profile.name} on the {marker.profile.body}", (94, top + 16), _INK, 0.55)
         _write(
             panel,
-            f"{marker.profile.colour}{hue}; contrast {np.hypot(*paper.contrast):.0f} of 255",
+            f"{marker.profile.colour}{hue}; contrast {np.hypot(*geometry.contrast):.0f} of 255",
             (94, top + 36),
             _FAINT,
         )
-        size = f"{paper.outer - paper.inner:.0f} x {wide:.0f} px at {paper.radius:.0f} px"
-        _write(panel, f"{size}; clear in {100 * marker.seen:.0f} %", (94, top + 54), _FAINT)
+        size = f"{geometry.outer - geometry.inner:.0f} x {wide:.0f} px at {geometry.radius:.0f} px"
+        _write(panel, f"{size}; fully visible in {100 * marker.seen:.0f} %", (94, top + 54), _FAINT)
     return panel
 
 

@@ -172,7 +172,7 @@ def intervals_of(failures: Sequence[Failure]) -> tuple[Interval, ...]:
 
 
 def case_view(
-    rungs: Sequence[FitStep],
+    history: Sequence[FitStep],
     diagnosis: Diagnosis | None,
     torques: Sequence[tuple[ResidualTorque, ...]],
     index: int,
@@ -181,7 +181,7 @@ def case_view(
 
     Parameters
     ----------
-    rungs : sequence of FitStep
+    history : sequence of FitStep
         The history of fits, base first.
     diagnosis : Diagnosis or None
         That of the base.
@@ -192,9 +192,9 @@ def case_view(
     """
     from fitting.inference._velocity import speeds
 
-    base, final = rungs[0].fit, rungs[-1].fit
+    base, final = history[0].fit, history[-1].fit
     record = base.problem.data[index].record
-    fits = [base, final] if len(rungs) > 1 else [base]
+    fits = [base, final] if len(history) > 1 else [base]
     return CaseView(
         label=record.label,
         surface=record.surface,
@@ -205,7 +205,7 @@ def case_view(
         models=tuple(_case_model(f, t, index) for f, t in zip(fits, torques, strict=True)),
         added=_added_torque("final model", base, final, index) if len(fits) > 1 else None,
         alternatives=_alternatives(base, final, diagnosis, index),
-        energy=tuple(_energy(r.fit, index) for r in rungs),
+        energy=tuple(_energy(r.fit, index) for r in history),
         failures=tuple(f for f in (diagnosis.failures if diagnosis else ()) if f.label == record.label),
     )
 
@@ -331,12 +331,12 @@ class StudyView:
         return len(self.steps) > 1
 
 
-def gather(rungs: Sequence[FitStep], diagnosis: Diagnosis | None) -> StudyView:
+def gather(history: Sequence[FitStep], diagnosis: Diagnosis | None) -> StudyView:
     """Collect what is to be shown.
 
     Parameters
     ----------
-    rungs : sequence of FitStep
+    history : sequence of FitStep
         The history of fits, base first.
     diagnosis : Diagnosis or None
         That of the base.
@@ -344,15 +344,15 @@ def gather(rungs: Sequence[FitStep], diagnosis: Diagnosis | None) -> StudyView:
     from fitting.discovery._residuals import whiteness
     from fitting.study._serialisation import ladder_verdict
 
-    base, final = rungs[0].fit, rungs[-1].fit
-    fits = (base, final) if len(rungs) > 1 else (base,)
+    base, final = history[0].fit, history[-1].fit
+    fits = (base, final) if len(history) > 1 else (base,)
     torques = tuple(_torques(f, diagnosis) for f in fits)
-    candidates = diagnosis.candidates if diagnosis is not None else rungs[0].candidates
-    verdict = ladder_verdict(rungs)
-    if len(rungs) == 1 and diagnosis is not None:
+    candidates = diagnosis.candidates if diagnosis is not None else history[0].candidates
+    verdict = ladder_verdict(history)
+    if len(history) == 1 and diagnosis is not None:
         verdict = diagnosis.verdict
     return StudyView(
-        steps=_steps(rungs),
+        steps=_steps(history),
         rmse_floor=smoothing_floor(final),
         base=base,
         final=final,
@@ -362,27 +362,27 @@ def gather(rungs: Sequence[FitStep], diagnosis: Diagnosis | None) -> StudyView:
         candidates=tuple(c for c in candidates if c.score > 0),
         next_experiment=diagnosis.next_experiment if diagnosis is not None else "",
         whiteness=tuple((w.label, w.p_value) for w in whiteness(final)),
-        cases=tuple(case_view(rungs, diagnosis, torques, i) for i in range(len(base.problem.data))),
+        cases=tuple(case_view(history, diagnosis, torques, i) for i in range(len(base.problem.data))),
     )
 
 
-def _steps(rungs: Sequence[FitStep]) -> tuple[Step, ...]:
+def _steps(history: Sequence[FitStep]) -> tuple[Step, ...]:
     from fitting.study._serialisation import rung_document
 
     steps = []
-    for i, rung in enumerate(rungs):
-        d = rung_document(rung.fit, "", rung.change, rungs[i - 1].fit if i else None)
+    for i, step in enumerate(history):
+        d = rung_document(step.fit, "", step.change, history[i - 1].fit if i else None)
         steps.append(
             Step(
-                change=rung.change or "base model",
+                change=step.change or "base model",
                 rmse=d["rmse_casing"],
                 reduced_chi2=d["reduced_chi2"],
                 held_out=d["held_out"],
                 delta_bic=d["delta_bic"],
                 energy_drift=d["energy_drift"],
-                torque_left=rung.fit.torque_noise,
-                torque_pure=max(n.pure for n in rung.fit.noise),
-                verdict=rung.fit.verdict,
+                torque_left=step.fit.torque_noise,
+                torque_pure=max(n.pure for n in step.fit.noise),
+                verdict=step.fit.verdict,
             )
         )
     return tuple(steps)

@@ -132,10 +132,10 @@ def plain(text: str, most: int = 34) -> str:
 
 
 def legend(axes: Axes, **changes: Any) -> None:
-    """Write the legend above the axes, on the right, where it covers nothing."""
+    """Draw the legend above the axes, on the left, in sight on a narrow screen."""
     place = {
-        "loc": "lower right",
-        "bbox_to_anchor": (1.0, 1.0),
+        "loc": "lower left",
+        "bbox_to_anchor": (0.0, 1.0),
         "borderaxespad": 0.2,
         "ncols": 4,
         "handlelength": 1.6,

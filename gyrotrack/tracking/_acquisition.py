@@ -11,7 +11,7 @@ then its own image tells nothing, but the radii of all markers over some dozen f
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -23,7 +23,7 @@ from gyrotrack._errors import TrackingError
 from gyrotrack._smoothing import spread
 from gyrotrack.tracking._colour import Blob, chroma_direction, find_blobs, hue_score
 from gyrotrack.tracking._hub import LEAST_SIGMA, CentrePath
-from gyrotrack.tracking._orbit import Orbit, common_centre
+from gyrotrack.tracking._orbit import Orbit, common_centre, covered_angle
 from gyrotrack.tracking._polar import Ring, boxed
 from gyrotrack.tracking._profile import MarkerProfile, Profile
 from gyrotrack.tracking._scene import Disc, Marker, Samples, Scene
@@ -67,12 +67,17 @@ class Extent:
 
 
 def aligned(score: Strips, column: npt.NDArray[np.int64], use: npt.NDArray[np.bool_]) -> Floats:
-    """Average the strips with the marker brought to the middle, `REACH` to each side: (rows, columns)."""
+    """Return the mean of the middle quarter of the strips about a marker, `REACH` to each side: (rows, columns).
+
+    A hand in a few of the samples does not change it.
+    """
     columns = score.shape[2]
     reach = int(REACH / (2.0 * np.pi) * columns)
     index = (column[use][:, None] + np.arange(-reach, reach + 1)) % columns
     patch = np.take_along_axis(score[use], index[:, None, :], axis=2)
-    return np.asarray(patch.mean(axis=0), dtype=np.float64)
+    patch.sort(axis=0)
+    tail = 3 * len(patch) // 8
+    return np.asarray(patch[tail : len(patch) - tail].mean(axis=0), dtype=np.float64)
 
 
 def extent_of(patch: Floats, ring: Ring) -> Extent | None:
@@ -209,7 +214,8 @@ def _brightest(profile: Strips, half: int) -> tuple[npt.NDArray[np.int64], npt.N
     mean = boxed(profile, half)
     column = np.argmax(mean, axis=1)
     peak = mean[np.arange(len(mean)), column]
-    return column, peak > 0.5 * float(np.median(np.sort(peak)[len(peak) // 2 :]))
+    # Less than half of the samples show the marker hidden, and less than a third something brighter, as a hand.
+    return column, peak > 0.5 * float(np.quantile(peak, 0.6))
 
 
 def _dwell(angle: Floats, reach: float) -> float:
@@ -230,18 +236,18 @@ def _refined(profile: Strips, angle: Floats, half_width: float, ring: Ring) -> F
 
 
 def find_white(
-    samples: Samples, ring: Ring, wanted: MarkerProfile, others: list[SampledMarker]
+    samples: Samples, frames: Sequence[int], ring: Ring, wanted: MarkerProfile, others: list[SampledMarker]
 ) -> Marker | None:
-    """Find a white marker by the coloured markers of the same body, `others`.
+    """Find a white marker by the coloured markers of the same body, `others`, as found in the samples `frames`.
 
-    Every frame of the head is turned back by the body's angle, after what stands still in the picture was
-    taken off; in the median of these, table, lamps and bar are gone.
+    Every frame is turned back by the body's angle, after what stands still in the picture was taken off; in the
+    median of these, table, lamps and bar are gone.
     """
-    body = _body_angles(others, samples.head)
+    body = _body_angles(others, len(frames))
     use = np.isfinite(body)
     if use.sum() < 8:
         return None
-    luma = samples.luma_strips(ring).astype(np.float32)
+    luma = samples.luma_strips(ring, frames).astype(np.float32)
     luma -= np.median(luma, axis=0)
     column = np.rint(body[use] / ring.step).astype(np.int64)
     index = (column[:, None] + np.arange(ring.columns)) % ring.columns
@@ -252,11 +258,11 @@ def find_white(
     return _brightest_place(turned, ring, wanted, others)
 
 
-def _body_angles(others: list[SampledMarker], head: int) -> Floats:
-    """Combine observations into the body's angle in each frame of the head; NaN where none is clear."""
-    total = np.zeros(head, dtype=np.complex128)
+def _body_angles(others: list[SampledMarker], count: int) -> Floats:
+    """Combine observations into the body's angle in each of the first samples; NaN where none is clear."""
+    total = np.zeros(count, dtype=np.complex128)
     for seen in others:
-        total += np.where(seen.clear[:head], np.exp(1j * (seen.angle[:head] - seen.marker.mount)), 0.0)
+        total += np.where(seen.clear[:count], np.exp(1j * (seen.angle[:count] - seen.marker.mount)), 0.0)
     return np.where(np.abs(total) > 0.5, np.angle(total), np.nan)
 
 
@@ -308,8 +314,11 @@ WIDEST = 0.8
 
 def find_markers(
     samples: Samples, profile: Profile, centre: tuple[float, float], disc: Disc | None, radius: float | None
-) -> dict[str, Marker]:
-    """Find the markers of a profile about a centre; those that are not seen are left out.
+) -> tuple[dict[str, Marker], dict[str, tuple[float, float]]]:
+    """Find the markers of a profile; those that are not seen are left out. Also return `Scene.offsets`.
+
+    Each body is searched in a ring about the hub, and again in a ring about the centre of its own orbits, if that is
+    another point.
 
     Parameters
     ----------
@@ -320,24 +329,98 @@ def find_markers(
     radius : float or None
         The largest orbit that was seen, in px.
     """
+    frames = samples.spread
     ring = search_ring(samples, centre, disc, radius)
-    rings = Rings(samples.strips(ring), ring)
-    observations = {
-        wanted.name: seen
-        for wanted in profile.marker
-        if wanted.colour != "white"
-        and (seen := find_coloured(rings, wanted)) is not None
-        and is_marker_sized(seen.marker)
-    }
+    about_hub = Rings(samples.strips(ring, frames), ring)
+    observations: dict[str, SampledMarker] = {}
+    offsets: dict[str, tuple[float, float]] = {}
+    for body in ("casing", "rotor"):
+        rings, found = about_hub, _coloured(about_hub, profile, body)
+        for _ in range(2):
+            offset = orbit_offset(rings, list(found.values()))
+            if offset is None:
+                break
+            x, y = offsets.get(body, (0.0, 0.0))
+            offsets[body] = x + offset[0], y + offset[1]
+            moved = ring.moved((centre[0] + offsets[body][0], centre[1] + offsets[body][1]))
+            rings = Rings(samples.strips(moved, frames), moved)
+            found = _coloured(rings, profile, body)
+        observations |= found
     observations = _placed(_strong(observations), profile)
     markers = {name: seen.marker for name, seen in observations.items()}
     for wanted in profile.marker:
         others = [seen for seen in observations.values() if seen.marker.body == wanted.body]
         if wanted.colour == "white" and others:
-            marker = find_white(samples, ring, wanted, others)
+            x, y = offsets.get(wanted.body, (0.0, 0.0))
+            marker = find_white(samples, frames, ring.moved((centre[0] + x, centre[1] + y)), wanted, others)
             if marker is not None and is_marker_sized(marker):
                 markers[wanted.name] = marker
-    return {wanted.name: markers[wanted.name] for wanted in profile.marker if wanted.name in markers}
+    return {m.name: markers[m.name] for m in profile.marker if m.name in markers}, offsets
+
+
+def _coloured(rings: Rings, profile: Profile, body: str) -> dict[str, SampledMarker]:
+    return {
+        wanted.name: seen
+        for wanted in profile.of(body)
+        if wanted.colour != "white"
+        and (seen := find_coloured(rings, wanted)) is not None
+        and is_marker_sized(seen.marker)
+    }
+
+
+LEAST_COVERED = 4.0
+"""Angle in rad that the samples of a body's markers must cover before the centre of its orbits is measured."""
+LEAST_OFFSET = 1.0
+"""Offset in px below which rings about the hub serve as well."""
+
+
+def orbit_offset(rings: Rings, found: list[SampledMarker]) -> tuple[float, float] | None:
+    """Return where the centre of a body's orbits lies relative to the rings' centre, (x, y) in px, y downwards.
+
+    Least squares on the radii of its markers, r = rho_m + e . (cos theta, sin theta), without what lies beyond three
+    standard deviations. None unless e exceeds three standard errors and `LEAST_OFFSET`.
+    """
+    rows, radii, directions = [], [], []
+    for k, seen in enumerate(found):
+        radius = _radii(rings, seen)
+        use = seen.clear & np.isfinite(radius)
+        own = np.zeros((int(use.sum()), 2 + len(found)))
+        own[:, 0], own[:, 1], own[:, 2 + k] = np.cos(seen.angle[use]), np.sin(seen.angle[use]), 1.0
+        rows.append(own)
+        radii.append(radius[use])
+        directions.append(seen.angle[use])
+    if not rows or sum(map(len, radii)) < 12 or covered_angle(np.concatenate(directions)) < LEAST_COVERED:
+        return None
+    design, radius = np.concatenate(rows), np.concatenate(radii)
+    keep = np.ones(len(radius), dtype=np.bool_)
+    for _ in range(4):
+        if keep.sum() < 4 + len(found):
+            return None
+        solution = np.linalg.lstsq(design[keep], radius[keep], rcond=None)[0]
+        residual = radius - design @ solution
+        scatter = max(spread(residual[keep]), 0.2)
+        keep = np.abs(residual) < 3.0 * scatter
+    error = scatter * np.sqrt(np.linalg.pinv(design[keep].T @ design[keep])[:2, :2].trace())
+    x, y = float(solution[0]), float(solution[1])
+    return (x, -y) if np.hypot(x, y) > max(3.0 * error, LEAST_OFFSET) else None
+
+
+def _radii(rings: Rings, seen: SampledMarker) -> Floats:
+    """Return the radius of the middle of a marker in each sample [px]; NaN where no edge shows on either side."""
+    difference = rings.uneven if seen.marker.dwell > LONGEST_DWELL else rings.unusual
+    u, v = seen.marker.contrast
+    score = (u * difference[0] + v * difference[1]) / (u * u + v * v)
+    step, ring = rings.ring.step, rings.ring
+    reach = max(int(0.6 * seen.marker.half_width / step), 1)
+    column = np.rint(seen.angle / step).astype(np.int64)[:, None] + np.arange(-reach, reach + 1)
+    along = np.take_along_axis(score, (column % ring.columns)[:, None, :], axis=2).mean(axis=2)
+    spacing = float(ring.radii[1] - ring.radii[0])
+    out = np.full(len(along), np.nan)
+    for k, curve in enumerate(along.astype(np.float64)):
+        low, high = half_maximum(curve, int(np.argmax(curve)))
+        if low > 0.0 and high < len(curve) - 1:
+            out[k] = ring.inner + 0.5 * (low + high) * spacing
+    return out
 
 
 def search_ring(
@@ -394,6 +477,8 @@ def _circular_mode(angle: Floats) -> float:
     return float(np.angle(np.mean(turn[near[:, best]])))
 
 
+LEAST_AGREEMENT = 1.0 / 3.0
+"""Share of the blobs, and of the samples, that must agree with an orbit: a quarter of random blobs agrees with one."""
 _NO_DISC = "no disc at the centre: the centre is taken from the markers' orbit"
 
 
@@ -415,7 +500,7 @@ def acquire(samples: Samples, profile: Profile, where: str) -> Scene:
         )
     centre = disc.centre if disc is not None else orbit.centre if orbit is not None else (0.0, 0.0)
     radius = max(orbit.radii.values()) if orbit is not None else None
-    markers = find_markers(samples, profile, centre, disc, radius)
+    markers, offsets = find_markers(samples, profile, centre, disc, radius)
     if not markers:
         names = ", ".join(wanted.name for wanted in profile.marker)
         raise TrackingError(
@@ -424,7 +509,8 @@ def acquire(samples: Samples, profile: Profile, where: str) -> Scene:
         )
     missing = tuple(wanted.name for wanted in profile.marker if wanted.name not in markers)
     warnings = (_NO_DISC,) if disc is None and profile.centre == "circle" else ()
-    return Scene(centre, disc, tuple(markers.values()), missing, warnings)
+    body_of: dict[str, str] = {wanted.name: wanted.body for wanted in profile.marker}
+    return Scene(centre, disc, tuple(markers.values()), missing, warnings, offsets, body_of)
 
 
 def _find_orbit(samples: Samples, profile: Profile) -> Orbit | None:
@@ -440,7 +526,9 @@ def _find_orbit(samples: Samples, profile: Profile) -> Orbit | None:
             group += [label] * len(blobs)
     if not points:
         return None
-    return common_centre(np.array(points), np.array(group, dtype=np.int64))
+    orbit = common_centre(np.array(points), np.array(group, dtype=np.int64))
+    enough = LEAST_AGREEMENT * max(len(points), chroma.shape[1])
+    return orbit if orbit is not None and orbit.inliers > enough else None
 
 
 def _blobs_in(scores: list[npt.NDArray[np.float32]], most: int) -> list[list[Blob]]:

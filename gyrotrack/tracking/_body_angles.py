@@ -17,7 +17,7 @@ from gyrotrack.tracking._frame_repeats import seen_angle, turning_most
 from gyrotrack.tracking._fusion import BodyAngles, MarkerAngles, join
 from gyrotrack.tracking._hub import LEAST_SIGMA, CentrePath, smooth_path, wandering_centre
 from gyrotrack.tracking._observations import Candidate, MarkerObservations, candidate, plausible, spread_out
-from gyrotrack.tracking._orbit import NO_FLATTENING, Flattening, fit_flattening, flattening_of_arc
+from gyrotrack.tracking._orbit import NO_FLATTENING, Flattening, fit_flattening, flattening_of_arc, mixture
 from gyrotrack.tracking._profile import Profile
 from gyrotrack.tracking._scene import Marker, Scene
 from gyrotrack.video._time_base import FrameTimes
@@ -147,11 +147,29 @@ def _flattening(centre: CentrePath, views: dict[str, BodyView]) -> dict[str, Fla
     shift = _beyond(
         reference.shift(body_view.coloured), usual_error_by_place(body_view, len(body_view.coloured))
     )
-    size = float(np.hypot(np.hypot(*shift), LEAST_SIGMA))
-    return {
-        name: f if f.offset else views[name].flattening_of_arc(centre.centre, reference, shift, size)
-        for name, f in flat.items()
-    }
+    found = {}
+    for name, own in flat.items():
+        radius = views[name].radius
+        if own.offset:
+            found[name] = own
+        elif name == "casing":
+            expected, size = np.stack([np.zeros(2), shift]), _height_error(reference, radius)
+            found[name] = views[name].flattening_of_arc(centre.centre, reference, expected, size)
+        else:
+            size = float(np.hypot(DEPTH * reference.tilt * radius, LEAST_SIGMA))
+            found[name] = views[name].flattening_of_arc(centre.centre, reference, shift, size)
+    return found
+
+
+HEIGHT = 0.03
+"""Standard deviation of the height of the hub's disc above the casing's marker, in radii of its orbit: a millimetre."""
+DEPTH = 0.5
+"""The same for the rotor's markers, which may be at any depth below."""
+
+
+def _height_error(flat: Flattening, radius: float) -> float:
+    """Return by how much the casing's orbit may be off the hub, (px): a height h at a tilt t moves it by h sin t."""
+    return float(np.hypot(HEIGHT * flat.tilt * radius, LEAST_SIGMA))
 
 
 def usual_error_by_place(body_view: BodyView, markers: int = 1) -> float:
@@ -189,32 +207,51 @@ def axis_offset(body_view: BodyView, flat: Flattening, body: BodyAngles) -> Floa
 def separate_perspective(
     centre: CentrePath, views: dict[str, BodyView], flat: dict[str, Flattening], rotor: BodyAngles
 ) -> Flattening:
-    """Return the slant of the casing's orbit, with what is perspective in it told from an axis that lies beside.
+    """Return the flattening of the casing's orbit about a marked hub, with perspective separated from its offset.
 
-    A circle about e seen in perspective has its near half larger: its radius swings once a turn, as if about a + e,
-    with a growing as the square of the radius, while its angles are those about e. The rotor's markers turn fast, so
-    that their angles show its e. The casing's is expected to be the same within its own size, since both come from
-    heights below the disc, and is measured by its radius less the perspective. All of these err by place.
+    Notes
+    -----
+    A circle about e seen in perspective has its near half larger: its radius varies once a turn, as if about a + e,
+    with a proportional to the square of the radius, while its angles are those about e. The rotor's markers turn fast,
+    so that their angles show its e, and their radii a.
+
+    The casing's offset is measured by its radii less the perspective, and expected to be one of two: nil, as the disc
+    at the hub and the casing's marker are on one body (the rotor's offset is its own depth), or that of the rotor,
+    where the disc is above both; each within `_height_error`. All measurements have errors by place.
     """
     own, body_view, reference = flat["casing"], views["rotor"], flat["rotor"]
-    beside = axis_offset(body_view, reference, rotor)
-    if not beside.any() or not own.offset or not any(m in reference.offset for m in body_view.coloured):
+    if not own.offset or not any(m in reference.offset for m in body_view.coloured):
         return own
-    error = usual_error_by_place(body_view, len(rotor.axis_off))
+    beside, error = axis_offset(body_view, reference, rotor), usual_error_by_place(body_view)
+    # Perspective acts along the tilt; what the rotor shows across it is error.
+    azimuth = 0.5 * np.arctan2(-reference.q, -reference.p)
+    along = np.array([np.cos(azimuth), np.sin(azimuth)])
+    off = [z * body_view.radius for m, z in rotor.axis_off.items() if m in reference.offset]
+    if off:
+        error = max(error, abs(along[0] * np.mean(off).imag - along[1] * np.mean(off).real))
+    beside = along * float(along @ beside)
     axis = _beyond(reference.shift(body_view.coloured) + beside, error)
     more = (views["casing"].radius / body_view.radius) ** 2
-    perspective, size = -more * beside, float(np.hypot(np.hypot(*axis), error))
+    perspective = -more * beside
+    size = _height_error(reference, views["casing"].radius)
+    expected = np.stack([np.zeros(2), axis])
     if own.doubt:
-        slant = replace(reference, p=own.p, q=own.q)
-        return (
-            views["casing"]
-            .flattening_of_arc(centre.centre, slant, axis + perspective, size)
-            .moved(-perspective)
-        )
-    sure = size**2 / (size**2 + usual_error_by_place(body_view) ** 2 * (1.0 + more**2))
+        tilted = replace(reference, p=own.p, q=own.q)
+        arc = views["casing"].flattening_of_arc(centre.centre, tilted, expected + perspective, size)
+        return arc.moved(-perspective)
     shift = own.shift(own.offset)
-    doubt = {name: (1.0 - sure) * size**2 * np.eye(2) for name in own.offset}
-    return replace(own.moved(axis + sure * (shift - perspective - axis) - shift), doubt=doubt)
+    measured, noise = shift - perspective, error**2 * (1.0 + more**2)
+    if not rotor.axis_off:
+        noise += (PERSPECTIVE * reference.tilt * views["casing"].radius) ** 2
+    sure = size**2 / (size**2 + noise)
+    means = [one + sure * (measured - one) for one in expected]
+    evidence = [-0.5 * float(np.sum((measured - one) ** 2)) / (size**2 + noise) for one in expected]
+    mean, covariance = mixture(means, [(1.0 - sure) * size**2 * np.eye(2)] * 2, evidence)
+    return replace(own.moved(np.array(mean) - shift), doubt=dict.fromkeys(own.offset, covariance))
+
+
+PERSPECTIVE = 0.05
+"""Radius of the casing's orbit over the distance of the camera, where no fast rotor shows it: 35 mm at 70 cm."""
 
 
 def offset_uncertainty(candidates: dict[str, Candidate], flat: Flattening) -> Floats:
@@ -382,9 +419,10 @@ def _followed(
             bodies[name] = found
         else:
             warnings.append(f"the {name}'s markers cannot be followed; it is left out")
-    if len(bodies) == 2:
+    if len(bodies) == 2 and seen.disc is not None:
         flattening["casing"] = separate_perspective(centre, views, flattening, bodies["rotor"])
         candidates["casing"] = views["casing"].candidates(centre, flattening["casing"])
+    if len(bodies) == 2:
         better = joined("casing", bodies["rotor"].angle, above=True)
         bodies["casing"] = better if _credible(better) else bodies["casing"]
     return bodies, warnings

@@ -44,6 +44,8 @@ class BodyTracker:
         Its markers, at least one of them coloured.
     samples, centre, keep_out, capacity
         See `MarkerStrip`.
+    offset : tuple of float
+        See `Occlusion`.
 
     Attributes
     ----------
@@ -59,6 +61,7 @@ class BodyTracker:
         centre: tuple[float, float],
         keep_out: float,
         capacity: int,
+        offset: tuple[float, float] = (0.0, 0.0),
     ) -> None:
         self.name = name
         columns = common_columns(markers, centre)
@@ -75,7 +78,7 @@ class BodyTracker:
         self._missed: int | None = None
         self._prediction = Prediction()
         self._fresh = True
-        self._cover = Occlusion(self._step)
+        self._cover = Occlusion(self._step, offset)
 
     def aim(self, centre: tuple[float, float]) -> None:
         """Put all rings about a centre."""

@@ -252,7 +252,8 @@ def _recording(
     still = _stillness(joint, info.path, marked=scene.disc is not None)
     of_rate = rate.warnings if seen.times.place is None else ()  # stamps have said how long a frame lasts
     film = (*of_rate, *seen.warnings, *seen.times.told)
-    told = (*still, *film, *scene.warnings, *joint.warnings, *_odd_frames(markers))
+    doubts = _doubts(scene, bodies, len(time))
+    told = (*still, *film, *scene.warnings, *joint.warnings, *_odd_frames(markers), *doubts)
     return Recording(
         source=info.path.name,
         source_sha256=sha256,
@@ -272,8 +273,50 @@ def _recording(
         markers=markers,
         bodies=bodies,
         warnings=told,
-        extra=_extra(scene, joint, rate.source, seen.times),
+        extra={**_extra(scene, joint, rate.source, seen.times), "doubts": list(doubts)},
     )
+
+
+LEAST_KEPT = 0.8
+"""Share of the frames that must have an angle for a recording to be trusted without a look at it."""
+_STEPS = 12
+
+
+def _doubts(scene: Scene, bodies: dict[str, BodyTrack], count: int) -> tuple[str, ...]:
+    """Return why a recording is not to be trusted as it is: lost frames, gaps that may hide a turn, missing markers.
+
+    The turns in a gap follow from the angular rates before and after it. Where these lead to angles that differ by
+    more than half a turn, their number is not determined.
+    """
+    found = []
+    for name, track in bodies.items():
+        if len(track.time) < LEAST_KEPT * count:
+            found.append(
+                f"the {name} has an angle in {len(track.time)} of {count} frames "
+                f"({len(track.time) / max(count, 1):.0%}); look at an overlay of the film (--overlay)."
+            )
+        step = np.diff(track.time)
+        period = float(np.median(step)) if len(step) else np.inf
+        gaps = [int(k) for k in np.flatnonzero(step > 3.5 * period) if k >= _STEPS and k + _STEPS < len(step)]
+        rates = [
+            (track.angle[k] - track.angle[k - _STEPS]) / (track.time[k] - track.time[k - _STEPS])
+            - (track.angle[k + 1 + _STEPS] - track.angle[k + 1])
+            / (track.time[k + 1 + _STEPS] - track.time[k + 1])
+            for k in gaps
+        ]
+        hidden = [k for k, rate in zip(gaps, rates, strict=True) if abs(rate) * step[k] > np.pi]
+        if hidden:
+            found.append(
+                f"{len(hidden)} gaps of the {name} may hide a turn, the first of {step[hidden[0]]:.3g} s at "
+                f"{track.time[hidden[0]]:.3f} s: the rates before and after it differ by more than half a turn in it."
+            )
+        absent = [m for m in scene.missing if scene.body_of.get(m) == name]
+        if absent:
+            found.append(
+                f"no {' and no '.join(absent)} marker is found on the {name}; "
+                "check the film and the profile (--profile)."
+            )
+    return tuple(found)
 
 
 def run_facts(video: Path, profile: Profile, body: str | None, times: str = "auto") -> dict[str, Any]:

@@ -24,6 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._column_store import new_columns, set_down
+from gyrotrack._errors import VideoError
 from gyrotrack.io._checkpoint import CheckpointFile
 from gyrotrack.tracking._association import LEAST_SCATTER, Motion
 from gyrotrack.tracking._body_tracker import BodyTracker
@@ -319,10 +320,20 @@ class FilmTracker:
     def __init__(self, scene: Scene, samples: Samples) -> None:
         keep_out = 1.25 * scene.disc.radius + 1.0 if scene.disc else 0.0
         self.bodies = {
-            b: BodyTracker(b, scene.of(b), samples, scene.centre, keep_out, BATCH) for b in scene.bodies
+            b: BodyTracker(
+                b,
+                scene.of(b),
+                samples,
+                scene.axis(b),
+                keep_out + float(np.hypot(*scene.offsets.get(b, (0.0, 0.0)))),
+                BATCH,
+                scene.offsets.get(b, (0.0, 0.0)),
+            )
+            for b in scene.bodies
         }
         self.disc = DiscWindow(scene.disc, BATCH) if scene.disc else None
         self.centre = scene.centre
+        self._offsets = {b: scene.offsets.get(b, (0.0, 0.0)) for b in scene.bodies}
         self.size = samples.size
         self.filled = 0
 
@@ -394,8 +405,9 @@ class FilmTracker:
         x, y = np.median(recent, axis=0)
         if np.hypot(x - self.centre[0], y - self.centre[1]) > _MOVE:
             self.centre = (float(x), float(y))
-            for body in self.bodies.values():
-                body.aim(self.centre)
+            for name, body in self.bodies.items():
+                dx, dy = self._offsets[name]
+                body.aim((self.centre[0] + dx, self.centre[1] + dy))
 
 
 class _Advance:
@@ -460,6 +472,11 @@ def track_film(
             notes.add(work.digest(), work, reader, frame, end=True)
         if progress is not None:
             progress(reader.decoded, total)
+        if not reader.decoded:
+            raise VideoError(
+                f"No frame of {path} could be decoded.",
+                "Check the limits of threads and memory (`ulimit -u`, `ulimit -v`).",
+            )
         times = timing.of(reader.pts_seconds(), tick)
         return _watched(scene, work.size, reader, times, notes.rows(reader.decoded))
 

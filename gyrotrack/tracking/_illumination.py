@@ -159,10 +159,13 @@ class Occlusion:
     ----------
     step : float
         Angle in rad from one column of the rings to the next.
+    offset : tuple of float
+        Centre of the rings relative to the other body's axis, (x, y) in px, y downwards: what hides the markers turns
+        about that axis.
     """
 
-    def __init__(self, step: float) -> None:
-        self._step = step
+    def __init__(self, step: float, offset: tuple[float, float] = (0.0, 0.0)) -> None:
+        self._step, self._offset = step, offset
         self._map = AngleMap(LAYERS, _COLUMNS)
 
     def learn(self, look: MarkerWindow, expected: Floats, casing: Floats) -> None:
@@ -187,6 +190,10 @@ class Occlusion:
 
     def _relative(self, look: MarkerWindow, casing: Floats) -> Integers:
         """Columns of the map for the samples of the windows."""
-        first = look.first * self._step * _SCALE - np.nan_to_num(casing) * _SCALE
-        column = first[:, None] + np.arange(look.raw.shape[1]) * (self._step * _SCALE)
+        angle = look.first[:, None] * self._step + np.arange(look.raw.shape[1]) * self._step
+        x, y = self._offset
+        if x or y:
+            right, up = look.radius * np.cos(angle) + x, look.radius * np.sin(angle) - y
+            angle = np.arctan2(up, right)
+        column = (angle - np.nan_to_num(casing)[:, None]) * _SCALE
         return np.rint(column).astype(np.int64) % _COLUMNS

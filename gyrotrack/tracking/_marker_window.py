@@ -149,7 +149,7 @@ class MarkerStrip:
         return found[:, 0], found[:, 1]
 
     def _background(self, samples: Samples) -> Singles:
-        frames = samples.frames[: samples.head] if self.white else samples.frames
+        frames = samples.frames if self.white else [samples.frames[k] for k in samples.spread]
         seen = np.stack([self.grid.around(frame, slice(None)) for frame in frames], axis=-1)
         ranks = (len(frames) - 1) // 2, len(frames) // 2
         seen.partition(ranks, axis=-1)
@@ -185,6 +185,7 @@ class MarkerWindow:
     def __init__(self, strip: MarkerStrip, coarse: Floats) -> None:
         count = len(coarse)
         self.known = np.isfinite(coarse)
+        self.radius = strip.marker.radius
         self.start = strip.starts[:count].copy()
         self.fraction = np.where(self.known, coarse / strip.ring.step - self.start, 0.0)
         self.first = (self.start - strip.half) % strip.ring.columns

@@ -202,7 +202,7 @@ def find_candidates(
     """Find a marker of each moving hue in rings about the centre; also return the rings."""
     centre = disc.centre if disc is not None else orbit.centre
     ring = search_ring(samples, centre, disc, max(orbit.radii.values()))
-    rings = Rings(samples.strips(ring), ring)
+    rings = Rings(samples.strips(ring, range(len(samples.frames))), ring)
     found = []
     for hue in moving.hues:
         one = _candidate(rings, float(np.rad2deg(hue) % 360.0))

@@ -239,7 +239,7 @@ def fit_flattening(positions: dict[str, Floats], rounds: int = 6) -> Flattening:
 def flattening_of_arc(
     reference: Flattening, positions: dict[str, Floats], shift: Floats, size: float
 ) -> Flattening:
-    """Take the slant of the view from another body; on the arcs that the markers pass fit offsets only.
+    """Take the tilt of the view from another body; on the arcs that the markers pass fit offsets only.
 
     Parameters
     ----------
@@ -247,28 +247,47 @@ def flattening_of_arc(
         Of a body that went round, in the same picture.
     positions : dict of ndarray, shape (n, 2)
         As for `fit_flattening`.
-    shift : ndarray, shape (2,)
-        The offset that is expected [px], here for all markers.
+    shift : ndarray, shape (2,) or (h, 2)
+        The offset that is expected [px], here for all markers; several that exclude each other, equally likely.
     size : float
         Standard deviation of that expectation [px].
 
     Notes
     -----
     An arc determines e in part; `doubt` is its covariance. Systematic errors, not noise, limit the fit: observations
-    count once for each `CELL`.
+    count once for each `CELL`. Where several offsets are expected, mean and covariance are those of the mixture of
+    their posterior distributions.
     """
-    expected = (float(shift[0]), float(shift[1]))
-    found = Flattening(dict.fromkeys(positions, expected), reference.p, reference.q)
+    expected = np.atleast_2d(shift)
+    mean, covariance = mixture(expected, [size**2 * np.eye(2)] * len(expected), [0.0] * len(expected))
+    found = Flattening(dict.fromkeys(positions, mean), reference.p, reference.q)
     for name, v in positions.items():
-        found.doubt[name] = size**2 * np.eye(2)
+        found.doubt[name] = covariance
         if len(v) >= LEAST_OBSERVATIONS:
-            more, found.doubt[name] = _arc(found.level(name, v), size)
-            found.offset[name] = (expected[0] + float(more[0]), expected[1] + float(more[1]))
+            fits = []
+            for one in expected:
+                level = replace(reference, offset={name: (float(one[0]), float(one[1]))}).level(name, v)
+                more, own, evidence = _arc(level, size)
+                fits.append((one + more, own, evidence))
+            found.offset[name], found.doubt[name] = mixture(*map(list, zip(*fits, strict=True)))
     return found
 
 
-def _arc(v: Floats, size: float) -> tuple[Floats, Floats]:
-    """Fit the offset of an arc, expected to be 0 within `size`: (2,) and its covariance (2, 2)."""
+def mixture(
+    means: Iterable[Floats], covariances: list[Floats], evidence: list[float]
+) -> tuple[tuple[float, float], Floats]:
+    """Return mean and covariance, (2,) and (2, 2), of normal distributions with given log evidences."""
+    weight = np.exp(np.array(evidence) - max(evidence))
+    weight /= weight.sum()
+    each = np.array(list(means))
+    mean = weight @ each
+    off = each - mean
+    covariance = sum(w * (c + np.outer(d, d)) for w, c, d in zip(weight, covariances, off, strict=True))
+    return (float(mean[0]), float(mean[1])), np.asarray(covariance)
+
+
+def _arc(v: Floats, size: float) -> tuple[Floats, Floats, float]:
+    """Fit the offset of an arc, expected to be 0 within `size`: (2,), its covariance (2, 2), and the log evidence."""
     few = v[:: max(len(v) // MOST_OBSERVATIONS, 1)]
     rho, theta = np.hypot(few[:, 0], few[:, 1]), np.arctan2(few[:, 1], few[:, 0])
     design = np.stack([np.ones_like(theta), np.cos(theta), np.sin(theta)], axis=1)
@@ -281,8 +300,11 @@ def _arc(v: Floats, size: float) -> tuple[Floats, Floats]:
         weight = 1.0 / (alike * scatter**2)
         covariance = np.linalg.inv(weight * design[keep].T @ design[keep] + expected)
         solution = weight * covariance @ design[keep].T @ rho[keep]
-        keep = np.abs(rho - design @ solution) < 4.0 * scatter
-    return solution[1:], np.asarray(covariance[1:, 1:])
+        residual = np.abs(rho - design @ solution)
+        keep = residual < 4.0 * scatter
+    misfit = weight * float(np.sum(np.minimum(residual, 4.0 * scatter) ** 2))
+    evidence = -0.5 * (misfit + float(solution[1:] @ solution[1:]) / size**2)
+    return solution[1:], np.asarray(covariance[1:, 1:]), evidence
 
 
 def _cover(v: Floats) -> float:

@@ -104,8 +104,16 @@ def name_markers(bodies: dict[Body, Group], notes: list[str]) -> list[ProposedMa
     taken: set[str] = set()
     for body, group in bodies.items():
         markers = placed([c.sampled for c in group.members])
+        colours: set[str] = set()
         for candidate, seen in zip(group.members, markers, strict=True):
             colour = candidate.colour
+            if colour in colours:  # the strongest patch of a colour comes first
+                notes.append(
+                    f"another {colour} patch (hue {candidate.hue:.0f} deg) moves with the {body}; one marker of a "
+                    "colour can be tracked on a body, and this one is left out."
+                )
+                continue
+            colours.add(colour)
             name = colour if colour not in taken else f"{colour}_{body}"
             if name in taken:
                 name = f"{name}_{sum(t.startswith(name) for t in taken) + 1}"
@@ -239,7 +247,7 @@ def _white(samples: Samples, ring: Ring, bodies: dict[Body, Group]) -> ProposedM
         return None
     others = placed([c.sampled for c in group.members])
     proposed = MarkerProfile(name="white", colour="white", body="rotor")
-    marker = find_white(samples, ring, proposed, others)
+    marker = find_white(samples, range(samples.head), ring, proposed, others)
     if marker is None or not is_marker_sized(marker):
         return None
     lengths = [s.marker.outer - s.marker.inner for s in others]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
@@ -12,8 +13,9 @@ import numpy.typing as npt
 
 from gyrotrack._errors import VideoError
 from gyrotrack.tracking._polar import Ring, unroll
-from gyrotrack.video._container import Frame, keyframes
+from gyrotrack.video._container import Frame, keyframes, read_packets
 from gyrotrack.video._decoder import Reader
+from gyrotrack.video._frames import frames_at
 
 Floats = npt.NDArray[np.float64]
 
@@ -80,6 +82,12 @@ class Scene:
         The markers that were found.
     missing : tuple of str
         Names of those that were not.
+    offsets : dict of tuple of float
+        By body, where the centre of its orbits lies relative to `centre`, (x, y) in px, y downwards: a body below the
+        plane of the hub circles another point of the picture when the camera is tilted. Bodies without a significant
+        offset are not in it.
+    body_of : dict of str
+        The body of each marker of the profile, also of those that were not found.
     warnings : tuple of str
         What the user should know.
     """
@@ -89,6 +97,13 @@ class Scene:
     markers: tuple[Marker, ...]
     missing: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    offsets: dict[str, tuple[float, float]] = field(default_factory=dict)
+    body_of: dict[str, str] = field(default_factory=dict)
+
+    def axis(self, body: str) -> tuple[float, float]:
+        """Return the centre of a body's orbits at the time of acquisition, (x, y) in px."""
+        x, y = self.offsets.get(body, (0.0, 0.0))
+        return self.centre[0] + x, self.centre[1] + y
 
     def of(self, body: str) -> tuple[Marker, ...]:
         """Return the markers of one body."""
@@ -103,6 +118,11 @@ class Scene:
 HEAD = 48
 """First frames in a row: at 0.2 rad a frame they cover more than a turn."""
 KEYS = 20
+"""Key frames from which on the rest of a film is sampled by key frames alone, which cost least to decode."""
+LATER = 32
+"""Frames from the rest of a film with fewer key frames."""
+DECODED = 240
+"""Frames of 1280 x 720 px that may be decoded to reach these; more of smaller frames."""
 FEWEST = 8
 _BLOB_WIDTH = 400
 
@@ -135,9 +155,12 @@ class Samples:
 
     @cached_property
     def spread(self) -> tuple[int, ...]:
-        """Indices of at most 32 frames: every key frame, and the head evenly."""
+        """Indices of the frames from which the scene is learnt: all later ones, and a dozen of the head.
+
+        What is in the picture at the beginning only, as the hand that starts the rotor, is in the minority.
+        """
         keys = range(self.head, len(self.frames))
-        most = max(12, 32 - len(keys))
+        most = max(12, 48 - len(keys)) if len(keys) < 12 else 12
         head = np.unique(np.linspace(0, self.head - 1, min(self.head, most)).astype(int)).tolist()
         return (*head, *keys)
 
@@ -146,14 +169,15 @@ class Samples:
         shift = (self.scale - 1) / 2.0
         return self.scale * x + shift, self.scale * y + shift
 
-    def strips(self, ring: Ring) -> npt.NDArray[np.uint8]:
-        """Unroll the chroma of all frames, shape (2, n, rows, columns)."""
+    def strips(self, ring: Ring, frames: Sequence[int]) -> npt.NDArray[np.uint8]:
+        """Unroll the chroma of some frames, shape (2, n, rows, columns)."""
         maps = ring.chroma_maps
-        return np.stack([[unroll(f.u, maps) for f in self.frames], [unroll(f.v, maps) for f in self.frames]])
+        some = [self.frames[k] for k in frames]
+        return np.stack([[unroll(f.u, maps) for f in some], [unroll(f.v, maps) for f in some]])
 
-    def luma_strips(self, ring: Ring) -> npt.NDArray[np.uint8]:
-        """Unroll the luma of the head, shape (head, rows, columns)."""
-        return np.stack([unroll(f.y, ring.luma_maps) for f in self.frames[: self.head]])
+    def luma_strips(self, ring: Ring, frames: Sequence[int]) -> npt.NDArray[np.uint8]:
+        """Unroll the luma of some frames, shape (n, rows, columns)."""
+        return np.stack([unroll(self.frames[k].y, ring.luma_maps) for k in frames])
 
 
 def take_samples(path: Path) -> Samples:
@@ -177,8 +201,29 @@ def take_samples(path: Path) -> Samples:
             f"{path} holds only {len(head)} frames; at least {FEWEST} are needed to find a motion in them",
             "give a longer film",
         )
-    keys = [frame for frame in keyframes(path, KEYS) if frame.y.shape == head[0].y.shape]
-    return Samples((*head, *keys), len(head))
+    later = [frame for frame in _later(path, len(head), head[0].y.size) if frame.y.shape == head[0].y.shape]
+    return Samples((*head, *later), len(head))
+
+
+def _later(path: Path, head: int, pixels: int) -> list[Frame]:
+    """Decode frames spread over what follows the head: key frames, or, where these are few, frames between them.
+
+    A frame is decoded from the key frame before it. Where all of them would cost too much, they move towards it.
+    """
+    packets = read_packets(path)
+    count = len(packets.stamps)
+    if count <= head or not packets.key.any():
+        return []
+    if int(packets.key[head:].sum()) >= KEYS:
+        return keyframes(path, KEYS)
+    wanted = np.unique(np.linspace(head, count - 1, LATER).astype(np.int64))
+    keys = np.flatnonzero(packets.key)
+    start = keys[np.maximum(np.searchsorted(keys, wanted, side="right") - 1, 0)]
+    cost = sum(int((wanted - start)[start == key].max()) for key in np.unique(start))
+    share = min(DECODED * 1280 * 720 / pixels / max(cost, 1), 1.0)
+    wanted = np.unique(start + ((wanted - start) * share).astype(np.int64))
+    found = frames_at(path, packets.stamps[wanted].tolist())
+    return [found[stamp] for stamp in sorted(found)]
 
 
 def _halved(plane: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:

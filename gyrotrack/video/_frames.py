@@ -23,16 +23,19 @@ def frames_at(path: Path, stamps: Iterable[int]) -> dict[int, Frame]:
     with opened(path) as (container, stream):
         orientation: Orientation | None = None
         packets = enumerate(packets_of(container.demux(stream)))
-        for first, stop in ranges:
+        for first, stop, start, end in ranges:
+            last = max(stamp for stamp in wanted if start <= stamp < end)
             for raw in _decoded(packets, first, stop, stream):
                 orientation = orientation or orientation_of(raw)
                 if raw.pts in wanted:
                     found[int(raw.pts)] = planes_of(raw, -1, orientation).copy()
+                if raw.pts is not None and raw.pts >= last:
+                    break
     return found
 
 
-def _ranges(path: Path, wanted: list[int]) -> list[tuple[int, int]]:
-    """Return the runs of packets, first and stop, each from a key packet to the next, that hold the stamps."""
+def _ranges(path: Path, wanted: list[int]) -> list[tuple[int, int, int, int]]:
+    """Return the runs of packets from a key packet to the next that hold the stamps: first, stop, their stamps."""
     keys: list[tuple[int, int]] = []
     count = 0
     with opened(path) as (container, stream):
@@ -43,7 +46,7 @@ def _ranges(path: Path, wanted: list[int]) -> list[tuple[int, int]]:
     found = []
     for (start, first), (end, stop) in zip(keys, [*keys[1:], (1 << 63, count)], strict=True):
         if any(start <= stamp < end for stamp in wanted):
-            found.append((first, stop))
+            found.append((first, stop, start, end))
     return found
 
 

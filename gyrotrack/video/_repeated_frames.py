@@ -51,7 +51,7 @@ class RepeatDetector:
         """Tell whether a frame, the next one of the film, repeats the one before it."""
         rows, last, again = _rows(frame), self._last, False
         if last is not None:
-            apart = cv2.norm(rows, last, cv2.NORM_L1)
+            apart = _difference(rows, last)
             again = len(self._late) > 1 and apart < SAME * _usual(self._late)
             self._late = (*self._late[1 - _AROUND :], apart)
         if again and not self._run:
@@ -64,6 +64,17 @@ class RepeatDetector:
         """Let go of the last frame, and keep what is needed of it."""
         if self._last is not None:
             self._last = self._last.copy()
+
+
+def _difference(rows: Rows, last: Rows) -> float:
+    """Return how much two pictures differ, whatever their brightness: lamps flicker from frame to frame.
+
+    The sum of |a - g b|, with the gain g that makes their means equal. Without it, two frames of equal brightness
+    differ so much less than their neighbours that one is taken for a repetition of the other.
+    """
+    a, b = rows.astype(np.float32), last.astype(np.float32)
+    gain = float(a.sum() / max(float(b.sum()), 1.0))
+    return float(cv2.norm(a, b * np.float32(gain), cv2.NORM_L1))
 
 
 def _usual(late: tuple[float, ...]) -> float:

@@ -37,6 +37,7 @@ class Film:
     tilt: float = 0.05
     tilt_azimuth: float = 0.7
     lift: float = 0.0  # how high the disc lies above the papers, in radii
+    depth: float = 0.0  # how far the rotor lies below the casing, in radii
     wobble: float = 0.6
     wobble_hz: float = 3.0
     red: tuple[int, int, int] = (190, 35, 40)
@@ -157,11 +158,16 @@ def _paint(film: Film, image: np.ndarray, t: float) -> np.ndarray:
         fill(
             disc(0.05) + 0.7 * np.array([[np.cos(psi_r + 1.256 * k), np.sin(psi_r + 1.256 * k)]]),
             (m - 40,) * 3,
+            -film.depth,
         )
     if film.rotor_papers:
         for colour, mount in zip((film.blue, film.white, film.green), film.mounts, strict=True):
             if colour is not None:
-                fill(paper(psi_r + film.sense * mount, 0.42, 0.28 * film.size, 0.20 * film.size), colour)
+                fill(
+                    paper(psi_r + film.sense * mount, 0.42, 0.28 * film.size, 0.20 * film.size),
+                    colour,
+                    -film.depth,
+                )
     half = 0.5 * film.bar
     c, s = np.cos(psi_c), np.sin(psi_c)
     if film.bar > 0:

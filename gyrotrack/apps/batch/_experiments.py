@@ -1,12 +1,12 @@
-"""What a batch processes: experiments from a manifest or a folder.
+"""Experiments of a batch, from a manifest or a folder.
 
 A folder with ``study.toml`` is that study. Else ``casing*`` and ``rotor*`` in one folder are the case of the
-folder's name, ``NAME_casing*`` and ``NAME_rotor*`` the case NAME, and any other film stands on its own. A
-capture rate may stand in the name of a film, as in ``rotor_1_1000fps.mp4``.
+folder's name, ``NAME_casing*`` and ``NAME_rotor*`` the case NAME, and any other film is tracked only. The name of
+a film may state its capture rate, as in ``rotor_1_1000fps.mp4``.
 
 ::
 
-    [defaults]                      # for every case and film that does not say otherwise
+    [defaults]                      # for every case and film without values of its own
     casing_fps = 260
     rotor_fps = 1000
 
@@ -17,12 +17,12 @@ capture rate may stand in the name of a film, as in ``rotor_1_1000fps.mp4``.
     surface = "PVC"
 
     [[case]]
-    study = "paper/study.toml"      # an experimenter's notes beside the films
+    study = "paper/study.toml"      # the notes of an experimenter, with the films
 
     [[case]]
     data = "old/case7.h5"           # a case that exists already
 
-    [[clip]]                        # a film on its own: it is tracked, no more
+    [[clip]]                        # a single film: it is tracked only
     file = "wheel.mp4"
     capture_fps = 300
     profile = "wheel.toml"
@@ -57,7 +57,7 @@ _DEVICES = {"con", "prn", "aux", "nul", *(f"{d}{n}" for d in ("com", "lpt") for 
 
 @dataclass(frozen=True)
 class Clip:
-    """One film: the body that it is about ("" for a film on its own), its capture rate [fps], its profile."""
+    """One film: the tracked body ("" for a single film), its capture rate [fps], its profile."""
 
     file: Path
     body: Body = ""
@@ -78,7 +78,7 @@ class Experiment:
     data : Path or None
         A case file that exists already, in place of films.
     surface : str
-        What the casing turned on.
+        Surface on which the casing turns.
     inertia_rotor, inertia_casing : str or None
         Moments of inertia as `gyrotrack._inertia.Inertia` reads them.
     folder : str
@@ -95,7 +95,7 @@ class Experiment:
 
     @property
     def alone(self) -> bool:
-        """Whether it is a film on its own, which is tracked and nothing more."""
+        """Whether it is a single film, which is tracked only."""
         return self.data is None and all(c.body == "" for c in self.clips)
 
 
@@ -112,7 +112,7 @@ def named(experiments: Iterable[Experiment], where: Path) -> tuple[Experiment, .
     for e in experiments:
         if e.label in labels:
             raise ConfigurationError(
-                f"{where}: two cases are called '{e.label[:60]}'", "give each a label of its own"
+                f"{where}: two cases have the label '{e.label[:60]}'.", "Give each case a label of its own."
             )
         labels.add(e.label)
         _check_films(e, where)
@@ -125,8 +125,8 @@ def named(experiments: Iterable[Experiment], where: Path) -> tuple[Experiment, .
         found.append(Experiment(**{**vars(e), "folder": folder}))
     if not found:
         raise ConfigurationError(
-            f"{where} names no film and no case",
-            "films are called casing.mp4 and rotor_1.mp4 in a folder a case, or are listed in a manifest",
+            f"{where} names no film and no case.",
+            "Name the films of a case casing.mp4 and rotor_1.mp4 in one folder, or list them in a manifest.",
         )
     return tuple(found)
 
@@ -136,8 +136,8 @@ def _check_films(e: Experiment, where: Path) -> None:
     if e.data is None and not e.alone and (casings != 1 or len(e.clips) < 2):
         raise ConfigurationError(
             f"{where}: the case '{e.label[:60]}' has {casings} films of the casing and "
-            f"{len(e.clips) - casings} of the rotor",
-            "a case has one film of the casing and at least one of the rotor",
+            f"{len(e.clips) - casings} of the rotor.",
+            "A case needs one film of the casing and at least one of the rotor.",
         )
 
 
@@ -226,7 +226,7 @@ class Study(BaseModel):
 
 
 def read_study(path: Path) -> Experiment:
-    """Read the notes of one run; the films are looked for beside them.
+    """Read the notes of one run; films are searched for in the folder of the notes.
 
     Raises
     ------
@@ -262,7 +262,7 @@ def read_folder(
     root : Path
         The folder; hidden folders, and links to folders, are left out.
     casing_fps, rotor_fps : float, optional
-        Capture rates of films whose names tell none.
+        Capture rates of films whose names state none [1/s].
     skip : Path, optional
         The folder of the results, which may lie inside.
 
@@ -272,7 +272,7 @@ def read_folder(
         It holds no film, or films of a case that is not complete.
     """
     if not root.is_dir():
-        raise ConfigurationError(f"there is no folder {root}", "check the path")
+        raise ConfigurationError(f"There is no folder {root}.", "Check the path.")
     rates = {"casing": casing_fps, "rotor": rotor_fps, "": None}
     top, avoid = root.resolve(), skip.resolve() if skip is not None else None
     found: list[Experiment] = []
@@ -297,8 +297,8 @@ def _in_one_folder(
         stem = Path(film).stem
         rule = _RULE.fullmatch(stem)
         body: Body = rule["body"].lower() if rule else ""  # type: ignore[assignment]
-        told = _RATE.search(stem)
-        clip = Clip(here / film, body, float(told[1]) if told else rates[body])
+        stated = _RATE.search(stem)
+        clip = Clip(here / film, body, float(stated[1]) if stated else rates[body])
         if rule is None:
             alone.append(Experiment("/".join(filter(None, (relative, stem))), (clip,)))
         else:
@@ -326,7 +326,7 @@ class _Strict(BaseModel):
 
 
 class Defaults(_Strict):
-    """What holds for every case and film that does not say otherwise."""
+    """Values for every case and film without values of its own."""
 
     casing_fps: float | None = Field(default=None, gt=0)
     rotor_fps: float | None = Field(default=None, gt=0)
@@ -356,7 +356,7 @@ class CaseEntry(Defaults):
 
 
 class ClipEntry(_Strict):
-    """A film on its own."""
+    """A single film."""
 
     file: str
     label: str | None = Field(default=None, min_length=1, max_length=120)
@@ -441,7 +441,7 @@ def _from_rows(path: Path) -> list[Experiment]:
             rows.append(check(given, _Row, what="row", where=f"{path}, line {reader.line_num}"))
     except csv.Error as error:
         raise ConfigurationError(
-            f"{path}, line {reader.line_num}: {error}", "write the manifest as plain CSV"
+            f"{path}, line {reader.line_num}: {error}.", "Write the manifest as plain CSV."
         ) from error
     own = [r for r in rows if not r.case]
     made = [

@@ -65,7 +65,7 @@ class Journal:
                 self._records[record["step"]] = record
 
     def kept(self, step: Step, key: str) -> Outcome | None:
-        """Return the outcome of an earlier run, if nothing that it came from, and not its output, has changed."""
+        """Return the outcome of an earlier run if neither its sources nor its output have changed."""
         record = self._records.get(step.name)
         if record is None or record.get("key") != key or not record.get("fingerprint"):
             return None
@@ -77,7 +77,7 @@ class Journal:
         )
 
     def add(self, step: Step, key: str, outcome: Outcome) -> None:
-        """Append the outcome of a step, and see it onto the disk."""
+        """Append the outcome of a step and flush it to the disk."""
         record = {
             "step": step.name,
             "key": key,
@@ -101,7 +101,7 @@ class Journal:
                 os.fsync(stream.fileno())
         except OSError as error:
             raise OutputError(
-                f"{self.path} cannot be written: {error.strerror}.", "Make room, and run the batch again."
+                f"{self.path} cannot be written: {error.strerror}.", "Free space and run the batch again."
             ) from error
         self._records[step.name] = record
 
@@ -109,22 +109,24 @@ class Journal:
 def key_of(
     step: Step, words: list[str], results: Path, contents: Mapping[Path, str], before: list[str]
 ) -> str:
-    """Return the key of a step: a hash of all that its output depends on, wherever the folders lie."""
+    """Return the key of a step: a hash of what determines its output, wherever the folders are."""
     names = {str(path): digest for path, digest in contents.items()}
     top = str(results.resolve())
-    told = [names.get(word, word.replace(top, "results")) for word in words]
-    whole = [__version__, step.verb, told, [contents[p] for p in step.files], before]
+    stated = [names.get(word, word.replace(top, "results")) for word in words]
+    whole = [__version__, step.verb, stated, [contents[p] for p in step.files], before]
     return hashlib.sha256(json.dumps(whole).encode()).hexdigest()
 
 
 def fingerprint(step: Step, document: Mapping[str, Any]) -> str:
-    """Return a hash of what a step has made, or "" if it is not there (any more)."""
+    """Return a hash of the output of a step, or "" if it does not exist."""
     if step.verb in {"fit", "improve"}:  # later fits are added to the same ledger, and change none of this
-        return _rung(step.output, str(document.get("fit_id") or document.get("final", {}).get("fit_id")))
+        return _fit_digest(
+            step.output, str(document.get("fit_id") or document.get("final", {}).get("fit_id"))
+        )
     return contents_of(step.output) or ""
 
 
-def _rung(ledger: Path, fit_id: str) -> str:
+def _fit_digest(ledger: Path, fit_id: str) -> str:
     try:
         fits = json.loads(ledger.read_text(encoding="utf-8"))["fits"]
         (own,) = [f for f in fits if f["fit_id"] == fit_id]
@@ -169,7 +171,7 @@ def _opened(results: Path) -> BinaryIO:
         results.mkdir(parents=True, exist_ok=True)
         if not (results / "batch.lock").exists() and any(results.iterdir()):
             raise OutputError(
-                f"{results} holds something that is not of a batch.", "Choose an empty folder with -o."
+                f"{results} holds files that do not belong to a batch.", "Choose an empty folder with -o."
             )
         refuse_special(results / "batch.lock", OutputError)
         return (results / "batch.lock").open("ab")

@@ -22,7 +22,7 @@ from gyrotrack.io._atomic import new_file
 from gyrotrack.io._export import plain_cell
 
 Progress = Callable[[int, int | None], None]
-Told = Callable[[Step, Outcome], None]
+Report = Callable[[Step, Outcome], None]
 
 _NOT_TRUSTED = 3
 _TRIES = 2
@@ -47,11 +47,11 @@ class Run:
     results : Path
         Folder of the results.
     journal : Journal
-        What was done before.
+        Record of completed steps.
     timeout : float, optional
-        Seconds that a step may take.
-    tell : callable, optional
-        Told of each step that ended.
+        Time limit of one step [s].
+    report : callable, optional
+        Called with (step, outcome) when a step has ended.
     progress : callable, optional
         Called with (steps ended, steps in all).
     """
@@ -63,21 +63,21 @@ class Run:
         journal: Journal,
         *,
         timeout: float | None = None,
-        tell: Told | None = None,
+        report: Report | None = None,
         progress: Progress | None = None,
     ) -> None:
         self.steps = {s.name: s for s in steps}
         self.results, self.journal, self.timeout = results, journal, timeout
         self.ended: dict[str, Outcome] = {}
-        self._tell, self._progress = tell, progress
+        self._report, self._progress = report, progress
         self._contents: dict[Path, str] = {}
         self._followers: dict[str, list[Step]] = {}
         for step in steps:
             for name in {*step.needs, *step.wants}:
                 self._followers.setdefault(name, []).append(step)
 
-    def look(self) -> dict[str, str]:
-        """Return what would become of each step: "kept" or "to do"; nothing is run or written."""
+    def preview(self) -> dict[str, str]:
+        """Return the state of each step, "kept" or "to do"; nothing is run or written."""
         self._read_sources()
         for step in self.steps.values():
             if self._ready(step) and (kept := self._kept(step)[0]) is not None:
@@ -154,8 +154,12 @@ class Run:
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            told = {"code": "output", "message": f"{folder} cannot be made: {error.strerror}.", "hint": ""}
-            self._close(step, Outcome("failed", {"error": told}))
+            failure = {
+                "code": "output",
+                "message": f"{folder} cannot be created: {error.strerror}.",
+                "hint": "",
+            }
+            self._close(step, Outcome("failed", {"error": failure}))
             return None
         return _Running(step, key, words)
 
@@ -171,11 +175,13 @@ class Run:
                 outcome.state = "done" if outcome.fingerprint else "failed"
                 outcome.trusted = answer["code"] != _NOT_TRUSTED
             if outcome.state == "failed" and "error" not in outcome.document:
-                told = {
+                failure = {
                     "code": "output",
                     "message": f"{done.step.output} was not found after it was written.",
                 }
-                outcome.document = {"error": {**told, "hint": "Does the worker see the same folders?"}}
+                outcome.document = {
+                    "error": {**failure, "hint": "Check that the worker sees the same folders."}
+                }
         self.journal.add(done.step, done.key, outcome)
         self._close(done.step, outcome)
 
@@ -189,8 +195,8 @@ class Run:
 
     def _close(self, step: Step, outcome: Outcome) -> None:
         self.ended[step.name] = outcome
-        if self._tell is not None:
-            self._tell(step, outcome)
+        if self._report is not None:
+            self._report(step, outcome)
         if self._progress is not None:
             self._progress(len(self.ended), len(self.steps))
 
@@ -199,19 +205,19 @@ def _answer(future: Future[dict[str, Any]]) -> dict[str, Any]:
     try:
         return future.result()
     except Exception as error:  # whatever a cluster raises when a worker is lost for good
-        told = {"code": "crash", "message": f"The worker was lost: {type(error).__name__}.", "hint": ""}
-        return {"code": 1, "document": {"error": told}}
+        failure = {"code": "crash", "message": f"The worker was lost ({type(error).__name__}).", "hint": ""}
+        return {"code": 1, "document": {"error": failure}}
 
 
 def _error(answer: dict[str, Any]) -> dict[str, Any]:
-    """Return the error of an answer, {} if there is none; an answer that makes no sense is a bug."""
+    """Return the error of an answer, {} if there is none; an invalid answer is an internal error."""
     found = answer["document"].get("error")
     if isinstance(found, dict):
         return found
     if found is not None or answer["code"] not in {0, _NOT_TRUSTED}:
         return {
             "code": "bug",
-            "message": f"It ended with the exit code {answer['code']} and no word.",
+            "message": f"The step ended with exit code {answer['code']} and no message.",
             "hint": "",
         }
     return {}
@@ -224,7 +230,7 @@ class Row:
     Attributes
     ----------
     state : str
-        "done", "partly" (a film was lost, the rest went on) or "failed".
+        "done", "partly" (a film failed, the others were processed) or "failed".
     films, tracked, frames : int
         Films given, films tracked, frames in those.
     fit, missing, diagnosis : str
@@ -232,11 +238,11 @@ class Row:
     rmse_casing, reduced_chi2 : float or None
         Of the fit [rad/s, 1].
     trusted : bool
-        Whether no step said that its result is not to be relied on.
+        Whether every step returned a result that can be trusted.
     seconds : float
-        Work in all its steps, in this run or an earlier one.
+        Duration of all its steps, in this run or an earlier one [s].
     problem : str
-        The first thing that went wrong, with its step.
+        First failure, with its step.
     """
 
     label: str
@@ -334,7 +340,7 @@ def write_summary(folder: Path, rows: Sequence[Row], facts: Mapping[str, Any]) -
 
 
 def lines(rows: Sequence[Row]) -> list[str]:
-    """Return the table for a terminal of 80 columns, and below it what went wrong."""
+    """Return the table for a terminal of 80 columns, followed by the failures."""
     out = [f"{'case':<20}{'films':>7}{'frames':>8}  {'fit':<14}{'rmse':>9}{'chi2/n':>9}  missing"]
     for r in rows:
         name = r.label if len(r.label) < 20 else "..." + r.label[-16:]
@@ -345,8 +351,8 @@ def lines(rows: Sequence[Row]) -> list[str]:
         out.append(
             f"{name:<20}{f'{r.tracked}/{r.films}':>7}{r.frames:>8}  {verdict:<14}{numbers}  {r.missing}".rstrip()
         )
-    told = [f"{r.label}: {r.problem}" for r in rows if r.problem]
-    return [*out, *(["", "what went wrong:", *(f"  {line}" for line in told)] if told else [])]
+    failure = [f"{r.label}: {r.problem}" for r in rows if r.problem]
+    return [*out, *(["", "failures:", *(f"  {line}" for line in failure)] if failure else [])]
 
 
 STATES = ("done", "kept", "failed", "blocked")
@@ -354,19 +360,19 @@ _JOURNAL = "batch.jsonl"
 
 
 @dataclass(frozen=True)
-class Ended:
-    """What a batch has come to.
+class BatchResult:
+    """Result of a batch.
 
     Attributes
     ----------
     rows : sequence of Row
-        A row a case.
+        One row per case.
     steps : dict of str to int
         How many steps ended in each of `STATES`.
     seconds : float
-        How long it took [s].
+        Duration [s].
     summary : sequence of Path
-        The files in which all this stands.
+        Files of the summary.
     """
 
     rows: Sequence[Row]
@@ -375,12 +381,12 @@ class Ended:
     summary: Sequence[Path]
 
 
-def foresee(steps: Sequence[Step], output: Path) -> dict[str, str]:
+def preview(steps: Sequence[Step], output: Path) -> dict[str, str]:
     """Return the state of each step by name as a run would find it, and run nothing."""
-    return Run(tuple(steps), output, Journal(output / _JOURNAL)).look()
+    return Run(tuple(steps), output, Journal(output / _JOURNAL)).preview()
 
 
-def work_off(
+def run_batch(
     cases: Sequence[Experiment],
     steps: Sequence[Step],
     output: Path,
@@ -390,31 +396,31 @@ def work_off(
     scheduler: str | None = None,
     certificates: Certificates | None = None,
     timeout: float = 7200.0,
-    tell: Callable[[Step, Outcome], None],
+    report: Report,
     bar: Callable[[], AbstractContextManager[Callable[[int, int | None], None]]],
-) -> Ended:
-    """Do what is not done yet of a batch.
+) -> BatchResult:
+    """Run the steps of a batch that are not complete.
 
     Parameters
     ----------
     cases, steps
-        What there is, and the steps that `plan` made of it.
+        The cases, and the steps that `plan` derived from them.
     output : Path
         Folder for the results.
     command : str
-        The words by which the batch was called, for the summary.
+        Command line, for the summary.
     workers : int, optional
-        Processes on this machine; one a core, if not given.
+        Processes on this machine; by default one per core.
     scheduler : str, optional
         Address of a Dask cluster, in place of processes here.
     certificates : Certificates, optional
         TLS files for that cluster.
     timeout : float
-        Seconds that one step may take.
-    tell : callable
-        Hears of every step that has ended.
+        Time limit of one step [s].
+    report : callable
+        Called with (step, outcome) when a step has ended.
     bar : callable
-        Opens what shows (done, total).
+        Returns a context manager whose value is called with (done, total).
 
     Raises
     ------
@@ -429,7 +435,7 @@ def work_off(
         )
         try:
             with bar() as progress:
-                run = Run(tuple(steps), output, journal, timeout=timeout, tell=tell, progress=progress)
+                run = Run(tuple(steps), output, journal, timeout=timeout, report=report, progress=progress)
                 outcomes = run.work(place)
         finally:
             place.close()
@@ -437,4 +443,4 @@ def work_off(
         counts = {state: sum(o.state == state for o in outcomes.values()) for state in STATES}
         seconds = round(perf_counter() - began, 3)
         facts = {"command": command, "steps": counts, "seconds": seconds}
-        return Ended(rows, counts, seconds, write_summary(output, rows, facts))
+        return BatchResult(rows, counts, seconds, write_summary(output, rows, facts))

@@ -14,19 +14,19 @@ FIT = "{fit}"
 
 
 @dataclass(frozen=True)
-class Wishes:
-    """What is to be done for every case.
+class Request:
+    """Steps to run for every case.
 
     Attributes
     ----------
     until : str
         The last verb.
     extra : mapping
-        Further options of each verb, from a file of settings; what a manifest says goes before them.
+        Further options of each verb, from a settings file; those of a manifest override them.
     model : str
         The model to fit.
     improve : bool
-        Add effects until what is left is noise.
+        Also add effects until the residuals are consistent with noise.
     """
 
     until: str = "report"
@@ -86,13 +86,15 @@ class Outcome:
         return self.state in {"done", "kept"}
 
 
-def plan(experiments: Sequence[Experiment], results: Path, wishes: Wishes) -> tuple[Step, ...]:
+def plan(experiments: Sequence[Experiment], results: Path, request: Request) -> tuple[Step, ...]:
     """Return all steps, each after those that it needs."""
-    steps = (step for e in experiments for step in _of(e, results.resolve() / e.folder, wishes))
-    return tuple(replace(s, words=(*s.words[:1], *wishes.extra.get(s.verb, ()), *s.words[1:])) for s in steps)
+    steps = (step for e in experiments for step in _of(e, results.resolve() / e.folder, request))
+    return tuple(
+        replace(s, words=(*s.words[:1], *request.extra.get(s.verb, ()), *s.words[1:])) for s in steps
+    )
 
 
-def _of(e: Experiment, folder: Path, wishes: Wishes) -> list[Step]:
+def _of(e: Experiment, folder: Path, request: Request) -> list[Step]:
     steps: list[Step] = []
     names: set[str] = set()
     for clip in e.clips:
@@ -102,21 +104,21 @@ def _of(e: Experiment, folder: Path, wishes: Wishes) -> list[Step]:
         return steps
     case = folder / "case.h5" if e.data is None else e.data.resolve()
     last: tuple[str, ...] = ()
-    if e.data is None and wishes.wants("sync"):
+    if e.data is None and request.wants("sync"):
         steps.append(_sync(e, steps[0], steps[1:], case))
         last = (steps[-1].name,)
     source = (case,) if e.data is not None else ()
 
     def step(verb: str, output: Path, *words: str) -> None:
         nonlocal last
-        if wishes.wants(verb):
+        if request.wants(verb):
             made = Step(f"{e.folder}/{verb}", e.folder, verb, words, output, source, last)
             steps.append(made)
             last = (*last, made.name) if verb != "report" else last
 
     ledger = folder / "case.fits.json"
     kept = f"--ledger={ledger}"
-    step("fit", ledger, str(case), "--model", wishes.model, kept)
+    step("fit", ledger, str(case), "--model", request.model, kept)
     step("diagnose", folder / "diagnosis.json", str(case), "--from", FIT, kept)
     step("improve", ledger, str(case), "--from", FIT, kept)
     page = folder / "report.html"

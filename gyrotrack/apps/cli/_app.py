@@ -43,6 +43,12 @@ COMMANDS = (
     Entry(
         "import", "gyrotrack.apps.cli._data", _DATA, "Make a case from tables of angles or rates, or points."
     ),
+    Entry(
+        "spindown",
+        "gyrotrack.apps.cli._spindown",
+        _DATA,
+        "Measure one rotating body: film or table to report.",
+    ),
     Entry("sync", "gyrotrack.apps.cli._tracking", _DATA, "Put the clips of one experiment on one clock."),
     Entry("batch", "gyrotrack.apps.cli._batch", _DATA, "Track, fit and report many cases, unattended."),
     Entry("config", "gyrotrack.apps.cli._batch", _DATA, "Show the settings in use and their origin."),
@@ -72,6 +78,7 @@ COMMANDS = (
         _PHYSICS,
         "Add effects until the residuals are consistent with noise.",
     ),
+    Entry("budget", "gyrotrack.apps.cli._budget", _PHYSICS, "Uncertainty budget of every parameter (GUM)."),
     Entry("ladder", "gyrotrack.apps.cli._fitting", _PHYSICS, "List the fits of a case: one bar per fit."),
     Entry("report", "gyrotrack.apps.cli._presentation", _PHYSICS, "Write a report: one HTML page or a PDF."),
     Entry(
@@ -277,6 +284,6 @@ def _options(args: list[str]) -> list[str]:
 
 
 def _without_debug(args: list[str]) -> tuple[list[str], bool]:
-    """Take ``--debug`` out, wherever it stands before ``--``."""
+    """Take ``--debug`` out, at any place before ``--``."""
     head = _options(args)
     return [a for a in head if a != "--debug"] + args[len(head) :], "--debug" in head

@@ -18,7 +18,7 @@ from gyrotrack.apps.cli._output import DONE, FAULT, NOT_TRUSTED, Output, command
 
 if TYPE_CHECKING:
     from gyrotrack.apps.batch._experiments import Experiment
-    from gyrotrack.apps.batch._runner import Ended
+    from gyrotrack.apps.batch._runner import BatchResult
     from gyrotrack.apps.batch._steps import Outcome, Step
 
 
@@ -104,8 +104,8 @@ def batch_command(
     --inertia-casing 2.06e-5
     """
     from gyrotrack.apps.batch._experiments import read_folder, read_manifest, with_inertias
-    from gyrotrack.apps.batch._runner import work_off
-    from gyrotrack.apps.batch._steps import Wishes, plan
+    from gyrotrack.apps.batch._runner import run_batch
+    from gyrotrack.apps.batch._steps import Request, plan
     from gyrotrack.apps.batch._workers import Certificates
 
     out = Output(as_json=as_json, quiet=quiet, verbose=verbose)
@@ -122,16 +122,16 @@ def batch_command(
             for body, value in (("rotor", inertia_rotor), ("casing", inertia_casing))
         }
         cases = with_inertias(cases, given, skip=by_settings)
-    steps = plan(cases, output, Wishes(until.value, extra, model, improve))
+    steps = plan(cases, output, Request(until.value, extra, model, improve))
     if dry_run:
-        return _say_plan(out, cases, steps, output)
+        return _show_plan(out, cases, steps, output)
 
     if scheduler is not None and not scheduler.startswith("tls://"):
         out.warn(
             "the connection to the scheduler is neither encrypted nor authenticated; use tls:// addresses"
         )
     called = command_line()
-    ended = work_off(
+    ended = run_batch(
         cases,
         steps,
         output,
@@ -140,24 +140,24 @@ def batch_command(
         scheduler=scheduler,
         certificates=Certificates(tls_ca, tls_cert, tls_key),
         timeout=timeout,
-        tell=partial(_say_step, out),
-        bar=lambda: out.progress("working"),
+        report=partial(_report_step, out),
+        bar=lambda: out.progress("running"),
     )
-    return _say_end(out, ended, {"output": output, "command": called})
+    return _show_result(out, ended, {"output": output, "command": called})
 
 
-def _say_step(out: Output, step: Step, outcome: Outcome) -> None:
+def _report_step(out: Output, step: Step, outcome: Outcome) -> None:
     if outcome.state == "failed":
         out.note(f"failed: {step.name}: {outcome.document.get('error', {}).get('message', '')}")
     elif outcome.state == "done":
         out.detail(f"{step.name}: {outcome.seconds:.1f} s")
 
 
-def _say_end(out: Output, ended: Ended, facts: dict[str, Any]) -> int:
+def _show_result(out: Output, ended: BatchResult, facts: dict[str, Any]) -> int:
     from gyrotrack.apps.batch._runner import lines
 
-    told = {"steps": ended.steps, "seconds": ended.seconds, "cases": [asdict(r) for r in ended.rows]}
-    out.result({**facts, **told, "summary": ended.summary})
+    stated = {"steps": ended.steps, "seconds": ended.seconds, "cases": [asdict(r) for r in ended.rows]}
+    out.result({**facts, **stated, "summary": ended.summary})
     counts = ", ".join(f"{n} {state}" for state, n in ended.steps.items() if n)
     total = sum(ended.steps.values())
     out.show("\n".join([*lines(ended.rows), "", f"{counts} of {total} steps, {ended.seconds:.0f} s"]))
@@ -168,7 +168,7 @@ def _say_end(out: Output, ended: Ended, facts: dict[str, Any]) -> int:
 
 
 def _extra() -> dict[str, tuple[str, ...]]:
-    """Return what a file of settings says for the commands of the steps, as words."""
+    """Return the settings of the steps as words of a command line."""
     from gyrotrack.apps.batch._steps import VERBS
     from gyrotrack.apps.cli._app import COMMANDS, settings_in_use
     from gyrotrack.apps.cli._settings import as_words
@@ -183,17 +183,19 @@ _OWN = frozenset(
 )
 
 
-def _say_plan(out: Output, cases: tuple[Experiment, ...], steps: tuple[Step, ...], output: Path) -> int:
-    from gyrotrack.apps.batch._runner import foresee
+def _show_plan(out: Output, cases: tuple[Experiment, ...], steps: tuple[Step, ...], output: Path) -> int:
+    from gyrotrack.apps.batch._runner import preview
 
-    fate = foresee(steps, output)
+    fate = preview(steps, output)
     out.result({
         "cases": [{"label": e.label, "films": [str(c.file) for c in e.clips]} for e in cases],
         "steps": [{"name": s.name, "output": s.output, "state": fate[s.name]} for s in steps],
     })  # fmt: skip
-    told = [f"{fate[s.name]:<7}{s.name}" for s in steps]
+    listed = [f"{fate[s.name]:<7}{s.name}" for s in steps]
     kept = sum(state == "kept" for state in fate.values())
-    out.show("\n".join([*told, "", f"{len(cases)} cases, {len(steps)} steps, {kept} kept; nothing was run"]))
+    out.show(
+        "\n".join([*listed, "", f"{len(cases)} cases, {len(steps)} steps, {kept} kept; nothing was run"])
+    )
     return DONE
 
 

@@ -164,7 +164,7 @@ def _intervals(found: Fit, wanted: Sequence[str]) -> dict[str, Interval]:
         if word == "weak":
             names += weakly_determined(found)
             continue
-        # a symbol, or a key without its case, stands for all that it fits
+        # a symbol, or a key without its case, selects all parameters that match
         keys = [k for k in found.problem.layout.names if word in {k, k.partition("@")[0], _symbol(k)}]
         names += keys or [word]
     return {name: profile(found, name) for name in dict.fromkeys(names)}

@@ -50,7 +50,7 @@ def lazy_group(entries: tuple[Entry, ...]) -> type[TyperGroup]:
             return list(table)
 
         def get_command(self, ctx: Any, cmd_name: str) -> Any:
-            """Return a stand-in that can say its name and its line, without an import."""
+            """Return a placeholder with name and help line, without an import."""
             del ctx
             entry = table.get(cmd_name)
             return entry and TyperCommand(name=entry.name, help=entry.help, rich_markup_mode=None)

@@ -89,6 +89,10 @@ RotorKind = Annotated[
 
 def own_effects(path: Path | None) -> list[Effect]:
     """Read the effects of the user's file, if one is given."""
+    if path is None:
+        return []
     from fitting.effects._user import read_effects
+    from gyrotrack.io._atomic import refuse_special
 
-    return read_effects(path) if path is not None else []
+    refuse_special(path)
+    return read_effects(path)

@@ -1,7 +1,7 @@
 """Output of the commands: results to stdout, messages to stderr.
 
 Under ``--json`` stdout carries one JSON document and nothing else, also when the command fails. Bars are
-drawn only for somebody who watches: stderr is a terminal, and neither ``--json``, ``-q`` nor NO_COLOR is set.
+drawn only if stderr is a terminal, and neither ``--json``, ``-q`` nor NO_COLOR is set.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ Progress = Callable[[int, int | None], None]
 
 @dataclass(frozen=True)
 class Output:
-    """The voice of one command, tuned by its ``--json``, ``-q`` and ``-v``."""
+    """Output of one command, controlled by ``--json``, ``-q`` and ``-v``."""
 
     as_json: bool = False
     quiet: bool = False
@@ -89,40 +89,40 @@ class Output:
                 console.print(printable(item) if isinstance(item, str) else item)
 
     def note(self, text: str) -> None:
-        """Say something on the way."""
+        """Print a progress message."""
         if not self.quiet:
-            _say(text)
+            _write(text)
 
     def detail(self, text: str) -> None:
-        """Say something on the way that only ``-v`` wants to hear."""
+        """Print a message that is shown with ``-v`` only."""
         if self.verbose and not self.quiet:
-            _say(text)
+            _write(text)
 
     def warn(self, text: str) -> None:
-        """Say what the user should know before trusting the result; also with ``-q``."""
-        _say(f"warning: {text}", style="yellow")
+        """Print a warning; also with ``-q``."""
+        _write(f"warning: {text}", style="yellow")
 
     @contextmanager
     def progress(self, label: str, unit: str = "") -> Iterator[Progress]:
         """Yield a callback (done, total) that draws a bar, or does nothing when nobody watches.
 
-        With a `unit` the bar also says how many of them are done in a second.
+        With a `unit` the bar also shows the rate.
         """
-        if self.as_json or self.quiet or not _watched():
+        if self.as_json or self.quiet or not _interactive():
             yield _ignore
             return
         from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
         from rich.progress import Progress as Bars
 
         left = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-        right = (TextColumn("{task.fields[pace]}"), TimeRemainingColumn())
+        right = (TextColumn("{task.fields[rate]}"), TimeRemainingColumn())
         with Bars(*left, *right, console=_console(sys.stderr), transient=True) as bars:
-            task = bars.add_task(label, total=None, pace="")
+            task = bars.add_task(label, total=None, rate="")
 
             def update(done: int, total: int | None) -> None:
                 speed = bars.tasks[0].speed
-                pace = f"{speed:.0f} {unit}/s" if unit and speed else ""
-                bars.update(task, completed=done, total=total, pace=pace)
+                rate = f"{speed:.0f} {unit}/s" if unit and speed else ""
+                bars.update(task, completed=done, total=total, rate=rate)
 
             yield update
 
@@ -144,7 +144,7 @@ def _ignore(done: int, total: int | None) -> None:
     del done, total
 
 
-def _watched() -> bool:
+def _interactive() -> bool:
     return sys.stderr.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
 
@@ -154,9 +154,9 @@ def _console(stream: Any) -> Console:
     return Console(file=stream, highlight=False, markup=False, emoji=False, soft_wrap=not stream.isatty())
 
 
-def _say(text: str, style: str | None = None) -> None:
+def _write(text: str, style: str | None = None) -> None:
     text = printable(text)
-    if _watched():
+    if _interactive():
         _console(sys.stderr).print(text, style=style)
     else:
         sys.stderr.write(text + "\n")
@@ -186,10 +186,10 @@ def plain(value: Any) -> Any:
 
 
 def report_error(code: str, message: str, hint: str, *, as_json: bool) -> None:
-    """Tell what went wrong: one sentence and what to do next, or the JSON document of an error."""
+    """Print an error: its sentence and hint, or its JSON document."""
     if as_json:
         print_json({"error": {"code": code, "message": message, "hint": hint}})
         return
-    _say(f"error: {message}", style="red")
+    _write(f"error: {message}", style="red")
     if hint:
-        _say(f" hint: {hint}")
+        _write(f" hint: {hint}")

@@ -130,7 +130,7 @@ def figures_command(
 
 
 def _wanted(formats: list[str] | None, output: Path, *, force: bool) -> list[str]:
-    """Return the formats asked for, or say what is wrong with them or with the folder."""
+    """Return the requested formats; raise an error if one is unknown or the folder cannot be used."""
     from gyrotrack.apps.report._paper import FORMATS
 
     wanted = list(dict.fromkeys(formats or FORMATS[:1]))
@@ -169,7 +169,7 @@ def view_command(
 
     Example: gyrotrack view case1.h5
     """
-    _look_for_packages()
+    _require_packages()
     from gyrotrack.apps.workbench._films import Clips
     from gyrotrack.apps.workbench._ranking import Ranker
     from gyrotrack.apps.workbench._server import Workbench, serve
@@ -198,12 +198,12 @@ def view_command(
 
     try:
         serve(bench, port, announce)
-    except KeyboardInterrupt:  # the way to end it
+    except KeyboardInterrupt:  # the usual end
         return
 
 
 def _has_desktop() -> bool:
-    """Tell whether there is a desktop whose browser may be opened; a browser in the terminal is not meant."""
+    """Return whether there is a desktop whose browser can be opened (not one in a terminal)."""
     import os
 
     return sys.platform in {"darwin", "win32"} or any(
@@ -211,8 +211,8 @@ def _has_desktop() -> bool:
     )
 
 
-def _look_for_packages() -> None:
-    """Say so if what the page is served with is not installed."""
+def _require_packages() -> None:
+    """Raise an error if the packages that serve the page are not installed."""
     try:
         import starlette  # noqa: F401 - is it there?
         import uvicorn  # noqa: F401

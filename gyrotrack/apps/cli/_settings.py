@@ -42,14 +42,14 @@ NONE = "none"  # as a name of a file: no settings
 
 # options that a file found in the working folder may set: they decide what is computed and shown, nothing else
 _COMPUTE = (
-    "add all body capture_fps casing casing_fps centre centre_offset column data drop duration dry_run "
-    "fix format from hide hold_out improve inertia inertia_casing inertia_rotor joint json label likelihood loss "
-    "marker model omega_casing omega_rotor per_case profile quiet resume rotor rotor_fps rotor_start seed set "
-    "share sigma strength surface table timeout times torque_noise torque_time until verbose verify window "
-    "window_length"
+    "add all body capture_fps casing casing_fps centre centre_offset column cut data drop duration dry_run "
+    "fix format from hide hold_out hub improve inertia inertia_casing inertia_rotor joint json keep_all "
+    "label likelihood loss marker model omega_casing omega_rotor per_case profile pulses_per_turn quiet resume "
+    "rotor rotor_fps rotor_start seed set share sigma strength surface table timeout times to "
+    "torque_noise torque_time until verbose verify window window_length"
 )
 # options that name files to read or to write; a found file may name those in its own folder
-_PATHS = "clips contact_sheet csv effects film films latex ledger output overlay picture"
+_PATHS = "clips contact_sheet csv effects film films latex ledger output overlay picture report"
 FOUND = frozenset(f"{_COMPUTE} {_PATHS}".split())
 # what only the user may say: replacing files, addresses, certificates, ports, the desktop, the machine's cores
 REFUSED = frozenset({

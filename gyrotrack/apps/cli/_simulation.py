@@ -203,13 +203,15 @@ def reveal_command(
     """
     from gyrotrack._errors import UsageError
     from gyrotrack.apps._challenge import grade, unseal
+    from gyrotrack.io._atomic import refuse_special
 
     out = Output(as_json=as_json)
     if (case is None) == (answer is None):
         raise UsageError(
             "An answer is needed before the seal is opened.", "Give the case with its fits, or --answer."
         )
-    named, found = _said(answer) if case is None else _fitted(case, ledger)
+    named, found = _stated(answer) if case is None else _fitted(case, ledger)
+    refuse_special(seal)
     truth = unseal(seal)
     score = grade(truth, named, found)
     out.result({
@@ -221,11 +223,11 @@ def reveal_command(
         "commitment": truth.commitment,
     })  # fmt: skip
     lines = [score.sentence, *(f"  {k} = {v:.6g}" for k, v in truth.parameters.items())]
-    lines += [f"  {k}: {z:+.1f} standard errors from the truth" for k, z in score.pulls.items()]
+    lines += [f"  {k}: {z:+.1f} standard errors from the true value" for k, z in score.pulls.items()]
     out.show("\n".join(lines))
 
 
-def _said(answer: str | None) -> Answer:
+def _stated(answer: str | None) -> Answer:
     words = (answer or "none").strip()
     return [] if words == "none" else [a.strip() for a in words.split(",")], {}
 
@@ -282,27 +284,27 @@ def demo_command(
 
 
 def _study(out: Output, case: Path, output: Path, film: Path) -> dict[str, Any]:
-    """Fit, diagnose, improve and report; return what the program says of it."""
+    """Fit, diagnose, improve and report; return the documents."""
     from gyrotrack.apps.report._page import write_report
     from gyrotrack.apps.report._story import story_picture
     from gyrotrack.io._hdf5 import read_case
 
-    rungs, diagnosis, document = _found(out, case)
+    steps_of_history, diagnosis, document = _found(out, case)
     out.show(f"\n6. The report\n\n$ gyrotrack report {case} -o {output / 'report.html'}")
     report = write_report(
         output / "report.html",
-        rungs,
+        steps_of_history,
         diagnosis,
         recordings=[read_case(case)],
         provenance={"command": "gyrotrack demo"},
         force=True,
     )
-    picture = story_picture(rungs, diagnosis, output / "story.png", frame=_frame(film), force=True)
+    picture = story_picture(steps_of_history, diagnosis, output / "story.png", frame=_frame(film), force=True)
     return {"case": case, "report": report, "picture": picture, **document}
 
 
 def _found(out: Output, case: Path) -> tuple[list[Step], Diagnosis, dict[str, Any]]:
-    """Fit the reduced model, diagnose and improve it; return the ladder, the diagnosis, and both in JSON."""
+    """Fit the reduced model, diagnose and improve it; return the history, the diagnosis, and their JSON documents."""
     from fitting.discovery._select import improve
     from fitting.discovery._verdict import diagnose
     from fitting.dynamics._model import Model
@@ -323,18 +325,18 @@ def _found(out: Output, case: Path) -> tuple[list[Step], Diagnosis, dict[str, An
     diagnosis = diagnose(base)
     out.show(*diagnosis_tables(diagnosis, first.fit_id))
     out.show("\n5. Add it and fit again", f"\n$ gyrotrack improve {case}\n")
-    rungs = improve(base, first=diagnosis.candidates)
-    kept = study.keep(rungs, first.fit_id)
+    steps_of_history = improve(base, first=diagnosis.candidates)
+    kept = study.keep(steps_of_history, first.fit_id)
     steps = [entry.document["rung"] for entry in kept]
     out.show(*ladder_tables(steps, study.data[0].record.body))
     return (
-        rungs,
+        steps_of_history,
         diagnosis,
         {
             "diagnosis": diagnosis_document(diagnosis, first.fit_id),
             "ladder": steps,
-            "final": fit_document(rungs[-1].fit, kept[-1].fit_id),
-            "verdict": ladder_verdict(rungs),
+            "final": fit_document(steps_of_history[-1].fit, kept[-1].fit_id),
+            "verdict": ladder_verdict(steps_of_history),
         },
     )
 

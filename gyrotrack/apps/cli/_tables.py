@@ -32,7 +32,7 @@ def fit_tables(fit: Fit, fit_id: str, intervals: Mapping[str, Interval] | None =
     lines = [f"fit {fit_id}: {VERDICT_TEXT[fit.verdict]}", "", *summary_lines(fit)]
     for direction in not_determined_together(fit):
         parts = ", ".join(f"{n} by {100 * w:+.0f} %" for n, w in direction.items())
-        lines += _wrapped(f"not determined together: {parts}")
+        lines += _wrapped(f"degenerate parameters: {parts}")
     if intervals:
         lines += ["", "95 % intervals by profile likelihood:"]
         lines += [f"  {n:<32}{_interval(i, fit.estimates[n].unit)}" for n, i in intervals.items()]
@@ -50,24 +50,24 @@ def _interval(i: Interval, unit: str) -> str:
 
 
 def bias_tables(fit: Fit, bias: Mapping[str, CurveBias]) -> list[str]:
-    """Return what a generated rotor curve did to each parameter, beside the same fit to the rotor's windows."""
+    """Return the shift of each parameter caused by a generated rotor curve."""
     from fitting._numbers import rounded
 
     if not bias:
         return []
-    lines = ["", "the same model fitted to the rotor's windows instead of the generated curve:"]
+    lines = ["", "the same model fitted to the rotor windows instead of the generated curve:"]
     for name, b in bias.items():
         value = rounded(b.measured, b.stderr, fit.estimates[name].unit)
         lines.append(f"  {name:<32}{value}")
-        lines.append(f"  {'':<32}the curve moved it by {b.errors:.0f} errors")
+        lines.append(f"  {'':<32}the generated curve shifts it by {b.errors:.0f} standard errors")
     return ["\n".join(lines)]
 
 
 def prediction_tables(predicted: Sequence[Predicted]) -> list[str]:
-    """Return the recordings as predicted from the others: errors over the noise, and of the casing's speed."""
+    """Return the cross-validation errors of each case, in units of the noise, and of the casing rate."""
     if not predicted:
         return []
-    lines = ["", "each recording predicted from a fit of the others (touch point and start free):"]
+    lines = ["", "each case predicted from a fit of the others (touch point and initial rates free):"]
     lines.append(f"{'':<12}{'casing':>10}{'rotor':>10}{'R2 casing':>12}{'rmse [rad/s]':>14}")
     lines += [
         f"{p.label[:11]:<12}{p.casing:>10.4g}{p.rotor:>10.4g}{p.r2:>12.6f}{p.rmse:>14.4g}" for p in predicted
@@ -76,12 +76,12 @@ def prediction_tables(predicted: Sequence[Predicted]) -> list[str]:
 
 
 def diagnosis_tables(d: Diagnosis, fit_id: str) -> list[str]:
-    """Return a diagnosis as lines: the sentence, where it fails, what would mend it."""
+    """Return a diagnosis as lines: sentence, lack of fit, candidate effects."""
     lines = [*_wrapped(d.sentence), "", f"fit {fit_id}, verdict: {d.verdict.replace('_', ' ')}"]
     if d.failures:
         lines += [
             "",
-            "where it fails:",
+            "significant lack of fit:",
             f"  {'case':<10}{'body':<8}{'time [s]':>16}{'torque [N m]':>14}{'speed [rad/s]':>15}{'sigma':>7}",
         ]
         for f in d.failures:
@@ -93,7 +93,7 @@ def diagnosis_tables(d: Diagnosis, fit_id: str) -> list[str]:
         lines += _curves(d)
     shown = [c for c in d.candidates if c.score > 0][:_CANDIDATES]
     if shown:
-        head = "tried, and not needed:" if d.verdict == "adequate" else "what would mend it:"
+        head = "tested, not significant:" if d.verdict == "adequate" else "candidate effects:"
         lines += ["", head, f"  {'effect':<28}{'score':>9}{'dBIC':>9}{'p':>9}  class"]
         classes = _classes(shown)
         for c in shown:
@@ -103,14 +103,14 @@ def diagnosis_tables(d: Diagnosis, fit_id: str) -> list[str]:
                 f"  {name:<28}{c.score:>9.1f}{bic:>9}{c.p_value:>9.1g}  {classes.get(c.effect.name, '')}"
             )
         if any(c.effect.kind == "measurement" for c in shown):
-            lines.append("  * an artefact of the measurement, not physics")
+            lines.append("  * effect of the measurement, not physics")
     if d.next_experiment:
         lines += ["", *_wrapped(f"next experiment: {d.next_experiment}")]
     return ["\n".join(lines)]
 
 
 def _curves(d: Diagnosis) -> list[str]:
-    """Return the torque that the casing lacks in each case as one line, and below it where the model fails."""
+    """Return the unmodelled torque of each case as one line, and below it the intervals with lack of fit."""
     lines = []
     body = d.fit.problem.data[0].record.body
     for t in d.torques:
@@ -121,9 +121,9 @@ def _curves(d: Diagnosis) -> list[str]:
         label = f", {t.label[:12]}" if len({x.label for x in d.torques}) > 1 else ""
         lines += [
             "",
-            f"missing torque on the {body}{label}, {_range(t)}, from {start:.0f} s to {stop:.0f} s:",
+            f"unmodelled torque on the {body}{label}, {_range(t)}, from {start:.0f} s to {stop:.0f} s:",
             f"  {sparkline(t.torque)}",
-            f"  {marks(stretches, start, stop)}".rstrip() + "  fails",
+            f"  {marks(stretches, start, stop)}".rstrip() + "  lack of fit",
         ]
     return lines
 
@@ -143,8 +143,8 @@ def _classes(candidates: Sequence[Any]) -> dict[str, str]:
 
 
 def ladder_tables(rungs: Sequence[dict[str, Any]], body: str = "casing") -> list[str]:
-    """Return a ladder as lines: a bar a rung, the error falling; `body` is what was filmed from end to end."""
-    lines = [f"{'fit':<5}{'rmse':>9} {'chi2/n':>9} {'held out':>9} {'dBIC':>9}  {'':<{_BAR}}", ""]
+    """Return a history of fits as lines, one bar per fit; `body` is the body recorded throughout."""
+    lines = [f"{'fit':<5}{'rmse':>9} {'chi2/n':>9} {'cv error':>9} {'dBIC':>9}  {'':<{_BAR}}", ""]
     sizes = [max(r["rmse_casing"], 1e-300) for r in rungs]
     for r, size in zip(rungs, sizes, strict=True):
         bar = "#" * max(1, round(_BAR * size / max(sizes)))
@@ -154,12 +154,13 @@ def ladder_tables(rungs: Sequence[dict[str, Any]], body: str = "casing") -> list
             f" {r['held_out']:>9.3g} {r['delta_bic']:>9.1f}  {bar}"
         )
         lines.append(
-            f"     {added}" + (f"  (left: {r['torque_left_Nm']:.2g} N m)" if r.get("torque_left_Nm") else "")
+            f"     {added}"
+            + (f"  (remainder: {r['torque_left_Nm']:.2g} N m)" if r.get("torque_left_Nm") else "")
         )
     lines += [
         "",
-        f"rmse of the {body}'s speed [rad/s];",
-        "held-out error in units of the noise (1 is as good as can be)",
+        f"rmse of the angular rate of the {body} [rad/s];",
+        "cross-validation error in units of the noise (1 = noise limit)",
     ]
     return ["\n".join(lines)]
 

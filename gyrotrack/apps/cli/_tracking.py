@@ -21,7 +21,7 @@ from gyrotrack.apps.cli._options import (
     Surface,
     Verbose,
 )
-from gyrotrack.apps.cli._output import NOT_TRUSTED, Output, all_or_nothing, command_line
+from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output, all_or_nothing, command_line
 
 if TYPE_CHECKING:
     from gyrotrack.io._records import Recording
@@ -73,10 +73,10 @@ def profile_command(
     found = propose(video, capture_fps=capture_fps)
     comment = "".join(f"# {note}\n" for note in (f"found in {video.name} by gyrotrack profile", *found.notes))
     with all_or_nothing(target, picture):
+        if picture is not None:  # the larger file first: if it cannot be written, an old profile stays
+            write_picture(picture, found, force=force)
         with new_file(target, force=force) as stream:
             stream.write((comment + to_toml(found.profile)).encode())
-        if picture is not None:
-            write_picture(picture, found, force=force)
     for note in found.notes:
         out.warn(note)
     out.result(_profile_document(target, picture, found))
@@ -191,7 +191,7 @@ def extract_command(
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
-) -> None:
+) -> int:
     """Track the markers in a film and write the angles of casing and rotor, with uncertainties.
 
     A checkpoint (OUT.h5.unfinished) is kept until the output is written; --resume continues from it.
@@ -236,6 +236,7 @@ def extract_command(
         raise
     out.result(document)
     out.show(_extraction_lines(document))
+    return NOT_TRUSTED if recording.extra.get("doubts") else DONE
 
 
 def _tracked(

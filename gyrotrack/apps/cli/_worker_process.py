@@ -23,11 +23,11 @@ _GRACE = 5.0  # s to remove what is half written
 
 def perform(words: list[str]) -> dict[str, Any]:
     """Run one command of the program and return its exit code and its JSON document."""
-    said, began = io.StringIO(), perf_counter()
-    with redirect_stdout(said):
+    printed, began = io.StringIO(), perf_counter()
+    with redirect_stdout(printed):
         code = run([words[0], "--json", "-q", *words[1:]])
     try:
-        document = json.loads(said.getvalue() or "{}")
+        document = json.loads(printed.getvalue() or "{}")
     except ValueError:
         document = {"error": {"code": "bug", "message": "The command did not answer in JSON.", "hint": ""}}
     seconds = round(perf_counter() - began, 3)

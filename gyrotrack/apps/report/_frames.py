@@ -24,7 +24,7 @@ _QUALITY = 78
 
 @dataclass(frozen=True)
 class Tile:
-    """One frame: a JPEG picture, and what is seen on it in words."""
+    """One frame: a JPEG picture, and a description."""
 
     jpeg: bytes
     text: str

@@ -110,7 +110,7 @@ class _Images:
 
 def write_report(
     path: Path,
-    rungs: Sequence[Step],
+    history: Sequence[Step],
     diagnosis: Diagnosis | None,
     *,
     recordings: Sequence[Case] = (),
@@ -124,7 +124,7 @@ def write_report(
     ----------
     path : Path
         The file to write, ``.pdf`` or else HTML; it is written whole or not at all.
-    rungs : sequence of Step
+    history : sequence of Step
         The history of fits, base first; one is enough.
     diagnosis : Diagnosis or None
         That of the base.
@@ -150,7 +150,7 @@ def write_report(
     path = Path(path)
     refuse_existing(path, force=force)
     is_pdf = path.suffix.lower() == ".pdf"
-    parts = report_parts(gather(rungs, diagnosis), recordings, films, provenance or {}, static=is_pdf)
+    parts = report_parts(gather(history, diagnosis), recordings, films, provenance or {}, static=is_pdf)
     # names of files may contain bytes that are not valid UTF-8
     try:
         document = pdf(parts) if is_pdf else html(parts).encode("utf-8", "replace")

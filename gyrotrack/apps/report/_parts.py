@@ -149,7 +149,7 @@ def _section(
     overview = (
         (charts.speed_chart(v, "casing"), _WIDE),
         (charts.normalised_chart(v), _WIDE),
-        (charts.torque_speed_chart(v, alternatives=False), _TALL),
+        (charts.torque_speed_chart(v, alternatives=not view.improved), _TALL),
     )
     return Section(
         heading=v.label if len(view.cases) > 1 else "",
@@ -203,7 +203,12 @@ def _facts(view: StudyView) -> list[tuple[str, str]]:
     if failures:
         more = f"; {len(failures) - _MOST_INTERVALS} more" if len(failures) > _MOST_INTERVALS else ""
         rows.append(
-            ("Where", "Unmodelled torque " + "; ".join(map(_interval, failures[:_MOST_INTERVALS])) + more)
+            (
+                "Where",
+                "Unmodelled torque "
+                + "; ".join(_interval(f, named=len(view.cases) > 1) for f in failures[:_MOST_INTERVALS])
+                + more,
+            )
         )
     best = next((c for c in view.candidates if c.significant), None)
     if best is not None:
@@ -213,17 +218,18 @@ def _facts(view: StudyView) -> list[tuple[str, str]]:
             certainty += f"; indistinguishable from {', '.join(best.indistinguishable_from)}"
         else:
             certainty += "; no indistinguishable candidate"
-        rows.append(("How sure", certainty))
+        rows.append(("Significance", certainty))
     elif view.candidates:
-        rows.append(("How sure", f"{len(view.candidates)} candidate effects tested, none significant"))
+        rows.append(("Significance", f"{len(view.candidates)} candidate effects tested, none significant"))
     return rows
 
 
-def _interval(f: Failure) -> str:
+def _interval(f: Failure, *, named: bool) -> str:
     factor, prefix = scaled(abs(f.residual_torque_Nm))
     sign = "" if f.kind == "ripple" else "+" if f.residual_torque_Nm > 0 else "−"
     size = f"{sign}{short(factor * abs(f.residual_torque_Nm), 2)} {prefix}N m"
-    return f"{size} on the {f.called} from {f.t_start:.1f} s to {f.t_stop:.1f} s ({f.size_sigma:.0f} σ)"
+    of = f" of {f.label}" if named else ""
+    return f"{size} on the {f.called}{of} from {f.t_start:.1f} s to {f.t_stop:.1f} s ({f.size_sigma:.0f} σ)"
 
 
 def _failures(view: StudyView) -> list[str]:

@@ -27,7 +27,7 @@ _DPI = 150
 
 
 def story_picture(
-    rungs: Sequence[Step],
+    history: Sequence[Step],
     diagnosis: Diagnosis | None,
     path: Path,
     *,
@@ -38,7 +38,7 @@ def story_picture(
 
     Parameters
     ----------
-    rungs, diagnosis
+    history, diagnosis
         As for `write_report`.
     path : Path
         A ``.png`` or ``.svg`` file.
@@ -57,7 +57,7 @@ def story_picture(
     if kind not in {"png", "svg"}:
         raise OutputError(f"Unknown picture format: {path}.", "Use a name that ends in .png or .svg.")
     refuse_existing(path, force=force)
-    view = gather(rungs, diagnosis)
+    view = gather(history, diagnosis)
     case = view.cases[0]
     with style():
         figure = canvas(15.0, 4.4)

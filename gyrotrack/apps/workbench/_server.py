@@ -135,7 +135,7 @@ async def body_of(request: Request) -> dict[str, Any]:
 
 
 async def answered(work: Callable[[], Any]) -> Response:
-    """Return what the work gives as JSON, or its error as one sentence."""
+    """Return the result of a function as JSON, or its error as one sentence."""
     from starlette.concurrency import run_in_threadpool
     from starlette.responses import JSONResponse
 
@@ -235,7 +235,7 @@ class Workbench:
             self.close()
 
     def close(self) -> None:
-        """End what runs beside the server."""
+        """End the ranking process and close the films."""
         self.ranker.close()
         self.clips.close()
 

@@ -85,7 +85,7 @@ class Session:
         Raises
         ------
         GyrotrackError, FittingError
-            Telling in one sentence what is wrong with the wish; the state stays as it was.
+            With the reason in one sentence; the state is unchanged.
         """
         from fitting._errors import FittingError
         from fitting.discovery._select import found_starts, needs_search
@@ -322,8 +322,8 @@ class Session:
         compared = self._compared(step)
         before = self.steps[compared] if compared >= 0 else None
         steps = [s for s in (before, step) if s is not None]
-        rungs = [FitStep(s.change, s.fit, ()) for s in steps]
-        view = case_view(rungs, None, [self._torques(s) for s in steps], 0)
+        history = [FitStep(s.change, s.fit, ()) for s in steps]
+        view = case_view(history, None, [self._torques(s) for s in steps], 0)
         tracks = tracks_of(self._case) if whole and self._case is not None else None
         names = (f"fit {compared + 1}", f"fit {self.current + 1}") if before is not None else ("fit 1",)
         board = dashboard_document(case_dashboard(view, tracks, [s.change for s in steps], names=names))

@@ -52,7 +52,7 @@ def _workbook(path: Path, sha256: str, content: bytes) -> RawTable:
     except ImportError:
         raise UsageError(
             "Excel workbooks need openpyxl, which is not installed.",
-            "Run: pip install openpyxl; or export CSV.",
+            'Run: pip install "gyrotrack[tables]"; or export CSV.',
         ) from None
     try:
         book = openpyxl.load_workbook(io.BytesIO(content), read_only=True, data_only=True)

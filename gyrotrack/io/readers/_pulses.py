@@ -27,6 +27,7 @@ from gyrotrack.io.readers._units import TURN
 
 _MOST_MISSED = 20
 _MOST_MARKS = 512
+_MOST_RESTARTS = 3
 _TICKS = {1e-6: "us", 1e-3: "ms"}
 
 
@@ -58,30 +59,32 @@ def read_pulses(raw: RawTable, options: ReadOptions) -> MotionTable:
         time = time * scale + options.start
     line = raw.line
     gate = _gate(raw, place, options)
-    if gate is not None:
-        state = raw.numeric(gate)
-        assert state is not None  # noqa: S101 - `_gate` returns numeric columns only
-        rising = np.flatnonzero((state[1:] > 0.5) & (state[:-1] <= 0.5)) + 1
-        notes.append(f"{raw.path.name}: events are the changes of '{raw.names[gate]}' from 0 to 1")
-        time, line = time[rising], line[rising]
-    known = np.isfinite(time)
-    time, line = continued_clock(raw.path, time[known], line[known], notes), line[known]
+    state = raw.numbers(gate, raw.names[gate]) if gate is not None else np.ones(len(time))
+    known = np.isfinite(time) & np.isfinite(state)
+    time, line, state = continued_clock(raw.path, time[known], line[known], notes), line[known], state[known]
     order = np.argsort(time, kind="stable")
     if (np.diff(order) < 0).any():
         first = int(np.flatnonzero(np.diff(time) < 0)[0]) + 1
         notes.append(
             f"{raw.path.name}: times are not increasing (line {line[first]}); events were sorted by time"
         )
-    time, line = time[order], line[order]
+    time, line, state = time[order], line[order], state[order]
+    if gate is not None:
+        rising = np.flatnonzero((state[1:] > 0.5) & (state[:-1] <= 0.5)) + 1
+        notes.append(f"{raw.path.name}: events are the changes of '{raw.names[gate]}' from 0 to 1")
+        time, line = time[rising], line[rising]
     return from_events(raw, time, line, per_turn, notes)
 
 
 def _gate(raw: RawTable, place: int, options: ReadOptions) -> int | None:
     """Return the column of a gate's state, if there is one; the marker's name chooses between several."""
     found = []
-    for i in range(len(raw.names)):
-        state = raw.numeric(i) if i != place else None
-        if state is not None and set(np.unique(state[np.isfinite(state)])) == {0.0, 1.0}:
+    for i, column in enumerate(raw.columns):
+        words = {str(c).strip() for c in column if str(c).strip()} if i != place else set()
+        whole = words - {"0", "1", "0.0", "1.0"}
+        if {"0", "1"} <= {w[0] for w in words - whole} and sum(
+            str(c).strip() in whole for c in column
+        ) < 0.02 * len(raw.line):
             found.append(i)
     named = [
         i
@@ -106,18 +109,24 @@ def from_events(
             f"{raw.path.name}: {doubles} double pulses were left out (first: line {line[~single][0]})"
         )
     time, line = time[single], line[single]
-    step = np.diff(time)
-    around = _around(step)
-    ratio = step / around
+    count = _with_missed(raw, time, np.arange(len(time), dtype=float), line, notes)
+    return from_counts(raw, time, count, line, per_turn, notes)
+
+
+def _with_missed(raw: RawTable, time: Floats, count: Floats, line: Integers, notes: list[str]) -> Floats:
+    """Return counts to which pulses are added that are missed: intervals of a multiple of those about them."""
+    step = np.diff(time) / np.diff(count)
+    ratio = step / _around(step)
     whole = np.round(ratio)
     missed = (whole >= 2) & (whole <= _MOST_MISSED) & (np.abs(ratio - whole) < 0.12 * whole)
-    count = np.where(missed, whole, 1.0)
-    if missed.any():
-        notes.append(
-            f"{raw.path.name}: {int((count - 1).sum())} missed pulses were counted "
-            f"(first: before line {line[np.argmax(missed) + 1]})"
-        )
-    return from_counts(raw, time, np.concatenate([[0.0], np.cumsum(count)]), line, per_turn, notes)
+    if not missed.any():
+        return count
+    added = np.where(missed, (whole - 1) * np.diff(count), 0.0)
+    notes.append(
+        f"{raw.path.name}: {int(added.sum())} missed pulses were counted "
+        f"(first: before line {line[np.argmax(missed) + 1]})"
+    )
+    return np.asarray(count + np.concatenate([[0.0], np.cumsum(added)]))
 
 
 def _around(step: Floats) -> Floats:
@@ -243,6 +252,12 @@ def read_counter(
         )
         step = np.where(resets, 1.0, step)
     at = np.flatnonzero(step > 0) + 1
+    restarts, odd = int(resets.sum()), float(((step < 0) | (step > _MOST_MISSED)).mean())
+    if restarts > _MOST_RESTARTS or odd > 0.02 or (~unique).mean() > 0.2:
+        raise DatasetError(
+            f"{raw.path}: the column {column + 1} does not count at the times of the column {time_column + 1}.",
+            "Check --column revolutions=N, and --column t=N.",
+        )
     if len(at) < FEWEST:
         raise DatasetError(
             f"{raw.path}: the counter has {len(at)} steps; at least {FEWEST} are needed.", "Check the column."
@@ -257,8 +272,9 @@ def read_counter(
             f"intervals are {rough[0] / max(rough[1], 1e-12):.0f} times smoother"
         )
     rows = choices[int(late)][1]
-    made = _without_glitches(time[rows], total, line[rows], notes, raw)
-    return from_counts(raw, *made, options.pulses_per_turn or 1.0, notes)
+    time, total, line = _without_glitches(time[rows], total, line[rows], notes, raw)
+    total = _with_missed(raw, time, total, line, notes)
+    return from_counts(raw, time, total, line, options.pulses_per_turn or 1.0, notes)
 
 
 def _without_glitches(

@@ -160,14 +160,8 @@ def _of_points(points: Points, options: ReadOptions) -> MotionTable:
     notes = [*found.notes]
     if lost:
         notes.append(f"{points.path.name}: {lost} frames without the marker were left out")
-    if (np.diff(found.time[seen]) < 0).any():
-        at = int(np.flatnonzero(np.diff(found.time[seen]) < 0)[0]) + 2
-        notes.append(
-            f"{points.path.name}: times are not increasing (sample {at}); samples were sorted by time"
-        )
-    order = np.flatnonzero(seen)[np.argsort(found.time[seen], kind="stable")]
-    order = order[np.concatenate([[True], np.diff(found.time[order]) > 0])] if len(order) else order
+    rows = np.flatnonzero(seen)
     made = MotionTable(
-        points.path, points.sha256, "angle", found.time[order], found.angle[order], None, order + 1, ()
+        points.path, points.sha256, "angle", found.time[rows], found.angle[rows], None, rows + 1, ()
     )
     return replace(in_order(made, notes), notes=tuple(notes))

@@ -3,7 +3,8 @@
 The speed is taken in blocks of samples. A drive (a motor, a hand) is recognised by a changepoint of the deceleration:
 before it the speed is held or grows, after it the body slows down; a brake by a deceleration of three times that before
 it and more, to the end of the motion; rest by a speed that is not distinguishable from zero; a disturbance by a speed
-that grows again. A body that changes its sense of rotation more than once oscillates and is not cut.
+that grows again. A body that changes its sense of rotation more than once, or that does not slow
+down between drive and end, is not cut.
 """
 
 from __future__ import annotations
@@ -112,6 +113,8 @@ def run_of(table: MotionTable, value: Floats, limits: Limits) -> tuple[MotionTab
     speed = np.abs(median_filter(speed, 5, mode="nearest"))
     begin, driven = _release(time, speed)
     end, stopped = _arrest(time, speed, error, begin)
+    if not _coasts(speed[begin : end + 1]):
+        return table, value
     first = time[begin] if driven else -np.inf
     last = time[end] if stopped else np.inf
     keep = (table.time >= first) & (table.time <= last)
@@ -148,6 +151,12 @@ def speeds(table: MotionTable, value: Floats) -> tuple[Floats, Floats, Floats]:
         residual = v - v.mean() - speed[k] * x
         error[k] = np.sqrt(max(float(residual @ residual) / max(size - 2, 1), 0.0) / spread)
     return time, speed, error
+
+
+def _coasts(speed: Floats) -> bool:
+    """Return whether a body slows down all the time, but for noise."""
+    lag = max(1, len(speed) // 20)
+    return bool(len(speed) > 2 * lag and (speed[lag:] < speed[:-lag]).mean() > 0.9)
 
 
 def _release(time: Floats, speed: Floats) -> tuple[int, bool]:

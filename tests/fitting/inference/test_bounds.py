@@ -41,7 +41,9 @@ def test_a_parameter_held_far_off_is_a_misfit():
 def test_a_superfluous_power_law_is_left_at_nothing():
     measured = case({"f": 0.0, "d": 2.5e-7}, 41, "case1")
     full, linear = fit(Model.of(REDUCED), [measured]), fit(Model.of(LINEAR), [measured])
-    assert linear.verdict == full.verdict == "adequate"
+    assert linear.verdict == "adequate"
+    # a power law of strength 0 has an exponent that no data determine
+    assert full.verdict in {"adequate", "not determined"}
     assert full.chi2 <= linear.chi2 + 0.01
     assert linear.bic < full.bic
     assert max(map(abs, pulls(linear, TRUTH | {"bearing.linear.d": 2.5e-7}).values())) < 4

@@ -34,7 +34,7 @@ def test_case_in_numbers(tmp_path, case):
     [
         ({"I_rotor": -1.0}, "inertia"),
         ({"casing.sigma": lambda x: 0 * x}, "positive uncertainty"),
-        ({"casing.time": lambda x: x[::-1]}, "do not increase"),
+        ({"casing.time": lambda x: x[::-1]}, "not strictly increasing"),
         ({"casing.time": lambda x: x * np.nan}, "lacks some times"),
         ({"casing.angle": lambda x: x * np.nan}, "no angles"),
         ({"rotor.sigma": lambda x: -x}, "rotor window 0"),

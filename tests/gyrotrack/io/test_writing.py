@@ -114,7 +114,7 @@ try:
     with new_file(Path({str(path)!r}), force=True) as stream:
         stream.write(bytes(5000))
 except OutputError as error:
-    print(error)
+    print(error.message)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == f"{path} cannot be written: the file size limit is reached.\n"

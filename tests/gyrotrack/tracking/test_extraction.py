@@ -175,7 +175,7 @@ def test_rotor_angle_in_scenes_of_all_kinds(draw, settings):
 
 
 def test_a_film_in_which_nothing_turns_has_a_constant_angle(draw):
-    path, _ = draw(**{**SMALL, "frames": 60, "casing": _linear(0.0), "rotor_papers": False})
+    path, _ = draw(**{**SMALL, "frames": 60, "casing": _linear(0.0), "rotor_papers": False, "wobble": 0.0})
     recording = extract(path)
     assert "nothing turns" in recording.warnings[0]
     track = recording.bodies["casing"]

@@ -111,3 +111,15 @@ def test_a_cut_makes_no_frame_a_repetition(at):
         if repeats.same(Frame(frame.index, frame.pts, shown, NONE, NONE)):
             found.append(frame.index)
     assert found == []
+
+
+def test_equal_brightness_beside_frames_that_flicker_is_no_repetition():
+    """Of lamps at 100 Hz in a film of 260 frames/s, two neighbours in thirteen are of equal brightness."""
+    detector = RepeatDetector(NOTHING)
+    found = []
+    for frame in _frames(np.arange(N), speed=0.05):
+        gain = 1.0 + 0.2 * np.sin(2.0 * np.pi * 100.0 * frame.index / 260.0)
+        lit = np.clip(np.rint(gain * frame.y), 0, 255).astype(np.uint8)
+        if detector.same(Frame(frame.index, frame.pts, lit, NONE, NONE)):
+            found.append(frame.index)
+    assert found == []

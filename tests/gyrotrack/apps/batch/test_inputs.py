@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from gyrotrack._errors import ConfigurationError
 from gyrotrack.apps.batch._experiments import Clip, Experiment, folder_name, named, read_folder, read_manifest
-from gyrotrack.apps.batch._steps import Wishes, plan
+from gyrotrack.apps.batch._steps import Request, plan
 
 TOML = """
 [defaults]
@@ -129,7 +129,7 @@ def test_folder(tmp_path):
         ("[[case]]\ncasing = 'a'\nrotor = ['b']\ndata = 'c'\n", "line 1, case[1]: a case has either"),
         ("[[clip]]\nfile = 'a'\ncapture_fps = -1\n", "line 3, clip[1].capture_fps: input should be greater"),
         ("[[clip]]\nflie = 'a'\n", "line 2, clip[1].flie: extra inputs"),
-        ("[[clip]]\nfile = 'a'\n[[clip]]\nfile = 'b/a'\n", "two cases are called 'a'"),
+        ("[[clip]]\nfile = 'a'\n[[clip]]\nfile = 'b/a'\n", "two cases have the label 'a'"),
         ("", "names no film and no case"),
         ("[[case]]\nstudy = 'no.toml'\n", "There is no study"),
     ],
@@ -159,7 +159,7 @@ def test_faults_of_a_table_name_the_line(write, text, words):
 def test_an_empty_folder(tmp_path):
     with pytest.raises(ConfigurationError, match="names no film"):
         read_folder(tmp_path)
-    with pytest.raises(ConfigurationError, match="there is no folder"):
+    with pytest.raises(ConfigurationError, match="There is no folder"):
         read_folder(tmp_path / "no")
 
 
@@ -185,7 +185,7 @@ def test_the_steps_of_a_case(tmp_path):
         Clip(Path("/g/--force.mp4"), "rotor"),
     )
     case = named([Experiment("-x", clips, surface="-s", inertia_rotor=1e-5)], tmp_path)
-    steps = plan(case, tmp_path, Wishes(improve=True))
+    steps = plan(case, tmp_path, Request(improve=True))
     assert [s.name for s in steps] == [
         "x/extract casing", "x/extract force", "x/extract force_2",
         "x/sync", "x/fit", "x/diagnose", "x/improve", "x/report",
@@ -195,4 +195,4 @@ def test_the_steps_of_a_case(tmp_path):
     assert sync.wants == ("x/extract force", "x/extract force_2")
     assert {"--label=-x", "--surface=-s"} <= set(sync.words)
     assert all(s.output.is_relative_to(tmp_path / "x") for s in steps)
-    assert [s.verb for s in plan(case, tmp_path, Wishes("sync"))] == ["extract"] * 3 + ["sync"]
+    assert [s.verb for s in plan(case, tmp_path, Request("sync"))] == ["extract"] * 3 + ["sync"]

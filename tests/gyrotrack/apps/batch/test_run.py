@@ -12,7 +12,7 @@ from gyrotrack._errors import OutputError
 from gyrotrack.apps.batch._experiments import Clip, Experiment, named
 from gyrotrack.apps.batch._journal import Journal, held
 from gyrotrack.apps.batch._runner import Run, lines, summarise, write_summary
-from gyrotrack.apps.batch._steps import Wishes, plan
+from gyrotrack.apps.batch._steps import Request, plan
 
 
 class Pretend:
@@ -76,7 +76,7 @@ def lab(tmp_path):
 
     def run(wishes=None, spoil=None, results=None):
         results = results or tmp_path / "results"
-        steps = plan(cases, results, wishes or Wishes())
+        steps = plan(cases, results, wishes or Request())
         workers = Pretend(spoil)
         with held(results):
             ended = Run(steps, results, Journal(results / "batch.jsonl")).work(workers)
@@ -128,7 +128,7 @@ def test_what_has_changed_is_done_again_and_no_more(lab, change, again):
 
 def test_settings_are_part_of_what_was_done(lab):
     lab()
-    _, ran = lab(Wishes(model="general"))
+    _, ran = lab(Request(model="general"))
     assert {line.split()[0] for line in ran} == {"fit", "diagnose", "report"}
     assert len(ran) == 6
 
@@ -219,7 +219,7 @@ def test_not_to_be_trusted_is_kept_in_mind(lab):
     (lab.results / "batch.lock").touch()
     (lab.results / "a" / "case.fits.json").write_text('{"fits": [{"fit_id": "f1"}]}')
     for _ in range(2):
-        lab(spoil={"results/a/case.fits.json": wrong}, wishes=Wishes("fit"))
+        lab(spoil={"results/a/case.fits.json": wrong}, wishes=Request("fit"))
         assert not lab.rows[0].trusted
         assert lab.rows[1].trusted
 

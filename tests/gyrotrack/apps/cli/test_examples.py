@@ -12,7 +12,17 @@ from gyrotrack.apps.cli._app import COMMANDS
 from gyrotrack.apps.cli._lazy import function_of
 
 CLIPS = Path(__file__).parents[4] / "sample_clips"
-LONG = {"demo", "extract", "sync", "batch", "profile", "improve", "scan", "figures"}  # minutes, or films
+LONG = {
+    "demo",
+    "spindown",
+    "extract",
+    "sync",
+    "batch",
+    "profile",
+    "improve",
+    "scan",
+    "figures",
+}  # minutes, or films
 SERVED = {"view"}  # runs until it is stopped; it has tests of its own
 
 

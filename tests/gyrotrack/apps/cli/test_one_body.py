@@ -48,7 +48,7 @@ def test_a_wheel(gyrotrack, wheel, tmp_path):
         assert said.code == 0
         shown += said.out
     assert "the body loses" in shown
-    assert "rmse of the body's speed" in shown
+    assert "rmse of the angular rate of the body" in shown
     # the names of laws begin with the joint that they act on; no sentence speaks of a casing or a rotor
     assert not re.findall(r".{30}(?<!-)\b(?:[Cc]asing|[Rr]otor)\b(?!\.[a-z]|:).{30}", shown)
     said = gyrotrack("fit", case, "--add", "bearing.linear")

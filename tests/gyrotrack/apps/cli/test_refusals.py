@@ -84,7 +84,6 @@ def test_a_folder_that_cannot_be_written(gyrotrack, case, tmp_path):
     said = gyrotrack("fit", case("plain"), "--ledger", tmp_path / "missing" / "fits.json")
     assert said.code == 1
     assert "cannot be written" in said.err
-    assert "--ledger" in said.err
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")

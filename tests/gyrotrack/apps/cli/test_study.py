@@ -81,7 +81,7 @@ class TestDiagnose:
 
     def test_for_people(self, gyrotrack, study):
         said = gyrotrack("diagnose", study, "--from", "f1")
-        assert said.out.startswith("The model fails: from ")
+        assert said.out.startswith("Significant lack of fit: ")
         assert "where it fails:" in said.out
         assert "what would mend it:" in said.out
         assert max(map(len, said.out.splitlines())) <= 80
@@ -121,7 +121,7 @@ class TestImprove:
 
     def test_for_people(self, gyrotrack, case):
         said = gyrotrack("improve", case("plain"))
-        assert "verdict: the model was adequate already; nothing was added" in said.out
+        assert "verdict: the model is adequate; no effect was added" in said.out
 
 
 class TestLadder:
@@ -210,7 +210,7 @@ class TestSimulate:
             "--set", "casing.windage.k=2e-12", "--set", "bearing.power.g=1.1", "--json",
         )  # fmt: skip
         assert said.code == 0
-        assert said.err == ""
+        assert said.err.startswith("Moments of inertia not given are those of the paper")
         assert said.json["model"][-1] == "casing.windage"
         assert said.json["parameters"]["casing.windage.k"] == 2e-12
         assert said.json["parameters"]["bearing.power.g"] == 1.1
@@ -284,3 +284,16 @@ class TestAsAProcess:
         assert done.returncode == 2
         assert done.stdout == ""
         assert "Missing argument" in done.stderr
+
+
+def test_the_budget_of_a_fit(gyrotrack, case):
+    path = case("plain")
+    found = gyrotrack("budget", path, "--clock-rate", "1e-3", "--json").json
+    assert found["fit_id"] == "f1"
+    b = found["parameters"]["casing.air.linear.b2"]
+    clock = next(c for c in b["contributions"] if c["source"] == "clock rate")
+    assert clock["type"] == "B"
+    assert clock["u"] == pytest.approx(1e-3 * b["value"], rel=0.01)  # N m s has one second below the line
+    said = gyrotrack("budget", path)
+    assert "casing.air.linear.b2" in said.out
+    assert gyrotrack("budget", path, "--clock-rate", "2").code == 2

@@ -171,8 +171,18 @@ def test_a_counter_that_is_written_one_row_late(tmp_path):
         read_motion(path)
     read = read_motion(path, options("revolutions=3"))
     assert any("one row late" in n for n in read.notes)
+    assert not any("missed" in n for n in read.notes)
     expected = 60 * 40 * (1 - np.exp(-read.time / 40))
     np.testing.assert_allclose(read.value - read.value[0], expected - expected[0], atol=1e-3)
+
+
+def test_a_counter_that_misses_a_pulse(tmp_path):
+    times, angle = spin_down(1)
+    seen = np.delete(times, 100)
+    text = "".join(f"{round(t * 1e6)},{k + 3}\n" for k, t in enumerate(seen.tolist()))
+    read = read_motion(write(tmp_path / "a", text))
+    assert any("1 missed pulses" in n for n in read.notes)
+    np.testing.assert_allclose(read.value - read.value[0], np.delete(angle, 100)[1:] - angle[1], atol=1e-3)
 
 
 def driven(brake=False, rest=False):

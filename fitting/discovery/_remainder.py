@@ -1,0 +1,335 @@
+"""How much of the unmodelled torque an effect explains, and what remains.
+
+Significance and size are two questions. With the net torques T of the base, of the base with the named effect, and of
+the most complete fit, all along the motion of the last one, and the unmodelled torque R of the last one where that is
+significant,
+
+    U = T_end - T_base + R,      explained = 1 - <(U - T_named + T_base)^2> / <U^2>,
+
+with the mean over the record, the bodies and the cases. Laws of an angle enter by their amplitudes k,
+<(k sin(n psi - phi))^2> = k^2 / 2.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting._numbers import rounded
+from fitting.discovery._criteria import Criteria
+from fitting.discovery._lack_of_fit import (
+    HarmonicTest,
+    PeriodogramPeak,
+    SmoothTest,
+    harmonic_test,
+    smooth_test,
+)
+from fitting.discovery._refine import with_shape_parameter
+from fitting.discovery._residuals import ResidualTorque, micro_newton_metres, residual_torques
+from fitting.discovery._select import Selection
+from fitting.dynamics._mesh import Sampler
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
+from fitting.effects._effect import Effect
+from fitting.effects._expression import Tape
+from fitting.inference._case_data import CAMERA_COLUMNS
+from fitting.inference._result import Fit
+
+Array = NDArray[np.float64]
+
+_POINTS = 2000
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """What is still significant after the named effect.
+
+    Attributes
+    ----------
+    torque_rms_Nm : float
+        Rms of the remaining torque on the body that has more of it [N m].
+    share : float
+        Share of the mean square unmodelled torque (0-1).
+    p_value : float
+        Of the freed shape constant or second effect that describes it (likelihood ratio), or of the most significant
+        lack-of-fit test.
+    sentence : str
+        Its size and what it depends on.
+    """
+
+    torque_rms_Nm: float  # noqa: N815 - the unit's own capitals
+    share: float
+    p_value: float
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """An always fitted camera effect of one case: its amplitude and standard uncertainty."""
+
+    effect: str
+    label: str
+    value: float
+    stderr: float
+    unit: str
+    p_value: float
+
+
+class Torques:
+    """Net torques of several fits of the same data along the motion of one of them.
+
+    Parameters
+    ----------
+    base : Fit
+        The fit in question.
+    end : Fit
+        The most complete one, whose motion counts.
+    residual : bool
+        Add the unmodelled torque of `end`: it has a significant lack of fit.
+    """
+
+    def __init__(self, base: Fit, end: Fit, *, residual: bool) -> None:
+        self._base, self._end = base, end
+        self._time = [np.linspace(*d.record.span, _POINTS) for d in end.problem.data]
+        self.unmodelled = self._difference(end)
+        if residual:
+            for curve in residual_torques(end):
+                self._add(curve)
+
+    def _add(self, curve: ResidualTorque) -> None:
+        case = self._end.labels.index(curve.label)
+        added = np.interp(self._time[case], curve.time, curve.torque, left=0.0, right=0.0)
+        self.unmodelled[case][0][1 if curve.body == "casing" else 0] += added
+
+    def remaining(self, named: Fit) -> tuple[float, float]:
+        """Return the share of the mean square that a fit leaves, and the rms on the body with more of it [N m]."""
+        explained = self._difference(named)
+        total, left, bodies = 0.0, 0.0, np.zeros(2)
+        for (smooth, waves), (own, own_waves) in zip(self.unmodelled, explained, strict=True):
+            for body in (0, 1):
+                names = {k for k in (*waves, *own_waves) if k[0] == body}
+                total += float(np.mean(smooth[body] ** 2)) + 0.5 * sum(
+                    abs(waves.get(k, 0)) ** 2 for k in names
+                )
+                rest = float(np.mean((smooth[body] - own[body]) ** 2)) + 0.5 * sum(
+                    abs(waves.get(k, 0) - own_waves.get(k, 0)) ** 2 for k in names
+                )
+                left += rest
+                bodies[body] += rest / len(self.unmodelled)
+        return min(left / total, 1.0) if total > 0 else 0.0, float(np.sqrt(bodies.max()))
+
+    def shape_error(self, law: Effect, freed: Effect) -> tuple[float, float]:
+        """Return share and rms of a freed law's torque that the library's law, at its best strength, does not have."""
+        total, left, bodies = 0.0, 0.0, np.zeros(2)
+        for case, t in enumerate(self._time):
+            y = Sampler(self._end.predictions[case].path.mesh, t).value(self._end.predictions[case].path.y)
+            numbers = self._end.problem.layout.numbers(self._end.theta, case)
+            known: dict[str, Any] = {
+                "t": t,
+                "omega_r": y[:, 0],
+                "omega_c": y[:, 1],
+                "delta": y[:, 0] - y[:, 1],
+            }
+            known |= {p.symbol: numbers[f"{freed.name}.{p.symbol}"] for p in freed.parameters}
+            own, unit = (np.asarray(Tape([e.expression])(known)[0]) * np.ones(len(t)) for e in (freed, law))
+            rest = float(np.mean((own - unit * (own @ unit) / max(float(unit @ unit), 1e-300)) ** 2))
+            acts = np.array(
+                [law.joint in {"rotor", "bearing"}, law.joint in {"casing", "bearing"}], dtype=float
+            )
+            left += rest * float(acts.sum())
+            bodies += rest * acts / len(self._time)
+            total += sum(float(np.mean(u**2)) for u in self.unmodelled[case][0])
+        return min(left / total, 1.0) if total > 0 else 0.0, float(np.sqrt(bodies.max()))
+
+    def _difference(self, fit: Fit) -> list[tuple[list[Array], dict[tuple[int, str], complex]]]:
+        """Return T_fit - T_base of each case: smooth torques on rotor and casing, amplitudes of laws of an angle."""
+        found = []
+        for case in range(len(self._time)):
+            a, b = self._smooth(fit, case), self._smooth(self._base, case)
+            waves, less = _amplitudes(fit, case), _amplitudes(self._base, case)
+            names = {*waves, *less}
+            found.append(([a[0] - b[0], a[1] - b[1]], {k: waves.get(k, 0j) - less.get(k, 0j) for k in names}))
+        return found
+
+    def _smooth(self, fit: Fit, case: int) -> tuple[Array, Array]:
+        t, path = self._time[case], self._end.predictions[case].path
+        y = Sampler(path.mesh, t).value(path.y)[:, :2]
+        own = fit.predictions[case].path
+        if own.y.shape[-1] > 2:
+            y = np.concatenate([y, Sampler(own.mesh, t).value(own.y)[:, 2:]], axis=1)
+        numbers = fit.problem.layout.numbers(fit.theta, case)
+        rates = fit.problem.cases[case].dynamics.rates(t, y, numbers)
+        return numbers[INERTIA_ROTOR] * rates[:, 0], numbers[INERTIA_CASING] * rates[:, 1]
+
+
+def _amplitudes(fit: Fit, case: int) -> dict[tuple[int, str], complex]:
+    """Return the complex amplitude k exp(i phi) of each law of an angle, by body and name [N m]."""
+    numbers = fit.problem.layout.numbers(fit.theta, case)
+    found: dict[tuple[int, str], complex] = {}
+    for e in fit.model.angle_dependent:
+        own = {p.role: numbers[f"{e.name}.{p.symbol}"] for p in e.parameters}
+        k = own.get("amplitude", 1.0) * np.exp(1j * own.get("phase", 0.0))
+        for body, acts in ((0, e.joint in {"rotor", "bearing"}), (1, e.joint in {"casing", "bearing"})):
+            if acts:
+                found[body, e.name] = complex(k)
+    return found
+
+
+@dataclass(frozen=True)
+class Grade:
+    """The size of an answer: form, explained share, remainder, and the rivals that explain as much."""
+
+    form: str | None
+    explained: float | None
+    remainder: Remainder | None
+    rivals: tuple[str, ...] = ()
+
+
+def grade(
+    base: Fit,
+    selection: Selection,
+    doubt: SmoothTest | PeriodogramPeak | HarmonicTest | None,
+    criteria: Criteria,
+    *,
+    misfit: bool,
+) -> Grade:
+    """Return how much of the unmodelled torque the chosen effect explains and what remains.
+
+    Parameters
+    ----------
+    base : Fit
+        The fit in question.
+    selection : Selection
+        The chosen effect and the most complete fit.
+    doubt : SmoothTest, PeriodogramPeak or HarmonicTest, optional
+        The test that contradicts the most complete fit.
+    criteria : Criteria
+        `explained`.
+    misfit : bool
+        The most complete fit has a significant lack of fit.
+    """
+    chosen, end = selection.chosen, selection.end
+    if chosen is None or chosen.fit is None:
+        return Grade(None, None, None)
+    significant = misfit or doubt is not None
+    others = [n for n in end.model.names if n not in selection.named.model.names]
+    if doubt is None and significant and chosen.effect.depends_on_angle:
+        harmonic = harmonic_test(selection.named)
+        if harmonic.p_value < criteria.doubt_adequate:
+            # what is periodic in the angle is no second effect of the speeds
+            doubt, end, others = harmonic, selection.named, []
+    free = [e for e in end.model.effects if _is_freed(e.name, selection)]
+    if not significant and not others and not free:
+        return Grade("exact", 1.0, None)
+    torques = Torques(base, end, residual=significant)
+    share, rms = torques.remaining(selection.named)
+    for e in free if not others else []:
+        # the fit of a law of the wrong shape may lie in another valley: the law itself is closer than its fit
+        share, rms = min((share, rms), torques.shape_error(_named(selection, e.name), e))
+    parts = [f"shape of {e.name}: {_shape(end, e.name, e.parameters[-1].symbol)}" for e in free]
+    parts += [f"second effect {', '.join(others)}"] if others else []
+    p = _likelihood_ratio(selection.named, end)
+    if significant:
+        test = doubt if doubt is not None else smooth_test(end)
+        p = min(p, end.lack_of_fit.p_value, test.p_value)
+        parts.append(
+            f"it {test.words}" if test.p_value < criteria.doubt_named else "a lack of fit of unknown form"
+        )
+    words = (
+        f"Remainder {micro_newton_metres(rms)} rms, {100 * share:.2g} % of the mean square unmodelled torque: "
+        f"{'; '.join(parts)}."
+    )
+    remainder = Remainder(rms, share, p, words)
+    if 1 - share < criteria.explained:
+        return Grade(None, 1 - share, remainder)
+    # a rival does as well if it is worse by less than what the chosen effect itself leaves
+    excess = max(selection.named.lack_of_fit.chi2 - selection.named.lack_of_fit.dof, 0.0)
+    left = max(excess, selection.named.deviance - end.deviance)
+    rivals = tuple(
+        c.effect.name
+        for c in selection.candidates
+        if c is not chosen and c.physical == chosen.physical and c.significant and c.fit is not None
+        if c.score > chosen.score - left and torques.remaining(c.fit)[0] < 2 * share
+    )
+    return Grade("approximate", 1 - share, remainder, rivals)
+
+
+def _likelihood_ratio(smaller: Fit, larger: Fit) -> float:
+    """Return the p-value of the parameters by which a fit is larger; 1 if by none."""
+    from scipy.special import chdtrc
+
+    more = len(larger.theta) - len(smaller.theta)
+    return float(chdtrc(more, max(smaller.deviance - larger.deviance, 0.0))) if more > 0 else 1.0
+
+
+def _named(selection: Selection, name: str) -> Effect:
+    return next(e for e in selection.named.model.effects if e.name == name)
+
+
+def _is_freed(name: str, selection: Selection) -> bool:
+    before = {e.name: e for e in selection.named.model.effects}
+    now = {e.name: e for e in selection.end.model.effects}
+    return name in before and with_shape_parameter(before[name]) == now[name]
+
+
+def _shape(fit: Fit, name: str, symbol: str) -> str:
+    e = fit.estimates[f"{name}.{symbol}"]
+    what = {"n": "exponent", "w": "width"}.get(symbol, symbol)
+    return f"{what} {rounded(e.value, e.stderr, '' if e.unit == '1' else e.unit)}"
+
+
+def nuisance_parameters(fit: Fit) -> list[Nuisance]:
+    """Return the camera effects that every fit frees, with their amplitudes, case by case.
+
+    The columns of the cameras and the free parameters are estimated together by generalised least squares at the pure
+    noise; the amplitude is the root of the sum of the squares of its cosine and sine.
+    """
+    from fitting.effects._library import LIBRARY
+
+    found = []
+    moving = ~fit.problem.layout.at_bound(fit.theta)
+    for data, p, n in zip(fit.problem.data, fit.predictions, fit.noise, strict=True):
+        if not data.is_angle:
+            continue
+        columns = np.concatenate([p.jacobian[:, moving], data.nuisance], axis=1)
+        size = np.linalg.norm(columns, axis=0)
+        size[size == 0] = np.inf
+        whitener = n.whitener.at(n.pure)
+        white, r = whitener(columns / size), whitener(data.z - p.rows)
+        gram = np.linalg.pinv(white.T @ white, rcond=1e-12, hermitian=True)
+        value = (gram @ (white.T @ r)) / size
+        covariance = gram / np.outer(size, size)
+        first = columns.shape[1] - _camera_width()
+        for name, places in CAMERA_COLUMNS.items():
+            at = [first + i for i in places]
+            both, cov = value[at], covariance[np.ix_(at, at)]
+            amplitude = float(np.hypot(*both))
+            direction = both / max(amplitude, 1e-300)
+            stderr = float(np.sqrt(max(direction @ cov @ direction, 0.0)))
+            chi2 = float(both @ np.linalg.pinv(cov, hermitian=True) @ both)
+            scale = (
+                _scale(data.casing.samples.value, data.casing.samples.time)
+                if name == "camera.shutter"
+                else 1.0
+            )
+            unit = next(q.unit for q in LIBRARY[name].parameters if q.role == "amplitude")
+            found.append(
+                Nuisance(
+                    name, data.record.label, amplitude / scale, stderr / scale, unit, math.exp(-0.5 * chi2)
+                )
+            )
+    return found
+
+
+def _camera_width() -> int:
+    return 1 + max(i for places in CAMERA_COLUMNS.values() for i in places)
+
+
+def _scale(psi: Array, time: Array) -> float:
+    """Return the speed by which the column of the rolling shutter was divided [rad/s]."""
+    width = min(25, len(psi) // 4)
+    knots = np.arange(0, len(psi), width)
+    return float(np.abs(np.gradient(psi[knots], time[knots])).max())

@@ -1,0 +1,278 @@
+"""Uncertainty budget of the parameters of a fit, after the GUM (JCGM 100:2008).
+
+About its end a fit is linear in its data. With the whitened residuals P W (m - z), where W whitens the noise and P
+projects nuisance parameters out, and their Jacobian J, the noise contributes G V_i G' with G = (J'J)^-1 J' P W and the
+covariance V_i of each of its sources; a nuisance parameter that is fitted from the same data contributes the increase
+of the variance when it is freed (type A). These contributions add up to the square of the standard error of the fit.
+
+A clock that is off by a relative rate eps changes the rows of the model by eps dm/d(eps) and the parameters by
+-(J'J)^-1 J' P W dm/d(eps) (type B). A wrong moment of inertia also changes the residuals, and with them the noise by
+which the data are weighted, so that its influence need not be linear: the distribution of the moments of inertia is
+propagated by fitting again at the nodes of a Gauss-Hermite rule, 0 and +- sqrt(3) u for each of them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.dynamics._mesh import Sampler
+from fitting.effects._library import NUISANCE
+from fitting.inference._case_data import CAMERA_COLUMNS, CaseData
+from fitting.inference._case_model import Prediction
+from fitting.inference._compression import Compressed
+from fitting.inference._fit import fit as refit
+from fitting.inference._problem import covariance_of, surely_at_bound
+from fitting.inference._result import Fit
+
+Array = NDArray[np.float64]
+
+CRYSTAL = 50e-6 / math.sqrt(3)
+"""Relative standard uncertainty of a camera's clock: crystals are specified to 50 ppm (rectangular distribution)."""
+
+# Gauss-Hermite rule of three nodes for a normal distribution
+_NODES = (-math.sqrt(3), 0.0, math.sqrt(3))
+_WEIGHTS = (1 / 6, 2 / 3, 1 / 6)
+_CAMERA_WIDTH = 2 * len(CAMERA_COLUMNS)
+_ROUNDING = 1e-12
+
+
+@dataclass(frozen=True)
+class Contribution:
+    """One source of uncertainty of one parameter.
+
+    Attributes
+    ----------
+    source : str
+        "angle noise", "process noise", "start times", "lack of fit", a camera effect, "inertia.rotor",
+        "inertia.casing", "inertia.rotor x inertia.casing" (what both do together only) or "clock rate".
+    type : {"A", "B"}
+        Evaluated from the data, or from other knowledge.
+    u : float
+        Contribution to the standard uncertainty, in the unit of the parameter.
+    sensitivity : float or None
+        Change of the parameter per unit of the input, for inputs of type B; of an inertia the mean slope.
+    share : float
+        Share of the combined variance.
+    """
+
+    source: str
+    type: Literal["A", "B"]
+    u: float
+    sensitivity: float | None
+    share: float
+
+
+@dataclass(frozen=True)
+class ParameterBudget:
+    """Value, combined standard uncertainty and unit of a parameter, with the contributions, largest first."""
+
+    value: float
+    u: float
+    unit: str
+    contributions: tuple[Contribution, ...]
+
+
+def budget(fit: Fit, *, clock_rate_u: float = CRYSTAL) -> dict[str, ParameterBudget]:
+    """Return the uncertainty budget of every parameter of a fit that has a standard error.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit. Moments of inertia contribute where their uncertainties are known (`Record.I_rotor_u`,
+        `Record.I_casing_u`); those of one value are taken as one input of all cases.
+    clock_rate_u : float
+        Relative standard uncertainty of the time base that all recordings share.
+
+    Returns
+    -------
+    dict of str to ParameterBudget
+        By parameter, as `fit.estimates`.
+    """
+    names = fit.problem.layout.names
+    linear = _Linearised(fit)
+    variances = linear.noise_variances()
+    inputs = _inertia_contributions(fit)
+    if clock_rate_u > 0:
+        cases = zip(fit.problem.data, fit.predictions, strict=True)
+        slope = linear.sensitivity([_clock_rows(d, p) for d, p in cases])
+        inputs["clock rate"] = np.abs(slope) * clock_rate_u, slope
+    found = {}
+    for i, name in enumerate(names):
+        estimate = fit.estimates.get(name)
+        if estimate is None or not math.isfinite(estimate.stderr):
+            continue
+        parts: list[tuple[str, Literal["A", "B"], float, float | None]] = [
+            (source, "A", math.sqrt(max(float(v[i]), 0.0)), None) for source, v in variances.items()
+        ]
+        parts += [
+            (source, "B", float(u[i]), None if s is None else float(s[i]))
+            for source, (u, s) in inputs.items()
+        ]
+        total = math.sqrt(sum(u**2 for _, _, u, _ in parts))
+        contributions = [
+            Contribution(source, kind, u, s, (u / total) ** 2 if total > 0 else 0.0)
+            for source, kind, u, s in parts
+            if u > _ROUNDING * total
+        ]
+        contributions.sort(key=lambda c: -c.u)
+        found[name] = ParameterBudget(estimate.value, total, estimate.unit, tuple(contributions))
+    return found
+
+
+class _Linearised:
+    """The estimator of a fit, linear about its end."""
+
+    def __init__(self, fit: Fit) -> None:
+        self.fit = fit
+        r, j = fit.problem.residuals(fit.predictions)
+        layout = fit.problem.layout
+        self.free = ~surely_at_bound(layout, layout.at_bound(fit.theta), r, j)
+        moving = int((~layout.at_bound(fit.theta)).sum())
+        self.inflation = max(1.0, fit.chi2 / max(1, fit.rows - moving))
+        self.covariance = covariance_of(j, self.free)
+
+    def _projected(self, nuisances: int) -> tuple[Array, list[Array]]:
+        """Return the covariance with the first camera effects free, and P W J of each case."""
+        blocks = []
+        for data, noise, prediction in zip(
+            self.fit.problem.data, self.fit.noise, self.fit.predictions, strict=True
+        ):
+            columns = data.nuisance
+            camera = columns.shape[1] - (_CAMERA_WIDTH if data.is_angle or data.record.gradients else 0)
+            keep = [*range(camera)]
+            if camera < columns.shape[1]:
+                keep += [camera + k for name in NUISANCE[:nuisances] for k in CAMERA_COLUMNS[name]]
+            white = noise.whitener(prediction.jacobian)
+            basis = _orthonormal(noise.whitener(columns[:, keep]))
+            blocks.append(white - basis @ (basis.T @ white))
+        return covariance_of(np.concatenate(blocks), self.free), blocks
+
+    def noise_variances(self) -> dict[str, Array]:
+        """Return the variance of each variable by source, type A."""
+        covariance, blocks = self._projected(0)
+        base = np.diag(covariance)
+        process, starts = np.zeros(len(base)), np.zeros(len(base))
+        for data, noise, block in zip(self.fit.problem.data, self.fit.noise, blocks, strict=True):
+            gain = covariance @ block.T
+            w = noise.whitener
+            roots = np.zeros((len(data.z), len(w.values)))
+            roots[: len(w.values)] = w.vectors * (w.level * np.sqrt(np.maximum(w.values, 0.0)))
+            process += np.sum((gain @ w(roots)) ** 2, axis=1)
+            for rows, direction, size in data.start_time_noise.parts:
+                column = np.zeros(len(data.z))
+                column[rows] = direction * size / math.hypot(1.0, size)
+                starts += (gain @ w(column)) ** 2
+        variances = {"angle noise": base - process - starts, "process noise": process, "start times": starts}
+        before = base
+        for k, name in enumerate(NUISANCE, 1):
+            after = np.diag(self._projected(k)[0])
+            variances[name] = after - before
+            before = after
+        variances["lack of fit"] = (self.inflation - 1) * before
+        return variances
+
+    def sensitivity(self, columns: Sequence[Array]) -> Array:
+        """Return the change of all variables per unit of an input that changes the rows of each case by columns."""
+        problem = self.fit.problem
+        gradient = np.zeros(len(self.fit.theta))
+        for project, prediction, column in zip(
+            problem.projections, self.fit.predictions, columns, strict=True
+        ):
+            gradient += project(prediction.jacobian).T @ project(column)
+        return np.asarray(-(self.covariance @ gradient))
+
+
+def _orthonormal(columns: Array) -> Array:
+    size = np.linalg.norm(columns, axis=0)
+    if not (size > 0).any():
+        return np.zeros((len(columns), 0))
+    u, s, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
+    return np.asarray(u[:, s > 1e-7 * s.max()])
+
+
+def _inertias(fit: Fit) -> Iterator[tuple[str, str, float, float]]:
+    """Yield the moments of inertia of known uncertainty: source, body, value and uncertainty [kg m2]."""
+    records = fit.problem.layout.records
+    for body in ("casing",) if records[0].single else ("rotor", "casing"):
+        known = [(getattr(r, f"I_{body}"), getattr(r, f"I_{body}_u")) for r in records]
+        several = len(set(known)) > 1
+        for value, u in dict.fromkeys(known):
+            if math.isfinite(u) and u > 0:
+                label = f"@{records[known.index((value, u))].label}" if several else ""
+                yield f"inertia.{body}{label}", body, value, u
+
+
+def _inertia_contributions(fit: Fit) -> dict[str, tuple[Array, Array | None]]:
+    """Return the standard uncertainty of all variables, and their mean slope, by each moment of inertia."""
+    inputs = list(_inertias(fit))
+    # all pairs of two inputs; of more, which several instruments have, each for itself
+    groups = [inputs] if len(inputs) < 3 else [[i] for i in inputs]
+    found: dict[str, tuple[Array, Array | None]] = {}
+    for group in groups:
+        if not group:
+            continue
+        theta = np.empty((3,) * len(group) + fit.theta.shape)
+        for place in np.ndindex(theta.shape[:-1]):
+            moved = {
+                (body, value): value + _NODES[k] * u
+                for (_, body, value, u), k in zip(group, place, strict=True)
+            }
+            theta[place] = _refitted(fit, moved)
+        weights = np.array(_WEIGHTS)
+        mean, square = theta, theta**2
+        for _ in group:
+            mean, square = (np.tensordot(weights, x, axes=(0, 0)) for x in (mean, square))
+        joint = np.maximum(square - mean**2, 0.0)
+        for axis, (source, _, _, u) in enumerate(group):
+            alone = np.moveaxis(theta, axis, 0)
+            for _ in range(len(group) - 1):
+                alone = np.tensordot(weights, alone, axes=(0, 1))
+            variance = weights @ (alone - weights @ alone) ** 2
+            found[source] = np.sqrt(variance), (alone[2] - alone[0]) / ((_NODES[2] - _NODES[0]) * u)
+            joint = joint - variance
+        if len(group) > 1:
+            found[" x ".join(source for source, *_ in group)] = np.sqrt(np.maximum(joint, 0.0)), None
+    return found
+
+
+def _refitted(fit: Fit, moved: Mapping[tuple[str, float], float]) -> Array:
+    """Return the variables of the same fit with other moments of inertia, by body and present value [kg m2]."""
+    layout = fit.problem.layout
+    if all(value == other for (_, value), other in moved.items()):
+        return fit.theta
+    data = []
+    for d in fit.problem.data:
+        r = d.record
+        rotor, casing = (
+            moved.get((body, x), x) for body, x in (("rotor", r.I_rotor), ("casing", r.I_casing))
+        )
+        data.append(replace(d, record=replace(r, I_rotor=rotor, I_casing=casing)))
+    share, per_case = layout.choices
+    start = {n: float(x) for n, x in zip(layout.names, fit.theta, strict=True)}
+    again = refit(fit.model, data, share=share, per_case=per_case, start=start, ranges=layout.ranges)
+    return again.theta
+
+
+def _clock_rows(data: CaseData, prediction: Prediction) -> Array:
+    """Return the derivative of the rows of a case by the relative rate of the clock: t becomes t (1 + eps)."""
+    path, start = prediction.path, data.record.span[0]
+
+    def change(run: Compressed, state: int) -> Array:
+        t = run.samples.time
+        omega = Sampler(path.mesh, t).value(path.y[..., state])
+        if data.is_angle:
+            return ((t - start) * omega)[:, None]
+        # speeds that are gradients of angles change with the clock themselves
+        own = omega if data.record.gradients else 0.0
+        return ((t - start) * np.gradient(omega, t) + own)[:, None]
+
+    rows = data.casing_rows(change(data.casing, 1))[:, 0]
+    if data.rotor:
+        rows[data.slices["rotor"]] = np.concatenate([w.at_samples(change(w, 0))[0][:, 0] for w in data.rotor])
+    return data.start_time_noise.whitened(rows)

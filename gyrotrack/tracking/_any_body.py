@@ -1,0 +1,686 @@
+"""Tracking of one body that turns, in any film: markers, dots and discs or nothing but its own look.
+
+What moves is found, places for its hub are proposed, each is tried by following the ring about it through some
+hundred frames, and the one that explains the change of brightness best is refined. See `_registration` for the
+measurement itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack._errors import TrackingError, UsageError
+from gyrotrack.tracking._hub_search import Motion, Proposal, follow_features, propose_hubs, still_point
+from gyrotrack.tracking._registration import (
+    TURN,
+    Picture,
+    Pose,
+    Ring,
+    Template,
+    explained,
+    follow,
+    learn,
+    register,
+    rolled,
+)
+from gyrotrack.video._decoder import Reader
+
+Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+Plane = npt.NDArray[np.uint8]
+Progress = Callable[[int, int | None], None]
+
+_HELD = (
+    600_000_000  # bytes of decoded pictures kept in memory; beyond it a film is decoded again for each pass
+)
+_TRIAL = 300  # frames on which a hub is tried
+_LEARNT = 300  # frames from which the body's picture is learnt
+_COARSE = 48.0
+_FINE = 200.0
+_EXPLAINED = 0.4
+"""Share of the change of brightness that a turning body must explain; below it nothing is tracked."""
+_OUTSIDE = 0.85
+"""The same for a hub outside the picture that was not given: a body that slides looks much like one that turns."""
+_STRETCH_SPAN = 3.0
+"""Motion in rad from which the ellipse of a tilted camera is sought."""
+_STATIC_SPAN = 1.0
+"""Motion in rad from which the fixed picture is told from the body's."""
+
+
+class Film:
+    """The luma of a film's frames, kept in memory where it fits, else decoded again for each pass."""
+
+    def __init__(self, path: Path, threads: int = 2) -> None:
+        self.path = path
+        self._threads = threads
+        self._kept: list[Plane] | None = []
+        held = 0
+        seen: list[Plane] = []
+        self.repeats: list[bool] = []
+        before: npt.NDArray[np.int16] | None = None
+        changes = []
+        with Reader(path, threads) as reader:
+            for frame in reader:
+                plane = np.ascontiguousarray(frame.y)
+                small = plane[::4, ::4].astype(np.int16)
+                changes.append(255.0 if before is None else float(np.mean(np.abs(small - before))))
+                before = small
+                held += plane.nbytes
+                if held <= _HELD:
+                    seen.append(plane.copy())
+            self.info = reader.info
+            self.stamps = reader.pts_seconds()
+            self.numbers = reader.frame_numbers()
+            self.warnings = reader.warnings
+            self.count = reader.decoded
+        self._kept = seen if held <= _HELD else None
+        self.changes = np.array(changes)
+
+    def __len__(self) -> int:
+        return self.count
+
+    def frames(self, first: int = 0, stop: int | None = None) -> Iterator[Plane]:
+        """Give the luma of frames `first` to before `stop`."""
+        stop = self.count if stop is None else min(stop, self.count)
+        if self._kept is not None:
+            yield from self._kept[first:stop]
+            return
+        with Reader(self.path, self._threads) as reader:
+            for frame in reader:
+                if frame.index >= stop:
+                    return
+                if frame.index >= first:
+                    yield np.ascontiguousarray(frame.y)
+
+    def some(self, index: Sequence[int] | npt.NDArray[np.int64]) -> list[Plane]:
+        """Return chosen frames, in the order of their numbers."""
+        if self._kept is not None:
+            return [self._kept[i] for i in index]
+        wanted = {int(i) for i in index}
+        return [f.copy() for i, f in enumerate(self.frames(0, max(wanted) + 1)) if i in wanted]
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """The motion of one body in a film.
+
+    Attributes
+    ----------
+    frame : ndarray of int, shape (m,)
+        Frames in which it was measured.
+    angle, sigma : ndarray, shape (m,)
+        Unwrapped angle, counter-clockwise as seen, and its standard uncertainty [rad].
+    ring : Ring
+        Where it was measured.
+    template : Template
+        What was learnt.
+    hub_path : ndarray, shape (m, 2)
+        Displacement of the hub [px].
+    explained : float
+        Share of the change of brightness that the motion explains, 0 to 1.
+    way : str
+        How the hub was found.
+    scale : float
+        Measured scatter of the angles over the Cramer-Rao bound.
+    correlated : float
+        Uncertainty that frames share, from the difference of two ways to measure [rad]; 0 where there is one.
+    warnings : tuple of str
+        What was not as it should be.
+    """
+
+    frame: npt.NDArray[np.int64]
+    angle: Floats
+    sigma: Floats
+    ring: Ring
+    template: Template
+    hub_path: Floats
+    explained: float
+    way: str
+    scale: float
+    correlated: float
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """One reading of a film: a ring, a way to follow, and how well it explains what is seen."""
+
+    ring: Ring
+    way: str
+    band: str
+    static: bool
+    angle: Floats
+    score: float
+
+
+def track_body(
+    film: Film, hub: tuple[float, float] | None = None, progress: Progress | None = None
+) -> Tracked:
+    """Track the body that turns in a film.
+
+    Parameters
+    ----------
+    film : Film
+        The film.
+    hub : tuple of float, optional
+        Its centre of rotation (x, y) [px], if it is known; it may be outside the picture.
+    progress : callable, optional
+        Called with (frames done, frames in all).
+
+    Raises
+    ------
+    TrackingError
+        Nothing moves, nothing turns, or two readings of the film are possible.
+    """
+    usable = fresh_frames(film)
+    if len(usable) < 12:
+        raise TrackingError(
+            f"{film.path.name} has only {len(usable)} different frames; 12 are needed to track a motion",
+            "give a longer film",
+        )
+    sample = film.some(usable[np.unique(np.linspace(0, len(usable) - 1, 120).astype(int))])
+    motion = Motion.of(sample)
+    if motion.moving.mean() < 2e-4:
+        raise TrackingError(f"nothing moves in {film.path.name}", "check that it is the right film")
+    first = min(len(usable) // 10, max(0, len(usable) - _TRIAL)) if len(usable) > 60 else 0
+    block = film.some(usable[first : first + _TRIAL])
+    if hub is not None:
+        if not all(math.isfinite(v) for v in hub):
+            raise UsageError("The hub is not a place.", "Give it as --hub X,Y in px.")
+        proposals = [Proposal(hub, "given")]
+    else:
+        proposals = propose_hubs(block, motion)
+    if hub is None and (loose := _by_features(film, usable, motion)) is not None:
+        return loose
+    trials = [trial for p in proposals for trial in _trials(p, block, motion)]
+    trials.sort(key=lambda trial: -trial.score - 0.02 * trial.static)
+    if not trials or trials[0].score < 0.02:
+        raise TrackingError(
+            f"no body that turns about a hub is found in {film.path.name}",
+            "give the centre of rotation with --hub X,Y",
+        )
+    best = max(
+        (_refined_trial(trial, block, keep=hub is not None) for trial in _distinct(trials)),
+        key=lambda t: t.score,
+    )
+    height, width = motion.mean.shape
+    outside = hub is None and not (0 <= best.ring.hub[0] < width and 0 <= best.ring.hub[1] < height)
+    needed = _OUTSIDE if outside else _EXPLAINED
+    if best.score < needed:
+        raise TrackingError(
+            f"no body that turns about a hub is found in {film.path.name}: the best reading explains "
+            f"{100 * max(best.score, 0):.0f} % of the change of brightness, {100 * needed:.0f} % are needed",
+            "give the centre of rotation with --hub X,Y",
+        )
+    return _measure(film, usable, first, best, motion, progress)
+
+
+def _by_features(film: Film, usable: npt.NDArray[np.int64], motion: Motion) -> Tracked | None:
+    """Track a body without an axle, such as a hanging table, by its features; None for any other film.
+
+    A body on an axle is left to registration, which uses the whole picture: features are for a hub that moves by more
+    than a pixel and a turn of less than a radian to both sides.
+    """
+    wanted = set(usable.tolist())
+    found = follow_features((f for i, f in enumerate(film.frames()) if i in wanted), motion)
+    if found is None:
+        return None
+    turn, moved, _ = found
+    theta = np.unwrap(np.angle(turn))
+    if not 0.01 < np.ptp(theta) < 2.0:
+        return None
+    start = complex(*still_point(turn, moved))
+    path = turn * start + moved
+    hub = complex(np.mean(path))
+    if np.abs(path - hub).std() < 0.5 and np.abs(path - hub).max() < 2.0:
+        return None
+    ring = ring_for((hub.real, hub.imag), motion, _COARSE)
+    if ring is None:
+        return None
+    shift = np.stack([(path - hub).real, (path - hub).imag], axis=1)
+    use = np.unique(np.linspace(0, len(usable) - 1, 150).astype(int))
+    pictures = film.some(usable[use])
+    for again in range(2):
+        polars = [ring.unwrap(f, tuple(shift[k])) for k, f in zip(use, pictures, strict=True)]
+        allowed = ring.inside(motion.mean.shape)
+        template = learn(polars, theta[use], allowed, ring, separate=False, plain=True)
+        share, rows = explained(polars, theta[use], template)
+        if not again:
+            ring = _trimmed(ring, rows)
+    if share < _EXPLAINED:
+        return None
+    # features at the body's edge are dragged by the background: the whole picture decides, and the difference between
+    # the two is an uncertainty that neighbouring frames share
+    of_features = -theta.copy()
+    for _ in range(3):
+        poses = [register(p, template, theta[k], move=True) for k, p in zip(use, polars, strict=True)]
+        theta[use] = [p.angle for p in poses]
+        shift[use] += np.array([p.shift for p in poses]).clip(-2.0, 2.0)
+        polars = [ring.unwrap(f, tuple(shift[k])) for k, f in zip(use, pictures, strict=True)]
+        template = learn(polars, theta[use], allowed, ring, separate=False, plain=True)
+    template = learn(polars, theta[use], allowed, ring, separate=False)
+    every: list[Pose] = []
+    for k, frame in enumerate(f for i, f in enumerate(film.frames()) if i in wanted):
+        pose = register(ring.unwrap(frame, tuple(shift[k])), template, theta[k], move=True)
+        shift[k] += np.clip(pose.shift, -2.0, 2.0)
+        every.append(register(ring.unwrap(frame, tuple(shift[k])), template, pose.angle, move=True))
+    share, _ = explained(polars, theta[use], template)
+    angle = -np.array([p.angle for p in every])
+    formal = np.array([p.formal for p in every])
+    scale = white_noise(angle) / float(np.median(formal))
+    correlated = float((angle - of_features).std())
+    repeated = len(film) - len(usable)
+    warnings = [
+        *film.warnings,
+        (
+            f"The hub moves by {float(np.abs(path - hub).std()):.1f} px rms and is measured; features and "
+            f"registration of the picture differ by {1e3 * correlated:.2g} mrad rms, which the uncertainty contains."
+        ),
+    ]
+    if repeated:
+        warnings.append(f"{repeated} of {len(film)} frames repeat the one before them and are left out.")
+    return Tracked(
+        frame=usable,
+        angle=angle,
+        sigma=np.hypot(scale * formal, correlated),
+        ring=ring,
+        template=template,
+        hub_path=shift,
+        explained=share,
+        way="features",
+        scale=scale,
+        correlated=correlated,
+        warnings=tuple(warnings),
+    )
+
+
+def fresh_frames(film: Film) -> npt.NDArray[np.int64]:
+    """Return the numbers of the frames that are no repetition of the one before."""
+    change = film.changes
+    usual = float(np.median(change[1:])) if len(change) > 1 else 0.0
+    return np.flatnonzero(~(change < 0.1 * usual)).astype(np.int64) if usual > 0 else np.arange(len(change))
+
+
+def ring_for(hub: tuple[float, float], motion: Motion, finest: float) -> Ring | None:
+    """Return the ring about a hub in which the picture moves, an arc if most of it is outside the picture."""
+    height, width = motion.mean.shape
+    y, x = np.mgrid[0:height, 0:width]
+    distance = np.hypot(x - hub[0], y - hub[1])
+    bins = np.minimum(distance.astype(int), int(distance.max()))
+    count = np.bincount(bins.ravel())
+    share = np.bincount(bins.ravel(), motion.moving.ravel().astype(float)) / np.maximum(count, 1)
+    share = np.convolve(share, np.ones(3) / 3, mode="same")
+    enough = count >= 20
+    if not enough.any():
+        return None
+    level = 0.2 * float(np.quantile(share[enough], 0.9))
+    good = np.flatnonzero(enough & (share > max(level, 0.01)))
+    if len(good) < 4:
+        return None
+    outer = float(good[-1]) + 2.0
+    inside = 0 <= hub[0] < width and 0 <= hub[1] < height
+    if inside:
+        inner = max(3.0, 0.06 * outer, float(good[0]) - 2.0)
+        return Ring.about(hub, inner, outer, finest=finest) if outer > inner + 5 else None
+    inner = max(float(good[0]) - 2.0, float(distance.min()))
+    towards = math.atan2(height / 2 - hub[1], width / 2 - hub[0])
+    angle = np.arctan2(y - hub[1], x - hub[0]) - towards
+    angle = ((angle + np.pi) % TURN - np.pi)[motion.moving & (distance > inner) & (distance < outer)]
+    low, high = float(np.quantile(angle, 0.002)), float(np.quantile(angle, 0.998))
+    margin = 0.6 * (high - low)
+    span = min(high - low + 2 * margin, TURN)
+    return Ring.about(hub, inner, outer, finest=finest, start=towards + low - margin, span=span)
+
+
+def _trials(proposal: Proposal, block: Sequence[Plane], motion: Motion) -> list[_Trial]:
+    ring = ring_for(proposal.hub, motion, _COARSE)
+    if ring is None:
+        return []
+    polars = [ring.unwrap(frame) for frame in block]
+    allowed = ring.inside(block[0].shape)
+    mean = np.mean(polars, axis=0)
+    moving = np.std(polars, axis=0) > 4 * motion.noise
+    area = ring.area.astype(np.float32) * allowed
+    found = []
+    for static, bands in ((True, ("low", "middle", "high")), (False, ("low", "high"))):
+        weight = area if static else area * moving
+        for band in bands:
+            rough = follow(
+                polars, weight.astype(np.float32), mean if static else np.zeros_like(mean), ring, band=band
+            )
+            if np.ptp(rough.angle) < 2e-3:
+                continue
+            score, _ = _score(polars, rough.angle, allowed, ring)
+            found.append(_Trial(ring, proposal.way, band, static, rough.angle, score))
+    return found
+
+
+def _separable(angle: Floats) -> bool:
+    """Tell whether a motion is large enough to tell the fixed picture from the body's."""
+    return float(np.ptp(angle)) > _STATIC_SPAN
+
+
+def _score(polars: Sequence[Picture], angle: Floats, allowed: Bools, ring: Ring) -> tuple[float, Floats]:
+    use = slice(None, None, max(1, len(polars) // 100))
+    template = learn(polars[use], angle[use], allowed, ring, separate=_separable(angle), plain=True)
+    return explained(polars, angle, template)
+
+
+def _distinct(trials: Sequence[_Trial]) -> list[_Trial]:
+    """Return the best readings whose motion differs, at most three."""
+    kept: list[_Trial] = []
+    for trial in trials:
+        if trial.score > 0.3 * trials[0].score and all(
+            np.std(trial.angle - other.angle) > 0.1 * np.std(other.angle) for other in kept
+        ):
+            kept.append(trial)
+        if len(kept) == 3:
+            break
+    return kept
+
+
+def _refined_trial(trial: _Trial, block: Sequence[Plane], *, keep: bool) -> _Trial:
+    """Improve radii, hub and angles of a reading on its block of frames."""
+    shape = block[0].shape
+    ring, angle = trial.ring, trial.angle
+    polars = [ring.unwrap(frame) for frame in block]
+    _, rows = _score(polars, angle, ring.inside(shape), ring)
+    ring = _trimmed(ring, rows)
+    use = np.unique(np.linspace(0, len(block) - 1, 60).astype(int))
+    few = [block[i] for i in use]
+
+    def tried(place: Floats, angle: Floats) -> tuple[float, Floats]:
+        there = _placed(ring, place)
+        allowed = there.inside(shape)
+        if allowed.mean() < 0.7 * ring.inside(shape).mean():  # the ring leaves the picture
+            return -math.inf, angle
+        polars = [there.unwrap(frame) for frame in few]
+        for _ in range(2):
+            template = learn(polars, angle, allowed, there, separate=_separable(angle), plain=True)
+            angle = np.array([register(p, template, a).angle for p, a in zip(polars, angle, strict=True)])
+        template = learn(polars, angle, allowed, there, separate=_separable(angle), plain=True)
+        usable = (allowed * there.area).astype(np.float32)
+        mean = np.mean(polars, axis=0)
+        rest = sum(
+            float(np.sum(usable * (p - template.fixed - rolled(template.body, a / there.step)) ** 2))
+            for p, a in zip(polars, angle, strict=True)
+        )
+        total = sum(float(np.sum(usable * (p - mean) ** 2)) for p in polars)
+        return 1.0 - rest / max(total, 1e-9), angle
+
+    place: Floats = np.array([*ring.hub, *ring.stretch])
+    angles: Floats
+    best, angles = tried(place, angle[use])
+    free = _free(ring, angle, given=keep)
+    for _ in range(6 if free else 0):
+        change: Floats = np.zeros(4)
+        change[free] = ring_step(_placed(ring, place), few, angles, free)
+        factor, before, start = 1.0, best, place
+        while True:  # lengthen the step while that helps, for the learnt picture gives way
+            value, there = tried(start + factor * change, angles)
+            if value > best:
+                best, place, angles, factor = value, start + factor * change, there, 1.7 * factor
+            elif best > before or factor < 0.2:
+                break
+            else:
+                factor *= 0.3
+        if best - before < 1e-4:
+            break
+    ring = _placed(ring, place)
+    polars = [ring.unwrap(frame) for frame in block]
+    allowed = ring.inside(shape)
+    template = learn([polars[i] for i in use], angles, allowed, ring, separate=_separable(angles), plain=True)
+    offset = float(np.median(angles - angle[use]))
+    angle = np.array([register(p, template, a + offset).angle for p, a in zip(polars, angle, strict=True)])
+    score, _ = _score(polars, angle, allowed, ring)
+    return replace(trial, ring=ring, angle=angle, score=score)
+
+
+def _trimmed(ring: Ring, rows: Floats) -> Ring:
+    """Return the part of a coarse ring in which the turning explains what changes."""
+    good = np.flatnonzero(np.convolve(rows, np.ones(3) / 3, mode="same") > 0.3 * rows.max())
+    if len(good) < 4:
+        return ring
+    step = (ring.outer - ring.inner) / ring.rows
+    inner = max(ring.inner + step * (good[0] - 1), 2.0)
+    outer = ring.inner + step * (good[-1] + 2)
+    return Ring.about(ring.hub, inner, outer, finest=_COARSE, start=ring.start, span=ring.span)
+
+
+def _free(ring: Ring, angle: Floats, *, given: bool) -> list[int]:
+    """Return which of hub (0, 1) and stretch (2, 3) of a ring are sought."""
+    stretch = ring.span >= TURN and np.ptp(angle) > _STRETCH_SPAN
+    return ([] if given else [0, 1]) + ([2, 3] if stretch else [])
+
+
+def ring_step(ring: Ring, frames: Sequence[Plane], angles: Floats, free: Sequence[int]) -> Floats:
+    """Return the Gauss-Newton step in hub and stretch (x, y, p, q), the learnt picture and the angles projected out."""
+    allowed = ring.inside(frames[0].shape)
+    polars = [ring.unwrap(frame) for frame in frames]
+    template = learn(polars, angles, allowed, ring, separate=_separable(angles), plain=True)
+    cos, sin = np.cos(ring.angle), np.sin(ring.angle)
+    x, y = ring.radius[:, None] * cos, ring.radius[:, None] * sin
+    kernel = (ring.outer - ring.inner) / ring.rows
+    turns = [int(np.rint(a / ring.step)) for a in angles]
+    slopes = np.empty((len(frames), len(free), *allowed.shape), dtype=np.float32)
+    rests = np.empty((len(frames), *allowed.shape), dtype=np.float32)
+    for t, (polar, angle, turn) in enumerate(zip(polars, angles, turns, strict=True)):
+        model = rolled(template.body, angle / ring.step)
+        radial = np.gradient(model, kernel, axis=0)
+        across = np.gradient(model, axis=1) / (ring.radius[:, None] * ring.step)
+        by_x, by_y = radial * cos - across * sin, radial * sin + across * cos
+        every = (by_x, by_y, x * by_x - y * by_y, y * by_x + x * by_y)
+        for n, k in enumerate(free):
+            slopes[t, n] = np.roll(every[k], -turn, axis=1)
+        rests[t] = np.roll(polar - template.fixed - model, -turn, axis=1)
+    slopes -= slopes.mean(axis=0)
+    root = np.sqrt(ring.area / template.body_variance).astype(np.float32)
+    along = np.gradient(template.body, axis=1) * root
+    energy = max(float(np.sum(along**2)), 1e-9)
+    left, right = np.zeros((len(free), len(free))), np.zeros(len(free))
+    for t, turn in enumerate(turns):
+        usable = np.roll(allowed, -turn, axis=1)
+        basis = (slopes[t] * root * usable).reshape(len(free), -1)
+        rest = (rests[t] * root * usable).ravel()
+        basis = basis - np.outer(basis @ along.ravel(), along.ravel()) / energy
+        left += basis @ basis.T
+        right += basis @ rest
+    scale = np.sqrt(np.diag(left)) + 1e-12
+    solved = np.linalg.solve(left / np.outer(scale, scale) + 1e-4 * np.eye(len(free)), right / scale) / scale
+    limit = np.array([0.05 * ring.outer, 0.05 * ring.outer, 0.05, 0.05])[list(free)]
+    return np.asarray(-solved * min(1.0, float(np.min(limit / np.maximum(np.abs(solved), 1e-12)))))
+
+
+def _placed(ring: Ring, place: Floats) -> Ring:
+    """Return a ring with another hub (x, y) and stretch (p, q)."""
+    x, y, p, q = (float(v) for v in place)
+    return replace(ring, hub=(x, y), stretch=(p, q))
+
+
+def hub_error(angle: Floats, poses: Sequence[Pose]) -> Floats:
+    """Return by how much a hub is wrong (x, y) [px], from the displacements that registration found.
+
+    About a centre that is wrong by -delta a body seems displaced by delta + m exp(i theta), m the constant that the
+    learnt picture has taken over.
+    """
+    moved = np.array([complex(*p.shift) for p in poses])
+    basis = np.stack([1.0 - np.exp(1j * (angle - angle.mean())), np.ones(len(angle))], axis=1)
+    weight = np.ones(len(moved))
+    solved = np.zeros(2, dtype=complex)
+    for _ in range(6):
+        root = np.sqrt(weight)[:, None]
+        # a ridge of one frame's worth keeps the hub where the motion is too small to tell
+        gram = (np.conj(basis * root).T @ (basis * root)) + np.diag([1e-3, 0.0])
+        solved = np.linalg.solve(gram, np.conj(basis * root).T @ (moved * root[:, 0]))
+        miss = np.abs(moved - basis @ solved)
+        scale = max(1.4826 * float(np.median(miss)), 1e-3)
+        weight = 1.0 / (1.0 + (miss / (2 * scale)) ** 2)
+    found = complex(solved.sum())
+    return np.array([found.real, found.imag])
+
+
+def white_noise(value: Floats) -> float:
+    """Return the standard deviation of the white part of a series, the least of its differences of order 2 to 6."""
+    found = [
+        1.4826 * float(np.median(np.abs(np.diff(value, order)))) / math.sqrt(math.comb(2 * order, order))
+        for order in range(2, 7)
+        if len(value) > 3 * order
+    ]
+    return min(found) if found else float("nan")
+
+
+def _measure(
+    film: Film,
+    usable: npt.NDArray[np.int64],
+    first: int,
+    best: _Trial,
+    motion: Motion,
+    progress: Progress | None,
+) -> Tracked:
+    """Follow the body through all of the film, learn its picture, and measure every frame against it."""
+    coarse = best.ring
+    shape = motion.mean.shape
+    allowed = coarse.inside(shape)
+    wanted = set(usable.tolist())
+    polars = [coarse.unwrap(f) for i, f in enumerate(film.frames()) if i in wanted]
+    use = np.unique(np.linspace(0, len(polars) - 1, 120).astype(int))
+    mean = np.mean([polars[i] for i in use], axis=0)
+    moving = np.std([polars[i] for i in use], axis=0) > 4 * motion.noise
+    ways = [(best.static, best.band)]
+    ways += [(s, b) for s in (True, False) for b in ("high", "middle", "low") if (s, b) != ways[0]]
+    angle, share = np.zeros(len(polars)), -math.inf
+    for static, band in ways:
+        weight = (coarse.area * allowed * (1.0 if static else moving)).astype(np.float32)
+        fixed = mean if static else np.zeros_like(mean)
+        found = np.zeros(len(polars))
+        found[first:] = follow(polars[first:], weight, fixed, coarse, band=band).angle
+        if first:
+            found[first::-1] = follow(polars[first::-1], weight, fixed, coarse, band=band).angle
+        score, _ = _score(polars, found, allowed, coarse)
+        if score > share:
+            angle, share = found, score
+        if share > 0.85 * best.score:
+            break
+    angle = _settle(polars, angle, allowed, coarse)
+    share, _ = _score(polars, angle, allowed, coarse)
+    if share < _EXPLAINED:
+        raise TrackingError(
+            f"the body in {film.path.name} is followed through a part of the film only: its turning explains "
+            f"{100 * max(share, 0):.0f} % of the change of brightness, {100 * _EXPLAINED:.0f} % are needed",
+            "cut the film to the motion, or give the centre of rotation with --hub X,Y",
+        )
+    best = replace(best, score=share)
+    ring = replace(
+        Ring.about(
+            coarse.hub, coarse.inner, coarse.outer, finest=_FINE, start=coarse.start, span=coarse.span
+        ),
+        stretch=coarse.stretch,
+    )
+    allowed = ring.inside(shape)
+    limit = max(40, min(_LEARNT, int(400e6 / (4 * ring.rows * ring.columns))))
+    chosen = np.unique(np.linspace(0, len(usable) - 1, limit).astype(int))
+    pictures = film.some(usable[chosen])
+    separate = _separable(angle[chosen])
+    free = _free(ring, angle, given=best.way == "given")
+    for _ in range(2):
+        shown = [ring.unwrap(picture) for picture in pictures]
+        template = learn(shown, angle[chosen], allowed, ring, separate=separate, plain=True)
+        poses = [register(p, template, a) for p, a in zip(shown, angle[chosen], strict=True)]
+        angle[chosen] = [p.angle for p in poses]
+        few = np.unique(np.linspace(0, len(chosen) - 1, 60).astype(int))
+        if free:
+            place = np.array([*ring.hub, *ring.stretch])
+            place[free] += ring_step(ring, [pictures[i] for i in few], angle[chosen][few], free)
+            ring = _placed(ring, place)
+    shown = [ring.unwrap(picture) for picture in pictures]
+    template = learn(shown, angle[chosen], allowed, ring, separate=separate, plain=True)
+    poses = [register(p, template, a) for p, a in zip(shown, angle[chosen], strict=True)]
+    angle[chosen] = [p.angle for p in poses]
+    good = _good(poses)
+    template = learn(shown, angle[chosen], allowed, ring, separate=separate, counted=good)
+    hub_sigma = _hub_motion(shown, angle[chosen], template) if best.way != "given" else 0.0
+    template = replace(template, hub_sigma=hub_sigma)
+    poses = []
+    for k, frame in enumerate(f for i, f in enumerate(film.frames()) if i in wanted):
+        poses.append(register(ring.unwrap(frame), template, angle[k]))
+        if progress is not None:
+            progress(k + 1, len(usable))
+    return _finish(film, usable, ring, template, poses, best, angle)
+
+
+def _settle(polars: Sequence[Picture], angle: Floats, allowed: Bools, ring: Ring) -> Floats:
+    """Improve the angles of all frames on the coarse ring."""
+    for _ in range(2):
+        use = np.unique(np.linspace(0, len(polars) - 1, _LEARNT).astype(int))
+        template = learn(
+            [polars[i] for i in use],
+            angle[use],
+            allowed,
+            ring,
+            separate=_separable(angle),
+            plain=True,
+        )
+        angle = np.array([register(p, template, a).angle for p, a in zip(polars, angle, strict=True)])
+    return angle
+
+
+def _good(poses: Sequence[Pose]) -> Floats:
+    misfit = np.array([p.misfit for p in poses])
+    return np.asarray(misfit < 3 * np.median(misfit), dtype=np.float64)
+
+
+def _hub_motion(polars: Sequence[Picture], angle: Floats, template: Template) -> float:
+    """Return the standard deviation of the hub's displacement [px]; 0 where it explains hardly anything."""
+    fixed = [register(p, template, a) for p, a in zip(polars, angle, strict=True)]
+    moved = [register(p, template, a, move=True) for p, a in zip(polars, angle, strict=True)]
+    gain = np.median([m.misfit for m in moved]) / max(float(np.median([f.misfit for f in fixed])), 1e-12)
+    noise = float(np.median([p.shift_sigma for p in moved]))
+    size = float(np.median(np.abs(np.array([p.shift for p in moved])))) * 1.4826
+    return size if gain < 0.8 and size > 3 * noise else 0.0
+
+
+def _finish(
+    film: Film,
+    usable: npt.NDArray[np.int64],
+    ring: Ring,
+    template: Template,
+    poses: Sequence[Pose],
+    best: _Trial,
+    rough: Floats,
+) -> Tracked:
+    angle = -np.array([p.angle for p in poses])
+    formal = np.array([p.formal for p in poses])
+    misfit = np.array([p.misfit for p in poses])
+    usual = float(np.median(misfit))
+    kept = (misfit < 6 * usual) & (np.abs(angle + rough) < 4 * ring.step + 0.1)
+    scatter = white_noise(angle[kept])
+    inflated = formal * np.sqrt(np.maximum(misfit / usual, 1.0))
+    scale = scatter / float(np.median(inflated[kept]))
+    warnings = list(film.warnings)
+    repeated = len(film) - len(usable)
+    if repeated:
+        warnings.append(f"{repeated} of {len(film)} frames repeat the one before them and are left out.")
+    lost = int((~kept).sum())
+    if lost:
+        warnings.append(
+            f"{lost} of {len(kept)} frames do not show the body as the others do and are left out."
+        )
+    return Tracked(
+        frame=usable[kept],
+        angle=angle[kept],
+        sigma=scale * inflated[kept],
+        ring=ring,
+        template=template,
+        hub_path=np.array([p.shift for p in poses])[kept],
+        explained=best.score,
+        way=best.way,
+        scale=scale,
+        correlated=0.0,
+        warnings=tuple(warnings),
+    )

@@ -1,0 +1,331 @@
+"""Proposals for the hub of a body that turns, from the film alone.
+
+Three independent ways, each blind to what another one sees: the centre towards which the edges of the mean picture
+point (many turns smear a body into circles); the fixed point of the similarity of two frames (features of a textured
+body); the centre of the orbit of a compact spot. Which of them is right is decided by registration, not here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+Plane = npt.NDArray[np.uint8]
+
+_PAIRS = 40
+_FEATURES = 400
+_STRAY = 8.0  # px from the similarity at which a feature is given up
+_FEWEST = 12  # features that a similarity needs
+_FARTHEST = 6.0  # picture sizes; a hub farther off than that has no curvature that could be measured
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What moves in a film.
+
+    Attributes
+    ----------
+    mean, deviation : ndarray, shape (height, width)
+        Mean brightness and its standard deviation in time, in grey levels.
+    noise : float
+        Standard deviation where nothing moves.
+    moving : ndarray of bool, shape (height, width)
+        Where the brightness changes by more than noise.
+    """
+
+    mean: Floats
+    deviation: Floats
+    noise: float
+    moving: npt.NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, frames: Sequence[Plane]) -> Motion:
+        """Compare frames from all of a film."""
+        total = np.zeros(frames[0].shape)
+        square = np.zeros(frames[0].shape)
+        for frame in frames:
+            shown = frame.astype(np.float64)
+            total += shown
+            square += shown**2
+        mean = total / len(frames)
+        deviation = np.sqrt(np.maximum(square / len(frames) - mean**2, 0.0))
+        noise = max(min(float(np.quantile(deviation, 0.3)), _spatial_noise(frames)), 0.5)
+        smooth = cv2.blur(deviation, (3, 3))
+        moving = cv2.morphologyEx(
+            (smooth > 4.0 * noise).astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8)
+        ).astype(bool)
+        return cls(mean, deviation, noise, moving)
+
+
+def _spatial_noise(frames: Sequence[Plane]) -> float:
+    """Return the noise of single frames by the difference of two Laplacians (Immerkaer 1996)."""
+    kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float64)
+    found = [
+        float(np.mean(np.abs(cv2.filter2D(f.astype(np.float64), -1, kernel))))
+        for f in frames[:: max(1, len(frames) // 8)]
+    ]
+    return math.sqrt(math.pi / 2) / 6 * float(np.median(found))
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A hub (x, y) [px] and the way by which it was found."""
+
+    hub: tuple[float, float]
+    way: str
+
+
+def propose_hubs(frames: Sequence[Plane], motion: Motion) -> list[Proposal]:
+    """Return places where the hub may be, those that agree within a hundredth of the picture given once.
+
+    Parameters
+    ----------
+    frames : sequence of ndarray, shape (height, width)
+        Consecutive frames.
+    motion : Motion
+        What moves in the film.
+    """
+    height, width = motion.mean.shape
+    found: list[Proposal] = []
+    similarity = similarity_hub(frames, motion)
+    for way, place in (
+        ("features", similarity),
+        ("edges", edge_hub(motion)),
+        ("orbit", orbit_hub(frames, motion)),
+        ("middle of what moves", _middle(motion)),
+    ):
+        if place is None or not np.all(np.isfinite(place)):
+            continue
+        if np.hypot(place[0] - width / 2, place[1] - height / 2) > _FARTHEST * max(width, height):
+            continue
+        near = 0.004 * max(width, height)
+        if all(np.hypot(place[0] - p.hub[0], place[1] - p.hub[1]) > near for p in found):
+            found.append(Proposal(place, way))
+    return found
+
+
+def edge_hub(motion: Motion) -> tuple[float, float] | None:
+    """Return the point to which the gradients of the mean picture point where the body has moved."""
+    grad_x = cv2.Sobel(motion.mean, cv2.CV_64F, 1, 0, ksize=3) / 8
+    grad_y = cv2.Sobel(motion.mean, cv2.CV_64F, 0, 1, ksize=3) / 8
+    size = np.hypot(grad_x, grad_y)
+    near = cv2.dilate(motion.moving.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
+    y, x = np.nonzero(near & (size > 0.5))
+    if len(x) < 50:
+        return None
+    normal = np.stack([-grad_y[y, x], grad_x[y, x]], axis=1) / size[y, x][:, None]
+    offset = normal[:, 0] * x + normal[:, 1] * y
+    base = np.minimum(size[y, x], 20.0)
+    scale = 0.25 * float(max(motion.mean.shape))
+    hub: Any = np.array([np.median(x), np.median(y)], dtype=np.float64)
+    for _ in range(40):
+        miss = normal @ hub - offset
+        weight = base / (1.0 + (miss / scale) ** 2) ** 2
+        left = (normal * weight[:, None]).T @ normal
+        hub = np.linalg.solve(left + 1e-9 * np.eye(2), (normal * weight[:, None]).T @ offset)
+        scale = max(0.8 * scale, 1.5)
+    return float(hub[0]), float(hub[1])
+
+
+def orbit_hub(frames: Sequence[Plane], motion: Motion) -> tuple[float, float] | None:
+    """Return the centre of the circle on which the most striking moving spot goes, or None."""
+    x, y, weight = [], [], []
+    limit = max(6.0 * motion.noise, 0.35 * float(np.quantile(motion.deviation, 0.999)))
+    for frame in frames[:: max(1, len(frames) // 200)]:
+        away = np.abs(frame - motion.mean)
+        count, _, stats, middle = cv2.connectedComponentsWithStats((away > 1.5 * limit).astype(np.uint8))
+        if count < 2:
+            continue
+        best = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
+        if stats[best, cv2.CC_STAT_AREA] >= 6:
+            x.append(middle[best][0])
+            y.append(middle[best][1])
+            weight.append(1.0)
+    return fit_circle(np.array(x), np.array(y))
+
+
+def fit_circle(x: Floats, y: Floats) -> tuple[float, float] | None:
+    """Return the centre of the circle through points, robust against strays; None if they do not make one."""
+    if len(x) < 8 or np.hypot(np.ptp(x), np.ptp(y)) < 4:
+        return None
+    rng = np.random.default_rng(0)
+    best, most = None, 0
+    for _ in range(200):
+        i = rng.choice(len(x), 3, replace=False)
+        found = _solve_circle(x[i], y[i])
+        if found is None:
+            continue
+        off = np.abs(np.hypot(x - found[0], y - found[1]) - found[2])
+        inside = off < 1.5
+        if inside.sum() > most:
+            best, most = inside, int(inside.sum())
+    if best is None or most < max(8, 0.4 * len(x)):
+        return None
+    found = _solve_circle(x[best], y[best])
+    return None if found is None else (found[0], found[1])
+
+
+def _solve_circle(x: Floats, y: Floats) -> tuple[float, float, float] | None:
+    left = np.stack([x, y, np.ones_like(x)], axis=1)
+    middle = left[:, :2].mean(axis=0)
+    left[:, :2] -= middle
+    solved, _, rank, _ = np.linalg.lstsq(left, (left[:, :2] ** 2).sum(axis=1), rcond=None)
+    if rank < 3:
+        return None
+    centre = solved[:2] / 2
+    radius = float(np.sqrt(max(solved[2] + centre @ centre, 0.0)))
+    return float(centre[0] + middle[0]), float(centre[1] + middle[1]), radius
+
+
+def similarity_hub(frames: Sequence[Plane], motion: Motion) -> tuple[float, float] | None:
+    """Return the fixed point of the similarities between frames a few steps apart, from features that move."""
+    mask = cv2.dilate(motion.moving.astype(np.uint8), np.ones((9, 9), np.uint8)).astype(np.uint8)
+    if mask.sum() < 50:
+        return None
+    found: list[tuple[complex, complex]] = []
+    for lag in (1, 4):
+        starts = np.unique(np.linspace(0, len(frames) - 1 - lag, _PAIRS).astype(int))
+        for i in starts[starts >= 0]:
+            pair = similarity(frames[i], frames[i + lag], mask)
+            if pair is not None:
+                found.append(pair)
+    if len(found) < 4:
+        return None
+    turn = np.array([a for a, _ in found])
+    moved = np.array([b for _, b in found])
+    left = 1.0 - turn
+    weight = np.abs(left) > np.median(np.abs(left)) * 0.5
+    hub = complex(
+        np.sum(np.conj(left) * moved * weight) / max(float(np.sum(np.abs(left) ** 2 * weight)), 1e-12)
+    )
+    for _ in range(20):
+        miss = np.abs(moved - left * hub)
+        scale = max(1.4826 * float(np.median(miss)), 1e-3)
+        robust = weight / (1.0 + (miss / (2 * scale)) ** 2)
+        hub = complex(
+            np.sum(np.conj(left) * moved * robust) / max(float(np.sum(np.abs(left) ** 2 * robust)), 1e-12)
+        )
+    return hub.real, hub.imag
+
+
+def similarity(first: Plane, second: Plane, mask: Plane) -> tuple[complex, complex] | None:
+    """Return (a, b) of z -> a z + b, |a| = 1, between the moving features of two frames; None without agreement."""
+    points = cv2.goodFeaturesToTrack(first, _FEATURES, 0.01, 5, mask=mask)
+    if points is None or len(points) < 6:
+        return None
+    options: dict[str, Any] = {"winSize": (21, 21), "maxLevel": 4}
+    flow: Any = cv2.calcOpticalFlowPyrLK
+    there, status, _ = flow(first, second, points, None, **options)
+    back, again, _ = flow(second, first, there, None, **options)
+    sure = (status[:, 0] == 1) & (again[:, 0] == 1) & (np.abs(points - back).max(axis=(1, 2)) < 0.5)
+    start, end = points[sure, 0], there[sure, 0]
+    moves = np.hypot(*(end - start).T) > 0.3
+    if moves.sum() < 6:
+        return None
+    found, inside = cv2.estimateAffinePartial2D(
+        start[moves], end[moves], method=cv2.RANSAC, ransacReprojThreshold=1.0
+    )
+    if found is None or inside.sum() < max(6, 0.4 * moves.sum()):
+        return None
+    a = complex(found[0, 0], found[1, 0])
+    if not 0.97 < abs(a) < 1.03 or abs(np.angle(a)) < 1e-3:
+        return None
+    a /= abs(a)
+    use = inside[:, 0] == 1
+    z0 = start[moves][use] @ np.array([1, 1j])
+    z1 = end[moves][use] @ np.array([1, 1j])
+    return a, complex(np.mean(z1) - a * np.mean(z0))
+
+
+def follow_features(
+    frames: Iterable[Plane], motion: Motion
+) -> tuple[npt.NDArray[np.complex128], npt.NDArray[np.complex128], Floats] | None:
+    """Follow the features of a body by optical flow from frame to frame; None where too few are left.
+
+    Returns
+    -------
+    a, b, sigma : ndarray, shape (n,)
+        z -> a z + b, |a| = 1, from the first frame to each, and the formal uncertainty of arg a [rad] from the scatter
+        of the features.
+    """
+    smooth = cv2.blur(motion.deviation, (5, 5))
+    strong = motion.moving & (smooth > float(np.median(smooth[motion.moving])))
+    mask = cv2.dilate(strong.astype(np.uint8), np.ones((5, 5), np.uint8)).astype(np.uint8)
+    flow: Any = cv2.calcOpticalFlowPyrLK
+    options: dict[str, Any] = {"winSize": (21, 21), "maxLevel": 3}
+    turn, moved, sigma = [], [], []
+    before: Plane | None = None
+    start: Any = None
+    now: Any = None
+    base_a, base_b = 1.0 + 0.0j, 0.0 + 0.0j
+    for frame in frames:
+        if before is None:
+            start = now = cv2.goodFeaturesToTrack(frame, _FEATURES, 0.01, 7, mask=mask)
+            if start is None or len(start) < _FEWEST:
+                return None
+            before = frame.copy()
+            turn.append(1.0 + 0.0j)
+            moved.append(0.0 + 0.0j)
+            sigma.append(np.nan)
+            continue
+        there, status, _ = flow(before, frame, now, None, **options)
+        back, again, _ = flow(frame, before, there, None, **options)
+        sure = (status[:, 0] == 1) & (again[:, 0] == 1) & (np.abs(now - back).max(axis=(1, 2)) < 0.3)
+        start, now = start[sure], there[sure]
+        before = frame.copy()
+        if len(start) < _FEWEST:
+            return None
+        found, inside = cv2.estimateAffinePartial2D(
+            start[:, 0], now[:, 0], method=cv2.RANSAC, ransacReprojThreshold=1.5, maxIters=500
+        )
+        use = inside[:, 0] == 1 if found is not None else np.zeros(len(start), dtype=bool)
+        if use.sum() < max(_FEWEST, 0.2 * len(start)):
+            return None
+        z0, z1 = (points[use, 0] @ np.array([1, 1j]) for points in (start, now))
+        weight = np.ones(len(z0))
+        for _ in range(
+            8
+        ):  # a window that holds some still background is dragged: Tukey's weights leave it out
+            middle_0, middle_1 = np.average(z0, weights=weight), np.average(z1, weights=weight)
+            a = complex(np.vdot((z0 - middle_0) * weight, z1 - middle_1))
+            a /= max(abs(a), 1e-12)
+            b = complex(middle_1 - a * middle_0)
+            rest = np.abs(z1 - a * z0 - b)
+            scale = max(3.0 * float(np.median(rest)), 1e-3)
+            weight = np.maximum(1.0 - (rest / scale) ** 2, 1e-6) ** 2
+        far = np.abs(
+            (now[:, 0] - start[:, 0]) @ np.array([1, 1j]) - (a - 1) * (start[:, 0] @ np.array([1, 1j])) - b
+        )
+        start, now = start[far < _STRAY], now[far < _STRAY]
+        spread = float(np.sqrt(np.average(rest**2, weights=weight) / 2))
+        arm = float(np.sqrt(np.sum(weight * np.abs(z0 - middle_0) ** 2)))
+        sigma.append(spread / max(arm, 1e-12))
+        turn.append(a * base_a)
+        moved.append(a * base_b + b)
+        if (use.sum() < 0.5 * _FEATURES and use.sum() < 60) or len(start) < 2 * _FEWEST:
+            fresh = cv2.goodFeaturesToTrack(frame, _FEATURES, 0.01, 7, mask=mask)
+            if fresh is not None and len(fresh) > len(start):
+                start = now = fresh
+                base_a, base_b = turn[-1], moved[-1]
+    sigma[0] = float(np.nanmedian(sigma))
+    return np.array(turn), np.array(moved), np.array(sigma)
+
+
+def still_point(turn: npt.NDArray[np.complex128], moved: npt.NDArray[np.complex128]) -> tuple[float, float]:
+    """Return the point of the body, by its place in the first frame, that moves least."""
+    left = turn - turn.mean()
+    right = -(moved - moved.mean())
+    place = complex(np.vdot(left, right) / max(float(np.sum(np.abs(left) ** 2)), 1e-12))
+    return place.real, place.imag
+
+
+def _middle(motion: Motion) -> tuple[float, float] | None:
+    y, x = np.nonzero(motion.moving)
+    return (float(np.median(x)), float(np.median(y))) if len(x) > 50 else None

@@ -1,0 +1,501 @@
+"""Angle of a body without markers: its polar picture is registered against its own learnt mean.
+
+A ring about the hub is unwrapped into a polar picture I_t(r, phi) for each frame t. The model is
+
+    I_t(r, phi) = L(r, phi) + (1 + g_t) B(r, phi - theta_t) + o_t + displacement of the hub + noise,
+
+B the picture of the body (it turns), L what is fixed in the image (glare, background, text burnt into the picture), g_t
+and o_t changes of illumination. B, L, the angles and the noise variances of every pixel of the body and of
+the image are estimated in turn. A pixel counts by the inverse of these variances, so that what does not turn
+with the body has no weight. The step in the angle is that of Gauss and Newton; its formal uncertainty is the
+Cramer-Rao bound of the learnt picture, scaled by the measured scatter of the angles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+Picture = npt.NDArray[np.float32]
+Bools = npt.NDArray[np.bool_]
+
+TURN = 2 * np.pi
+_PHASES = 8  # copies of the template shifted by fractions of a column
+_ITERATIONS = 6
+_CLOSE = 1e-3  # columns; a step below this ends the iteration
+
+
+@dataclass(frozen=True)
+class Ring:
+    """A ring about the hub, or an arc of it, and its polar sampling.
+
+    Attributes
+    ----------
+    hub : tuple of float
+        Centre (x, y) [px]; it may be outside the picture.
+    inner, outer : float
+        Radii [px].
+    rows, columns : int
+        Samples in radius and in angle.
+    start, span : float
+        First angle and length of the arc [rad]; the span is 2 pi for a whole ring. Angles grow from x to y.
+    stretch : tuple of float
+        (p, q) of the ellipse as which the ring is seen by a tilted camera or with pixels that are not square: a
+        point (x, y) of the body is at ((1 + p) x + q y, q x + (1 - p) y).
+    """
+
+    hub: tuple[float, float]
+    inner: float
+    outer: float
+    rows: int
+    columns: int
+    start: float = 0.0
+    span: float = TURN
+    stretch: tuple[float, float] = (0.0, 0.0)
+
+    @classmethod
+    def about(
+        cls,
+        hub: tuple[float, float],
+        inner: float,
+        outer: float,
+        *,
+        finest: float = 200.0,
+        start: float = 0.0,
+        span: float = TURN,
+        stretch: tuple[float, float] = (0.0, 0.0),
+    ) -> Ring:
+        """Sample a ring once a pixel, or in coarser steps so that a radius has at most `finest` of them."""
+        step = max(1.0, outer / finest) if span >= TURN else max(1.0, (outer - inner) / finest)
+        rows = max(4, round((outer - inner) / step))
+        columns = cv2.getOptimalDFTSize(max(64, round(outer * span / step)))
+        return cls(hub, inner, outer, rows, columns, start, span, stretch)
+
+    @property
+    def radius(self) -> Floats:
+        """Radii of the rows [px], shape (rows,)."""
+        step = (self.outer - self.inner) / self.rows
+        return np.asarray(self.inner + step * (np.arange(self.rows) + 0.5), dtype=np.float64)
+
+    @property
+    def angle(self) -> Floats:
+        """Angles of the columns [rad], shape (columns,)."""
+        return np.asarray(self.start + self.step * np.arange(self.columns), dtype=np.float64)
+
+    @property
+    def step(self) -> float:
+        """Angle from one column to the next [rad]."""
+        return self.span / self.columns
+
+    @property
+    def area(self) -> Floats:
+        """Area of a sample of each row in px2, at most 1 px2 of information, shape (rows, 1)."""
+        return ((self.outer - self.inner) / self.rows * self.radius * self.step)[:, None]
+
+    def grid(self, shift: Sequence[float] = (0.0, 0.0)) -> tuple[Picture, Picture]:
+        """Return the places (x, y) of the samples [px] for a hub displaced by `shift`."""
+        cos, sin, (p, q) = np.cos(self.angle), np.sin(self.angle), self.stretch
+        x = self.hub[0] + shift[0] + self.radius[:, None] * ((1 + p) * cos + q * sin)
+        y = self.hub[1] + shift[1] + self.radius[:, None] * (q * cos + (1 - p) * sin)
+        return x.astype(np.float32), y.astype(np.float32)
+
+    def inside(self, shape: tuple[int, int]) -> Bools:
+        """Tell which samples are within a picture of shape (height, width)."""
+        x, y = self.grid()
+        return np.asarray((x >= 1) & (y >= 1) & (x <= shape[1] - 2) & (y <= shape[0] - 2))
+
+    def unwrap(self, picture: npt.NDArray[np.uint8], shift: Sequence[float] = (0.0, 0.0)) -> Picture:
+        """Return the polar picture, (rows, columns)."""
+        x, y = self.grid(shift)
+        step = (self.outer - self.inner) / self.rows
+        if step > 1.5:  # average what a sample covers
+            picture = cv2.blur(picture, (2 * round((step - 1) / 2) + 1,) * 2).astype(np.uint8)
+        found = cv2.remap(picture.astype(np.float32), x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+        return np.asarray(found, dtype=np.float32)
+
+
+def rolled(picture: Picture, columns: float) -> Picture:
+    """Turn a polar picture by a number of columns, exactly for what is band-limited."""
+    size = picture.shape[1]
+    phase = np.exp(-2j * np.pi * np.fft.rfftfreq(size) * columns).astype(np.complex64)
+    turned = np.fft.irfft(np.fft.rfft(picture, axis=1) * phase, size, axis=1)
+    return np.asarray(turned, dtype=np.float32)
+
+
+def _slope(picture: Picture) -> Picture:
+    """Return the derivative along the columns, per column."""
+    size = picture.shape[1]
+    factor = 2j * np.pi * np.fft.rfftfreq(size)
+    if size % 2 == 0:
+        factor[-1] = 0.0
+    found = np.fft.irfft(np.fft.rfft(picture, axis=1) * factor, size, axis=1)
+    return np.asarray(found, dtype=np.float32)
+
+
+@dataclass(frozen=True)
+class Template:
+    """The learnt picture of a body and what is fixed in the image.
+
+    Attributes
+    ----------
+    ring : Ring
+        Where it was learnt.
+    body, fixed : ndarray, shape (rows, columns)
+        B and L, in grey levels.
+    body_variance, fixed_variance : ndarray, shape (rows, columns)
+        Variance of a sample of the body and of the image, and ...
+    noise : float
+        ... of the noise that both share.
+    allowed : ndarray of bool, shape (rows, columns)
+        Samples within the picture.
+    part : ndarray, shape (rows, columns), optional
+        Share of the body's samples that are used, 0 to 1; all without it.
+    hub_sigma : float
+        Standard deviation of the hub's displacement from frame to frame [px]; 0 for a fixed hub.
+    """
+
+    ring: Ring
+    body: Picture
+    fixed: Picture
+    body_variance: Picture
+    fixed_variance: Picture
+    noise: float
+    allowed: Bools
+    part: Picture | None = None
+    hub_sigma: float = 0.0
+    _phases: list[tuple[Picture, Picture]] = field(default_factory=list, repr=False)
+    _shifts: list[Picture] = field(default_factory=list, repr=False)
+
+    def phases(self) -> list[tuple[Picture, Picture]]:
+        """Return the body's picture and its slope, shifted by -1/2 ... +3/8 of a column."""
+        if not self._phases:
+            for k in range(_PHASES):
+                body = rolled(self.body, (k - _PHASES // 2) / _PHASES)
+                self._phases.append((body, _slope(body)))
+        return self._phases
+
+    def shifts(self) -> list[Picture]:
+        """Return the change of the body's picture per px of the hub's displacement, in the body's frame."""
+        if not self._shifts:
+            ring = self.ring
+            radial = np.gradient(self.body, (ring.outer - ring.inner) / ring.rows, axis=0)
+            across = _slope(self.body) / (ring.radius[:, None] * ring.step)
+            cos, sin = np.cos(ring.angle), np.sin(ring.angle)
+            self._shifts.append(np.asarray(-(radial * cos - across * sin), dtype=np.float32))
+            self._shifts.append(np.asarray(-(radial * sin + across * cos), dtype=np.float32))
+        return self._shifts
+
+    def only(self, part: Picture) -> Template:
+        """Return the same template with a part of the body alone."""
+        return replace(self, part=part)
+
+
+@dataclass(frozen=True)
+class Pose:
+    """The registration of one frame.
+
+    Attributes
+    ----------
+    angle : float
+        theta [rad], in the picture from x to y.
+    formal : float
+        Its uncertainty [rad] for independent noise of the learnt variances.
+    shift : tuple of float
+        Displacement of the hub (x, y) [px].
+    shift_sigma : float
+        Its formal uncertainty [px]; infinite where it was not sought.
+    gain : float
+        Relative change of contrast.
+    misfit : float
+        Weighted mean square residual; 1 where the frame is as the others.
+    """
+
+    angle: float
+    formal: float
+    shift: tuple[float, float]
+    shift_sigma: float
+    gain: float
+    misfit: float
+
+
+def register(polar: Picture, template: Template, start: float, *, move: bool = False) -> Pose:
+    """Find the angle of a body in a polar picture by Gauss-Newton steps from a near angle.
+
+    Parameters
+    ----------
+    polar : ndarray, shape (rows, columns)
+        The frame.
+    template : Template
+        The body.
+    start : float
+        A near angle [rad], within the width of the body's details.
+    move : bool
+        Whether the hub may be displaced, too.
+    """
+    ring = template.ring
+    held = polar - template.fixed
+    turned = start / ring.step
+    area = ring.area.astype(np.float32)
+    shift, gain, normal, misfit = np.zeros(2), 0.0, np.eye(1), 1.0
+    usable = template.allowed.astype(np.float32)
+    for _ in range(_ITERATIONS):
+        whole = int(np.rint(turned))
+        k = int(np.clip(np.rint((turned - whole) * _PHASES), -_PHASES // 2, _PHASES // 2 - 1))
+        body, slope = template.phases()[k + _PHASES // 2]
+        here = whole + k / _PHASES
+        seen = np.roll(held, -whole, axis=1)
+        variance = template.body_variance + np.roll(template.fixed_variance, -whole, axis=1) - template.noise
+        weight = area * np.roll(usable, -whole, axis=1) / np.maximum(variance, template.noise)
+        if template.part is not None:
+            weight = weight * template.part
+        if not float(weight.sum()) > 0:  # all of the ring is outside the picture
+            return Pose(start, float("inf"), (0.0, 0.0), float("inf"), 0.0, float("inf"))
+        level = float(np.sum(weight * body) / np.sum(weight))
+        columns = [-slope, np.ones_like(body), body - level]
+        if move or template.hub_sigma:
+            columns += template.shifts()
+        residual = seen - body
+        clipped = 1.0 / np.maximum(1.0, residual**2 / np.maximum(9.0 * variance, 1e-6)) ** 0.5
+        robust = weight * clipped
+        basis = np.stack([c.ravel() for c in columns])
+        weighted = basis * robust.ravel()
+        normal = (weighted @ basis.T).astype(np.float64)
+        if len(columns) > 3 and template.hub_sigma:
+            normal[3:, 3:] += np.eye(2) / template.hub_sigma**2
+        normal += np.eye(len(normal)) * (1e-9 * np.trace(normal) / len(normal) + 1e-12)
+        solved = np.linalg.solve(normal, (weighted @ residual.ravel()).astype(np.float64))
+        misfit = float(
+            np.sum(robust * (residual - (basis.T @ solved).reshape(body.shape)) ** 2) / np.sum(area)
+        )
+        moved = float(np.clip(solved[0], -1.5, 1.5))
+        step = here + moved - turned
+        turned = here + moved
+        gain = float(solved[2])
+        if len(columns) > 3:
+            cos, sin = np.cos(turned * ring.step), np.sin(turned * ring.step)
+            shift = np.array([cos * solved[3] - sin * solved[4], sin * solved[3] + cos * solved[4]])
+        if abs(step) < _CLOSE:
+            break
+    covariance = np.linalg.inv(normal)
+    formal = float(np.sqrt(covariance[0, 0])) * ring.step
+    about = float(np.sqrt(max(covariance[3, 3], covariance[4, 4]))) if len(covariance) > 3 else float("inf")
+    return Pose(turned * ring.step, formal, (float(shift[0]), float(shift[1])), about, gain, misfit)
+
+
+def learn(
+    polars: Iterable[Picture],
+    angles: Floats,
+    allowed: Bools,
+    ring: Ring,
+    *,
+    separate: bool,
+    rounds: int = 2,
+    counted: Floats | None = None,
+    plain: bool = False,
+) -> Template:
+    """Learn the body's picture, what is fixed in the image, and the variances of both.
+
+    Parameters
+    ----------
+    polars : sequence of ndarray, shape (rows, columns)
+        Frames; they are read several times.
+    angles : ndarray, shape (n,)
+        Their angles [rad].
+    allowed : ndarray of bool
+        Samples within the picture.
+    ring : Ring
+        The ring.
+    separate : bool
+        Whether the motion is large enough (a turn and more) to tell the fixed picture from the body's.
+    rounds : int
+        How often body and fixed picture are improved in turn.
+    counted : ndarray, shape (n,), optional
+        Weight of each frame.
+    plain : bool
+        Give all samples the same variance: while angles or hub are still wrong, the variances are largest where the
+        body has its details.
+    """
+    polars = list(polars)
+    counted = np.ones(len(polars)) if counted is None else counted
+    usable = allowed.astype(np.float32)
+    fixed = np.zeros(usable.shape, dtype=np.float32)
+    body = fixed
+    if separate:
+        fixed = np.asarray(np.average(polars, axis=0, weights=counted), dtype=np.float32)
+        fixed -= fixed.mean(axis=1, keepdims=True)
+    for _ in range(rounds if separate else 1):
+        total, number = np.zeros_like(fixed), np.full_like(fixed, 1e-6)
+        for polar, angle, count in zip(polars, angles, counted, strict=True):
+            if count > 0:
+                whole, part = _split(angle / ring.step)
+                seen = np.float32(count) * np.roll(usable, -whole, axis=1)
+                total += seen * np.roll(rolled(polar - fixed, -part), -whole, axis=1)
+                number += seen
+        body = np.asarray(total / number, dtype=np.float32)
+        unseen = number < 0.5
+        level = np.sum(np.where(unseen, 0, body), axis=1) / np.maximum((~unseen).sum(axis=1), 1)
+        body = np.where(unseen, level[:, None], body).astype(np.float32)
+        if separate:
+            change = np.zeros_like(fixed)
+            for polar, angle, count in zip(polars, angles, counted, strict=True):
+                if count > 0:
+                    change += np.float32(count) * (polar - rolled(body, angle / ring.step))
+            fixed = np.asarray(change / np.float32(counted.sum()), dtype=np.float32)
+            fixed -= fixed.mean(axis=1, keepdims=True)
+    by_body: Any = np.zeros_like(fixed)
+    by_image: Any = np.zeros_like(fixed)
+    number = np.full_like(fixed, 1e-6)
+    for polar, angle, count in zip(polars, angles, counted, strict=True):
+        if count > 0:
+            square = (polar - fixed - rolled(body, angle / ring.step)) ** 2
+            whole, _ = _split(angle / ring.step)
+            by_image += np.float32(count) * square
+            by_body += np.float32(count) * np.roll(square * usable, -whole, axis=1)
+            number += np.float32(count) * np.roll(usable, -whole, axis=1)
+    by_body = cv2.blur(np.where(number < 0.5, by_body.sum() / number.sum(), by_body / number), (3, 3))
+    by_image = cv2.blur(by_image / np.float32(counted.sum()), (3, 3))
+    noise = max(float(np.quantile(by_body[number > 0.5 * number.max()], 0.2)), 0.05)
+    if plain:
+        by_body[:] = by_image[:] = float(np.mean(by_body))
+    return Template(
+        ring,
+        body,
+        fixed,
+        np.maximum(by_body, noise).astype(np.float32),
+        np.maximum(by_image, noise).astype(np.float32),
+        noise,
+        allowed,
+    )
+
+
+def _split(turned: float) -> tuple[int, float]:
+    whole = int(np.rint(turned))
+    return whole, turned - whole
+
+
+def correlation(first: Picture, second: Picture, *, band: str) -> Floats:
+    """Return the correlation of two polar pictures over the shift in columns of the second against the first.
+
+    The result is normalised to the energies of both pictures. `band` says which details count, by their order k
+    (cycles per turn): "low", "middle" or "high". High orders make the maximum narrow; low ones give no second maximum
+    where details are periodic, such as spokes; the middle ones are blind to a small displacement of the hub.
+    """
+    a, b = (np.fft.rfft(p, axis=1) for p in (first, second))
+    k = np.fft.rfftfreq(first.shape[1])
+    order = k * first.shape[1]
+    if band == "low":
+        factor = np.exp(-((order / 10.0) ** 2))
+    elif band == "middle":
+        factor = order**4 * np.exp(-((order / 8.0) ** 2))
+    else:
+        factor = k * np.exp(-((k / 0.2) ** 2))
+    factor[0] = 0.0
+    cross = (np.conj(a) * b * factor).sum(axis=0)
+    scale = np.sqrt(((np.abs(a) ** 2) * factor).sum() * ((np.abs(b) ** 2) * factor).sum())
+    size = first.shape[1]
+    double = np.zeros(size // 2 + 1, dtype=np.complex128)
+    double[: len(cross)] = cross
+    energy = 2 * scale / size
+    return np.asarray(np.fft.irfft(double, size) / max(energy, 1e-12), dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Rough:
+    """Angles from frame to frame, before any refinement: radians, the correlations, and the template's way."""
+
+    angle: Floats
+    likeness: Floats
+    static_removed: bool
+
+
+def follow(polars: Sequence[Picture], weight: Picture, fixed: Picture, ring: Ring, *, band: str) -> Rough:
+    """Follow a body through consecutive frames by correlation with the running mean of what was seen before.
+
+    Parameters
+    ----------
+    polars : sequence of ndarray
+        Consecutive frames.
+    weight : ndarray, shape (rows, columns)
+        Weight of the samples in the image.
+    fixed : ndarray, shape (rows, columns)
+        What is subtracted as fixed in the image.
+    ring : Ring
+        The ring.
+    """
+    size = ring.columns
+    centred = (np.arange(size) + size // 2) % size - size // 2
+    root = np.sqrt(weight)
+    mean = None
+    angle, likeness = np.zeros(len(polars)), np.zeros(len(polars))
+    speed, known, taken = 0.0, 0, 0
+    usual = 1.0
+    for t, polar in enumerate(polars):
+        shown = polar - fixed
+        shown = shown - shown.mean(axis=1, keepdims=True)
+        if mean is None:
+            mean, taken = shown * root, 1
+            angle[t], likeness[t] = 0.0, 1.0
+            continue
+        expected = angle[t - 1] + speed
+        found = correlation(mean, shown * root, band=band)
+        away = (centred - expected + size / 2) % size - size / 2
+        trust = min(known, 8) / 8
+        judged = found - (0.05 + 0.45 * trust) * found.max() * (away / (size / 2)) ** 2 * (
+            4 if trust > 0.9 else 1
+        )
+        best = int(np.argmax(judged))
+        before, at, after = found[(best - 1) % size], found[best], found[(best + 1) % size]
+        bend = before - 2 * at + after
+        place = away[best] + (0.5 * (before - after) / bend if bend < 0 else 0.0)
+        likeness[t] = at
+        if at < 0.4 * usual and known > 4:  # hidden, or another scene: go on at the speed known
+            angle[t] = expected
+            continue
+        usual += (at - usual) / min(known + 2, 20)
+        angle[t] = expected + place
+        now = angle[t] - angle[t - 1]
+        speed = now if known == 0 else speed + 0.5 * (now - speed)
+        known += 1
+        taken = min(taken + 1, 40)
+        mean = mean + (np.roll(shown * root, -int(np.rint(angle[t])), axis=1) - mean) / taken
+    return Rough(angle * ring.step, likeness, bool(np.any(fixed)))
+
+
+def explained(polars: Sequence[Picture], angles: Floats, template: Template) -> tuple[float, Floats]:
+    """Return which share of the change of brightness from frame to frame, beyond noise, the turning picture explains.
+
+    Frames are compared over the shortest lag at which the change has reached half of its largest, so that slow
+    changes of the scene do not count for motion.
+
+    Returns
+    -------
+    tuple of (float, ndarray of shape (rows,))
+        The share in the whole ring, and in each row (0 where hardly anything changes); 1 is a perfect body.
+    """
+    usable = (template.allowed * template.ring.area).astype(np.float32)
+    lags = [lag for lag in (1, 2, 4, 8, 16, 32) if lag < len(polars) // 2]
+    some = range(0, len(polars) - lags[-1], max(1, len(polars) // 40))
+    change = [
+        float(np.mean([np.sum(usable * (polars[i + lag] - polars[i]) ** 2) for i in some])) for lag in lags
+    ]
+    lag = next(lag for lag, size in zip(lags, change, strict=True) if size >= 0.5 * max(change))
+    total, rest, noise = (np.zeros(len(usable)) for _ in range(3))
+    for i in range(0, len(polars) - lag, max(1, len(polars) // 100)):
+        seen = polars[i + lag] - polars[i]
+        told = rolled(template.body, angles[i + lag] / template.ring.step) - rolled(
+            template.body, angles[i] / template.ring.step
+        )
+        total += (usable * seen**2).sum(axis=1)
+        rest += (usable * (seen - told) ** 2).sum(axis=1)
+        noise += 2 * template.noise * usable.sum(axis=1)
+    rows = np.where(total > 1.1 * noise, 1.0 - (rest - noise).clip(0) / np.maximum(total - noise, 1e-9), 0.0)
+    whole = float(total.sum() - noise.sum())
+    if whole <= 0.1 * noise.sum():
+        return 0.0, rows
+    return 1.0 - max(float(rest.sum() - noise.sum()), 0.0) / whole, rows

@@ -1,0 +1,145 @@
+"""Significance and size are two questions: laws near those of the library are named as such, with what remains."""
+
+import math
+from functools import cache
+
+import pytest
+import twobody
+
+from fitting.discovery._remainder import nuisance_parameters
+from fitting.discovery._select import improve
+from fitting.discovery._verdict import diagnose
+from fitting.dynamics._model import Model
+from fitting.effects._library import LIBRARY, REDUCED
+from fitting.inference._case_data import CaseData
+from fitting.inference._fit import fit
+from fitting.inference._record import make_record
+from fitting.study._serialisation import diagnosis_document, restored_diagnosis, stored_diagnosis
+
+TORQUE = 2e-6
+HIDDEN = {
+    "exponent": twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -TORQUE * (wc / 160) ** 1.9),
+    "exact": twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -TORQUE * (wc / 160) ** 2),
+    "ramp": twobody.Hidden(
+        casing=lambda t, wr, wc, pr, pc: -3e-6 * (0.5 + 0.5 * math.tanh((t - 88.0) / 1.5))
+    ),
+    "unbalance": twobody.Hidden(
+        casing=lambda t, wr, wc, pr, pc: 6e-5 * math.sin(pc - 0.7) + 1.8e-6 * math.sin(3 * pc - 0.2)
+    ),
+    "resonance": twobody.Hidden(
+        casing=lambda t, wr, wc, pr, pc: -TORQUE * math.exp(-(((wc - 110) / 12) ** 2))
+    ),
+}
+
+
+@cache
+def base(name):
+    motion = twobody.simulate(hidden=HIDDEN.get(name), seed=4)
+    cameras = twobody.Cameras(centre=(2e-3, 0.7)) if name == "centre" else twobody.Cameras()
+    return fit(Model.of(REDUCED), [CaseData.of(make_record(**twobody.film(motion, 4, cameras)))])
+
+
+@cache
+def answer(name):
+    return diagnose(base(name))
+
+
+def test_an_exact_law_leaves_nothing():
+    found = answer("exact")
+    assert (found.verdict, found.form, found.explained, found.remainder) == (
+        "missing_effect",
+        "exact",
+        1.0,
+        None,
+    )
+    assert "close to" not in found.sentence
+
+
+def test_an_exponent_near_the_library_is_told_with_its_interval():
+    found = answer("exponent")
+    assert (found.verdict, found.form) == ("missing_effect", "approximate")
+    assert found.candidates[0].effect.name == "casing.air.quadratic"
+    assert found.explained > 0.95
+    assert found.remainder.share == pytest.approx(1 - found.explained)
+    assert 0 < found.remainder.torque_rms_Nm < 0.1 * TORQUE
+    assert found.remainder.p_value < 1e-4
+    assert "close to" in found.sentence
+    assert "exponent 1." in found.sentence
+
+
+def test_the_free_exponent_covers_the_truth():
+    steps = improve(base("exponent"))
+    assert steps[-1].change == "+casing.air.quadratic.n"
+    n = steps[-1].fit.estimates["casing.air.quadratic.n"]
+    assert abs(n.value - 1.9) < 4 * n.stderr + 1e-3
+    assert n.stderr < 0.02
+    assert steps[-1].fit.bic < steps[1].fit.bic - 10
+    assert steps[-1].fit.verdict == "adequate"
+
+
+@pytest.mark.slow
+def test_a_step_of_finite_width_is_a_step():
+    found = answer("ramp")
+    assert (found.verdict, found.form) == ("missing_effect", "approximate")
+    assert found.candidates[0].effect.name == "touchpoint.step"
+    assert "width 1.5" in found.sentence or "width 1.4" in found.sentence
+
+
+@pytest.mark.slow
+def test_a_third_harmonic_is_the_remainder_of_an_unbalance():
+    found = answer("unbalance")
+    assert found.verdict == "missing_effect"
+    assert found.candidates[0].effect.name == "casing.unbalance"
+    assert found.form == "approximate"
+    assert "harmonic 3 of psi_c" in found.remainder.sentence
+
+
+@pytest.mark.slow
+def test_a_law_from_outside_is_no_exact_one():
+    found = answer("resonance")
+    assert found.form != "exact"
+    assert found.verdict == "unexplained"
+    assert found.explained < 0.95
+    assert "% of the mean square unmodelled torque" in found.sentence
+
+
+def test_camera_effects_are_nuisance_parameters_and_no_candidates():
+    found = answer("centre")
+    assert found.verdict == "adequate"
+    assert (found.form, found.explained, found.remainder) == (None, None, None)
+    assert not any(c.effect.nuisance for c in found.candidates)
+    values = {n.effect: n for n in found.nuisance}
+    assert set(values) == {name for name, e in LIBRARY.items() if e.nuisance}
+    centre = values["camera.centre"]
+    assert centre.unit == "rad"
+    assert abs(centre.value - 2e-3) < 4 * centre.stderr
+    assert centre.stderr < 1e-4
+    tilt = values["camera.tilt"]
+    assert tilt.value < 5 * tilt.stderr
+    assert found.sentence.endswith("Camera centre offset 2 mrad (nuisance parameter, fitted).")
+
+
+@pytest.mark.slow
+def test_the_nuisance_interval_covers_in_repeated_recordings():
+    pulls = []
+    for seed in range(6):
+        motion = twobody.simulate(seed=seed)
+        record = make_record(**twobody.film(motion, seed, twobody.Cameras(centre=(2e-3, 0.7))))
+        (centre,) = (
+            n for n in nuisance_parameters(fit(Model.of(REDUCED), [record])) if n.effect == "camera.centre"
+        )
+        pulls.append((centre.value - 2e-3) / centre.stderr)
+    assert 0.3 < math.sqrt(sum(p * p for p in pulls) / len(pulls)) < 2.0
+
+
+def test_the_document_has_the_grades_and_is_restored():
+    found = answer("exponent")
+    document = diagnosis_document(found, "f1")
+    assert document["form"] == "approximate"
+    assert document["explained"] == found.explained
+    assert set(document["remainder"]) == {"torque_rms_Nm", "share", "p_value", "sentence"}
+    assert {"effect", "value", "stderr", "unit"} <= set(document["nuisance"][0])
+    again = restored_diagnosis(stored_diagnosis(found), found.fit)
+    assert (again.form, again.explained, again.remainder, again.nuisance) == (
+        found.form, found.explained, found.remainder, found.nuisance,
+    )  # fmt: skip

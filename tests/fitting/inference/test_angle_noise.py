@@ -1,0 +1,114 @@
+"""Correlated noise of the casing's angles: found where it is, with its level and time, and nowhere else."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import twobody
+from scipy.signal import lfilter
+
+from fitting.dynamics._model import Model
+from fitting.inference._angle_noise import _covariance
+from fitting.inference._case_data import CaseData
+from fitting.inference._fit import fit
+from fitting.inference._record import Samples, make_record
+from fitting.inference._simulation import Experiment, simulate
+
+ROOT = Path(__file__).parents[3]
+FILM = ROOT.parent / "shared" / "real" / "bicycle_wheel_300fps.mp4"
+MODEL = Model.of("reduced")
+TRUTH = {
+    "rotor.air.quadratic.a2": 1.2e-10,
+    "touchpoint.constant.b1": 2.88e-6,
+    "casing.air.linear.b2": 5e-7,
+    "bearing.linear.d": 6e-8,
+    "bearing.power.f": 2e-6,
+    "bearing.power.g": 0.5,
+}
+
+
+def wandering(time, sigma, correlation, seed):
+    keep = np.exp(-(time[1] - time[0]) / correlation)
+    random = np.random.default_rng(seed)
+    kicks = sigma * np.sqrt(1 - keep**2) * random.standard_normal(len(time))
+    kicks[0] = sigma * random.standard_normal()
+    return lfilter([1.0], [1.0, -keep], kicks)
+
+
+@cache
+def case(sigma=0.0, correlation=0.1, seed=0, torque_noise=0.0):
+    experiment = Experiment(duration=100.0, windows=(10.0, 50.0, 90.0), torque_noise=torque_noise)
+    record = simulate(
+        MODEL, TRUTH, experiment, inertia_rotor=twobody.I_ROTOR, inertia_casing=twobody.I_CASING, seed=seed
+    )
+    s = record.casing
+    added = wandering(s.time, sigma, correlation, seed + 100) if sigma else 0.0
+    return CaseData.of(replace(record, casing=Samples(s.time, s.value + added, s.sigma), digest=""))
+
+
+@pytest.mark.parametrize(("sigma", "correlation"), [(3e-3, 0.1), (1e-3, 0.3)])
+def test_level_and_time_are_found(sigma, correlation):
+    found = case(sigma, correlation).angle_noise
+    # what a level over the root of the time has, is what slow rows see
+    expected = sigma**2 * correlation
+    assert found.sigma**2 * found.time == pytest.approx(expected, rel=0.8)
+    assert found.time == pytest.approx(correlation, rel=0.7)
+    assert 0.02 * found.sigma < found.sigma_u < 0.3 * found.sigma
+
+
+@pytest.mark.parametrize("torque_noise", [0.0, pytest.param(1e-7, marks=pytest.mark.slow), 1e-6])
+def test_neither_white_nor_process_noise_is_correlated_angle_noise(torque_noise):
+    assert all(case(seed=seed, torque_noise=torque_noise).angle_noise.sigma == 0 for seed in range(1, 3))
+
+
+def test_covariance_of_the_rows_is_that_of_many_draws():
+    run, time = case().casing, 0.5
+    k = run.lift.shape[1]
+    draws = np.stack([wandering(run.samples.time, 1.0, time, seed) for seed in range(400)], axis=1)
+    rows = np.concatenate([op[:k] @ draws[where] for where, op in run.operators[:4]])
+    expected = _covariance(run, time)[: 4 * k, : 4 * k]
+    # the part that counts as white noise already is taken off the diagonal
+    slow = np.arange(4 * k) % k < 2
+    seen = np.cov(rows)
+    assert np.diag(seen)[slow] == pytest.approx(np.diag(expected)[slow], rel=0.3)
+    i, j = 0, k
+    assert seen[i, j] / np.sqrt(seen[i, i] * seen[j, j]) == pytest.approx(
+        expected[i, j] / np.sqrt(expected[i, i] * expected[j, j]), abs=0.15
+    )
+
+
+def test_whitening_and_back():
+    data = case(3e-3, 0.1)
+    rows = np.random.default_rng(0).standard_normal((len(data.z), 2))
+    assert data.unwhitened(data.whitened(rows)) == pytest.approx(rows, abs=1e-9)
+    assert data.whitened(rows[:, 0]) == pytest.approx(data.whitened(rows)[:, 0], abs=1e-12)
+
+
+def test_a_fit_with_correlated_noise_is_adequate_and_its_uncertainties_hold():
+    found = fit(MODEL, [case(3e-3, 0.1)])
+    assert found.verdict == "adequate"
+    quiet = fit(MODEL, [case()])
+    for key in TRUTH:
+        e = found.estimates[key]
+        assert abs(e.value - TRUTH[key]) < 3.5 * e.stderr
+        assert e.stderr > quiet.estimates[key].stderr
+
+
+def test_deceleration_of_a_real_wheel():
+    """A hand-held film of 1.4 s: its wandering angles are no random torque of ten times the friction."""
+    if not FILM.exists():
+        pytest.skip("the film of the wheel is not here")
+    from gyrotrack.tracking._extract import extract
+    from gyrotrack.tracking._profile import load
+
+    track = extract(FILM, load(ROOT / "docs" / "bicycle.toml")).bodies["rotor"]
+    record = make_record(
+        casing=(track.time, track.angle, track.sigma), rotor=[], I_rotor=1.0, I_casing=1.0, single=True
+    )
+    found = fit(Model.of(["touchpoint.constant"]), [record])
+    friction = found.estimates["touchpoint.constant.b1"]
+    assert 0.012 < friction.stderr < 0.03
+    assert friction.value == pytest.approx(0.40, abs=2 * friction.stderr)
+    assert found.verdict == "adequate"

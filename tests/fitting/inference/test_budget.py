@@ -1,0 +1,122 @@
+"""The uncertainty budget against the fit's own errors, dimensions, refits and Monte Carlo (GUM Supplement 1)."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fitting.dynamics._model import Model
+from fitting.inference._budget import budget
+from fitting.inference._fit import fit
+from fitting.inference._simulation import Experiment, simulate
+from fitting.study._serialisation import budget_document
+
+MODEL = Model.of("linear")
+NUMBERS = {
+    "rotor.air.quadratic.a2": 9.97e-11,
+    "touchpoint.constant.b1": 2.88e-6,
+    "casing.air.linear.b2": 8.28e-7,
+    "bearing.linear.d": 1.57e-7,
+}
+SHORT = Experiment(duration=40.0, casing_fps=30.0, rotor_fps=100.0, windows=(3.0, 18.0, 34.0), sigma=3e-3)
+I_ROTOR, I_CASING = 5.54e-5, 2.06e-5
+U_ROTOR, U_CASING = 1.2e-8, 6e-9
+CLOCK = 3e-4
+
+
+def record(seed):
+    return simulate(
+        MODEL, NUMBERS, SHORT, inertia_rotor=I_ROTOR, inertia_casing=I_CASING, seed=seed, label="run"
+    )
+
+
+@pytest.fixture(scope="module")
+def found():
+    known = replace(record(0), I_rotor_u=U_ROTOR, I_casing_u=U_CASING)
+    result = fit(MODEL, [known])
+    return result, budget(result, clock_rate_u=CLOCK)
+
+
+def part(b, source):
+    return next(c for c in b.contributions if c.source == source)
+
+
+def test_contributions_of_type_a_are_the_standard_error(found):
+    result, budgets = found
+    assert set(budgets) == set(result.estimates)
+    for name, b in budgets.items():
+        noise = math.sqrt(sum(c.u**2 for c in b.contributions if c.type == "A"))
+        assert noise == pytest.approx(result.estimates[name].stderr, rel=1e-9)
+        assert b.u == pytest.approx(math.sqrt(sum(c.u**2 for c in b.contributions)))
+        assert sum(c.share for c in b.contributions) == pytest.approx(1.0)
+        assert {"angle noise", "clock rate", "inertia.rotor", "inertia.casing"} <= {
+            c.source for c in b.contributions
+        } | {"clock rate"}
+
+
+def test_the_clock_acts_by_the_power_of_time_in_the_unit(found):
+    """Times that are 1 + eps too long: a value in s^n is (1 + eps)^n too large."""
+    result, budgets = found
+    for name, power in {
+        "touchpoint.constant.b1": -2,
+        "casing.air.linear.b2": -1,
+        "bearing.linear.d": -1,
+    }.items():
+        c = part(budgets[name], "clock rate")
+        assert c.sensitivity == pytest.approx(power * result.estimates[name].value, rel=1e-3)
+        assert c.u == pytest.approx(abs(c.sensitivity) * CLOCK)
+    assert part(budgets["initial.omega_r@run"], "clock rate").sensitivity == pytest.approx(-900, rel=1e-3)
+    # a2 [N m s2 = kg m2] has no time in it
+    assert abs(part_or_zero(budgets["rotor.air.quadratic.a2"], "clock rate")) < 1e-3
+
+
+def part_or_zero(b, source):
+    return next((c.sensitivity / b.value for c in b.contributions if c.source == source), 0.0)
+
+
+def test_torques_are_in_proportion_to_both_inertias_together(found):
+    """Only ratios of torque to inertia are seen: I_r dk/dI_r + I_c dk/dI_c = k."""
+    result, budgets = found
+    for name in NUMBERS:
+        rotor, casing = (part(budgets[name], f"inertia.{b}").sensitivity for b in ("rotor", "casing"))
+        value = result.estimates[name].value
+        assert rotor * I_ROTOR + casing * I_CASING == pytest.approx(value, rel=0.02)
+
+
+def test_what_is_not_known_does_not_contribute():
+    plain = fit(MODEL, [record(0)])
+    sources = {c.source for b in budget(plain, clock_rate_u=0.0).values() for c in b.contributions}
+    assert sources <= {
+        "angle noise",
+        "process noise",
+        "lack of fit",
+        "camera.centre",
+        "camera.tilt",
+        "camera.shutter",
+    }
+    document = budget_document(budget(plain))
+    assert set(document) == {"parameters"}
+    first = next(iter(document["parameters"].values()))
+    assert set(first) == {"value", "u", "unit", "contributions"}
+    assert set(first["contributions"][0]) == {"source", "type", "u", "sensitivity", "share"}
+
+
+@pytest.mark.slow
+def test_monte_carlo(found):
+    """Noise, inertias and clock drawn anew: the spread of 120 fits is the combined uncertainty (within 3 errors)."""
+    _, budgets = found
+    rng = np.random.default_rng(5)
+    values = []
+    for i in range(120):
+        rate = 1 + CLOCK * rng.standard_normal()
+        r = record(1000 + i)
+        casing, *rotor = (replace(s, time=s.time * rate) for s in (r.casing, *r.rotor))
+        inertias = I_ROTOR + U_ROTOR * rng.standard_normal(), I_CASING + U_CASING * rng.standard_normal()
+        r = replace(
+            r, casing=casing, rotor=tuple(rotor), I_rotor=inertias[0], I_casing=inertias[1], digest=""
+        )
+        values.append([fit(MODEL, [r]).estimates[name].value for name in budgets])
+    spread = np.std(values, axis=0, ddof=1)
+    for b, s in zip(budgets.values(), spread, strict=True):
+        assert b.u == pytest.approx(s, rel=3 / math.sqrt(2 * 120))

@@ -1,0 +1,167 @@
+"""The ring without markers against an independent renderer: error, claimed uncertainty, hub, hopeless films."""
+
+import itertools
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from gyrotrack._errors import TrackingError
+from gyrotrack.tracking._any_body import track_body
+from gyrotrack.tracking._hub_search import fit_circle
+from gyrotrack.tracking._registration import Ring, learn, register, rolled
+
+
+class Rendered:
+    """Frames in memory with the interface of `Film`."""
+
+    def __init__(self, frames):
+        self._frames = frames
+        self.path = Path("rendered.mp4")
+        self.warnings = ()
+        small = [f[::4, ::4].astype(float) for f in frames]
+        self.changes = np.array([255.0] + [np.abs(b - a).mean() for a, b in itertools.pairwise(small)])
+
+    def __len__(self):
+        return len(self._frames)
+
+    def frames(self, first=0, stop=None):
+        return iter(self._frames[first:stop])
+
+    def some(self, index):
+        return [self._frames[i] for i in index]
+
+
+def renderer(radius, seed=0):
+    """Return a function theta -> clean frame of a textured disc on a textured, still background, and its hub."""
+    rng = np.random.default_rng(seed)
+    size, up = int(2 * radius * 1.25), 4
+    hub = np.array([size / 2 + 2.3, size / 2 - 1.6])
+    background = 90 + 25 * cv2.GaussianBlur(rng.normal(size=(size, size)), None, 4) * 8
+    n = up * size
+    coarse = cv2.resize(rng.normal(size=(24, 24)), (n, n), interpolation=cv2.INTER_CUBIC)
+    y, x = np.mgrid[0:n, 0:n]
+    away = np.hypot(x - n / 2, y - n / 2) / up
+    disc = np.where(away < radius, 130 + 30 * coarse, 0).astype(np.float32)
+    mask = (away < radius).astype(np.float32)
+
+    def draw(theta):
+        c, s = np.cos(theta), np.sin(theta)  # from x to y, as `register` counts
+        turn = np.array([[c, -s, 0], [s, c, 0]], dtype=float)
+        turn[:, 2] = (hub + 0.5) * up - 0.5 - turn[:, :2] @ [n / 2, n / 2]
+        layers = [cv2.warpAffine(p, turn, (n, n), flags=cv2.INTER_LINEAR) for p in (disc, mask)]
+        body, cover = (cv2.resize(p, (size, size), interpolation=cv2.INTER_AREA) for p in layers)
+        return cv2.GaussianBlur(body + (1 - cover) * background, None, 0.8)
+
+    return draw, hub
+
+
+def film_of(draw, angles, noise, seed=1):
+    rng = np.random.default_rng(seed)
+    clean = (draw(a) for a in angles)
+    return Rendered(
+        [np.clip(np.rint(c + rng.normal(0, noise, c.shape)), 0, 255).astype(np.uint8) for c in clean]
+    )
+
+
+def bound(draw, noise, theta=0.3, step=1e-3):
+    """Return the Cramer-Rao bound of the angle for a known picture and hub."""
+    slope = (draw(theta + step) - draw(theta - step)) / (2 * step)
+    return float(np.sqrt((noise**2 + 1 / 12) / np.sum(slope**2)))
+
+
+def check(radius, angles, noise, seed=0):
+    draw, hub = renderer(radius, seed)
+    found = track_body(film_of(draw, angles, noise))
+    assert np.hypot(*(np.array(found.ring.hub) - hub)) < 0.15
+    error = -found.angle - angles[found.frame]
+    error -= error.mean()
+    return error, found, bound(draw, noise)
+
+
+SPIN_DOWN = (lambda t: 0.4 + 9.0 * t - 1.2 * t**2)(np.arange(120) / 60)
+SWING = 0.25 * np.sin(2 * np.pi * np.arange(120) / 37)
+
+
+@pytest.mark.parametrize("angles", [SPIN_DOWN, SWING], ids=["spin-down", "oscillation"])
+def test_error_and_uncertainty(angles):
+    error, found, least = check(60, angles, 4.0)
+    assert len(found.frame) > 115
+    assert error.std() < 1.5 * least
+    assert 0.8 < (error / found.sigma).std() < 1.25
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("radius", [100, 180, 300])
+def test_error_and_uncertainty_of_large_discs(radius):
+    error, found, least = check(radius, SPIN_DOWN, 6.0, seed=3)
+    assert error.std() < 1.5 * least
+    assert 0.8 < (error / found.sigma).std() < 1.25
+
+
+def test_sense_is_counter_clockwise_as_seen():
+    draw, _ = renderer(60)
+    found = track_body(film_of(draw, SPIN_DOWN[:60], 3.0))
+    assert found.angle[-1] < found.angle[0]  # from x to y is clockwise as seen
+
+
+def test_nothing_moves():
+    draw, _ = renderer(60)
+    with pytest.raises(TrackingError):
+        track_body(film_of(draw, np.zeros(40), 3.0))
+
+
+def test_a_body_that_slides_does_not_turn():
+    draw, _ = renderer(60)
+    still = draw(0.0)
+    rng = np.random.default_rng(0)
+    frames = [
+        np.clip(np.roll(still, 2 * k, axis=1) + rng.normal(0, 3, still.shape), 0, 255).astype(np.uint8)
+        for k in range(40)
+    ]
+    with pytest.raises(TrackingError):
+        track_body(Rendered(frames))
+
+
+def test_registration_of_one_frame_is_exact_without_noise():
+    ring = Ring((0.0, 0.0), 20, 60, 20, 256)
+    k = np.arange(256) * ring.step
+    body = np.outer(np.linspace(1, 2, 20), 40 * np.cos(3 * k) + 20 * np.sin(7 * k + 1)).astype(np.float32)
+    turns = np.linspace(0, 6, 30)
+    polars = [rolled(body, a / ring.step) for a in turns]
+    template = learn(polars, turns, np.ones((20, 256), dtype=bool), ring, separate=False)
+    for angle in (0.0123, 1.7, 5.9):
+        assert register(rolled(body, angle / ring.step), template, angle + 0.02).angle == pytest.approx(
+            angle, abs=1e-5
+        )
+
+
+def test_circle_through_an_arc_with_strays():
+    rng = np.random.default_rng(2)
+    angle = rng.uniform(0.2, 1.1, 60)
+    x, y = 500 + 400 * np.cos(angle), -80 + 400 * np.sin(angle)
+    x[::9] += 60
+    centre = fit_circle(x + rng.normal(0, 0.05, 60), y + rng.normal(0, 0.05, 60))
+    assert np.hypot(centre[0] - 500, centre[1] + 80) < 3
+
+
+def test_a_body_without_an_axle():
+    """A disc on a string: it turns to and fro while its hub moves."""
+    draw, _ = renderer(60)
+    t = np.arange(150)
+    angles = 0.2 * np.sin(2 * np.pi * t / 41)
+    rng = np.random.default_rng(4)
+    frames = []
+    for k, angle in enumerate(angles):
+        place = np.float32([[1, 0, 3 * np.sin(k / 9.0)], [0, 1, 2 * np.cos(k / 7.0)]])
+        clean = draw(angle)
+        moved = cv2.warpAffine(
+            clean, place, clean.shape[::-1], flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+        )
+        frames.append(np.clip(np.rint(moved + rng.normal(0, 2, clean.shape)), 0, 255).astype(np.uint8))
+    found = track_body(Rendered(frames))
+    assert found.way == "features"
+    error = -found.angle - angles[found.frame]
+    assert np.std(error) < 0.005
+    assert np.polyfit(angles[found.frame], -found.angle, 1)[0] == pytest.approx(1, abs=0.01)

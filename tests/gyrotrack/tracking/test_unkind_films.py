@@ -1,0 +1,101 @@
+"""Films as the world makes them: a rotor below the casing, flickering lamps, a hand at the start, lost markers."""
+
+import cv2
+import numpy as np
+import pytest
+
+from gyrotrack.apps.cli._app import run
+from gyrotrack.tracking._acquisition import acquire
+from gyrotrack.tracking._extract import extract
+from gyrotrack.tracking._profile import PAPER
+from gyrotrack.tracking._scene import take_samples
+
+SMALL = {"width": 320, "height": 240, "radius": 105.0, "wobble": 0.3}
+
+
+def _errors(recording, film, body):
+    track = recording.bodies[body]
+    frame = np.rint(track.time * recording.capture_fps).astype(int)
+    error = track.angle - getattr(film, body)(film.time)[frame]
+    return error - np.median(error), track
+
+
+DEEP = {
+    **SMALL,
+    "frames": 240,
+    "tilt": 0.15,
+    "tilt_azimuth": 0.5,
+    "depth": 0.35,
+    "casing": lambda t: 20.0 * t,
+}
+
+
+def test_a_rotor_below_the_casing_is_followed_about_its_own_orbit(draw):
+    path, film = draw(**DEEP)
+    scene = acquire(take_samples(path), PAPER, "film")
+    # A point at depth d in a picture tilted by t about the azimuth a is moved by -d sin t (cos a, sin a), y up.
+    shift = 0.35 * 105.0 * np.sin(0.15)
+    expected = (-shift * np.cos(0.5), shift * np.sin(0.5))
+    assert scene.offsets["rotor"] == pytest.approx(expected, abs=0.7)
+    assert "casing" not in scene.offsets
+
+    recording = extract(path)
+    for body in ("casing", "rotor"):
+        error, track = _errors(recording, film, body)
+        assert len(track.time) >= 0.95 * film.frames, body
+        assert np.abs(error).max() < 0.05, body
+        assert np.std(error) < 4e-3, body
+        assert np.std(error / track.sigma) < 1.6, body
+
+
+def test_the_depth_of_the_rotor_is_not_that_of_the_casing_on_an_arc(draw):
+    path, film = draw(**{**DEEP, "fps": 1000.0, "casing": lambda t: 0.4 + 12.0 * t})  # 2.9 rad in all
+    error, track = _errors(extract(path), film, "casing")
+    assert np.std(error) < 4e-3
+    assert np.std(error / track.sigma) < 1.6
+
+
+@pytest.mark.parametrize("flicker", [0.12, 0.25])
+def test_flicker_makes_no_repeated_frames(draw, flicker):
+    path, film = draw(**{**SMALL, "frames": 240, "flicker": flicker, "noise": 2.0})
+    recording = extract(path)
+    assert recording.extra["repeated_frames"] == 0
+    error, track = _errors(recording, film, "rotor")
+    assert len(track.time) >= 0.95 * film.frames
+    assert np.abs(error).max() < 0.1
+
+
+def test_a_hand_in_the_first_frames_is_no_marker(draw):
+    def hand(k, picture):
+        if k < 50:
+            place = (250 - k, 120)
+            cv2.ellipse(picture, place, (60, 28), 20.0, 0.0, 360.0, (215.0, 120.0, 95.0), cv2.FILLED)
+        return picture
+
+    path, film = draw(**{**SMALL, "frames": 400}, edit=hand)
+    recording = extract(path)
+    for body in ("casing", "rotor"):
+        error, track = _errors(recording, film, body)
+        late = track.time > 60 / film.fps
+        assert late.sum() >= 0.95 * (film.frames - 60)
+        assert np.abs(error[late]).max() < 0.1, body
+
+
+def test_what_is_lost_is_said(draw, tmp_path):
+    path, _ = draw(**{**SMALL, "frames": 150, "white": None})
+    assert run(["extract", str(path), "-q", "-o", str(tmp_path / "film.h5")]) == 3
+    recording = extract(path)
+    assert recording.extra["doubts"] == [
+        "no white marker is found on the rotor; check the film and the profile (--profile)."
+    ]
+    assert recording.extra["doubts"][0] in recording.warnings
+
+
+def test_lost_frames_are_said(draw):
+    def dark(k, picture):
+        return 0.0 * picture if 60 <= k < 120 else picture
+
+    path, _ = draw(**{**SMALL, "frames": 180}, edit=dark)
+    doubts = " ".join(extract(path).extra["doubts"])
+    assert "the casing has an angle in 1" in doubts
+    assert "of 180 frames" in doubts
