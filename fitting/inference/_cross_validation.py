@@ -28,7 +28,7 @@ class Predicted:
     label : str
         The recording.
     casing, rotor : float
-        Rms error over the noise; 1 is as good as can be.
+        Rms error over the noise; 1 = noise limit.
     r2, rmse : float
         Of the casing's smoothed speed [1, rad/s].
     others : Fit

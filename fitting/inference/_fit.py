@@ -248,7 +248,7 @@ def _check(model: Model, data: Sequence[CaseData]) -> None:
     foreign = [e.name for e in model.effects if not e.single_body] if all(single) else []
     if foreign:
         raise EstimationError(
-            f"{foreign[0]} speaks of a rotor, which this record of one body does not have",
+            f"{foreign[0]} needs rotor data, which this record of one body does not have",
             "its laws are those that act on the casing alone: `gyrotrack effects` lists them",
         )
     for effect in model.effects:

@@ -222,7 +222,7 @@ class BodyMetrics:
     reduced_chi2 : float
         Chi-square of what was fitted over the effective number of samples.
     held_out : float
-        Rms error of held-out stretches over the noise; 1 is as good as can be.
+        Rms error of held-out stretches over the noise; 1 = noise limit.
     """
 
     r2: float

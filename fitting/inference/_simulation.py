@@ -111,7 +111,7 @@ def simulate(
     inertia_rotor, inertia_casing : float
         Moments of inertia [kg m2].
     seed : int
-        Of all noise.
+        Random seed of all noise.
     label : str
         Name of the case.
 

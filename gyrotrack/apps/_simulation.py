@@ -87,7 +87,7 @@ class SimulatedRun:
     inertias : tuple of float
         Moments of inertia of rotor and casing [kg m2].
     seed : int
-        Of all noise.
+        Random seed of all noise.
     """
 
     model: Model

@@ -133,7 +133,7 @@ def left_out(candidate: Candidate) -> str:
     """Say why a colour that moves is no marker of the profile."""
     if candidate.twin:
         return (
-            f"there are two {candidate.colour} markers, which cannot be told apart: give one another colour; "
+            f"there are two {candidate.colour} markers, which are indistinguishable: give one another colour; "
             "they are left out"
         )
     return f"something {candidate.colour} moves, but not evenly about the centre; it is left out"

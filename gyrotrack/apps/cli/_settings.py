@@ -42,7 +42,7 @@ NONE = "none"  # as a name of a file: no settings
 
 # options that a file found in the working folder may set: they decide what is computed and shown, nothing else
 _COMPUTE = (
-    "add all body capture_fps casing casing_fps centre centre_offset column cut data drop duration dry_run "
+    "add all body capture_fps casing casing_fps centre centre_offset clock_rate column cut data drop duration dry_run "
     "fix format from hide hold_out hub improve inertia inertia_casing inertia_rotor joint json keep_all "
     "label likelihood loss marker model omega_casing omega_rotor per_case profile pulses_per_turn quiet resume "
     "rotor rotor_fps rotor_start seed set share sigma strength surface table timeout times to "

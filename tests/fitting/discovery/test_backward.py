@@ -25,6 +25,7 @@ def test_all_that_stood_in_for_the_newest_is_dropped():
     assert all(f"-{name}" in rung.change for name in vain)
 
 
+@pytest.mark.slow
 def test_phases_of_their_own_stay_when_another_effect_is_dropped():
     data = records(unbalance, APART)
     base = fit(Model.of(REDUCED), data)

@@ -37,6 +37,7 @@ def test_what_swings_needs_very_strong_evidence_on_film(effect):
     assert named(False, effect, -5.0)
 
 
+@pytest.mark.slow
 def test_what_does_not_swing_needs_the_usual_evidence():
     assert named(True, "casing.air.quadratic", -5.0)
     assert not named(True, "casing.air.quadratic", -1.0)

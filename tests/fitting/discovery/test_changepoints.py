@@ -52,6 +52,7 @@ def test_a_step_far_off_is_found_by_what_it_leaves():
     assert distant_changepoints(quiet, LIBRARY["touchpoint.step"], Criteria()) == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at", [0.35, 0.57, 0.61])
 def test_a_strong_step_is_seen_in_its_narrow_hollow(at):
     par = {**twobody.PAPER, "a2": 1.97e-10, "b1": 3e-6, "b2": 3.7e-7, "d": 3.2e-8, "f": 4.86e-7, "g": 0.62}
@@ -66,6 +67,7 @@ def test_a_strong_step_is_seen_in_its_narrow_hollow(at):
     assert seen.shape[0]["t0"] == pytest.approx(at * span, abs=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["touchpoint.step", "casing: -k*heaviside(t - t0)"])
 def test_a_step_that_is_added_to_a_fit_is_searched_first(name):
     hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -1.2e-5 if t >= 126.4 else 0.0)

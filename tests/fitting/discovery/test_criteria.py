@@ -51,6 +51,7 @@ def test_it_is_immutable_and_refuses_nonsense():
             Criteria(**wrong)
 
 
+@pytest.mark.slow
 def test_evidence_decides_what_is_added():
     first = best(ranked())
     assert first is not None
@@ -58,6 +59,7 @@ def test_evidence_decides_what_is_added():
     assert best(ranked(), Criteria(evidence=-first.delta_bic - 1)) is first
 
 
+@pytest.mark.slow
 def test_significance_decides_the_verdict():
     assert diagnose(base()).verdict == "missing_effect"
     none = diagnose(base(), criteria=Criteria(significance=0.0))
@@ -65,12 +67,14 @@ def test_significance_decides_the_verdict():
     assert none.verdict != "missing_effect"
 
 
+@pytest.mark.slow
 def test_the_width_of_a_class_decides_who_is_in_it():
     wide = diagnose(base(), criteria=Criteria(equivalence_width=1e6))
     narrow = diagnose(base(), criteria=Criteria(equivalence_width=0.0))
     assert len(wide.candidates[0].indistinguishable_from) > len(narrow.candidates[0].indistinguishable_from)
 
 
+@pytest.mark.slow
 def test_failure_sigma_decides_what_is_reported():
     assert diagnose(base()).failures
     assert not diagnose(base(), criteria=Criteria(failure_sigma=1e6, harmonic_sigma=1e6)).failures

@@ -46,6 +46,7 @@ def base(name="", seed=0, ou=0.0, centre=0.0, inertia=1.0):
     return fit(Model.of(REDUCED), [CaseData.of(record)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", HIDDEN)
 def test_a_hidden_effect_comes_first_with_its_strength(name):
     found = diagnose(base(name))
@@ -62,6 +63,7 @@ def test_a_hidden_effect_comes_first_with_its_strength(name):
     assert abs(estimate.value - truth) < 4 * estimate.stderr + 5e-5 * truth
 
 
+@pytest.mark.slow
 def test_two_processes_say_the_same_as_one():
     fit_ = base("touchpoint.stribeck")
     with WorkerPool(1) as workers:
@@ -73,6 +75,7 @@ def test_two_processes_say_the_same_as_one():
     assert all(c.fit.problem.data[0] is fit_.problem.data[0] for c in shared.candidates if c.fit is not None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("ou", "centre"), [(0.0, 0.0), (1e-7, 2e-3)])
 def test_nothing_hidden_nothing_found(ou, centre):
     found = diagnose(base(seed=3, ou=ou, centre=centre))
@@ -83,6 +86,7 @@ def test_nothing_hidden_nothing_found(ou, centre):
     assert ("Camera centre offset" in found.sentence) == (centre > 0)
 
 
+@pytest.mark.slow
 def test_a_wrong_inertia_is_no_physics():
     found = diagnose(base(seed=1, inertia=1.03))
     assert found.verdict == "missing_effect"
@@ -91,6 +95,7 @@ def test_a_wrong_inertia_is_no_physics():
     assert "measurement effect" in found.sentence
 
 
+@pytest.mark.slow
 def test_where_it_fails_is_where_the_step_is():
     found = diagnose(base("touchpoint.step"))
     edges = [t for f in found.failures if f.body == "casing" for t in (f.t_start, f.t_stop)]
@@ -101,6 +106,7 @@ def test_where_it_fails_is_where_the_step_is():
     assert found.whiteness[0].p_value < 1e-6
 
 
+@pytest.mark.slow
 def test_the_ladder_ends_where_the_noise_begins():
     rungs = improve(base("casing.air.quadratic"))
     assert [r.change for r in rungs] == ["", "+casing.air.quadratic"]
@@ -145,6 +151,7 @@ def test_hidden_effects_under_a_random_torque_are_in_the_named_class():
     assert len(missed) <= 1, missed
 
 
+@pytest.mark.slow
 def test_every_candidate_has_a_score_and_a_probability():
     found = diagnose(base("casing.air.quadratic"))
     assert {c.effect.name for c in found.candidates} == {

@@ -44,6 +44,7 @@ def answer(name):
     return diagnose(base(name))
 
 
+@pytest.mark.slow
 def test_an_exact_law_leaves_nothing():
     found = answer("exact")
     assert (found.verdict, found.form, found.explained, found.remainder) == (
@@ -55,6 +56,7 @@ def test_an_exact_law_leaves_nothing():
     assert "close to" not in found.sentence
 
 
+@pytest.mark.slow
 def test_an_exponent_near_the_library_is_told_with_its_interval():
     found = answer("exponent")
     assert (found.verdict, found.form) == ("missing_effect", "approximate")
@@ -67,6 +69,7 @@ def test_an_exponent_near_the_library_is_told_with_its_interval():
     assert "exponent 1." in found.sentence
 
 
+@pytest.mark.slow
 def test_the_free_exponent_covers_the_truth():
     steps = improve(base("exponent"))
     assert steps[-1].change == "+casing.air.quadratic.n"
@@ -103,6 +106,7 @@ def test_a_law_from_outside_is_no_exact_one():
     assert "% of the mean square unmodelled torque" in found.sentence
 
 
+@pytest.mark.slow
 def test_camera_effects_are_nuisance_parameters_and_no_candidates():
     found = answer("centre")
     assert found.verdict == "adequate"

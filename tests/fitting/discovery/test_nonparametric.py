@@ -48,6 +48,7 @@ def test_any_law_is_as_good_as_the_true_one():
     assert nonparametric_casing_law(base("resonance")) == pytest.approx(truth, abs=15)
 
 
+@pytest.mark.slow
 def test_a_step_is_no_law_of_the_speed():
     step = gain("step", LIBRARY["touchpoint.step"], **{"touchpoint.step.t0": 88.0})
     assert nonparametric_casing_law(base("step")) < 0.6 * step
@@ -66,6 +67,7 @@ def test_a_swing_that_comes_back_is_no_slow_torque():
     )
 
 
+@pytest.mark.slow
 def test_a_swing_that_hardly_comes_back_may_be_any_slow_torque():
     found = base("wear")
     (swing,) = (c for c in rank(found) if c.effect.name == "casing.precession")
@@ -81,6 +83,7 @@ def test_laws_of_the_speed_are_no_rivals_of_themselves():
     assert not own & {"touchpoint.step", "casing.precession", "casing.windage", "bearing.drift"}
 
 
+@pytest.mark.slow
 def test_what_swings_may_be_an_unknown_law(monkeypatch):
     """Where any law of the casing's speed does as well, the answer says so."""
     found = base("step")

@@ -30,6 +30,7 @@ def filmed(seed=0, hidden=None, span=160.0):
 HEATED = twobody.Hidden(softening=SOFTENING, cooling=COOLING)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", [False, True], ids=["from nothing", "on top of the reduced model"])
 def test_the_time_constant_of_a_heated_bearing_is_found(known):
     """The random torque that excuses a model without the heat would excuse any time constant."""
@@ -49,6 +50,7 @@ def ranked(seed):
     return base, rank(base)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_refit_mends_at_least_what_its_score_promised(seed):
     base, candidates = ranked(seed)
@@ -79,6 +81,7 @@ def test_rivals_are_told_apart_at_the_noise_that_the_better_one_leaves():
     assert best.fit.verdict == "adequate"
 
 
+@pytest.mark.slow
 def test_an_exponent_at_the_edge_of_its_range_is_told():
     steep = {"f": 1.2e-9, "g": 1.65, "d": 3e-8}
     found = diagnose(fit(Model.of(REDUCED), [case(steep, 3, "case1")]))

@@ -35,6 +35,7 @@ def test_each_recording_has_its_own_phase(name, law):
     assert f"{name}.m" in best.estimates or name == "casing.unbalance"
 
 
+@pytest.mark.slow
 def test_one_phase_is_told_as_one():
     (best, *_) = (c for c in rank(fit(Model.of(REDUCED), records(unbalance, ALIKE))) if c.fit is not None)
     assert best.effect.name == "casing.unbalance"

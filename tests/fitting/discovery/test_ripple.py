@@ -14,6 +14,7 @@ from fitting.inference._record import make_record
 AMPLITUDE, PHASE = 4e-6, 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [0, 1])
 def test_gravity_on_an_unbalance(order):
     hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: order * AMPLITUDE * np.sin(pc - PHASE))
@@ -40,6 +41,7 @@ def test_gravity_on_an_unbalance(order):
     assert "unmodelled torque on the casing once a turn" in str(failure)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("centre", "width"), [(10, 3), (12, 1), (30, 3)])  # rad/s
 def test_what_is_missing_elsewhere_is_no_ripple(centre, width):
     hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -8e-6 * np.exp(-(((wc - centre) / width) ** 2)))

@@ -33,6 +33,7 @@ def found(seed, hidden, *more):
     return fit(Model.of((*REDUCED, *more)), [filmed(seed, hidden)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 5])
 def test_a_law_that_any_slow_torque_lets_pass_is_doubted(seed):
     named = found(seed, DIP, "touchpoint.step")
@@ -41,11 +42,13 @@ def test_a_law_that_any_slow_torque_lets_pass_is_doubted(seed):
     assert smooth_test(named).body == "casing"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_right_law_is_not_doubted(seed):
     assert smooth_test(found(seed, DRAG, "casing.air.quadratic")).p_value > 0.01
 
 
+@pytest.mark.slow
 def test_a_doubted_name_is_a_hypothesis():
     base = found(5, DIP)
     (step,) = (c for c in rank(base) if c.effect.name == "touchpoint.step")

@@ -136,6 +136,7 @@ def difference(name, key, times):
     return (8 * (at(step) - at(-step)) - (at(2 * step) - at(-2 * step))) / (12 * step)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["stops", "freed by time", "turned round", "stopped by a step", "held and heated"]
 )

@@ -41,6 +41,7 @@ def difference(p, key, times):
     return (8 * (at(step) - at(-step)) - (at(2 * step) - at(-2 * step))) / (12 * step)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["none", "general", "stribeck", "step", "heating", "precession", "drift"])
 def test_sensitivities_match_differences(name):
     p = PAPER | EXTRA[name]

@@ -67,8 +67,8 @@ def test_found_units_make_the_law_a_torque():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("gearbox: -k*omega_c", "'gearbox' is no body"),
-        (": -k*omega_c", "'' is no body"),
+        ("gearbox: -k*omega_c", "'gearbox' is an unknown body"),
+        (": -k*omega_c", "'' is an unknown body"),
         ("casing: -omega_c**3", "has no parameter"),
         ("casing: -k**2*omega_c", "linear in none of k"),
         ("casing: -exp(k*t)", "linear in none of k"),
@@ -171,7 +171,7 @@ HEAD = '[[effect]]\nname = "a"\nbody = "casing"\nlaw = "-k*omega_c"\n'
         (HEAD.replace('"a"', '"9 lives"'), "a name has letters"),
         (HEAD.replace('"a"', '"../../etc"'), "a name has letters"),
         (HEAD.replace('"a"', '"x@case1"'), "a name has letters"),
-        (HEAD.replace("casing", "gearbox"), "'gearbox' is no body"),
+        (HEAD.replace("casing", "gearbox"), "'gearbox' is an unknown body"),
         (HEAD.replace("-k*", "-k**2*"), "linear in none of k"),
         (HEAD.replace("-k*", "-"), "has no parameter"),
         (HEAD + "parameters = 3", "parameters must be a table"),

@@ -87,6 +87,7 @@ def test_a_free_power_of_a_users_law_is_found(n, k, after):
     assert result.estimates[f"{POWER}.n"].stderr < 1e-3
 
 
+@pytest.mark.slow
 def test_a_ripple_of_the_casing_is_recovered():
     def gravity(t, wr, wc, pr, pc):
         return 1e-5 * np.sin(pc - 1.1)

@@ -17,6 +17,7 @@ from fitting.inference._record import make_record
 TRUTH = twobody.truth()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5))
 def test_the_paper_is_recovered_from_the_programs_own_starts(seed):
     result = fitted(seed=seed)

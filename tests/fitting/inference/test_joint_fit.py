@@ -17,6 +17,7 @@ from fitting.inference._problem import Problem
 from fitting.inference._record import make_record
 
 
+@pytest.mark.slow
 def test_joint_fit_of_two_surfaces():
     rough = {"b1": 20e-6, "b2": 9.1e-7}
     both = [case({}, 21, "glass"), case(rough, 22, "steel", start=(850.0, 9.0))]
@@ -64,6 +65,7 @@ def test_a_bearing_of_its_own_in_each_case(free):
     assert max(map(abs, found.values())) < 4
 
 
+@pytest.mark.slow
 def test_start_values_do_not_depend_on_how_many_cases_share_them():
     record = data(seed=0).record
     starts = []
@@ -75,6 +77,7 @@ def test_start_values_do_not_depend_on_how_many_cases_share_them():
         assert starts[1][name] == pytest.approx(starts[0][name], rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [71, 81])
 def test_a_case_that_the_model_fails_does_not_spoil_the_other(seed):
     """Noise in both cases would excuse a compromise: bearing and air off by a tenth, b1 of the sound case by 40 %."""

@@ -27,6 +27,7 @@ def found(hidden, seed, model=REDUCED):
     return fit(Model.of(model), [CaseData.of(make_record(**twobody.film(motion, seed)))])
 
 
+@pytest.mark.slow
 def test_noise_alone_leaves_as_much_as_it_should():
     lacks = [found(twobody.Hidden(), seed).lack_of_fit for seed in range(4)]
     chi2, dof = sum(x.chi2 for x in lacks), sum(x.dof for x in lacks)

@@ -17,6 +17,7 @@ def strength(noise):
     return noise.pure / np.sqrt(noise.time)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5))
 def test_level_of_a_random_torque_is_recovered(seed):
     (noise,) = fitted(seed=seed, ou=1e-7).noise

@@ -116,7 +116,7 @@ def test_a_degenerate_law_is_never_adequate():
 
 def test_what_needs_a_rotor_is_refused():
     for model in (Model.of(REDUCED), BASE.with_effect(resolve("casing: -k*omega_r"))):
-        with pytest.raises(EstimationError, match="speaks of a rotor"):
+        with pytest.raises(EstimationError, match="needs rotor data"):
             fit(model, [wheel()])
 
 

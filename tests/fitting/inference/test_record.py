@@ -128,8 +128,8 @@ def test_minor_versions_are_read(tmp_path):
 
 
 def test_files_that_are_no_case(tmp_path):
-    assert "no such file" in refusal(tmp_path / "nothing.h5")
-    assert "no such file" in refusal(tmp_path)
+    assert "does not exist" in refusal(tmp_path / "nothing.h5")
+    assert "not a regular file" in refusal(tmp_path)
     text = tmp_path / "text.h5"
     text.write_text("t,angle\n0,1\n", encoding="utf-8")
     assert "not an HDF5 file" in refusal(text)

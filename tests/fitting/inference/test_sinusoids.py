@@ -26,6 +26,7 @@ def unbalanced():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("start", [{}, {"casing.unbalance.k": 1e-6, "casing.unbalance.phi": PHASE + math.pi}])
 def test_a_strong_unbalance_is_found_from_nothing_and_from_the_wrong_side(unbalanced, start):
     found = fit(Model.of((*REDUCED, "casing.unbalance")), [unbalanced], start=start)

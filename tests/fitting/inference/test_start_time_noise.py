@@ -37,6 +37,7 @@ def test_the_acceleration_is_that_of_the_window():
     assert acceleration(Samples(t[:1], t[:1], t[:1]), angle=False) == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("quantity", ["angle", "omega"])
 def test_rows_are_white_with_the_noise_of_the_starts(quantity):
     """The covariance of the rows, by drawing starts and samples, is one."""
@@ -68,6 +69,7 @@ def test_windows_whose_starts_are_known_stay_as_they_are():
     assert len(CaseData.of(replace(data.record, start_sigma=(0.0, 1e-3, 0.0))).start_time_noise.parts) == 1
 
 
+@pytest.mark.slow
 def test_late_windows_are_no_missing_effect():
     """Taken for exact, starts that are off by a millisecond look like physics; said to be uncertain they do not."""
     model = Model.of(REDUCED)

@@ -88,6 +88,7 @@ def test_command_on_a_table(tmp_path, monkeypatch, capsys):
     assert Path(document["report"]).is_file()
 
 
+@pytest.mark.slow
 def test_command_on_pulses(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     turns = np.arange(0, 60, 0.5)

@@ -70,6 +70,7 @@ COMMANDS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", COMMANDS)
 @pytest.mark.parametrize("state", ["full", "read-only"])
 def test_commands_on_such_a_disk(mounted, tmp_path, capsys, name, state):

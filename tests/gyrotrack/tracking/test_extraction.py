@@ -132,6 +132,7 @@ VARIANTS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", VARIANTS)
 def test_casing_angle_in_scenes_of_all_kinds(draw, name):
     settings, limit = VARIANTS[name]
@@ -146,6 +147,7 @@ def test_casing_angle_in_scenes_of_all_kinds(draw, name):
     assert any("disc" in text for text in recording.warnings) == (name == "no disc")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "settings",
     [

@@ -49,6 +49,7 @@ def error(track, angle, fps):
     return np.std(off - np.median(off))
 
 
+@pytest.mark.slow
 def test_the_papers_gyroscope_is_found_and_tracked_as_well(rotor_clip):
     path, film = rotor_clip
     found = propose(path)
@@ -114,6 +115,7 @@ def test_one_colour_on_both_bodies_is_told(draw):
     assert any("a second red marker" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_a_casing_at_rest_is_known_by_the_disc(draw):
     path, _ = draw(**{**FAST, "casing": turning(0.0, 0.7)})
     found = propose(path)
@@ -145,6 +147,7 @@ def test_where_nothing_turns_nothing_is_proposed(draw, settings):
     assert caught.value.hint
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not WHEEL.exists(), reason="the film of the wheel is not here")
 def test_the_tape_on_a_real_wheel_is_found():
     found = propose(WHEEL)

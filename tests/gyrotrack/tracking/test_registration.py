@@ -84,6 +84,7 @@ SPIN_DOWN = (lambda t: 0.4 + 9.0 * t - 1.2 * t**2)(np.arange(120) / 60)
 SWING = 0.25 * np.sin(2 * np.pi * np.arange(120) / 37)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("angles", [SPIN_DOWN, SWING], ids=["spin-down", "oscillation"])
 def test_error_and_uncertainty(angles):
     error, found, least = check(60, angles, 4.0)
@@ -100,6 +101,7 @@ def test_error_and_uncertainty_of_large_discs(radius):
     assert 0.8 < (error / found.sigma).std() < 1.25
 
 
+@pytest.mark.slow
 def test_sense_is_counter_clockwise_as_seen():
     draw, _ = renderer(60)
     found = track_body(film_of(draw, SPIN_DOWN[:60], 3.0))
@@ -112,6 +114,7 @@ def test_nothing_moves():
         track_body(film_of(draw, np.zeros(40), 3.0))
 
 
+@pytest.mark.slow
 def test_a_body_that_slides_does_not_turn():
     draw, _ = renderer(60)
     still = draw(0.0)
@@ -146,6 +149,7 @@ def test_circle_through_an_arc_with_strays():
     assert np.hypot(centre[0] - 500, centre[1] + 80) < 3
 
 
+@pytest.mark.slow
 def test_a_body_without_an_axle():
     """A disc on a string: it turns to and fro while its hub moves."""
     draw, _ = renderer(60)

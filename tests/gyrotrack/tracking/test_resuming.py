@@ -44,6 +44,7 @@ def every_batch(monkeypatch):
     monkeypatch.setattr("gyrotrack.tracking._film_tracker.BATCH", 128)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("clip", "at"), [("casing_clip", 128), ("rotor_clip", 256)])
 def test_a_stopped_run_ends_with_the_same_numbers(every_batch, clip, at, request, tmp_path):
     film, _ = request.getfixturevalue(clip)

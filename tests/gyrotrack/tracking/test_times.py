@@ -100,6 +100,7 @@ def _told(recording, *words):
 
 
 class TestVaryingRate:
+    @pytest.mark.slow
     def test_a_rate_that_swings(self, shoot):
         film = shoot("swing.mp4", SLOW)
         recording = extract(film, capture_fps=FPS)
@@ -129,6 +130,7 @@ class TestVaryingRate:
         for body in recording.bodies:
             assert np.sqrt(np.mean(_errors(recording, body)[1] ** 2)) < 0.3
 
+    @pytest.mark.slow
     def test_jitter_in_whole_milliseconds_is_uncertain_by_them(self, shoot):
         recording = extract(shoot("jitter.mkv", _jitter(0.25), tick=COARSE), capture_fps=FPS)
         for body, track in recording.bodies.items():
@@ -137,6 +139,7 @@ class TestVaryingRate:
             np.testing.assert_allclose(np.median(track.sigma / tick), 1.0, atol=0.15)
             assert 0.85 < np.std(error / track.sigma) < 1.15
 
+    @pytest.mark.slow
     def test_stamps_that_jitter_by_themselves_are_smoothed(self, shoot):
         recording = extract(shoot("stamps.mp4", EVEN, stamps=_jitter(0.1, 5) + 0.1), capture_fps=FPS)
         assert _told(recording, "the markers move evenly where the stamps jitter")
@@ -170,6 +173,7 @@ CONVERTED = np.floor(np.arange(N) * 12 / 13 + 0.3).astype(int)
 
 
 class TestRepeatedFrames:
+    @pytest.mark.slow
     def test_those_that_fill_gaps(self, shoot):
         recording = extract(shoot("filled.mp4", EVEN, FILLED, EVEN))
         again = np.diff(FILLED, prepend=-1) == 0

@@ -30,6 +30,7 @@ DEEP = {
 }
 
 
+@pytest.mark.slow
 def test_a_rotor_below_the_casing_is_followed_about_its_own_orbit(draw):
     path, film = draw(**DEEP)
     scene = acquire(take_samples(path), PAPER, "film")
@@ -48,6 +49,7 @@ def test_a_rotor_below_the_casing_is_followed_about_its_own_orbit(draw):
         assert np.std(error / track.sigma) < 1.6, body
 
 
+@pytest.mark.slow
 def test_the_depth_of_the_rotor_is_not_that_of_the_casing_on_an_arc(draw):
     path, film = draw(**{**DEEP, "fps": 1000.0, "casing": lambda t: 0.4 + 12.0 * t})  # 2.9 rad in all
     error, track = _errors(extract(path), film, "casing")
@@ -55,6 +57,7 @@ def test_the_depth_of_the_rotor_is_not_that_of_the_casing_on_an_arc(draw):
     assert np.std(error / track.sigma) < 1.6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flicker", [0.12, 0.25])
 def test_flicker_makes_no_repeated_frames(draw, flicker):
     path, film = draw(**{**SMALL, "frames": 240, "flicker": flicker, "noise": 2.0})
@@ -65,6 +68,7 @@ def test_flicker_makes_no_repeated_frames(draw, flicker):
     assert np.abs(error).max() < 0.1
 
 
+@pytest.mark.slow
 def test_a_hand_in_the_first_frames_is_no_marker(draw):
     def hand(k, picture):
         if k < 50:
@@ -81,6 +85,7 @@ def test_a_hand_in_the_first_frames_is_no_marker(draw):
         assert np.abs(error[late]).max() < 0.1, body
 
 
+@pytest.mark.slow
 def test_what_is_lost_is_said(draw, tmp_path):
     path, _ = draw(**{**SMALL, "frames": 150, "white": None})
     assert run(["extract", str(path), "-q", "-o", str(tmp_path / "film.h5")]) == 3
@@ -91,6 +96,7 @@ def test_what_is_lost_is_said(draw, tmp_path):
     assert recording.extra["doubts"][0] in recording.warnings
 
 
+@pytest.mark.slow
 def test_lost_frames_are_said(draw):
     def dark(k, picture):
         return 0.0 * picture if 60 <= k < 120 else picture

@@ -16,6 +16,7 @@ NEAR = 1.0 / 250.0
 """A camera at 25 cm, eight times as far as the gyroscope is wide."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("turn", "fps", "perspective"), [(1.2, 1000.0, 0.0), (3.0, 1000.0, NEAR), (20.0, 260.0, NEAR)]
 )

@@ -51,6 +51,7 @@ def batch(films, tmp_path, capsys):
     return run
 
 
+@pytest.mark.slow
 def test_a_batch_from_films_to_fit_and_again(batch, tmp_path, capsys):
     code, plan = batch("--dry-run", "--until", "fit")
     assert code == 0
@@ -85,6 +86,7 @@ def test_names_of_files_are_shown_and_not_obeyed(films, tmp_path, capsys):
     assert "\\x1b[31mred" in said.err
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # of the cluster's own libraries
 def test_a_cluster_whose_worker_is_killed(batch, films, tmp_path):
     distributed = pytest.importorskip("distributed")

@@ -177,7 +177,7 @@ def test_a_bad_film_of_the_casing_stops_its_own_case_only(lab):
         f"b/{v}" for v in ("sync", "fit", "diagnose", "report")
     }
     assert [r.state for r in lab.rows] == ["done", "failed", "done"]
-    assert "what went wrong:" in lines(lab.rows)
+    assert "failures:" in lines(lab.rows)
     assert max(len(line) for line in lines(lab.rows)) <= 80
 
 
@@ -254,7 +254,7 @@ def test_what_is_no_journal_is_left_alone(lab):
 def test_a_folder_with_other_things_is_refused(lab):
     lab.results.mkdir()
     (lab.results / "thesis.doc").write_text("mine")
-    with pytest.raises(OutputError, match="holds something"):
+    with pytest.raises(OutputError, match="do not belong to a batch"):
         lab()
 
 

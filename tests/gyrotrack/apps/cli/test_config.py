@@ -81,6 +81,7 @@ def test_the_keys_are_the_options(gyrotrack, here):
         assert keys == shown, entry.name
 
 
+@pytest.mark.slow
 def test_a_batch_takes_its_settings_along(gyrotrack, here, simulated):
     """Settings reach the steps as words, so that they count when it is seen whether a step was done."""
     (here / "m.toml").write_text(f'[[case]]\ndata = "{simulated / "plain.h5"}"\n')

@@ -50,6 +50,7 @@ def lab(tmp_path_factory, simulated):
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("entry", [e for e in COMMANDS if e.name not in LONG | SERVED], ids=lambda e: e.name)
 def test_the_example_runs(gyrotrack, lab, tmp_path, monkeypatch, entry):
     shutil.copytree(lab, tmp_path, dirs_exist_ok=True)

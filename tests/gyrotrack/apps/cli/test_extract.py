@@ -94,6 +94,7 @@ def test_a_wrong_body_is_wrong_usage(film, tmp_path, capsys):
     capsys.readouterr()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["look.png", "look.mp4"])
 def test_an_overlay_shows_what_was_found(film, tmp_path, capsys, name):
     import av

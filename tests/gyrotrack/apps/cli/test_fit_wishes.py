@@ -52,6 +52,7 @@ class TestRefusals:
         assert len(said.error["message"]) < 300
         assert not (tmp_path / "owned").exists()
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("law", ["k*9**9**9**9**9", "k*exp(omega_r*omega_r)", "k/(omega_c - omega_c)"])
     def test_a_law_without_a_finite_value(self, gyrotrack, case, law):
         said = gyrotrack("fit", case("plain"), "--add", f"casing: {law}", "--json")
@@ -95,12 +96,12 @@ class TestOptionsOfTheData:
     @pytest.mark.parametrize(
         ("words", "match"),
         [
-            (["--fix", "g"], "holds no parameter"),
+            (["--fix", "g"], "does not fix a parameter"),
             (["--fix", "q=1"], "no parameter that could be fitted"),
             (["--loss", "l1"], "no loss named"),
             (["--data", "speed"], "is not known"),
             (["--data", "angle", "--rotor", "generated"], "one of velocities"),
-            (["--hold-out"], "speak of a joint fit"),
+            (["--hold-out"], "need a joint fit"),
         ],
     )
     def test_what_cannot_be_asked(self, gyrotrack, case, words, match):
@@ -115,6 +116,7 @@ class TestOptionsOfTheData:
         assert all(0.9 < p["casing"] < 30 and p["r2"] > 0.9999 for p in said.json["predicted"])
 
 
+@pytest.mark.slow
 def test_a_change_keeps_what_was_shared_unless_told_otherwise(gyrotrack, case):
     cases = case("plain"), case("other")
     assert gyrotrack("fit", *cases, "--joint", "--share", "b2", "--per-case", "rotor.air").code == 0
@@ -127,6 +129,7 @@ def test_a_change_keeps_what_was_shared_unless_told_otherwise(gyrotrack, case):
     assert "rotor.air.quadratic.a2" in named("--drop", "casing.air.quadratic", "--share", "rotor.air")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "refused"),
     [

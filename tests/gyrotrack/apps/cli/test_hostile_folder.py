@@ -118,6 +118,7 @@ def test_answers_of_a_cluster_are_parsed_not_unpickled():
     assert checked(b'{"code": 0, "document": {}, "version": "9.9"}')["document"]["error"]["code"] == "version"
 
 
+@pytest.mark.slow
 def test_no_module_of_the_working_folder_is_imported(here, simulated):
     """Neither by the worker processes of a batch nor by those of a diagnosis."""
     for name in ("json", "queue", "multiprocessing", "numpy", "typer", "gyrotrack"):
@@ -155,6 +156,7 @@ def test_no_home_is_needed(here, simulated):
     assert json.loads(done.stdout)["file"] is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_stopped_simulation_leaves_nothing(here, number):
     words = ["simulate", "-o", "a.h5", "--film", "films", "--duration", "60", "--window-length", "1"]

@@ -20,6 +20,7 @@ def wheel(tmp_path):
     return path
 
 
+@pytest.mark.slow
 def test_a_wheel(gyrotrack, wheel, tmp_path):
     case = tmp_path / "wheel.h5"
     said = gyrotrack("import", "--body", wheel, "--inertia", "2e-3", "-o", case, "--json")
@@ -53,7 +54,7 @@ def test_a_wheel(gyrotrack, wheel, tmp_path):
     assert not re.findall(r".{30}(?<!-)\b(?:[Cc]asing|[Rr]otor)\b(?!\.[a-z]|:).{30}", shown)
     said = gyrotrack("fit", case, "--add", "bearing.linear")
     assert said.code == 1
-    assert "speaks of a rotor" in said.err
+    assert "needs rotor data" in said.err
 
 
 @pytest.mark.parametrize(

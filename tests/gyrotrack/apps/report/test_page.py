@@ -191,6 +191,7 @@ def _case():
     return Case(5e-5, 2e-5, HOSTILE, HOSTILE, series, series, {"r1": clip}, {"r1": placement})
 
 
+@pytest.mark.slow
 def test_names_from_files_appear_as_text(story, tmp_path):
     rungs, diagnosis = _hostile(story)
     path = write_report(
@@ -205,6 +206,7 @@ def test_names_from_files_appear_as_text(story, tmp_path):
     assert not [k for _, k, _ in seen.attributes if k.startswith("on")]
 
 
+@pytest.mark.slow
 def test_names_from_files_do_not_stop_the_pdf(story, tmp_path):
     rungs, diagnosis = _hostile(story)
     where = {HOSTILE: '#panic() #import "x" $ * _ \udcff'}

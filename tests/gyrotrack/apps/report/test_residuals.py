@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 
 from fitting.dynamics._mesh import Sampler
 from fitting.dynamics._model import Model
@@ -32,6 +33,7 @@ def test_misfit_of_the_base_is_the_true_speed_minus_the_models(story, true_path)
     assert np.abs(casing.value).max() > 30 * casing.sigma.max()
 
 
+@pytest.mark.slow
 def test_band_is_as_wide_as_the_noise(record_of, story):
     model = Model.of([*REDUCED, "casing.air.quadratic"])
     start = {k: e.value for k, e in story.rungs[-1].fit.estimates.items()}
