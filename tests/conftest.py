@@ -1,9 +1,14 @@
 """What holds for every test: one thread for linear algebra, set before NumPy is imported."""
 
 import os
+import signal
 
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ[_name] = "1"  # matrices are small, and pytest-xdist already uses the cores
+
+# a shell that runs the tests in the background has SIGINT ignored, and programs under test would inherit that
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 from hypothesis import HealthCheck, settings  # noqa: E402 - it may import NumPy
 
