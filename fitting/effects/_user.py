@@ -48,7 +48,9 @@ def formula(
         If the law is not understood, has no strength to fit, or does not come out in its unit.
     """
     if body not in _BODIES:
-        raise EffectError(f"{body[:30]!r} is an unknown body", "write rotor:, casing: or bearing: before the law")
+        raise EffectError(
+            f"{body[:30]!r} is an unknown body", "write rotor:, casing: or bearing: before the law"
+        )
     expression = parse(law)
     own = sorted(symbols(expression) - set(VARIABLES))
     for forbidden in sorted(symbols(expression) & _NOT_FOR_USERS):

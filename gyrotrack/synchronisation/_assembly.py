@@ -30,10 +30,10 @@ def synchronise(
     rotors: Sequence[Recording],
     names: Sequence[str],
     *,
+    I_rotor: float,
+    I_casing: float,
     label: str = "",
     surface: str = "",
-    I_rotor: float = 5.54e-5,
-    I_casing: float = 2.06e-5,
     progress: Progress | None = None,
 ) -> Synchronised:
     """Put the rotor clips of one experiment on the clock of the casing's camera.

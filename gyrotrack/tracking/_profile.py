@@ -78,9 +78,7 @@ class Profile(BaseModel):
         for body in ("casing", "rotor"):
             colours = [marker.colour for marker in self.marker if marker.body == body]
             if len(set(colours)) < len(colours):
-                raise ValueError(
-                    f"two markers on the {body} have the same colour and are indistinguishable"
-                )
+                raise ValueError(f"two markers on the {body} have the same colour and are indistinguishable")
             if colours == ["white"]:
                 raise ValueError(f"the {body} has only a white marker; it needs a coloured one too")
         return self

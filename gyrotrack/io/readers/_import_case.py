@@ -171,18 +171,14 @@ def _extent(series: Series, chosen: npt.NDArray[np.bool_], key: str) -> dict[str
     }
 
 
-I_ROTOR = 5.54e-5
-I_CASING = 2.06e-5
-
-
 def import_case(
     casing: Path,
     rotors: Sequence[Path],
     *,
+    I_rotor: float,
+    I_casing: float,
     label: str = "",
     surface: str = "",
-    I_rotor: float = I_ROTOR,
-    I_casing: float = I_CASING,
     options: Sequence[ReadOptions] = (),
     limits: Limits | None = None,
 ) -> Case:

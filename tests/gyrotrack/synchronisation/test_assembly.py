@@ -23,7 +23,9 @@ def recordings(make_recordings):
 
 
 def test_the_case_is_on_the_casing_camera_s_clock(motion, recordings):
-    done = synchronise(recordings[0], recordings[1:], NAMES[:3], label="L", surface="S", I_rotor=6e-5)
+    done = synchronise(
+        recordings[0], recordings[1:], NAMES[:3], label="L", surface="S", I_rotor=6e-5, I_casing=2.06e-5
+    )
     case = done.case
     assert (case.label, case.surface, case.I_rotor, case.I_casing) == ("L", "S", 6e-5, 2.06e-5)
     assert [m.name for m in done.matches] == ["a.h5", "b.h5"]
@@ -43,14 +45,20 @@ def test_the_case_is_on_the_casing_camera_s_clock(motion, recordings):
 
 def test_the_same_film_twice_is_refused(recordings):
     with pytest.raises(SyncError, match="come from the same film"):
-        synchronise(recordings[0], [recordings[1]] * 2, NAMES[:3])
+        synchronise(recordings[0], [recordings[1]] * 2, NAMES[:3], I_rotor=5.54e-5, I_casing=2.06e-5)
 
 
 @pytest.mark.parametrize("missing", ["casing", "rotor"])
 def test_a_clip_without_a_body_is_refused(recordings, missing):
     bodies = {name: body for name, body in recordings[1].bodies.items() if name != missing}
     with pytest.raises(SyncError, match=f"a.h5 does not show the {missing}"):
-        synchronise(recordings[0], [dataclasses.replace(recordings[1], bodies=bodies)], NAMES[:2])
+        synchronise(
+            recordings[0],
+            [dataclasses.replace(recordings[1], bodies=bodies)],
+            NAMES[:2],
+            I_rotor=5.54e-5,
+            I_casing=2.06e-5,
+        )
 
 
 def test_too_few_frames_are_refused(recordings):
@@ -62,21 +70,27 @@ def test_too_few_frames_are_refused(recordings):
     }
     bodies = {**recordings[1].bodies, "casing": dataclasses.replace(body, **few)}
     with pytest.raises(SyncError, match="in only 30 frames"):
-        synchronise(recordings[0], [dataclasses.replace(recordings[1], bodies=bodies)], NAMES[:2])
+        synchronise(
+            recordings[0],
+            [dataclasses.replace(recordings[1], bodies=bodies)],
+            NAMES[:2],
+            I_rotor=5.54e-5,
+            I_casing=2.06e-5,
+        )
 
 
 def test_bad_arguments(recordings):
     with pytest.raises(UsageError, match="inertia"):
-        synchronise(recordings[0], recordings[1:], NAMES[:3], I_rotor=-1.0)
+        synchronise(recordings[0], recordings[1:], NAMES[:3], I_rotor=-1.0, I_casing=2.06e-5)
     with pytest.raises(UsageError, match="no rotor clip"):
-        synchronise(recordings[0], [], NAMES[:1])
+        synchronise(recordings[0], [], NAMES[:1], I_rotor=5.54e-5, I_casing=2.06e-5)
 
 
 def test_a_rotor_that_speeds_up_between_clips_is_told(recordings):
     late, early = recordings[1:]
     faster = dataclasses.replace(late.bodies["rotor"], omega=2 * late.bodies["rotor"].omega)
     late = dataclasses.replace(late, bodies={**late.bodies, "rotor": faster})
-    done = synchronise(recordings[0], [late, early], NAMES[:3])
+    done = synchronise(recordings[0], [late, early], NAMES[:3], I_rotor=5.54e-5, I_casing=2.06e-5)
     assert any("faster in the later clip" in warning for warning in done.case.warnings)
 
 
@@ -94,7 +108,11 @@ def test_outliers_and_gaps_do_not_matter(recordings):
     }
     damaged = dataclasses.replace(body, **columns, angle=angle[keep])
     done = synchronise(
-        recordings[0], [dataclasses.replace(clip, bodies={**clip.bodies, "casing": damaged})], NAMES[:2]
+        recordings[0],
+        [dataclasses.replace(clip, bodies={**clip.bodies, "casing": damaged})],
+        NAMES[:2],
+        I_rotor=5.54e-5,
+        I_casing=2.06e-5,
     )
     (found,) = done.matches
     assert abs(found.start.offset - 3.2) < 5 * found.offset_sigma < 1e-3

@@ -47,7 +47,7 @@ def tables(tmp_path):
 
 
 def test_angles_become_the_motion(tables):
-    case = import_case(*tables(wrap=True), label="L", surface="S")
+    case = import_case(*tables(wrap=True), label="L", surface="S", I_rotor=5.54e-5, I_casing=2.06e-5)
     assert (case.label, case.surface, case.quantity) == ("L", "S", "angle")
     assert (case.I_rotor, case.I_casing) == (5.54e-5, 2.06e-5)
     truth = motion("casing", case.casing.time)
@@ -63,7 +63,7 @@ def test_angles_become_the_motion(tables):
 
 
 def test_sigma_that_is_not_given_is_estimated_from_the_scatter(tables):
-    case = import_case(*tables(sigma=False, noise=2e-3))
+    case = import_case(*tables(sigma=False, noise=2e-3), I_rotor=5.54e-5, I_casing=2.06e-5)
     assert case.casing.sigma_source == case.rotor.sigma_source == "estimated"
     assert np.median(case.casing.sigma) == pytest.approx(2e-3, rel=0.05)
     assert np.median(case.rotor.sigma) == pytest.approx(2e-3, rel=0.05)
@@ -79,7 +79,7 @@ def test_scatter_follows_a_slow_change_of_the_noise(tmp_path):
     ]
     (tmp_path / "c.csv").write_text("\n".join(["t,angle", *lines]))
     rotor = write(tmp_path / "r.csv", "rotor", np.arange(2, 3, 1e-3))
-    case = import_case(tmp_path / "c.csv", [rotor])
+    case = import_case(tmp_path / "c.csv", [rotor], I_rotor=5.54e-5, I_casing=2.06e-5)
     ratio = case.casing.sigma / noise
     assert np.median(ratio) == pytest.approx(1, rel=0.05)
     assert 0.7 < ratio.min() <= ratio.max() < 1.4
@@ -87,7 +87,7 @@ def test_scatter_follows_a_slow_change_of_the_noise(tmp_path):
 
 
 def test_speeds_are_kept_and_integrated(tables):
-    case = import_case(*tables(quantity="omega", noise=0.05))
+    case = import_case(*tables(quantity="omega", noise=0.05), I_rotor=5.54e-5, I_casing=2.06e-5)
     assert case.quantity == "omega"
     truth = motion("casing", case.casing.time)
     assert np.std(case.casing.omega - truth[1]) == pytest.approx(0.05, rel=0.05)
@@ -100,13 +100,15 @@ def test_speeds_are_kept_and_integrated(tables):
 def test_one_rotor_table_with_gaps_becomes_windows(tmp_path, tables):
     casing, _ = tables()
     times = np.concatenate([s + np.arange(0, 1, 1e-3) for s in (1.0, 6.0, 11.0)])
-    case = import_case(casing, [write(tmp_path / "all.csv", "rotor", times, wrap=True)])
+    case = import_case(
+        casing, [write(tmp_path / "all.csv", "rotor", times, wrap=True)], I_rotor=5.54e-5, I_casing=2.06e-5
+    )
     assert [int((case.rotor.window == k).sum()) for k in range(3)] == [1000, 1000, 1000]
     assert np.isnan(case.rotor.omega[1000:1050]).all()
 
 
 def test_both_bodies_negative_are_turned_round(tables):
-    case = import_case(*tables(sign=-1))
+    case = import_case(*tables(sign=-1), I_rotor=5.54e-5, I_casing=2.06e-5)
     assert case.extra["sense"] == -1
     assert np.nanmedian(case.casing.omega) > 0
     assert np.nanmedian(case.rotor.omega) > 0
@@ -116,7 +118,7 @@ def test_both_bodies_negative_are_turned_round(tables):
 def test_opposite_senses_are_told_not_mended(tmp_path, tables):
     _, rotors = tables()
     casing = write(tmp_path / "c.csv", "casing", np.arange(0, 20, 1 / 260), sign=-1)
-    case = import_case(casing, rotors)
+    case = import_case(casing, rotors, I_rotor=5.54e-5, I_casing=2.06e-5)
     assert np.nanmedian(case.casing.omega) < 0 < np.nanmedian(case.rotor.omega)
     assert any("against the rotor" in warning for warning in case.warnings)
 
@@ -125,7 +127,9 @@ def test_windows_outside_and_overlapping_are_told(tmp_path, tables):
     casing, rotors = tables()
     late = write(tmp_path / "late.csv", "rotor", np.arange(19.5, 20.5, 1e-3))
     again = write(tmp_path / "again.csv", "rotor", np.arange(2.5, 3.0, 1e-3))
-    warnings = " ".join(import_case(casing, [*rotors, late, again]).warnings)
+    warnings = " ".join(
+        import_case(casing, [*rotors, late, again], I_rotor=5.54e-5, I_casing=2.06e-5).warnings
+    )
     assert "beyond the casing's record" in warnings
     assert "overlap in time" in warnings
 
@@ -133,22 +137,25 @@ def test_windows_outside_and_overlapping_are_told(tmp_path, tables):
 def test_a_short_piece_is_told(tmp_path, tables):
     casing, _ = tables()
     short = write(tmp_path / "short.csv", "rotor", np.arange(2, 2.05, 1e-3))
-    assert any("too short" in warning for warning in import_case(casing, [short]).warnings)
+    assert any(
+        "too short" in warning
+        for warning in import_case(casing, [short], I_rotor=5.54e-5, I_casing=2.06e-5).warnings
+    )
 
 
 def test_mixed_quantities_and_bad_inertia_are_refused(tmp_path, tables):
     casing, rotors = tables()
     speed = write(tmp_path / "w.csv", "rotor", np.arange(2, 3, 1e-3), quantity="omega")
     with pytest.raises(DatasetError, match="holds omega"):
-        import_case(casing, [speed])
+        import_case(casing, [speed], I_rotor=5.54e-5, I_casing=2.06e-5)
     with pytest.raises(UsageError, match="inertia"):
-        import_case(casing, rotors, I_rotor=0.0)
+        import_case(casing, rotors, I_rotor=0.0, I_casing=2.06e-5)
     with pytest.raises(UsageError, match="no table of the rotor"):
-        import_case(casing, [])
+        import_case(casing, [], I_rotor=5.54e-5, I_casing=2.06e-5)
 
 
 def test_summary_names_what_was_taken(tables):
-    said = summary(import_case(*tables(sigma=False)))
+    said = summary(import_case(*tables(sigma=False), I_rotor=5.54e-5, I_casing=2.06e-5))
     assert said["casing"]["samples"] == 5200
     assert said["casing"]["sigma_source"] == "estimated"
     assert [w["samples"] for w in said["rotor"]["windows"]] == [1500, 1500]

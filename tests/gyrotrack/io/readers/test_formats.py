@@ -328,11 +328,11 @@ def test_what_is_exported_is_imported(tmp_path, suffix):
             tmp_path / name,
             "t,angle,sigma\n" + rows(TIME, scale * ANGLE + rng.normal(0, 1e-3, 400), 0 * TIME + 1e-3),
         )
-    case = import_case(tmp_path / "c", [tmp_path / "r"])
+    case = import_case(tmp_path / "c", [tmp_path / "r"], I_rotor=5.54e-5, I_casing=2.06e-5)
     write_case(tmp_path / "case.h5", case, command="", settings={})
     target = tmp_path / f"out{suffix}"
     export_file(tmp_path / "case.h5", target)
-    again = import_case(target, [target])
+    again = import_case(target, [target], I_rotor=5.54e-5, I_casing=2.06e-5)
     for name in ("casing", "rotor"):
         one, two = getattr(case, name), getattr(again, name)
         np.testing.assert_allclose(two.time, one.time, rtol=1e-12)

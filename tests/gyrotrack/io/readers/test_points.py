@@ -228,7 +228,13 @@ def test_a_case_of_points(tmp_path, places):
         0, 1e-5, (N, 2)
     )
     rotor = write(tmp_path / "rotor.txt", "mass_A\nt\tx\ty\n" + rows(TIME / 10, *xy.T, sep="\t"))
-    case = import_case(casing, [rotor], options=[ReadOptions(fps=FPS), ReadOptions(centre="0,0", start=1.5)])
+    case = import_case(
+        casing,
+        [rotor],
+        options=[ReadOptions(fps=FPS), ReadOptions(centre="0,0", start=1.5)],
+        I_rotor=5.54e-5,
+        I_casing=2.06e-5,
+    )
     assert np.nanmedian(case.casing.omega) == pytest.approx(20 - 2.0, rel=0.01)
     assert np.nanmedian(case.rotor.omega) == pytest.approx(3000, rel=0.01)
     assert case.rotor.time[0] == pytest.approx(1.5)
