@@ -190,7 +190,17 @@ UNDETERMINED = 100.0
 
 @dataclass(frozen=True)
 class Estimate:
-    """A fitted number: value, standard uncertainty (nan at a bound), unit, and whether a bound is active."""
+    """A fitted number.
+
+    Attributes
+    ----------
+    value, stderr : float
+        Value and standard uncertainty, in `unit`; the uncertainty is NaN at a bound.
+    unit : str
+        SI unit.
+    at_bound : bool
+        Whether a bound is active.
+    """
 
     value: float
     stderr: float
@@ -296,19 +306,43 @@ class Fit(FitSummary):
         return any(d.record.generated for d in self.problem.data)
 
     def measured_speeds(self, case: int, body: int) -> list[tuple[Array, Array]]:
-        """Return times [s] and smoothed speeds [rad/s] of each run of a body: 0 is the rotor, 1 the casing."""
+        """Return times [s] and smoothed speeds [rad/s] of each run of a body: 0 is the rotor, 1 the casing.
+
+        Parameters
+        ----------
+        case : int
+            Index of the case.
+        body : {0, 1}
+            0 is the rotor, 1 the casing or the single body.
+        """
         record = self.problem.data[case].record
         runs = (record.casing,) if body else record.rotor
         return [speeds(run, record.quantity) for run in runs]
 
     def modelled_speed(self, case: int, body: int, time: Array) -> tuple[Array, Array]:
-        """Return the modelled speed of a body and its standard uncertainty at some times [rad/s]."""
+        """Return the modelled speed of a body and its standard uncertainty at some times [rad/s].
+
+        Parameters
+        ----------
+        case : int
+            Index of the case.
+        body : {0, 1}
+            0 is the rotor, 1 the casing or the single body.
+        time : ndarray, shape (n,)
+            Times [s].
+        """
         from fitting.inference._speed_residuals import modelled_speed
 
         return modelled_speed(self, case, body, time)
 
     def speed_residuals(self, case: int) -> tuple[SpeedResidual, tuple[SpeedResidual, ...]]:
-        """Return the residual speed of a case's casing, and of its rotor in each window."""
+        """Return the residual speed of a case's casing, and of its rotor in each window.
+
+        Parameters
+        ----------
+        case : int
+            Index of the case.
+        """
         from fitting.inference._speed_residuals import speed_residuals
 
         return speed_residuals(self, case)
@@ -326,6 +360,11 @@ class Fit(FitSummary):
 
     def energy(self, label: str | None = None) -> EnergyBalance:
         """Return the energy balance of a case (by default the first): kinetic energy plus losses against time.
+
+        Parameters
+        ----------
+        label : str, optional
+            Name of the case.
 
         Raises
         ------

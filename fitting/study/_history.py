@@ -147,16 +147,33 @@ class Ledger:
 
     @classmethod
     def beside(cls, case: Path) -> Ledger:
-        """Return the ledger beside a case file: ``case1.h5`` has ``case1.fits.json``."""
+        """Return the ledger beside a case file: ``case1.h5`` has ``case1.fits.json``.
+
+        Parameters
+        ----------
+        case : Path
+            The case file.
+        """
         return cls(case.with_name(f"{case.stem}.fits.json"))
 
     def of(self, data: Sequence[CaseData]) -> list[Entry]:
-        """Return the fits of exactly these cases."""
+        """Return the fits of exactly these cases.
+
+        Parameters
+        ----------
+        data : sequence of CaseData
+            The cases.
+        """
         key = sorted(d.record.digest for d in data)
         return [e for e in self.entries if sorted(e.digests) == key]
 
     def find(self, fit_id: str) -> Entry:
         """Return a fit by its name.
+
+        Parameters
+        ----------
+        fit_id : str
+            "f1", "f2", ...
 
         Raises
         ------
@@ -181,7 +198,25 @@ class Ledger:
         ranges: dict[str, tuple[float, float]] | None = None,
         loss: str = "linear",
     ) -> Entry:
-        """Append a fit and write the file atomically; entries that other processes added meanwhile are kept."""
+        """Append a fit and write the file atomically; entries that other processes added meanwhile are kept.
+
+        Parameters
+        ----------
+        found : Fit
+            The fit.
+        parent : str
+            Name of the fit that it was made from.
+        added : str
+            What was changed.
+        previous : Fit, optional
+            The fit with which the errors are compared.
+        share, per_case : sequence of str
+            Parameters that all cases share, and those of which each case has its own, other than by default.
+        ranges : dict, optional
+            Bounds [unit of the parameter] other than those of the effects.
+        loss : str
+            Robust loss of the fit.
+        """
         if not share and not per_case:
             share, per_case = found.problem.layout.choices
         records = [d.record for d in found.problem.data]
@@ -211,7 +246,17 @@ class Ledger:
             return entry
 
     def keep_diagnosis(self, fit_id: str, found: Diagnosis, extra: Sequence[Effect] = ()) -> None:
-        """Store the diagnosis of a fit, so that it can be displayed again without a new search."""
+        """Store the diagnosis of a fit, so that it can be displayed again without a new search.
+
+        Parameters
+        ----------
+        fit_id : str
+            Name of the fit.
+        found : Diagnosis
+            Its diagnosis.
+        extra : sequence of Effect
+            Own effects that were tested with the library.
+        """
         with self._locked():
             self.find(fit_id).document["diagnosis"] = as_json(stored_diagnosis(found, extra))
 

@@ -130,7 +130,13 @@ class SimulatedRun:
         return cls(model, numbers | _given(given, numbers), experiment, inertias, seed)
 
     def record(self, label: str) -> Record:
-        """Integrate the motion and measure it, with all noise."""
+        """Integrate the motion and measure it, with all noise.
+
+        Parameters
+        ----------
+        label : str
+            Name of the case.
+        """
         return simulate(
             self.model,
             self.numbers,
@@ -142,7 +148,13 @@ class SimulatedRun:
         )
 
     def film_files(self, folder: Path) -> list[Path]:
-        """Return the names of the films: the casing's, then those of the rotor."""
+        """Return the names of the films: the casing's, then those of the rotor.
+
+        Parameters
+        ----------
+        folder : Path
+            Where the films are.
+        """
         return [folder / clip.name for clip in _clips(self.experiment)]
 
     def films(
@@ -153,6 +165,15 @@ class SimulatedRun:
         progress: Callable[[int, int | None], None] | None = None,
     ) -> list[Path]:
         """Draw the casing clip and the rotor clips.
+
+        Parameters
+        ----------
+        folder : Path
+            Where the films are written.
+        force : bool
+            Replace existing films.
+        progress : callable, optional
+            Called with the number of frames done and in all.
 
         Returns
         -------

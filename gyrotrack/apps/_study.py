@@ -41,7 +41,13 @@ class Study:
     ledger: Ledger
 
     def entry(self, fit_id: str | None) -> Entry | None:
-        """Return the fit of this name, by default the latest of these cases; None if there is none."""
+        """Return the fit of this name, by default the latest of these cases; None if there is none.
+
+        Parameters
+        ----------
+        fit_id : str or None
+            "f1", "f2", ...
+        """
         if fit_id is not None:
             found = self.ledger.find(fit_id)
             if sorted(found.digests) != sorted(d.record.digest for d in self.data):
@@ -53,14 +59,26 @@ class Study:
         return entries[-1] if entries else None
 
     def model(self, names: Iterable[str]) -> Model:
-        """Return the model of these effects; for a recording of one body the part that applies to it."""
+        """Return the model of these effects; for a recording of one body the part that applies to it.
+
+        Parameters
+        ----------
+        names : iterable of str
+            Names of effects.
+        """
         from fitting.dynamics._model import Model
 
         whole = Model.of(names)
         return whole.alone if self.data[0].record.single else whole
 
     def steps_to(self, fit_id: str | None) -> list[Step]:
-        """Return a fit (by default the latest) after those that it was made from, the first one first."""
+        """Return a fit (by default the latest) after those that it was made from, the first one first.
+
+        Parameters
+        ----------
+        fit_id : str or None
+            "f1", "f2", ...
+        """
         from fitting.discovery._select import Step
 
         if self.entry(fit_id) is None:
@@ -108,14 +126,32 @@ class Study:
         return found
 
     def keep_diagnosis(self, fit_id: str, found: Diagnosis, extra: Sequence[Effect] = ()) -> None:
-        """Store a diagnosis with its fit; where the ledger cannot be written, nothing is stored."""
+        """Store a diagnosis with its fit; where the ledger cannot be written, nothing is stored.
+
+        Parameters
+        ----------
+        fit_id : str
+            Name of the fit.
+        found : Diagnosis
+            Its diagnosis.
+        extra : sequence of Effect
+            Own effects that were tested with the library.
+        """
         from fitting._errors import LedgerError
 
         with suppress(LedgerError):
             self.ledger.keep_diagnosis(fit_id, found, extra)
 
     def keep(self, steps: Sequence[Step], first: str) -> list[Entry]:
-        """Store the steps of a history whose first is the fit `first` of the ledger; return all entries."""
+        """Store the steps of a history whose first is the fit `first` of the ledger; return all entries.
+
+        Parameters
+        ----------
+        steps : sequence of Step
+            From `fitting.improve`.
+        first : str
+            Name of the fit with which they begin.
+        """
         entries = [self.ledger.find(first)]
         for before, step in pairwise(steps):
             parent = entries[-1].fit_id
@@ -123,7 +159,13 @@ class Study:
         return entries
 
     def base(self, fit_id: str | None) -> tuple[Fit, str]:
-        """Return the fit of this name (by default the latest) and its name; without any, of the reduced model."""
+        """Return the fit of this name (by default the latest) and its name; without any, of the reduced model.
+
+        Parameters
+        ----------
+        fit_id : str or None
+            "f1", "f2", ...
+        """
         from fitting.effects._library import REDUCED
         from fitting.inference._fit import fit
 
@@ -137,7 +179,19 @@ class Study:
 def open_study(
     cases: Sequence[Path], ledger: Path | None, *, data: str | None = None, rotor: str = "windows"
 ) -> Study:
-    """Read cases and their ledger."""
+    """Read cases and their ledger.
+
+    Parameters
+    ----------
+    cases : sequence of Path
+        Case files (HDF5).
+    ledger : Path or None
+        The history of fits; by default beside the first case.
+    data : {"angle", "velocity"}, optional
+        Fit the measured angles, or smoothed velocities as the paper does.
+    rotor : {"windows", "generated"}
+        Fit the films of the rotor, or one curve through them as the paper does.
+    """
     from fitting.study._history import Ledger
 
     read = read_cases(cases, data=data, rotor=rotor)

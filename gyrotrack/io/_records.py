@@ -101,9 +101,20 @@ class BodyTrack:
 class Recording:
     """One clip: n decoded frames, the markers found in them, and the bodies' angles.
 
-    `time` is the capture time (index / `capture_fps` unless the stream's own stamps were asked for) and
-    `pts_time` what the container claims. `sense` (+1 or -1) is the factor that was applied to the angles as
-    seen in the image. `extra` holds whatever else is worth keeping, as JSON can hold it.
+    Attributes
+    ----------
+    time : ndarray, shape (n,)
+        Capture time [s]: index / `capture_fps`, unless the time stamps of the stream were asked for.
+    pts_time : ndarray, shape (n,)
+        Time stamps of the container [s].
+    centre, centre_sigma : ndarray, shape (n, 2)
+        Centre of rotation and its standard uncertainty [px].
+    sense : {1, -1}
+        Factor that was applied to the angles as seen in the image.
+    markers, bodies : dict
+        Every marker, and the bodies' angles.
+    extra : dict
+        Further facts that JSON can hold.
     """
 
     source: str

@@ -84,7 +84,13 @@ class Profile(BaseModel):
         return self
 
     def of(self, body: str) -> tuple[MarkerProfile, ...]:
-        """Return the markers of one body."""
+        """Return the markers of one body.
+
+        Parameters
+        ----------
+        body : {"casing", "rotor"}
+            The body.
+        """
         return tuple(marker for marker in self.marker if marker.body == body)
 
 

@@ -173,6 +173,7 @@ def test_a_typed_law_is_fitted(visit):
     assert "N m s²" in visit.locator("#parameters").inner_text()
 
 
+@pytest.mark.slow
 def test_an_error_of_the_user_is_told_in_a_sentence(visit):
     count = _rungs(visit)
     for typed, told in (

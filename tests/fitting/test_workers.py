@@ -45,6 +45,7 @@ def test_if_the_process_is_killed_it_is_done_here():
         assert workers.submit(_where, 4).result() == (4, os.getpid())
 
 
+@pytest.mark.slow
 def test_it_does_not_outlive_a_command_that_is_killed(tmp_path):
     script = tmp_path / "command.py"
     script.write_text(

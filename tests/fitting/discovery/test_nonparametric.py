@@ -55,12 +55,14 @@ def test_a_step_is_no_law_of_the_speed():
     assert diagnose(base("step")).candidates[0].indistinguishable_from == ()
 
 
+@pytest.mark.slow
 def test_any_slow_torque_is_as_good_as_the_true_one():
     truth = gain("wear", resolve("casing: -k*t**2"))
     assert truth > 30
     assert nonparametric_slow_torque(base("wear")) == pytest.approx(truth, abs=15)
 
 
+@pytest.mark.slow
 def test_a_swing_that_comes_back_is_no_slow_torque():
     assert nonparametric_slow_torque(base("swing")) < 0.1 * gain(
         "swing", resolve("casing: k*cos(0.5*t + phi)")

@@ -43,6 +43,7 @@ def test_a_swing_that_passes_for_a_random_torque_is_found(shaken):
     assert line.angle == pytest.approx(TORQUE / (twobody.I_CASING * RATE**2), rel=0.1)
 
 
+@pytest.mark.slow
 def test_the_answer_tells_it_and_its_law_mends_it(shaken):
     answer = diagnose(shaken, candidates=[])
     line = periodogram_peak(shaken)
@@ -58,6 +59,7 @@ def test_the_answer_tells_it_and_its_law_mends_it(shaken):
     assert periodogram_peak(mended).p_value > 1e-3
 
 
+@pytest.mark.slow
 def test_on_film_a_swing_below_the_error_of_an_angle_is_no_evidence():
     faint = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: 0.1 * SHAKEN.casing(t, wr, wc, pr, pc))
     told, filmed = (periodogram_peak(found(faint, 4, tracked=tracked)) for tracked in (False, True))

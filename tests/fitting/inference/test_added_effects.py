@@ -130,6 +130,7 @@ def test_a_missing_torque_is_a_misfit_and_its_size_is_told():
 BUMP = "casing: -k*exp(-((t - t0)/w)**2)"
 
 
+@pytest.mark.slow
 def test_a_bump_that_a_user_writes_is_found_wherever_it_is():
     """Nothing is told of its moment and its width."""
     true = {"k": 1.5e-6, "t0": 141.0, "w": 9.0}

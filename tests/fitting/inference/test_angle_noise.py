@@ -48,6 +48,7 @@ def case(sigma=0.0, correlation=0.1, seed=0, torque_noise=0.0):
     return CaseData.of(replace(record, casing=Samples(s.time, s.value + added, s.sigma), digest=""))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("sigma", "correlation"), [(3e-3, 0.1), (1e-3, 0.3)])
 def test_level_and_time_are_found(sigma, correlation):
     found = case(sigma, correlation).angle_noise

@@ -35,6 +35,7 @@ def test_noise_alone_leaves_as_much_as_it_should():
     assert min(x.p_value for x in lacks) > 1e-5
 
 
+@pytest.mark.slow
 def test_a_law_of_the_wrong_shape_does_not_pass():
     """A drag at one speed only, hidden; a step of the friction is the best that the library has."""
     hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -2e-6 * np.exp(-(((wc - 110) / 12) ** 2)))

@@ -23,6 +23,7 @@ def quiet_camera():
     return recorded("quiet", 1, LEVEL, 2e-4, (900.0, 5.0))
 
 
+@pytest.mark.slow
 def test_what_a_loud_camera_hides_is_no_missing_effect(quiet_camera):
     found = fit(Model.of(REDUCED), [quiet_camera, recorded("loud", 3, LEVEL, 1e-2, (700.0, 12.0))])
     assert found.verdict == "adequate"

@@ -97,6 +97,7 @@ def test_errors_are_true_among_outliers(loss):
     assert np.mean(np.abs(table) < 1.96) > 0.85
 
 
+@pytest.mark.slow
 def test_linear_is_least_squares():
     raw = spoiled(1, share=0.0, span=20.0, windows=(2.0, 15.0))
     plain, same = (

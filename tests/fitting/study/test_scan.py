@@ -112,6 +112,7 @@ def test_a_bearing_of_constant_friction_alone_is_the_worst(found):
         assert rows[-1].fit.estimates["touchpoint.constant.b1"].value < 1e-6
 
 
+@pytest.mark.slow
 def test_models_separate_and_joint(found, data):
     reduced, general = found.models
     assert reduced.separate[0].model == Model.of(REDUCED)

@@ -68,6 +68,7 @@ def test_a_hand_at_the_start_is_found():
     assert start_of_motion(t, np.sin(t), np.full(len(t), 1e-3)) == 0
 
 
+@pytest.mark.slow
 def test_command_on_a_table(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     t = np.arange(400) / 40

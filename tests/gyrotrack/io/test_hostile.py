@@ -72,6 +72,7 @@ def test_nothing_from_outside_is_read_and_nothing_fills_the_memory(path, attack,
     assert time.perf_counter() - start < 5
 
 
+@pytest.mark.slow
 def test_too_deep_and_too_many(path):
     with h5py.File(path, "r+") as file:
         file.create_group("/".join("abcdefghij" * 4))

@@ -47,6 +47,7 @@ def run(path, mode, at):
     return subprocess.run(words, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.slow
 def test_no_write_that_fails_ends_the_process(tmp_path):
     whole = run(tmp_path / "a.h5", "", 0)
     count = int(whole.stdout.split()[0])

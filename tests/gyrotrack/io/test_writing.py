@@ -93,6 +93,7 @@ def test_a_file_made_meanwhile_is_not_overwritten(tmp_path):
     assert names(tmp_path) == ["a"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs file size limits and named pipes")
 @pytest.mark.parametrize("old", [b"old", None])
 def test_a_file_size_limit_leaves_the_old_file_and_nothing_else(tmp_path, old):

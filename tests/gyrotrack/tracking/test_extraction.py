@@ -214,6 +214,7 @@ def test_an_unknown_capture_rate_is_refused_before_tracking(draw):
         extract(path)
 
 
+@pytest.mark.slow
 def test_turns_are_counted_through_a_long_blackout(draw):
     def black(k, picture):
         return 0 * picture + 20 if 50 <= k < 110 else picture

@@ -36,6 +36,7 @@ def test_frames_in_any_order_are_those_of_the_film_in_order(recording):
             assert np.array_equal(picture, expected[index])
 
 
+@pytest.mark.slow
 def test_frames_far_apart_are_exact_though_what_no_later_frame_needs_is_not_decoded(recording):
     import dataclasses
 

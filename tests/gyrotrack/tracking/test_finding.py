@@ -101,6 +101,7 @@ def test_other_colours_tables_and_lights(draw, settings, markers, disc):
     assert found.sound
 
 
+@pytest.mark.slow
 def test_two_markers_of_one_colour_are_told(draw):
     path, _ = draw(**{**FAST, "green": BLUE})
     found = propose(path)

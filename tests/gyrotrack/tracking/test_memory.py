@@ -42,6 +42,7 @@ def peak(frames):
         tracemalloc.stop()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="long columns are kept in mapped files on Linux")
 def test_a_longer_film_takes_hardly_more_memory():
     recording(measured.watched(1000), measured.scene())  # imports what is imported late

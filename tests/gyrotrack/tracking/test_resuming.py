@@ -67,6 +67,7 @@ def test_a_stopped_run_ends_with_the_same_numbers(every_batch, clip, at, request
     assert again.warnings == whole.warnings
 
 
+@pytest.mark.slow
 def test_the_command_goes_on_and_knows_when_it_is_done(every_batch, casing_clip, tmp_path, capsys):
     film, target = str(casing_clip[0]), tmp_path / "o.h5"
     assert run(["extract", film, "-o", str(target), "-q"]) == 0
@@ -88,6 +89,7 @@ def test_the_command_goes_on_and_knows_when_it_is_done(every_batch, casing_clip,
     assert content(target) == whole
 
 
+@pytest.mark.slow
 def test_a_journal_that_does_not_fit_the_film_is_started_anew(every_batch, casing_clip, rotor_clip, tmp_path):
     output = tmp_path / "o.h5"
     with pytest.raises(KeyboardInterrupt), CheckpointFile(output, {"film": "x"}) as journal:

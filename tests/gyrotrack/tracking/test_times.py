@@ -121,6 +121,7 @@ class TestVaryingRate:
             assert np.std(error) < 0.4 * speed[body] * 1e-3 / np.sqrt(12)  # rounding alone would make it more
             assert 0.6 < np.std(error / track.sigma) < 1.5
 
+    @pytest.mark.slow
     def test_jitter_with_missing_frames(self, shoot):
         keep = np.ones(len(EVEN), dtype=bool)
         keep[np.random.default_rng(3).choice(np.arange(5, 310), 8, replace=False)] = False
@@ -218,6 +219,7 @@ class TestRepeatedFrames:
         assert recording.capture_fps == 240.0
         assert _told(recording, "taken for 240 frames/s")
 
+    @pytest.mark.slow
     def test_a_body_that_comes_to_rest_repeats_nothing(self, shoot):
         span = np.linspace(-0.1, 4.0, 400)
         resting = Motion.from_speeds(
@@ -228,6 +230,7 @@ class TestRepeatedFrames:
         assert recording.warnings == ()
         assert (recording.frame_index == np.arange(N)).all()
 
+    @pytest.mark.slow
     def test_a_run_goes_on_across_repeated_frames(self, shoot, tmp_path, monkeypatch):
         monkeypatch.setattr("gyrotrack.tracking._film_tracker.BATCHES", 1)
         monkeypatch.setattr("gyrotrack.tracking._film_tracker.BATCH", 128)

@@ -22,6 +22,7 @@ def test_a_centre_that_wanders_is_followed_if_it_may(still):
         assert error.mean() < 0.25
 
 
+@pytest.mark.slow
 def test_a_long_film_takes_little_memory():
     k = np.arange(12_000)
     place = 200 + 85 * np.stack([np.cos(0.25 * k), -np.sin(0.25 * k)], axis=1)  # 477 turns, 400 knots

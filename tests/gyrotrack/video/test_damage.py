@@ -132,6 +132,7 @@ def test_damage_in_the_middle_costs_no_frame_before_it_and_none_of_the_later_gro
     assert reader.warnings != () or len(numbers) == 150
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("name", ["a.mp4", "a.mkv", "a.avi"])
 def test_another_reader_goes_on_behind_a_mark(tmp_path, name, threads):

@@ -78,6 +78,7 @@ def test_for_people_the_verdict_comes_first(gyrotrack, case):
     assert max(map(len, said.out.splitlines())) <= 80
 
 
+@pytest.mark.slow
 def test_a_named_effect_mends_a_model_that_misses_it(gyrotrack, case):
     path = case("drag")
     base = gyrotrack("fit", path, "--json").json
@@ -170,6 +171,7 @@ def test_named_models(gyrotrack, case, model, names):
     assert said.json["verdict"] == ("adequate" if model == "reduced" else "misfit")
 
 
+@pytest.mark.slow
 def test_the_general_model_describes_at_least_as_well_as_the_reduced_one(gyrotrack, case):
     path = case("plain")
     reduced = gyrotrack("fit", path, "--json").json
@@ -192,6 +194,7 @@ def test_the_general_model_describes_at_least_as_well_as_the_reduced_one(gyrotra
         )
 
 
+@pytest.mark.slow
 def test_a_model_from_a_file(gyrotrack, case, tmp_path):
     file = tmp_path / "mine.toml"
     file.write_text(
@@ -243,6 +246,7 @@ class TestSeveralCases:
         assert (tmp_path / "plain.fits.json").exists()
         assert (tmp_path / "other.fits.json").exists()
 
+    @pytest.mark.slow
     def test_together(self, gyrotrack, case):
         said = gyrotrack("fit", case("plain"), case("other"), "--joint", "--json")
         assert said.code == 0

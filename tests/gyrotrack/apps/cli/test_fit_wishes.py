@@ -71,6 +71,7 @@ class TestRefusals:
 class TestOptionsOfTheData:
     """What is fitted, how outliers count, what is held: the same words as in the library."""
 
+    @pytest.mark.slow
     def test_a_held_parameter_stays_and_is_remembered(self, gyrotrack, case):
         path = case("plain")
         held = gyrotrack("fit", path, "--fix", "bearing.power.g=1.32", "--json")
@@ -109,6 +110,7 @@ class TestOptionsOfTheData:
         assert said.code in {1, 2}
         assert match in said.error["message"]
 
+    @pytest.mark.slow
     def test_recordings_predicted_from_each_other(self, gyrotrack, case):
         said = gyrotrack("fit", case("plain"), case("other"), "--joint", "--hold-out", "--json")
         assert [p["label"] for p in said.json["predicted"]] == ["plain", "other"]

@@ -228,6 +228,7 @@ def test_one_fit_alone_makes_a_report(story, tmp_path):
     assert "2 of 22 not decoded" in text
 
 
+@pytest.mark.slow
 def test_an_existing_file_is_kept_unless_forced(story, tmp_path):
     path = tmp_path / "report.html"
     path.write_text("mine")

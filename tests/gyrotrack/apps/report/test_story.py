@@ -5,6 +5,7 @@ from gyrotrack._errors import OutputError
 from gyrotrack.apps.report._story import story_picture
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".png", ".svg"])
 def test_picture_is_drawn_and_stays_the_same(story, tmp_path, suffix):
     frame = np.full((48, 64, 3), 200, dtype=np.uint8)
