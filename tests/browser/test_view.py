@@ -162,6 +162,7 @@ def test_a_click_adds_what_the_ranking_puts_first(visit):
     assert FOUND in visit.locator("#effects").inner_text()
 
 
+@pytest.mark.slow
 def test_a_typed_law_is_fitted(visit):
     before = _rms(visit)
     visit.fill("#wish", "casing: -k*omega_c**2")

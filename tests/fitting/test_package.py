@@ -55,6 +55,7 @@ def test_importing_it_brings_nothing_slow():
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow
 def test_a_fit_never_waits_for_scipy(tmp_path):
     """Its parts that would be needed take longer to import than the fit takes."""
     path = tmp_path / "case.h5"
@@ -225,6 +226,7 @@ def test_figures_of_merit_from_scratch():
     assert case.casing.reduced_chi2 == pytest.approx(chi2, rel=0.06)
 
 
+@pytest.mark.slow
 def test_one_case_or_a_list():
     record = data(seed=0).record
     assert fit("linear", record).chi2 == fit(Model.of("linear"), [record]).chi2

@@ -19,6 +19,7 @@ from fitting.inference._record import make_record
 T0 = 88.0
 
 
+@pytest.mark.slow
 def test_the_right_hollow():
     hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -1.5e-6 if t >= T0 else 0.0)
     motion = twobody.simulate(hidden=hidden, ou=1e-7, seed=2)
@@ -35,6 +36,7 @@ def test_the_right_hollow():
     assert set(found) == set(near.problem.layout.names)
 
 
+@pytest.mark.slow
 def test_a_step_far_off_is_found_by_what_it_leaves():
     hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -1.5e-6 if t >= T0 else 0.0)
     data = [CaseData.of(make_record(**twobody.film(twobody.simulate(hidden=hidden, ou=1e-7, seed=2), 2)))]

@@ -42,6 +42,7 @@ def gain(name, effect, **start):
     return base(name).deviance - found.deviance
 
 
+@pytest.mark.slow
 def test_any_law_is_as_good_as_the_true_one():
     truth = gain("resonance", resolve(RESONANCE))
     assert truth > 30

@@ -50,6 +50,7 @@ def base():
     return fit(Model.of(REDUCED), [make_record(**twobody.film(motion(swing)))])
 
 
+@pytest.mark.slow
 def test_added_by_its_name_it_starts_where_the_screen_finds_it(base):
     assert base.torque_noise > 10 * NOISE
     effect = LIBRARY["casing.precession"]

@@ -96,6 +96,7 @@ def to_sympy(tree, arguments):
     return FUNCTIONS[tree[0]](positive if tree[0] in POSITIVE_ONLY else a)
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
 @given(trees, st.floats(-2, 2), st.floats(0.3, 2), st.floats(0.3, 1.4))
 def test_random_formula_agrees_with_sympy(tree, x, y, g):

@@ -105,6 +105,7 @@ def test_a_ripple_of_the_casing_is_recovered():
     assert k.stderr < 1e-6
 
 
+@pytest.mark.slow
 def test_a_slow_clock_of_the_rotor_camera_is_recovered():
     raw = twobody.film(twobody.simulate(), seed=6)
     # the camera's clock runs slow: what it calls t was t (1 + eps), counted from the start of each clip

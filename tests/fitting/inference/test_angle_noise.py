@@ -87,6 +87,7 @@ def test_whitening_and_back():
     assert data.whitened(rows[:, 0]) == pytest.approx(data.whitened(rows)[:, 0], abs=1e-12)
 
 
+@pytest.mark.slow
 def test_a_fit_with_correlated_noise_is_adequate_and_its_uncertainties_hold():
     found = fit(MODEL, [case(3e-3, 0.1)])
     assert found.verdict == "adequate"

@@ -30,6 +30,7 @@ def test_what_a_loud_camera_hides_is_no_missing_effect(quiet_camera):
     assert [n.pure for n in found.noise] == pytest.approx([LEVEL] * 2, rel=0.5)
 
 
+@pytest.mark.slow
 def test_a_recording_that_excludes_it_has_none(quiet_camera):
     found = fit(Model.of(REDUCED), [quiet_camera, recorded("still", 3, 0.0, 1e-3, (700.0, 12.0))])
     assert found.verdict == "adequate"

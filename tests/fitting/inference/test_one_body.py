@@ -74,6 +74,7 @@ def test_the_errors_are_those_of_many_wheels(quantity):
     assert 0.55 < np.sqrt(np.mean(np.square(pulls))) < 1.45
 
 
+@pytest.mark.slow
 def test_what_is_missing_is_found():
     base = fit(BASE, [wheel(SQUARE)])
     assert base.verdict == "misfit"

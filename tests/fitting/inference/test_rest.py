@@ -66,6 +66,7 @@ def test_reversed_spin(start):
     assert max(map(abs, pulls(result, twobody.truth(start=start)).values())) < 4
 
 
+@pytest.mark.slow
 def test_a_start_from_which_the_casing_stops_again_and_again():
     """So often that nothing is left of what a torque did before: its matrix has no inverse."""
     par = {**twobody.PAPER, "b1": 4.5e-5, "b2": 9.5e-7}

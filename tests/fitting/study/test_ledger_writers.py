@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[3]
 
 WRITER = """
@@ -31,6 +33,7 @@ for _ in range(15):
 """
 
 
+@pytest.mark.slow
 def test_no_fit_is_lost(tmp_path):
     path = tmp_path / "x.fits.json"
     writers = [

@@ -102,6 +102,7 @@ def test_a_decay_of_the_curves_own_law_is_found():
     assert np.abs(found - omega[::10]).max() < 0.5
 
 
+@pytest.mark.slow
 def test_a_fit_with_a_generated_rotor_is_told_as_such(record):
     found = fit(Model.of(REDUCED), [CaseData.of(prepared(record, "velocity", "generated"))])
     (case,) = found.cases

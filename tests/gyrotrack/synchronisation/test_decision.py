@@ -85,6 +85,7 @@ def test_a_camera_that_was_turned_between_clips_does_no_harm(motion, make_run):
     assert not any(found.common_direction for found in matches)
 
 
+@pytest.mark.slow
 def test_a_camera_that_stood_still_is_recognised_and_helps(motion, make_run):
     run = make_run(motion, np.random.default_rng(7))
     casing, starts = run.casing(), (2.0, 6.0, 11.0, 75.0)

@@ -49,6 +49,7 @@ def test_notes_and_truth_are_those_of_the_script(script: ModuleType) -> None:
             assert kept["clips"][name][key] == pytest.approx(value, rel=1e-6, abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["casing", "rotor_1", "rotor_2", "rotor_3"])
 def test_first_frames_are_those_of_the_script(script: ModuleType, name: str) -> None:
     camera, frames = script.clips()[name]

@@ -185,6 +185,7 @@ def test_a_film_in_which_nothing_turns_has_a_constant_angle(draw):
     assert track.sigma.min() > 0.5e-3  # that it repeats itself does not make it certain
 
 
+@pytest.mark.slow
 def test_papers_that_are_not_there_are_not_found(draw):
     path, _ = draw(**{**SMALL, "frames": 80, "casing": _linear(70.0), "rotor_papers": False})
     recording = extract(path)
@@ -229,6 +230,7 @@ def test_turns_are_counted_through_a_long_blackout(draw):
     assert (recording.markers["red"].status[50:110] == STATUS["lost"]).all()
 
 
+@pytest.mark.slow
 def test_frames_missing_in_the_file_are_missing_in_time(draw):
     def dropped(k, picture):
         return None if k in (40, 41, 90) else picture
@@ -246,6 +248,7 @@ def test_frames_missing_in_the_file_are_missing_in_time(draw):
     assert any("3 missing frames" in text for text in recording.warnings)
 
 
+@pytest.mark.slow
 def test_a_marker_that_leaves_the_picture_is_flagged(draw):
     path, film = draw(**{**SMALL, "centre": (230.0, 119.5), "casing": _linear(70.0), "rotor_papers": False})
     red = extract(path).markers["red"]
@@ -255,6 +258,7 @@ def test_a_marker_that_leaves_the_picture_is_flagged(draw):
     assert (red.status[right < 312] == STATUS["ok"]).mean() > 0.95
 
 
+@pytest.mark.slow
 def test_more_than_half_a_turn_a_frame_is_told_from_the_casings_sense(draw):
     path, film = draw(
         **{**SMALL, "fps": 1000.0, "exposure": 2e-5, "casing": _linear(90.0), "rotor": _linear(4000.0)}

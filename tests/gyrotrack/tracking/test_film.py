@@ -25,6 +25,7 @@ def recording(tmp_path_factory):
     return path, extract(path, capture_fps=1000.0)
 
 
+@pytest.mark.slow
 def test_frames_in_any_order_are_those_of_the_film_in_order(recording):
     path, found = recording
     with Reader(path) as reader:

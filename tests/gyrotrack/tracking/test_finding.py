@@ -132,6 +132,7 @@ def test_one_body_alone_is_a_guess_and_called_so(draw):
     assert any("only one body" in note for note in found.notes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "settings",
     [
@@ -170,6 +171,7 @@ def test_the_wheel_is_tracked_as_with_the_profile_by_hand():
     assert np.degrees(np.std(mine.angle - np.polyval(fits[0], mine.time))) < 1.0
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_profile_that_extract_reads(casing_clip, tmp_path, capsys):
     film, target, picture = str(casing_clip[0]), tmp_path / "mine.toml", tmp_path / "mine.png"
     words = ["profile", film, "-o", str(target), "--picture", str(picture), "--capture-fps", "260"]

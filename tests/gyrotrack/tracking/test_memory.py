@@ -85,6 +85,7 @@ print(most() - before)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_a_large_file_is_not_held_in_memory(tmp_path):
     done = subprocess.run(

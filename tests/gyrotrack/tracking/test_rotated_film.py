@@ -7,6 +7,7 @@ import pytest
 from gyrotrack.tracking._extract import extract
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("quarter", [90, 180])
 def test_a_turned_film_turns_the_angles(casing_clip, tmp_path, quarter):
     path = tmp_path / "turned.mp4"

@@ -90,6 +90,7 @@ def test_a_named_effect_mends_a_model_that_misses_it(gyrotrack, case):
     assert more["bic"] < base["bic"] - 100
 
 
+@pytest.mark.slow
 def test_a_law_of_ones_own_finds_its_parameter(gyrotrack, study):
     said = gyrotrack("fit", study, "--from", "f1", "--add", "casing: -k*omega_c*abs(omega_c)", "--json")
     assert said.code == 0
@@ -113,6 +114,7 @@ def test_a_law_that_is_not_needed_is_nearly_nothing(gyrotrack, study):
     assert gyrotrack("ladder", study, "--json").json["ladder"][-1]["delta_bic"] > 0
 
 
+@pytest.mark.slow
 def test_dropping_what_was_added_leads_back(gyrotrack, study):
     first = gyrotrack("ladder", study, "--json").json["ladder"][0]
     said = gyrotrack("fit", study, "--drop", "casing.air.quadratic", "--json")
@@ -123,6 +125,7 @@ def test_dropping_what_was_added_leads_back(gyrotrack, study):
     assert last["rmse_casing"] == pytest.approx(first["rmse_casing"], rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_start_that_leads_nowhere_is_not_the_end(gyrotrack, study, monkeypatch):
     """What the parent's values cannot start is fitted from the program's own."""
     from fitting._errors import SimulationError
@@ -143,6 +146,7 @@ def test_a_start_that_leads_nowhere_is_not_the_end(gyrotrack, study, monkeypatch
     assert said.json["verdict"] == "misfit"
 
 
+@pytest.mark.slow
 def test_the_ladder_grows_and_from_chooses_the_rung(gyrotrack, study):
     assert [r["fit_id"] for r in gyrotrack("ladder", study, "--json").json["ladder"]] == ["f1", "f2"]
     said = gyrotrack("fit", study, "--from", "f1", "--json").json
@@ -157,6 +161,7 @@ def test_the_ladder_grows_and_from_chooses_the_rung(gyrotrack, study):
     assert "f1, f2, f3" in said.err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("model", "names"),
     [
@@ -235,6 +240,7 @@ def test_a_ledger_where_one_wants_it(gyrotrack, case, tmp_path):
 
 
 class TestSeveralCases:
+    @pytest.mark.slow
     def test_one_by_one(self, gyrotrack, case, tmp_path):
         said = gyrotrack("fit", case("plain"), case("other"), "--json")
         assert said.code == 0
@@ -266,6 +272,7 @@ class TestSeveralCases:
         alone = gyrotrack("fit", case("plain"), "--json").json["parameters"]
         assert found["bearing.power.f"]["stderr"] < alone["bearing.power.f"]["stderr"]
 
+    @pytest.mark.slow
     def test_what_is_shared_can_be_changed(self, gyrotrack, case):
         said = gyrotrack(
             "fit",
@@ -287,6 +294,7 @@ class TestSeveralCases:
         } <= found
         assert not {"casing.air.linear.b2@plain", "rotor.air.quadratic.a2"} & found
 
+    @pytest.mark.slow
     def test_a_joint_rung_belongs_to_that_set_of_cases(self, gyrotrack, case):
         one, two = case("plain"), case("other")
         assert gyrotrack("fit", one, two, "--joint").code == 0

@@ -273,6 +273,7 @@ class TestAsAProcess:
         command = [sys.executable, "-m", "gyrotrack", *map(str, words)]
         return subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
 
+    @pytest.mark.slow
     def test_fit(self, case):
         done = self.run("fit", case("plain"), "--json")
         assert done.returncode == 0
@@ -292,6 +293,7 @@ class TestAsAProcess:
         assert "Missing argument" in done.stderr
 
 
+@pytest.mark.slow
 def test_the_budget_of_a_fit(gyrotrack, case):
     path = case("plain")
     found = gyrotrack("budget", path, "--clock-rate", "1e-3", "--json").json

@@ -134,6 +134,7 @@ def test_page_tells_the_story(page):
     assert abs(float(value) - 3) < 4 * float(error)
 
 
+@pytest.mark.slow
 def test_page_does_not_change_from_run_to_run(story, page, tmp_path):
     write_report(
         tmp_path / "again.html",
@@ -215,6 +216,7 @@ def test_names_from_files_do_not_stop_the_pdf(story, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["hostile.pdf"]
 
 
+@pytest.mark.slow
 def test_one_fit_alone_makes_a_report(story, tmp_path):
     path = write_report(tmp_path / "one.html", story.rungs[:1], None, recordings=[_case()])
     text = " ".join(_Page(path.read_text("utf-8")).text.split())

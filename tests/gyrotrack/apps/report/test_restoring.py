@@ -78,6 +78,7 @@ def test_other_code_finds_anew(study, monkeypatch):
     assert entry.diagnosis(entry.refit(study.data)) is None
 
 
+@pytest.mark.slow
 def test_damage_is_no_error(study):
     entry = study.entry("f1")
     fit = entry.shown(study.data)
