@@ -273,7 +273,7 @@ def _by_features(film: Film, usable: npt.NDArray[np.int64], motion: Motion) -> T
     share, _ = explained(polars, theta[use], template)
     angle = -np.array([p.angle for p in every])
     formal = np.array([p.formal for p in every])
-    scale = white_noise(angle) / float(np.median(formal))
+    scale = max(white_noise(angle) / float(np.median(formal)), 1.0)  # no estimator is better than its bound
     correlated = float((angle - of_features).std())
     repeated = len(film) - len(usable)
     warnings = [
@@ -661,7 +661,7 @@ def _finish(
     kept = (misfit < 6 * usual) & (np.abs(angle + rough) < 4 * ring.step + 0.1)
     scatter = white_noise(angle[kept])
     inflated = formal * np.sqrt(np.maximum(misfit / usual, 1.0))
-    scale = scatter / float(np.median(inflated[kept]))
+    scale = max(scatter / float(np.median(inflated[kept])), 1.0)  # no estimator is better than its bound
     warnings = list(film.warnings)
     repeated = len(film) - len(usable)
     if repeated:

@@ -124,7 +124,7 @@ def test_a_law_from_outside_is_found_when_it_is_offered_and_not_named_otherwise(
     start = fit(Model.of(REDUCED), [CaseData.of(record)])
     alone = diagnose(start)
     assert alone.verdict == "unexplained"
-    assert "unexplained torque" in alone.sentence
+    assert "No effect of the library explains it" in alone.sentence
     offered = diagnose(start, [law])
     assert offered.verdict == "missing_effect"
     assert offered.candidates[0].effect.name == law.name

@@ -27,7 +27,7 @@ def test_each_recording_has_its_own_phase(name, law):
     best = answer.candidates[0]
     assert best.effect.name == name
     assert best.own_phase
-    assert "Each case has a strength and a phase of its own" in answer.sentence
+    assert "Each case has its own strength and phase" in answer.sentence
     for i, phi in enumerate(APART, 1):
         k = best.estimates[f"{name}.k@case{i}"]
         assert k.value == pytest.approx(STRENGTH, abs=4 * k.stderr)

@@ -71,4 +71,4 @@ def test_what_it_hid_comes_to_light():
     assert rungs[-1].fit.torque_noise == pytest.approx(NOISE, rel=0.4)
     answer = diagnose(fitted)
     assert answer.verdict == "missing_effect"
-    assert "casing.unbalance is found as well" in answer.sentence
+    assert "second effect casing.unbalance" in answer.sentence
