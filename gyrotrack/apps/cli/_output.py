@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 
-# C0 and C1 controls but line feed and tab; marks that reorder or hide what is written; line separators
+# C0 and C1 controls except line feed and tab; characters that reorder or hide text; line separators
 _COMMANDS = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b\u200e\u200f\u2028\u2029\u202a-\u202e\u2060-\u2069\ufeff]"
 )
@@ -81,7 +81,7 @@ class Output:
             print_json(document)
 
     def show(self, *renderables: Any) -> None:
-        """Print the result for a person: text, or anything that rich can draw; silent under ``--json``."""
+        """Print the result as text, or as anything that rich can draw; nothing is printed under ``--json``."""
         if not self.as_json:
             console = _console(sys.stdout)
             for item in renderables:
@@ -103,7 +103,7 @@ class Output:
 
     @contextmanager
     def progress(self, label: str, unit: str = "") -> Iterator[Progress]:
-        """Yield a callback (done, total) that draws a bar, or does nothing when nobody watches.
+        """Yield a callback (done, total) that draws a bar, or does nothing without a terminal.
 
         With a `unit` the bar also shows the rate.
         """
