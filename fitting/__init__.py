@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from fitting._errors import RecordError as RecordError
     from fitting._errors import SimulationError as SimulationError
     from fitting.discovery._criteria import Criteria as Criteria
+    from fitting.discovery._laws import laws as laws
     from fitting.discovery._select import Candidate as Candidate
     from fitting.discovery._select import improve as improve
     from fitting.discovery._verdict import Diagnosis as Diagnosis
@@ -79,6 +80,7 @@ _PLACES = {
     "effect": ("fitting.effects._user", "resolve"),
     "fit": ("fitting._api", "fit"),
     "improve": ("fitting.discovery._select", "improve"),
+    "laws": ("fitting.discovery._laws", "laws"),
     "load": ("fitting._api", "load"),
     "load_fit": ("fitting.study._serialisation", "load_fit"),
     "make_record": ("fitting.inference._record", "make_record"),
@@ -119,6 +121,7 @@ __all__ = [
     "effect",
     "fit",
     "improve",
+    "laws",
     "load",
     "load_fit",
     "make_record",

@@ -78,6 +78,12 @@ COMMANDS = (
         _PHYSICS,
         "Add effects until the residuals are consistent with noise.",
     ),
+    Entry(
+        "laws",
+        "gyrotrack.apps.cli._laws",
+        _PHYSICS,
+        "Find the law of an unmodelled torque, as a set of formulas.",
+    ),
     Entry("budget", "gyrotrack.apps.cli._budget", _PHYSICS, "Uncertainty budget of every parameter (GUM)."),
     Entry("ladder", "gyrotrack.apps.cli._fitting", _PHYSICS, "List the fits of a case: one bar per fit."),
     Entry("report", "gyrotrack.apps.cli._presentation", _PHYSICS, "Write a report: one HTML page or a PDF."),
