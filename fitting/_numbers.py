@@ -111,8 +111,3 @@ def to_json(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None if math.isnan(value) else ("inf" if value > 0 else "-inf")
     return value
-
-
-def from_json(value: Any) -> float:
-    """Return a number that `plain` wrote."""
-    return math.nan if value is None else float(value)
