@@ -23,6 +23,7 @@ if TYPE_CHECKING:
         SimulationError,
     )
     from fitting.discovery._criteria import Criteria
+    from fitting.discovery._laws import laws
     from fitting.discovery._select import Candidate, improve
     from fitting.discovery._verdict import Diagnosis, diagnose
     from fitting.dynamics._model import Model
@@ -53,6 +54,7 @@ _MODULES = {
         "SimulationError",
     ),
     "fitting.discovery._criteria": ("Criteria",),
+    "fitting.discovery._laws": ("laws",),
     "fitting.discovery._select": ("Candidate", "improve"),
     "fitting.discovery._verdict": ("Diagnosis", "diagnose"),
     "fitting.dynamics._model": ("Model",),
@@ -102,6 +104,7 @@ __all__ = [
     "effect",
     "fit",
     "improve",
+    "laws",
     "load",
     "load_fit",
     "make_record",
