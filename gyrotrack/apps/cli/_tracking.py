@@ -304,7 +304,7 @@ def _extraction_lines(document: dict[str, Any]) -> str:
 
 def sync_command(
     casing: Annotated[Path, typer.Argument(metavar="CASING.h5", help="Recording of the casing.")],
-    rotors: Annotated[list[Path], typer.Argument(metavar="ROTOR.h5...", help="Recordings of the rotor.")],
+    rotors: Annotated[list[Path], typer.Argument(metavar="ROTOR.h5", help="Recordings of the rotor.")],
     *,
     output: OutputFile,
     label: Label = None,
