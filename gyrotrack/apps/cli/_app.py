@@ -91,7 +91,7 @@ COMMANDS = (
         "view",
         "gyrotrack.apps.cli._presentation",
         _PHYSICS,
-        "Explore a case in the browser.",
+        "From films to the missing effect in the browser.",
     ),
     Entry("effects", "gyrotrack.apps.cli._fitting", _PHYSICS, "Show the library of effects."),
     Entry("demo", "gyrotrack.apps.cli._simulation", _ORACLE, "Run the whole analysis of the sample clips."),
