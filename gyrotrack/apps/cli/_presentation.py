@@ -58,20 +58,20 @@ def report_command(
     study = open_study(cases, ledger)
     with WorkerPool() as workers, out.progress("writing the report") as progress:
         progress(0, None)
-        rungs = study.steps_to(start)
-        diagnosis = study.diagnosis(start, rungs[0].fit, own_effects(effects), workers=workers)
+        steps = study.steps_to(start)
+        diagnosis = study.diagnosis(start, steps[0].fit, own_effects(effects), workers=workers)
         recordings = [read_case(case) for case in cases]
         where = {"command": command_line(), "ledger": str(study.ledger.path)}
         write_report(
             output,
-            rungs,
+            steps,
             diagnosis,
             recordings=recordings,
             films=film_folders(cases, films),
             provenance=where,
             force=force,
         )
-    out.result({"output": output, "fits": [r.change or "base" for r in rungs], "verdict": diagnosis.verdict})
+    out.result({"output": output, "fits": [r.change or "base" for r in steps], "verdict": diagnosis.verdict})
     out.show(f"written: {output}")
 
 
