@@ -26,7 +26,7 @@ from gyrotrack._inertia import Inertia
 from gyrotrack.apps.batch._experiments import FILMS, Experiment, read_study
 from gyrotrack.apps.batch._workers import cores
 from gyrotrack.apps.workbench._jobs import Job, Jobs
-from gyrotrack.io._atomic import write_text
+from gyrotrack.io._atomic import new_file
 from gyrotrack.io._hdf5 import read_kind
 from gyrotrack.tracking._profile import load, parse, to_toml
 from gyrotrack.video._container import probe
@@ -456,7 +456,9 @@ class Project:
                 }
                 if disc:
                     content["circle_colour"] = disc
-                write_text(self.folder / x.profile, to_toml(parse(content, "profile")))
+                text = to_toml(parse(content, "profile"))
+                with new_file(self.folder / x.profile, force=True) as stream:
+                    stream.write(text.encode())
                 x.result = {}  # of other markers
             self._save()
             self.preview(key)
@@ -688,7 +690,8 @@ class Project:
 
     def _save(self) -> None:
         text = json.dumps(self.state.model_dump(mode="json"), indent=1, allow_nan=False)
-        write_text(self.folder / STATE_FILE, text + "\n")
+        with new_file(self.folder / STATE_FILE, force=True) as stream:
+            stream.write((text + "\n").encode())
 
     def close(self) -> None:
         """End all processes; checkpoints stay."""
