@@ -7,6 +7,7 @@ excerpt is copied without decoding into a temporary folder and tracked by the ve
 from __future__ import annotations
 
 import json
+import signal
 import sys
 import tempfile
 import warnings
@@ -19,7 +20,6 @@ import numpy as np
 
 from gyrotrack._errors import GyrotrackError, TrackingError
 from gyrotrack.apps._spindown import Wish, film_recording
-from gyrotrack.apps.cli._app import catch_sigterm
 from gyrotrack.io._records import Recording
 from gyrotrack.io._schema import STATUS
 from gyrotrack.tracking._any_body import Tracked
@@ -155,7 +155,7 @@ def _places(place: Any) -> list[list[float] | None]:
 
 def main() -> None:
     """Answer one request."""
-    catch_sigterm()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # the temporary folder is removed
     warnings.simplefilter("ignore")
     request = json.loads(sys.argv[1])
     try:
@@ -168,8 +168,6 @@ def main() -> None:
         )
     except GyrotrackError as error:
         answer = {"error": {"code": error.code, "message": error.message, "hint": error.hint}}
-    except KeyboardInterrupt:
-        return
     sys.stdout.write(json.dumps(answer))
 
 
