@@ -49,7 +49,7 @@ COMMANDS = (
     Entry("ladder", "_fitting", _PHYSICS, "List the fits of a case: one bar per fit."),
     Entry("report", "_presentation", _PHYSICS, "Write a report: one HTML page or a PDF."),
     Entry("figures", "_presentation", _PHYSICS, "Draw the paper's figures and tables of a study."),
-    Entry("view", "_presentation", _PHYSICS, "Explore a case in the browser."),
+    Entry("view", "_presentation", _PHYSICS, "Open the workbench: from films to the missing effect."),
     Entry("effects", "_fitting", _PHYSICS, "Show the library of effects."),
     Entry("demo", "_simulation", _ORACLE, "Run the whole analysis of the sample clips."),
     Entry("simulate", "_simulation", _ORACLE, "Simulate a case with chosen effects, as data or films."),

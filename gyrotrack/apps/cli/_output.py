@@ -7,6 +7,7 @@ drawn only if stderr is a terminal, and neither ``--json``, ``-q`` nor NO_COLOR 
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 import shlex
@@ -16,6 +17,7 @@ from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
+from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -105,8 +107,12 @@ class Output:
     def progress(self, label: str, unit: str = "") -> Iterator[Progress]:
         """Yield a callback (done, total) that draws a bar, or does nothing without a terminal.
 
-        With a `unit` the bar also shows the rate.
+        With a `unit` the bar also shows the rate. With ``GYROTRACK_PROGRESS=json`` in the environment the progress is
+        written to stderr as JSON lines ``{"progress": {"label", "done", "total"}}``, at most five a second.
         """
+        if os.environ.get("GYROTRACK_PROGRESS") == "json":
+            yield _json_lines(label)
+            return
         if self.as_json or self.quiet or not _interactive():
             yield _ignore
             return
@@ -137,6 +143,25 @@ def all_or_nothing(*outputs: Path | None) -> Iterator[None]:
             with suppress(OSError):
                 path.unlink()
         raise
+
+
+def _json_lines(label: str) -> Progress:
+    """Return a callback that writes progress as JSON lines."""
+    latest = -math.inf
+
+    def update(done: int, total: int | None) -> None:
+        nonlocal latest
+        now = monotonic()
+        if now - latest >= _INTERVAL or done == total:
+            latest = now
+            line = {"progress": {"label": label, "done": done, "total": total}}
+            sys.stderr.write(json.dumps(line) + "\n")
+            sys.stderr.flush()
+
+    return update
+
+
+_INTERVAL = 0.2  # s
 
 
 def _ignore(done: int, total: int | None) -> None:

@@ -75,6 +75,11 @@ class Session:
         self.found: dict[str, dict[str, float]] = {}
 
     @property
+    def label(self) -> str:
+        """Name of the case."""
+        return str(self._data.record.label)
+
+    @property
     def fit(self) -> Fit:
         """The current fit."""
         return self.steps[self.current].fit
