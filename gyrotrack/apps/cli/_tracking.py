@@ -296,7 +296,7 @@ def _extraction_lines(document: dict[str, Any]) -> str:
     source = {"asked for": "as asked for", "profile": "by the profile"}.get(
         document["capture_fps_from"], f"by the {document['capture_fps_from']}"
     )
-    stamped = "; times from the time stamps" if document["times_from"] == "stamps" else ""
+    stamped = "; times from the timestamps" if document["times_from"] == "stamps" else ""
     lines.append(f"captured at {document['capture_fps']:g} fps, {source}{stamped}")
     lines.append(f"{document['frames']} frames{pace}; written: {document['output']}")
     return "\n".join(lines)
