@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from fitting._errors import RecordError as RecordError
     from fitting._errors import SimulationError as SimulationError
     from fitting.discovery._criteria import Criteria as Criteria
+    from fitting.discovery._plan import plan as plan
     from fitting.discovery._select import Candidate as Candidate
     from fitting.discovery._select import improve as improve
     from fitting.discovery._verdict import Diagnosis as Diagnosis
@@ -82,6 +83,7 @@ _PLACES = {
     "load": ("fitting._api", "load"),
     "load_fit": ("fitting.study._serialisation", "load_fit"),
     "make_record": ("fitting.inference._record", "make_record"),
+    "plan": ("fitting.discovery._plan", "plan"),
     "predict_recordings": ("fitting.inference._cross_validation", "predict_recordings"),
     "profile_interval": ("fitting.inference._profile", "profile"),
     "read_effects": ("fitting.effects._user", "read_effects"),
@@ -122,6 +124,7 @@ __all__ = [
     "load",
     "load_fit",
     "make_record",
+    "plan",
     "predict_recordings",
     "profile_interval",
     "read_effects",

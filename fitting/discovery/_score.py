@@ -190,7 +190,7 @@ class CaseColumns:
             grids = [self._grid(effect, p) for p in shapes]
             symbols = [p.symbol for p in shapes]
             choices = [dict(zip(symbols, map(float, v), strict=True)) for v in itertools.product(*grids)]
-        torques = [self._torque(effect, choice) for choice in choices]
+        torques = [self.torque(effect, choice) for choice in choices]
         rotor = np.concatenate([t[0] for t in torques], axis=1)
         casing = np.concatenate([t[1] for t in torques], axis=1)
         rows = self.response.rotor @ rotor + self.response.casing @ casing
@@ -214,7 +214,13 @@ class CaseColumns:
             return np.asarray(first + finer * (last - first))
         return grid * (last - first) if p.relative else grid
 
-    def _torque(self, effect: Effect, shape: dict[str, float]) -> tuple[Array, Array]:
+    @property
+    def typical_torque(self) -> Array:
+        """Torque of the bearing in each cell [N m]; of a single body the net torque."""
+        return np.asarray(self._whole["inertia"] if self.case.data.record.single else self._whole["factor"])
+
+    def torque(self, effect: Effect, shape: dict[str, float]) -> tuple[Array, Array]:
+        """Return the torques of a unit strength on rotor and casing, each (cells, columns) [N m]."""
         values = self._known | {p.symbol: p.start for p in effect.parameters} | shape
         if effect.state is not None:
             values[effect.state.symbol] = self._state(effect, shape)

@@ -78,6 +78,12 @@ COMMANDS = (
         _PHYSICS,
         "Add effects until the residuals are consistent with noise.",
     ),
+    Entry(
+        "plan",
+        "gyrotrack.apps.cli._plan",
+        _PHYSICS,
+        "What recordings can show of every effect, and the best next run.",
+    ),
     Entry("budget", "gyrotrack.apps.cli._budget", _PHYSICS, "Uncertainty budget of every parameter (GUM)."),
     Entry("ladder", "gyrotrack.apps.cli._fitting", _PHYSICS, "List the fits of a case: one bar per fit."),
     Entry("report", "gyrotrack.apps.cli._presentation", _PHYSICS, "Write a report: one HTML page or a PDF."),
