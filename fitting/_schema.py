@@ -180,6 +180,16 @@ class RippleDocument(Document):
     sigma_Nm: list[Number]  # noqa: N815
 
 
+class UpperLimitDocument(Document):
+    """An effect that could still be hidden: 95 % upper limit of its strength, and of its rms torque."""
+
+    effect: str
+    symbol: str
+    upper_limit: Number
+    unit: str
+    torque_Nm: Number  # noqa: N815 - the unit's own capitals
+
+
 class DiagnosisDocument(Document):
     """What `diagnose --json` prints."""
 
@@ -193,6 +203,7 @@ class DiagnosisDocument(Document):
     remainder: RemainderDocument | None = None
     nuisance: list[NuisanceDocument] = []
     next_experiment: str
+    upper_limits: list[UpperLimitDocument] = []
     whiteness: list[WhitenessDocument]
     energy_drift: dict[str, Number]
     residual_torque: list[TorqueDocument]
@@ -352,6 +363,7 @@ class StoredDiagnosis(Document):
     remainder: RemainderDocument | None = None
     nuisance: list[NuisanceDocument] = []
     next_experiment: str
+    upper_limits: list[UpperLimitDocument] = []
 
 
 class EntryDocument(FitDocument):

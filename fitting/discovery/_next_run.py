@@ -1,30 +1,23 @@
 """The next run, optimised: the initial conditions that tell most about rival explanations.
 
-A run that is planned is simulated without noise, and its rows and their derivatives are computed as those of a
-recording, with the measurement and process noise of the recordings at hand. With J the derivatives by the free
-parameters, s_k the responses to the candidate effects, and everything that belongs to one run alone (its initial angular
-rates, touch point, casing drag, phases of the films) projected out,
-
-    I = sum over runs of [J s]' C^-1 [J s]
-
-is the Fisher information of all recordings together; present and planned runs add up. Of two rivals a and b, sets of
-candidates with strengths g_a and g_b, the information that b leaves of a after a refit of the shared parameters and of its
-own strengths is
+Of two rivals a and b, sets of candidates with strengths g_a and g_b, the information that b leaves of a after a refit
+of the shared parameters and of its own strengths is
 
     D_ab = g_a' [ I_aa - I_ao I_oo^-1 I_oa ] g_a,       o = parameters and candidates of b,
 
-the expected difference of deviance (twice the Kullback-Leibler divergence) between the two. The criterion of a run is the
-smallest D over all ordered pairs of rivals (T-optimality: A. Atkinson, V. Fedorov, Biometrika 62, 57 (1975)). Without
-rivals it is the mean logarithm of the information about each candidate's strength: the mean gain in detection limits.
+the expected difference of deviance (twice the Kullback-Leibler divergence) between the two, with the information I of
+all recordings and the planned run (`fitting.discovery._information`). The criterion of a run is the smallest D over all
+ordered pairs of rivals (T-optimality: A. Atkinson, V. Fedorov, Biometrika 62, 57 (1975)). Without rivals it is the mean
+logarithm of the information about each candidate's strength: the mean gain in detection limits.
 
-The search is quasi-random over the bounds, then a local search with shrinking steps.
+The search is quasi-random over the bounds, then local with shrinking steps.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -32,35 +25,24 @@ from numpy.typing import NDArray
 
 from fitting._errors import FittingError
 from fitting.discovery._criteria import Criteria
-from fitting.discovery._score import CaseColumns
-from fitting.effects._effect import Effect
-from fitting.effects._library import GENERAL
-from fitting.inference._case_data import CaseData
-from fitting.inference._compression import CASING_DEGREE, ROTOR_DEGREE, compress
-from fitting.inference._noise import Noise, TorqueNoise, TorqueResponse
-from fitting.inference._parameters import START_CASING, START_ROTOR, ParameterLayout
-from fitting.inference._problem import Problem
-from fitting.inference._record import Record, Samples
-from fitting.inference._result import Fit
-from fitting.inference._simulation import Experiment, simulate_path
+from fitting.discovery._information import Information, Run, schur
+from fitting.discovery._rivals import MOST_RIVALS, Rival
+from fitting.discovery._score import Score
 from fitting.dynamics._mesh import Sampler
-from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
+from fitting.effects._effect import Effect
+from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
-# blocks of a planned recording, and samples of each: a smooth motion needs no more
-_BLOCKS = 24
-_PER_BLOCK = 64
+# moment of inertia of a casing with an inertia ring over the present one
 _RING = 1.5
-_ROUNDS = 3
-# a change of the apparatus is proposed if it is worth as much as so many runs
+# a ring is proposed if it is worth as much as so many runs
 _WORTH = 1.5
+# largest logarithm of a gain in information that counts
 _CAP = 50.0
 _RANDOM = 20
-_TINY = 1e-12
-# determinant of the correlation of two candidates below which no data separates them
-_COLLINEAR = 1e-6
+_ELSE = "change what only one of them depends on (air pressure, surface, lubricant)."
 
 
 @dataclass(frozen=True)
@@ -110,54 +92,6 @@ class Bounds:
 
 
 @dataclass(frozen=True)
-class Rival:
-    """An explanation: candidate effects with their shape constants and strengths.
-
-    Attributes
-    ----------
-    names : tuple of str
-        The effects.
-    columns : tuple of int
-        Their places among the columns of `Information`.
-    strengths : ndarray
-        Strength of each column.
-    weight : float
-        Its posterior probability among the rivals.
-    """
-
-    names: tuple[str, ...]
-    columns: tuple[int, ...]
-    strengths: Array
-    weight: float = 1.0
-
-
-@dataclass(frozen=True)
-class Run:
-    """A run that is planned.
-
-    Attributes
-    ----------
-    omega_rotor, omega_casing : float
-        Initial angular rates [rad/s].
-    duration : float
-        Length of the casing's recording [s].
-    windows : tuple of float
-        Start of each rotor window [s].
-    window_length : float
-        Length of each window [s].
-    ring : float
-        Moment of inertia of the casing over the present one.
-    """
-
-    omega_rotor: float
-    omega_casing: float
-    duration: float
-    windows: tuple[float, ...]
-    window_length: float
-    ring: float = 1.0
-
-
-@dataclass(frozen=True)
 class NextRun:
     """The proposed run and what it is expected to tell.
 
@@ -197,258 +131,6 @@ class NextRun:
     omega_casing: Array = field(repr=False)
     inseparable: tuple[tuple[str, str], ...] = ()
     sentence: str = ""
-
-
-class Information:
-    """Fisher information of runs about the shared parameters and the strengths of candidates.
-
-    Parameters
-    ----------
-    fit : Fit
-        The recordings at hand.
-    candidates : sequence of (Effect, dict)
-        Effects with their shape constants.
-    """
-
-    def __init__(self, fit: Fit, candidates: Sequence[tuple[Effect, Mapping[str, float]]]) -> None:
-        self.fit = fit
-        self.candidates = [(e, dict(s)) for e, s in candidates if not e.depends_on_angle]
-        layout, model = fit.problem.layout, fit.model.smooth
-        self._shared = [k for k in model.free if k not in model.per_case]
-        # a parameter at its bound is held, as in the search
-        bound = dict(zip(layout.names, layout.at_bound(fit.theta), strict=True))
-        self._held = {k for k in self._shared if bound.get(k, False)}
-        parts = [self._of(fit, i) for i in range(len(fit.problem.cases))]
-        self.present = np.asarray(np.sum([p[0] for p in parts], axis=0))
-        # products of all columns with the residuals of the fit
-        self.right = np.asarray(np.sum([p[1] for p in parts], axis=0))
-
-    def added(self) -> dict[str, tuple[int, float]]:
-        """Return the effects of the model beyond the paper's that have one strength for all runs: place and strength."""
-        found = {}
-        for e in self.fit.model.smooth.effects:
-            key = f"{e.name}.{e.amplitude.symbol}" if e.amplitude is not None else ""
-            if (
-                e.name not in GENERAL
-                and e.kind == "physical"
-                and key in self._shared
-                and key not in self._held
-            ):
-                found[e.name] = self._shared.index(key), self.fit.estimates[key].value
-        return found
-
-    @property
-    def parameters(self) -> int:
-        """Number of shared parameters, which come before the candidates."""
-        return len(self._shared)
-
-    def _of(self, fit: Fit, case: int) -> tuple[Array, Array]:
-        """Return the information of one run, its own parameters projected out, and its products with the residuals."""
-        data, prediction, noise = fit.problem.data[case], fit.predictions[case], fit.noise[case]
-        whitener = noise.whitener.at(noise.pure)
-        layout, jacobian = fit.problem.layout, prediction.jacobian
-        places = [int(p) for p in layout.places(case, self._shared)]
-        shared = jacobian[:, places]
-        shared[:, [k in self._held for k in self._shared]] = 0.0
-        rest = [i for i in range(jacobian.shape[1]) if i not in places]
-        columns = CaseColumns(fit, case)
-        strengths = []
-        for effect, shape in self.candidates:
-            trial = columns.trials(effect, [shape])[0]
-            strengths.append(trial.columns)
-        everything = whitener(np.concatenate([shared, *strengths], axis=1))
-        own = whitener(np.concatenate([jacobian[:, rest], data.nuisance], axis=1))
-        size = np.linalg.norm(own, axis=0)
-        u, s, _ = np.linalg.svd(own[:, size > 0] / size[size > 0], full_matrices=False)
-        basis = u[:, s > 1e-7 * s.max(initial=1.0)]
-        everything = everything - basis @ (basis.T @ everything)
-        left = whitener(data.z - prediction.rows)
-        return np.asarray(everything.T @ everything), np.asarray(everything.T @ left)
-
-    def places(self, candidate: int) -> list[int]:
-        """Return the columns of a candidate: two for a law with a phase."""
-        widths = [2 if any(p.role == "phase" for p in e.parameters) else 1 for e, _ in self.candidates]
-        first = self.parameters + sum(widths[:candidate])
-        return list(range(first, first + widths[candidate]))
-
-    def of_run(self, run: Run) -> tuple[Array, Fit]:
-        """Return the information of a planned run, and its noiseless simulation.
-
-        Raises
-        ------
-        FittingError
-            If the run cannot be simulated.
-        """
-        planned = simulated(self.fit, run)
-        return self._of(planned, 0)[0], planned
-
-
-def schur(information: Array, kept: Sequence[int], free: Sequence[int]) -> Array:
-    """Return the information about some columns when others are free."""
-    kept, free = list(kept), list(free)
-    block = information[np.ix_(free, free)]
-    size = np.sqrt(np.maximum(np.diag(block), 1e-300))
-    inverse = np.linalg.pinv(block / np.outer(size, size), rcond=_TINY, hermitian=True) / np.outer(size, size)
-    cross = information[np.ix_(kept, free)]
-    return np.asarray(information[np.ix_(kept, kept)] - cross @ inverse @ cross.T)
-
-
-def simulated(fit: Fit, run: Run) -> Fit:
-    """Return the noiseless recording of a planned run with the parameters and noise of a fit, as a fit."""
-    template = fit.problem.data[0].record
-    layout = fit.problem.layout
-    numbers = layout.numbers(fit.theta, 0) | {INERTIA_CASING: template.I_casing * run.ring}
-    experiment = Experiment(
-        omega_rotor=run.omega_rotor,
-        omega_casing=run.omega_casing,
-        duration=run.duration,
-        windows=run.windows,
-        window_length=run.window_length,
-    )
-    _, path = simulate_path(fit.model.smooth, numbers, experiment)
-    count = _BLOCKS * _PER_BLOCK
-    time = np.linspace(0.0, run.duration, count)
-    angle = template.quantity == "angle"
-
-    def samples(t: Array, state: str, like: Samples, effective: float, fewest: int) -> Samples:
-        sampler = Sampler(path.mesh, t)
-        value = (
-            sampler.integral(*path.angle(state))
-            if angle
-            else sampler.value(path.y[..., path.states.index(state)])
-        )
-        # as many samples a second, with the correlation of the recording's
-        rate = effective / max(float(like.time[-1] - like.time[0]), 1e-9)
-        seconds = max(float(t[-1] - t[0]), 1e-9)
-        sigma = float(np.median(like.sigma)) * math.sqrt(fewest / (rate * seconds))
-        return Samples(t, value, np.full(len(t), sigma))
-
-    first = fit.problem.data[0]
-    casing = samples(
-        time, "omega_c", template.casing, first.casing.n_effective / first.casing.scale**2, count
-    )
-    windows = []
-    if template.rotor:
-        like, run_of = template.rotor[0], first.rotor[0]
-        for start in run.windows:
-            t = start + np.linspace(0.0, run.window_length, 2 * _PER_BLOCK)
-            windows.append(samples(t, "omega_r", like, run_of.n_effective / run_of.scale**2, len(t)))
-    record = Record(
-        "planned",
-        template.I_rotor,
-        template.I_casing * run.ring,
-        casing,
-        tuple(windows),
-        template.quantity,
-        digest="planned",
-    )
-    data = CaseData(
-        record,
-        compress(casing, degree=CASING_DEGREE, harmonics=False, blocks=_BLOCKS, noisy=False),
-        tuple(compress(w, degree=ROTOR_DEGREE, harmonics=False, blocks=1, noisy=False) for w in windows),
-    )
-    problem = Problem.of(ParameterLayout.of(fit.model.smooth, [record]), [data])
-    values = numbers | {START_ROTOR: run.omega_rotor, START_CASING: run.omega_casing}
-    theta = np.array([values[n.partition("@")[0]] for n in problem.layout.names])
-    predictions = tuple(problem.predict(theta))
-    own = fit.noise[0]
-    response = TorqueResponse(data, predictions[0].motion)
-    whitener = response.whitener(TorqueNoise(own.pure, own.time))
-    noise = (Noise(1.0, own.pure, own.pure, own.time, whitener),)
-    return replace(
-        fit,
-        model=problem.layout.model,
-        labels=("planned",),
-        theta=theta,
-        noise=noise,
-        problem=problem,
-        predictions=predictions,
-    )
-
-
-_MOST_RIVALS = 6
-
-
-def rivals(information: Information, threshold: Sequence[float], criteria: Criteria) -> list[Rival]:
-    """Return the explanations that the recordings at hand do not separate, in the linear theory of the score test.
-
-    Every set of at most two effects, among the candidates and the effects that the model has beyond the paper's, is
-    scored; those within the equivalence width of the best BIC are rivals, unless a part of them does as well.
-
-    Parameters
-    ----------
-    information : Information
-        Of the recordings at hand.
-    threshold : sequence of float
-        Score from which each candidate is significant in the whole list.
-    criteria : Criteria
-        `equivalence_width`, `evidence`.
-    """
-    added = information.added()
-    names = [*added, *(e.name for e, _ in information.candidates)]
-    columns = [[place] for place, _ in added.values()]
-    columns += [information.places(i) for i in range(len(information.candidates))]
-    count = [1 for _ in added] + [len(e.free) for e, _ in information.candidates]
-    # friction is not negative
-    one_sided = [False for _ in added] + [
-        e.amplitude is not None and e.amplitude.lower >= 0 and len(c) == 1
-        for (e, _), c in zip(information.candidates, columns[len(added) :], strict=True)
-    ]
-    physical = [True for _ in added] + [e.kind == "physical" for e, _ in information.candidates]
-    places, strengths = [p for p, _ in added.values()], np.array([g for _, g in added.values()])
-    base = [k for k in range(information.parameters) if k not in places]
-    everything = [k for c in columns for k in c]
-    n = len(information.present)
-    augmented = np.zeros((n + 1, n + 1))
-    augmented[:n, :n], augmented[:n, n], augmented[n, :n] = (
-        information.present,
-        information.right,
-        information.right,
-    )
-    reduced = schur(augmented, [*everything, n], base)
-    full, right = reduced[:-1, :-1], reduced[:-1, -1]
-    index = {k: i for i, k in enumerate(everything)}
-    if places:
-        right = right + full[:, [index[p] for p in places]] @ strengths
-    size = np.sqrt(np.maximum(np.diag(full), 1e-300))
-    per_parameter = math.log(information.fit.problem.rows)
-    scored: dict[frozenset[int], tuple[float, Array]] = {frozenset(): (0.0, np.zeros(0))}
-    usable = [
-        i
-        for i, c in enumerate(columns)
-        if physical[i] and all(full[index[k], index[k]] > _TINY * information.present[k, k] for k in c)
-    ]
-    for n in (1, 2):
-        for chosen in itertools.combinations(usable, n):
-            at = [index[k] for i in chosen for k in columns[i]]
-            block = full[np.ix_(at, at)] / np.outer(size[at], size[at])
-            if np.linalg.det(block) < _COLLINEAR:
-                continue
-            g = np.linalg.solve(block, right[at] / size[at])
-            gain = float(g @ (right[at] / size[at]))
-            signs = [
-                v < 0 and one_sided[i]
-                for i, v in zip([i for i in chosen for _ in columns[i]], g, strict=True)
-            ]
-            if any(signs):
-                continue
-            bic = -gain + per_parameter * sum(count[i] for i in chosen)
-            scored[frozenset(chosen)] = bic, g / size[at]
-    best = min(bic for bic, _ in scored.values())
-    most = max(scored, key=lambda s: -scored[s][0])
-    if not added:
-        score = -best + per_parameter * sum(count[i] for i in most)
-        if not most or score < min(threshold) or best > -criteria.evidence:
-            return []
-    kept = []
-    for chosen, (bic, g) in sorted(scored.items(), key=lambda item: item[1][0]):
-        inner = any(scored[part][0] <= bic for part in scored if part < chosen)
-        if chosen and not inner and bic < best + criteria.equivalence_width:
-            order = [i for i in usable if i in chosen]
-            where = tuple(k for i in order for k in columns[i])
-            kept.append(Rival(tuple(names[i] for i in order), where, g, math.exp(-0.5 * (bic - best))))
-    kept = kept[:_MOST_RIVALS]
-    return kept if len(kept) > 1 else []
 
 
 class _Criterion:
@@ -534,6 +216,34 @@ def next_run(
     search.refine()
     search.vary_apparatus()
     return search.result(criteria)
+
+
+_FEW = 24
+
+
+def separating_run(fit: Fit, candidates: Sequence[tuple[Effect, Score]], criteria: Criteria) -> str:
+    """Return the run that separates candidates of an equivalence class, in words; empty where there is nothing to do.
+
+    Parameters
+    ----------
+    fit : Fit
+        The base.
+    candidates : sequence of (Effect, Score)
+        The class, with its scores on the base.
+    criteria : Criteria
+        `experiment_sigma`.
+    """
+    smooth = [(e, s) for e, s in candidates if not e.depends_on_angle][:MOST_RIVALS]
+    if len(smooth) < 2:
+        return ""
+    information = Information(fit, [(e, s.shape[0]) for e, s in smooth])
+    alternatives = []
+    for i, (effect, score) in enumerate(smooth):
+        places = information.places(i)
+        strengths = score.gamma.reshape(-1, len(places)).mean(axis=0)
+        alternatives.append(Rival((effect.name,), tuple(places), strengths))
+    found = next_run(information, alternatives, criteria, Bounds.of(fit), evaluations=_FEW)
+    return "" if found is None else found.sentence
 
 
 class _RunSearch:
@@ -706,17 +416,21 @@ def _sentence(found: NextRun, fit: Fit, criteria: Criteria) -> str:
         parts.append(
             f"fix a ring to the casing that makes its moment of inertia {run.ring:.1f} times as large"
         )
-    what = f"Next run: {'; '.join(parts)}."
+    plan = "; ".join(parts)
+    what = f"{plan[0].upper()}{plan[1:]}."
     if not found.rivals:
         ratio = [g for g in found.gains.values() if np.isfinite(g)]
         factor = float(np.exp(np.mean(np.log(np.maximum(ratio, 1e-6))))) if ratio else math.nan
         return f"{what} It lowers the detection limits to {100 * factor:.0f} % of the present ones (geometric mean)."
     if not math.isfinite(found.separation):
-        return "No run within the bounds separates the rivals: change what only one of them depends on (air pressure, surface, lubricant)."
+        return f"No run within the bounds separates the rivals: {_ELSE}"
     sigma, now, again = (math.sqrt(max(x, 0.0)) for x in (found.separation, found.present, found.repeated))
-    expected = f"Expected separation of the closest rivals {sigma:.1f} sigma (now {now:.1f}; {again:.1f} after a repetition)."
+    expected = (
+        f"Expected separation of the closest rivals {sigma:.1f} sigma "
+        f"(now {now:.1f}; {again:.1f} after a repetition)."
+    )
     if sigma < criteria.experiment_sigma:
-        expected += f" That is less than {criteria.experiment_sigma:.0f} sigma: repeat it, or change what only one of them depends on (air pressure, surface, lubricant)."
+        expected += f" That is less than {criteria.experiment_sigma:.0f} sigma: repeat it, or {_ELSE}"
     if found.inseparable:
         a, b = found.inseparable[0]
         expected += f" No run within the bounds separates {a} from {b}."

@@ -39,7 +39,6 @@ from fitting.discovery._score import (
 )
 from fitting.discovery._select import applicable_effects, fails
 from fitting.effects._effect import Effect
-from fitting.inference._lack_of_fit import block_diagonal
 from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
@@ -55,6 +54,8 @@ _DELTAS = np.linspace(0.0, 14.0, 29)
 # share of the bearing's torque that is the size of an effect if none is given
 _SIZE = 0.01
 _MOST_RUNS = 10_000
+# effects in the sentence of an adequate fit
+_MOST_HIDDEN = 5
 _RANK = 1e-6
 # cosine below which a candidate answers to nothing of an effect
 _NOTHING = 0.02
@@ -125,6 +126,27 @@ class EffectLimits:
     def upper_torque(self) -> float:
         """Upper limit as an rms torque along the motion [N m]; NaN for a camera, or if the effect is significant."""
         return self.upper_limit * self.torque
+
+
+@dataclass(frozen=True)
+class UpperLimit:
+    """An effect that could still be hidden in the recordings.
+
+    Attributes
+    ----------
+    effect, symbol, unit : str
+        The effect, its strength, the unit of the strength.
+    upper_limit : float
+        95 % upper limit of the strength [unit].
+    torque_Nm : float
+        The same as an rms torque along the motion [N m].
+    """
+
+    effect: str
+    symbol: str
+    upper_limit: float
+    unit: str
+    torque_Nm: float  # noqa: N815 - the unit's own capitals
 
 
 @dataclass(frozen=True)
@@ -439,6 +461,30 @@ class Search:
             if delta**2 * (1 - min(cosine2, 1.0)) + penalty < self.criteria.equivalence_width:
                 names.append(e.name)
         return tuple(names)
+
+
+def largest_hidden(
+    fit: Fit, extra: Sequence[Effect], criteria: Criteria, most: int = _MOST_HIDDEN
+) -> tuple[UpperLimit, ...]:
+    """Return the physical effects with the largest upper limits of the rms torque; absorbed ones have none.
+
+    Parameters
+    ----------
+    fit : Fit
+        An adequate fit.
+    extra : sequence of Effect
+        Effects of the user, besides the library.
+    criteria : Criteria
+        Thresholds.
+    most : int
+        How many.
+    """
+    search = Search(fit, extra, criteria, draws=1)
+    found = [search.limits(e) for e in search.effects if e.kind == "physical"]
+    finite = sorted((e for e in found if np.isfinite(e.upper_torque)), key=lambda e: -e.upper_torque)
+    return tuple(
+        UpperLimit(e.effect.name, e.strength, e.upper_limit, e.unit, e.upper_torque) for e in finite[:most]
+    )
 
 
 def _null(effect: Effect, test: _Test, columns: int) -> NullDistribution:

@@ -43,6 +43,7 @@ from fitting._schema import (
     StoredFit,
     StoredNoise,
     TorqueDocument,
+    UpperLimitDocument,
     WhitenessDocument,
     effects_of,
     own_effects,
@@ -50,7 +51,7 @@ from fitting._schema import (
 )
 from fitting.discovery._next_run import NextRun
 from fitting.discovery._plan import Plan
-from fitting.discovery._power import CONFIDENCE, POWER, EffectLimits
+from fitting.discovery._power import CONFIDENCE, POWER, EffectLimits, UpperLimit
 from fitting.discovery._remainder import Nuisance, Remainder
 from fitting.discovery._residuals import Failure, ResidualTorque, residual_torques, ripples, whiteness
 from fitting.discovery._score import Score
@@ -189,6 +190,7 @@ def diagnosis_document(d: Diagnosis, fit_id: str) -> dict[str, Any]:
         remainder=RemainderDocument.model_validate(d.remainder) if d.remainder is not None else None,
         nuisance=[NuisanceDocument.model_validate(n) for n in d.nuisance],
         next_experiment=d.next_experiment,
+        upper_limits=[UpperLimitDocument.model_validate(u) for u in d.upper_limits],
         whiteness=[WhitenessDocument.model_validate(w) for w in d.whiteness],
         energy_drift={c.label: c.energy_drift for c in d.fit.cases},
         residual_torque=[_torque(t) for t in d.torques],
@@ -450,6 +452,7 @@ def stored_diagnosis(found: Diagnosis, extra: Sequence[Effect] = ()) -> StoredDi
         remainder=RemainderDocument.model_validate(found.remainder) if found.remainder is not None else None,
         nuisance=[NuisanceDocument.model_validate(n) for n in found.nuisance],
         next_experiment=found.next_experiment,
+        upper_limits=[UpperLimitDocument.model_validate(u) for u in found.upper_limits],
     )
 
 
@@ -483,6 +486,7 @@ def restored_diagnosis(stored: StoredDiagnosis, fit: Fit, extra: Sequence[Effect
         tuple(residual_torques(fit)),
         tuple(ripples(fit)),
         tuple(whiteness(fit)),
+        tuple(UpperLimit(**u.model_dump()) for u in stored.upper_limits),
     )
 
 

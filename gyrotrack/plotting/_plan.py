@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -62,7 +62,8 @@ def plan_figure(found: Plan) -> Figure:
     """Return limits of the physical effects, power against torque, and the motion of the proposed run."""
     shown = [e for e in found.effects if e.effect.mechanical and np.isfinite(e.detection_torque)]
     figure = canvas(1.25 * WIDTH, 3.6 + 0.27 * max(len(shown), 10))
-    top, bottom = figure.subfigures(2, 1, height_ratios=(0.27 * max(len(shown), 10), 3.4))
+    parts: Any = figure.subfigures(2, 1, height_ratios=(0.27 * max(len(shown), 10), 3.4))
+    top, bottom = parts
     left, right = top.subplots(1, 2, width_ratios=(1.25, 1.0))
     _limits(left, shown, found.size)
     _power(right, shown, found.size)

@@ -15,8 +15,16 @@ from typing import Any
 
 from gyrotrack._errors import GyrotrackError
 from gyrotrack.apps.batch._experiments import Experiment
-from gyrotrack.apps.batch._journal import Journal, contents_of, fingerprint, held, key_of
-from gyrotrack.apps.batch._steps import Outcome, Step, words_for
+from gyrotrack.apps.batch._steps import (
+    Journal,
+    Outcome,
+    Step,
+    contents_of,
+    fingerprint,
+    held,
+    key_of,
+    words_for,
+)
 from gyrotrack.apps.batch._workers import Certificates, ClusterWorkers, LocalWorkers, Workers, cores
 from gyrotrack.io._atomic import new_file
 from gyrotrack.io._export import plain_cell

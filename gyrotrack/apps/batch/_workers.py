@@ -23,7 +23,7 @@ from typing import Any, Protocol
 from gyrotrack._errors import GyrotrackError, UsageError
 from gyrotrack._versions import __version__
 
-WORKER = "gyrotrack.apps.cli._worker_process"
+WORKER = "gyrotrack.apps.cli._batch"
 
 Answer = dict[str, Any]
 

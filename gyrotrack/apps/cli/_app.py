@@ -6,6 +6,7 @@ parses, calls one library function, prints through `output.Output`, and returns 
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import sys
@@ -23,7 +24,6 @@ from typer.main import get_command
 
 from gyrotrack.apps.cli._lazy import Entry, lazy_group
 from gyrotrack.apps.cli._output import DONE, FAULT, INTERRUPTED, TERMINATED, USAGE, report_error, running
-from gyrotrack.apps.cli._scarcity import scarce
 from gyrotrack.apps.cli._settings import Settings, find, read
 
 _DATA = "From films to data"
@@ -31,85 +31,29 @@ _PHYSICS = "From data to physics"
 _ORACLE = "Known answers"
 
 COMMANDS = (
-    Entry(
-        "profile", "gyrotrack.apps.cli._tracking", _DATA, "Find the markers of a film and write a profile."
-    ),
-    Entry(
-        "extract",
-        "gyrotrack.apps.cli._tracking",
-        _DATA,
-        "Track the markers in a film: angles with uncertainties.",
-    ),
-    Entry(
-        "import", "gyrotrack.apps.cli._data", _DATA, "Make a case from tables of angles or rates, or points."
-    ),
-    Entry(
-        "spindown",
-        "gyrotrack.apps.cli._spindown",
-        _DATA,
-        "Measure one rotating body: film or table to report.",
-    ),
-    Entry("sync", "gyrotrack.apps.cli._tracking", _DATA, "Put the clips of one experiment on one clock."),
-    Entry("batch", "gyrotrack.apps.cli._batch", _DATA, "Track, fit and report many cases, unattended."),
-    Entry("config", "gyrotrack.apps.cli._batch", _DATA, "Show the settings in use and their origin."),
-    Entry("export", "gyrotrack.apps.cli._data", _DATA, "Export the data as CSV, Parquet or netCDF."),
-    Entry("info", "gyrotrack.apps.cli._data", _DATA, "Show the contents of a file and check its integrity."),
-    Entry(
-        "fit",
-        "gyrotrack.apps.cli._fitting",
-        _PHYSICS,
-        "Fit a model: parameters, uncertainties, goodness of fit.",
-    ),
-    Entry(
-        "scan",
-        "gyrotrack.apps.cli._fitting",
-        _PHYSICS,
-        "Fit every combination of the paper's terms: its tables.",
-    ),
-    Entry(
-        "diagnose",
-        "gyrotrack.apps.cli._fitting",
-        _PHYSICS,
-        "Locate the lack of fit and rank the missing effects.",
-    ),
-    Entry(
-        "improve",
-        "gyrotrack.apps.cli._fitting",
-        _PHYSICS,
-        "Add effects until the residuals are consistent with noise.",
-    ),
-    Entry(
-        "plan",
-        "gyrotrack.apps.cli._plan",
-        _PHYSICS,
-        "What recordings can show of every effect, and the best next run.",
-    ),
-    Entry("budget", "gyrotrack.apps.cli._budget", _PHYSICS, "Uncertainty budget of every parameter (GUM)."),
-    Entry("ladder", "gyrotrack.apps.cli._fitting", _PHYSICS, "List the fits of a case: one bar per fit."),
-    Entry("report", "gyrotrack.apps.cli._presentation", _PHYSICS, "Write a report: one HTML page or a PDF."),
-    Entry(
-        "figures",
-        "gyrotrack.apps.cli._presentation",
-        _PHYSICS,
-        "Draw the paper's figures and tables of a study.",
-    ),
-    Entry(
-        "view",
-        "gyrotrack.apps.cli._presentation",
-        _PHYSICS,
-        "Explore a case in the browser.",
-    ),
-    Entry("effects", "gyrotrack.apps.cli._fitting", _PHYSICS, "Show the library of effects."),
-    Entry("demo", "gyrotrack.apps.cli._simulation", _ORACLE, "Run the whole analysis of the sample clips."),
-    Entry(
-        "simulate",
-        "gyrotrack.apps.cli._simulation",
-        _ORACLE,
-        "Simulate a case with chosen effects, as data or films.",
-    ),
-    Entry(
-        "reveal", "gyrotrack.apps.cli._simulation", _ORACLE, "Open a sealed challenge and score the answer."
-    ),
+    Entry("profile", "_tracking", _DATA, "Find the markers of a film and write a profile."),
+    Entry("extract", "_tracking", _DATA, "Track the markers in a film: angles with uncertainties."),
+    Entry("import", "_data", _DATA, "Make a case from tables of angles or rates, or points."),
+    Entry("spindown", "_spindown", _DATA, "Measure one rotating body: film or table to report."),
+    Entry("sync", "_tracking", _DATA, "Put the clips of one experiment on one clock."),
+    Entry("batch", "_batch", _DATA, "Track, fit and report many cases, unattended."),
+    Entry("config", "_batch", _DATA, "Show the settings in use and their origin."),
+    Entry("export", "_data", _DATA, "Export the data as CSV, Parquet or netCDF."),
+    Entry("info", "_data", _DATA, "Show the contents of a file and check its integrity."),
+    Entry("fit", "_fitting", _PHYSICS, "Fit a model: parameters, uncertainties, goodness of fit."),
+    Entry("scan", "_fitting", _PHYSICS, "Fit every combination of the paper's terms: its tables."),
+    Entry("diagnose", "_fitting", _PHYSICS, "Locate the lack of fit and rank the missing effects."),
+    Entry("improve", "_fitting", _PHYSICS, "Add effects until the residuals are consistent with noise."),
+    Entry("plan", "_plan", _PHYSICS, "What recordings can show of every effect, and the next run."),
+    Entry("budget", "_fitting", _PHYSICS, "Uncertainty budget of every parameter (GUM)."),
+    Entry("ladder", "_fitting", _PHYSICS, "List the fits of a case: one bar per fit."),
+    Entry("report", "_presentation", _PHYSICS, "Write a report: one HTML page or a PDF."),
+    Entry("figures", "_presentation", _PHYSICS, "Draw the paper's figures and tables of a study."),
+    Entry("view", "_presentation", _PHYSICS, "Explore a case in the browser."),
+    Entry("effects", "_fitting", _PHYSICS, "Show the library of effects."),
+    Entry("demo", "_simulation", _ORACLE, "Run the whole analysis of the sample clips."),
+    Entry("simulate", "_simulation", _ORACLE, "Simulate a case with chosen effects, as data or films."),
+    Entry("reveal", "_simulation", _ORACLE, "Open a sealed challenge and score the answer."),
 )
 
 app = typer.Typer(
@@ -258,7 +202,7 @@ def _explain(error: Exception, *, as_json: bool) -> int:
         stated: Any = error
         report_error(stated.code, stated.message, stated.hint, as_json=as_json)
         return int(getattr(stated, "exit_code", FAULT))
-    if (shortage := scarce(error)) is not None:
+    if (shortage := _scarce(error)) is not None:
         report_error(*shortage, as_json=as_json)
         return FAULT
     place = traceback.extract_tb(error.__traceback__)[-1]
@@ -268,6 +212,75 @@ def _explain(error: Exception, *, as_json: bool) -> int:
         "bug", message, "Run it again with --debug to see the traceback, and report it.", as_json=as_json
     )
     return FAULT
+
+
+_MEMORY = (
+    "There is not enough memory.",
+    "Close other programs, raise the memory limit, or process a shorter film.",
+)
+_PROCESSES = (
+    "No further process or thread can be started.",
+    "Raise the limit (`ulimit -u`), or close other programs.",
+)
+_FILES = ("No further file can be opened.", "Raise the limit (`ulimit -n`), or close other programs.")
+_DISK = ("The disk is full or the quota is reached.", "Free some space and run the command again.")
+
+# libraries report a shortage of the machine in many ways: MemoryError, OSError with an errno, RuntimeError("can't start
+# new thread"), cv2.error, an ImportError of a shared library that cannot be mapped, a process pool whose process ended
+_BY_NUMBER = {
+    errno.ENOMEM: ("memory", *_MEMORY),
+    errno.EAGAIN: ("processes", *_PROCESSES),
+    errno.EMFILE: ("files", *_FILES),
+    errno.ENFILE: ("files", *_FILES),
+    errno.ENOSPC: ("disk", *_DISK),
+    errno.EDQUOT: ("disk", *_DISK),
+    errno.EFBIG: ("disk", *_DISK),
+}
+_BY_TEXT = (
+    (
+        ("can't start new thread", "can't create new thread", "pthread_create failed"),
+        ("processes", *_PROCESSES),
+    ),
+    (("too many open files",), ("files", *_FILES)),
+    (
+        (
+            "cannot allocate memory",
+            "failed to map segment",
+            "out of memory",
+            "insufficient memory",
+            "unable to allocate",
+            "bad_alloc",
+            "bad allocation",
+            "memory allocation",
+        ),
+        ("memory", *_MEMORY),
+    ),
+    (
+        ("process pool", "resource temporarily unavailable"),
+        (
+            "processes",
+            "A second process could not be started or was ended by the system.",
+            "Raise the limits of memory and processes (`ulimit -v`, `ulimit -u`).",
+        ),
+    ),
+)
+
+
+def _scarce(error: BaseException | None) -> tuple[str, str, str] | None:
+    """Return code, message and hint if an error, or one that caused it, means a shortage of the machine."""
+    for _ in range(10):
+        if error is None:
+            return None
+        if isinstance(error, MemoryError):
+            return ("memory", *_MEMORY)
+        if isinstance(error, OSError) and error.errno in _BY_NUMBER:
+            return _BY_NUMBER[error.errno]
+        text = f"{type(error).__name__} {error}".lower()
+        for words, answer in _BY_TEXT:
+            if any(word in text for word in words):
+                return answer
+        error = error.__cause__ or error.__context__
+    return None
 
 
 def _explains_itself(error: Exception) -> bool:

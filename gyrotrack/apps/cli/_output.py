@@ -7,7 +7,6 @@ drawn only if stderr is a terminal, and neither ``--json``, ``-q`` nor NO_COLOR 
 from __future__ import annotations
 
 import json
-import math
 import os
 import re
 import shlex
@@ -15,7 +14,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
-from dataclasses import asdict, dataclass, is_dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -163,26 +162,12 @@ def _write(text: str, style: str | None = None) -> None:
 
 
 def print_json(document: Any) -> None:
-    """Write one JSON document to stdout; what is not finite becomes null."""
-    json.dump(plain(document), sys.stdout, indent=2, allow_nan=False)
+    """Write one JSON document to stdout: records, paths and NumPy values as plain ones; NaN and infinities as null."""
+    from pydantic_core import to_jsonable_python
+
+    plain = to_jsonable_python(document, inf_nan_mode="null", fallback=lambda value: value.tolist())
+    json.dump(plain, sys.stdout, indent=2, allow_nan=False)
     sys.stdout.write("\n")
-
-
-def plain(value: Any) -> Any:
-    """Turn records, paths and NumPy values into what JSON can hold; NaN and infinities into None."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return plain(asdict(value))
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple | set | frozenset):
-        return [plain(item) for item in value]
-    if isinstance(value, Path):
-        return str(value)
-    if hasattr(value, "tolist"):  # NumPy scalars and arrays, without importing NumPy
-        return plain(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
 
 
 def report_error(code: str, message: str, hint: str, *, as_json: bool) -> None:

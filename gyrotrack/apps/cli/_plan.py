@@ -7,7 +7,7 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -63,7 +63,7 @@ def plan_command(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> int:
-    """Detection limit and upper limit of every effect, runs needed, and the best next run.
+    """Compute detection and upper limit of every effect, the runs needed, and the best next run.
 
     A description of recordings is a TOML file; the guide plan-an-experiment has one.
 
@@ -93,12 +93,12 @@ def plan_command(
 
             refuse_special(described[0])
             usual: Bounds | None = read_planned(described[0]).bounds if changes else None
-            subject: object = described[0]
+            subject: Any = described[0]
         else:
             fit, _ = open_study(recordings, ledger).base(start)
             usual, subject = (Bounds.of(fit) if changes else None), fit
         bounds = replace(usual, **changes) if usual is not None else None
-        found = plan(subject, own, size=size, bounds=bounds, progress=progress)  # type: ignore[arg-type]
+        found = plan(subject, own, size=size, bounds=bounds, progress=progress)
     if plot is not None:
         from gyrotrack.plotting._plan import write_plan_picture
 
@@ -108,9 +108,9 @@ def plan_command(
     return DONE if found.fit.converged else NOT_TRUSTED
 
 
-def _bounds(given: Sequence[str]) -> dict[str, tuple[float, float]]:
+def _bounds(given: Sequence[str]) -> dict[str, Any]:
     """Read ``omega_casing=-60,60``."""
-    found = {}
+    found: dict[str, Any] = {}
     for text in given:
         key, _, pair = text.partition("=")
         words = pair.split(",")
@@ -167,7 +167,7 @@ def plan_table(found: Plan) -> str:
         for c in found.classes:
             lines += textwrap.wrap(", ".join(c), _WIDTH, initial_indent="  ", subsequent_indent="    ")
     if found.next_run is not None:
-        lines += ["", *textwrap.wrap(found.next_run.sentence, _WIDTH)]
+        lines += ["", *textwrap.wrap(f"next run: {found.next_run.sentence}", _WIDTH)]
         lines += textwrap.wrap(_possible(found.next_run.bounds), _WIDTH)
     return "\n".join(lines)
 

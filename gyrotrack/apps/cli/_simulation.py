@@ -119,8 +119,7 @@ def simulate_command(
     from fitting.effects._library import REDUCED
     from fitting.inference._simulation import Experiment
     from gyrotrack._inertia import Inertia
-    from gyrotrack.apps._challenge import hide_effect
-    from gyrotrack.apps._simulation import SimulatedRun, write_record
+    from gyrotrack.apps._simulation import SimulatedRun, hide_effect, write_record
     from gyrotrack.io._atomic import refuse_existing
 
     out = Output(as_json=as_json, quiet=quiet)
@@ -202,7 +201,7 @@ def reveal_command(
     Example: gyrotrack reveal case.seal.json case.h5
     """
     from gyrotrack._errors import UsageError
-    from gyrotrack.apps._challenge import grade, unseal
+    from gyrotrack.apps._simulation import grade, unseal
     from gyrotrack.io._atomic import refuse_special
 
     out = Output(as_json=as_json)
@@ -234,7 +233,7 @@ def _stated(answer: str | None) -> Answer:
 
 def _fitted(case: Path, ledger: Path | None) -> Answer:
     from gyrotrack._errors import DatasetError
-    from gyrotrack.apps._challenge import answer_of
+    from gyrotrack.apps._simulation import answer_of
 
     study = open_study([case], ledger)
     entries = study.ledger.of(study.data)

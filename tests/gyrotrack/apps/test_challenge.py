@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gyrotrack._errors import DatasetError
-from gyrotrack.apps._challenge import OUTSIDE, Seal, draw_effect, grade, seal, unseal
+from gyrotrack.apps._simulation import OUTSIDE, Seal, draw_effect, grade, seal, unseal
 from gyrotrack.apps.cli import _app as app
 
 

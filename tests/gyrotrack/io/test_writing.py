@@ -15,8 +15,7 @@ from fitting.study._history import Ledger
 from gyrotrack._errors import DatasetError, OutputError
 from gyrotrack.io._atomic import locked, new_file, remove_temporaries
 from gyrotrack.io._checkpoint import CheckpointFile
-from gyrotrack.io._hdf5 import read_recording, write_recording
-from gyrotrack.io._write_buffer import new_hdf5
+from gyrotrack.io._hdf5 import new_hdf5, read_recording, write_recording
 from gyrotrack.io.readers._import_case import import_body
 
 
