@@ -372,7 +372,7 @@ class Search:
         needed = delta_of_power(curve) if self._tests else np.nan
         wanted = self._size(torque, size)
         delta = wanted * root
-        at = max(delta if math.isfinite(delta) else 0.0, needed)
+        at = max(delta if math.isfinite(delta) else 0.0, needed if math.isfinite(needed) else 0.0)
         return EffectLimits(
             effect,
             strength.symbol,
@@ -385,7 +385,7 @@ class Search:
             self._upper(effect, group, planned=planned) / root,
             float(np.interp(delta, *curve.T)) if self._tests and math.isfinite(delta) else float("nan"),
             wanted,
-            self._runs(effect, delta, needed) if math.isfinite(delta) else float("nan"),
+            self._runs(effect, delta, needed) if self._tests and math.isfinite(delta) else float("nan"),
             self._alike(effect, group, at) if self._tests else (),
             curve,
         )
