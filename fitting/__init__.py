@@ -12,6 +12,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+<<<<<<< HEAD
     from fitting._api import fit as fit
     from fitting._api import load as load
     from fitting._errors import EffectError as EffectError
@@ -35,22 +36,39 @@ if TYPE_CHECKING:
     from fitting.effects._library import LINEAR as LINEAR
     from fitting.effects._library import REDUCED as REDUCED
     from fitting.effects._user import read_effects as read_effects
+=======
+    from fitting._api import fit, load
+    from fitting._errors import (
+        EffectError,
+        EstimationError,
+        ExpressionError,
+        FittingError,
+        LedgerError,
+        RecordError,
+        SimulationError,
+    )
+    from fitting.discovery._criteria import Criteria
+    from fitting.discovery._laws import laws
+    from fitting.discovery._select import Candidate, improve
+    from fitting.discovery._verdict import Diagnosis, diagnose
+    from fitting.dynamics._model import Model
+    from fitting.effects._effect import Effect, Parameter
+    from fitting.effects._library import GENERAL, LIBRARY, LINEAR, REDUCED
+    from fitting.effects._user import read_effects
+>>>>>>> main
     from fitting.effects._user import resolve as effect
-    from fitting.inference._budget import budget as budget
-    from fitting.inference._cross_validation import predict_recordings as predict_recordings
+    from fitting.inference._budget import budget
+    from fitting.inference._cross_validation import predict_recordings
     from fitting.inference._profile import profile as profile_interval
-    from fitting.inference._record import Record as Record
-    from fitting.inference._record import make_record as make_record
-    from fitting.inference._result import Estimate as Estimate
-    from fitting.inference._result import Fit as Fit
-    from fitting.inference._simulation import Experiment as Experiment
-    from fitting.inference._simulation import simulate as simulate
-    from fitting.study._history import Ledger as Ledger
-    from fitting.study._scan import Scan as Scan
-    from fitting.study._scan import scan as scan
-    from fitting.study._scan_tables import scan_lines as scan_lines
-    from fitting.study._serialisation import load_fit as load_fit
+    from fitting.inference._record import Record, make_record
+    from fitting.inference._result import Estimate, Fit
+    from fitting.inference._simulation import Experiment, simulate
+    from fitting.study._history import Ledger
+    from fitting.study._scan import Scan, scan
+    from fitting.study._scan_tables import scan_lines
+    from fitting.study._serialisation import load_fit
 
+<<<<<<< HEAD
 _PLACES = {
     "Candidate": ("fitting.discovery._select", "Candidate"),
     "Criteria": ("fitting.discovery._criteria", "Criteria"),
@@ -90,7 +108,40 @@ _PLACES = {
     "scan": ("fitting.study._scan", "scan"),
     "scan_lines": ("fitting.study._scan_tables", "scan_lines"),
     "simulate": ("fitting.inference._simulation", "simulate"),
+=======
+_MODULES = {
+    "fitting._api": ("fit", "load"),
+    "fitting._errors": (
+        "EffectError",
+        "EstimationError",
+        "ExpressionError",
+        "FittingError",
+        "LedgerError",
+        "RecordError",
+        "SimulationError",
+    ),
+    "fitting.discovery._criteria": ("Criteria",),
+    "fitting.discovery._laws": ("laws",),
+    "fitting.discovery._select": ("Candidate", "improve"),
+    "fitting.discovery._verdict": ("Diagnosis", "diagnose"),
+    "fitting.dynamics._model": ("Model",),
+    "fitting.effects._effect": ("Effect", "Parameter"),
+    "fitting.effects._library": ("GENERAL", "LIBRARY", "LINEAR", "REDUCED"),
+    "fitting.effects._user": ("effect", "read_effects"),
+    "fitting.inference._budget": ("budget",),
+    "fitting.inference._cross_validation": ("predict_recordings",),
+    "fitting.inference._profile": ("profile_interval",),
+    "fitting.inference._record": ("Record", "make_record"),
+    "fitting.inference._result": ("Estimate", "Fit"),
+    "fitting.inference._simulation": ("Experiment", "simulate"),
+    "fitting.study._history": ("Ledger",),
+    "fitting.study._scan": ("Scan", "scan"),
+    "fitting.study._scan_tables": ("scan_lines",),
+    "fitting.study._serialisation": ("load_fit",),
+>>>>>>> main
 }
+_ALIASES = {"effect": "resolve", "profile_interval": "profile"}
+_PLACES = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
     "GENERAL",
@@ -121,6 +172,7 @@ __all__ = [
     "effect",
     "fit",
     "improve",
+    "laws",
     "load",
     "load_fit",
     "make_record",
@@ -138,8 +190,7 @@ def __getattr__(name: str) -> Any:
     """Import a public name where it is first used."""
     if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module, attribute = _PLACES[name]
-    value = globals()[name] = getattr(import_module(module), attribute)
+    value = globals()[name] = getattr(import_module(_PLACES[name]), _ALIASES.get(name, name))
     return value
 
 

@@ -71,7 +71,7 @@ class MetricsDocument(Document):
 
 
 class CaseDocument(MetricsDocument):
-    """The same with the process noise: pure, as the model leaves it [N m], and the scale of the angle noise."""
+    """The same with the process noise, of the recording and of this fit [N m], and the scale of the angle noise."""
 
     torque_noise_Nm: Number = Field(validation_alias=AliasChoices("torque_noise_Nm", "pure"))  # noqa: N815
     torque_left_Nm: Number = Field(validation_alias=AliasChoices("torque_left_Nm", "level"))  # noqa: N815
@@ -230,7 +230,7 @@ class ParameterBudgetDocument(Document):
 
 
 class BudgetDocument(Document):
-    """What `budget --json` prints, beside the name of the fit."""
+    """What `budget --json` prints, in addition to the name of the fit."""
 
     parameters: dict[str, ParameterBudgetDocument]
 

@@ -100,7 +100,7 @@ def fit_document(fit: Fit, fit_id: str) -> dict[str, Any]:
 
 
 def bias_document(bias: Mapping[str, CurveBias]) -> dict[str, dict[str, float]]:
-    """Return by how much a generated rotor curve moved each parameter, as plain numbers."""
+    """Return the shift of each parameter by a generated rotor curve."""
     return {name: {**asdict(b), "errors": b.errors} for name, b in bias.items()}
 
 
@@ -237,7 +237,7 @@ def _candidate(c: Candidate) -> CandidateDocument:
     )
 
 
-def rung_document(fit: Fit, fit_id: str, added: str, previous: Fit | None) -> dict[str, Any]:
+def step_document(fit: Fit, fit_id: str, added: str, previous: Fit | None) -> dict[str, Any]:
     """Return one step of a history: what was changed, and what the errors did."""
     document = StepDocument(
         fit_id=fit_id,
@@ -268,16 +268,16 @@ def _moved(fit: Fit, previous: Fit | None) -> list[str]:
     ]
 
 
-def ladder_verdict(rungs: Sequence[Step]) -> str:
+def history_verdict(steps: Sequence[Step]) -> str:
     """Return the verdict of a finished history: "adequate", "missing_effect" (found and added) or "unexplained"."""
-    if rungs[-1].fit.verdict != "adequate":
+    if steps[-1].fit.verdict != "adequate":
         return "unexplained"
-    return "missing_effect" if len(rungs) > 1 else "adequate"
+    return "missing_effect" if len(steps) > 1 else "adequate"
 
 
 @dataclass(frozen=True)
 class SavedNoise:
-    """Process noise of one case [N m], pure and as the model leaves it, and the scale of the angle noise."""
+    """Process noise of one case [N m], of the recording and of this fit, and the scale of the angle noise."""
 
     pure: float
     level: float
@@ -408,8 +408,8 @@ def stored_fit(fit: Fit) -> StoredFit:
 def restored_fit(stored: StoredFit, model: Model, data: Sequence[CaseData]) -> Fit | None:
     """Return a fit as it was; None if other code made it.
 
-    The noise is linearised about the end of the fit instead of about the point where the last search began:
-    figures of merit agree with the original's to a few digits more than their uncertainty.
+    The noise is linearised about the optimum instead of the start of the last optimisation: figures of merit agree with
+    the original's to a few digits more than their uncertainty.
     """
     if stored.code != fingerprint():
         return None
@@ -424,7 +424,7 @@ def restored_fit(stored: StoredFit, model: Model, data: Sequence[CaseData]) -> F
 
 
 def stored_diagnosis(found: Diagnosis, extra: Sequence[Effect] = ()) -> StoredDiagnosis:
-    """Return the state from which a diagnosis is restored beside its fit; `extra` are the user's effects."""
+    """Return the state from which a diagnosis is restored, given its fit; `extra` are the user's effects."""
     drawn = [c for c in found.candidates if c.fit is not None and c.physical and c.significant][:_FITS]
     return StoredDiagnosis(
         code=fingerprint(),
