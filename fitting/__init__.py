@@ -12,31 +12,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-<<<<<<< HEAD
-    from fitting._api import fit as fit
-    from fitting._api import load as load
-    from fitting._errors import EffectError as EffectError
-    from fitting._errors import EstimationError as EstimationError
-    from fitting._errors import ExpressionError as ExpressionError
-    from fitting._errors import FittingError as FittingError
-    from fitting._errors import LedgerError as LedgerError
-    from fitting._errors import RecordError as RecordError
-    from fitting._errors import SimulationError as SimulationError
-    from fitting.discovery._criteria import Criteria as Criteria
-    from fitting.discovery._plan import plan as plan
-    from fitting.discovery._select import Candidate as Candidate
-    from fitting.discovery._select import improve as improve
-    from fitting.discovery._verdict import Diagnosis as Diagnosis
-    from fitting.discovery._verdict import diagnose as diagnose
-    from fitting.dynamics._model import Model as Model
-    from fitting.effects._effect import Effect as Effect
-    from fitting.effects._effect import Parameter as Parameter
-    from fitting.effects._library import GENERAL as GENERAL
-    from fitting.effects._library import LIBRARY as LIBRARY
-    from fitting.effects._library import LINEAR as LINEAR
-    from fitting.effects._library import REDUCED as REDUCED
-    from fitting.effects._user import read_effects as read_effects
-=======
     from fitting._api import fit, load
     from fitting._errors import (
         EffectError,
@@ -49,13 +24,13 @@ if TYPE_CHECKING:
     )
     from fitting.discovery._criteria import Criteria
     from fitting.discovery._laws import laws
+    from fitting.discovery._plan import plan
     from fitting.discovery._select import Candidate, improve
     from fitting.discovery._verdict import Diagnosis, diagnose
     from fitting.dynamics._model import Model
     from fitting.effects._effect import Effect, Parameter
     from fitting.effects._library import GENERAL, LIBRARY, LINEAR, REDUCED
     from fitting.effects._user import read_effects
->>>>>>> main
     from fitting.effects._user import resolve as effect
     from fitting.inference._budget import budget
     from fitting.inference._cross_validation import predict_recordings
@@ -68,47 +43,6 @@ if TYPE_CHECKING:
     from fitting.study._scan_tables import scan_lines
     from fitting.study._serialisation import load_fit
 
-<<<<<<< HEAD
-_PLACES = {
-    "Candidate": ("fitting.discovery._select", "Candidate"),
-    "Criteria": ("fitting.discovery._criteria", "Criteria"),
-    "Diagnosis": ("fitting.discovery._verdict", "Diagnosis"),
-    "Effect": ("fitting.effects._effect", "Effect"),
-    "EffectError": ("fitting._errors", "EffectError"),
-    "Estimate": ("fitting.inference._result", "Estimate"),
-    "EstimationError": ("fitting._errors", "EstimationError"),
-    "Experiment": ("fitting.inference._simulation", "Experiment"),
-    "ExpressionError": ("fitting._errors", "ExpressionError"),
-    "Fit": ("fitting.inference._result", "Fit"),
-    "FittingError": ("fitting._errors", "FittingError"),
-    "GENERAL": ("fitting.effects._library", "GENERAL"),
-    "LIBRARY": ("fitting.effects._library", "LIBRARY"),
-    "LINEAR": ("fitting.effects._library", "LINEAR"),
-    "Ledger": ("fitting.study._history", "Ledger"),
-    "LedgerError": ("fitting._errors", "LedgerError"),
-    "Model": ("fitting.dynamics._model", "Model"),
-    "Parameter": ("fitting.effects._effect", "Parameter"),
-    "REDUCED": ("fitting.effects._library", "REDUCED"),
-    "Record": ("fitting.inference._record", "Record"),
-    "RecordError": ("fitting._errors", "RecordError"),
-    "Scan": ("fitting.study._scan", "Scan"),
-    "SimulationError": ("fitting._errors", "SimulationError"),
-    "budget": ("fitting.inference._budget", "budget"),
-    "diagnose": ("fitting.discovery._verdict", "diagnose"),
-    "effect": ("fitting.effects._user", "resolve"),
-    "fit": ("fitting._api", "fit"),
-    "improve": ("fitting.discovery._select", "improve"),
-    "load": ("fitting._api", "load"),
-    "load_fit": ("fitting.study._serialisation", "load_fit"),
-    "make_record": ("fitting.inference._record", "make_record"),
-    "plan": ("fitting.discovery._plan", "plan"),
-    "predict_recordings": ("fitting.inference._cross_validation", "predict_recordings"),
-    "profile_interval": ("fitting.inference._profile", "profile"),
-    "read_effects": ("fitting.effects._user", "read_effects"),
-    "scan": ("fitting.study._scan", "scan"),
-    "scan_lines": ("fitting.study._scan_tables", "scan_lines"),
-    "simulate": ("fitting.inference._simulation", "simulate"),
-=======
 _MODULES = {
     "fitting._api": ("fit", "load"),
     "fitting._errors": (
@@ -122,6 +56,7 @@ _MODULES = {
     ),
     "fitting.discovery._criteria": ("Criteria",),
     "fitting.discovery._laws": ("laws",),
+    "fitting.discovery._plan": ("plan",),
     "fitting.discovery._select": ("Candidate", "improve"),
     "fitting.discovery._verdict": ("Diagnosis", "diagnose"),
     "fitting.dynamics._model": ("Model",),
@@ -138,7 +73,6 @@ _MODULES = {
     "fitting.study._scan": ("Scan", "scan"),
     "fitting.study._scan_tables": ("scan_lines",),
     "fitting.study._serialisation": ("load_fit",),
->>>>>>> main
 }
 _ALIASES = {"effect": "resolve", "profile_interval": "profile"}
 _PLACES = {name: module for module, names in _MODULES.items() for name in names}

@@ -200,12 +200,6 @@ class CaseColumns:
             grids = [self._grid(effect, p) for p in shapes]
             symbols = [p.symbol for p in shapes]
             choices = [dict(zip(symbols, map(float, v), strict=True)) for v in itertools.product(*grids)]
-<<<<<<< HEAD
-        torques = [self.torque(effect, choice) for choice in choices]
-        rotor = np.concatenate([t[0] for t in torques], axis=1)
-        casing = np.concatenate([t[1] for t in torques], axis=1)
-        rows = self.response.rotor @ rotor + self.response.casing @ casing
-=======
         if effect.state is None and not effect.breakpoint and effect.joint not in self._whole:
             unit = self._units(effect, choices)
         else:
@@ -215,7 +209,6 @@ class CaseColumns:
         for share, response in zip(acting, (self.response.rotor, self.response.casing), strict=True):
             if share:
                 rows += share * (response @ unit)
->>>>>>> main
         rows = np.concatenate([rows, np.zeros((len(self.case.data.z) - len(rows), rows.shape[1]))])
         width = unit.shape[1] // len(choices)
         return [Trial(c, rows[:, i * width : (i + 1) * width]) for i, c in enumerate(choices)]
@@ -236,7 +229,6 @@ class CaseColumns:
             return np.asarray(first + finer * (last - first))
         return grid * (last - first) if p.relative else grid
 
-<<<<<<< HEAD
     @property
     def typical_torque(self) -> Array:
         """Torque of the bearing in each cell [N m]; of a single body the net torque."""
@@ -244,7 +236,10 @@ class CaseColumns:
 
     def torque(self, effect: Effect, shape: dict[str, float]) -> tuple[Array, Array]:
         """Return the torques of a unit strength on rotor and casing, each (cells, columns) [N m]."""
-=======
+        unit = self._unit(effect, shape)
+        rotor, casing = _ACTING.get(effect.joint, (-1.0, 1.0))
+        return rotor * unit, casing * unit
+
     def _units(self, effect: Effect, choices: Sequence[dict[str, float]]) -> Array:
         """Return the torque of a law at strength 1 in each cell, for all choices of its shape constants at once."""
         amplitude = next(p.symbol for p in effect.parameters if p.role == "amplitude")
@@ -261,7 +256,6 @@ class CaseColumns:
 
     def _unit(self, effect: Effect, shape: dict[str, float]) -> Array:
         """Return the torque of a law at strength 1 in each cell, for one choice of its shape constants."""
->>>>>>> main
         values = self._known | {p.symbol: p.start for p in effect.parameters} | shape
         if effect.state is not None:
             values[effect.state.symbol] = self._state(effect, shape)

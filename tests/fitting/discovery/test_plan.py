@@ -59,7 +59,7 @@ class TestUpperLimit:
     def test_of_an_amplitude_with_a_phase_covers_it_in_95_percent(self):
         random = np.random.default_rng(2)
         for true in (1.0, 4.0):
-            draws = random.standard_normal((1500, 2)) + [true, 0.0]
+            draws = random.standard_normal((1500, 2)) + np.array([true, 0.0])
             covered = np.mean([upper_limit(d, one_sided=False) >= true for d in draws])
             assert covered >= 0.95 - 3 * math.sqrt(0.05 * 0.95 / 1500)
             assert covered < 0.99 or true < 2
