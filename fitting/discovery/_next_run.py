@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -27,10 +27,9 @@ from fitting._errors import FittingError
 from fitting.discovery._criteria import Criteria
 from fitting.discovery._information import Information, Run, schur
 from fitting.discovery._rivals import MOST_RIVALS, Rival
-from fitting.discovery._score import Score
 from fitting.dynamics._mesh import Sampler
 from fitting.effects._effect import Effect
-from fitting.inference._result import Fit
+from fitting.inference._result import Estimate, Fit
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
@@ -221,29 +220,55 @@ def next_run(
 _FEW = 24
 
 
-def separating_run(fit: Fit, candidates: Sequence[tuple[Effect, Score]], criteria: Criteria) -> str:
-    """Return the run that separates candidates of an equivalence class, in words; empty where there is nothing to do.
+def separating_run(
+    fit: Fit,
+    explanations: Sequence[tuple[str, Sequence[Effect], Mapping[str, Estimate]]],
+    criteria: Criteria,
+) -> str:
+    """Return the run that separates rival explanations, in words; empty where there is nothing to separate.
 
     Parameters
     ----------
     fit : Fit
         The base.
-    candidates : sequence of (Effect, Score)
-        The class, with its scores on the base.
+    explanations : sequence of (str, sequence of Effect, mapping)
+        Name, terms, and the parameters of the terms by ``<effect>.<symbol>``, of each rival.
     criteria : Criteria
         `experiment_sigma`.
     """
-    smooth = [(e, s) for e, s in candidates if not e.depends_on_angle][:MOST_RIVALS]
+    smooth = [x for x in explanations if not any(e.depends_on_angle for e in x[1])][:MOST_RIVALS]
     if len(smooth) < 2:
         return ""
-    information = Information(fit, [(e, s.shape[0]) for e, s in smooth])
-    alternatives = []
-    for i, (effect, score) in enumerate(smooth):
-        places = information.places(i)
-        strengths = score.gamma.reshape(-1, len(places)).mean(axis=0)
-        alternatives.append(Rival((effect.name,), tuple(places), strengths))
+    terms = [(e, _mean_values(e, estimates)) for _, effects, estimates in smooth for e in effects]
+    information = Information(
+        fit, [(e, {p.symbol: v[p.symbol] for p in e.parameters if p.role == "shape"}) for e, v in terms]
+    )
+    alternatives, first = [], 0
+    for name, effects, _ in smooth:
+        places = [k for i in range(first, first + len(effects)) for k in information.places(i)]
+        strengths = [g for e, v in terms[first : first + len(effects)] for g in _strengths(e, v)]
+        alternatives.append(Rival((name,), tuple(places), np.array(strengths)))
+        first += len(effects)
     found = next_run(information, alternatives, criteria, Bounds.of(fit), evaluations=_FEW)
     return "" if found is None else found.sentence
+
+
+def _mean_values(effect: Effect, estimates: Mapping[str, Estimate]) -> dict[str, float]:
+    """Return the parameters of an effect by symbol; the mean of the cases where each has its own."""
+    values = {}
+    for p in effect.parameters:
+        own = [e.value for k, e in estimates.items() if k.partition("@")[0] == f"{effect.name}.{p.symbol}"]
+        values[p.symbol] = float(np.mean(own)) if own else p.start
+    return values
+
+
+def _strengths(effect: Effect, values: Mapping[str, float]) -> list[float]:
+    """Return the strength, or those of sine and cosine of a law with a phase."""
+    role = {p.role: p.symbol for p in effect.parameters}
+    k = values[role["amplitude"]]
+    if "phase" not in role:
+        return [k]
+    return [k * math.cos(values[role["phase"]]), k * math.sin(values[role["phase"]])]
 
 
 class _RunSearch:

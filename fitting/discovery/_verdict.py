@@ -226,7 +226,9 @@ def diagnose(
         size.explained,
         size.remainder,
         tuple(nuisance),
-        separating_run(fit, [(c.effect, c.screened) for c in _class_of(selection)], criteria),
+        separating_run(
+            fit, [(c.effect.name, [c.effect], c.estimates) for c in _class_of(selection) if c.fit], criteria
+        ),
         tuple(torques),
         tuple(waves),
         tuple(whiteness(fit)),
