@@ -153,7 +153,7 @@ _DECAYING = {
     "casing": ("omega_c", "omega_c*abs(omega_c)", "omega_r"),
     "bearing": ("delta", "delta*abs(delta)"),
 }
-_HARMONICS = (3, 4, 5, 6)
+_HARMONICS = (3, 4)
 
 
 def grammar(
