@@ -58,7 +58,8 @@ def hidden(index: int, noise: float, seed: int, *, diagnosed: bool) -> dict[str,
         "set": [x.formula for x in found.answer], "all": [x.formula for x in found.laws],
         "form": any(_is_true(w, x) for x in found.answer[:5]), "set_size": len(found.answer),
         "first": bool(found.laws) and _is_true(w, found.laws[0]),
-        "diagnosed": diagnosed, "p": found.laws[0].p_value if found.laws else None, "seconds": time.process_time() - began,
+        "diagnosed": diagnosed, "p": found.laws[0].p_value if found.laws else None,
+        "seconds": time.process_time() - began,
     }  # fmt: skip
     best = found.laws[0].fit if found.laws else (found.library.fit if found.library is not None else None)
     if best is None:
