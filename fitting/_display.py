@@ -1,7 +1,7 @@
-"""Parts of which results make their display in a notebook: HTML tables, and curves drawn into matplotlib axes.
+"""Elements of the display of results in a notebook: HTML tables, and curves in matplotlib axes.
 
-Every function takes plain text, arrays and axes; what a result shows is said in its own class (`plot`,
-`_repr_html_`). matplotlib is imported only when a figure is made.
+Every function takes text, arrays and axes; each class of results composes its own display (`plot`, `_repr_html_`).
+matplotlib is imported only when a figure is made.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class SpeedCurve(Protocol):
 
 
 def headline(verdict: str, text: str) -> str:
-    """Return a verdict in words with its sign, and a text below it (HTML)."""
+    """Return a verdict with its symbol, and a text below it (HTML)."""
     sign, words = _VERDICTS.get(verdict, ("", verdict))
     return f"<p><b>{sign} {escape(words)}</b><br>{escape(nonbreaking(text))}</p>"
 
@@ -131,7 +131,7 @@ def draw_torque(
     ax : matplotlib.axes.Axes
         Where to draw.
     curves : sequence of (body, time, torque, sigma)
-        Name of the body, [s], [N m], [N m]; where sigma exceeds thrice its minimum the curve is left out.
+        Name of the body, [s], [N m], [N m]; where sigma exceeds three times its minimum the curve is not drawn.
     intervals : sequence of (start, stop)
         What to shade [s].
     """

@@ -32,8 +32,8 @@ from fitting._errors import FittingError
 from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._criteria import DEFAULT, Criteria
 from fitting.discovery._dependence import Dependence, context_without, dependence
-from fitting.discovery._experiment import next_experiment
 from fitting.discovery._grammar import LawForm, grammar
+from fitting.discovery._next_run import separating_run
 from fitting.discovery._refine import fit_at, refined, start_of
 from fitting.discovery._residuals import micro_newton_metres
 from fitting.discovery._score import (
@@ -262,7 +262,7 @@ def laws(
         tuple(found),
         library,
         depends_on,
-        next_experiment(base, [_as_candidate(x) for x in answer], criteria),
+        separating_run(base, [(x.formula, x.effects, x.estimates) for x in answer], criteria),
         search.trials,
     )
 
@@ -631,23 +631,6 @@ def _as_good(candidates: Sequence[Candidate], best: Law, criteria: Criteria) -> 
             if refitted.bic < best.penalised + criteria.equivalence_width:
                 return replace(c, fit=refitted)
     return None
-
-
-def _as_candidate(law: Law) -> Candidate:
-    effect = replace(law.effects[0], name=law.formula)
-    screened = Score(effect, law.score, np.zeros(1), ({},), 1, 1, False, np.zeros(1), np.zeros(1))  # noqa: FBT003
-    return Candidate(
-        effect,
-        law.score,
-        law.delta_bic,
-        law.p_value,
-        float("nan"),
-        (),
-        law.estimates,
-        significant=True,
-        screened=screened,
-        fit=law.fit,
-    )
 
 
 def _sentence(

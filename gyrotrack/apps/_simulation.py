@@ -131,7 +131,7 @@ class SimulatedRun:
         Raises
         ------
         UsageError
-            The model has effects of the measurement, or what is given is no parameter of it.
+            The model has effects of the measurement, or a given parameter is not one of the model.
         """
         if model.measurement:
             raise UsageError(
@@ -229,7 +229,7 @@ def _given(items: Sequence[str], numbers: Mapping[str, float]) -> dict[str, floa
         key = key.strip()
         if not equals or key not in numbers:
             raise UsageError(
-                f"{item[:60]!r} sets no parameter of the model.", f"It has: {', '.join(numbers)}."
+                f"{item[:60]!r} does not set a parameter of the model.", f"Parameters: {', '.join(numbers)}."
             )
         try:
             given[key] = float(value)
@@ -277,7 +277,7 @@ def _motion(model: Model, values: Mapping[str, float], experiment: Experiment) -
 
 
 FORMAT = "gyrotrack seal"
-# laws that no library effect equals: the right answer to them is "unexplained", or a law of one's own
+# laws outside the library: the right answer is "unexplained", or a law of the user
 OUTSIDE = (
     "casing: -k*omega_c**3",
     "casing: -k*exp(-((omega_c - 110)/12)**2)",
@@ -289,7 +289,7 @@ _FROM_OUTSIDE = 0.2
 
 @dataclass(frozen=True)
 class Hidden:
-    """A model with an effect that was drawn by lot, its strength, and the seed of all chance behind it."""
+    """A model with a randomly drawn effect, its strength, and the random seed."""
 
     model: Model
     effect: Effect
@@ -304,7 +304,7 @@ class Hidden:
 
 @dataclass(frozen=True)
 class Seal:
-    """What a seal holds when it is open: the hidden effect's name or law, and its parameters."""
+    """The content of an opened seal: the name or law of the hidden effect, and its parameters."""
 
     effect: str
     parameters: dict[str, float]
@@ -313,7 +313,7 @@ class Seal:
 
 @dataclass(frozen=True)
 class Score:
-    """How good an answer is: "right", "right class" or "wrong", and the sigma of its strength."""
+    """The grade of an answer ("right", "right class" or "wrong"), and the normalised errors of its parameters."""
 
     grade: str
     sentence: str
@@ -321,7 +321,7 @@ class Score:
 
 
 def draw_effect(present: Sequence[str], random: Any) -> Effect:
-    """Draw an effect from the library (without those present) or, one time in five, from outside."""
+    """Draw an effect from the library (without those present) or, with probability 0.2, from outside."""
     if random.random() < _FROM_OUTSIDE:
         return resolve(OUTSIDE[int(random.integers(len(OUTSIDE)))])
     names = [
@@ -333,7 +333,7 @@ def draw_effect(present: Sequence[str], random: Any) -> Effect:
 
 
 def hide_effect(model: Model, strength: float) -> Hidden:
-    """Add an effect that nobody chose to a model, with up to twice or half the strength asked for."""
+    """Add a random effect to a model, with half to twice the given strength."""
     seed = secrets.randbits(48)
     random = np.random.default_rng(seed)
     effect = draw_effect(model.names, random)
@@ -370,7 +370,7 @@ def unseal(path: Path) -> Seal:
     Raises
     ------
     DatasetError
-        If the file is no seal, or the answer in it is not the one that was committed to.
+        If the file is not a seal, or its answer is not the one that was committed to.
     """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
@@ -390,15 +390,15 @@ def unseal(path: Path) -> Seal:
         ) from None
     if hashlib.sha256(f"{salt}{answer}".encode()).hexdigest() != commitment:
         raise DatasetError(
-            f"{path} has been tampered with: the answer is not the one committed to.", "Ask for the original."
+            f"{path} was changed: the answer does not match its commitment.", "Ask for the original file."
         )
     return Seal(effect, parameters, commitment)
 
 
 def answer_of(entries: Sequence[Entry]) -> tuple[list[str], dict[str, tuple[float, float]]]:
-    """Return what a ladder of fits says: the effects that it added, and their parameters with errors.
+    """Return the effects that a history of fits added, and the parameters of the last fit with standard errors.
 
-    A ladder that ends unexplained names nothing: what it added on the way are hypotheses.
+    A history that ends with significant lack of fit answers nothing: the effects it added are hypotheses.
     """
     first, last = entries[0].document, entries[-1].document
     named = [n for n in last["model"] if n not in first["model"]] if last["verdict"] == "adequate" else []
@@ -413,15 +413,15 @@ def grade(truth: Seal, named: Sequence[str], found: Mapping[str, tuple[float, fl
     truth : Seal
         The open seal.
     named : sequence of str
-        The effect answered first, then those that the answer could not tell from it; empty for "none".
+        The effect answered, then those indistinguishable from it; empty for "none".
     found : mapping of str to (value, error)
-        Parameters of the answer by key.
+        Parameters of the answer by key, with standard errors.
     """
     outside = truth.effect not in LIBRARY
-    twins = {truth.effect} if outside else {truth.effect, *LIBRARY[truth.effect].equivalent}
-    if named and named[0] in twins:
+    equivalent = {truth.effect} if outside else {truth.effect, *LIBRARY[truth.effect].equivalent}
+    if named and named[0] in equivalent:
         word = "right"
-    elif set(named) & twins or (outside and not named):
+    elif set(named) & equivalent or (outside and not named):
         word = "right class"
     else:
         word = "wrong"
@@ -430,8 +430,8 @@ def grade(truth: Seal, named: Sequence[str], found: Mapping[str, tuple[float, fl
         for k, (value, error) in found.items()
         if k in truth.parameters and error > 0
     }
-    said = ", ".join(named) if named else "nothing that has a name"
-    return Score(word, f"Hidden was {truth.effect}; the answer was {said}: {word}.", pulls)
+    answer = ", ".join(named) if named else "none"
+    return Score(word, f"Hidden effect: {truth.effect}. Answer: {answer} ({word}).", pulls)
 
 
 def _scramble(data: bytes, salt: str) -> bytes:

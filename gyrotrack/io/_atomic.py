@@ -74,7 +74,7 @@ def busy(path: Path, waited: float = 0.0) -> OutputError:
 
 
 def refusal(path: Path, error: OSError) -> OutputError:
-    """Return the error that says why the system refuses to write `path`."""
+    """Return the error with the reason why the system refuses to write `path`."""
     if error.errno in {errno.ENOSPC, errno.EDQUOT}:
         return OutputError(
             f"{path} cannot be written: the disk is full.", "Free space, or choose another disk."
@@ -97,7 +97,7 @@ _SPECIAL = (
 
 
 def refuse_special(path: Path, error: type[GyrotrackError] = DatasetError) -> None:
-    """Raise `error` if `path` is a pipe, socket, device or folder, which could block for ever when opened."""
+    """Raise `error` if `path` is a pipe, socket, device or folder; opening it could block for ever."""
     try:
         mode = Path(path).stat().st_mode
     except (OSError, ValueError):

@@ -41,7 +41,7 @@ MAX_MEMBERS = 64
 
 
 class WriteBuffer:
-    """A binary file whose writes do not fail: after the first error of the disk the data go to memory.
+    """A binary file whose writes do not fail: after the first error of the disk the data are kept in memory.
 
     Parameters
     ----------

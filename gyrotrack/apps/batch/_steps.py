@@ -46,7 +46,7 @@ class Request:
     improve: bool = False
 
     def wants(self, verb: str) -> bool:
-        """Tell whether a verb is among the steps."""
+        """Return whether a verb is among the steps."""
         return VERBS.index(verb) <= VERBS.index(self.until) and (verb != "improve" or self.improve)
 
 
@@ -63,12 +63,12 @@ class Step:
     words : tuple of str
         Arguments of the command; ``{fit}`` is the latest fit of the case.
     files : tuple of Path
-        Sources: films, profiles, data that no step makes.
+        Sources: films, profiles, data that is not made by a step.
     output : Path
-        What it makes.
+        The output.
     needs, wants : tuple of str
-        Steps that must have succeeded, and steps that must have ended: the outputs of those that failed are left
-        out, and one of them at least must have succeeded.
+        Steps that must have succeeded, and steps that must have ended, at least one of them with success: the outputs
+        of those that failed are not used.
     """
 
     name: str
@@ -93,7 +93,7 @@ class Outcome:
 
     @property
     def good(self) -> bool:
-        """Whether there is an output to go on with."""
+        """Whether there is an output."""
         return self.state in {"done", "kept"}
 
 
@@ -167,7 +167,7 @@ def _sync(e: Experiment, casing: Step, rotors: Sequence[Step], case: Path) -> St
 
 
 def words_for(step: Step, steps: Mapping[str, Step], ended: Mapping[str, Outcome]) -> list[str]:
-    """Return the words of a step whose needs are met: failed films left out, the latest fit put in."""
+    """Return the arguments of a step that can run: without failed films, with the latest fit."""
     lost = {str(steps[name].output) for name in step.wants if not ended[name].good}
     fits = [
         document.get("fit_id") or document.get("final", {}).get("fit_id")
@@ -201,7 +201,7 @@ class Journal:
     Raises
     ------
     OutputError
-        Another file is in its place.
+        A file of this name exists and is not a journal.
     """
 
     def __init__(self, path: Path) -> None:
@@ -223,7 +223,7 @@ class Journal:
         self._torn = bool(text) and not text.endswith("\n")
         if (
             self._torn and len(lines) == 1 and json.dumps(HEADER).startswith(text)
-        ):  # killed at its very beginning
+        ):  # killed while the header was written
             self.path.write_bytes(b"")
             self._torn, lines = False, []
         if lines and lines[0] != HEADER:
@@ -323,12 +323,12 @@ def _line(text: str) -> Any:
 
 @contextmanager
 def held(results: Path) -> Iterator[None]:
-    """Make the folder if it is not there, and keep other batches out of it while the block runs.
+    """Create the folder if necessary, and lock it against other batches while the block runs.
 
     Raises
     ------
     OutputError
-        Another batch is at work there, the folder cannot be made, or it holds something else.
+        Another batch runs there, the folder cannot be created, or it contains something else.
     """
     with _opened(results), locked(results):
         yield
@@ -339,7 +339,7 @@ def _opened(results: Path) -> BinaryIO:
         results.mkdir(parents=True, exist_ok=True)
         if not (results / "batch.lock").exists() and any(results.iterdir()):
             raise OutputError(
-                f"{results} holds files that do not belong to a batch.", "Choose an empty folder with -o."
+                f"{results} contains files that do not belong to a batch.", "Choose an empty folder with -o."
             )
         refuse_special(results / "batch.lock", OutputError)
         return (results / "batch.lock").open("ab")

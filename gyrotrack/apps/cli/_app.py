@@ -1,7 +1,7 @@
-"""The program `gyrotrack`: its commands, and what happens when one fails.
+"""The program `gyrotrack`: its commands, and the handling of errors.
 
-A new command is one line in `COMMANDS` and a module with a function ``command(...) -> int | None``: it
-parses, calls one library function, prints through `output.Output`, and returns the exit code (nothing is 0).
+A new command is one line in `COMMANDS` and a function ``<name>_command(...) -> int | None`` in a module of this folder:
+it parses, calls one library function, prints through `_output.Output`, and returns the exit code (None is 0).
 """
 
 from __future__ import annotations
@@ -45,11 +45,12 @@ COMMANDS = (
     Entry("diagnose", "_fitting", _PHYSICS, "Locate the lack of fit and rank the missing effects."),
     Entry("improve", "_fitting", _PHYSICS, "Add effects until the residuals are consistent with noise."),
     Entry("laws", "_laws", _PHYSICS, "Find the law of an unmodelled torque, as a set of formulas."),
+    Entry("plan", "_plan", _PHYSICS, "Compute detection limits, upper limits and the best next run."),
     Entry("budget", "_fitting", _PHYSICS, "Uncertainty budget of every parameter (GUM)."),
     Entry("ladder", "_fitting", _PHYSICS, "List the fits of a case: one bar per fit."),
     Entry("report", "_presentation", _PHYSICS, "Write a report: one HTML page or a PDF."),
     Entry("figures", "_presentation", _PHYSICS, "Draw the paper's figures and tables of a study."),
-    Entry("view", "_presentation", _PHYSICS, "Explore a case in the browser."),
+    Entry("view", "_presentation", _PHYSICS, "Open the workbench: from films to the missing effect."),
     Entry("effects", "_fitting", _PHYSICS, "Show the library of effects."),
     Entry("demo", "_simulation", _ORACLE, "Run the whole analysis of the sample clips."),
     Entry("simulate", "_simulation", _ORACLE, "Simulate a case with chosen effects, as data or films."),
@@ -97,10 +98,10 @@ def main() -> None:
 
 
 def prepare_process() -> None:
-    """Set what holds for this process and for those that it starts: threads, search path, home, SIGTERM."""
+    """Configure this process and those that it starts: threads, search path, home, SIGTERM."""
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # the matrices are many and small
-    # no process of ours imports modules from the working folder, which holds other people's data
+    # no process imports modules from the working folder, which contains other people's data
     os.environ["PYTHONSAFEPATH"] = "1"
     root = Path(__file__).parents[3]
     if root.name not in {"site-packages", "dist-packages"}:  # run from a checkout, which they must find
@@ -114,11 +115,11 @@ _TERMINATED: list[int] = []
 
 
 def catch_sigterm() -> None:
-    """Let SIGTERM end the command as Ctrl-C does: what is half written is removed, and the exit code is 143."""
+    """Let SIGTERM end the command as Ctrl-C does: unfinished outputs are removed, and the exit code is 143."""
 
     def end(number: int, frame: FrameType | None) -> None:
         _TERMINATED.append(number)
-        # whoever delays or forwards Ctrl-C (a file that is being written, the workbench) does so with SIGTERM
+        # code that defers or forwards Ctrl-C (writing a file, the workbench) treats SIGTERM alike
         interrupt = signal.getsignal(signal.SIGINT)
         if callable(interrupt):
             interrupt(signal.SIGINT, frame)
@@ -147,7 +148,7 @@ def run(arguments: Sequence[str]) -> int:
             sys.stdout.flush()
     except KeyboardInterrupt:
         return _interrupted(as_json=as_json)
-    except BrokenPipeError:  # the reader of our output has gone, as in `gyrotrack ... | head`
+    except BrokenPipeError:  # the reader of the output has ended, as in `gyrotrack ... | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAULT
     except Exception as error:  # the last line of defence: no traceback reaches a user
@@ -163,7 +164,7 @@ _SETTINGS: ContextVar[Settings] = ContextVar("settings")
 
 
 def settings_in_use() -> Settings:
-    """Return the settings of the file that holds for the command that runs."""
+    """Return the settings in use for the running command."""
     return _SETTINGS.get()
 
 
@@ -284,7 +285,7 @@ def _scarce(error: BaseException | None) -> tuple[str, str, str] | None:
 
 
 def _explains_itself(error: Exception) -> bool:
-    """Return whether an error carries code, message and hint, as those of both packages do."""
+    """Return whether an error has a code, a message and a hint, as those of both packages do."""
     return all(isinstance(getattr(error, name, None), str) for name in ("code", "message", "hint"))
 
 
@@ -303,6 +304,6 @@ def _options(args: list[str]) -> list[str]:
 
 
 def _without_debug(args: list[str]) -> tuple[list[str], bool]:
-    """Take ``--debug`` out, at any place before ``--``."""
+    """Remove ``--debug``, anywhere before ``--``."""
     head = _options(args)
     return [a for a in head if a != "--debug"] + args[len(head) :], "--debug" in head

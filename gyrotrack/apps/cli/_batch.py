@@ -182,7 +182,7 @@ def _show_result(out: Output, ended: BatchResult, facts: dict[str, Any]) -> int:
 
 
 def _extra() -> dict[str, tuple[str, ...]]:
-    """Return the settings of the steps as words of a command line."""
+    """Return the settings of the steps as arguments of a command line."""
     from gyrotrack.apps.batch._steps import VERBS
     from gyrotrack.apps.cli._app import COMMANDS, settings_in_use
     from gyrotrack.apps.cli._settings import as_words
@@ -200,13 +200,13 @@ _OWN = frozenset(
 def _show_plan(out: Output, cases: tuple[Experiment, ...], steps: tuple[Step, ...], output: Path) -> int:
     from gyrotrack.apps.batch._runner import preview
 
-    fate = preview(steps, output)
+    state = preview(steps, output)
     out.result({
         "cases": [{"label": e.label, "films": [str(c.file) for c in e.clips]} for e in cases],
-        "steps": [{"name": s.name, "output": s.output, "state": fate[s.name]} for s in steps],
+        "steps": [{"name": s.name, "output": s.output, "state": state[s.name]} for s in steps],
     })  # fmt: skip
-    listed = [f"{fate[s.name]:<7}{s.name}" for s in steps]
-    kept = sum(state == "kept" for state in fate.values())
+    listed = [f"{state[s.name]:<7}{s.name}" for s in steps]
+    kept = sum(found == "kept" for found in state.values())
     out.show(
         "\n".join([*listed, "", f"{len(cases)} cases, {len(steps)} steps, {kept} kept; nothing was run"])
     )
@@ -274,7 +274,7 @@ def _toml(value: Any) -> str:
     )
 
 
-_GRACE = 5.0  # s to remove what is half written
+_GRACE = 5.0  # s to remove unfinished outputs
 
 
 def perform(words: list[str]) -> dict[str, Any]:
@@ -298,13 +298,15 @@ def work() -> None:
 
     catch_sigterm()
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # whatever a library prints is no answer
+    os.dup2(
+        os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
+    )  # nothing printed by a library is taken for an answer
     tasks: queue.SimpleQueue[list[str]] = queue.SimpleQueue()
 
     def listen() -> None:
         for line in sys.stdin:
             tasks.put(json.loads(line))
-        if hasattr(signal, "pthread_kill"):  # nobody waits for the answer any more: clean up and end
+        if hasattr(signal, "pthread_kill"):  # the answer is no longer needed: clean up and end
             signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
             time.sleep(_GRACE)
         os._exit(0)

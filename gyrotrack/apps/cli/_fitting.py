@@ -201,7 +201,7 @@ def _plain(predicted: Sequence[Predicted]) -> list[dict[str, Any]]:
     return [{k: getattr(p, k) for k in ("label", "casing", "rotor", "r2", "rmse")} for p in predicted]
 
 
-# contributions of a smaller share of the variance are left out of the table, not of the JSON document
+# contributions of a smaller share of the variance are omitted from the table, not from the JSON document
 _SHOWN = 1e-3
 
 
@@ -352,7 +352,7 @@ def improve_command(
     from fitting._workers import WorkerPool
     from fitting.discovery._select import improve
     from fitting.discovery._verdict import diagnose
-    from fitting.study._serialisation import fit_document, ladder_verdict
+    from fitting.study._serialisation import fit_document, history_verdict
 
     out = Output(as_json=as_json, quiet=quiet)
     study = open_study(cases, ledger)
@@ -360,14 +360,14 @@ def improve_command(
         progress(0, None)
         base, parent = study.base(start)
         own = own_effects(effects)
-        rungs = improve(base, own, progress=progress, workers=workers)
-        kept = study.keep(rungs, parent)
+        history = improve(base, own, progress=progress, workers=workers)
+        kept = study.keep(history, parent)
         # a report asks for it next, and most of the work is done
-        found = diagnose(base, own, candidates=rungs[0].candidates, workers=workers)
+        found = diagnose(base, own, candidates=history[0].candidates, workers=workers)
         study.keep_diagnosis(parent, found, own)
     steps = [entry.document["rung"] for entry in kept]
-    verdict = ladder_verdict(rungs)
-    out.result({"ladder": steps, "final": fit_document(rungs[-1].fit, kept[-1].fit_id), "verdict": verdict})
+    verdict = history_verdict(history)
+    out.result({"ladder": steps, "final": fit_document(history[-1].fit, kept[-1].fit_id), "verdict": verdict})
     out.show(*ladder_tables(steps, study.data[0].record.body), f"verdict: {_WORDS[verdict]}")
 
 
@@ -396,9 +396,9 @@ def ladder_command(
     entries = study.ledger.of(study.data)
     if not entries:
         raise DatasetError("There is no fit of these cases yet.", "Run `gyrotrack fit`.")
-    rungs = [{**e.document["rung"], "parent": e.document.get("parent", "")} for e in entries]
-    out.result({"ladder": rungs})
-    out.show(*ladder_tables(rungs, study.data[0].record.body))
+    steps = [{**e.document["rung"], "parent": e.document.get("parent", "")} for e in entries]
+    out.result({"ladder": steps})
+    out.show(*ladder_tables(steps, study.data[0].record.body))
 
 
 def effects_command(

@@ -1,6 +1,6 @@
 """A group of commands that are imported when one of them runs.
 
-`gyrotrack --help` needs the names and one line each; it must not pay for the numerical libraries.
+`gyrotrack --help` needs only the names and one line each, and imports no numerical library.
 """
 
 from __future__ import annotations

@@ -7,6 +7,7 @@ drawn only if stderr is a terminal, and neither ``--json``, ``-q`` nor NO_COLOR 
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 import shlex
@@ -16,13 +17,14 @@ from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
+from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 
-# C0 and C1 controls but line feed and tab; marks that reorder or hide what is written; line separators
+# C0 and C1 controls except line feed and tab; characters that reorder or hide text; line separators
 _COMMANDS = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b\u200e\u200f\u2028\u2029\u202a-\u202e\u2060-\u2069\ufeff]"
 )
@@ -81,7 +83,7 @@ class Output:
             print_json(document)
 
     def show(self, *renderables: Any) -> None:
-        """Print the result for a person: text, or anything that rich can draw; silent under ``--json``."""
+        """Print the result as text, or as anything that rich can draw; nothing is printed under ``--json``."""
         if not self.as_json:
             console = _console(sys.stdout)
             for item in renderables:
@@ -103,10 +105,14 @@ class Output:
 
     @contextmanager
     def progress(self, label: str, unit: str = "") -> Iterator[Progress]:
-        """Yield a callback (done, total) that draws a bar, or does nothing when nobody watches.
+        """Yield a callback (done, total) that draws a bar, or does nothing without a terminal.
 
-        With a `unit` the bar also shows the rate.
+        With a `unit` the bar also shows the rate. With ``GYROTRACK_PROGRESS=json`` in the environment the progress is
+        written to stderr as JSON lines ``{"progress": {"label", "done", "total"}}``, at most five a second.
         """
+        if os.environ.get("GYROTRACK_PROGRESS") == "json":
+            yield _json_lines(label)
+            return
         if self.as_json or self.quiet or not _interactive():
             yield _ignore
             return
@@ -137,6 +143,25 @@ def all_or_nothing(*outputs: Path | None) -> Iterator[None]:
             with suppress(OSError):
                 path.unlink()
         raise
+
+
+def _json_lines(label: str) -> Progress:
+    """Return a callback that writes progress as JSON lines."""
+    latest = -math.inf
+
+    def update(done: int, total: int | None) -> None:
+        nonlocal latest
+        now = monotonic()
+        if now - latest >= _INTERVAL or done == total:
+            latest = now
+            line = {"progress": {"label": label, "done": done, "total": total}}
+            sys.stderr.write(json.dumps(line) + "\n")
+            sys.stderr.flush()
+
+    return update
+
+
+_INTERVAL = 0.2  # s
 
 
 def _ignore(done: int, total: int | None) -> None:

@@ -310,7 +310,7 @@ def _found(out: Output, case: Path) -> tuple[list[Step], Diagnosis, dict[str, An
     from fitting.effects._library import REDUCED
     from fitting.inference._fit import fit
     from fitting.study._history import Ledger
-    from fitting.study._serialisation import diagnosis_document, fit_document, ladder_verdict
+    from fitting.study._serialisation import diagnosis_document, fit_document, history_verdict
     from gyrotrack.apps._study import open_study
 
     ledger = Ledger.beside(case).path
@@ -335,7 +335,7 @@ def _found(out: Output, case: Path) -> tuple[list[Step], Diagnosis, dict[str, An
             "diagnosis": diagnosis_document(diagnosis, first.fit_id),
             "ladder": steps,
             "final": fit_document(steps_of_history[-1].fit, kept[-1].fit_id),
-            "verdict": ladder_verdict(steps_of_history),
+            "verdict": history_verdict(steps_of_history),
         },
     )
 
