@@ -59,7 +59,12 @@ _CELLS_PER_ROW = 2.5
 _DEGREE = 11
 # blocks of a stretch, and degree, where a stretch holds several periods of an oscillation
 _SHORT, _MANY = 4, 14
-_INCONSISTENT = 14.0
+# rows of the longest stretch
+_LONGEST = 170
+# twice the logarithm of a likelihood ratio that is no contradiction
+_ALLOWED = 6.0
+# stretches up to which none may have a level of its own
+_FEW = 2
 _PROCESS_TIMES = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0, 3.0)
 _PROCESS_LEVELS = np.geomspace(1e-4, 1e6, 121)
 _FINER = 16
@@ -264,51 +269,71 @@ def estimate_process_noise(
     if len(angle_noise.root):
         angles = angle_noise.root @ angle_noise.root - np.eye(len(angle_noise.root))
 
+    def stretch(part: NDArray[np.intp], degree: int) -> _Stretch:
+        degree = min(degree - (not angle), len(part) * k // 3)
+        found = _Stretch(run, part, nuisance, degree, angle=angle)
+        return found if len(found.seen) else _Stretch(run, part, nuisance[:, :0], 2, angle=angle)
+
     def description(count: int, degree: int) -> _Description:
         parts = np.array_split(np.arange(blocks), max(1, count))
-        degree = min(degree - (not angle), len(parts[-1]) * k // 3)
-        stretches = [_Stretch(run, p, nuisance, degree, angle=angle) for p in parts]
-        if not all(len(s.seen) for s in stretches):
-            stretches = [_Stretch(run, p, nuisance[:, :0], 2, angle=angle) for p in parts]
-        return _Description(stretches, angles)
+        return _Description([stretch(p, degree) for p in parts], angles)
 
-    coarse = description(min(_STRETCHES, blocks // _SHORT), _DEGREE)
-    found = _process_noise(coarse, times)
-    if blocks // _SHORT <= _STRETCHES:
-        return found
-    # polynomials that do not follow the motion leave more than finer ones do
-    fine = description(blocks // _SHORT, _MANY)
-    best = max(float(fine.likelihood(t, fine.unit(t) * _PROCESS_LEVELS).max()) for t in times)
-    own = float(fine.likelihood(found.time, np.array([found.level]))[0])
-    return found if 2 * (best - own) < _INCONSISTENT else _process_noise(fine, times)
+    found = description(min(_STRETCHES, blocks // _SHORT), _DEGREE)
+    if blocks // _SHORT > _STRETCHES:
+        fine = description(blocks // _SHORT, _MANY)
+        if not found.allowed_by(fine, times):
+            found = fine
+    # where longer stretches do as well, they determine slower noise
+    while len(found.stretches) > 1:
+        pairs = list(zip(found.stretches[::2], found.stretches[1::2], strict=False))
+        longer = []
+        for pair in pairs:
+            blocks_of = np.concatenate([p.blocks for p in pair])
+            one = _Description([stretch(blocks_of, _DEGREE)], angles) if len(blocks_of) * k <= _LONGEST else None
+            longer += one.stretches if one is not None and one.allowed_by(found, times) else pair
+        longer += found.stretches[2 * len(pairs) :]
+        if len(longer) == len(found.stretches):
+            break
+        found = _Description(longer, angles)
+    return _process_noise(found, times)
 
 
 class _Description:
     """Stretches in which the motion is a polynomial, and their restricted likelihood of process noise."""
 
     def __init__(self, stretches: Sequence[_Stretch], angles: Array | None) -> None:
-        self._stretches = stretches
+        self.stretches = list(stretches)
         self._roots = [s.root(angles) for s in stretches]
 
     def unit(self, time: float) -> float:
         """Return the rms acceleration that is as large as the noise in half of the rows [rad/s2]."""
-        return float(np.median([s.torque(time)[1] for s in self._stretches]))
+        return float(np.median([s.torque(time)[1] for s in self.stretches]))
 
     def likelihood(self, time: float, levels: Array) -> Array:
         """Return the log-likelihood of each level [rad/s2] at a correlation time."""
         total = np.zeros(len(levels))
-        for stretch, root in zip(self._stretches, self._roots, strict=True):
+        for stretch, root in zip(self.stretches, self._roots, strict=True):
             covariance, unit = stretch.torque(time)
             values, vectors = np.linalg.eigh(root @ covariance @ root.T)
             values, seen = np.maximum(values, 0.0), vectors.T @ (root @ stretch.seen)
-
             found = _gaussian(seen, values, levels / unit)
-            if len(self._stretches) > 2:
+            if len(self.stretches) > _FEW:
                 own = _gaussian(seen, values, _PROCESS_LEVELS)
                 average = float(np.logaddexp.reduce(own)) - np.log(len(own))
                 found = np.logaddexp(np.log1p(-_OWN_LEVEL) + found, np.log(_OWN_LEVEL) + average)
             total += found
         return total
+
+    def allowed_by(self, other: _Description, times: Array) -> bool:
+        """Return whether the noise that these stretches need is one that a finer description allows.
+
+        Polynomials that do not follow the motion need more.
+        """
+        levels = [other.unit(t) * _PROCESS_LEVELS for t in times]
+        own = np.array([self.likelihood(t, x) for t, x in zip(times, levels, strict=True)])
+        finer = np.array([other.likelihood(t, x) for t, x in zip(times, levels, strict=True)])
+        allowed = 2 * (finer.max() - finer) < _ALLOWED
+        return bool(2 * (own.max() - own[allowed].max()) < _ALLOWED)
 
 
 def _gaussian(seen: Array, values: Array, levels: Array) -> Array:
@@ -373,7 +398,9 @@ class _Stretch:
         self, run: Compressed, blocks: NDArray[np.intp], nuisance: Array, degree: int, *, angle: bool = True
     ) -> None:
         k = run.lift.shape[1]
+        self.blocks = blocks
         self._angle = angle
+        self._torques: dict[float, tuple[Array, float]] = {}
         self.rows = (blocks[:, None] * k + np.arange(k)).ravel()
         self._nodes = run.node_times.reshape(-1, k)[blocks]
         self._lift = run.lift[blocks]
@@ -390,6 +417,11 @@ class _Stretch:
 
     def torque(self, time: float) -> tuple[Array, float]:
         """Return the covariance by a random acceleration, with a median variance of 1, and its rms [rad/s2]."""
+        if time not in self._torques:
+            self._torques[time] = self._torque(time)
+        return self._torques[time]
+
+    def _torque(self, time: float) -> tuple[Array, float]:
         cells = np.linspace(self._nodes.min(), self._nodes.max(), int(_CELLS_PER_ROW * len(self.rows)))
         width = float(cells[1] - cells[0])
         since = np.maximum(self._nodes[..., None] - cells, 0.0)
