@@ -248,7 +248,7 @@ class NoiseDocument(Document):
 
     scale: Number
     pure: Number
-    pure_u: Number
+    pure_u: Number = 0.0
     level: Number
 
 

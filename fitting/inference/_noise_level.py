@@ -16,6 +16,8 @@ from fitting.inference._problem import Problem
 Array = NDArray[np.float64]
 
 _FIRST_LEVEL = 0.01
+# correlation time, of the record: a slower torque would account for the misfit of the initial values
+_FIRST_TIME = 1 / 200
 
 
 def recording_noise(data: CaseData, prediction: Prediction) -> Noise:
@@ -34,11 +36,15 @@ def recording_noise(data: CaseData, prediction: Prediction) -> Noise:
 
 def first_noise(problem: Problem, theta: Array) -> tuple[Noise, ...]:
     """Return a cautious noise to begin with: a hundredth of the bearing's torque."""
+    found = []
     predictions = problem.predict(theta)
-    return tuple(
-        recording_noise(case.data, p).at(level)
-        for case, p, level in zip(problem.cases, predictions, _first_levels(problem, theta), strict=True)
-    )
+    for case, p, level in zip(problem.cases, predictions, _first_levels(problem, theta), strict=True):
+        first, last = case.data.record.span
+        time = _FIRST_TIME * (last - first)
+        whitener = TorqueResponse(case.data, p.motion).whitener(TorqueNoise(level, time))
+        process = case.data.process_noise
+        found.append(Noise(case.data.casing.scale, level, 0.0, level, time, whitener, process))
+    return tuple(found)
 
 
 def raised_noise(problem: Problem, theta: Array, noise: Sequence[Noise]) -> tuple[Noise, ...]:

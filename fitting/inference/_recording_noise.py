@@ -286,10 +286,14 @@ def estimate_process_noise(
     # where longer stretches do as well, they determine slower noise
     while len(found.stretches) > 1:
         pairs = list(zip(found.stretches[::2], found.stretches[1::2], strict=False))
-        longer = []
+        longer: list[_Stretch] = []
         for pair in pairs:
             blocks_of = np.concatenate([p.blocks for p in pair])
-            one = _Description([stretch(blocks_of, _DEGREE)], angles) if len(blocks_of) * k <= _LONGEST else None
+            one = (
+                _Description([stretch(blocks_of, _DEGREE)], angles)
+                if len(blocks_of) * k <= _LONGEST
+                else None
+            )
             longer += one.stretches if one is not None and one.allowed_by(found, times) else pair
         longer += found.stretches[2 * len(pairs) :]
         if len(longer) == len(found.stretches):

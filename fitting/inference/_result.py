@@ -140,8 +140,10 @@ def summary_lines(fit: FitSummary) -> list[str]:
         f"energy drift {max(c.energy_drift for c in fit.cases):.2g}, "
         f"effective samples {fit.n_eff:.0f}, BIC {fit.bic:.1f}"
     )
-    left = ", ".join(f"{level:.2g}" for level in _levels(fit))
-    lines.append(f"process noise of this model: {left} N m rms")
+    noises = getattr(fit, "noise", ())
+    if noises:
+        pure = ", ".join(rounded(n.pure, n.pure_u, "N m") for n in noises)
+        lines.append(f"process noise {pure} rms; with this model {_levels(noises)} N m")
     for label, noise in _angle_noises(fit):
         level = rounded(1e3 * noise.sigma, 1e3 * noise.sigma_u, "mrad")
         lines.append(f"correlated angle noise{label}: {level}, correlation time {noise.time:.2g} s")
@@ -161,8 +163,8 @@ def summary_lines(fit: FitSummary) -> list[str]:
     return lines
 
 
-def _levels(fit: FitSummary) -> Sequence[float]:
-    return [n.level for n in getattr(fit, "noise", ())]
+def _levels(noises: Sequence[Noise]) -> str:
+    return ", ".join(f"{n.level:.2g}" for n in noises)
 
 
 def _angle_noises(fit: FitSummary) -> list[tuple[str, AngleNoise]]:

@@ -216,9 +216,10 @@ def ladder_verdict(rungs: Sequence[Step]) -> str:
 
 @dataclass(frozen=True)
 class SavedNoise:
-    """Process noise of one case [N m], pure and as the model leaves it, and the scale of the angle noise."""
+    """Process noise of a recording with its standard uncertainty and random torque of the model [N m]; white scale."""
 
     pure: float
+    pure_u: float
     level: float
     scale: float
 
