@@ -142,10 +142,14 @@ def tail_probability(chi2: float | Array, dof: int, noise: Sequence[Noise], shar
     dof : int
         Its degrees of freedom.
     noise : sequence of Noise
-        Of each case.
+        Of each case; empty for white noise alone.
     shares : sequence of float
         Share of the process noise of each case in the variance of what was summed.
     """
+    if not noise:
+        from scipy.special import chdtrc
+
+        return np.asarray(chdtrc(dof, chi2))
     each = [n.process.p_value(chi2, dof, share) for n, share in zip(noise, shares, strict=True)]
     return np.asarray(np.mean(each, axis=0))
 
