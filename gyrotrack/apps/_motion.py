@@ -273,12 +273,11 @@ def _oscillation(
     limit = 5.0 / np.ptp(t)
     lower = [0.5 * start, -limit, *[-np.inf] * 4]
     upper = [2 * start, 4 * limit, *[np.inf] * 4]
-    found = least_squares(
-        lambda c: (model(c, t) - angle) / sigma,
-        c0,
-        x_scale=np.maximum(np.abs(c0), 1e-3),
-        bounds=(lower, upper),
-    )
+
+    def residual(c: Floats) -> Floats:
+        return (model(c, t) - angle) / sigma
+
+    found = least_squares(residual, c0, x_scale=np.maximum(np.abs(c0), 1e-3), bounds=(lower, upper))
     c, rest = found.x, angle - model(found.x, t)
     jacobian: Floats = np.asarray(found.jac, dtype=np.float64) * sigma[:, None]
     free = np.full(6, np.inf)

@@ -379,15 +379,18 @@ def _with_view(motion: BodyMotion, series: Series, recording: Recording, tracked
     taken = np.isin(np.round(recording.bodies["casing"].time, 9), np.round(series.time, 9))
     inner, outer = (motion_of(series.time, half[taken], series.sigma) for half in tracked.halves)
 
-    def wider(name: str) -> Value | None:
-        value, a, b = (getattr(m, name) for m in (motion, inner, outer))
-        if value is None or a is None or b is None:
-            return value
-        apart = 0.5 * abs(abs(a.value) - abs(b.value))
+    def wider(value: Value, a: Value | None, b: Value | None) -> Value:
+        apart = 0.0 if a is None or b is None else 0.5 * abs(abs(a.value) - abs(b.value))
         return replace(value, stderr=math.hypot(value.stderr, apart))
 
-    names = ("omega_mean", "alpha", "period", "amplitude", "decay")
-    return replace(motion, **{name: wider(name) for name in names})
+    return replace(
+        motion,
+        omega_mean=wider(motion.omega_mean, inner.omega_mean, outer.omega_mean),
+        alpha=wider(motion.alpha, inner.alpha, outer.alpha),
+        period=motion.period and wider(motion.period, inner.period, outer.period),
+        amplitude=motion.amplitude and wider(motion.amplitude, inner.amplitude, outer.amplitude),
+        decay=motion.decay and wider(motion.decay, inner.decay, outer.decay),
+    )
 
 
 def _write_picture(path: Path, film: Film, tracked: Tracked) -> None:
