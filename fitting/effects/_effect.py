@@ -26,6 +26,7 @@ VARIABLES: dict[str, str] = {
     "temperature": "K",
     "chirp": "1",
     "tau": "N m",
+    "lag": "s-1",
     "psi": "1",
     "omega": "s-1",
 }
