@@ -305,7 +305,11 @@ def nuisance_parameters(fit: Fit) -> list[Nuisance]:
         speed = _scale(data.casing.samples.value, data.casing.samples.time)
         frame = float(np.median(np.diff(data.casing.samples.time)))
         known = np.zeros(columns.shape[1])
-        for name, limit in (("camera.centre", 0.15), ("camera.tilt", 0.05), ("camera.shutter", 0.5 * frame * speed)):
+        for name, limit in (
+            ("camera.centre", 0.15),
+            ("camera.tilt", 0.05),
+            ("camera.shutter", 0.5 * frame * speed),
+        ):
             known[[first + i for i in CAMERA_COLUMNS[name]]] = 1.0 / limit
         gram = np.linalg.pinv(white.T @ white + np.diag((known / size) ** 2), rcond=1e-12, hermitian=True)
         value = (gram @ (white.T @ r)) / size
