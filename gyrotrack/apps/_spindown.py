@@ -128,12 +128,12 @@ def _film(source: Path, wish: Wish, progress: Progress | None) -> tuple[Recordin
             source, load(wish.profile), capture_fps=wish.capture_fps, body=wish.body, progress=progress
         ), None
     film = Film(source)
-    fps, origin, warnings = _rate(film, wish.capture_fps)
     try:
-        return film_recording(film, wish, (fps, origin, warnings), progress)
+        return film_recording(film, wish, progress)
     except TrackingError:
         if wish.hub is not None:
             raise
+        fps, _, warnings = _rate(film, wish.capture_fps)
         with suppress(GyrotrackError):
             found = extract(source, capture_fps=fps, body=wish.body, progress=progress)
             if max(len(body.time) for body in found.bodies.values()) > _TRACKED * len(film):
@@ -157,12 +157,10 @@ def _rate(film: Film, asked: float | None) -> tuple[float, str, list[str]]:
     return fps, "container", [slow] if fps < SLOWEST_PLAIN_RATE else []
 
 
-def film_recording(
-    film: Film, wish: Wish, rate: tuple[float, str, list[str]], progress: Progress | None = None
-) -> tuple[Recording, Tracked]:
+def film_recording(film: Film, wish: Wish, progress: Progress | None = None) -> tuple[Recording, Tracked]:
     """Track one body in a film and make a recording of it."""
     source = film.path
-    fps, origin, warnings = rate
+    fps, origin, warnings = _rate(film, wish.capture_fps)
     tracked = track_body(film, wish.hub, progress)
     time_all = film.numbers / fps
     time = time_all[tracked.frame]
