@@ -130,6 +130,10 @@ def rank(
     found.sort(key=lambda c: -c.score)
     if refitting:
         worth = _worth_refitting(found, criteria)
+        swing = base.problem.data[0].oscillation
+        if swing is not None and not base.model.restoring:
+            # only a restoring torque makes a body oscillate, and scores about a motion that does not say little
+            worth = [c.effect.restoring for c in found]
         best_score = max((c.score for c, w in zip(found, worth, strict=True) if w), default=0.0)
         promising = [
             _Promising(c, nulls[c.effect.name], family, criteria, c.score > criteria.rival_share * best_score)
@@ -147,6 +151,8 @@ def _measured(fit: Fit) -> Sequence[CaseData]:
 
 def _is_applicable(effect: Effect, base: Fit) -> bool:
     if base.problem.data[0].record.single and not effect.single_body:
+        return False
+    if effect.restoring and base.problem.data[0].oscillation is None:
         return False
     if not effect.mechanical:
         return base.problem.data[0].is_angle

@@ -283,6 +283,8 @@ def decaying_sums(w: Array, decay: float) -> Array:
 
 _STRETCHES = 6
 _SLOW_TORQUES = 4
+# free harmonics of an oscillation, and powers of time of each
+_HARMONICS, _MODULATION = 3, 4
 _TIMES = (1 / 800, 1 / 400, 1 / 200, 1 / 100, 1 / 50, 1 / 20)
 # standard deviations by which the correlation time is taken longer than its best value
 _CAUTION = 0.5
@@ -406,15 +408,17 @@ def likelihoods(
 def _stretches(data: CaseData) -> list[tuple[Array, Array]]:
     """Return the rows of each stretch and the columns that are free in it."""
     blocks, k, _ = data.casing.lift.shape
+    swing = data.oscillation
     stretches = []
     for part in np.array_split(np.arange(blocks), max(1, min(_STRETCHES, blocks // 4))):
         rows = (part[:, None] * k + np.arange(k)).ravel()
         nodes = data.casing.node_times.reshape(blocks, k)[part]
         x = 2 * (nodes - nodes.min()) / (nodes.max() - nodes.min()) - 1
         powers = np.polynomial.legendre.legvander(x.ravel(), _SLOW_TORQUES + 2).reshape(*x.shape, -1)
-        values = np.zeros((blocks, k, powers.shape[-1]))
-        values[part] = powers
-        free = data.rows(values.reshape(blocks * k, -1), _nothing(data, powers.shape[-1]))[rows]
+        width = powers.shape[-1] + (0 if swing is None else 2 * _HARMONICS * _MODULATION)
+        values = np.zeros((blocks, k, width))
+        values[part] = powers if swing is None else _modulated(powers, swing.phase(nodes))
+        free = data.rows(values.reshape(blocks * k, -1), _nothing(data, values.shape[-1]))[rows]
         stretches.append((rows, np.concatenate([free, data.nuisance[rows]], axis=1)))
     first = len(data.casing.z)
     # a generated curve has no noise
@@ -426,6 +430,13 @@ def _stretches(data: CaseData) -> list[tuple[Array, Array]]:
         parabola[i] = np.stack([np.ones_like(t), t, t**2], axis=1)
         stretches.append((rows, data.rows(np.zeros((len(data.casing.node_times), 3)), parabola)[rows]))
     return stretches
+
+
+def _modulated(powers: Array, phase: Array) -> Array:
+    """Return slow torques, and with them an oscillation whose harmonics have any slowly varying amplitude and phase."""
+    slow = powers[..., :_MODULATION]
+    waves = [f(m * phase)[..., None] * slow for m in range(1, _HARMONICS + 1) for f in (np.cos, np.sin)]
+    return np.concatenate([powers, *waves], axis=-1)
 
 
 def _nothing(data: CaseData, columns: int) -> list[Array]:

@@ -17,7 +17,6 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from fitting.dynamics._mesh import Sampler
-from fitting.inference._parameters import START_CASING, START_ROTOR
 
 if TYPE_CHECKING:
     from fitting.inference._compression import Compressed
@@ -50,7 +49,7 @@ def modelled_speed(fit: Fit, case: int, body: int, time: Array) -> tuple[Array, 
     """
     prediction, model = fit.predictions[case], fit.problem.cases[case]
     sampler = Sampler(prediction.path.mesh, time)
-    places = fit.problem.layout.places(case, (*model.dynamics.parameters, START_ROTOR, START_CASING))
+    places = fit.problem.layout.places(case, (*model.dynamics.parameters, *fit.problem.layout.starts))
     slope = sampler.value(prediction.sensitivity.nodes[:, :, body])
     covariance = fit.covariance[np.ix_(places, places)]
     # a parameter that moves nothing has no finite variance and does not matter here
