@@ -12,83 +12,70 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fitting._api import fit as fit
-    from fitting._api import load as load
-    from fitting._errors import EffectError as EffectError
-    from fitting._errors import EstimationError as EstimationError
-    from fitting._errors import ExpressionError as ExpressionError
-    from fitting._errors import FittingError as FittingError
-    from fitting._errors import LedgerError as LedgerError
-    from fitting._errors import RecordError as RecordError
-    from fitting._errors import SimulationError as SimulationError
-    from fitting.discovery._criteria import Criteria as Criteria
-    from fitting.discovery._select import Candidate as Candidate
-    from fitting.discovery._select import improve as improve
-    from fitting.discovery._verdict import Diagnosis as Diagnosis
-    from fitting.discovery._verdict import diagnose as diagnose
-    from fitting.dynamics._model import Model as Model
-    from fitting.effects._effect import Effect as Effect
-    from fitting.effects._effect import Parameter as Parameter
-    from fitting.effects._library import GENERAL as GENERAL
-    from fitting.effects._library import LIBRARY as LIBRARY
-    from fitting.effects._library import LINEAR as LINEAR
-    from fitting.effects._library import REDUCED as REDUCED
-    from fitting.effects._user import read_effects as read_effects
+    from fitting._api import fit, load
+    from fitting._errors import (
+        EffectError,
+        EstimationError,
+        ExpressionError,
+        FittingError,
+        LedgerError,
+        RecordError,
+        SimulationError,
+    )
+    from fitting.discovery._criteria import Criteria
+    from fitting.discovery._laws import laws
+    from fitting.discovery._plan import plan
+    from fitting.discovery._select import Candidate, improve
+    from fitting.discovery._verdict import Diagnosis, diagnose
+    from fitting.dynamics._model import Model
+    from fitting.effects._effect import Effect, Parameter
+    from fitting.effects._library import GENERAL, LIBRARY, LINEAR, REDUCED
+    from fitting.effects._user import read_effects
     from fitting.effects._user import resolve as effect
-    from fitting.inference._budget import budget as budget
-    from fitting.inference._cross_validation import predict_recordings as predict_recordings
+    from fitting.inference._budget import budget
+    from fitting.inference._cross_validation import predict_recordings
     from fitting.inference._profile import profile as profile_interval
-    from fitting.inference._record import Record as Record
-    from fitting.inference._record import make_record as make_record
-    from fitting.inference._result import Estimate as Estimate
-    from fitting.inference._result import Fit as Fit
-    from fitting.inference._simulation import Experiment as Experiment
-    from fitting.inference._simulation import simulate as simulate
-    from fitting.study._history import Ledger as Ledger
-    from fitting.study._scan import Scan as Scan
-    from fitting.study._scan import scan as scan
-    from fitting.study._scan_tables import scan_lines as scan_lines
-    from fitting.study._serialisation import load_fit as load_fit
+    from fitting.inference._record import Record, make_record
+    from fitting.inference._result import Estimate, Fit
+    from fitting.inference._simulation import Experiment, simulate
+    from fitting.study._history import Ledger
+    from fitting.study._scan import Scan, scan
+    from fitting.study._scan_tables import scan_lines
+    from fitting.study._serialisation import load_fit
 
-_PLACES = {
-    "Candidate": ("fitting.discovery._select", "Candidate"),
-    "Criteria": ("fitting.discovery._criteria", "Criteria"),
-    "Diagnosis": ("fitting.discovery._verdict", "Diagnosis"),
-    "Effect": ("fitting.effects._effect", "Effect"),
-    "EffectError": ("fitting._errors", "EffectError"),
-    "Estimate": ("fitting.inference._result", "Estimate"),
-    "EstimationError": ("fitting._errors", "EstimationError"),
-    "Experiment": ("fitting.inference._simulation", "Experiment"),
-    "ExpressionError": ("fitting._errors", "ExpressionError"),
-    "Fit": ("fitting.inference._result", "Fit"),
-    "FittingError": ("fitting._errors", "FittingError"),
-    "GENERAL": ("fitting.effects._library", "GENERAL"),
-    "LIBRARY": ("fitting.effects._library", "LIBRARY"),
-    "LINEAR": ("fitting.effects._library", "LINEAR"),
-    "Ledger": ("fitting.study._history", "Ledger"),
-    "LedgerError": ("fitting._errors", "LedgerError"),
-    "Model": ("fitting.dynamics._model", "Model"),
-    "Parameter": ("fitting.effects._effect", "Parameter"),
-    "REDUCED": ("fitting.effects._library", "REDUCED"),
-    "Record": ("fitting.inference._record", "Record"),
-    "RecordError": ("fitting._errors", "RecordError"),
-    "Scan": ("fitting.study._scan", "Scan"),
-    "SimulationError": ("fitting._errors", "SimulationError"),
-    "budget": ("fitting.inference._budget", "budget"),
-    "diagnose": ("fitting.discovery._verdict", "diagnose"),
-    "effect": ("fitting.effects._user", "resolve"),
-    "fit": ("fitting._api", "fit"),
-    "improve": ("fitting.discovery._select", "improve"),
-    "load": ("fitting._api", "load"),
-    "load_fit": ("fitting.study._serialisation", "load_fit"),
-    "make_record": ("fitting.inference._record", "make_record"),
-    "predict_recordings": ("fitting.inference._cross_validation", "predict_recordings"),
-    "profile_interval": ("fitting.inference._profile", "profile"),
-    "read_effects": ("fitting.effects._user", "read_effects"),
-    "scan": ("fitting.study._scan", "scan"),
-    "scan_lines": ("fitting.study._scan_tables", "scan_lines"),
-    "simulate": ("fitting.inference._simulation", "simulate"),
+_MODULES = {
+    "fitting._api": ("fit", "load"),
+    "fitting._errors": (
+        "EffectError",
+        "EstimationError",
+        "ExpressionError",
+        "FittingError",
+        "LedgerError",
+        "RecordError",
+        "SimulationError",
+    ),
+    "fitting.discovery._criteria": ("Criteria",),
+    "fitting.discovery._laws": ("laws",),
+    "fitting.discovery._plan": ("plan",),
+    "fitting.discovery._select": ("Candidate", "improve"),
+    "fitting.discovery._verdict": ("Diagnosis", "diagnose"),
+    "fitting.dynamics._model": ("Model",),
+    "fitting.effects._effect": ("Effect", "Parameter"),
+    "fitting.effects._library": ("GENERAL", "LIBRARY", "LINEAR", "REDUCED"),
+    "fitting.effects._user": ("effect", "read_effects"),
+    "fitting.inference._budget": ("budget",),
+    "fitting.inference._cross_validation": ("predict_recordings",),
+    "fitting.inference._profile": ("profile_interval",),
+    "fitting.inference._record": ("Record", "make_record"),
+    "fitting.inference._result": ("Estimate", "Fit"),
+    "fitting.inference._simulation": ("Experiment", "simulate"),
+    "fitting.study._history": ("Ledger",),
+    "fitting.study._scan": ("Scan", "scan"),
+    "fitting.study._scan_tables": ("scan_lines",),
+    "fitting.study._serialisation": ("load_fit",),
 }
+_ALIASES = {"effect": "resolve", "profile_interval": "profile"}
+_PLACES = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
     "GENERAL",
@@ -119,9 +106,11 @@ __all__ = [
     "effect",
     "fit",
     "improve",
+    "laws",
     "load",
     "load_fit",
     "make_record",
+    "plan",
     "predict_recordings",
     "profile_interval",
     "read_effects",
@@ -135,8 +124,7 @@ def __getattr__(name: str) -> Any:
     """Import a public name where it is first used."""
     if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module, attribute = _PLACES[name]
-    value = globals()[name] = getattr(import_module(module), attribute)
+    value = globals()[name] = getattr(import_module(_PLACES[name]), _ALIASES.get(name, name))
     return value
 
 

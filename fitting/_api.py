@@ -66,7 +66,7 @@ def fit(
         The model, or the name of one of the paper's models: "reduced", "general", "linear"
         (for a record of a single body: the part of it that acts on this body).
     cases : Record, or sequence of Record
-        The experiments. With several, touch point, casing drag and start speeds have a value for each.
+        The experiments. With several, touch point, casing drag and initial angular rates have a value for each.
     fixed : mapping of str to float, optional
         Parameters held at a value [SI]: ``{"bearing.power.g": 0.7}``.
     loss : {"linear", "huber", "cauchy"}

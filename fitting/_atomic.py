@@ -12,7 +12,7 @@ import os
 import stat
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from filelock import FileLock, Timeout
@@ -21,8 +21,6 @@ from fitting._errors import LedgerError
 
 LOCK_TIMEOUT = 10.0
 """Time [s] after which waiting for a lock ends with an error."""
-
-_in_flight: set[Path] = set()
 
 
 def write_text(path: Path, text: str) -> None:
@@ -36,7 +34,6 @@ def write_text(path: Path, text: str) -> None:
     refuse_special(path)
     part = path.with_name(path.name + ".part")
     refuse_special(part)
-    _in_flight.add(part)
     try:
         with part.open("w", encoding="utf-8") as stream:
             stream.write(text)
@@ -50,7 +47,6 @@ def write_text(path: Path, text: str) -> None:
             "free space, or choose another file",
         ) from None
     finally:
-        _in_flight.discard(part)
         with suppress(OSError):  # on a read-only disk not even that is allowed
             part.unlink(missing_ok=True)
 
@@ -75,42 +71,26 @@ def locked(path: Path, timeout: float | None = None) -> Iterator[None]:
         Another program holds the lock for longer than `timeout` [s]. A system without locks is no error.
     """
     timeout = LOCK_TIMEOUT if timeout is None else timeout
-    lock = _lock_of(path)
-    held = False
-    try:
-        if lock is not None:
-            lock.acquire(timeout=timeout, poll_interval=0.02)
-            held = True
-    except (Timeout, RuntimeError):
-        raise LedgerError(
-            f"{path} is locked by another program; waited {timeout:g} s",
-            "run the command again when the other program has finished",
-        ) from None
-    except (OSError, NotImplementedError):
-        lock = None
-    try:
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(_lock_of(path).acquire(timeout=timeout, poll_interval=0.02))
+        except (Timeout, RuntimeError):
+            raise LedgerError(
+                f"{path} is locked by another program; waited {timeout:g} s",
+                "run the command again when the other program has finished",
+            ) from None
+        except (OSError, NotImplementedError):
+            pass
         yield
-    finally:
-        if lock is not None and held:
-            lock.release()
 
 
-def _lock_of(path: Path) -> FileLock | None:
+def _lock_of(path: Path) -> FileLock:
+    """Return the lock of a path, in a folder of the system's temporary one that belongs to this user alone."""
     user = getattr(os, "getuid", lambda: "")()
     folder = Path(tempfile.gettempdir()) / f"gyrotrack-locks-{user}"
-    try:
-        folder.mkdir(mode=0o700, exist_ok=True)
-        found = folder.lstat()
-        if not stat.S_ISDIR(found.st_mode) or (user != "" and found.st_uid != user):
-            return None
-        name = os.fsencode(path.parent.resolve() / path.name)
-        return FileLock(folder / f"{hashlib.sha256(name).hexdigest()[:32]}.lock", thread_local=False)
-    except (OSError, RuntimeError):
-        return None
-
-
-def remove_temporaries() -> None:
-    """Remove the temporary files of this process, for signal handlers that end it."""
-    for part in list(_in_flight):
-        with suppress(OSError):
-            part.unlink()
+    folder.mkdir(mode=0o700, exist_ok=True)
+    found = folder.lstat()
+    if not stat.S_ISDIR(found.st_mode) or (user != "" and found.st_uid != user):
+        raise PermissionError(f"{folder} belongs to another user")
+    name = os.fsencode(path.parent.resolve() / path.name)
+    return FileLock(folder / f"{hashlib.sha256(name).hexdigest()[:32]}.lock", thread_local=False)

@@ -11,9 +11,9 @@ _LONG = 3
 _RAISED = str.maketrans("0123456789+-g.", "⁰¹²³⁴⁵⁶⁷⁸⁹⁺⁻ᵍ·")
 _UNIT = re.compile(r"(?<![\w.])(kg m|N m s|N m|rad s|s|K|m)\^?(-?\d(?:\.\d+)?|g)(?!\w|\.\d)")
 _POWER = re.compile(r"x 10\^(-?\d+)")
-# a number of a sentence: followed by its error, its unit, or a bracket; a number in a formula is not
+# a number in a sentence, followed by its uncertainty, its unit or a bracket; not a number in a formula
 _SCIENTIFIC = re.compile(r"(?<![\w.*])(\d+(?:\.\d+)?)e([+-]\d+)(?=\)| \+-| N m| rad| s\b)")
-# what holds a number together: its error, its power of ten, and the inside of a unit
+# spaces within a number: before its uncertainty, its power of ten, and inside a unit
 _JOINED = re.compile(r"(?<=\d) [±×] (?=\d)|(?<=\)) × (?=10)|\bN m(?: s[⁻⁰-⁹¹²³]*)?(?![\w])")
 _AFTER_NUMBER = re.compile(r"(?<=[\d)⁰-⁹¹²³]) (?=(?:m?rad|N|kg|J|K|s|ms|px|%|σ|sigma|times)(?![\w.]))")
 POWERS = {"": "", "m": "$10^{-3}$", "µ": "$10^{-6}$", "n": "$10^{-9}$", "p": "$10^{-12}$"}
@@ -40,13 +40,13 @@ def typeset(text: str) -> str:
 
 
 def nonbreaking(text: str) -> str:
-    """Return text whose numbers stay on one line with their errors, powers of ten and units."""
+    """Return text with non-breaking spaces between numbers, their uncertainties, powers of ten and units."""
     text = _JOINED.sub(lambda m: m[0].replace(" ", "\u00a0"), text)
     return _AFTER_NUMBER.sub("\u00a0", text)
 
 
 def with_uncertainty(value: float, error: float, unit: str) -> str:
-    """Return a value with its error, rounded together."""
+    """Return a value with its standard uncertainty, both rounded to the same digit."""
     text = typeset(rounded(value, error, "" if unit == "1" else unit))
     return text.replace("-", "−", 1) if text.startswith(("-", "(-")) else text
 
@@ -72,7 +72,7 @@ def probability(p: float) -> str:
 
 
 def scaled(largest: float) -> tuple[float, str]:
-    """Return a factor and the prefix of the unit that bring a size between 0.5 and 500."""
+    """Return the factor and the unit prefix that scale a magnitude to 0.5 to 500."""
     for factor, prefix in _PREFIXES:
         if largest * factor >= 0.5:
             return factor, prefix
@@ -82,7 +82,7 @@ def scaled(largest: float) -> tuple[float, str]:
 def rounded(value: float, error: float, unit: str = "") -> str:
     """Return ``(7.16 +- 0.04) x 10^-7 N m s``.
 
-    The error keeps two digits if they lie between 10 and 29, else one; the value is rounded to the same place.
+    The uncertainty keeps two digits if they are between 10 and 29, else one; the value is rounded to the same digit.
     """
     if not math.isfinite(value):
         return "not a number"
@@ -101,7 +101,7 @@ def rounded(value: float, error: float, unit: str = "") -> str:
 
 
 def to_json(value: Any) -> Any:
-    """Return what JSON can hold: nan becomes None, infinities become words."""
+    """Return a value that JSON can hold: nan becomes None, infinities become "inf" and "-inf"."""
     if isinstance(value, dict):
         return {str(k): to_json(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
@@ -111,8 +111,3 @@ def to_json(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None if math.isnan(value) else ("inf" if value > 0 else "-inf")
     return value
-
-
-def from_json(value: Any) -> float:
-    """Return a number that `plain` wrote."""
-    return math.nan if value is None else float(value)

@@ -26,7 +26,7 @@ _MOST_PROCESSES = 4
 def single_blas_thread() -> Iterator[None]:
     """Limit BLAS to one thread; a context manager, and with a call a decorator.
 
-    The matrices of a fit have some hundred rows: more threads spend their time on waiting for each other.
+    The matrices of a fit have some hundred rows: more threads are slower.
     """
     from threadpoolctl import threadpool_limits
 

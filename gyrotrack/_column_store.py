@@ -22,7 +22,7 @@ Array = npt.NDArray[Any]
 LEAST_BYTES = 1 << 18
 """Size [bytes] from which a table is kept in a file."""
 STRETCH = 4096
-"""Rows that are processed at a time."""
+"""Rows that are processed at once."""
 _TOGETHER = 8
 """Blocks of rows after which pages are released; each release takes time."""
 MOST_FILES = 128
@@ -75,7 +75,7 @@ def stretches(rows: int) -> Iterator[slice]:
 
 
 def set_down() -> None:
-    """Release the memory of all columns; their values stay in the file."""
+    """Release the memory of all columns; their values remain in the file."""
     for file in list(_files):
         if _LEAVE is not None:
             file.madvise(_LEAVE)

@@ -24,7 +24,7 @@ class GyrotrackError(Exception):
     Parameters
     ----------
     message : str
-        What is wrong, with the name of the file, and the place in it.
+        What is wrong, with the name of the file and the location in it.
     hint : str
         What to do next; may be empty.
     """

@@ -3,8 +3,8 @@
 The paper takes the median over 51 points of the angles, differentiates, takes the median over 51 points of
 the velocities, and drops the first and last 50.
 
-A body's path is made from the coarse angles by parabolas in time about each frame. What a marker departs from it is
-small, and is put into the even place nearest to its frame to be smoothed together with the path there.
+On an uneven time base a body's path is made from the coarse angles by parabolas in time about each frame. The residuals
+of a marker from it are small: each is assigned to the nearest point of an even grid and smoothed there with the path.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ def local_fit(
     weight : ndarray, shape (n,)
         Weights, 0 where there is no value.
     half : int
-        Reach of the window; its weights fall off as (1 - (x/(half + 1))^2).
+        Half width of the window; its weights are (1 - (x/(half + 1))^2).
     degree : int
         Of the polynomial.
     hole : int
-        Points up to this distance are left out, to predict each point from others; -1: none.
+        Points up to this distance are excluded, to predict each point from others; -1: none.
 
     Returns
     -------
@@ -61,20 +61,20 @@ def spread(residual: Floats) -> float:
 
 
 def median_of(values: Floats) -> float:
-    """Return the median of some numbers, none of them NaN; `np.median` thinks for longer than it works."""
+    """Return the median of some numbers, none of them NaN; faster than `np.median` for a few numbers."""
     ranks = (values.size - 1) // 2, values.size // 2
     ordered = np.partition(values, ranks, axis=None)
     return float(0.5 * (ordered[ranks[0]] + ordered[ranks[1]]))
 
 
 FAR = 6.0
-"""Standard deviations beyond which an observation is taken for a fault."""
+"""Standard deviations beyond which an observation is an outlier."""
 FEWEST = 8
 STANDS_OUT = 3.5
-"""Standard deviations beyond which a correlation is not taken for chance."""
+"""Standard deviations beyond which a correlation is significant."""
 _LIGHTEST, _HEAVIEST = 1e3, 5.0
 _BORROWED = 4.0
-"""Independent residuals that a borrowed uncertainty is worth: it holds to about a third."""
+"""Degrees of freedom of an uncertainty that was taken from other bodies: it is known to about a third."""
 
 
 def core_scatter(off: Floats, otherwise: float) -> float:
@@ -83,9 +83,9 @@ def core_scatter(off: Floats, otherwise: float) -> float:
 
 
 def excess(off: Floats) -> float:
-    """Return by how much normalised residuals scatter more than they should: their root mean square.
+    """Return the root mean square of normalised residuals: 1 if their uncertainty is right.
 
-    A fault counts as no more than `FAR`; the result is between 0.5 and 3, and 1 if there are too few residuals.
+    Outliers are clipped at `FAR`; the result is between 0.5 and 3, and 1 if there are too few residuals.
     """
     known = off[np.isfinite(off)]
     if len(known) < FEWEST:
@@ -95,12 +95,12 @@ def excess(off: Floats) -> float:
 
 
 def tail_factor(off: Floats) -> Floats:
-    """Return by how much each residual raises its own uncertainty where large ones are too frequent, (n,).
+    """Return the factor by which each residual raises its own uncertainty where large ones are too frequent, (n,).
 
-    The noise is taken as normal with a variance of its own in each frame, inverse-gamma distributed: residuals
-    then follow Student's t with nu degrees of freedom, their excess kurtosis is 6 / (nu - 4), and a residual of r
-    standard deviations says that its variance was (nu - 2 + r^2) / (nu - 1) of the mean one. Where nothing is
-    known (NaN) the factor is 1.
+    The noise is normal with a variance of its own in each frame, inverse-gamma distributed: residuals then follow
+    Student's t with nu degrees of freedom, their excess kurtosis is 6 / (nu - 4), and given a residual of r standard
+    deviations the expected variance is (nu - 2 + r^2) / (nu - 1) of the mean one. Where there is no residual (NaN) the
+    factor is 1.
 
     Parameters
     ----------
@@ -121,10 +121,10 @@ def tail_factor(off: Floats) -> Floats:
 
 
 def correlation_factor(residual: Floats) -> float:
-    """Return by how much correlation raises the variance of averages: 1 + 2 sum of autocorrelations.
+    """Return the factor by which correlation raises the variance of averages: 1 + 2 sum of autocorrelations.
 
-    The sum ends where a pair of neighbouring lags is no longer positive (Geyer's initial sequence); what is
-    within 3.5 sigma of independent samples counts as independent.
+    The sum ends where a pair of neighbouring lags is no longer positive (Geyer's initial sequence); a factor within
+    3.5 sigma of that of independent samples is 1.
     """
     size = len(residual)
     power = np.abs(np.fft.rfft(residual - residual.mean(), 2 * size))
@@ -140,20 +140,20 @@ def correlation_factor(residual: Floats) -> float:
 
 
 def share_of_floor(off: Floats, sigma: Floats, floor: float, places: float) -> float:
-    """Return the share, 0 to 1, of a borrowed uncertainty that a body's own residuals leave to it.
+    """Return the share, 0 to 1, of the expected repeatable errors that a body's own residuals confirm.
 
-    A body that passes an arc passes places too, and departs from its smooth motion where it errs by them. These
-    residuals and the borrowed value are two estimates of one variance, each with its degrees of freedom; residuals
-    that are larger may be motion, and raise nothing.
+    Errors that repeat with the angle show as residuals from the smooth motion while the body passes an arc. These
+    residuals and the expected value are two estimates of one variance, each with its degrees of freedom. Larger
+    residuals may be motion and do not raise the share above 1.
 
     Parameters
     ----------
     off, sigma : ndarray, shape (n,)
-        Residuals from the smooth motion, NaN where there is none, and their uncertainty without errors by place [rad].
+        Residuals from the smooth motion, NaN where there is none, and their uncertainty without such errors [rad].
     floor : float
-        The borrowed uncertainty of errors by place [rad].
+        Expected standard deviation of the repeatable errors [rad].
     places : float
-        Places with errors of their own that were passed, less those to which the smooth motion could be fitted.
+        Number of independent repeatable errors that were passed, less those to which the smooth motion could adapt.
     """
     known = np.isfinite(off) & np.isfinite(sigma)
     if known.sum() < FEWEST or floor <= 0.0 or places <= 0.0:
@@ -166,13 +166,13 @@ def share_of_floor(off: Floats, sigma: Floats, floor: float, places: float) -> f
 Mask = npt.NDArray[np.bool_]
 
 HALF_WINDOW = 20
-"""Frames to each side over which a body's motion is taken to be a parabola."""
+"""Frames to each side over which a body's motion is a parabola."""
 
 
 def smooth_path(coarse: Floats) -> Floats:
-    """Smooth a coarse path, so that residuals about it are residuals about an even motion.
+    """Smooth a coarse path by local parabolas.
 
-    Local parabolas replace it wherever they stay within 0.3 rad of it, so that turns are kept.
+    They replace it only where they are within 0.3 rad of it, so that the number of turns is kept.
     """
     known = np.isfinite(coarse)
     if known.sum() < 8:
@@ -184,11 +184,10 @@ def smooth_path(coarse: Floats) -> Floats:
 
 
 def learning_window(path: Floats) -> tuple[int, int]:
-    """Return half width and degree of the local polynomials against which repeating errors are learnt.
+    """Return half width and degree of the local polynomials from which repeatable errors are estimated.
 
-    A little more than a turn to each side, so that an error that repeats with the turn is not taken for
-    motion; and never so short that an error is followed which creeps because the turn and the film's rate
-    are in step.
+    The window extends a little more than a turn to each side, so that it averages errors that repeat with the turn. It
+    has a minimum length, because near a rational ratio of turn and frame rate such errors vary slowly.
     """
     step = np.abs(np.diff(path))
     step = step[np.isfinite(step)]
@@ -198,9 +197,9 @@ def learning_window(path: Floats) -> tuple[int, int]:
 
 
 def whole_turns(path: Floats, half: int) -> Mask:
-    """Return where `half` frames to both sides hold a whole turn, so that what repeats with it shows.
+    """Return where `half` frames to both sides contain a whole turn, which reveals errors that repeat with it.
 
-    Nowhere in a path of less than two turns: a place that was passed once tells nothing of what repeats there.
+    Nowhere in a path of less than two turns: nothing repeats there.
     """
     known = path[np.isfinite(path)]
     if len(known) == 0 or np.ptp(known) < 4.0 * np.pi:
@@ -230,7 +229,7 @@ def median_smooth(x: npt.ArrayLike, width: int = WIDTH) -> Floats:
     Parameters
     ----------
     x : array_like, shape (n,)
-        The series; NaN are passed over and stay NaN.
+        The series; NaN are ignored and stay NaN.
     width : int
         Points of the median, odd.
 
@@ -325,7 +324,7 @@ _CLEAR = 5.0
 
 
 class TimeBase:
-    """When the frames of a film were taken, where that was not evenly.
+    """An uneven time base: the times at which the frames of a film were taken.
 
     Parameters
     ----------
@@ -344,7 +343,7 @@ class TimeBase:
         return np.asarray(np.rint(self.place), dtype=np.int64)
 
     def path(self, coarse: Floats) -> tuple[Floats, Floats]:
-        """Smooth a coarse path: values at the frames (n,), NaN where it has none, and at the even places [rad]."""
+        """Smooth a coarse path: values at the frames (n,), NaN where it has none, and on the even grid [rad]."""
         known = np.isfinite(coarse)
         if known.sum() < _FEWEST:
             return coarse, np.zeros(int(self._slot[-1]) + 1)
@@ -359,7 +358,7 @@ class TimeBase:
         return path, np.asarray(CubicHermiteSpline(place, value, slope)(even))
 
     def speed(self, path: Floats) -> Floats:
-        """Return the change of a path in a period, (n,); NaN where the path is not known."""
+        """Return the change of a path per period, (n,); NaN where the path is not known."""
         known = np.isfinite(path)
         out = np.full(len(path), np.nan)
         if known.sum() > 1:
@@ -376,7 +375,7 @@ class TimeBase:
         off, weight : ndarray, shape (n,)
             Residuals [rad] and their weights, 0 where there is none.
         bend : ndarray
-            The path at the even places, less a straight line [rad].
+            The path on the even grid, less a straight line [rad].
         half, degree : int
             See `local_fit`; in periods.
         """
@@ -408,20 +407,20 @@ def local_parabola(place: Floats, value: Floats, half: int = HALF_WINDOW) -> tup
 
 
 def jitter_is_real(place: Floats, smooth: Floats, angle: Floats) -> bool:
-    """Tell whether a body has moved on in frames that are late by their stamps, or turns as if these were even.
+    """Return whether the jitter of the timestamps is real: whether a body moves on in frames that are late.
 
     Parameters
     ----------
     place, smooth : ndarray, shape (n,)
-        Times of the frames, and the same without what jitters.
+        Times of the frames, and the same without jitter.
     angle : ndarray, shape (n,)
         Unwrapped angle of a body, NaN where it is not known [rad].
 
     Notes
     -----
-    What an angle departs from a parabola in the smooth times is b w (place - smooth), with w the speed. The least
-    squares b is near 1 where the camera was late, and near 0 where only the stamp is. One that is not known to a
-    fifth leaves the stamps as they are.
+    The residual of an angle from a parabola in the smooth times is b w (place - smooth), with w the speed. The least
+    squares estimate of b is near 1 if the camera was late, and near 0 if only the timestamp is. Where its standard
+    uncertainty exceeds 0.2 the timestamps are kept.
     """
     known = np.isfinite(angle)
     if known.sum() < 2 * HALF_WINDOW:

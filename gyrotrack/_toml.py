@@ -26,7 +26,7 @@ def line_of(text: str, location: tuple[int | str, ...]) -> int | None:
     text : str
         Valid TOML.
     location : tuple of int or str
-        Keys, and places in arrays of tables, as ``("clip", 1, "file")``.
+        Keys, and indices in arrays of tables, as ``("clip", 1, "file")``.
 
     Notes
     -----
@@ -48,7 +48,7 @@ def line_of(text: str, location: tuple[int | str, ...]) -> int | None:
             places.setdefault(table, number)
         elif (key := _KEY.match(line)) is not None:
             places.setdefault((*table, *_parts(key[1])), number)
-    # an array as a value has one line for all its places
+    # an array as a value has one line for all its elements
     known = [location[:n] for n in range(len(location), 0, -1)]
     return next((places[k] for k in known if k in places), None)
 

@@ -67,9 +67,15 @@ class ScoreContext:
         The base.
     draws : int
         Number of null data sets.
+    without : sequence of str
+        Effects of the fit whose parameters are not free: their torque is part of the residual.
+    torque_rows : ndarray, shape (rows,), optional
+        Response of the rows to the torque of these effects.
     """
 
-    def __init__(self, fit: Fit, draws: int) -> None:
+    def __init__(
+        self, fit: Fit, draws: int, *, without: Sequence[str] = (), torque_rows: Array | None = None
+    ) -> None:
         self.fit = fit
         data = fit.problem.data
         self.ends = np.cumsum([0, *(len(d.z) for d in data)])
@@ -79,9 +85,11 @@ class ScoreContext:
         self._whiteners = [[n.whitener.at(_between(n.pure, n.level, x)) for n in fit.noise] for x in shares]
         # a parameter at its bound is held; only the refit can release it
         moving = ~fit.problem.layout.at_bound(fit.theta)
+        moving &= [n.partition("@")[0].rpartition(".")[0] not in without for n in fit.problem.layout.names]
         free = np.concatenate([p.jacobian[:, moving] for p in fit.predictions])
         nuisance = block_diagonal([d.nuisance for d in data])
         residual = np.concatenate([d.z - p.rows for d, p in zip(data, fit.predictions, strict=True)])
+        residual = residual if torque_rows is None else residual + torque_rows
         everything = np.concatenate([free, nuisance], axis=1)
         self._free = self.rotated(everything)
         self._residual = self.rotated(residual)
@@ -137,6 +145,8 @@ _PHASE_STEP = 1.5
 # highest trial frequency, which the cells still resolve [rad per cell]
 _FASTEST = 1.0
 _MAX_FREQUENCIES = 1500
+# share of a law's torque that acts on rotor and casing; in the bearing and as a factor of its torque -1 and 1
+_ACTING = {"rotor": (1.0, 0.0), "casing": (0.0, 1.0), "inertia": (0.0, 1.0)}
 # changepoints are tried on a grid this many times finer than declared
 _FINER = 8
 
@@ -194,12 +204,17 @@ class CaseColumns:
             grids = [self._grid(effect, p) for p in shapes]
             symbols = [p.symbol for p in shapes]
             choices = [dict(zip(symbols, map(float, v), strict=True)) for v in itertools.product(*grids)]
-        torques = [self._torque(effect, choice) for choice in choices]
-        rotor = np.concatenate([t[0] for t in torques], axis=1)
-        casing = np.concatenate([t[1] for t in torques], axis=1)
-        rows = self.response.rotor @ rotor + self.response.casing @ casing
+        if effect.state is None and not effect.breakpoint and effect.joint not in self._whole:
+            unit = self._units(effect, choices)
+        else:
+            unit = np.concatenate([self._unit(effect, choice) for choice in choices], axis=1)
+        acting = _ACTING.get(effect.joint, (-1.0, 1.0))
+        rows = np.zeros((len(self.response.casing), unit.shape[1]))
+        for share, response in zip(acting, (self.response.rotor, self.response.casing), strict=True):
+            if share:
+                rows += share * (response @ unit)
         rows = np.concatenate([rows, np.zeros((len(self.case.data.z) - len(rows), rows.shape[1]))])
-        width = torques[0][0].shape[1]
+        width = unit.shape[1] // len(choices)
         return [Trial(c, rows[:, i * width : (i + 1) * width]) for i, c in enumerate(choices)]
 
     def _grid(self, effect: Effect, p: Parameter) -> Array:
@@ -218,7 +233,33 @@ class CaseColumns:
             return np.asarray(first + finer * (last - first))
         return grid * (last - first) if p.relative else grid
 
-    def _torque(self, effect: Effect, shape: dict[str, float]) -> tuple[Array, Array]:
+    @property
+    def typical_torque(self) -> Array:
+        """Torque of the bearing in each cell [N m]; of a single body the net torque."""
+        return np.asarray(self._whole["inertia"] if self.case.data.record.single else self._whole["factor"])
+
+    def torque(self, effect: Effect, shape: dict[str, float]) -> tuple[Array, Array]:
+        """Return the torques of a unit strength on rotor and casing, each (cells, columns) [N m]."""
+        unit = self._unit(effect, shape)
+        rotor, casing = _ACTING.get(effect.joint, (-1.0, 1.0))
+        return rotor * unit, casing * unit
+
+    def _units(self, effect: Effect, choices: Sequence[dict[str, float]]) -> Array:
+        """Return the torque of a law at strength 1 in each cell, for all choices of its shape constants at once."""
+        amplitude = next(p.symbol for p in effect.parameters if p.role == "amplitude")
+        cells = {k: np.asarray(v)[:, None] if np.ndim(v) else v for k, v in self._known.items()}
+        values = cells | {p.symbol: p.start for p in effect.parameters} | {amplitude: 1.0}
+        values |= {symbol: np.array([c[symbol] for c in choices]) for symbol in choices[0]}
+        tape, phase = Tape([effect.expression]), _phase_symbol(effect)
+        shape = (len(self.response.centres), len(choices))
+        waves = [
+            np.broadcast_to(np.asarray(tape(values | ({phase: phi} if phase else {}))[0]), shape)
+            for phi in ((0.0, np.pi / 2) if phase else (0.0,))
+        ]
+        return np.stack(waves, axis=2).reshape(shape[0], -1)
+
+    def _unit(self, effect: Effect, shape: dict[str, float]) -> Array:
+        """Return the torque of a law at strength 1 in each cell, for one choice of its shape constants."""
         values = self._known | {p.symbol: p.start for p in effect.parameters} | shape
         if effect.state is not None:
             values[effect.state.symbol] = self._state(effect, shape)
@@ -237,9 +278,7 @@ class CaseColumns:
         unit = np.stack([v * np.ones(len(self.response.centres)) for v in law], axis=1)
         if effect.breakpoint:
             self._jump_within_cell(effect, values, unit)
-        on_rotor = {"rotor": 1.0, "casing": 0.0, "inertia": 0.0}.get(effect.joint, -1.0)
-        on_casing = {"rotor": 0.0, "casing": 1.0}.get(effect.joint, 1.0)
-        return on_rotor * unit, on_casing * unit
+        return unit
 
     def _jump_within_cell(self, effect: Effect, values: dict[str, Any], unit: Array) -> None:
         """Let a jump within a cell act for the part of the cell after it."""
@@ -500,6 +539,7 @@ def score(
     cases: Sequence[CaseColumns],
     criteria: Criteria,
     draws: int = 1500,
+    context: ScoreContext | None = None,
 ) -> list[Score]:
     """Score all candidates on a fit.
 
@@ -515,13 +555,15 @@ def score(
         Thresholds of the search.
     draws : int
         Number of null data sets.
+    context : ScoreContext, optional
+        The linearised data, if they are not simply those of the fit.
 
     Returns
     -------
     list of Score
         In the order of the effects.
     """
-    context = ScoreContext(fit, draws)
+    context = ScoreContext(fit, draws) if context is None else context
     tried = {e.name: _all_trials(e, cases) for e in effects}
     scores = [_score(context, effect, tried[effect.name], criteria) for effect in effects]
     promising = criteria.shape_share * max((s.score for s in scores), default=0.0)

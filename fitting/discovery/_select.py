@@ -10,11 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from html import escape
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from fitting._display import BLUE, block, draw_history, figure, markup_table
 from fitting._errors import FittingError
+from fitting._numbers import short
 from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._criteria import DEFAULT, Criteria
 from fitting.discovery._refine import (
@@ -114,11 +117,7 @@ def rank(
     workers : WorkerPool, optional
         Processes that run some of the refits.
     """
-    known = {e.name: e for e in (*LIBRARY.values(), *extra)}
-    names = set(base.model.names)
-    effects = [
-        e for e in known.values() if e.name not in names and not e.nuisance and _is_applicable(e, base)
-    ]
+    effects = applicable_effects(base, extra)
     cases = [CaseColumns(base, i) for i in range(len(base.problem.cases))]
     scores = score(base, effects, cases, criteria)
     nulls = {s.effect.name: NullDistribution(s) for s in scores}
@@ -147,6 +146,13 @@ def rank(
 
 def _measured(fit: Fit) -> Sequence[CaseData]:
     return fit.problem.data
+
+
+def applicable_effects(base: Fit, extra: Sequence[Effect]) -> list[Effect]:
+    """Return the effects of the library and of the user that a fit could lack."""
+    known = {e.name: e for e in (*LIBRARY.values(), *extra)}
+    names = set(base.model.names)
+    return [e for e in known.values() if e.name not in names and not e.nuisance and _is_applicable(e, base)]
 
 
 def _is_applicable(effect: Effect, base: Fit) -> bool:
@@ -325,14 +331,36 @@ class History(list[Step]):
 
     def plot(self) -> Figure:
         """Draw how the error falls from step to step (matplotlib)."""
-        from fitting._display import plot_history
-
-        return plot_history(self)
+        drawn = figure(8.0, 1.6 + 0.4 * len(self))
+        left, right = drawn.subplots(1, 2, sharey=True)
+        changes = [s.change or "base" for s in self]
+        body = self[0].fit.problem.data[0].record.body
+        draw_history(left, changes, [s.fit.rmse_casing for s in self], f"rms residual of the {body} [rad/s]")
+        draw_history(
+            right, changes, [s.fit.held_out for s in self], "cross-validation error [noise]", limit=1.0
+        )
+        return drawn
 
     def _repr_html_(self) -> str:
-        from fitting._display import history_html
-
-        return history_html(self)
+        largest = max((s.fit.rmse_casing for s in self), default=1.0) or 1.0
+        rows = []
+        for i, step in enumerate(self):
+            found = step.fit
+            width = max(1, round(100 * found.rmse_casing / largest))
+            gain = found.bic - self[i - 1].fit.bic if i else 0.0
+            numbers = [short(v) for v in (found.rmse_casing, found.reduced_chi2, found.held_out, gain)]
+            bar = f'<div style="background:{BLUE};height:.6em;width:{width}px"></div>'
+            rows.append([escape(step.change or "base"), *numbers, short(found.torque_noise, 2), bar])
+        columns = (
+            "change",
+            "rms [rad/s]",
+            "χ²/n",
+            "cross-validation error [noise]",
+            "ΔBIC",
+            "remaining torque [N m]",
+            "",
+        )
+        return block(markup_table("history of fits", columns, rows))
 
 
 class Selection(NamedTuple):

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from html import escape
 from typing import TYPE_CHECKING
 
-from fitting._numbers import rounded
+from fitting._display import block, draw_candidates, draw_torque, figure, headline, printable, table
+from fitting._numbers import probability, rounded, short, typeset
 from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._criteria import DEFAULT, Criteria
-from fitting.discovery._experiment import next_experiment
 from fitting.discovery._lack_of_fit import (
     UNKNOWN_IN_TIME,
     UNKNOWN_LAW,
@@ -24,6 +25,8 @@ from fitting.discovery._lack_of_fit import (
     contradiction,
     nonparametric_rivals,
 )
+from fitting.discovery._next_run import separating_run
+from fitting.discovery._power import UpperLimit, largest_hidden
 from fitting.discovery._remainder import Grade, Nuisance, Remainder, grade, nuisance_parameters
 from fitting.discovery._residuals import (
     Failure,
@@ -42,6 +45,9 @@ from fitting.inference._result import Fit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+# candidates that a notebook shows
+_MOST_CANDIDATES = 10
 
 
 @dataclass(frozen=True)
@@ -77,6 +83,8 @@ class Diagnosis:
         Harmonics of the unmodelled torque in the angle of the casing, with bands.
     whiteness : tuple of Whiteness
         Whether the residuals are independent.
+    upper_limits : tuple of UpperLimit
+        Of an adequate fit: the physical effects that could still be hidden, with the largest torques.
     """
 
     fit: Fit
@@ -92,17 +100,72 @@ class Diagnosis:
     torques: tuple[ResidualTorque, ...] = field(repr=False)
     ripples: tuple[Ripple, ...] = field(repr=False)
     whiteness: tuple[Whiteness, ...] = field(repr=False)
+    upper_limits: tuple[UpperLimit, ...] = ()
 
     def plot(self) -> Figure:
         """Draw the unmodelled torque with its band, where the model fails, and the candidates (matplotlib)."""
-        from fitting._display import plot_diagnosis
-
-        return plot_diagnosis(self)
+        labels = list(dict.fromkeys(t.label for t in self.torques))
+        shown = [c for c in self.candidates if c.score > 0][:_MOST_CANDIDATES]
+        drawn = figure(9.0, 2.6 * len(labels) + 0.35 * len(shown) + 1.2)
+        heights = [2.6] * len(labels) + ([0.35 * len(shown) + 0.7] if shown else [])
+        axes = drawn.subplots(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
+        bodies = {c.record.label: c.record.body for c in self.fit.problem.data}
+        for ax, label in zip(axes, labels, strict=False):
+            draw_torque(
+                ax,
+                [
+                    (bodies[label] if t.body == "casing" else t.body, t.time, t.torque, t.sigma)
+                    for t in self.torques
+                    if t.label == label
+                ],
+                [(f.t_start, f.t_stop) for f in self.failures if f.label == label],
+            )
+            ax.set_title(printable(label) + ": unmodelled torque; yellow: significant lack of fit")
+            ax.legend(fontsize="small", frameon=False)
+        if shown:
+            draw_candidates(
+                axes[-1],
+                [c.effect.name for c in shown],
+                [c.score for c in shown],
+                significant=[c.significant for c in shown],
+                physical=[c.physical for c in shown],
+            )
+        return drawn
 
     def _repr_html_(self) -> str:
-        from fitting._display import diagnosis_html
-
-        return diagnosis_html(self)
+        failures = [
+            (
+                f.label,
+                f.called,
+                f"{f.t_start:.1f} – {f.t_stop:.1f}",
+                short(f.residual_torque_Nm),
+                short(f.residual_rad_s, 2),
+                f"{f.size_sigma:.0f}",
+            )
+            for f in self.failures
+        ]
+        candidates = [
+            (
+                c.effect.name + ("" if c.physical else " (artefact)"),
+                short(c.score),
+                short(c.delta_bic),
+                probability(c.p_value),
+                ", ".join(c.indistinguishable_from) or "–",
+            )
+            for c in self.candidates[:_MOST_CANDIDATES]
+            if c.score > 0
+        ]
+        parts = [headline(self.verdict, typeset(self.sentence))]
+        if failures:
+            where = ("case", "body", "time [s]", "torque [N m]", "speed [rad/s]", "σ")
+            parts.append(table("significant lack of fit", where, failures))
+        if candidates:
+            columns = ("effect", "score", "ΔBIC", "p", "indistinguishable from")
+            title = "tested, not needed" if self.verdict == "adequate" else "candidate effects"
+            parts.append(table(title, columns, candidates))
+        if self.next_experiment:
+            parts.append(f"<p><b>Next experiment.</b> {escape(self.next_experiment)}</p>")
+        return block(*parts)
 
 
 @single_blas_thread()
@@ -151,21 +214,25 @@ def diagnose(
         selection = _with_rivals(selection, rivals)
     nuisance = nuisance_parameters(selection.end)
     torques, waves = curves.result(), harmonics.result()
+    hidden = largest_hidden(fit, extra, criteria) if verdict == "adequate" else ()
     failures = find_failures(fit, torques, waves, criteria) if verdict != "adequate" else []
     return Diagnosis(
         fit,
         verdict,
-        _sentence(fit, verdict, selection, failures, doubt, size, nuisance, criteria),
+        _sentence(fit, verdict, selection, failures, doubt, size, nuisance, criteria, hidden),
         tuple(failures),
         tuple(selection.candidates),
         size.form,
         size.explained,
         size.remainder,
         tuple(nuisance),
-        next_experiment(fit, _class_of(selection), criteria),
+        separating_run(
+            fit, [(c.effect.name, [c.effect], c.estimates) for c in _class_of(selection) if c.fit], criteria
+        ),
         tuple(torques),
         tuple(waves),
         tuple(whiteness(fit)),
+        hidden,
     )
 
 
@@ -206,10 +273,16 @@ def _sentence(
     size: Grade,
     nuisance: Sequence[Nuisance],
     criteria: Criteria,
+    hidden: Sequence[UpperLimit],
 ) -> str:
     """Return the answer in a few sentences."""
     if verdict == "adequate":
         parts = ["The residuals are consistent with noise; the model is adequate."]
+        if hidden:
+            limits = ", ".join(f"{u.effect} {micro_newton_metres(u.torque_Nm)}" for u in hidden)
+            parts.append(
+                f"Effects that could still be hidden, with 95 % upper limits of the rms torque: {limits}."
+            )
     else:
         parts = [f"Significant lack of fit{f': {failures[0]}' if failures else ''}."]
         parts += (

@@ -26,7 +26,7 @@ _BASE: dict[str, Dimension] = {
     "N": (1, 1, -2, 0),
     "J": (1, 2, -2, 0),
 }
-_TOKEN = re.compile(r"^([A-Za-z]+|1)(?:\^?(-?[0-9.]+|[a-z]))?$")
+_TOKEN = re.compile(r"^([A-Za-z]+|1)(?:\^?(-?[0-9.]+|-?[a-z]))?$")
 _TOLERANCE = 1e-9
 
 
@@ -44,9 +44,12 @@ def parse_unit(unit: str, exponents: Mapping[str, float] | None = None) -> Dimen
         if match is None or match[1] not in _BASE:
             raise ExpressionError(f"{token!r} in {unit!r} is not a unit", "write for example: N m s2")
         exponent = match[2] or "1"
-        value = (exponents or {}).get(exponent)
+        value = (exponents or {}).get(exponent.removeprefix("-"))
+        sign = -1.0 if exponent.startswith("-") else 1.0
         try:
-            result = _times(result, _to_power(_BASE[match[1]], float(exponent) if value is None else value))
+            result = _times(
+                result, _to_power(_BASE[match[1]], float(exponent) if value is None else sign * value)
+            )
         except ValueError:
             raise ExpressionError(f"the exponent of {token!r} in {unit!r} is not a number") from None
     return result

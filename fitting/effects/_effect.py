@@ -29,6 +29,7 @@ VARIABLES: dict[str, str] = {
     "chirp": "1",
     "strain": "1",
     "tau": "N m",
+    "lag": "s-1",
     "psi": "1",
     "omega": "s-1",
 }

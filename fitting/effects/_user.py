@@ -15,7 +15,7 @@ import numpy as np
 
 from fitting._errors import EffectError, ExpressionError, FittingError
 from fitting.effects._dimension import NONE, Dimension, dimension, format_unit, parse_unit
-from fitting.effects._effect import MOMENTS, VARIABLES, Effect, Joint, Parameter, Role
+from fitting.effects._effect import MOMENTS, VARIABLES, Effect, Joint, Parameter, Role, State
 from fitting.effects._expression import ZERO, Expr, Tape, derivative, parse, sub, substitute, sym, symbols
 from fitting.effects._library import LIBRARY, find
 
@@ -27,7 +27,7 @@ _BODIES = ("rotor", "casing", "bearing")
 _FIRST_VARIABLE = {"rotor": "omega_r", "casing": "omega_c", "bearing": "delta"}
 # so many edits turn a misspelt name into that of a variable
 _EDITS = 2
-_NOT_FOR_USERS = {"temperature", "chirp", "strain", "tau", "psi", "omega"}
+_NOT_FOR_USERS = {"temperature", "chirp", "strain", "tau", "psi", "omega", "lag"}
 
 
 def formula(
@@ -39,8 +39,11 @@ def formula(
     signature: str = "",
     source: str = "",
     per_case: bool = False,
+    rate: str = "",
 ) -> Effect:
     """Return an effect from a law; parameters that are not declared are found in the law.
+
+    With a `rate` the law has a state variable `lag` [1/s] that is zero at the start: d(lag)/dt = rate.
 
     Raises
     ------
@@ -52,8 +55,9 @@ def formula(
             f"{body[:30]!r} is an unknown body", "write rotor:, casing: or bearing: before the law"
         )
     expression = parse(law)
-    own = sorted(symbols(expression) - set(VARIABLES))
-    for forbidden in sorted(symbols(expression) & _NOT_FOR_USERS):
+    used = symbols(expression) | (symbols(parse(rate)) if rate else set())
+    own = sorted(used - set(VARIABLES))
+    for forbidden in sorted((used & _NOT_FOR_USERS) - ({"lag"} if rate else set())):
         raise EffectError(f"{forbidden!r} is not known to a law that has no state of its own", _hint())
     if not own:
         raise EffectError(
@@ -80,6 +84,7 @@ def formula(
         source=source,
         breakpoint=jump,
         per_case=per_case,
+        state=State("lag", rate) if rate else None,
     )
     _check(effect)
     return effect
@@ -244,8 +249,8 @@ def _amplitude_unit(expression: Expr, amplitude: str, parameters: tuple[Paramete
             seconds = needed(symbol)[2] - unit[2]
             if seconds != 0:
                 at_zero = unit[2] - seconds * exponents[symbol]
-                plain = len(symbol) == 1 and seconds == 1 and at_zero == torque[2]
-                return f"N m s^{symbol}" if plain else UNKNOWN_UNIT
+                plain = len(symbol) == 1 and abs(seconds) == 1 and at_zero == torque[2]
+                return f"N m s^{'-' if seconds < 0 else ''}{symbol}" if plain else UNKNOWN_UNIT
     except ExpressionError:
         return UNKNOWN_UNIT
     return format_unit(unit)
@@ -257,7 +262,7 @@ def _hint() -> str:
 
 _NAME = re.compile(r"^[A-Za-z][A-Za-z0-9_.]{0,60}$")
 _PARAMETER_KEYS = {"unit", "lower", "upper", "start", "grid", "meaning", "shape"}
-_EFFECT_KEYS = {"name", "body", "law", "parameters", "signature", "source", "per_case"}
+_EFFECT_KEYS = {"name", "body", "law", "rate", "parameters", "signature", "source", "per_case"}
 
 
 def resolve(text: str) -> Effect:
@@ -283,8 +288,9 @@ def resolve(text: str) -> Effect:
 def read_effects(path: Path) -> list[Effect]:
     """Read effects from a TOML file with one ``[[effect]]`` table an effect.
 
-    Each has ``name``, ``body``, ``law`` and optionally ``signature``, ``source``, ``per_case`` and
-    ``[effect.parameters.k]`` tables with ``unit``, ``lower``, ``upper``, ``start``, ``grid``, ``meaning``,
+    Each has ``name``, ``body``, ``law`` and optionally ``rate`` (of the state variable ``lag``), ``signature``,
+    ``source``, ``per_case`` and ``[effect.parameters.k]`` tables with ``unit``, ``lower``, ``upper``, ``start``,
+    ``grid``, ``meaning``,
     and ``shape = true`` for a parameter that is not to be taken as the law's strength.
 
     Parameters
@@ -324,7 +330,7 @@ def _from_table(path: Path, number: int, table: Any) -> Effect:
     if unknown or missing:
         wrong = f"unknown key {sorted(unknown)[0]!r}" if unknown else f"missing key {sorted(missing)[0]!r}"
         raise EffectError(f"{where}: {wrong}", "keys: " + ", ".join(sorted(_EFFECT_KEYS)))
-    for key in ("name", "body", "law", "signature", "source"):
+    for key in ("name", "body", "law", "rate", "signature", "source"):
         if not isinstance(table.get(key, ""), str):
             raise EffectError(f"{where}: {key} must be text")
     if not isinstance(table.get("per_case", False), bool):
@@ -338,7 +344,7 @@ def _from_table(path: Path, number: int, table: Any) -> Effect:
         raise EffectError(f"{where}: parameters must be a table", "write [effect.parameters.k]")
     for symbol, keys in declared.items():
         _check_keys(f"{where}, parameter {symbol}", keys)
-    more = {k: table[k] for k in ("signature", "source", "per_case") if k in table}
+    more = {k: table[k] for k in ("rate", "signature", "source", "per_case") if k in table}
     try:
         return formula(table["name"], table["body"], table["law"], declared, **more)
     except FittingError as fault:

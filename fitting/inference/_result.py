@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting._display import block, draw_speed, draw_speed_residual, figure, headline, printable, table
 from fitting._errors import EstimationError
-from fitting._numbers import rounded
+from fitting._numbers import rounded, short, with_uncertainty
 from fitting.dynamics._model import Model
 from fitting.inference._angle_noise import AngleNoise
 from fitting.inference._case_model import Prediction
@@ -27,12 +28,11 @@ from fitting.inference._metrics import CaseMetrics, EnergyBalance, case_metrics,
 from fitting.inference._noise import Noise
 from fitting.inference._parameters import START_ROTOR, ParameterLayout
 from fitting.inference._problem import Problem, Projection, covariance_of, surely_at_bound
+from fitting.inference._speed_residuals import SpeedResidual, modelled_speed, speed_residuals
 from fitting.inference._velocity import speeds
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from fitting.inference._speed_residuals import SpeedResidual
 
 
 VERDICT_TEXT = {
@@ -45,6 +45,8 @@ VERDICT_TEXT = {
 
 # lines of a repr
 _SCREEN = 40
+# points of a drawn curve
+_POINTS = 600
 # printed with a fit to a generated curve
 GENERATED = (
     "the rotor curve is generated, not measured: the uncertainties do not include its systematic error, which is often "
@@ -331,8 +333,6 @@ class Fit(FitSummary):
         time : ndarray, shape (n,)
             Times [s].
         """
-        from fitting.inference._speed_residuals import modelled_speed
-
         return modelled_speed(self, case, body, time)
 
     def speed_residuals(self, case: int) -> tuple[SpeedResidual, tuple[SpeedResidual, ...]]:
@@ -343,20 +343,60 @@ class Fit(FitSummary):
         case : int
             Index of the case.
         """
-        from fitting.inference._speed_residuals import speed_residuals
-
         return speed_residuals(self, case)
 
     def plot(self) -> Figure:
         """Return a figure of speeds and residuals with bands of 2 sigma (matplotlib)."""
-        from fitting._display import plot_fit
-
-        return plot_fit(self)
+        cases = len(self.labels)
+        names = ("c",) if all(d.record.single for d in self.problem.data) else ("c", "r")
+        drawn = figure(4.2 * cases + 3.0, 4.0 * len(names))
+        axes = drawn.subplots(2 * len(names), cases, squeeze=False, height_ratios=[1.3, 1] * len(names))
+        for i, label in enumerate(self.labels):
+            residuals = self.speed_residuals(i)
+            for k, name in enumerate(names):
+                over, under = axes[2 * k, i], axes[2 * k + 1, i]
+                body = 1 - k  # the casing above the rotor
+                runs = self.measured_speeds(i, body)
+                points = _POINTS if len(runs) == 1 else _POINTS // 10
+                times = [np.linspace(time[0], time[-1], points) for time, _ in runs]
+                draw_speed(over, runs, [(t, *self.modelled_speed(i, body, t)) for t in times])
+                draw_speed_residual(under, residuals[1] if k else [residuals[0]])
+                over.set_ylabel(rf"$\omega_{name}$ [rad/s]")
+                under.set_ylabel(rf"$\omega_{name}$: residual [rad/s]")
+                for ax in (over, under):
+                    ax.set_xlabel("time [s]")
+                    # above the axes, where it covers nothing
+                    above = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.1}
+                    ax.legend(fontsize="small", frameon=False, ncols=2, **above)
+            axes[0, i].set_title(printable(label), loc="left")
+        return drawn
 
     def _repr_html_(self) -> str:
-        from fitting._display import fit_html
-
-        return fit_html(self)
+        merits = [
+            (
+                c.label,
+                name,
+                f"{body.r2:.6f}",
+                *(short(v) for v in (body.rmse, body.reduced_chi2, body.held_out)),
+            )
+            for c in self.cases
+            for name, body in (
+                [("body", c.casing)]
+                if math.isnan(c.rotor.rmse)
+                else [("casing", c.casing), ("rotor", c.rotor)]
+            )
+        ]
+        numbers = [
+            (name, with_uncertainty(e.value, e.stderr, e.unit), "active bound" if e.at_bound else "")
+            for name, e in self.estimates.items()
+        ]
+        head = f"{', '.join(self.labels)}; BIC {self.bic:.1f}, effective samples {self.n_eff:.0f}"
+        columns = ("case", "body", "R²", "rms [rad/s]", "χ²/n", "cross-validation error [noise]")
+        return block(
+            headline(self.verdict, head),
+            table("figures of merit", columns, merits),
+            table("parameters", ("parameter", "value", ""), numbers),
+        )
 
     def energy(self, label: str | None = None) -> EnergyBalance:
         """Return the energy balance of a case (by default the first): kinetic energy plus losses against time.

@@ -10,25 +10,39 @@ angle noise, random torque, and what the fit has absorbed.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from fitting.dynamics._mesh import Sampler
-
-if TYPE_CHECKING:
-    from fitting.inference._compression import Compressed
-    from fitting.inference._noise import Whitener
-    from fitting.inference._result import Fit
+from fitting.inference._case_model import Prediction
+from fitting.inference._compression import Compressed
+from fitting.inference._noise import Noise, Whitener
+from fitting.inference._problem import Problem
 
 Array = NDArray[np.float64]
 
 ROTOR, CASING = 0, 1
 
 
-def modelled_speed(fit: Fit, case: int, body: int, time: Array) -> tuple[Array, Array]:
+class _Fitted(Protocol):
+    """The state of a `Fit`, on which all speeds depend."""
+
+    @property
+    def problem(self) -> Problem: ...
+    @property
+    def predictions(self) -> tuple[Prediction, ...]: ...
+    @property
+    def noise(self) -> tuple[Noise, ...]: ...
+    @property
+    def theta(self) -> Array: ...
+    @property
+    def covariance(self) -> Array: ...
+
+
+def modelled_speed(fit: _Fitted, case: int, body: int, time: Array) -> tuple[Array, Array]:
     """Return the modelled speed of a body and its standard uncertainty, sqrt(s' C s) with the sensitivities s.
 
     Parameters
@@ -82,7 +96,7 @@ class SpeedResidual:
     sigma: Array
 
 
-def speed_residuals(fit: Fit, case: int) -> tuple[SpeedResidual, tuple[SpeedResidual, ...]]:
+def speed_residuals(fit: _Fitted, case: int) -> tuple[SpeedResidual, tuple[SpeedResidual, ...]]:
     """Return the residual speed of the casing, and of the rotor in each of its windows.
 
     Parameters

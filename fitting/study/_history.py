@@ -1,4 +1,4 @@
-"""The history of fits of a study: a JSON ledger beside the data.
+"""The history of fits of a study: a JSON ledger next to the data.
 
 An entry holds the model (with the laws of effects that are not in the library), parameters, figures of merit, noise,
 the fit that it was made from, digests of the data, and the version of the program. A ledger may hold histories of
@@ -43,13 +43,13 @@ from fitting.study._serialisation import (
     fit_document,
     restored_diagnosis,
     restored_fit,
-    rung_document,
+    step_document,
     stored_diagnosis,
     stored_fit,
 )
 
 _ELSEWHERE = "move it away or choose another with --ledger"
-# faults of a part of the file that was changed by hand: its content is then computed anew
+# errors from a part of the file that was edited by hand: its content is then computed again
 _DAMAGED = (LookupError, TypeError, ValueError, AttributeError, FittingError)
 
 
@@ -88,7 +88,7 @@ class Entry:
 
     @property
     def choices(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Parameters that all cases share, and those of which each has its own, other than by default."""
+        """Parameters shared by all cases, and parameters with one value per case, other than by default."""
         return tuple(self.stored.share), tuple(self.stored.per_case)
 
     @property
@@ -97,7 +97,7 @@ class Entry:
         return Model(effects_of(self.stored.model, self.stored.own_effects))
 
     def shown(self, data: Sequence[CaseData]) -> Fit:
-        """Return the fit for display: restored if this very code made it, else fitted again."""
+        """Return the fit for display: restored if the same code made it, otherwise fitted again."""
         stored, found = self.document.get("restored_from"), None
         if stored:
             with suppress(*_DAMAGED):
@@ -105,7 +105,7 @@ class Entry:
         return found or self.refit(data)
 
     def diagnosis(self, fit: Fit, extra: Sequence[Effect] = ()) -> Diagnosis | None:
-        """Return the diagnosis for display, if this very code made one with these effects of the user."""
+        """Return the diagnosis for display, if the same code made one with these effects of the user."""
         stored = self.document.get("diagnosis")
         if stored:
             with suppress(*_DAMAGED):
@@ -147,7 +147,7 @@ class Ledger:
 
     @classmethod
     def beside(cls, case: Path) -> Ledger:
-        """Return the ledger beside a case file: ``case1.h5`` has ``case1.fits.json``.
+        """Return the ledger next to a case file: ``case1.h5`` has ``case1.fits.json``.
 
         Parameters
         ----------
@@ -211,7 +211,7 @@ class Ledger:
         previous : Fit, optional
             The fit with which the errors are compared.
         share, per_case : sequence of str
-            Parameters that all cases share, and those of which each case has its own, other than by default.
+            Parameters shared by all cases, and parameters with one value per case, other than by default.
         ranges : dict, optional
             Bounds [unit of the parameter] other than those of the effects.
         loss : str
@@ -226,7 +226,7 @@ class Ledger:
                 **fit_document(found, fit_id),
                 parent=parent,
                 added=added,
-                rung=rung_document(found, fit_id, added, previous),  # type: ignore[arg-type]  # pydantic reads it
+                rung=step_document(found, fit_id, added, previous),  # type: ignore[arg-type]  # pydantic reads it
                 digests=[r.digest for r in records],
                 sources=[r.source for r in records],
                 own_effects=own_effects(found.model.effects),

@@ -25,11 +25,14 @@ from fitting._schema import (
     CandidateDocument,
     CaseDocument,
     DiagnosisDocument,
+    EffectLimitsDocument,
     EstimateDocument,
     FailureDocument,
     FitDocument,
+    NextRunDocument,
     NuisanceDocument,
     ParameterBudgetDocument,
+    PlanDocument,
     RemainderDocument,
     RippleDocument,
     SavedFitDocument,
@@ -40,11 +43,15 @@ from fitting._schema import (
     StoredFit,
     StoredNoise,
     TorqueDocument,
+    UpperLimitDocument,
     WhitenessDocument,
     effects_of,
     own_effects,
     read_json,
 )
+from fitting.discovery._next_run import NextRun
+from fitting.discovery._plan import Plan
+from fitting.discovery._power import CONFIDENCE, POWER, EffectLimits, UpperLimit
 from fitting.discovery._remainder import Nuisance, Remainder
 from fitting.discovery._residuals import Failure, ResidualTorque, residual_torques, ripples, whiteness
 from fitting.discovery._score import Score
@@ -93,7 +100,7 @@ def fit_document(fit: Fit, fit_id: str) -> dict[str, Any]:
 
 
 def bias_document(bias: Mapping[str, CurveBias]) -> dict[str, dict[str, float]]:
-    """Return by how much a generated rotor curve moved each parameter, as plain numbers."""
+    """Return the shift of each parameter by a generated rotor curve."""
     return {name: {**asdict(b), "errors": b.errors} for name, b in bias.items()}
 
 
@@ -101,6 +108,61 @@ def budget_document(found: Mapping[str, ParameterBudget]) -> dict[str, Any]:
     """Return an uncertainty budget under the keys of `budget --json`."""
     parameters = {k: ParameterBudgetDocument.model_validate(b) for k, b in found.items()}
     return BudgetDocument(parameters=parameters).model_dump()
+
+
+def plan_document(found: Plan) -> dict[str, Any]:
+    """Return a plan under the keys of `plan --json`."""
+    return PlanDocument(
+        effects=[_limits(e) for e in found.effects],
+        classes=[list(c) for c in found.classes],
+        next_run=_next_run(found.next_run) if found.next_run is not None else None,
+        power_wanted=POWER,
+        confidence=CONFIDENCE,
+        size_Nm=found.size,
+        warning=found.warning,
+    ).model_dump()
+
+
+def _limits(e: EffectLimits) -> EffectLimitsDocument:
+    return EffectLimitsDocument(
+        effect=e.effect.name,
+        kind=e.effect.kind,
+        symbol=e.strength,
+        unit=e.unit,
+        shape=e.shape,
+        stderr=e.stderr,
+        detection_limit=e.detection_limit,
+        upper_limit=e.upper_limit,
+        torque_Nm=e.detection_torque,
+        upper_torque_Nm=e.upper_torque,
+        detection_range_Nm=e.detection_range if e.effect.mechanical else (float("nan"), float("nan")),
+        size=e.size,
+        size_Nm=e.size * e.torque,
+        power=e.power,
+        runs_needed=e.runs_needed,
+        absorbed=e.absorbed,
+        indistinguishable_from=list(e.indistinguishable_from),
+    )
+
+
+def _next_run(n: NextRun) -> NextRunDocument:
+    run = n.run
+    return NextRunDocument(
+        omega_rotor=run.omega_rotor,
+        omega_casing=run.omega_casing,
+        duration=run.duration,
+        windows=list(run.windows),
+        window_length=run.window_length,
+        inertia_casing_ratio=run.ring,
+        rivals=[list(names) for names in n.rivals],
+        separation_sigma=max(n.separation, 0.0) ** 0.5,
+        present_sigma=max(n.present, 0.0) ** 0.5,
+        repeated_sigma=max(n.repeated, 0.0) ** 0.5,
+        inseparable=list(n.inseparable),
+        detection_limit_ratio=n.gains,
+        bounds=asdict(n.bounds),
+        sentence=n.sentence,
+    )
 
 
 def not_determined_together(fit: Fit) -> list[dict[str, float]]:
@@ -128,6 +190,7 @@ def diagnosis_document(d: Diagnosis, fit_id: str) -> dict[str, Any]:
         remainder=RemainderDocument.model_validate(d.remainder) if d.remainder is not None else None,
         nuisance=[NuisanceDocument.model_validate(n) for n in d.nuisance],
         next_experiment=d.next_experiment,
+        upper_limits=[UpperLimitDocument.model_validate(u) for u in d.upper_limits],
         whiteness=[WhitenessDocument.model_validate(w) for w in d.whiteness],
         energy_drift={c.label: c.energy_drift for c in d.fit.cases},
         residual_torque=[_torque(t) for t in d.torques],
@@ -174,7 +237,7 @@ def _candidate(c: Candidate) -> CandidateDocument:
     )
 
 
-def rung_document(fit: Fit, fit_id: str, added: str, previous: Fit | None) -> dict[str, Any]:
+def step_document(fit: Fit, fit_id: str, added: str, previous: Fit | None) -> dict[str, Any]:
     """Return one step of a history: what was changed, and what the errors did."""
     document = StepDocument(
         fit_id=fit_id,
@@ -205,16 +268,16 @@ def _moved(fit: Fit, previous: Fit | None) -> list[str]:
     ]
 
 
-def ladder_verdict(rungs: Sequence[Step]) -> str:
+def history_verdict(steps: Sequence[Step]) -> str:
     """Return the verdict of a finished history: "adequate", "missing_effect" (found and added) or "unexplained"."""
-    if rungs[-1].fit.verdict != "adequate":
+    if steps[-1].fit.verdict != "adequate":
         return "unexplained"
-    return "missing_effect" if len(rungs) > 1 else "adequate"
+    return "missing_effect" if len(steps) > 1 else "adequate"
 
 
 @dataclass(frozen=True)
 class SavedNoise:
-    """Process noise of one case [N m], pure and as the model leaves it, and the scale of the angle noise."""
+    """Process noise of one case [N m], of the recording and of this fit, and the scale of the angle noise."""
 
     pure: float
     level: float
@@ -345,8 +408,8 @@ def stored_fit(fit: Fit) -> StoredFit:
 def restored_fit(stored: StoredFit, model: Model, data: Sequence[CaseData]) -> Fit | None:
     """Return a fit as it was; None if other code made it.
 
-    The noise is linearised about the end of the fit instead of about the point where the last search began:
-    figures of merit agree with the original's to a few digits more than their uncertainty.
+    The noise is linearised about the optimum instead of the start of the last optimisation: figures of merit agree with
+    the original's to a few digits more than their uncertainty.
     """
     if stored.code != fingerprint():
         return None
@@ -361,7 +424,7 @@ def restored_fit(stored: StoredFit, model: Model, data: Sequence[CaseData]) -> F
 
 
 def stored_diagnosis(found: Diagnosis, extra: Sequence[Effect] = ()) -> StoredDiagnosis:
-    """Return the state from which a diagnosis is restored beside its fit; `extra` are the user's effects."""
+    """Return the state from which a diagnosis is restored, given its fit; `extra` are the user's effects."""
     drawn = [c for c in found.candidates if c.fit is not None and c.physical and c.significant][:_FITS]
     return StoredDiagnosis(
         code=fingerprint(),
@@ -389,6 +452,7 @@ def stored_diagnosis(found: Diagnosis, extra: Sequence[Effect] = ()) -> StoredDi
         remainder=RemainderDocument.model_validate(found.remainder) if found.remainder is not None else None,
         nuisance=[NuisanceDocument.model_validate(n) for n in found.nuisance],
         next_experiment=found.next_experiment,
+        upper_limits=[UpperLimitDocument.model_validate(u) for u in found.upper_limits],
     )
 
 
@@ -422,6 +486,7 @@ def restored_diagnosis(stored: StoredDiagnosis, fit: Fit, extra: Sequence[Effect
         tuple(residual_torques(fit)),
         tuple(ripples(fit)),
         tuple(whiteness(fit)),
+        tuple(UpperLimit(**u.model_dump()) for u in stored.upper_limits),
     )
 
 

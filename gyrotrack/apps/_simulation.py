@@ -1,7 +1,16 @@
-"""Simulated runs as case files and films."""
+"""Simulated runs as case files and films, and sealed challenges: runs with a hidden effect.
+
+The answer to a challenge is committed to by SHA-256 of a random salt and the answer's text; the commitment is stored in
+the case file and in the seal, so that neither can be changed afterwards. The seal holds the answer scrambled with a
+stream made from the salt: this prevents reading it by accident, not on purpose.
+"""
 
 from __future__ import annotations
 
+import base64
+import hashlib
+import json
+import secrets
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,11 +20,15 @@ import numpy as np
 
 from fitting.dynamics._mesh import Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
-from fitting.effects._library import typical_of_model
+from fitting.effects._effect import Effect
+from fitting.effects._library import LIBRARY, typical_of_model
+from fitting.effects._user import resolve
 from fitting.inference._record import Record, Samples
 from fitting.inference._simulation import Experiment, simulate, simulate_path
-from gyrotrack._errors import UsageError
+from fitting.study._history import Entry
+from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack._smoothing import angular_velocity
+from gyrotrack.io._atomic import new_file
 from gyrotrack.io._hdf5 import write_case
 from gyrotrack.io._records import Case, Series
 from gyrotrack.synthetic._motion import Motion
@@ -118,7 +131,7 @@ class SimulatedRun:
         Raises
         ------
         UsageError
-            The model has effects of the measurement, or what is given is no parameter of it.
+            The model has effects of the measurement, or a given parameter is not one of the model.
         """
         if model.measurement:
             raise UsageError(
@@ -216,7 +229,7 @@ def _given(items: Sequence[str], numbers: Mapping[str, float]) -> dict[str, floa
         key = key.strip()
         if not equals or key not in numbers:
             raise UsageError(
-                f"{item[:60]!r} sets no parameter of the model.", f"It has: {', '.join(numbers)}."
+                f"{item[:60]!r} does not set a parameter of the model.", f"Parameters: {', '.join(numbers)}."
             )
         try:
             given[key] = float(value)
@@ -261,3 +274,166 @@ def _motion(model: Model, values: Mapping[str, float], experiment: Experiment) -
     sampler = Sampler(path.mesh, time)
     rotor, casing = (sampler.integral(*path.angle(s)) for s in ("omega_r", "omega_c"))
     return Motion.from_angles(time, rotor, casing)
+
+
+FORMAT = "gyrotrack seal"
+# laws outside the library: the right answer is "unexplained", or a law of the user
+OUTSIDE = (
+    "casing: -k*omega_c**3",
+    "casing: -k*exp(-((omega_c - 110)/12)**2)",
+    "bearing: k*log(abs(delta)/100)",
+    "rotor: -k*omega_r**3",
+)
+_FROM_OUTSIDE = 0.2
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """A model with a randomly drawn effect, its strength, and the random seed."""
+
+    model: Model
+    effect: Effect
+    strength: float
+    seed: int
+
+    def seal(self, path: Path, numbers: Mapping[str, float], *, force: bool = False) -> str:
+        """Seal the effect with its values among the `numbers` of the model; return the commitment."""
+        own = {k: v for k, v in numbers.items() if k.startswith(f"{self.effect.name}.")}
+        return seal(path, self.effect.name, own, force=force)
+
+
+@dataclass(frozen=True)
+class Seal:
+    """The content of an opened seal: the name or law of the hidden effect, and its parameters."""
+
+    effect: str
+    parameters: dict[str, float]
+    commitment: str
+
+
+@dataclass(frozen=True)
+class Score:
+    """The grade of an answer ("right", "right class" or "wrong"), and the normalised errors of its parameters."""
+
+    grade: str
+    sentence: str
+    pulls: dict[str, float]
+
+
+def draw_effect(present: Sequence[str], random: Any) -> Effect:
+    """Draw an effect from the library (without those present) or, with probability 0.2, from outside."""
+    if random.random() < _FROM_OUTSIDE:
+        return resolve(OUTSIDE[int(random.integers(len(OUTSIDE)))])
+    names = [
+        n
+        for n, e in LIBRARY.items()
+        if e.kind == "physical" and n not in present and n not in {"external.constant", "bearing.power"}
+    ]
+    return LIBRARY[names[int(random.integers(len(names)))]]
+
+
+def hide_effect(model: Model, strength: float) -> Hidden:
+    """Add a random effect to a model, with half to twice the given strength."""
+    seed = secrets.randbits(48)
+    random = np.random.default_rng(seed)
+    effect = draw_effect(model.names, random)
+    return Hidden(model.with_effect(effect), effect, float(strength * 2 ** random.uniform(-1, 1)), seed)
+
+
+def seal(path: Path, effect: str, parameters: Mapping[str, float], *, force: bool = False) -> str:
+    """Write a sealed answer and return its commitment.
+
+    Parameters
+    ----------
+    path : Path
+        The JSON file to write.
+    effect, parameters
+        The hidden effect.
+    """
+    salt = secrets.token_hex(16)
+    answer = json.dumps({"effect": effect, "parameters": dict(parameters)}, sort_keys=True)
+    commitment = hashlib.sha256(f"{salt}{answer}".encode()).hexdigest()
+    document = {
+        "format": FORMAT,
+        "commitment": commitment,
+        "salt": salt,
+        "sealed": base64.b64encode(_scramble(answer.encode(), salt)).decode(),
+    }
+    with new_file(path, force=force) as stream:
+        stream.write(json.dumps(document, indent=1).encode())
+    return commitment
+
+
+def unseal(path: Path) -> Seal:
+    """Open a seal.
+
+    Raises
+    ------
+    DatasetError
+        If the file is not a seal, or its answer is not the one that was committed to.
+    """
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+        sealed = base64.b64decode(document["sealed"], validate=True)
+        salt, commitment = str(document["salt"]), str(document["commitment"])
+        answer = _scramble(sealed, salt).decode()
+        content = json.loads(answer)
+        effect, parameters = (
+            str(content["effect"]),
+            {str(k): float(v) for k, v in content["parameters"].items()},
+        )
+    except FileNotFoundError:
+        raise DatasetError(f"{path} does not exist.", "Check the name.") from None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        raise DatasetError(
+            f"{path} is not a seal of gyrotrack.", "Seals are made by `gyrotrack simulate --hide`."
+        ) from None
+    if hashlib.sha256(f"{salt}{answer}".encode()).hexdigest() != commitment:
+        raise DatasetError(
+            f"{path} was changed: the answer does not match its commitment.", "Ask for the original file."
+        )
+    return Seal(effect, parameters, commitment)
+
+
+def answer_of(entries: Sequence[Entry]) -> tuple[list[str], dict[str, tuple[float, float]]]:
+    """Return the effects that a history of fits added, and the parameters of the last fit with standard errors.
+
+    A history that ends with significant lack of fit answers nothing: the effects it added are hypotheses.
+    """
+    first, last = entries[0].document, entries[-1].document
+    named = [n for n in last["model"] if n not in first["model"]] if last["verdict"] == "adequate" else []
+    return named, {k: (v["value"], v["stderr"]) for k, v in last["parameters"].items() if v["stderr"]}
+
+
+def grade(truth: Seal, named: Sequence[str], found: Mapping[str, tuple[float, float]]) -> Score:
+    """Grade an answer.
+
+    Parameters
+    ----------
+    truth : Seal
+        The open seal.
+    named : sequence of str
+        The effect answered, then those indistinguishable from it; empty for "none".
+    found : mapping of str to (value, error)
+        Parameters of the answer by key, with standard errors.
+    """
+    outside = truth.effect not in LIBRARY
+    equivalent = {truth.effect} if outside else {truth.effect, *LIBRARY[truth.effect].equivalent}
+    if named and named[0] in equivalent:
+        word = "right"
+    elif set(named) & equivalent or (outside and not named):
+        word = "right class"
+    else:
+        word = "wrong"
+    pulls = {
+        k: (value - truth.parameters[k]) / error
+        for k, (value, error) in found.items()
+        if k in truth.parameters and error > 0
+    }
+    answer = ", ".join(named) if named else "none"
+    return Score(word, f"Hidden effect: {truth.effect}. Answer: {answer} ({word}).", pulls)
+
+
+def _scramble(data: bytes, salt: str) -> bytes:
+    stream = b"".join(hashlib.sha256(f"{salt}{i}".encode()).digest() for i in range(len(data) // 32 + 1))
+    return bytes(a ^ b for a, b in zip(data, stream, strict=False))

@@ -52,7 +52,8 @@ class Study:
             found = self.ledger.find(fit_id)
             if sorted(found.digests) != sorted(d.record.digest for d in self.data):
                 raise UsageError(
-                    f"The fit {fit_id} is not one of these cases.", "`gyrotrack ladder` lists them."
+                    f"The fit {fit_id} is of other cases.",
+                    "`gyrotrack ladder` lists the fits of these cases.",
                 )
             return found
         entries = self.ledger.of(self.data)
@@ -72,7 +73,7 @@ class Study:
         return whole.alone if self.data[0].record.single else whole
 
     def steps_to(self, fit_id: str | None) -> list[Step]:
-        """Return a fit (by default the latest) after those that it was made from, the first one first.
+        """Return the history that ends with a fit (by default the latest), the first fit first.
 
         Parameters
         ----------
@@ -88,7 +89,7 @@ class Study:
         return [Step(str(e.document.get("added", "")), e.shown(self.data), ()) for e in reversed(chain)]
 
     def _chain(self, fit_id: str | None) -> list[Entry]:
-        """Return an entry (by default the latest) before those that it was made from, the first one last."""
+        """Return an entry (by default the latest) and its ancestors, the first one last."""
         entry = self.entry(fit_id)
         if entry is None:
             return []
@@ -112,9 +113,9 @@ class Study:
         fit : Fit
             The fit of the first.
         extra : sequence of Effect
-            Effects of the user beside the library.
+            Effects of the user in addition to the library.
         workers : WorkerPool, optional
-            A second process that takes its share of the work.
+            Worker processes.
         """
         from fitting.discovery._verdict import diagnose
 
@@ -186,7 +187,7 @@ def open_study(
     cases : sequence of Path
         Case files (HDF5).
     ledger : Path or None
-        The history of fits; by default beside the first case.
+        The history of fits; by default next to the first case.
     data : {"angle", "velocity"}, optional
         Fit the measured angles, or smoothed velocities as the paper does.
     rotor : {"windows", "generated"}
@@ -217,7 +218,7 @@ def read_cases(
 
 def _known(option: str, word: str, words: tuple[str, ...]) -> None:
     if word not in words:
-        raise UsageError(f"{option} {word[:40]!r} is not known.", f"It is one of: {', '.join(words)}.")
+        raise UsageError(f"Unknown value {word[:40]!r} of {option}.", f"Use one of: {', '.join(words)}.")
 
 
 _NAMED = ("reduced", "general", "linear")
@@ -312,7 +313,7 @@ class FitRequest:
             return robust_fit(wanted, study.data, self.loss, **options)
 
     def _choices(self, entry: Entry | None, wanted: Model) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Return what is shared and what is not: as in the fit that is changed, unless the request says otherwise."""
+        """Return parameters that are shared and per case: as in the fit that is changed, unless requested otherwise."""
         if entry is None:
             return self.share, self.per_case
         from fitting.inference._parameters import covers
@@ -327,7 +328,7 @@ class FitRequest:
 
     @property
     def change(self) -> str:
-        """The request in few words, for the history."""
+        """The request as a short text, for the history."""
         steps = [
             *(f"+{a}" for a in self.add),
             *(f"-{d}" for d in self.drop),
@@ -359,7 +360,7 @@ class FitRequest:
         path = Path(name)
         if not path.is_file():
             raise UsageError(
-                f"{name} is no model.", f"Models: {', '.join(_NAMED)}, or the name of a TOML file."
+                f"Unknown model {name[:60]!r}.", f"Models: {', '.join(_NAMED)}, or the name of a TOML file."
             )
         return read_model(path, self.own)
 

@@ -1,8 +1,8 @@
 """Atomic writing of every output file, and locks.
 
 An output is written to ``<name>.part`` in the same folder, flushed to the disk, and moved over the target. A killed
-process, a full disk, a file size limit or an interrupt leaves the old file, or none. The lock of a file lies in the
-system's temporary folder, so that no lock file is left beside the data.
+process, a full disk, a file size limit or an interrupt leaves the old file, or none. The lock of a file is in the
+system's temporary folder, so that no lock file remains next to the data.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import os
 import stat
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -23,8 +23,6 @@ from gyrotrack._errors import DatasetError, GyrotrackError, OutputError
 
 LOCK_TIMEOUT = 10.0
 """Time [s] after which waiting for a lock ends with an error."""
-
-_in_flight: set[Path] = set()
 
 
 @contextmanager
@@ -44,36 +42,26 @@ def locked(path: Path, timeout: float | None = None) -> Iterator[None]:
         Another program holds the lock. A system without locks is no error.
     """
     timeout = LOCK_TIMEOUT if timeout is None else timeout
-    lock = _lock_of(path)
-    held = False
-    try:
-        if lock is not None:
-            lock.acquire(timeout=timeout, poll_interval=0.02)
-            held = True
-    except (Timeout, RuntimeError) as error:
-        raise busy(path, timeout) from error
-    except (OSError, NotImplementedError):
-        lock = None
-    try:
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(_lock_of(path).acquire(timeout=timeout, poll_interval=0.02))
+        except (Timeout, RuntimeError) as error:
+            raise busy(path, timeout) from error
+        except (OSError, NotImplementedError):
+            pass
         yield
-    finally:
-        if lock is not None and held:
-            lock.release()
 
 
-def _lock_of(path: Path) -> FileLock | None:
-    """Return the lock of a path in a private folder; None if there is no such folder."""
+def _lock_of(path: Path) -> FileLock:
+    """Return the lock of a path, in a folder of the system's temporary one that belongs to this user alone."""
     user = getattr(os, "getuid", lambda: "")()
     folder = Path(tempfile.gettempdir()) / f"gyrotrack-locks-{user}"
-    try:
-        folder.mkdir(mode=0o700, exist_ok=True)
-        found = folder.lstat()
-        if not stat.S_ISDIR(found.st_mode) or (user != "" and found.st_uid != user):
-            return None
-        name = os.fsencode(Path(path).parent.resolve() / Path(path).name)
-        return FileLock(folder / f"{hashlib.sha256(name).hexdigest()[:32]}.lock", thread_local=False)
-    except (OSError, RuntimeError):
-        return None
+    folder.mkdir(mode=0o700, exist_ok=True)
+    found = folder.lstat()
+    if not stat.S_ISDIR(found.st_mode) or (user != "" and found.st_uid != user):
+        raise PermissionError(f"{folder} belongs to another user")
+    name = os.fsencode(Path(path).parent.resolve() / Path(path).name)
+    return FileLock(folder / f"{hashlib.sha256(name).hexdigest()[:32]}.lock", thread_local=False)
 
 
 def busy(path: Path, waited: float = 0.0) -> OutputError:
@@ -86,7 +74,7 @@ def busy(path: Path, waited: float = 0.0) -> OutputError:
 
 
 def refusal(path: Path, error: OSError) -> OutputError:
-    """Return the error that says why the system refuses to write `path`."""
+    """Return the error with the reason why the system refuses to write `path`."""
     if error.errno in {errno.ENOSPC, errno.EDQUOT}:
         return OutputError(
             f"{path} cannot be written: the disk is full.", "Free space, or choose another disk."
@@ -109,7 +97,7 @@ _SPECIAL = (
 
 
 def refuse_special(path: Path, error: type[GyrotrackError] = DatasetError) -> None:
-    """Raise `error` if `path` is a pipe, socket, device or folder, which could block for ever when opened."""
+    """Raise `error` if `path` is a pipe, socket, device or folder; opening it could block for ever."""
     try:
         mode = Path(path).stat().st_mode
     except (OSError, ValueError):
@@ -148,7 +136,6 @@ def new_path(path: Path, *, force: bool = False) -> Iterator[Path]:
             refuse_special(part, OutputError)
             part.unlink(missing_ok=True)  # of a killed process
             part.open("xb").close()
-            _in_flight.add(part)
             own = part.stat().st_ino
             try:
                 yield part
@@ -158,8 +145,6 @@ def new_path(path: Path, *, force: bool = False) -> Iterator[Path]:
                     if part.stat().st_ino == own:
                         part.unlink()
                 raise
-            finally:
-                _in_flight.discard(part)
     except OSError as error:
         raise refusal(path, error) from error
 
@@ -196,16 +181,3 @@ def new_file(path: Path, *, force: bool = False) -> Iterator[BinaryIO]:
     """
     with new_path(path, force=force) as part, part.open("r+b") as stream:
         yield stream
-
-
-def write_text(path: Path, text: str, *, force: bool = True) -> None:
-    """Write a text file (UTF-8) atomically; errors as for `new_path`."""
-    with new_file(path, force=force) as stream:
-        stream.write(text.encode())
-
-
-def remove_temporaries() -> None:
-    """Remove the temporary files of this process, for signal handlers that end it."""
-    for part in list(_in_flight):
-        with suppress(OSError):
-            part.unlink()

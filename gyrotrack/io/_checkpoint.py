@@ -1,4 +1,4 @@
-"""Checkpoint of a long run: a file from which a killed run resumes.
+"""Checkpoint of a long run: the file from which a killed run resumes.
 
 The file is an append-only log::
 

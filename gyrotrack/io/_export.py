@@ -83,7 +83,7 @@ def _cells(column: Column, rows: slice) -> list[str]:
 
 
 def plain_cell(text: str) -> str:
-    """Return a word that no spreadsheet takes for a formula."""
+    """Return a text that no spreadsheet interprets as a formula."""
     return "'" + text if text.startswith(_FORMULA) else text
 
 

@@ -26,14 +26,14 @@ Codes = npt.NDArray[np.int8]
 
 @dataclass(frozen=True)
 class MarkerTrack:
-    """One marker through all n frames of a clip; NaN where it was not seen.
+    """One marker in all n frames of a clip; NaN where it was not detected.
 
     Attributes
     ----------
     name, body : str
-        The marker's name, and the body that it sits on, "casing" or "rotor".
+        The marker's name, and the body that carries it, "casing" or "rotor".
     mount_angle : float
-        Where it sits on its body [rad].
+        Its angle on the body [rad].
     corner : ndarray, shape (n, 2, 2)
         The two corners nearest to the centre: frame, side, (x, y) [px].
     delta, rho, beta : ndarray, shape (n,)
@@ -46,7 +46,7 @@ class MarkerTrack:
     status : ndarray of int8, shape (n,)
         One of the values of `STATUS`.
     angle_fine, sigma_calibrated : ndarray, shape (n,)
-        The better estimate of the angle, wrapped [rad], and its true uncertainty [rad].
+        The more accurate estimate of the angle, wrapped, and its calibrated uncertainty [rad].
     """
 
     name: str
@@ -68,7 +68,7 @@ class MarkerTrack:
 
 @dataclass(frozen=True)
 class BodyTrack:
-    """The markers of one body combined; frames without a usable angle are left out.
+    """The markers of one body combined; frames without a usable angle are omitted.
 
     Attributes
     ----------
@@ -77,9 +77,9 @@ class BodyTrack:
     time, angle : ndarray, shape (m,)
         Time on the clip's own clock [s], and the unwrapped angle [rad].
     sigma, sigma_paper : ndarray, shape (m,)
-        The calibrated uncertainty of the angle, and the paper's formula beside it [rad].
+        The calibrated uncertainty of the angle, and that of the paper's formula [rad].
     n_markers : ndarray of int64, shape (m,)
-        How many markers gave the angle.
+        Number of markers combined.
     omega, omega_sigma : ndarray, shape (m,)
         Angular velocity and its uncertainty after the median smoothing [rad s-1].
     smoothing_width : int
@@ -104,9 +104,9 @@ class Recording:
     Attributes
     ----------
     time : ndarray, shape (n,)
-        Capture time [s]: index / `capture_fps`, unless the time stamps of the stream were asked for.
+        Capture time [s]: index / `capture_fps`, unless the timestamps of the stream are used.
     pts_time : ndarray, shape (n,)
-        Time stamps of the container [s].
+        Timestamps of the container [s].
     centre, centre_sigma : ndarray, shape (n, 2)
         Centre of rotation and its standard uncertainty [px].
     sense : {1, -1}
@@ -185,10 +185,10 @@ class Series:
 
 @dataclass(frozen=True)
 class Placement:
-    """Where a clip lies on the case's clock: t_case = clock_offset + clock_rate * t_clip.
+    """The clock of a clip relative to that of the case: t_case = clock_offset + clock_rate * t_clip.
 
-    `angle_offset` [rad] is what is added to the clip's angles to bring them to the casing camera's zero.
-    `ambiguous` says that another start of the clip cannot be excluded.
+    `angle_offset` [rad] is added to the clip's angles to refer them to the casing camera's zero.
+    `ambiguous`: another start of the clip cannot be excluded.
     """
 
     id: str
@@ -203,7 +203,7 @@ class Placement:
 
 @dataclass(frozen=True)
 class GeneratedCurve:
-    """A rotor curve without gaps, made by a method, not measured: time [s], omega [rad s-1]."""
+    """A rotor curve without gaps, computed by a method, not measured: time [s], omega [rad s-1]."""
 
     time: Floats
     omega: Floats
@@ -263,7 +263,7 @@ _WORDS = np.array(list(STATUS), dtype=object)
 
 @dataclass(frozen=True)
 class Column:
-    """One column: its name, its unit ("" for words), and a value for each row."""
+    """One column: its name, its unit ("" for text), and a value for each row."""
 
     name: str
     unit: str
@@ -307,7 +307,7 @@ def columns(content: Recording | Case, table: str = "motion") -> tuple[Column, .
         raise UsageError(f"Unknown table '{table}'.", f"Use one of {', '.join(TABLES)}.")
     parts = TABLES[table](content)
     if not parts:
-        raise UsageError(f"The file has no {table}.", "Only recordings of films have them.")
+        raise UsageError(f"The file contains no {table}.", "Only recordings of films do.")
     return tuple(
         Column(c.name, c.unit, np.concatenate([part[i].values for part in parts]))
         for i, c in enumerate(parts[0])

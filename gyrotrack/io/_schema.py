@@ -35,7 +35,7 @@ class Field:
 class Attribute:
     """One scalar attribute; without a default it is required, and a NaN is not written.
 
-    `field` is the name of the attribute in the record in memory, if it differs.
+    `field` is the name of the field of the record in memory, if it differs.
     """
 
     name: str
@@ -70,7 +70,7 @@ FRAME = Table(
         Field("frame", _F, "1", "number of the frame in the clip", "i8"),
         Field("index", _F, "1", "number of the frame in the clip", "i8"),
         Field("time", _F, "s", "capture time since the first frame"),
-        Field("pts_time", _F, "s", "time stamp of the container"),
+        Field("pts_time", _F, "s", "timestamp of the container"),
         Field("centre", ("frame", "xy"), "px", "centre of rotation in the image"),
         Field("centre_sigma", _F, "px", "uncertainty of the centre"),
     ),
@@ -201,7 +201,7 @@ GROUPS = (
     ("`/rotor` of a case: all windows", WINDOWED),
     ("`/rotor_generated` of a case, only if one was requested", GENERATED),
 )
-"""All tables of a file and their place, for docs/format.md."""
+"""All tables of a file with their paths, for docs/format.md."""
 
 ATTRIBUTES = (
     ("Attributes of a recording", RECORDING_ATTRIBUTES),

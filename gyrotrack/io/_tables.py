@@ -9,12 +9,12 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 import numpy.typing as npt
+from pydantic_core import to_jsonable_python
 
 from gyrotrack._column_store import set_down
 from gyrotrack._errors import DatasetError
@@ -135,7 +135,7 @@ def child_group(group: Any, name: str) -> Any:
 
 
 def check_storage(dataset: Any) -> None:
-    """Refuse a dataset whose bytes lie in another file, or that claims more than its bytes can hold."""
+    """Refuse a dataset whose bytes are in another file, or that claims more than its bytes can hold."""
     if not isinstance(dataset, h5py.Dataset):
         raise DatasetError(f"{location(dataset)} is not a dataset.", "The file is not in this layout.")
     if dataset.shape is None or dataset.dtype.kind not in "iuf" or dataset.dtype.itemsize > 16:
@@ -168,7 +168,7 @@ def load(dataset: Any) -> npt.NDArray[Any]:
     except (OSError, RuntimeError, ValueError) as error:
         raise DatasetError(
             f"{location(dataset)} cannot be read: the file is damaged.",
-            "Make it again, or fetch a fresh copy.",
+            "Make it again, or restore a copy.",
         ) from error
 
 
@@ -224,15 +224,5 @@ def stamp(file: Any, kind: str, *, command: str, settings: Mapping[str, Any]) ->
 
 
 def to_json(value: Any) -> str:
-    """Write `value` as JSON; NumPy numbers, arrays, tuples and paths are taken as what they mean."""
-    return json.dumps(_plain(value), ensure_ascii=False)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple | np.ndarray):
-        return [_plain(v) for v in value]
-    if isinstance(value, np.generic):
-        return value.item()
-    return str(value) if isinstance(value, Path) else value
+    """Write `value` as JSON; NumPy numbers, arrays, tuples and paths are converted."""
+    return json.dumps(to_jsonable_python(value, fallback=lambda array: array.tolist()), ensure_ascii=False)

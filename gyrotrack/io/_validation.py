@@ -34,7 +34,7 @@ def check_tree(file: Any) -> None:
     Raises
     ------
     DatasetError
-        Naming the place.
+        With the file name and the path in the file.
     """
     seen: set[Any] = set()
     todo: list[tuple[Any, int]] = [(file, 0)]
@@ -64,7 +64,7 @@ def own_member(group: Any, name: str) -> Any:
     """Return a direct member of `group`, refusing links that lead out of the file or to another name."""
     if not isinstance(group.get(name, getlink=True), h5py.HardLink):
         raise DatasetError(
-            f"{location(group)} has a link to another place, '{name}'.",
+            f"{location(group)} has a link, '{name}'.",
             "Links are not followed; copy the data into the file.",
         )
     return group[name]
@@ -76,7 +76,7 @@ def check_bytes(dataset: Any) -> None:
     Raises
     ------
     DatasetError
-        Naming the place.
+        With the file name and the path in the file.
     """
     if dataset.is_virtual or dataset.external:
         raise DatasetError(

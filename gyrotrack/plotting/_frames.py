@@ -23,7 +23,15 @@ from gyrotrack.io._atomic import new_file, refuse_existing
 from gyrotrack.io._records import MarkerTrack, Recording
 from gyrotrack.io._schema import STATUS
 from gyrotrack.tracking._film_tracker import Progress
-from gyrotrack.video._container import Frame, file_sha256, opened, orientation_of, planes_of, probe
+from gyrotrack.video._container import (
+    Frame,
+    file_sha256,
+    opened,
+    orientation_of,
+    planes_of,
+    probe,
+    read_raw_stamps,
+)
 from gyrotrack.video._decoder import Reader
 from gyrotrack.video._frames import frames_at
 
@@ -121,14 +129,19 @@ class Film:
     ----------
     path : Path
         The film.
-    recording : Recording
-        Made from it.
+    recording : Recording, optional
+        Made from it; without it, as for a film that is not tracked yet, nothing is drawn over the frames.
     """
 
-    def __init__(self, path: Path, recording: Recording) -> None:
+    def __init__(self, path: Path, recording: Recording | None = None) -> None:
         self.recording = recording
         self._manager = opened(path)  # after every winding more threads would have to fill up anew
-        self._stamps = recording.pts_time
+        self._stamps: npt.NDArray[np.floating[Any]] = (
+            float(probe(path).time_base) * read_raw_stamps(path) if recording is None else recording.pts_time
+        )
+
+    def __len__(self) -> int:
+        return len(self._stamps)
 
     def __enter__(self) -> Self:
         self._container, self._stream = self._manager.__enter__()
@@ -150,7 +163,9 @@ class Film:
         frame = self._frame(index)
         if frame is None:
             return None
-        return drawn(frame, index, self.recording) if overlay else colour_picture(frame)
+        if self.recording is None or not overlay:
+            return colour_picture(frame)
+        return drawn(frame, index, self.recording)
 
     def _frame(self, index: int) -> Frame | None:
         wanted = round(float(self._stamps[index]) / self._base)

@@ -342,13 +342,13 @@ def gather(history: Sequence[FitStep], diagnosis: Diagnosis | None) -> StudyView
         That of the base.
     """
     from fitting.discovery._residuals import whiteness
-    from fitting.study._serialisation import ladder_verdict
+    from fitting.study._serialisation import history_verdict
 
     base, final = history[0].fit, history[-1].fit
     fits = (base, final) if len(history) > 1 else (base,)
     torques = tuple(_torques(f, diagnosis) for f in fits)
     candidates = diagnosis.candidates if diagnosis is not None else history[0].candidates
-    verdict = ladder_verdict(history)
+    verdict = history_verdict(history)
     if len(history) == 1 and diagnosis is not None:
         verdict = diagnosis.verdict
     return StudyView(
@@ -367,11 +367,11 @@ def gather(history: Sequence[FitStep], diagnosis: Diagnosis | None) -> StudyView
 
 
 def _steps(history: Sequence[FitStep]) -> tuple[Step, ...]:
-    from fitting.study._serialisation import rung_document
+    from fitting.study._serialisation import step_document
 
     steps = []
     for i, step in enumerate(history):
-        d = rung_document(step.fit, "", step.change, history[i - 1].fit if i else None)
+        d = step_document(step.fit, "", step.change, history[i - 1].fit if i else None)
         steps.append(
             Step(
                 change=step.change or "base model",

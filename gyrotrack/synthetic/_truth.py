@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrotrack._errors import OutputError
-from gyrotrack.io._atomic import new_file, write_text
+from gyrotrack.io._atomic import new_file
 from gyrotrack.synthetic._film import Film, write_film
 from gyrotrack.synthetic._motion import Motion
 from gyrotrack.synthetic._render import Renderer
@@ -70,12 +70,14 @@ class Truth:
         """Write the truth as .npz (no pickled objects) or, by the ending of the name, as .json."""
         path = Path(path)
         arrays, scalars = self._flat()
-        if path.suffix == ".json":
-            lists = {name: array.tolist() for name, array in arrays.items()}
-            write_text(path, json.dumps({**scalars, **lists}))
-            return
-        with new_file(path, force=True) as handle:
-            np.savez_compressed(handle, allow_pickle=False, scalars=np.array(json.dumps(scalars)), **arrays)
+        with new_file(path, force=True) as stream:
+            if path.suffix == ".json":
+                lists = {name: array.tolist() for name, array in arrays.items()}
+                stream.write(json.dumps({**scalars, **lists}).encode())
+            else:
+                np.savez_compressed(
+                    stream, allow_pickle=False, scalars=np.array(json.dumps(scalars)), **arrays
+                )
 
     def _flat(self) -> tuple[dict[str, Array], dict[str, Any]]:
         arrays: dict[str, Array] = {"time": self.time, "clip_time": self.clip_time, "centre": self.centre}

@@ -17,10 +17,9 @@ FOUND = "casing.air.quadratic"
 
 
 class Server:
-    def __init__(self, case, ledger):
-        words = ["view", str(case), "--ledger", str(ledger), "--no-browser", "--json"]
+    def __init__(self, *words):
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "gyrotrack", *words],
+            [sys.executable, "-m", "gyrotrack", "view", *words, "--no-browser", "--json"],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -56,7 +55,7 @@ class Server:
 
 @pytest.fixture(scope="module")
 def server(chromium, case, tmp_path_factory):
-    found = Server(case, tmp_path_factory.mktemp("ledger") / "fits.json")
+    found = Server(str(case), "--ledger", str(tmp_path_factory.mktemp("ledger") / "fits.json"))
     yield found
     if found.process.poll() is None:
         found.process.terminate()
@@ -312,7 +311,7 @@ def test_plots_zoom_together(visit):
 @pytest.mark.slow
 def test_a_fit_is_kept_in_the_ledger_and_quitting_leaves_nothing_behind(chromium, case, tmp_path):
     ledger = tmp_path / "fits.json"
-    server = Server(case, ledger)
+    server = Server(str(case), "--ledger", str(ledger))
     found = Visit(chromium, width=800)
     page = found.page
     page.goto(server.url)
@@ -337,7 +336,7 @@ def test_a_fit_is_kept_in_the_ledger_and_quitting_leaves_nothing_behind(chromium
 @pytest.mark.slow
 @pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_it_while_it_searches(chromium, case, tmp_path, sign):
-    server = Server(case, tmp_path / "fits.json")
+    server = Server(str(case), "--ledger", str(tmp_path / "fits.json"))
     found = Visit(chromium)
     found.page.goto(server.url)
     found.page.locator("#effects li").first.wait_for()

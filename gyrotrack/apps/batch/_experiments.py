@@ -17,18 +17,18 @@ a film may state its capture rate, as in ``rotor_1_1000fps.mp4``.
     surface = "PVC"
 
     [[case]]
-    study = "paper/study.toml"      # the notes of an experimenter, with the films
+    study = "paper/study.toml"      # an experimenter's study file, with the films
 
     [[case]]
-    data = "old/case7.h5"           # a case that exists already
+    data = "old/case7.h5"           # an existing case
 
-    [[clip]]                        # a single film: it is tracked only
+    [[clip]]                        # a single film: tracked only
     file = "wheel.mp4"
     capture_fps = 300
     profile = "wheel.toml"
 
-The same as CSV is a row a film, with the columns ``case, body, file`` and, as far as wanted, ``capture_fps,
-profile, surface, inertia_rotor, inertia_casing``. Paths are taken from the manifest's folder.
+The same as CSV has one row per film, with the columns ``case, body, file`` and, optionally, ``capture_fps,
+profile, surface, inertia_rotor, inertia_casing``. Paths are relative to the manifest's folder.
 """
 
 from __future__ import annotations
@@ -67,16 +67,16 @@ class Clip:
 
 @dataclass(frozen=True)
 class Experiment:
-    """One case to be made and studied.
+    """One case to be made and analysed.
 
     Attributes
     ----------
     label : str
-        Its name for people.
+        Its name.
     clips : tuple of Clip
         One of the casing and any number of the rotor, or a single film that is only tracked.
     data : Path or None
-        A case file that exists already, in place of films.
+        An existing case file, instead of films.
     surface : str
         Surface on which the casing turns.
     inertia_rotor, inertia_casing : str or None
@@ -100,12 +100,12 @@ class Experiment:
 
 
 def named(experiments: Iterable[Experiment], where: Path) -> tuple[Experiment, ...]:
-    """Return the experiments with a folder each, whose names no label can lead out of the results.
+    """Return the experiments with a folder each, inside the folder of the results whatever the label.
 
     Raises
     ------
     ConfigurationError
-        There is none, two have the same label, or one has not exactly one film of the casing.
+        There is none, two have the same label, or one does not have exactly one film of the casing.
     """
     found, folders = [], set[str]()
     labels: set[str] = set()
@@ -125,7 +125,7 @@ def named(experiments: Iterable[Experiment], where: Path) -> tuple[Experiment, .
         found.append(Experiment(**{**vars(e), "folder": folder}))
     if not found:
         raise ConfigurationError(
-            f"{where} names no film and no case.",
+            f"{where} contains no film and no case.",
             "Name the films of a case casing.mp4 and rotor_1.mp4 in one folder, or list them in a manifest.",
         )
     return tuple(found)
@@ -142,7 +142,7 @@ def _check_films(e: Experiment, where: Path) -> None:
 
 
 def folder_name(label: str) -> str:
-    """Return a label as the name of a folder: letters, digits, ``._-`` only, no device of any system."""
+    """Return a label as the name of a folder: letters, digits, ``._-`` only, not the name of a device."""
     name = re.sub(r"[^A-Za-z0-9._-]+", "_", label).strip("._-")[:80] or "case"
     return f"{name}_" if name.partition(".")[0].casefold() in _DEVICES else name
 
@@ -150,7 +150,7 @@ def folder_name(label: str) -> str:
 def with_inertias(
     experiments: Iterable[Experiment], given: Mapping[str, str | None], skip: Collection[str] = ()
 ) -> tuple[Experiment, ...]:
-    """Return the experiments with moments of inertia where their notes name none.
+    """Return the experiments with the given moments of inertia where they have none of their own.
 
     Parameters
     ----------
@@ -214,7 +214,7 @@ class Film(BaseModel):
 
 
 class Study(BaseModel):
-    """The notes."""
+    """A study file (``study.toml``)."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -226,12 +226,12 @@ class Study(BaseModel):
 
 
 def read_study(path: Path) -> Experiment:
-    """Read the notes of one run; films are searched for in the folder of the notes.
+    """Read a study file; the paths of its films are relative to its folder.
 
     Raises
     ------
     ConfigurationError
-        Naming line and key of every fault.
+        With the line and the key of every error.
     """
     study = read_document(path, Study, what="study")
     root = path.resolve().parent
@@ -260,16 +260,16 @@ def read_folder(
     Parameters
     ----------
     root : Path
-        The folder; hidden folders, and links to folders, are left out.
+        The folder; hidden folders and links to folders are skipped.
     casing_fps, rotor_fps : float, optional
-        Capture rates of films whose names state none [1/s].
+        Capture rates of films whose names do not state it [1/s].
     skip : Path, optional
-        The folder of the results, which may lie inside.
+        The folder of the results, which may be inside.
 
     Raises
     ------
     ConfigurationError
-        It holds no film, or films of a case that is not complete.
+        It contains no film, or a case that is incomplete.
     """
     if not root.is_dir():
         raise ConfigurationError(f"There is no folder {root}.", "Check the path.")
@@ -391,8 +391,8 @@ def read_manifest(path: Path) -> tuple[Experiment, ...]:
     Raises
     ------
     ConfigurationError
-        The file is not readable or something in it is not understood; line and key are named. Whether the films
-        exist is seen only when each is opened, so that one that is missing stops no other.
+        The file cannot be read, or is not valid; line and key are given. Films are checked only when they are opened,
+        so that a missing one does not stop the others.
     """
     if path.suffix.lower() == ".csv":
         return named(_from_rows(path), path)

@@ -15,8 +15,16 @@ from typing import Any
 
 from gyrotrack._errors import GyrotrackError
 from gyrotrack.apps.batch._experiments import Experiment
-from gyrotrack.apps.batch._journal import Journal, contents_of, fingerprint, held, key_of
-from gyrotrack.apps.batch._steps import Outcome, Step, words_for
+from gyrotrack.apps.batch._steps import (
+    Journal,
+    Outcome,
+    Step,
+    contents_of,
+    fingerprint,
+    held,
+    key_of,
+    words_for,
+)
 from gyrotrack.apps.batch._workers import Certificates, ClusterWorkers, LocalWorkers, Workers, cores
 from gyrotrack.io._atomic import new_file
 from gyrotrack.io._export import plain_cell
@@ -140,7 +148,7 @@ class Run:
         return self.journal.kept(step, key), key, words
 
     def _begin(self, step: Step) -> _Running | None:
-        """Return what is to be submitted, or None if the step has ended already."""
+        """Return the step to be submitted, or None if it has ended already."""
         before = self._blocked(step)
         if before is not None:
             cause = self.ended[before].document.get("error", {})
@@ -204,7 +212,7 @@ class Run:
 def _answer(future: Future[dict[str, Any]]) -> dict[str, Any]:
     try:
         return future.result()
-    except Exception as error:  # whatever a cluster raises when a worker is lost for good
+    except Exception as error:  # any error of a cluster whose worker is lost
         failure = {"code": "crash", "message": f"The worker was lost ({type(error).__name__}).", "hint": ""}
         return {"code": 1, "document": {"error": failure}}
 
@@ -412,7 +420,7 @@ def run_batch(
     workers : int, optional
         Processes on this machine; by default one per core.
     scheduler : str, optional
-        Address of a Dask cluster, in place of processes here.
+        Address of a Dask cluster, instead of local processes.
     certificates : Certificates, optional
         TLS files for that cluster.
     timeout : float
@@ -425,7 +433,7 @@ def run_batch(
     Raises
     ------
     OutputError
-        Another run holds the folder, or it holds something else.
+        Another run uses the folder, or it contains something else.
     """
     began = perf_counter()
     with held(output):

@@ -1,13 +1,24 @@
-"""The steps of a batch and their order."""
+"""The steps of a batch, their order, and the journal of completed ones.
+
+A step counts as done when its key (program version, arguments, contents of its sources, fingerprints of the steps
+before it) is the one in the journal, and its output still has the contents that it had then.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
+from gyrotrack._errors import OutputError
+from gyrotrack._versions import __version__
 from gyrotrack.apps.batch._experiments import Clip, Experiment, folder_name
+from gyrotrack.io._atomic import locked, refuse_special
 
 VERBS = ("extract", "sync", "fit", "diagnose", "improve", "report")
 FIT = "{fit}"
@@ -35,7 +46,7 @@ class Request:
     improve: bool = False
 
     def wants(self, verb: str) -> bool:
-        """Tell whether a verb is among the steps."""
+        """Return whether a verb is among the steps."""
         return VERBS.index(verb) <= VERBS.index(self.until) and (verb != "improve" or self.improve)
 
 
@@ -52,12 +63,12 @@ class Step:
     words : tuple of str
         Arguments of the command; ``{fit}`` is the latest fit of the case.
     files : tuple of Path
-        Sources: films, profiles, data that no step makes.
+        Sources: films, profiles, data that is not made by a step.
     output : Path
-        What it makes.
+        The output.
     needs, wants : tuple of str
-        Steps that must have succeeded, and steps that must have ended: the outputs of those that failed are left
-        out, and one of them at least must have succeeded.
+        Steps that must have succeeded, and steps that must have ended, at least one of them with success: the outputs
+        of those that failed are not used.
     """
 
     name: str
@@ -82,7 +93,7 @@ class Outcome:
 
     @property
     def good(self) -> bool:
-        """Whether there is an output to go on with."""
+        """Whether there is an output."""
         return self.state in {"done", "kept"}
 
 
@@ -156,7 +167,7 @@ def _sync(e: Experiment, casing: Step, rotors: Sequence[Step], case: Path) -> St
 
 
 def words_for(step: Step, steps: Mapping[str, Step], ended: Mapping[str, Outcome]) -> list[str]:
-    """Return the words of a step whose needs are met: failed films left out, the latest fit put in."""
+    """Return the arguments of a step that can run: without failed films, with the latest fit."""
     lost = {str(steps[name].output) for name in step.wants if not ended[name].good}
     fits = [
         document.get("fit_id") or document.get("final", {}).get("fit_id")
@@ -174,3 +185,165 @@ def _unique(stem: str, taken: set[str]) -> str:
         name = f"{base}_{number}"
     taken.add(name.casefold())
     return name
+
+
+HEADER = {"format": "gyrotrack batch", "version": 1}
+
+
+class Journal:
+    """The journal of one folder of results.
+
+    Parameters
+    ----------
+    path : Path
+        The file; it need not exist yet.
+
+    Raises
+    ------
+    OutputError
+        A file of this name exists and is not a journal.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._records: dict[str, dict[str, Any]] = {}
+        self._torn = False
+        refuse_special(path, OutputError)
+        if path.exists():
+            self._read()
+
+    def _read(self) -> None:
+        try:
+            text = self.path.read_text(encoding="utf-8", errors="replace")
+        except OSError as error:
+            raise OutputError(
+                f"{self.path} cannot be read: {error.strerror}.", "Choose another folder with -o."
+            ) from error
+        lines = [_line(line) for line in text.splitlines()]
+        self._torn = bool(text) and not text.endswith("\n")
+        if (
+            self._torn and len(lines) == 1 and json.dumps(HEADER).startswith(text)
+        ):  # killed while the header was written
+            self.path.write_bytes(b"")
+            self._torn, lines = False, []
+        if lines and lines[0] != HEADER:
+            raise OutputError(f"{self.path} is not the journal of a batch.", "Choose another folder with -o.")
+        for record in lines[1:]:  # a line that was cut by a kill counts as not written
+            if isinstance(record, dict) and isinstance(record.get("step"), str):
+                self._records[record["step"]] = record
+
+    def kept(self, step: Step, key: str) -> Outcome | None:
+        """Return the outcome of an earlier run if neither its sources nor its output have changed."""
+        record = self._records.get(step.name)
+        if record is None or record.get("key") != key or not record.get("fingerprint"):
+            return None
+        document = record.get("document", {})
+        if fingerprint(step, document) != record["fingerprint"]:
+            return None
+        return Outcome(
+            "kept", document, record["fingerprint"], record.get("seconds", 0.0), record.get("trusted", True)
+        )
+
+    def add(self, step: Step, key: str, outcome: Outcome) -> None:
+        """Append the outcome of a step and flush it to the disk."""
+        record = {
+            "step": step.name,
+            "key": key,
+            "state": outcome.state,
+            "fingerprint": outcome.fingerprint,
+            "seconds": round(outcome.seconds, 3),
+            "trusted": outcome.trusted,
+            "version": __version__,
+            "document": outcome.document,
+        }
+        try:
+            new = not self.path.exists() or self.path.stat().st_size == 0
+            with self.path.open("a", encoding="utf-8") as stream:
+                if new:
+                    stream.write(json.dumps(HEADER) + "\n")
+                if self._torn:
+                    stream.write("\n")
+                    self._torn = False
+                stream.write(json.dumps(record) + "\n")
+                stream.flush()
+                os.fsync(stream.fileno())
+        except OSError as error:
+            raise OutputError(
+                f"{self.path} cannot be written: {error.strerror}.", "Free space and run the batch again."
+            ) from error
+        self._records[step.name] = record
+
+
+def key_of(
+    step: Step, words: list[str], results: Path, contents: Mapping[Path, str], before: list[str]
+) -> str:
+    """Return the key of a step: a hash of what determines its output, wherever the folders are."""
+    names = {str(path): digest for path, digest in contents.items()}
+    top = str(results.resolve())
+    stated = [names.get(word, word.replace(top, "results")) for word in words]
+    whole = [__version__, step.verb, stated, [contents[p] for p in step.files], before]
+    return hashlib.sha256(json.dumps(whole).encode()).hexdigest()
+
+
+def fingerprint(step: Step, document: Mapping[str, Any]) -> str:
+    """Return a hash of the output of a step, or "" if it does not exist."""
+    if step.verb in {"fit", "improve"}:  # later fits are added to the same ledger, and change none of this
+        return _fit_digest(
+            step.output, str(document.get("fit_id") or document.get("final", {}).get("fit_id"))
+        )
+    return contents_of(step.output) or ""
+
+
+def _fit_digest(ledger: Path, fit_id: str) -> str:
+    try:
+        fits = json.loads(ledger.read_text(encoding="utf-8"))["fits"]
+        (own,) = [f for f in fits if f["fit_id"] == fit_id]
+    except (OSError, ValueError, KeyError, TypeError):
+        return ""
+    return hashlib.sha256(json.dumps(own, sort_keys=True).encode()).hexdigest()
+
+
+def contents_of(path: Path) -> str | None:
+    """Return the SHA-256 of a regular file's bytes; None if it cannot be read."""
+    try:
+        if not path.is_file():
+            return None
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError:
+        return None
+
+
+def _line(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+
+
+@contextmanager
+def held(results: Path) -> Iterator[None]:
+    """Create the folder if necessary, and lock it against other batches while the block runs.
+
+    Raises
+    ------
+    OutputError
+        Another batch runs there, the folder cannot be created, or it contains something else.
+    """
+    with _opened(results), locked(results):
+        yield
+
+
+def _opened(results: Path) -> BinaryIO:
+    try:
+        results.mkdir(parents=True, exist_ok=True)
+        if not (results / "batch.lock").exists() and any(results.iterdir()):
+            raise OutputError(
+                f"{results} contains files that do not belong to a batch.", "Choose an empty folder with -o."
+            )
+        refuse_special(results / "batch.lock", OutputError)
+        return (results / "batch.lock").open("ab")
+    except OSError as error:
+        raise OutputError(
+            f"{results} cannot be written: {error.strerror or error}.", "Choose another folder with -o."
+        ) from error

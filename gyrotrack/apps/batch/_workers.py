@@ -1,8 +1,8 @@
 """Worker processes on this machine, and workers of a Dask cluster.
 
-A worker process reads one JSON array of words per line and answers with one JSON object per line. When its input
-ends, as it does when its parent is killed, it ends too. From a cluster come JSON bytes that are parsed here; no
-object of a foreign process is unpickled as a result.
+A worker process reads one JSON array of arguments per line and answers with one JSON object per line. It ends when its
+input ends, also when its parent is killed. The answers of a cluster are JSON bytes; no object of another process is
+unpickled as a result.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from typing import Any, Protocol
 from gyrotrack._errors import GyrotrackError, UsageError
 from gyrotrack._versions import __version__
 
-WORKER = "gyrotrack.apps.cli._worker_process"
+WORKER = "gyrotrack.apps.cli._batch"
 
 Answer = dict[str, Any]
 
-_GRACE = 5.0  # s that a worker has to remove what is half written before it is killed
+_GRACE = 5.0  # s in which a worker removes unfinished outputs before it is killed
 _LONGEST_ANSWER = 2**26  # bytes
 
 
@@ -39,7 +39,7 @@ class Child:
 
     @property
     def pid(self) -> int | None:
-        """The process's number, while there is one."""
+        """Number of the process, if it runs."""
         return self._process.pid if self._process is not None else None
 
     def run(self, words: Sequence[str], timeout: float | None = None) -> Answer:
@@ -96,7 +96,7 @@ class Child:
         return checked(line)
 
     def close(self) -> None:
-        """End the process; it removes what is half written."""
+        """End the process; it removes unfinished outputs."""
         process, self._process = self._process, None
         if process is not None:
             _end(process)
@@ -118,7 +118,7 @@ def run_once(words: Sequence[str], timeout: float | None = None) -> bytes:
 
 def _start() -> subprocess.Popen[str]:
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONUTF8": "1"}
-    environment["GYROTRACK_CONFIG"] = "none"  # settings are among the words, wherever the process runs
+    environment["GYROTRACK_CONFIG"] = "none"  # settings are among the arguments, wherever the process runs
     return subprocess.Popen(  # noqa: S603 - our own program, no shell
         [sys.executable, "-P", "-m", WORKER],  # -P: no module is imported from the working folder
         stdin=subprocess.PIPE,
@@ -127,7 +127,7 @@ def _start() -> subprocess.Popen[str]:
         text=True,
         encoding="utf-8",
         env=environment,
-        start_new_session=True,  # Ctrl-C is ours to handle
+        start_new_session=True,  # Ctrl-C is handled by the parent
     )
 
 
@@ -143,7 +143,7 @@ def _end(process: subprocess.Popen[str]) -> None:
 
 
 def _asked(process: subprocess.Popen[str], words: Sequence[str]) -> str:
-    """Return the line that the process answers, or nothing if it has ended."""
+    """Return the line that the process answers, or "" if it has ended."""
     assert process.stdin is not None  # noqa: S101
     assert process.stdout is not None  # noqa: S101
     try:
@@ -155,7 +155,7 @@ def _asked(process: subprocess.Popen[str], words: Sequence[str]) -> str:
 
 
 def checked(text: str | bytes) -> Answer:
-    """Parse an answer and check its form; whatever does not fit becomes an error document."""
+    """Parse an answer and check its form; an invalid one becomes an error document."""
     try:
         answer = json.loads(text) if len(text) <= _LONGEST_ANSWER else None
     except (ValueError, RecursionError):
@@ -166,7 +166,7 @@ def checked(text: str | bytes) -> Answer:
         or not isinstance(answer.get("document"), dict)
         or not isinstance(answer.get("seconds", 0.0), int | float)
     ):
-        return failure("crash", "The worker's answer is not valid.", "Is it the same version of gyrotrack?")
+        return failure("crash", "The worker's answer is not valid.", "Install the same version everywhere.")
     if answer.get("version", __version__) != __version__:
         return failure(
             "version",
@@ -197,7 +197,7 @@ class Workers(Protocol):
         """Begin a command; the answer is that of `Child.run`."""
 
     def close(self) -> None:
-        """End at once, with whatever still runs."""
+        """End at once; running commands are stopped."""
 
 
 class LocalWorkers:
@@ -285,12 +285,12 @@ class Certificates:
 
 
 class ClusterWorkers:
-    """The workers of a Dask cluster, which must see the same folders as we do.
+    """The workers of a Dask cluster, which must have access to the same folders.
 
-    Each command runs in a process of its own on a worker, so that a film that breaks it does not break the worker;
-    when a worker is lost, the scheduler gives its commands to another. What is sent is the name of our function and
-    words; what comes back is JSON. Dask's own messages are pickled, so the scheduler must be one that the user
-    trusts: its address is never taken from the folder of the data, and with TLS both sides prove who they are.
+    Each command runs in a process of its own on a worker, so that a crash does not end the worker; when a worker is
+    lost, the scheduler gives its commands to another. The name of a function and arguments are sent, JSON is returned.
+    Dask's own messages are pickled, so the user must trust the scheduler: its address is never taken from the folder of
+    the data, and with TLS both sides authenticate themselves.
 
     Parameters
     ----------
@@ -344,7 +344,7 @@ class ClusterWorkers:
         return answer
 
     def close(self) -> None:
-        """Leave the cluster; commands that have not begun are withdrawn."""
+        """Disconnect; commands that have not begun are cancelled."""
         self._executor.shutdown(wait=False)
         self._client.close()
 

@@ -1,11 +1,12 @@
-"""The program `gyrotrack`: its commands, and what happens when one fails.
+"""The program `gyrotrack`: its commands, and the handling of errors.
 
-A new command is one line in `COMMANDS` and a module with a function ``command(...) -> int | None``: it
-parses, calls one library function, prints through `output.Output`, and returns the exit code (nothing is 0).
+A new command is one line in `COMMANDS` and a function ``<name>_command(...) -> int | None`` in a module of this folder:
+it parses, calls one library function, prints through `_output.Output`, and returns the exit code (None is 0).
 """
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import sys
@@ -23,7 +24,6 @@ from typer.main import get_command
 
 from gyrotrack.apps.cli._lazy import Entry, lazy_group
 from gyrotrack.apps.cli._output import DONE, FAULT, INTERRUPTED, TERMINATED, USAGE, report_error, running
-from gyrotrack.apps.cli._scarcity import scarce
 from gyrotrack.apps.cli._settings import Settings, find, read
 
 _DATA = "From films to data"
@@ -31,79 +31,30 @@ _PHYSICS = "From data to physics"
 _ORACLE = "Known answers"
 
 COMMANDS = (
-    Entry(
-        "profile", "gyrotrack.apps.cli._tracking", _DATA, "Find the markers of a film and write a profile."
-    ),
-    Entry(
-        "extract",
-        "gyrotrack.apps.cli._tracking",
-        _DATA,
-        "Track the markers in a film: angles with uncertainties.",
-    ),
-    Entry(
-        "import", "gyrotrack.apps.cli._data", _DATA, "Make a case from tables of angles or rates, or points."
-    ),
-    Entry(
-        "spindown",
-        "gyrotrack.apps.cli._spindown",
-        _DATA,
-        "Measure one rotating body: film or table to report.",
-    ),
-    Entry("sync", "gyrotrack.apps.cli._tracking", _DATA, "Put the clips of one experiment on one clock."),
-    Entry("batch", "gyrotrack.apps.cli._batch", _DATA, "Track, fit and report many cases, unattended."),
-    Entry("config", "gyrotrack.apps.cli._batch", _DATA, "Show the settings in use and their origin."),
-    Entry("export", "gyrotrack.apps.cli._data", _DATA, "Export the data as CSV, Parquet or netCDF."),
-    Entry("info", "gyrotrack.apps.cli._data", _DATA, "Show the contents of a file and check its integrity."),
-    Entry(
-        "fit",
-        "gyrotrack.apps.cli._fitting",
-        _PHYSICS,
-        "Fit a model: parameters, uncertainties, goodness of fit.",
-    ),
-    Entry(
-        "scan",
-        "gyrotrack.apps.cli._fitting",
-        _PHYSICS,
-        "Fit every combination of the paper's terms: its tables.",
-    ),
-    Entry(
-        "diagnose",
-        "gyrotrack.apps.cli._fitting",
-        _PHYSICS,
-        "Locate the lack of fit and rank the missing effects.",
-    ),
-    Entry(
-        "improve",
-        "gyrotrack.apps.cli._fitting",
-        _PHYSICS,
-        "Add effects until the residuals are consistent with noise.",
-    ),
-    Entry("budget", "gyrotrack.apps.cli._budget", _PHYSICS, "Uncertainty budget of every parameter (GUM)."),
-    Entry("ladder", "gyrotrack.apps.cli._fitting", _PHYSICS, "List the fits of a case: one bar per fit."),
-    Entry("report", "gyrotrack.apps.cli._presentation", _PHYSICS, "Write a report: one HTML page or a PDF."),
-    Entry(
-        "figures",
-        "gyrotrack.apps.cli._presentation",
-        _PHYSICS,
-        "Draw the paper's figures and tables of a study.",
-    ),
-    Entry(
-        "view",
-        "gyrotrack.apps.cli._presentation",
-        _PHYSICS,
-        "Explore a case in the browser.",
-    ),
-    Entry("effects", "gyrotrack.apps.cli._fitting", _PHYSICS, "Show the library of effects."),
-    Entry("demo", "gyrotrack.apps.cli._simulation", _ORACLE, "Run the whole analysis of the sample clips."),
-    Entry(
-        "simulate",
-        "gyrotrack.apps.cli._simulation",
-        _ORACLE,
-        "Simulate a case with chosen effects, as data or films.",
-    ),
-    Entry(
-        "reveal", "gyrotrack.apps.cli._simulation", _ORACLE, "Open a sealed challenge and score the answer."
-    ),
+    Entry("profile", "_tracking", _DATA, "Find the markers of a film and write a profile."),
+    Entry("extract", "_tracking", _DATA, "Track the markers in a film: angles with uncertainties."),
+    Entry("import", "_data", _DATA, "Make a case from tables of angles or rates, or points."),
+    Entry("spindown", "_spindown", _DATA, "Measure one rotating body: film or table to report."),
+    Entry("sync", "_tracking", _DATA, "Put the clips of one experiment on one clock."),
+    Entry("batch", "_batch", _DATA, "Track, fit and report many cases, unattended."),
+    Entry("config", "_batch", _DATA, "Show the settings in use and their origin."),
+    Entry("export", "_data", _DATA, "Export the data as CSV, Parquet or netCDF."),
+    Entry("info", "_data", _DATA, "Show the contents of a file and check its integrity."),
+    Entry("fit", "_fitting", _PHYSICS, "Fit a model: parameters, uncertainties, goodness of fit."),
+    Entry("scan", "_fitting", _PHYSICS, "Fit every combination of the paper's terms: its tables."),
+    Entry("diagnose", "_fitting", _PHYSICS, "Locate the lack of fit and rank the missing effects."),
+    Entry("improve", "_fitting", _PHYSICS, "Add effects until the residuals are consistent with noise."),
+    Entry("laws", "_laws", _PHYSICS, "Find the law of an unmodelled torque, as a set of formulas."),
+    Entry("plan", "_plan", _PHYSICS, "Compute detection limits, upper limits and the best next run."),
+    Entry("budget", "_fitting", _PHYSICS, "Uncertainty budget of every parameter (GUM)."),
+    Entry("ladder", "_fitting", _PHYSICS, "List the fits of a case: one bar per fit."),
+    Entry("report", "_presentation", _PHYSICS, "Write a report: one HTML page or a PDF."),
+    Entry("figures", "_presentation", _PHYSICS, "Draw the paper's figures and tables of a study."),
+    Entry("view", "_presentation", _PHYSICS, "Open the workbench: from films to the missing effect."),
+    Entry("effects", "_fitting", _PHYSICS, "Show the library of effects."),
+    Entry("demo", "_simulation", _ORACLE, "Run the whole analysis of the sample clips."),
+    Entry("simulate", "_simulation", _ORACLE, "Simulate a case with chosen effects, as data or films."),
+    Entry("reveal", "_simulation", _ORACLE, "Open a sealed challenge and score the answer."),
 )
 
 app = typer.Typer(
@@ -147,10 +98,10 @@ def main() -> None:
 
 
 def prepare_process() -> None:
-    """Set what holds for this process and for those that it starts: threads, search path, home, SIGTERM."""
+    """Configure this process and those that it starts: threads, search path, home, SIGTERM."""
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # the matrices are many and small
-    # no process of ours imports modules from the working folder, which holds other people's data
+    # no process imports modules from the working folder, which contains other people's data
     os.environ["PYTHONSAFEPATH"] = "1"
     root = Path(__file__).parents[3]
     if root.name not in {"site-packages", "dist-packages"}:  # run from a checkout, which they must find
@@ -164,11 +115,11 @@ _TERMINATED: list[int] = []
 
 
 def catch_sigterm() -> None:
-    """Let SIGTERM end the command as Ctrl-C does: what is half written is removed, and the exit code is 143."""
+    """Let SIGTERM end the command as Ctrl-C does: unfinished outputs are removed, and the exit code is 143."""
 
     def end(number: int, frame: FrameType | None) -> None:
         _TERMINATED.append(number)
-        # whoever delays or forwards Ctrl-C (a file that is being written, the workbench) does so with SIGTERM
+        # code that defers or forwards Ctrl-C (writing a file, the workbench) treats SIGTERM alike
         interrupt = signal.getsignal(signal.SIGINT)
         if callable(interrupt):
             interrupt(signal.SIGINT, frame)
@@ -197,7 +148,7 @@ def run(arguments: Sequence[str]) -> int:
             sys.stdout.flush()
     except KeyboardInterrupt:
         return _interrupted(as_json=as_json)
-    except BrokenPipeError:  # the reader of our output has gone, as in `gyrotrack ... | head`
+    except BrokenPipeError:  # the reader of the output has ended, as in `gyrotrack ... | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAULT
     except Exception as error:  # the last line of defence: no traceback reaches a user
@@ -213,7 +164,7 @@ _SETTINGS: ContextVar[Settings] = ContextVar("settings")
 
 
 def settings_in_use() -> Settings:
-    """Return the settings of the file that holds for the command that runs."""
+    """Return the settings in use for the running command."""
     return _SETTINGS.get()
 
 
@@ -252,7 +203,7 @@ def _explain(error: Exception, *, as_json: bool) -> int:
         stated: Any = error
         report_error(stated.code, stated.message, stated.hint, as_json=as_json)
         return int(getattr(stated, "exit_code", FAULT))
-    if (shortage := scarce(error)) is not None:
+    if (shortage := _scarce(error)) is not None:
         report_error(*shortage, as_json=as_json)
         return FAULT
     place = traceback.extract_tb(error.__traceback__)[-1]
@@ -264,8 +215,77 @@ def _explain(error: Exception, *, as_json: bool) -> int:
     return FAULT
 
 
+_MEMORY = (
+    "There is not enough memory.",
+    "Close other programs, raise the memory limit, or process a shorter film.",
+)
+_PROCESSES = (
+    "No further process or thread can be started.",
+    "Raise the limit (`ulimit -u`), or close other programs.",
+)
+_FILES = ("No further file can be opened.", "Raise the limit (`ulimit -n`), or close other programs.")
+_DISK = ("The disk is full or the quota is reached.", "Free some space and run the command again.")
+
+# libraries report a shortage of the machine in many ways: MemoryError, OSError with an errno, RuntimeError("can't start
+# new thread"), cv2.error, an ImportError of a shared library that cannot be mapped, a process pool whose process ended
+_BY_NUMBER = {
+    errno.ENOMEM: ("memory", *_MEMORY),
+    errno.EAGAIN: ("processes", *_PROCESSES),
+    errno.EMFILE: ("files", *_FILES),
+    errno.ENFILE: ("files", *_FILES),
+    errno.ENOSPC: ("disk", *_DISK),
+    errno.EDQUOT: ("disk", *_DISK),
+    errno.EFBIG: ("disk", *_DISK),
+}
+_BY_TEXT = (
+    (
+        ("can't start new thread", "can't create new thread", "pthread_create failed"),
+        ("processes", *_PROCESSES),
+    ),
+    (("too many open files",), ("files", *_FILES)),
+    (
+        (
+            "cannot allocate memory",
+            "failed to map segment",
+            "out of memory",
+            "insufficient memory",
+            "unable to allocate",
+            "bad_alloc",
+            "bad allocation",
+            "memory allocation",
+        ),
+        ("memory", *_MEMORY),
+    ),
+    (
+        ("process pool", "resource temporarily unavailable"),
+        (
+            "processes",
+            "A second process could not be started or was ended by the system.",
+            "Raise the limits of memory and processes (`ulimit -v`, `ulimit -u`).",
+        ),
+    ),
+)
+
+
+def _scarce(error: BaseException | None) -> tuple[str, str, str] | None:
+    """Return code, message and hint if an error, or one that caused it, means a shortage of the machine."""
+    for _ in range(10):
+        if error is None:
+            return None
+        if isinstance(error, MemoryError):
+            return ("memory", *_MEMORY)
+        if isinstance(error, OSError) and error.errno in _BY_NUMBER:
+            return _BY_NUMBER[error.errno]
+        text = f"{type(error).__name__} {error}".lower()
+        for words, answer in _BY_TEXT:
+            if any(word in text for word in words):
+                return answer
+        error = error.__cause__ or error.__context__
+    return None
+
+
 def _explains_itself(error: Exception) -> bool:
-    """Return whether an error carries code, message and hint, as those of both packages do."""
+    """Return whether an error has a code, a message and a hint, as those of both packages do."""
     return all(isinstance(getattr(error, name, None), str) for name in ("code", "message", "hint"))
 
 
@@ -284,6 +304,6 @@ def _options(args: list[str]) -> list[str]:
 
 
 def _without_debug(args: list[str]) -> tuple[list[str], bool]:
-    """Take ``--debug`` out, at any place before ``--``."""
+    """Remove ``--debug``, anywhere before ``--``."""
     head = _options(args)
     return [a for a in head if a != "--debug"] + args[len(head) :], "--debug" in head

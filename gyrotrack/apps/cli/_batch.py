@@ -1,20 +1,34 @@
-"""Commands for unattended work: batch, config."""
+"""Commands for unattended work, batch and config, and the worker process of a batch.
+
+``python -m gyrotrack.apps.cli._batch`` is that process: commands in, JSON out.
+"""
 
 from __future__ import annotations
 
 import inspect
+import io
+import json
+import os
+import queue
+import signal
+import sys
+import threading
+import time
+from contextlib import redirect_stdout
 from dataclasses import asdict
 from enum import Enum, StrEnum
 from functools import partial
 from pathlib import Path
+from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from gyrotrack._errors import UsageError
+from gyrotrack._versions import __version__
 from gyrotrack.apps.cli._lazy import function_of
 from gyrotrack.apps.cli._options import InertiaCasing, InertiaRotor, Json, Quiet, Verbose
-from gyrotrack.apps.cli._output import DONE, FAULT, NOT_TRUSTED, Output, command_line
+from gyrotrack.apps.cli._output import DONE, FAULT, INTERRUPTED, NOT_TRUSTED, TERMINATED, Output, command_line
 
 if TYPE_CHECKING:
     from gyrotrack.apps.batch._experiments import Experiment
@@ -168,7 +182,7 @@ def _show_result(out: Output, ended: BatchResult, facts: dict[str, Any]) -> int:
 
 
 def _extra() -> dict[str, tuple[str, ...]]:
-    """Return the settings of the steps as words of a command line."""
+    """Return the settings of the steps as arguments of a command line."""
     from gyrotrack.apps.batch._steps import VERBS
     from gyrotrack.apps.cli._app import COMMANDS, settings_in_use
     from gyrotrack.apps.cli._settings import as_words
@@ -186,13 +200,13 @@ _OWN = frozenset(
 def _show_plan(out: Output, cases: tuple[Experiment, ...], steps: tuple[Step, ...], output: Path) -> int:
     from gyrotrack.apps.batch._runner import preview
 
-    fate = preview(steps, output)
+    state = preview(steps, output)
     out.result({
         "cases": [{"label": e.label, "films": [str(c.file) for c in e.clips]} for e in cases],
-        "steps": [{"name": s.name, "output": s.output, "state": fate[s.name]} for s in steps],
+        "steps": [{"name": s.name, "output": s.output, "state": state[s.name]} for s in steps],
     })  # fmt: skip
-    listed = [f"{fate[s.name]:<7}{s.name}" for s in steps]
-    kept = sum(state == "kept" for state in fate.values())
+    listed = [f"{state[s.name]:<7}{s.name}" for s in steps]
+    kept = sum(found == "kept" for found in state.values())
     out.show(
         "\n".join([*listed, "", f"{len(cases)} cases, {len(steps)} steps, {kept} kept; nothing was run"])
     )
@@ -258,3 +272,56 @@ def _toml(value: Any) -> str:
         if isinstance(value, int | float)
         else '"' + str(value).replace("\\", "\\\\").replace('"', '\\"') + '"'
     )
+
+
+_GRACE = 5.0  # s to remove unfinished outputs
+
+
+def perform(words: list[str]) -> dict[str, Any]:
+    """Run one command of the program and return its exit code and its JSON document."""
+    from gyrotrack.apps.cli._app import run
+
+    printed, began = io.StringIO(), perf_counter()
+    with redirect_stdout(printed):
+        code = run([words[0], "--json", "-q", *words[1:]])
+    try:
+        document = json.loads(printed.getvalue() or "{}")
+    except ValueError:
+        document = {"error": {"code": "bug", "message": "The command did not answer in JSON.", "hint": ""}}
+    seconds = round(perf_counter() - began, 3)
+    return {"code": code, "document": document, "version": __version__, "seconds": seconds}
+
+
+def work() -> None:
+    """Answer until the input ends."""
+    from gyrotrack.apps.cli._app import catch_sigterm
+
+    catch_sigterm()
+    answers = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
+    os.dup2(
+        os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
+    )  # nothing printed by a library is taken for an answer
+    tasks: queue.SimpleQueue[list[str]] = queue.SimpleQueue()
+
+    def listen() -> None:
+        for line in sys.stdin:
+            tasks.put(json.loads(line))
+        if hasattr(signal, "pthread_kill"):  # the answer is no longer needed: clean up and end
+            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
+            time.sleep(_GRACE)
+        os._exit(0)
+
+    threading.Thread(target=listen, daemon=True).start()
+    try:
+        while True:
+            answer = perform(tasks.get())
+            if answer["code"] in {INTERRUPTED, TERMINATED}:
+                return
+            answers.write(json.dumps(answer) + "\n")
+            answers.flush()
+    except (KeyboardInterrupt, BrokenPipeError):
+        return
+
+
+if __name__ == "__main__":
+    work()

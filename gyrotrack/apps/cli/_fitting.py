@@ -1,4 +1,4 @@
-"""Commands for fits: fit, scan, diagnose, improve, ladder, effects."""
+"""Commands for fits: fit, budget, scan, diagnose, improve, ladder, effects."""
 
 from __future__ import annotations
 
@@ -34,6 +34,7 @@ from gyrotrack.apps.cli._tables import (
 
 if TYPE_CHECKING:
     from fitting.effects._effect import Effect
+    from fitting.inference._budget import ParameterBudget
     from fitting.inference._cross_validation import Predicted
     from fitting.inference._profile import Interval
     from fitting.inference._result import Fit
@@ -200,6 +201,63 @@ def _plain(predicted: Sequence[Predicted]) -> list[dict[str, Any]]:
     return [{k: getattr(p, k) for k in ("label", "casing", "rotor", "r2", "rmse")} for p in predicted]
 
 
+# contributions of a smaller share of the variance are omitted from the table, not from the JSON document
+_SHOWN = 1e-3
+
+
+def budget_command(
+    cases: CaseFiles,
+    *,
+    start: From = None,
+    clock_rate: Annotated[
+        float | None,
+        typer.Option(
+            "--clock-rate",
+            metavar="U",
+            help="Relative standard uncertainty of the time base; by default that of a crystal, 2.9e-5.",
+        ),
+    ] = None,
+    ledger: LedgerFile = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Uncertainty budget of every parameter: contributions, type A or B, sensitivity, share (GUM).
+
+    Inertias contribute where the case has their uncertainties (`--inertia-rotor "5.54e-5 +- 0.06e-5"`).
+
+    Example: gyrotrack budget case1.h5
+    """
+    from fitting.inference._budget import CRYSTAL, budget
+    from fitting.study._serialisation import budget_document
+
+    if clock_rate is not None and not 0 <= clock_rate < 1:
+        raise UsageError(
+            f"--clock-rate {clock_rate:g} is outside 0 to 1.", "Give a relative uncertainty: 1e-4."
+        )
+    out = Output(as_json=as_json, quiet=quiet)
+    study = open_study(cases, ledger)
+    with out.progress("fitting with other inertias") as progress:
+        progress(0, None)
+        fit, fit_id = study.base(start)
+        found = budget(fit, clock_rate_u=CRYSTAL if clock_rate is None else clock_rate)
+    out.result({"fit_id": fit_id, **budget_document(found)})
+    out.show(_budget_table(found, fit_id))
+
+
+def _budget_table(found: Mapping[str, ParameterBudget], fit_id: str) -> str:
+    from fitting._numbers import rounded
+
+    lines = [f"uncertainty budget of fit {fit_id} (combined standard uncertainties)"]
+    for name, b in found.items():
+        lines += ["", f"{name}  {rounded(b.value, b.u, b.unit)}"]
+        lines.append(f"  {'source':<32}{'type':<6}{'u':>10}{'sensitivity':>13}{'share':>9}")
+        for c in b.contributions:
+            if c.share >= _SHOWN:
+                slope = "" if c.sensitivity is None else f"{c.sensitivity:.3g}"
+                lines.append(f"  {c.source:<32}{c.type:<6}{c.u:>10.2g}{slope:>13}{100 * c.share:>7.1f} %")
+    return "\n".join(lines)
+
+
 def scan_command(
     cases: CaseFiles,
     *,
@@ -294,7 +352,7 @@ def improve_command(
     from fitting._workers import WorkerPool
     from fitting.discovery._select import improve
     from fitting.discovery._verdict import diagnose
-    from fitting.study._serialisation import fit_document, ladder_verdict
+    from fitting.study._serialisation import fit_document, history_verdict
 
     out = Output(as_json=as_json, quiet=quiet)
     study = open_study(cases, ledger)
@@ -302,14 +360,14 @@ def improve_command(
         progress(0, None)
         base, parent = study.base(start)
         own = own_effects(effects)
-        rungs = improve(base, own, progress=progress, workers=workers)
-        kept = study.keep(rungs, parent)
+        history = improve(base, own, progress=progress, workers=workers)
+        kept = study.keep(history, parent)
         # a report asks for it next, and most of the work is done
-        found = diagnose(base, own, candidates=rungs[0].candidates, workers=workers)
+        found = diagnose(base, own, candidates=history[0].candidates, workers=workers)
         study.keep_diagnosis(parent, found, own)
     steps = [entry.document["rung"] for entry in kept]
-    verdict = ladder_verdict(rungs)
-    out.result({"ladder": steps, "final": fit_document(rungs[-1].fit, kept[-1].fit_id), "verdict": verdict})
+    verdict = history_verdict(history)
+    out.result({"ladder": steps, "final": fit_document(history[-1].fit, kept[-1].fit_id), "verdict": verdict})
     out.show(*ladder_tables(steps, study.data[0].record.body), f"verdict: {_WORDS[verdict]}")
 
 
@@ -338,9 +396,9 @@ def ladder_command(
     entries = study.ledger.of(study.data)
     if not entries:
         raise DatasetError("There is no fit of these cases yet.", "Run `gyrotrack fit`.")
-    rungs = [{**e.document["rung"], "parent": e.document.get("parent", "")} for e in entries]
-    out.result({"ladder": rungs})
-    out.show(*ladder_tables(rungs, study.data[0].record.body))
+    steps = [{**e.document["rung"], "parent": e.document.get("parent", "")} for e in entries]
+    out.result({"ladder": steps})
+    out.show(*ladder_tables(steps, study.data[0].record.body))
 
 
 def effects_command(

@@ -1,6 +1,6 @@
 """A group of commands that are imported when one of them runs.
 
-`gyrotrack --help` needs the names and one line each; it must not pay for the numerical libraries.
+`gyrotrack --help` needs only the names and one line each, and imports no numerical library.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typer.main import get_command
 
 @dataclass(frozen=True)
 class Entry:
-    """One command: its name, the module whose `<name>_command` runs it, its section in the help, and one line."""
+    """One command: its name, the module here whose `<name>_command` runs it, its section in the help, and one line."""
 
     name: str
     module: str
@@ -27,7 +27,7 @@ class Entry:
 
 def function_of(entry: Entry) -> Callable[..., Any]:
     """Import the module of a command and return its function `<name>_command`."""
-    return getattr(import_module(entry.module), f"{entry.name}_command")  # type: ignore[no-any-return]
+    return getattr(import_module(f"gyrotrack.apps.cli.{entry.module}"), f"{entry.name}_command")  # type: ignore[no-any-return]
 
 
 def load(entry: Entry) -> Any:

@@ -15,15 +15,16 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
-from dataclasses import asdict, dataclass, is_dataclass
+from dataclasses import dataclass
 from pathlib import Path
+from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 
-# C0 and C1 controls but line feed and tab; marks that reorder or hide what is written; line separators
+# C0 and C1 controls except line feed and tab; characters that reorder or hide text; line separators
 _COMMANDS = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b\u200e\u200f\u2028\u2029\u202a-\u202e\u2060-\u2069\ufeff]"
 )
@@ -82,7 +83,7 @@ class Output:
             print_json(document)
 
     def show(self, *renderables: Any) -> None:
-        """Print the result for a person: text, or anything that rich can draw; silent under ``--json``."""
+        """Print the result as text, or as anything that rich can draw; nothing is printed under ``--json``."""
         if not self.as_json:
             console = _console(sys.stdout)
             for item in renderables:
@@ -104,10 +105,14 @@ class Output:
 
     @contextmanager
     def progress(self, label: str, unit: str = "") -> Iterator[Progress]:
-        """Yield a callback (done, total) that draws a bar, or does nothing when nobody watches.
+        """Yield a callback (done, total) that draws a bar, or does nothing without a terminal.
 
-        With a `unit` the bar also shows the rate.
+        With a `unit` the bar also shows the rate. With ``GYROTRACK_PROGRESS=json`` in the environment the progress is
+        written to stderr as JSON lines ``{"progress": {"label", "done", "total"}}``, at most five a second.
         """
+        if os.environ.get("GYROTRACK_PROGRESS") == "json":
+            yield _json_lines(label)
+            return
         if self.as_json or self.quiet or not _interactive():
             yield _ignore
             return
@@ -140,6 +145,25 @@ def all_or_nothing(*outputs: Path | None) -> Iterator[None]:
         raise
 
 
+def _json_lines(label: str) -> Progress:
+    """Return a callback that writes progress as JSON lines."""
+    latest = -math.inf
+
+    def update(done: int, total: int | None) -> None:
+        nonlocal latest
+        now = monotonic()
+        if now - latest >= _INTERVAL or done == total:
+            latest = now
+            line = {"progress": {"label": label, "done": done, "total": total}}
+            sys.stderr.write(json.dumps(line) + "\n")
+            sys.stderr.flush()
+
+    return update
+
+
+_INTERVAL = 0.2  # s
+
+
 def _ignore(done: int, total: int | None) -> None:
     del done, total
 
@@ -163,26 +187,12 @@ def _write(text: str, style: str | None = None) -> None:
 
 
 def print_json(document: Any) -> None:
-    """Write one JSON document to stdout; what is not finite becomes null."""
-    json.dump(plain(document), sys.stdout, indent=2, allow_nan=False)
+    """Write one JSON document to stdout: records, paths and NumPy values as plain ones; NaN and infinities as null."""
+    from pydantic_core import to_jsonable_python
+
+    plain = to_jsonable_python(document, inf_nan_mode="null", fallback=lambda value: value.tolist())
+    json.dump(plain, sys.stdout, indent=2, allow_nan=False)
     sys.stdout.write("\n")
-
-
-def plain(value: Any) -> Any:
-    """Turn records, paths and NumPy values into what JSON can hold; NaN and infinities into None."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return plain(asdict(value))
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple | set | frozenset):
-        return [plain(item) for item in value]
-    if isinstance(value, Path):
-        return str(value)
-    if hasattr(value, "tolist"):  # NumPy scalars and arrays, without importing NumPy
-        return plain(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
 
 
 def report_error(code: str, message: str, hint: str, *, as_json: bool) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
@@ -12,7 +14,6 @@ import typer
 from gyrotrack._errors import OutputError, UsageError
 from gyrotrack.apps._study import open_study, read_cases
 from gyrotrack.apps.cli._options import (
-    CaseFile,
     CaseFiles,
     EffectsFile,
     Films,
@@ -57,20 +58,20 @@ def report_command(
     study = open_study(cases, ledger)
     with WorkerPool() as workers, out.progress("writing the report") as progress:
         progress(0, None)
-        rungs = study.steps_to(start)
-        diagnosis = study.diagnosis(start, rungs[0].fit, own_effects(effects), workers=workers)
+        steps = study.steps_to(start)
+        diagnosis = study.diagnosis(start, steps[0].fit, own_effects(effects), workers=workers)
         recordings = [read_case(case) for case in cases]
         where = {"command": command_line(), "ledger": str(study.ledger.path)}
         write_report(
             output,
-            rungs,
+            steps,
             diagnosis,
             recordings=recordings,
             films=film_folders(cases, films),
             provenance=where,
             force=force,
         )
-    out.result({"output": output, "fits": [r.change or "base" for r in rungs], "verdict": diagnosis.verdict})
+    out.result({"output": output, "fits": [r.change or "base" for r in steps], "verdict": diagnosis.verdict})
     out.show(f"written: {output}")
 
 
@@ -147,8 +148,20 @@ def _wanted(formats: list[str] | None, output: Path, *, force: bool) -> list[str
 
 
 def view_command(
-    case: CaseFile,
+    sources: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="[FILM|CASE]...",
+            help="A case to explore; or films, tables, recordings, study.toml to begin with.",
+        ),
+    ] = None,
     *,
+    folder: Annotated[
+        Path,
+        typer.Option(
+            "--folder", metavar="DIR", help="Work folder: what is made from films is written there."
+        ),
+    ] = Path(),
     films: Films = None,
     port: Annotated[
         int,
@@ -157,33 +170,37 @@ def view_command(
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="Open the page in the browser of the desktop.")
     ] = True,
+    window: Annotated[
+        bool, typer.Option("--window", help="Open the page in a window of its own (package pywebview).")
+    ] = False,
     start: From = None,
     ledger: LedgerFile = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Explore a case in the browser: frames with overlay, residuals, candidates; add and remove effects.
+    """Open the workbench in the browser: from films to a case, and from a case to the missing effect.
 
-    The page is served on the loopback address, and only to the holder of the address that is printed. It ends with
-    Ctrl-C or with the button Quit.
+    Without a case the page begins with films: choose them, click hub and markers, track, match the clocks, fit. What is
+    entered and made is kept in the work folder; the same command continues there. The page is served on the loopback
+    address, and only to the holder of the address that is printed. It ends with Ctrl-C or with the button Quit.
 
     Example: gyrotrack view case1.h5
     """
-    _require_packages()
-    from gyrotrack.apps.workbench._films import Clips
-    from gyrotrack.apps.workbench._ranking import Ranker
-    from gyrotrack.apps.workbench._server import Workbench, serve
-    from gyrotrack.apps.workbench._session import Session
-    from gyrotrack.io._hdf5 import read_case
+    _require_packages(window=window)
+    from gyrotrack.apps.workbench._project import Project
+    from gyrotrack.apps.workbench._server import Laboratory, Workbench, serve
 
     out = Output(as_json=as_json, quiet=quiet)
-    tracked = read_case(case)
-    study = open_study([case], ledger)
-    with out.progress("fitting") as progress:
-        progress(0, None)
-        base, fit_id = study.base(start)
-    session = Session(study.data[0], base, fit_id, study.ledger, tracked)
-    bench = Workbench(session, Clips(tracked, film_folders([case], films)), Ranker(case))
+    case = _only_case(sources or [])
+    if case is not None:
+        with out.progress("fitting") as progress:
+            progress(0, None)
+            bench = Workbench(Laboratory.open(case, film_folders([case], films), ledger, start))
+    else:
+        project = Project(folder)
+        for source in sources or []:
+            project.add(source)
+        bench = Workbench(project=project)
 
     def announce(url: str) -> None:
         if as_json:
@@ -191,15 +208,31 @@ def view_command(
         else:
             out.show(f"open: {url}", "end: Ctrl-C, or the button Quit")
         sys.stdout.flush()
-        if browser and _has_desktop():
+        if browser and not window and _has_desktop():
             import webbrowser
 
             webbrowser.open(url)
 
     try:
-        serve(bench, port, announce)
+        serve(bench, port, announce, window=window)
     except KeyboardInterrupt:  # the usual end
         return
+
+
+def _only_case(sources: Sequence[Path]) -> Path | None:
+    """Return the case among the sources; None if there is none.
+
+    Raises
+    ------
+    UsageError
+        A case is given together with something else.
+    """
+    from gyrotrack.io._hdf5 import read_kind
+
+    cases = [s for s in sources if s.suffix.lower() in (".h5", ".hdf5") and read_kind(s) == "case"]
+    if cases and len(sources) > 1:
+        raise UsageError("The workbench opens one case at a time.", "Give the case alone.")
+    return cases[0] if cases else None
 
 
 def _has_desktop() -> bool:
@@ -211,8 +244,8 @@ def _has_desktop() -> bool:
     )
 
 
-def _require_packages() -> None:
-    """Raise an error if the packages that serve the page are not installed."""
+def _require_packages(*, window: bool) -> None:
+    """Raise an error if the packages that serve the page, or show its window, are not installed."""
     try:
         import starlette  # noqa: F401 - is it there?
         import uvicorn  # noqa: F401
@@ -220,3 +253,8 @@ def _require_packages() -> None:
         raise UsageError(
             "The workbench needs two packages that are not installed.", 'Run: pip install "gyrotrack[view]"'
         ) from None
+    if window and find_spec("webview") is None:
+        raise UsageError(
+            "A window of its own needs a package that is not installed.",
+            'Run: pip install "gyrotrack[window]", or leave out --window.',
+        )

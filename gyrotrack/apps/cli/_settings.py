@@ -11,9 +11,9 @@
 
 The sections are the commands and the keys their options, written with ``_`` for ``-``.
 
-A file that the user names (``--config``, ``$GYROTRACK_CONFIG``) and the user's own file may set every option. A
-``gyrotrack.toml`` that is merely found in the working folder comes with the data and may be hostile: it may set the
-options in `FOUND` only, and paths only within its own folder.
+A file given by the user (``--config``, ``$GYROTRACK_CONFIG``) and the user's own file may set every option. A
+``gyrotrack.toml`` found in the working folder comes with the data and may be hostile: it may set only the options in
+`FOUND`, and paths only within its own folder.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ NAME = "gyrotrack.toml"
 VARIABLE = "GYROTRACK_CONFIG"
 NONE = "none"  # as a name of a file: no settings
 
-# options that a file found in the working folder may set: they decide what is computed and shown, nothing else
+# options that a file found in the working folder may set: they affect computation and display only
 _COMPUTE = (
     "add all body capture_fps casing casing_fps centre centre_offset clock_rate column cut data drop duration dry_run "
     "fix format from hide hold_out hub improve inertia inertia_casing inertia_rotor joint json keep_all "
@@ -48,10 +48,10 @@ _COMPUTE = (
     "rotor rotor_fps rotor_start seed set share sigma strength surface table timeout times to "
     "torque_noise torque_time until verbose verify window window_length"
 )
-# options that name files to read or to write; a found file may name those in its own folder
+# options whose values are files to read or to write; a found file may name those in its own folder
 _PATHS = "clips contact_sheet csv effects film films latex ledger output overlay picture report"
 FOUND = frozenset(f"{_COMPUTE} {_PATHS}".split())
-# what only the user may say: replacing files, addresses, certificates, ports, the desktop, the machine's cores
+# options that only the user may set: replacing files, addresses, certificates, ports, the desktop, the cores
 REFUSED = frozenset({
     "force", "scheduler", "tls_ca", "tls_cert", "tls_key", "port", "browser", "answer", "workers",
 })  # fmt: skip
@@ -67,14 +67,14 @@ class Settings:
 
 
 def find(named: Path | None = None) -> tuple[Path | None, bool]:
-    """Return the file of settings and whether it is the user's own word.
+    """Return the file of settings and whether it is trusted: given by the user, or the user's own file.
 
-    The order is: the file named, $GYROTRACK_CONFIG, ./gyrotrack.toml, the user's own file.
+    The order is: the file given, $GYROTRACK_CONFIG, ./gyrotrack.toml, the user's own file.
 
     Raises
     ------
     ConfigurationError
-        The file that was named does not exist.
+        The given file does not exist.
     """
     chosen = named or (Path(os.environ[VARIABLE]) if os.environ.get(VARIABLE) else None)
     if chosen == Path(NONE):
@@ -92,14 +92,14 @@ def find(named: Path | None = None) -> tuple[Path | None, bool]:
 
 
 def user_file() -> Path | None:
-    """Return where the user's own settings are kept; None for a user without a home."""
+    """Return the path of the user's own settings; None for a user without a home."""
     from platformdirs import user_config_path
 
     try:
         path = user_config_path("gyrotrack", appauthor=False, roaming=True) / NAME
     except (RuntimeError, KeyError):
         return None
-    return path if path.is_absolute() else None  # "~" that nobody could expand is a folder of the data
+    return path if path.is_absolute() else None  # an unexpanded "~" is a folder of the data
 
 
 def read(path: Path | None, entries: tuple[Entry, ...], *, trusted: bool = True) -> Settings:
@@ -112,12 +112,12 @@ def read(path: Path | None, entries: tuple[Entry, ...], *, trusted: bool = True)
     entries : tuple of Entry
         The commands.
     trusted : bool
-        Whether the user named the file; one that was found may set less.
+        Whether the file is the user's; one that was only found may set fewer options.
 
     Raises
     ------
     ConfigurationError
-        Naming line and key of every fault.
+        With the line and the key of every error.
     """
     if path is None:
         return Settings()
@@ -148,7 +148,7 @@ def read(path: Path | None, entries: tuple[Entry, ...], *, trusted: bool = True)
 
 
 def _overreach(key: str, value: Any, folder: Path) -> str:
-    """Return why a file that was only found may not set `key` to `value`; "" if it may."""
+    """Return the reason why a file that was only found may not set `key` to `value`; "" if it may."""
     if key not in FOUND:
         return "a settings file found in the working folder may not set this option"
     if key == "model" and value in {"reduced", "general", "linear"}:
@@ -161,7 +161,7 @@ def _overreach(key: str, value: Any, folder: Path) -> str:
 
 
 def as_words(settings: Settings, entry: Entry, given: frozenset[str]) -> tuple[str, ...]:
-    """Return the settings of a command as words of a command line, but for the keys that are `given` there."""
+    """Return the settings of a command as arguments of a command line, without the keys that are `given` there."""
     keys = options_of(entry)
     words: list[str] = []
     for name, value in settings.values.get(entry.name, {}).items():

@@ -119,8 +119,7 @@ def simulate_command(
     from fitting.effects._library import REDUCED
     from fitting.inference._simulation import Experiment
     from gyrotrack._inertia import Inertia
-    from gyrotrack.apps._challenge import hide_effect
-    from gyrotrack.apps._simulation import SimulatedRun, write_record
+    from gyrotrack.apps._simulation import SimulatedRun, hide_effect, write_record
     from gyrotrack.io._atomic import refuse_existing
 
     out = Output(as_json=as_json, quiet=quiet)
@@ -202,7 +201,7 @@ def reveal_command(
     Example: gyrotrack reveal case.seal.json case.h5
     """
     from gyrotrack._errors import UsageError
-    from gyrotrack.apps._challenge import grade, unseal
+    from gyrotrack.apps._simulation import grade, unseal
     from gyrotrack.io._atomic import refuse_special
 
     out = Output(as_json=as_json)
@@ -234,7 +233,7 @@ def _stated(answer: str | None) -> Answer:
 
 def _fitted(case: Path, ledger: Path | None) -> Answer:
     from gyrotrack._errors import DatasetError
-    from gyrotrack.apps._challenge import answer_of
+    from gyrotrack.apps._simulation import answer_of
 
     study = open_study([case], ledger)
     entries = study.ledger.of(study.data)
@@ -311,7 +310,7 @@ def _found(out: Output, case: Path) -> tuple[list[Step], Diagnosis, dict[str, An
     from fitting.effects._library import REDUCED
     from fitting.inference._fit import fit
     from fitting.study._history import Ledger
-    from fitting.study._serialisation import diagnosis_document, fit_document, ladder_verdict
+    from fitting.study._serialisation import diagnosis_document, fit_document, history_verdict
     from gyrotrack.apps._study import open_study
 
     ledger = Ledger.beside(case).path
@@ -336,7 +335,7 @@ def _found(out: Output, case: Path) -> tuple[list[Step], Diagnosis, dict[str, An
             "diagnosis": diagnosis_document(diagnosis, first.fit_id),
             "ladder": steps,
             "final": fit_document(steps_of_history[-1].fit, kept[-1].fit_id),
-            "verdict": ladder_verdict(steps_of_history),
+            "verdict": history_verdict(steps_of_history),
         },
     )
 

@@ -114,8 +114,8 @@ def _curves(d: Diagnosis) -> list[str]:
     lines = []
     body = d.fit.problem.data[0].record.body
     for t in d.torques:
-        stretches = [(f.t_start, f.t_stop) for f in d.failures if f.label == t.label and f.body == t.body]
-        if t.body != "casing" or not stretches:
+        intervals = [(f.t_start, f.t_stop) for f in d.failures if f.label == t.label and f.body == t.body]
+        if t.body != "casing" or not intervals:
             continue
         start, stop = float(t.time[0]), float(t.time[-1])
         label = f", {t.label[:12]}" if len({x.label for x in d.torques}) > 1 else ""
@@ -123,7 +123,7 @@ def _curves(d: Diagnosis) -> list[str]:
             "",
             f"unmodelled torque on the {body}{label}, {_range(t)}, from {start:.0f} s to {stop:.0f} s:",
             f"  {sparkline(t.torque)}",
-            f"  {marks(stretches, start, stop)}".rstrip() + "  lack of fit",
+            f"  {marks(intervals, start, stop)}".rstrip() + "  lack of fit",
         ]
     return lines
 
@@ -142,11 +142,11 @@ def _classes(candidates: Sequence[Any]) -> dict[str, str]:
     return letters
 
 
-def ladder_tables(rungs: Sequence[dict[str, Any]], body: str = "casing") -> list[str]:
+def ladder_tables(steps: Sequence[dict[str, Any]], body: str = "casing") -> list[str]:
     """Return a history of fits as lines, one bar per fit; `body` is the body recorded throughout."""
     lines = [f"{'fit':<5}{'rmse':>9} {'chi2/n':>9} {'cv error':>9} {'dBIC':>9}  {'':<{_BAR}}", ""]
-    sizes = [max(r["rmse_casing"], 1e-300) for r in rungs]
-    for r, size in zip(rungs, sizes, strict=True):
+    sizes = [max(r["rmse_casing"], 1e-300) for r in steps]
+    for r, size in zip(steps, sizes, strict=True):
         bar = "#" * max(1, round(_BAR * size / max(sizes)))
         added = r["added"] or "base"
         lines.append(
@@ -178,9 +178,9 @@ _BLOCKS, _PLAIN = "▁▂▃▄▅▆▇█", "_.,-~=+#"
 
 
 def sparkline(value: Array, *, width: int = WIDTH) -> str:
-    """Return a curve as one line: in each place the value that is farthest from zero, lowest to highest.
+    """Return a curve as one line of characters: each is the value of its interval that is farthest from zero.
 
-    Values that are no numbers leave a space.
+    Intervals without a finite value are spaces.
     """
     levels = _levels()
     edges = np.linspace(0, len(value), min(width, len(value)) + 1).astype(int)
@@ -192,11 +192,11 @@ def sparkline(value: Array, *, width: int = WIDTH) -> str:
     return "".join(levels[min(7, int(8 * (c - low) / span))] if np.isfinite(c) else " " for c in chosen)
 
 
-def marks(stretches: Sequence[tuple[float, float]], start: float, stop: float, *, width: int = WIDTH) -> str:
-    """Return a line with ``^`` below the stretches of time from `start` to `stop`."""
+def marks(intervals: Sequence[tuple[float, float]], start: float, stop: float, *, width: int = WIDTH) -> str:
+    """Return a line with ``^`` below intervals of the time from `start` to `stop`."""
     line = [" "] * width
     span = (stop - start) or 1.0
-    for a, b in stretches:
+    for a, b in intervals:
         first, last = (int(width * (t - start) / span) for t in (a, b))
         for i in range(max(0, first), min(width - 1, last) + 1):
             line[i] = "^"

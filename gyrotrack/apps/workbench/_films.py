@@ -12,7 +12,7 @@ import numpy as np
 
 from gyrotrack._errors import VideoError
 from gyrotrack.apps.report._frames import jpeg
-from gyrotrack.plotting._frames import Film, find_film
+from gyrotrack.plotting._frames import Film, Picture, find_film
 from gyrotrack.plotting._tracking import on_clock
 from gyrotrack.tracking._colour import colour_name
 from gyrotrack.tracking._profile import parse, to_toml
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from gyrotrack.io._records import Case, Recording
 
 
-_WIDTH = 720
-_QUALITY = 80
+SHOWN_WIDTH = 720
+QUALITY = 80
 _AROUND = 3
 
 
@@ -88,7 +88,7 @@ class Clips:
             picture = self._film(key).picture(index, overlay=overlay)
         if picture is None:
             raise VideoError(f"frame {index} of {self._clips[key].recording.source} cannot be shown")
-        return jpeg(picture, _WIDTH, _QUALITY)
+        return jpeg(picture, SHOWN_WIDTH, QUALITY)
 
     def colour(self, key: str, index: int, x: float, y: float) -> dict[str, Any]:
         """Return the colour at a place of a frame (0 to 1 across and down): its name, and red, green, blue."""
@@ -96,13 +96,7 @@ class Clips:
             picture = self._film(key).picture(index, overlay=False)
         if picture is None:
             raise VideoError(f"frame {index} of {self._clips[key].recording.source} cannot be shown")
-        height, width = picture.shape[:2]
-        row, column = int(np.clip(y, 0, 1) * (height - 1)), int(np.clip(x, 0, 1) * (width - 1))
-        patch = picture[
-            max(0, row - _AROUND) : row + _AROUND + 1, max(0, column - _AROUND) : column + _AROUND + 1
-        ]
-        blue, green, red = (int(v) for v in np.median(patch.reshape(-1, 3), axis=0))
-        return {"colour": colour_name(red, green, blue), "rgb": [red, green, blue]}
+        return colour_at(picture, x, y)
 
     def _film(self, key: str) -> Film:
         clip = self._clips.get(key)
@@ -119,6 +113,53 @@ class Clips:
                 if clip.film is not None:
                     clip.film.__exit__(None, None, None)
                     clip.film = None
+
+
+def colour_at(picture: Picture, x: float, y: float) -> dict[str, Any]:
+    """Return the median colour about a place (0 to 1 across and down): its name, and red, green, blue."""
+    height, width = picture.shape[:2]
+    row, column = int(np.clip(y, 0, 1) * (height - 1)), int(np.clip(x, 0, 1) * (width - 1))
+    patch = picture[
+        max(0, row - _AROUND) : row + _AROUND + 1, max(0, column - _AROUND) : column + _AROUND + 1
+    ]
+    blue, green, red = (int(v) for v in np.median(patch.reshape(-1, 3), axis=0))
+    return {"colour": colour_name(red, green, blue), "rgb": [red, green, blue]}
+
+
+class SourceFrames:
+    """The frames of films that are not tracked yet; the film that was used last stays open."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._path: Path | None = None
+        self._film: Film | None = None
+
+    def picture(self, path: Path, index: int) -> Picture:
+        """Return a frame in colour (BGR).
+
+        Raises
+        ------
+        VideoError
+            If there is no such film or frame.
+        """
+        with self._lock:
+            if path != self._path or self._film is None:
+                self._end()
+                self._film, self._path = Film(path).__enter__(), path
+            picture = self._film.picture(index)
+        if picture is None:
+            raise VideoError(f"frame {index} of {path.name} cannot be shown")
+        return picture
+
+    def _end(self) -> None:
+        if self._film is not None:
+            self._film.__exit__(None, None, None)
+        self._film = None
+
+    def close(self) -> None:
+        """Close the film."""
+        with self._lock:
+            self._end()
 
 
 def profile_text(wanted: Any) -> str:

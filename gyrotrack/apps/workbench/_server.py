@@ -11,17 +11,31 @@ import hmac
 import json
 import secrets
 import socket
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
+from dataclasses import dataclass
 from importlib import resources
+from pathlib import Path
+from threading import Lock, Thread
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs
 
 from gyrotrack._errors import GyrotrackError, UsageError
-from gyrotrack.apps.workbench._films import Clips, profile_text
+from gyrotrack.apps._study import open_study
+from gyrotrack.apps.report._frames import jpeg
+from gyrotrack.apps.workbench._films import (
+    QUALITY,
+    SHOWN_WIDTH,
+    Clips,
+    SourceFrames,
+    colour_at,
+    profile_text,
+)
+from gyrotrack.apps.workbench._project import Project
 from gyrotrack.apps.workbench._ranking import Ranker
 from gyrotrack.apps.workbench._session import Session, library_document
+from gyrotrack.io._hdf5 import read_case
 from gyrotrack.plotting import _charts as charts
 
 if TYPE_CHECKING:
@@ -33,6 +47,8 @@ Scope = Mapping[str, Any]
 Send = Callable[[Any], Awaitable[None]]
 Receive = Callable[[], Awaitable[Any]]
 App = Callable[[Any, Receive, Send], Awaitable[None]]
+Call = Callable[[dict[str, Any]], Any]
+Endpoint = Callable[["Request"], Awaitable["Response"]]
 
 TOKEN_HEADER = b"x-gyrotrack-token"
 _HEADERS = (
@@ -187,22 +203,66 @@ def number(asked: dict[str, Any], name: str) -> float:
 _ADDRESS = "127.0.0.1"
 
 
+@dataclass(frozen=True)
+class Laboratory:
+    """One case: its fits, its films, and the process that ranks candidate effects."""
+
+    session: Session
+    clips: Clips
+    ranker: Ranker
+
+    @classmethod
+    def open(
+        cls, case: Path, films: Sequence[Path], ledger: Path | None = None, start: str | None = None
+    ) -> Laboratory:
+        """Open a case at a fit of its history, by default the latest; without any, the reduced model is fitted.
+
+        Parameters
+        ----------
+        case : Path
+            The case file.
+        films : sequence of Path
+            Folders of its films.
+        ledger : Path, optional
+            The history of fits; by default beside the case.
+        start : str, optional
+            Name of the fit.
+        """
+        tracked = read_case(case)
+        study = open_study([case], ledger)
+        base, fit_id = study.base(start)
+        session = Session(study.data[0], base, fit_id, study.ledger, tracked)
+        return cls(session, Clips(tracked, list(films)), Ranker(case))
+
+    def close(self) -> None:
+        """End the ranking process and close the films."""
+        self.ranker.close()
+        self.clips.close()
+
+
 class Workbench:
     """What the page may ask for.
 
     Parameters
     ----------
-    session : Session
-        The fits.
-    clips : Clips
-        The frames.
-    ranker : Ranker
-        Looks for what is missing.
+    laboratory : Laboratory or None
+        The case that is open.
+    project : Project or None
+        The work folder in which films become a case.
     """
 
-    def __init__(self, session: Session, clips: Clips, ranker: Ranker) -> None:
-        self.session, self.clips, self.ranker = session, clips, ranker
+    def __init__(self, laboratory: Laboratory | None = None, project: Project | None = None) -> None:
+        self._laboratory, self.project = laboratory, project
+        self._frames = SourceFrames()
+        self._opening = Lock()
         self.stop: Callable[[], None] = lambda: None
+
+    @property
+    def laboratory(self) -> Laboratory:
+        """The case that is open."""
+        if self._laboratory is None:
+            raise UsageError("No case is open.", "Make one from films or tables.")
+        return self._laboratory
 
     def app(self, port: int, token: str) -> Guard:
         """Return the application behind its guard."""
@@ -211,21 +271,88 @@ class Workbench:
 
         routes = [
             Route("/", self._page),
-            Route("/api/state", self._state),
-            Route("/api/change", self._change, methods=["POST"]),
-            Route("/api/go", self._go, methods=["POST"]),
-            Route("/api/compare", self._compare, methods=["POST"]),
-            Route("/api/undo", self._undo, methods=["POST"]),
-            Route("/api/delete", self._delete, methods=["POST"]),
-            Route("/api/note", self._note, methods=["POST"]),
-            Route("/api/keep", self._keep, methods=["POST"]),
-            Route("/api/rank", self._rank, methods=["POST"]),
+            Route("/api/state", self._get(self._state)),
             Route("/api/frame", self._frame),
-            Route("/api/colour", self._colour, methods=["POST"]),
-            Route("/api/profile", self._profile, methods=["POST"]),
-            Route("/api/quit", self._quit, methods=["POST"]),
+            *(
+                Route(f"/api/{k}", self._post(f), methods=["POST"])
+                for k, f in self._laboratory_calls().items()
+            ),
+            Route("/api/quit", self._post(self._quit), methods=["POST"]),
         ]
+        if self.project is not None:
+            p = self.project
+            calls = self._project_calls(p)
+            routes += [
+                Route("/api/project", self._get(lambda _: p.document())),
+                Route("/api/project/preview", self._get(lambda a: p.previewed(text(a, "key")))),
+                Route("/api/project/frame", self._source_frame),
+                Route("/api/project/upload", self._upload, methods=["POST"]),
+                *(Route(f"/api/project/{k}", self._post(f), methods=["POST"]) for k, f in calls.items()),
+            ]
         return Guard(Starlette(routes=routes, lifespan=self._life), port, token)
+
+    def _laboratory_calls(self) -> dict[str, Call]:
+        def session(work: Callable[[Session, dict[str, Any]], Any]) -> Call:
+            return lambda a: work(self.laboratory.session, a)
+
+        def rank(_: dict[str, Any]) -> Any:
+            lab = self.laboratory
+            return lab.session.remember(lab.ranker.rank(lab.session.model_document()))
+
+        return {
+            "change": session(lambda s, a: s.change(add=text(a, "add"), drop=text(a, "drop"))),
+            "go": session(lambda s, a: s.go(whole(a, "place"))),
+            "compare": session(lambda s, a: s.compare(whole(a, "place"))),
+            "undo": session(lambda s, _: s.undo()),
+            "delete": session(lambda s, a: s.delete(whole(a, "place"))),
+            "note": session(lambda s, a: s.annotate(whole(a, "place"), text(a, "note"))),
+            "keep": session(lambda s, _: s.keep()),
+            "rank": rank,
+            "colour": lambda a: self.laboratory.clips.colour(
+                text(a, "clip"), whole(a, "index"), number(a, "x"), number(a, "y")
+            ),
+            "profile": lambda a: {"toml": profile_text(a)},
+        }
+
+    def _project_calls(self, p: Project) -> dict[str, Call]:
+        def then(work: Call) -> Call:
+            def call(asked: dict[str, Any]) -> Any:
+                work(asked)
+                return p.document()
+
+            return call
+
+        return {
+            "add": then(lambda a: p.add_named(text(a, "name"))),
+            "samples": then(lambda _: p.add_samples()),
+            "remove": then(lambda a: p.remove(text(a, "key"))),
+            "set": then(lambda a: p.set(text(a, "key"), text(a, "name"), a.get("value"))),
+            "mark": then(lambda a: p.mark(text(a, "key"), a.get("hub"), a.get("picks"), text(a, "disc"))),
+            "follow": then(lambda a: p.preview(text(a, "key"))),
+            "find": then(lambda a: p.find_markers(text(a, "key"))),
+            "track": then(lambda a: p.track([text(a, "key")] if text(a, "key") else [])),
+            "match": then(lambda _: p.match()),
+            "fit": then(lambda _: p.fit()),
+            "cancel": then(lambda a: p.cancel(text(a, "step"))),
+            "colour": lambda a: colour_at(
+                self._frames.picture(p.path(p.source(text(a, "key"))), whole(a, "index")),
+                number(a, "x"),
+                number(a, "y"),
+            ),
+            "open": lambda _: self._open(p),
+        }
+
+    def _open(self, p: Project) -> dict[str, Any]:
+        """Open the case of the project in place of the one that is open."""
+        with self._opening:
+            if not p.state.case or not (p.folder / p.state.case).is_file():
+                raise UsageError("There is no case yet.", "Track the films and match their clocks first.")
+            folders = list(dict.fromkeys([p.folder, *(p.path(x).parent for x in p.state.sources)]))
+            found = Laboratory.open(p.folder / p.state.case, folders)
+            old, self._laboratory = self._laboratory, found
+            if old is not None:
+                old.close()
+        return {"opened": p.state.case}
 
     @asynccontextmanager
     async def _life(self, _app: Any) -> AsyncIterator[None]:
@@ -234,100 +361,119 @@ class Workbench:
         finally:
             self.close()
 
+    def interrupt(self) -> None:
+        """End the ranking process, whose answer would be waited for."""
+        if self._laboratory is not None:
+            self._laboratory.ranker.close()
+
     def close(self) -> None:
-        """End the ranking process and close the films."""
-        self.ranker.close()
-        self.clips.close()
+        """End all processes and close the films."""
+        if self._laboratory is not None:
+            self._laboratory.close()
+        if self.project is not None:
+            self.project.close()
+        self._frames.close()
+
+    def _get(self, work: Call) -> Endpoint:
+        async def endpoint(request: Request) -> Response:
+            asked = dict(request.query_params)
+            return await answered(lambda: work(asked))
+
+        return endpoint
+
+    def _post(self, work: Call) -> Endpoint:
+        async def endpoint(request: Request) -> Response:
+            asked = await body_of(request)
+            return await answered(lambda: work(asked))
+
+        return endpoint
 
     async def _page(self, _request: Request) -> Response:
         from starlette.responses import HTMLResponse
 
-        page, policy = page_text(self.session.state()["label"])
+        label = self._laboratory.session.label if self._laboratory is not None else ""
+        page, policy = page_text(label, has_case=bool(label), has_project=self.project is not None)
         return HTMLResponse(page, headers={"content-security-policy": policy})
 
-    async def _state(self, _request: Request) -> Response:
-        def work() -> Any:
-            return self.session.state(whole=True) | {
-                "clips": self.clips.document(),
-                "library": library_document(),
-            }
-
-        return await answered(work)
-
-    async def _change(self, request: Request) -> Response:
-        asked = await body_of(request)
-        return await answered(lambda: self.session.change(add=text(asked, "add"), drop=text(asked, "drop")))
-
-    async def _go(self, request: Request) -> Response:
-        asked = await body_of(request)
-        return await answered(lambda: self.session.go(whole(asked, "place")))
-
-    async def _compare(self, request: Request) -> Response:
-        asked = await body_of(request)
-        return await answered(lambda: self.session.compare(whole(asked, "place")))
-
-    async def _undo(self, _request: Request) -> Response:
-        return await answered(self.session.undo)
-
-    async def _delete(self, request: Request) -> Response:
-        asked = await body_of(request)
-        return await answered(lambda: self.session.delete(whole(asked, "place")))
-
-    async def _note(self, request: Request) -> Response:
-        asked = await body_of(request)
-        return await answered(lambda: self.session.annotate(whole(asked, "place"), text(asked, "note")))
-
-    async def _keep(self, _request: Request) -> Response:
-        return await answered(self.session.keep)
-
-    async def _rank(self, _request: Request) -> Response:
-        return await answered(lambda: self.session.remember(self.ranker.rank(self.session.model_document())))
+    def _state(self, _asked: dict[str, Any]) -> dict[str, Any]:
+        lab = self.laboratory
+        return lab.session.state(whole=True) | {
+            "clips": lab.clips.document(),
+            "library": library_document(),
+        }
 
     async def _frame(self, request: Request) -> Response:
-        from starlette.concurrency import run_in_threadpool
-        from starlette.responses import Response
-
         asked = dict(request.query_params)
-        try:
-            index = whole(asked, "index")
-            image = await run_in_threadpool(
-                self.clips.frame, asked.get("clip", ""), index, overlay=asked.get("overlay") != "0"
-            )
-        except Exception as error:
-            return refusal(error)
-        return Response(image, media_type="image/jpeg")
-
-    async def _colour(self, request: Request) -> Response:
-        asked = await body_of(request)
-        return await answered(
-            lambda: self.clips.colour(
-                text(asked, "clip"), whole(asked, "index"), number(asked, "x"), number(asked, "y")
+        return await pictured(
+            lambda: (
+                self.laboratory.clips.frame(
+                    asked.get("clip", ""), whole(asked, "index"), overlay=asked.get("overlay") != "0"
+                ),
+                {},
             )
         )
 
-    async def _profile(self, request: Request) -> Response:
-        asked = await body_of(request)
-        return await answered(lambda: {"toml": profile_text(asked)})
+    async def _source_frame(self, request: Request) -> Response:
+        asked = dict(request.query_params)
 
-    async def _quit(self, _request: Request) -> Response:
+        def work() -> tuple[bytes, dict[str, str]]:
+            assert self.project is not None  # noqa: S101 - the route exists only then
+            path = self.project.path(self.project.source(asked.get("key", "")))
+            picture = self._frames.picture(path, whole(asked, "index"))
+            size = {"x-gyrotrack-size": f"{picture.shape[1]},{picture.shape[0]}"}
+            return jpeg(picture, SHOWN_WIDTH, QUALITY), size
+
+        return await pictured(work)
+
+    async def _upload(self, request: Request) -> Response:
+        from starlette.responses import JSONResponse
+
+        assert self.project is not None  # noqa: S101 - the route exists only then
+        length = request.headers.get("content-length", "")
+        declared = int(length) if length.isascii() and length.isdigit() and len(length) < _DIGITS else -1
+        try:
+            await self.project.receive(request.query_params.get("name", ""), declared, request.stream())
+        except Exception as error:
+            return refusal(error)
+        return JSONResponse(self.project.document())
+
+    def _quit(self, _asked: dict[str, Any]) -> dict[str, Any]:
         self.stop()
-        return await answered(lambda: {"stopped": True})
+        return {"stopped": True}
 
 
-def page_text(label: str) -> tuple[str, str]:
+_DIGITS = 15  # of a content length
+
+
+async def pictured(work: Callable[[], tuple[bytes, dict[str, str]]]) -> Response:
+    """Return a JPEG picture with headers, or the error as one sentence."""
+    from starlette.concurrency import run_in_threadpool
+    from starlette.responses import Response
+
+    try:
+        image, headers = await run_in_threadpool(work)
+    except Exception as error:
+        return refusal(error)
+    return Response(image, media_type="image/jpeg", headers=headers)
+
+
+def page_text(label: str, *, has_case: bool, has_project: bool) -> tuple[str, str]:
     """Return the page and the content security policy under which it is sent."""
     from jinja2 import Environment, StrictUndefined
 
     folder = resources.files("gyrotrack.apps.workbench")
     environment = Environment(autoescape=True, undefined=StrictUndefined)
     template = environment.from_string(folder.joinpath("page.html.jinja").read_text("utf-8"))
-    scripts = (*charts.scripts(), folder.joinpath("view.js").read_text("utf-8"))
+    own = [folder.joinpath(n).read_text("utf-8") for n in ("client.js", "films.js", "view.js")]
+    scripts = (*charts.scripts(), *own)
     style = charts.theme() + folder.joinpath("view.css").read_text("utf-8") + charts.style()
-    page = template.render(title=label, style=style, scripts=scripts)
+    page = template.render(
+        title=label, style=style, scripts=scripts, has_case=has_case, has_project=has_project
+    )
     return page, charts.content_policy(scripts, connect=True)
 
 
-def serve(bench: Workbench, port: int, announce: Callable[[str], None]) -> None:
+def serve(bench: Workbench, port: int, announce: Callable[[str], None], *, window: bool = False) -> None:
     """Serve the workbench until it is interrupted, or the page asks it to end.
 
     Parameters
@@ -338,6 +484,8 @@ def serve(bench: Workbench, port: int, announce: Callable[[str], None]) -> None:
         Where to listen on this machine's own address; 0 takes a free one.
     announce : callable
         Called with the page's address once the port is taken.
+    window : bool
+        Show the page in a window of its own; the server ends when it is closed.
 
     Raises
     ------
@@ -369,19 +517,40 @@ def serve(bench: Workbench, port: int, announce: Callable[[str], None]) -> None:
 
         class Server(uvicorn.Server):
             def handle_exit(self, sig: int, frame: FrameType | None) -> None:
-                bench.ranker.close()  # else the answer that it owes would be waited for
+                bench.interrupt()
                 super().handle_exit(sig, frame)
 
         server = Server(config)
 
         def stop() -> None:
-            bench.ranker.close()
+            bench.interrupt()
             server.should_exit = True
 
         bench.stop = stop
         listener.listen()  # who comes before the server runs is kept waiting, not turned away
-        announce(f"http://{_ADDRESS}:{port}/?token={token}")
-        server.run(sockets=[listener])
+        address = f"http://{_ADDRESS}:{port}/?token={token}"
+        announce(address)
+        if window:
+            _run_in_window(server, listener, address)
+        else:
+            server.run(sockets=[listener])
     finally:
         bench.close()
         listener.close()
+
+
+def _run_in_window(server: Any, listener: socket.socket, address: str) -> None:
+    """Serve in a thread while the main thread shows the window, as desktop toolkits require."""
+    import webview
+
+    thread = Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
+    thread.start()
+    shown = webview.create_window("gyrotrack", address, width=1400, height=900)
+
+    def watch() -> None:
+        thread.join()
+        shown.destroy()
+
+    webview.start(watch)
+    server.should_exit = True
+    thread.join()

@@ -75,6 +75,11 @@ class Session:
         self.found: dict[str, dict[str, float]] = {}
 
     @property
+    def label(self) -> str:
+        """Name of the case."""
+        return str(self._data.record.label)
+
+    @property
     def fit(self) -> Fit:
         """The current fit."""
         return self.steps[self.current].fit
@@ -275,11 +280,11 @@ class Session:
             )
 
     def _rung(self, place: int) -> dict[str, Any]:
-        from fitting.study._serialisation import rung_document
+        from fitting.study._serialisation import step_document
 
         step = self.steps[place]
         previous = self.steps[step.parent].fit if step.parent >= 0 else None
-        document = rung_document(step.fit, step.fit_id, step.change, previous)
+        document = step_document(step.fit, step.fit_id, step.change, previous)
         keys = ("added", "rmse_casing", "reduced_chi2", "held_out", "delta_bic", "torque_left_Nm", "verdict")
         depth, up = 0, step.parent
         while up >= 0:

@@ -1,42 +1,12 @@
 "use strict";
-/* The workbench. Every text from the server becomes a text node, never markup. */
-(() => {
-  const token = new URLSearchParams(location.search).get("token") || "";
+/* The laboratory: one case, its fits, its films. Every text from the server becomes a text node, never markup. */
+const Laboratory = (() => {
   const { Board, element, button, format } = Charts;
-  const at = (id) => document.getElementById(id);
+  const { ask, at, complain, sentence } = Page;
   const BODIES = ["rotor", "casing"];
   const COLOURS = ["red", "orange", "yellow", "green", "cyan", "blue", "magenta", "white"];
   let board = null, fixed = [], clips = [], clip = null, index = 0, playing = false, until = null, searches = 0,
     free = new Set(), undoable = false, shown = 0;
-
-  async function ask(path, body) {
-    const options = { headers: { "x-gyrotrack-token": token } };
-    if (body !== undefined) {
-      options.method = "POST";
-      options.body = JSON.stringify(body);
-    }
-    let answer;
-    try {
-      answer = await fetch(path, options);
-    } catch {
-      throw new Error("No answer from the program. Start gyrotrack view again if it has ended.");
-    }
-    if (answer.headers.get("content-type")?.startsWith("image/")) return answer.blob();
-    if (!answer.headers.get("content-type")?.includes("json")) throw new Error(await answer.text());
-    const found = await answer.json();
-    if (found.error) throw new Error([found.error.message, found.error.hint].filter(Boolean).map(sentence).join(" "));
-    return found;
-  }
-
-  function sentence(text) {
-    const out = text.charAt(0).toUpperCase() + text.slice(1);
-    return /[.!?]$/.test(out) ? out : out + ".";
-  }
-
-  function complain(error) {
-    at("error").textContent = error ? error.message : "";
-    at("error").hidden = !error;
-  }
 
   async function act(work) {
     complain(null);
@@ -71,6 +41,7 @@
     shown = state.current;
     const charts = [...state.board.charts];
     if (!board) {
+      at("board").replaceChildren();
       fixed = charts.filter((c) => c.name === "sigma" || c.name === "centre");
       board = new Board(at("board"), state.board, { click: (t) => seek(t), interval: (a, b) => stretch(a, b) });
     } else {
@@ -255,9 +226,14 @@
     });
   }
 
+  /* show the case that the program has opened */
   async function start() {
+    stop();
+    board = null; clips = []; clip = null; index = 0;
     const state = await act(() => ask("/api/state"));
     if (!state) return;
+    at("title").textContent = state.label;
+    document.title = `gyrotrack: ${state.label}`;
     at("library").replaceChildren(...state.library.map((e) => element("option", { value: e.name }, `${e.joint}: ${e.law}`)));
     free = new Set(state.library.filter((e) => e.free).map((e) => e.name));
     clips = state.clips;
@@ -278,6 +254,7 @@
   at("undo").addEventListener("click", () => apply("/api/undo", {}));
   at("note").addEventListener("change", () => apply("/api/note", { place: shown, note: at("note").value }));
   document.addEventListener("keydown", (event) => {
+    if (document.body.dataset.part !== "laboratory") return;
     const typing = event.target.closest("input:not([type=range]):not([type=checkbox]), select, textarea");
     if ((event.ctrlKey || event.metaKey) && event.key === "z" && !typing) { event.preventDefault(); if (undoable) apply("/api/undo", {}); return; }
     if (typing || event.ctrlKey || event.metaKey || event.altKey) return;
@@ -303,8 +280,10 @@
     stop();
     searches++;
     if (await act(() => ask("/api/quit", {}))) {
+      document.body.dispatchEvent(new Event("ended"));
       document.body.replaceChildren(element("main", {}, element("p", { id: "ended" }, "gyrotrack has ended. Close this page.")));
     }
   });
-  start();
+  if (document.body.dataset.case !== undefined) start();
+  return { start };
 })();

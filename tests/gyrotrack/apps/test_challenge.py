@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gyrotrack._errors import DatasetError
-from gyrotrack.apps._challenge import OUTSIDE, Seal, draw_effect, grade, seal, unseal
+from gyrotrack.apps._simulation import OUTSIDE, Seal, draw_effect, grade, seal, unseal
 from gyrotrack.apps.cli import _app as app
 
 
@@ -33,7 +33,7 @@ def test_a_changed_commitment_is_noticed(tmp_path):
     document = json.loads(path.read_text())
     document["commitment"] = "0" * 64
     path.write_text(json.dumps(document))
-    with pytest.raises(DatasetError, match="tampered"):
+    with pytest.raises(DatasetError, match="does not match its commitment"):
         unseal(path)
 
 

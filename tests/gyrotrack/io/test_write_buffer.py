@@ -10,13 +10,13 @@ from io import FileIO
 import numpy as np
 import pytest
 
-from gyrotrack.io._write_buffer import WriteBuffer, deferred_interrupts
+from gyrotrack.io._hdf5 import WriteBuffer, deferred_interrupts
 
 _RUN = """
 import errno, signal, sys
 from io import FileIO
 import h5py, numpy as np
-from gyrotrack.io._write_buffer import WriteBuffer, deferred_interrupts
+from gyrotrack.io._hdf5 import WriteBuffer, deferred_interrupts
 
 class Disk(FileIO):
     count, mode_, at = 0, sys.argv[2], int(sys.argv[3])

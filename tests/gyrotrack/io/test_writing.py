@@ -13,10 +13,9 @@ from fitting._errors import LedgerError, RecordError
 from fitting.inference._case_file import read_record
 from fitting.study._history import Ledger
 from gyrotrack._errors import DatasetError, OutputError
-from gyrotrack.io._atomic import locked, new_file, remove_temporaries
+from gyrotrack.io._atomic import locked, new_file
 from gyrotrack.io._checkpoint import CheckpointFile
-from gyrotrack.io._hdf5 import read_recording, write_recording
-from gyrotrack.io._write_buffer import new_hdf5
+from gyrotrack.io._hdf5 import new_hdf5, read_recording, write_recording
 from gyrotrack.io.readers._import_case import import_body
 
 
@@ -108,7 +107,7 @@ from gyrotrack._errors import OutputError
 from fitting._errors import LedgerError, RecordError
 from fitting.inference._case_file import read_record
 from fitting.study._history import Ledger
-from gyrotrack.io._atomic import locked, new_file, remove_temporaries
+from gyrotrack.io._atomic import locked, new_file
 from gyrotrack.io._checkpoint import CheckpointFile
 from gyrotrack.io.readers._import_case import import_body
 try:
@@ -146,19 +145,6 @@ def test_a_pipe_in_place_of_an_input_ledger_or_checkpoint_is_refused(tmp_path, c
         Ledger(tmp_path / "p")
     with pytest.raises(RecordError, match="regular file"):
         read_record(tmp_path / "p")
-
-
-def write_and_be_ended(path):
-    with new_file(path) as stream:
-        stream.write(b"half")
-        remove_temporaries()
-        assert names(path.parent) == []
-
-
-def test_temporaries_in_flight_are_removed_on_request(tmp_path):
-    with pytest.raises(OutputError):
-        write_and_be_ended(tmp_path / "a")
-    assert names(tmp_path) == []
 
 
 def test_a_locked_file_is_one_sentence_after_the_time_limit(tmp_path, monkeypatch):

@@ -68,7 +68,7 @@ _WRITE = """
 import sys
 from pathlib import Path
 import numpy as np
-from gyrotrack.io._write_buffer import new_hdf5
+from gyrotrack.io._hdf5 import new_hdf5
 
 def most():
     lines = Path("/proc/self/status").read_text().splitlines()

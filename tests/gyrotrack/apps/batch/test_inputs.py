@@ -130,7 +130,7 @@ def test_folder(tmp_path):
         ("[[clip]]\nfile = 'a'\ncapture_fps = -1\n", "line 3, clip[1].capture_fps: input should be greater"),
         ("[[clip]]\nflie = 'a'\n", "line 2, clip[1].flie: extra inputs"),
         ("[[clip]]\nfile = 'a'\n[[clip]]\nfile = 'b/a'\n", "two cases have the label 'a'"),
-        ("", "names no film and no case"),
+        ("", "contains no film and no case"),
         ("[[case]]\nstudy = 'no.toml'\n", "There is no study"),
     ],
 )
@@ -157,7 +157,7 @@ def test_faults_of_a_table_name_the_line(write, text, words):
 
 
 def test_an_empty_folder(tmp_path):
-    with pytest.raises(ConfigurationError, match="names no film"):
+    with pytest.raises(ConfigurationError, match="contains no film"):
         read_folder(tmp_path)
     with pytest.raises(ConfigurationError, match="There is no folder"):
         read_folder(tmp_path / "no")

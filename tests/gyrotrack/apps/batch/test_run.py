@@ -10,9 +10,8 @@ import pytest
 
 from gyrotrack._errors import OutputError
 from gyrotrack.apps.batch._experiments import Clip, Experiment, named
-from gyrotrack.apps.batch._journal import Journal, held
 from gyrotrack.apps.batch._runner import Run, lines, summarise, write_summary
-from gyrotrack.apps.batch._steps import Request, plan
+from gyrotrack.apps.batch._steps import Journal, Request, held, plan
 
 
 class Pretend:
@@ -143,7 +142,7 @@ def test_a_fit_by_hand_spoils_nothing(lab):
 
 def test_another_version_does_all_again(lab, monkeypatch):
     lab()
-    monkeypatch.setattr("gyrotrack.apps.batch._journal.__version__", "9.9")
+    monkeypatch.setattr("gyrotrack.apps.batch._steps.__version__", "9.9")
     assert len(lab()[1]) == 15
 
 

@@ -172,7 +172,7 @@ def test_a_command_can_say_not_to_be_trusted(monkeypatch):
 
 
 def test_adding_a_command_is_one_line():
-    entry = lazy.Entry("info", "gyrotrack.apps.cli._data", "Section", "Line.")
+    entry = lazy.Entry("info", "_data", "Section", "Line.")
     group = lazy.lazy_group((entry,))
     assert group.__mro__[1].__name__ == "TyperGroup"
     assert lazy.load(entry).name == "info"

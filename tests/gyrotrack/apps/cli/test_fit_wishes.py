@@ -100,7 +100,7 @@ class TestOptionsOfTheData:
             (["--fix", "g"], "does not fix a parameter"),
             (["--fix", "q=1"], "no parameter that could be fitted"),
             (["--loss", "l1"], "no loss named"),
-            (["--data", "speed"], "is not known"),
+            (["--data", "speed"], "Unknown value"),
             (["--data", "angle", "--rotor", "generated"], "one of velocities"),
             (["--hold-out"], "need a joint fit"),
         ],

@@ -237,8 +237,8 @@ class TestSimulate:
     @pytest.mark.parametrize(
         ("words", "code", "match"),
         [
-            (["--set", "gravity=9.81"], 2, "sets no parameter of the model"),
-            (["--set", "bearing.power.g"], 2, "sets no parameter of the model"),
+            (["--set", "gravity=9.81"], 2, "does not set a parameter of the model"),
+            (["--set", "bearing.power.g"], 2, "does not set a parameter of the model"),
             (["--set", "bearing.power.g=much"], 2, "'much' is not a number"),
             (["--add", "bearing.haeting"], 1, "did you mean bearing.heating"),
             (["--add", "camera.centre"], 2, "--centre-offset"),

@@ -23,6 +23,10 @@ ROUTES = (
     "/api/colour",
     "/api/profile",
     "/api/quit",
+    "/api/project",
+    "/api/project/upload",
+    "/api/project/frame",
+    "/api/project/track",
 )
 HOSTS = {
     "127.0.0.1:4711": True,

@@ -1,0 +1,354 @@
+"""Torque laws outside the library: a grammar of forms, each with a strength and at most two shape constants.
+
+A law is a form f applied to one or two variables and acts on the rotor, the casing or in the bearing:
+
+    torque = k f(x; w, ...),   x one of t, omega_r, omega_c, delta, psi_c.
+
+Every constant carries the unit of the variable that it scales (a speed, a time, an exponent), so the units agree by
+construction; `Effect.check` confirms it. Friction-like forms of a body's own speed reverse with it.
+
+A formula is charged for its length. With n symbols (variables, functions, operators) drawn from a vocabulary of 2^b,
+it takes b n bits to write down, and the two-part code (J. Rissanen, Automatica 14, 465 (1978)) adds
+
+    L = 2 ln 2 b n
+
+to BIC, which pays for the constants.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from fitting.effects._dimension import dimension, format_unit, parse_unit
+from fitting.effects._effect import MOMENTS, VARIABLES, Effect, Joint, Parameter, State
+from fitting.effects._expression import parse
+
+# bits for each symbol of a formula
+_BITS = 2.0
+_OWN = {"rotor": "omega_r", "casing": "omega_c", "bearing": "delta"}
+_SPEEDS: dict[str, tuple[str, ...]] = {
+    "rotor": ("omega_r",),
+    "casing": ("omega_c", "omega_r"),
+    "bearing": ("delta", "omega_r"),
+}
+_EXPONENTS = (-1.0, -0.5, 0.25, 0.5, 0.75, 1.25, 1.5, 1.75, 2.25, 2.5, 3.0, 4.0)
+_SCALES = tuple(float(v) for v in np.geomspace(0.03, 3.0, 13))
+_THRESHOLDS = tuple(round(0.05 + 0.05 * i, 2) for i in range(18))
+_TIMES = tuple(float(v) for v in np.geomspace(0.02, 2.0, 10))
+_COARSE_MOMENTS = MOMENTS[::3]
+# least number of periods within a record; below it the law is a trend
+_FEWEST_PERIODS = 0.5
+# trial frequencies: phase difference over the record [rad], and the highest of them [rad/s]
+_PHASE_STEP = 2.0
+_HIGHEST = 5.0
+_MOST_FREQUENCIES = 800
+
+
+@dataclass(frozen=True)
+class LawForm:
+    """One law of the grammar.
+
+    Attributes
+    ----------
+    effect : Effect
+        The law with its parameters, units, bounds and trial values.
+    form : str
+        Its form in a word: "power", "saturation", ...
+    variables : tuple of str
+        What it depends on.
+    symbols : int
+        Length of the formula: variables, functions and operators.
+    """
+
+    effect: Effect
+    form: str
+    variables: tuple[str, ...]
+    symbols: int
+
+    @property
+    def description_length(self) -> float:
+        """What the length of the formula adds to BIC."""
+        return description_length(self.symbols)
+
+
+def description_length(symbols: int) -> float:
+    """Return what a formula of so many symbols adds to BIC."""
+    return 2 * math.log(2) * _BITS * symbols
+
+
+@dataclass(frozen=True)
+class _Form:
+    """A form: its formula in {x}, what its shape constants are, and how many symbols it has."""
+
+    name: str
+    text: str
+    shapes: tuple[tuple[str, str], ...] = ()
+    symbols: int = 1
+    odd: bool = True  # it reverses with x by itself
+    phase: bool = False
+
+
+# of a speed x; {s} is sign(x) where x is the body's own speed and the form does not reverse by itself
+_OF_SPEED = (
+    _Form("power", "abs({x})**n{s}", (("n", "exponent"),), 2, odd=False),
+    _Form("exponential", "exp(-abs({x})/w){s}", (("w", "speed"),), 3, odd=False),
+    _Form("exponential", "exp(-({x}/w)**2){s}", (("w", "speed"),), 4, odd=False),
+    _Form("exponential growth", "(exp(abs({x})/w) - 1){s}", (("w", "wide speed"),), 4, odd=False),
+    _Form("saturation", "tanh({x}/w)", (("w", "speed"),), 3),
+    _Form("saturation", "{x}/(abs({x}) + w)", (("w", "speed"),), 3),
+    _Form("saturation", "atan({x}/w)", (("w", "speed"),), 3),
+    _Form("saturation", "{x}/sqrt({x}**2 + w**2)", (("w", "speed"),), 5),
+    _Form(
+        "saturation",
+        "abs({x})**n/(abs({x})**n + w**n){s}",
+        (("w", "speed"), ("n", "steepness")),
+        6,
+        odd=False,
+    ),
+    _Form("peak", "{x}/(1 + ({x}/w)**2)", (("w", "speed"),), 4),
+    _Form("peak", "{x}*exp(-abs({x})/w)", (("w", "speed"),), 4),
+    _Form("logarithm", "log(1 + abs({x})/w){s}", (("w", "speed"),), 3, odd=False),
+    _Form("threshold", "heaviside({x} - w)*({x} - w)", (("w", "threshold"),), 4),
+    _Form("threshold", "heaviside({x} - w)*({x} - w)**2", (("w", "threshold"),), 5),
+    _Form("threshold", "(1 + tanh(({x} - w)/u))", (("w", "threshold"), ("u", "narrow")), 5),
+    _Form("resonance", "1/(1 + (({x} - w)/u)**2)", (("w", "threshold"), ("u", "narrow")), 5),
+    _Form("resonance", "exp(-(({x} - w)/u)**2)", (("w", "threshold"), ("u", "narrow")), 5),
+    _Form("relaxation", "lag", (("T", "time"),), 3),
+    _Form("relaxation", "lag*{x}", (("T", "time"),), 4),
+)
+_OF_TIME = (
+    _Form("power of time", "t**n", (("n", "positive exponent"),), 2),
+    _Form("decay in time", "exp(-t/w)", (("w", "time"),), 3),
+    _Form("decay in time", "1/(1 + t/w)", (("w", "time"),), 3),
+    _Form("logarithm of time", "log(1 + t/w)", (("w", "time"),), 3),
+    _Form("oscillation", "sin(w*t - phi)", (("w", "frequency"),), 3, phase=True),
+    _Form(
+        "decaying oscillation", "exp(-t/u)*sin(w*t - phi)",
+        (("w", "few frequencies"), ("u", "time few")), 6, phase=True,
+    ),
+)  # fmt: skip
+# at a moment of each recording
+_EVENTS = (
+    _Form("step in time", "heaviside(t - t0)", (("t0", "moment"),), 3),
+    _Form("ramp in time", "heaviside(t - t0)*(t - t0)", (("t0", "moment"),), 4),
+    _Form("pulse in time", "exp(-((t - t0)/w)**2)", (("t0", "coarse moment"), ("w", "pulse")), 5),
+)
+_PRODUCTS: dict[str, tuple[tuple[str, tuple[str, ...], int], ...]] = {
+    "rotor": (
+        ("omega_r*omega_c", ("omega_r", "omega_c"), 3),
+        ("omega_r*abs(omega_r)*omega_c", ("omega_r", "omega_c"), 4),
+        ("omega_r*t", ("omega_r", "t"), 3),
+        ("omega_r*abs(omega_r)*t", ("omega_r", "t"), 4),
+    ),
+    "casing": (
+        ("omega_r*omega_c", ("omega_r", "omega_c"), 3),
+        ("omega_r**2*omega_c", ("omega_r", "omega_c"), 4),
+        ("omega_r*omega_c**2", ("omega_r", "omega_c"), 4),
+        ("omega_c*t", ("omega_c", "t"), 3),
+        ("omega_c*abs(omega_c)*t", ("omega_c", "t"), 4),
+        ("omega_r*t", ("omega_r", "t"), 3),
+    ),
+    "bearing": (
+        ("delta*omega_c", ("delta", "omega_c"), 3),
+        ("delta*omega_r", ("delta", "omega_r"), 3),
+        ("delta*omega_c**2", ("delta", "omega_c"), 4),
+        ("delta*t", ("delta", "t"), 3),
+        ("sign(delta)*t", ("t",), 2),
+        ("delta*abs(delta)*t", ("delta", "t"), 4),
+    ),
+}
+# with a free exponent
+_FREE_PRODUCTS: dict[str, tuple[tuple[str, tuple[str, ...]], ...]] = {
+    "rotor": (),
+    "casing": (
+        ("abs(omega_r)**n*omega_c", ("omega_r", "omega_c")),
+        ("abs(omega_c)**n*omega_r", ("omega_r", "omega_c")),
+        ("abs(omega_c)**n*t*sign(omega_c)", ("omega_c", "t")),
+    ),
+    "bearing": (
+        ("abs(delta)**n*omega_c", ("delta", "omega_c")),
+        ("abs(delta)**n*t*sign(delta)", ("delta", "t")),
+    ),
+}
+_DECAYING = {
+    "rotor": ("omega_r", "omega_r*abs(omega_r)"),
+    "casing": ("omega_c", "omega_c*abs(omega_c)", "omega_r"),
+    "bearing": ("delta", "delta*abs(delta)"),
+}
+_HARMONICS = (3, 4)
+
+
+def grammar(
+    ranges: Mapping[str, tuple[float, float]], span: float, *, single: bool, angles: bool
+) -> list[LawForm]:
+    """Return all laws of the grammar, with trial values of their constants for some recordings.
+
+    Parameters
+    ----------
+    ranges : mapping of str to (float, float)
+        Least and largest value of omega_r, omega_c and delta along the motion [rad/s].
+    span : float
+        Length of the longest recording [s].
+    single : bool
+        There is one body only: laws on the casing of its own speed, of time and of the angle.
+    angles : bool
+        Angles were measured: laws of the angle are included.
+    """
+    bodies: Sequence[Joint] = ("casing",) if single else ("casing", "bearing", "rotor")
+    found = []
+    for body in bodies:
+        for name in _SPEEDS[body]:
+            if single and name != "omega_c":
+                continue
+            found += [_of_speed(f, body, name, ranges[name], span) for f in _OF_SPEED]
+        if body != "rotor":
+            found += [_of_time(f, body, span) for f in (*_OF_TIME, *_EVENTS)]
+        else:
+            found += [_of_time(f, body, span) for f in (*_OF_TIME[:4], *_EVENTS[:1])]
+        found += _products(body, span, single=single)
+    if angles:
+        found += [_of_angle(n) for n in _HARMONICS]
+    return _with_names(found)
+
+
+def _with_names(laws: Sequence[LawForm]) -> list[LawForm]:
+    """Return the laws with a name of its own for each."""
+    seen: dict[str, int] = {}
+    named = []
+    for law in laws:
+        name = law.effect.name
+        seen[name] = seen.get(name, 0) + 1
+        suffix = f"_{seen[name]}" if seen[name] > 1 else ""
+        named.append(replace(law, effect=replace(law.effect, name=name + suffix)))
+    return named
+
+
+def _of_speed(form: _Form, body: Joint, x: str, range_: tuple[float, float], span: float) -> LawForm:
+    own = x == _OWN[body]
+    text = form.text.replace("{s}", f"*sign({x})" if own else "").replace("{x}", x)
+    largest = max(abs(v) for v in range_)
+    shapes = tuple(_shape(symbol, kind, largest, span) for symbol, kind in form.shapes)
+    state = State("lag", f"({x} - lag)/T") if form.name == "relaxation" else None
+    return _law(form, body, text, shapes, (x,), state=state)
+
+
+def _of_time(form: _Form, body: Joint, span: float) -> LawForm:
+    text = f"{form.text}*sign(delta)" if body == "bearing" and form.name == "decay in time" else form.text
+    shapes = tuple(_shape(symbol, kind, 1.0, span) for symbol, kind in form.shapes)
+    return _law(form, body, text, shapes, ("t",), moment=form in _EVENTS)
+
+
+def _products(body: Joint, span: float, *, single: bool) -> Iterator[LawForm]:
+    for text, variables, symbols in _PRODUCTS[body]:
+        if not single or "omega_r" not in variables:
+            yield _law(_Form("product", text, (), symbols), body, text, (), variables)
+    for text, variables in _FREE_PRODUCTS[body]:
+        if not single or "omega_r" not in variables:
+            yield _law(
+                _Form("product", "", (), 4), body, text, (_shape("n", "exponent", 1.0, span),), variables
+            )
+    for factor in _DECAYING[body]:
+        if single and "omega_r" in factor:
+            continue
+        variable = factor.partition("*")[0]
+        form = _Form("product", "", (("w", "time"),), 4 + factor.count("*"))
+        yield _law(form, body, f"exp(-t/w)*{factor}", (_shape("w", "time", 1.0, span),), (variable, "t"))
+
+
+def _of_angle(n: int) -> LawForm:
+    form = _Form("harmonic", "", (), 4, phase=True)
+    return _law(form, "casing", f"sin({n}*psi_c - phi)", (), ("psi_c",))
+
+
+def _law(
+    form: _Form,
+    body: Joint,
+    text: str,
+    shapes: tuple[Parameter, ...],
+    variables: tuple[str, ...],
+    *,
+    state: State | None = None,
+    moment: bool = False,
+) -> LawForm:
+    phase = (Parameter("phi", "rad", "phase", -math.inf, math.inf, meaning="phase"),) if form.phase else ()
+    # a sinusoid has its sign in its phase
+    lower = 0.0 if form.phase else -math.inf
+    law = f"k*{text}" if not text.startswith("1/") else f"k/{text[2:]}"
+    strength = Parameter("k", _unit(text, shapes), lower=lower, meaning="strength")
+    name = f"law.{body}.{'_'.join(variables)}.{_word(form.name)}"
+    jump = "t0" if form.name == "step in time" else ""
+    effect = Effect(
+        name, body, law, (strength, *shapes, *phase), state=state, breakpoint=jump, per_case=moment,
+        signature=f"{form.name} of {' and '.join(variables)}" if "time" not in form.name else form.name,
+    )  # fmt: skip
+    return LawForm(effect, form.name, variables, form.symbols + 1)
+
+
+def _word(name: str) -> str:
+    return name.replace(" ", "_")
+
+
+def _unit(text: str, shapes: Sequence[Parameter]) -> str:
+    """Return the unit of the strength that makes the law a torque; an exponent n stands in it as ``s^n``."""
+    expression = parse(text)
+    units = {n: parse_unit(u) for n, u in VARIABLES.items()} | {p.symbol: parse_unit(p.unit) for p in shapes}
+    units["phi"] = parse_unit("rad")
+    exponents = [p.symbol for p in shapes if p.unit == "1"]
+    at = [dimension(expression, units, dict.fromkeys(exponents, n)) for n in (1.0, 2.0)]
+    # seconds of the law: a + b n
+    b = at[1][2] - at[0][2]
+    kg, m, s, kelvin = (x - y for x, y in zip(parse_unit("N m"), at[0], strict=True))
+    unit = format_unit((kg, m, s + b, kelvin))
+    return unit if b == 0 else f"{unit} s^{'-' if b > 0 else ''}{exponents[0]}"
+
+
+def _shape(symbol: str, kind: str, largest: float, span: float) -> Parameter:
+    """Return a shape constant with its unit, bounds and trial values."""
+
+    def made(
+        unit: str, values: Sequence[float], lower: float, upper: float, *, relative: bool = False
+    ) -> Parameter:
+        grid = tuple(float(f"{v:.4g}") for v in values)
+        meanings = {"1": "exponent", "s": "time", "s-1": "speed"}
+        return Parameter(
+            symbol, unit, "shape", lower, upper, grid[len(grid) // 2], grid, relative, meanings.get(unit, "")
+        )
+
+    if kind == "exponent":
+        return made("1", _EXPONENTS, -3.0, 6.0)
+    if kind == "positive exponent":
+        return made("1", [e for e in _EXPONENTS if e > 0], 0.05, 6.0)
+    if kind in {"speed", "wide speed"}:
+        least = 0.15 if kind == "wide speed" else 0.0
+        return made(
+            "s-1", [v * largest for v in _SCALES if v >= least], max(least, 0.003) * largest, 30 * largest
+        )
+    if kind == "threshold":
+        return made("s-1", [v * largest for v in _THRESHOLDS], 0.0, 1.2 * largest)
+    if kind == "steepness":
+        return made("1", (0.5, 1.5, 2.0, 3.0), 0.2, 8.0)
+    if kind == "narrow":
+        return made("s-1", [v * largest for v in (0.03, 0.08, 0.2, 0.5)], 0.005 * largest, 3 * largest)
+    if kind in {"time", "time few"}:
+        values = _TIMES if kind == "time" else (0.1, 0.3, 1.0)
+        return made("s", [v * span for v in values], 0.005 * span, 20 * span)
+    if kind in {"moment", "coarse moment"}:
+        return made("s", MOMENTS if kind == "moment" else _COARSE_MOMENTS, 0.0, span, relative=True)
+    if kind == "pulse":
+        return made("s", [v * span for v in (0.02, 0.05, 0.12)], 0.003 * span, span)
+    lowest = 2 * math.pi * _FEWEST_PERIODS / span
+    highest = _HIGHEST if kind == "frequency" else min(_HIGHEST, 40 * lowest)
+    count = int(min(_MOST_FREQUENCIES, 1 + (highest - lowest) * span / _PHASE_STEP))
+    return made("s-1", np.linspace(lowest, highest, count).tolist(), 0.5 * lowest, 2 * highest)
+
+
+def count_of_trials(laws: Sequence[LawForm]) -> int:
+    """Return how many columns the laws have, one for each choice of their shape constants."""
+    return sum(
+        len(list(product(*(p.grid for p in law.effect.parameters if p.role == "shape")))) for law in laws
+    )

@@ -1,0 +1,658 @@
+"""The law itself: which formula outside the library explains the unmodelled torque.
+
+    grammar -> score -> refit -> score about the best refit -> refit -> equivalence set
+
+1. All laws of the grammar, each at many values of its shape constants, are scored together about the base
+   (`_score`: matrix products). Null data go through the same search; the smallest p-value of all laws in each null data
+   set calibrates the family-wise p-value, so that the number of laws tried is paid for.
+2. The best ones are refitted with the base. A law of some per cent of the torque bends the path by more than the noise,
+   so all laws are scored once more about the best refit, its law taken out,
+
+       r' = z - rows(theta) + W u_law,
+
+   which is linear in the difference of two laws and not in the law itself. Shape constants are refined on these scores.
+3. The best of the second search are refitted at one noise and ranked by BIC plus the description length of the
+   formula. Every law within `Criteria.equivalence_width` of the best belongs to the answer, which is a set.
+4. Where one law is not enough, a second one is sought in the same way about the best fit.
+
+A law never displaces an effect of the library: where one describes the data as well, it is named first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting._errors import FittingError
+from fitting._workers import WorkerPool, single_blas_thread
+from fitting.discovery._criteria import DEFAULT, Criteria
+from fitting.discovery._dependence import Dependence, context_without, dependence
+from fitting.discovery._grammar import LawForm, grammar
+from fitting.discovery._next_run import separating_run
+from fitting.discovery._refine import fit_at, refined, start_of
+from fitting.discovery._residuals import micro_newton_metres
+from fitting.discovery._score import (
+    CaseColumns,
+    FamilywiseNull,
+    NullDistribution,
+    Score,
+    ScoreContext,
+    best_group,
+    score,
+)
+from fitting.discovery._select import Candidate, fails
+from fitting.discovery._verdict import Diagnosis, diagnose
+from fitting.dynamics._mesh import Sampler
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
+from fitting.effects._effect import Effect
+from fitting.effects._expression import Tape
+from fitting.inference._case_data import CaseData
+from fitting.inference._fit import fit
+from fitting.inference._noise import Noise
+from fitting.inference._result import Estimate, Fit
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, int | None], None]
+
+_DRAWS = 1000
+# laws that are refitted after the first and after each later search, and laws that take part in the later ones
+_FIRST, _LATER, _KEPT = 5, 9, 48
+_SEARCHES = 3
+_POINTS = 1000
+# steps of the refinement of two shape constants, and points of each
+_ROUNDS, _GRID = 4, 5
+_STEPS = 7
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Where two laws of a set differ most within the recordings.
+
+    Attributes
+    ----------
+    formula : str
+        The other law.
+    torque_Nm : float
+        Largest difference of the net torque on a body, base included [N m].
+    label : str
+        The case in which it occurs.
+    t_start, t_stop : float
+        Times between which it is more than half of that [s].
+    omega_c, omega_r : (float, float)
+        Speeds there [rad/s].
+    """
+
+    formula: str
+    torque_Nm: float  # noqa: N815 - the unit's own capitals
+    label: str
+    t_start: float
+    t_stop: float
+    omega_c: tuple[float, float]
+    omega_r: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Law:
+    """A law that explains the unmodelled torque, and the evidence for it.
+
+    Attributes
+    ----------
+    formula : str
+        Its terms as ``body: law``, joined by " + "; `fit --add` takes a single term.
+    form : str
+        Its form in words.
+    effects : tuple of Effect
+        Its terms, one or two.
+    score : float
+        Fall of the deviance when it is added to the base.
+    delta_bic : float
+        BIC with it minus BIC without.
+    description_length : float
+        What the length of its formula adds to BIC in the ranking.
+    p_value : float
+        Family-wise p-value: probability of such a score anywhere in the search if nothing is missing.
+    torque_rms_Nm : float
+        Rms of its torque along the measured motion [N m].
+    estimates : dict
+        Its parameters by ``<effect>.<symbol>``.
+    indistinguishable_from : tuple of str
+        Formulas of the other laws within the equivalence width.
+    differences : tuple of Difference
+        Where it differs from these.
+    fit : Fit
+        The refit of base and law.
+    """
+
+    formula: str
+    form: str
+    effects: tuple[Effect, ...]
+    score: float
+    delta_bic: float
+    description_length: float
+    p_value: float
+    torque_rms_Nm: float  # noqa: N815 - the unit's own capitals
+    estimates: dict[str, Estimate]
+    indistinguishable_from: tuple[str, ...]
+    differences: tuple[Difference, ...]
+    fit: Fit = field(repr=False)
+
+    @property
+    def body(self) -> str:
+        """The body or joint on which it acts."""
+        return " and ".join(dict.fromkeys(e.joint for e in self.effects))
+
+    @property
+    def penalised(self) -> float:
+        """BIC and description length: what laws are ranked by."""
+        return self.fit.bic + self.description_length
+
+
+@dataclass(frozen=True)
+class Laws:
+    """The answer of `laws`.
+
+    Attributes
+    ----------
+    fit : Fit
+        The base.
+    verdict : {"law", "library", "none"}
+        A law was found; an effect of the library describes the data; nothing significant.
+    sentence : str
+        The answer in words.
+    laws : tuple of Law
+        Laws, best first; those within the equivalence width of the first are the answer.
+    library : Candidate or None
+        The effect of the library that describes the data as well as any law.
+    depends_on : tuple of Dependence
+        The unmodelled torque as a function of each variable, the largest explained share first.
+    next_experiment : str
+        The run that separates the laws of the set; empty if there is only one.
+    trials : int
+        How many columns were scored.
+    """
+
+    fit: Fit
+    verdict: str
+    sentence: str
+    laws: tuple[Law, ...]
+    library: Candidate | None
+    depends_on: tuple[Dependence, ...]
+    next_experiment: str
+    trials: int
+
+    @property
+    def answer(self) -> tuple[Law, ...]:
+        """The laws within the equivalence width of the best one."""
+        if not self.laws:
+            return ()
+        others = set(self.laws[0].indistinguishable_from)
+        return (self.laws[0], *(law for law in self.laws[1:] if law.formula in others))
+
+
+@single_blas_thread()
+def laws(
+    base: Fit,
+    *,
+    diagnosis: Diagnosis | None = None,
+    beyond_library: bool = False,
+    criteria: Criteria = DEFAULT,
+    workers: WorkerPool | None = None,
+    progress: Progress | None = None,
+) -> Laws:
+    """Return the laws outside the library that explain the unmodelled torque of a fit, as a set.
+
+    Parameters
+    ----------
+    base : Fit
+        The fit that lacks something.
+    diagnosis : Diagnosis, optional
+        Its diagnosis, if it is known already. If that names an effect of the library and nothing significant remains,
+        the search stops there.
+    beyond_library : bool
+        Search all the same.
+    criteria : Criteria
+        Thresholds of every decision.
+    workers : WorkerPool, optional
+        Processes that share the refits.
+    progress : callable, optional
+        Called with (steps done, steps).
+
+    Returns
+    -------
+    Laws
+
+    Raises
+    ------
+    FittingError
+        If the fit cannot be evaluated.
+    """
+    steps = _Steps(progress)
+    workers = workers or WorkerPool(0)
+    known = diagnosis or diagnose(base, criteria=criteria, workers=workers)
+    steps.next()
+    named = known.candidates[0] if known.verdict == "missing_effect" and known.candidates else None
+    if named is not None and known.form == "exact" and not beyond_library:
+        depends_on = tuple(dependence(base))
+        steps.done()
+        sentence = (
+            f"{' or '.join((named.effect.name, *named.indistinguishable_from))} of the library explains the "
+            "unmodelled torque, and nothing significant remains: no other law is needed."
+        )
+        return Laws(base, "library", sentence, (), named, depends_on, "", 0)
+    search = _Search(base, criteria, workers, steps)
+    found = search.best_set()
+    terms = [e.name for e in found[0].effects] if found else []
+    depends_on = tuple(dependence(found[0].fit if found else base, without=terms))
+    steps.done()
+    if not found:
+        sentence = "No law is significant: this search finds nothing beyond noise."
+        return Laws(base, "none", sentence, (), None, depends_on, "", search.trials)
+    library = _as_good(known.candidates, found[0], criteria)
+    answer = [x for x in found if x.penalised - found[0].penalised < criteria.equivalence_width]
+    found = [_with_class(x, answer) for x in found]
+    return Laws(
+        base,
+        "law" if library is None else "library",
+        _sentence(found[0], answer, library, depends_on),
+        tuple(found),
+        library,
+        depends_on,
+        separating_run(base, [(x.formula, x.effects, x.estimates) for x in answer], criteria),
+        search.trials,
+    )
+
+
+class _Steps:
+    """Counts the steps of a search for a progress bar."""
+
+    def __init__(self, progress: Progress | None) -> None:
+        self._progress, self._count = progress, 0
+        if progress is not None:
+            progress(0, _STEPS)
+
+    def next(self) -> None:
+        self._count = min(self._count + 1, _STEPS - 1)
+        if self._progress is not None:
+            self._progress(self._count, _STEPS)
+
+    def done(self) -> None:
+        if self._progress is not None:
+            self._progress(_STEPS, _STEPS)
+
+
+class _Trial(NamedTuple):
+    """A law to refit: its form, its score about some fit, and the values of all other parameters to start from."""
+
+    law: LawForm
+    score: Score
+    start: Mapping[str, float]
+    model: Model
+
+
+class _Refitted(NamedTuple):
+    """Terms of a law and the fit of base and law."""
+
+    terms: tuple[LawForm, ...]
+    fit: Fit
+
+    @property
+    def length(self) -> float:
+        """Description length of all terms."""
+        return sum(t.description_length for t in self.terms)
+
+    @property
+    def penalised(self) -> float:
+        return self.fit.bic + self.length
+
+
+class _Search:
+    """The search of one base: scores, refits, scores about the best refit, refits.
+
+    Parameters
+    ----------
+    base : Fit
+        The base.
+    criteria : Criteria
+        Thresholds.
+    workers : WorkerPool
+        Processes that share the refits.
+    steps : _Steps
+        Progress.
+    """
+
+    def __init__(self, base: Fit, criteria: Criteria, workers: WorkerPool, steps: _Steps) -> None:
+        self.base, self.criteria, self.workers, self.steps = base, criteria, workers, steps
+        data = base.problem.data
+        self.forms = grammar(
+            ranges_of(base),
+            max(d.record.span[1] - d.record.span[0] for d in data),
+            single=data[0].record.single,
+            angles=data[0].is_angle,
+        )
+        self.trials = 0
+
+    def best_set(self) -> list[Law]:
+        """Return the laws, best first; none if no law is significant."""
+        scores = self._scored(self.base, ())
+        nulls = {s.effect.name: NullDistribution(s) for s in scores}
+        self._nulls, self._family = nulls, FamilywiseNull(list(nulls.values()))
+        self.steps.next()
+        if min(self._p(s) for s in scores) >= self.criteria.significance:
+            return []
+        self.forms = [law for law, _ in self._promising(scores, _KEPT)]
+        scores = [s for law in self.forms for s in scores if s.effect.name == law.effect.name]
+        refits = self._refits(self._promising(scores, _FIRST), self.base, self.base.noise)
+        self.steps.next()
+        if not refits:
+            return []
+        best = min(refits, key=lambda r: r.penalised)
+        for _ in range(_SEARCHES - 1):
+            best = best._replace(fit=refined(best.fit, self.criteria))
+            scores = self._scored(best.fit, best.terms)
+            chosen = self._promising(scores, _LATER, about=best)
+            refits = self._refits(chosen, best.fit, best.fit.noise, best.terms)
+            self.steps.next()
+            refits = _merged([*refits, best])
+            now = min(refits, key=lambda r: r.penalised)
+            moved = now.terms != best.terms and now.penalised < best.penalised - self.criteria.evidence
+            best = now
+            if not moved:
+                break
+        refits = [r for r in refits if r.fit.bic < self.base.bic - self.criteria.evidence]
+        if not refits:
+            return []
+        if fails(best.fit, self.criteria):
+            refits = _merged([*refits, *self._with_second_term(best)])
+        self.steps.next()
+        found = sorted((self._law(r) for r in refits), key=lambda x: x.penalised)
+        return [x for x in found if x.p_value < self.criteria.significance]
+
+    def _p(self, s: Score) -> float:
+        return self._family(self._nulls[s.effect.name](s.score))
+
+    def _scored(self, about: Fit, taken_out: Sequence[LawForm]) -> list[Score]:
+        """Return the scores of all laws about a fit, some of its effects taken out."""
+        cases = [CaseColumns(about, i) for i in range(len(about.problem.cases))]
+        effects = [f.effect for f in self.forms]
+        if not taken_out:
+            scores = score(about, effects, cases, self.criteria, draws=_DRAWS)
+            self.trials = sum(s.trials for s in scores)
+            return scores
+        context = context_without(about, [t.effect for t in taken_out], cases)
+        scores = score(about, effects, cases, self.criteria, context=context)
+        return [_refined_shapes(context, s, cases) for s in scores]
+
+    def _promising(
+        self, scores: Sequence[Score], most: int, *, about: _Refitted | None = None, terms: int = 0
+    ) -> list[tuple[LawForm, Score]]:
+        """Return the laws to refit: the best by score less the cost of their constants and their length."""
+        n_eff = self.base.n_eff
+        known = set() if about is None else {t.effect.name for t in about.terms}
+
+        def worth(pair: tuple[LawForm, Score]) -> float:
+            law, s = pair
+            constants = s.columns + len(s.shape[0])
+            return s.score - constants * float(np.log(n_eff)) - law.description_length
+
+        pairs = [p for p in zip(self.forms, scores, strict=True) if not p[1].absorbed and p[1].score > 0]
+        pairs = [p for p in pairs if p[0].effect.name not in known]
+        if terms:
+            pairs = [p for p in pairs if p[0].effect.state is None]
+        return sorted(pairs, key=worth, reverse=True)[:most]
+
+    def _refits(
+        self,
+        chosen: Sequence[tuple[LawForm, Score]],
+        about: Fit,
+        noise: Sequence[Noise],
+        replaced: Sequence[LawForm] = (),
+    ) -> list[_Refitted]:
+        """Return the refits of laws from the values of a fit, in place of some of its effects."""
+        model = about.model
+        for t in replaced:
+            model = model.without(t.effect.name)
+        values = {k: e.value for k, e in about.estimates.items()}
+        trials = [_Trial(law, s, values, model) for law, s in chosen]
+        found = self.workers.map(_refit, _Common(self.base, tuple(noise)), trials, _measured)
+        return [_Refitted((law,), f) for (law, _), f in zip(chosen, found, strict=True) if f is not None]
+
+    def _with_second_term(self, best: _Refitted) -> list[_Refitted]:
+        """Return fits with a second law besides the best one."""
+        if len(best.terms) > 1:
+            return []
+        cases = [CaseColumns(best.fit, i) for i in range(len(best.fit.problem.cases))]
+        context = ScoreContext(best.fit, 1)
+        scores = score(best.fit, [f.effect for f in self.forms], cases, self.criteria, context=context)
+        terms = 1 if best.terms[0].effect.state is not None else 0
+        chosen = self._promising(scores, _FIRST, about=best, terms=terms)
+        found = self._refits(chosen, best.fit, best.fit.noise)
+        return [_Refitted((*best.terms, *r.terms), r.fit) for r in found]
+
+    def _law(self, r: _Refitted) -> Law:
+        fall = self.base.deviance - r.fit.deviance
+        single = self._nulls[r.terms[0].effect.name]
+        effects = tuple(_with_positive_strength(t.effect, r.fit) for t in r.terms)
+        names = {t.effect.name for t in r.terms}
+        estimates = {k: e for k, e in r.fit.estimates.items() if k.rpartition(".")[0] in names}
+        for now, t in zip(effects, r.terms, strict=True):
+            for key in [
+                k for k in estimates if k.partition("@")[0] == f"{now.name}.k" and now.law != t.effect.law
+            ]:
+                estimates[key] = replace(estimates[key], value=-estimates[key].value)
+        return Law(
+            " + ".join(formula_of(e) for e in effects),
+            " + ".join(t.form for t in r.terms),
+            effects,
+            fall,
+            r.fit.bic - self.base.bic,
+            r.length,
+            self._family(single(fall)),
+            _torque_rms(r.fit, [t.effect for t in r.terms]),
+            estimates,
+            (),
+            (),
+            r.fit,
+        )
+
+
+def ranges_of(base: Fit) -> dict[str, tuple[float, float]]:
+    """Return the least and largest speeds of a fit, of all cases [rad/s]."""
+    y = [p.path.y.reshape(-1, p.path.y.shape[-1]) for p in base.predictions]
+    every = np.concatenate([v[:, :2] for v in y])
+    each = {"omega_r": every[:, 0], "omega_c": every[:, 1], "delta": every[:, 0] - every[:, 1]}
+    return {k: (float(v.min()), float(v.max())) for k, v in each.items()}
+
+
+def _refined_shapes(context: ScoreContext, s: Score, cases: Sequence[CaseColumns]) -> Score:
+    """Refine two shape constants between the points of their grid, common to all cases."""
+    shapes = [p for p in s.effect.parameters if p.role == "shape"]
+    if len(shapes) != 2 or s.effect.per_case or s.absorbed or s.score <= 0:
+        return s
+    best = s
+    ratio = [_ratio(p.grid, best.shape[0][p.symbol]) for p in shapes]
+    for _ in range(_ROUNDS):
+        axes = [
+            np.clip(best.shape[0][p.symbol] * q ** np.linspace(-1, 1, _GRID), p.lower, p.upper)
+            for p, q in zip(shapes, ratio, strict=True)
+        ]
+        choices = [{shapes[0].symbol: float(a), shapes[1].symbol: float(b)} for a in axes[0] for b in axes[1]]
+        trials = [c.trials(s.effect, choices) for c in cases]
+        groups = [
+            (tuple(t.shape for t in each), np.concatenate([t.columns for t in each]))
+            for each in zip(*trials, strict=True)
+        ]
+        found = best_group(context, s.effect, groups, context.levels, null=False)
+        if found.score > best.score:
+            best = replace(found, null=s.null, trials=s.trials)
+        ratio = [q**0.5 for q in ratio]
+    return best
+
+
+def _ratio(grid: Sequence[float], value: float) -> float:
+    """Return the ratio of neighbouring points of a grid at a value."""
+    ordered = np.sort(np.abs(np.array(grid)))
+    ordered = ordered[ordered > 0]
+    if len(ordered) < 2:
+        return 1.5
+    i = int(np.clip(np.searchsorted(ordered, abs(value)), 1, len(ordered) - 1))
+    return float(max(ordered[i] / ordered[i - 1], 1.02))
+
+
+class _Common(NamedTuple):
+    base: Fit
+    noise: tuple[Noise, ...]
+
+
+def _measured(common: _Common) -> Sequence[CaseData]:
+    return common.base.problem.data
+
+
+def _refit(common: _Common, trial: _Trial) -> Fit | None:
+    """Refit base and law together; None if the search fails."""
+    base = common.base
+    layout = base.problem.layout
+    own = [k for k in layout.per_case if k in base.model.free]
+    shared = [k for k in base.model.per_case if k not in own]
+    several = len(layout.records) > 1
+    found: Fit | None = None
+    with suppress(FittingError):
+        found = fit(
+            trial.model.with_effect(trial.law.effect),
+            base.problem.data,
+            share=shared if several else (),
+            per_case=own if several else (),
+            start={**trial.start, **start_of(base, trial.score)},
+            noise=common.noise,
+            quick=True,
+        )
+    return found if found is not None and np.isfinite(found.deviance) else None
+
+
+def _merged(refits: Sequence[_Refitted]) -> list[_Refitted]:
+    """Return refits, of those of the same law the best."""
+    best: dict[tuple[str, ...], _Refitted] = {}
+    for r in refits:
+        key = tuple(t.effect.name for t in r.terms)
+        if key not in best or r.penalised < best[key].penalised:
+            best[key] = r
+    return list(best.values())
+
+
+def formula_of(effect: Effect) -> str:
+    """Return a law as ``body: law``, with the equation of its state."""
+    state = f", d({effect.state.symbol})/dt = {effect.state.rate}" if effect.state else ""
+    return f"{effect.joint}: {effect.law}{state}"
+
+
+def _with_positive_strength(effect: Effect, found: Fit) -> Effect:
+    """Return a law written with a minus sign where its strength is negative."""
+    own = [e.value for k, e in found.estimates.items() if k.partition("@")[0] == f"{effect.name}.k"]
+    return replace(effect, law=f"-{effect.law}") if own and max(own) < 0 else effect
+
+
+def net_torques(found: Fit, along: Fit, case: int, times: Array) -> Array:
+    """Return the net torques on rotor and casing of one fit along the motion of another, shape (2, times) [N m]."""
+    y = Sampler(along.predictions[case].path.mesh, times).value(along.predictions[case].path.y)[:, :2]
+    own = found.predictions[case].path
+    if own.y.shape[-1] > 2:
+        y = np.concatenate([y, Sampler(own.mesh, times).value(own.y)[:, 2:]], axis=1)
+    numbers = found.problem.layout.numbers(found.theta, case)
+    rates = found.problem.cases[case].dynamics.rates(times, y, numbers)
+    return np.stack([numbers[INERTIA_ROTOR] * rates[:, 0], numbers[INERTIA_CASING] * rates[:, 1]])
+
+
+def _torque_rms(found: Fit, effects: Sequence[Effect]) -> float:
+    """Return the rms of the torque of some effects of a fit along its motion, over all cases [N m]."""
+    squares = []
+    for case, p in enumerate(found.predictions):
+        t = np.linspace(*found.problem.data[case].record.span, _POINTS)
+        y = Sampler(p.path.mesh, t).value(p.path.y)
+        known: dict[str, Any] = {name: y[:, i] for i, name in enumerate(p.path.states)}
+        known |= {"t": t, "delta": y[:, 0] - y[:, 1]}
+        known["psi_c"] = Sampler(p.path.mesh, t).integral(*p.path.angle("omega_c"))
+        numbers = found.problem.layout.numbers(found.theta, case)
+        total = np.zeros(len(t))
+        for e in effects:
+            own = {q.symbol: numbers[f"{e.name}.{q.symbol}"] for q in e.parameters}
+            total = total + np.asarray(Tape([e.expression])(known | own)[0])
+        squares.append(float(np.mean(total**2)))
+    return float(np.sqrt(np.mean(squares)))
+
+
+def _with_class(law: Law, answer: Sequence[Law]) -> Law:
+    others = [x for x in answer if x is not law] if any(x is law for x in answer) else []
+    differences = tuple(d for x in others if (d := _difference(law, x)) is not None)
+    return replace(law, indistinguishable_from=tuple(x.formula for x in others), differences=differences)
+
+
+def _difference(one: Law, other: Law) -> Difference | None:
+    """Return where the net torques of two fits differ most, in the motion of the first."""
+    worst: Difference | None = None
+    for case, data in enumerate(one.fit.problem.data):
+        t = np.linspace(*data.record.span, _POINTS)
+        apart = np.abs(net_torques(one.fit, one.fit, case, t) - net_torques(other.fit, one.fit, case, t)).max(
+            axis=0
+        )
+        peak = int(np.argmax(apart))
+        if worst is not None and apart[peak] <= worst.torque_Nm:
+            continue
+        low = high = peak
+        while low > 0 and apart[low - 1] > 0.5 * apart[peak]:
+            low -= 1
+        while high < len(t) - 1 and apart[high + 1] > 0.5 * apart[peak]:
+            high += 1
+        y = Sampler(one.fit.predictions[case].path.mesh, t[low : high + 1]).value(
+            one.fit.predictions[case].path.y
+        )
+        worst = Difference(
+            other.formula,
+            float(apart[peak]),
+            data.record.label,
+            float(t[low]),
+            float(t[high]),
+            (float(y[:, 1].min()), float(y[:, 1].max())),
+            (float(y[:, 0].min()), float(y[:, 0].max())),
+        )
+    return worst
+
+
+def _as_good(candidates: Sequence[Candidate], best: Law, criteria: Criteria) -> Candidate | None:
+    """Return the effect of the library that describes the data as well as the best law; None if there is none."""
+    for c in candidates:
+        if c.fit is None or not c.physical or not c.significant:
+            continue
+        with suppress(FittingError):
+            refitted = fit_at(c.fit, [n.at(n.pure) for n in best.fit.noise])
+            if refitted.bic < best.penalised + criteria.equivalence_width:
+                return replace(c, fit=refitted)
+    return None
+
+
+def _sentence(
+    best: Law, answer: Sequence[Law], library: Candidate | None, depends_on: Sequence[Dependence]
+) -> str:
+    parts = []
+    if library is not None:
+        parts.append(
+            f"{library.effect.name} of the library describes the data as well as any law found: it comes first."
+        )
+    first = next(iter(depends_on), None)
+    if first is not None and first.p_value < 0.05:
+        parts.append(
+            f"The unmodelled torque depends most clearly on {first.words}: a smooth function of it explains "
+            f"{100 * first.explained:.0f} % of the lack of fit."
+        )
+    parts.append(
+        f"Best law: {best.formula} ({best.form}), {micro_newton_metres(best.torque_rms_Nm)} rms, "
+        f"dBIC {best.delta_bic:.0f}."
+    )
+    if len(answer) > 1:
+        parts.append(
+            f"{len(answer) - 1} other law{'s' if len(answer) > 2 else ''} cannot be separated from it."
+        )
+    return " ".join(parts)

@@ -1,0 +1,248 @@
+"""Laws as documents: the keys of `laws --json`, and TOML files of effects to keep and to share.
+
+A law that was found is an effect like any other: `fit --effects FILE.toml --add NAME` adds it, and `diagnose --effects
+FILE.toml` tests it together with the library.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from fitting._atomic import refuse_special, write_text
+from fitting._errors import EffectError
+from fitting._schema import Document, EstimateDocument, Number
+from fitting.discovery._laws import Law, Laws
+from fitting.effects._library import LIBRARY
+from fitting.effects._user import read_effects
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.]{0,60}")
+# trial values of a shape constant around the one found
+_AROUND = (0.5, 0.7, 1.0, 1.4, 2.0)
+
+
+class TermDocument(Document):
+    """One term of a law: where it acts, its formula, the rate of its state variable."""
+
+    body: str
+    law: str
+    rate: str = ""
+
+
+class DifferenceDocument(Document):
+    """Where a law differs most from another one of its set; torque [N m], times [s], speeds [rad/s]."""
+
+    formula: str
+    torque_Nm: Number  # noqa: N815 - the unit's own capitals
+    label: str
+    t_start: Number
+    t_stop: Number
+    omega_c: tuple[Number, Number]
+    omega_r: tuple[Number, Number]
+
+
+class LawDocument(Document):
+    """A law and the evidence for it."""
+
+    formula: str
+    body: str
+    form: str
+    terms: list[TermDocument]
+    score: Number
+    delta_bic: Number
+    description_length: Number
+    p_value: Number
+    parameters: dict[str, EstimateDocument]
+    torque_rms_Nm: Number  # noqa: N815
+    verdict: str
+    indistinguishable_from: list[str]
+    differences: list[DifferenceDocument]
+
+
+class CurveDocument(Document):
+    """The unmodelled torque as a function of one variable."""
+
+    unit: str
+    value: list[Number]
+    torque_Nm: list[Number]  # noqa: N815
+    sigma_Nm: list[Number]  # noqa: N815
+
+
+class DependenceDocument(Document):
+    """On what the unmodelled torque depends."""
+
+    variable: str
+    body: str
+    p_value: Number
+    explained: Number
+    score: Number
+    curve: CurveDocument | None
+
+
+class LawsDocument(Document):
+    """What `laws --json` prints."""
+
+    fit_id: str
+    verdict: str
+    sentence: str
+    laws: list[LawDocument]
+    library: str | None
+    depends_on: list[DependenceDocument]
+    next_experiment: str
+    trials: int
+
+
+_UNITS = {"t": "s", "psi_c": "rad"}
+
+
+def laws_document(found: Laws, fit_id: str) -> dict[str, Any]:
+    """Return laws under the keys of `laws --json`.
+
+    Parameters
+    ----------
+    found : Laws
+        The answer.
+    fit_id : str
+        Name of the base in its ledger.
+    """
+    depends_on = [
+        DependenceDocument(
+            variable=d.variable,
+            body=d.body,
+            p_value=d.p_value,
+            explained=d.explained,
+            score=d.score,
+            curve=CurveDocument(
+                unit=_UNITS.get(d.variable, "rad/s"),
+                value=d.value.tolist(),
+                torque_Nm=d.torque.tolist(),
+                sigma_Nm=d.sigma.tolist(),
+            )
+            if len(d.value)
+            else None,
+        )
+        for d in found.depends_on
+    ]
+    document = LawsDocument(
+        fit_id=fit_id,
+        verdict=found.verdict,
+        sentence=found.sentence,
+        laws=[_law(x) for x in found.laws],
+        library=found.library.effect.name if found.library is not None else None,
+        depends_on=depends_on,
+        next_experiment=found.next_experiment,
+        trials=found.trials,
+    )
+    return document.model_dump()
+
+
+def _law(x: Law) -> LawDocument:
+    return LawDocument(
+        formula=x.formula,
+        body=x.body,
+        form=x.form,
+        terms=[
+            TermDocument(body=e.joint, law=e.law, rate=e.state.rate if e.state else "") for e in x.effects
+        ],
+        score=x.score,
+        delta_bic=x.delta_bic,
+        description_length=x.description_length,
+        p_value=x.p_value,
+        parameters={k: EstimateDocument.model_validate(e) for k, e in x.estimates.items()},
+        torque_rms_Nm=x.torque_rms_Nm,
+        verdict=x.fit.verdict,
+        indistinguishable_from=list(x.indistinguishable_from),
+        differences=[DifferenceDocument.model_validate(d) for d in x.differences],
+    )
+
+
+def check_name(name: str, path: Path, terms: int = 1) -> None:
+    """Raise an error if a law cannot be kept in a file under this name.
+
+    Parameters
+    ----------
+    name : str
+        The name; a second term is called ``NAME.second``.
+    path : Path
+        A file of effects; it need not exist.
+    terms : int
+        Number of terms of the law.
+
+    Raises
+    ------
+    EffectError
+        The name is malformed, or taken by the library or in the file; or the file is no file of effects.
+    """
+    if not _NAME.fullmatch(name):
+        raise EffectError(
+            f"{name[:60]!r} is not a name of an effect",
+            "a name has letters, digits, dots and underscores, and starts with a letter",
+        )
+    refuse_special(path)
+    taken = {*LIBRARY, *(e.name for e in read_effects(path))} if path.exists() else set(LIBRARY)
+    for wanted in _names(name, terms):
+        if wanted in taken:
+            where = "the library" if wanted in LIBRARY else str(path)
+            raise EffectError(f"{where} has an effect named {wanted!r} already", "choose another name")
+
+
+def _names(name: str, terms: int) -> list[str]:
+    return [name, f"{name}.second"][:terms]
+
+
+def save_law(law: Law, name: str, path: Path, source: str) -> None:
+    """Add a law to a TOML file of effects, which is made if it does not exist.
+
+    Parameters
+    ----------
+    law : Law
+        The law.
+    name : str
+        Its name from now on.
+    path : Path
+        The file.
+    source : str
+        Where it was found.
+
+    Raises
+    ------
+    EffectError
+        As `check_name`.
+    LedgerError
+        The file cannot be written.
+    """
+    check_name(name, path, len(law.effects))
+    before = path.read_text(encoding="utf-8").rstrip() + "\n\n" if path.exists() else ""
+    write_text(path, before + "\n".join(_tables(law, _names(name, len(law.effects)), source)) + "\n")
+
+
+def _tables(law: Law, names: Sequence[str], source: str) -> list[str]:
+    lines: list[str] = []
+    for effect, name in zip(law.effects, names, strict=True):
+        lines += [*([""] if lines else []), "[[effect]]", f"name = {json.dumps(name)}"]
+        lines += [f'body = "{effect.joint}"', f"law = {json.dumps(effect.law)}"]
+        lines += [f"rate = {json.dumps(effect.state.rate)}"] if effect.state else []
+        lines += [f"signature = {json.dumps(law.form)}", f"source = {json.dumps(source)}"]
+        lines += ["per_case = true"] if effect.per_case else []
+        for p in effect.parameters:
+            own = [e for k, e in law.estimates.items() if k.partition("@")[0].endswith(f".{p.symbol}")]
+            own = [e for k, e in law.estimates.items() if k.partition("@")[0].rpartition(".")[2] == p.symbol
+                   and _belongs(k, effect.name)] or own  # fmt: skip
+            value = own[0].value if own else p.start
+            lines += ["", f"[effect.parameters.{p.symbol}]", f"unit = {json.dumps(p.unit)}"]
+            lines += [f"start = {value!r}"]
+            for bound, limit in (("lower", p.lower), ("upper", p.upper)):
+                lines += [f"{bound} = {limit!r}"] if math.isfinite(limit) and p.role == "shape" else []
+            if p.role == "shape":
+                grid = [float(f"{value * q:.6g}") for q in _AROUND if p.lower <= value * q <= p.upper]
+                lines += [f"grid = {grid!r}", "shape = true"]
+            lines += [f"meaning = {json.dumps(p.meaning)}"] if p.meaning else []
+    return lines
+
+
+def _belongs(key: str, effect: str) -> bool:
+    return key.partition("@")[0].rpartition(".")[0] == effect

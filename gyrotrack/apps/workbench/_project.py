@@ -1,0 +1,770 @@
+"""From films and tables to a case: what the start page of the workbench holds, step by step.
+
+Each step is a command of the program, which runs in a process of its own in the work folder and is shown as it is
+run. What was entered and what the steps answered is kept in ``workbench.json`` in that folder: closing the page or
+ending the program loses nothing, and an interrupted film is continued from its checkpoint.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import shlex
+import shutil
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from threading import RLock
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from gyrotrack._errors import ConfigurationError, GyrotrackError, OutputError, UsageError
+from gyrotrack._inertia import Inertia
+from gyrotrack.apps.batch._experiments import FILMS, Experiment, read_study
+from gyrotrack.apps.batch._workers import cores
+from gyrotrack.apps.workbench._jobs import Job, Jobs
+from gyrotrack.io._atomic import new_file
+from gyrotrack.io._hdf5 import read_kind
+from gyrotrack.tracking._profile import load, parse, to_toml
+from gyrotrack.video._container import probe
+
+STATE_FILE = "workbench.json"
+TABLES = {".csv", ".tsv", ".txt", ".dat", ".xlsx", ".xls", ".mat", ".parquet", ".json", ".nc", ".trk", ".npz"}
+_DATASETS = {".h5", ".hdf5"}
+LARGEST_UPLOAD = 16 * 2**30
+"""Largest file that a page may send [bytes]; the disk keeps at least a tenth of that free."""
+_MOST_SOURCES = 100
+_RATE = re.compile(r"(?<![0-9.])(\d{2,5}(?:\.\d+)?) ?fps", re.IGNORECASE)
+_PREVIEW = "gyrotrack.apps.workbench._preview"
+
+
+class Pick(BaseModel):
+    """A marker that was clicked in the first frame: place [px], name, colour and body."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    x: float
+    y: float
+    name: str = Field(max_length=40)
+    colour: str = Field(max_length=20)
+    body: Literal["casing", "rotor"] = "casing"
+
+
+# files that are written: plain names, so that no state can lead out of the work folder
+_OwnFile = Annotated[str, Field(pattern=r"^([^-./\\\x00][^/\\\x00]{0,200}\.h5)?$")]
+_OwnProfile = Annotated[str, Field(pattern=r"^([^-./\\\x00][^/\\\x00]{0,200}\.toml)?$")]
+
+
+class Source(BaseModel):
+    """One film, recording or table, and what is known about it."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    key: str
+    file: str
+    kind: Literal["film", "recording", "table"]
+    body: Literal["", "casing", "rotor", "single"] = ""
+    capture_fps: float | None = None
+    rate_from: str = ""
+    profile: str = ""
+    hub: tuple[float, float] | None = None
+    picks: list[Pick] = Field(default_factory=list, max_length=20)
+    output: _OwnFile = ""
+    marked: _OwnProfile = ""
+    words: list[str] = Field(default_factory=list)
+    result: dict[str, Any] = Field(default_factory=dict)
+
+
+class State(BaseModel):
+    """What is kept in the work folder."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    version: Literal[1] = 1
+    sources: list[Source] = Field(default_factory=list)
+    inertia_rotor: str = Field(default="", max_length=80)
+    inertia_casing: str = Field(default="", max_length=80)
+    inertia: str = Field(default="", max_length=80)
+    label: str = Field(default="", max_length=120)
+    surface: str = Field(default="", max_length=120)
+    case: _OwnFile = ""
+    matched: list[str] = Field(default_factory=list)
+    match: dict[str, Any] = Field(default_factory=dict)
+    fitted: list[str] = Field(default_factory=list)
+    fit: dict[str, Any] = Field(default_factory=dict)
+
+
+class Project:
+    """The films, settings and steps of one work folder.
+
+    Parameters
+    ----------
+    folder : Path
+        The work folder; everything that is written is written there.
+
+    Raises
+    ------
+    ConfigurationError
+        The folder does not exist, or its state is not one that this program wrote.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder.resolve()
+        if not self.folder.is_dir():
+            raise ConfigurationError(
+                f"There is no folder {folder}.", "Create it, or name another with --folder."
+            )
+        self._lock = RLock()
+        self._infos: dict[str, dict[str, Any]] = {}
+        self.state = _read_state(self.folder / STATE_FILE)
+        self.jobs = Jobs(self.folder, cores())
+
+    # what there is
+
+    def document(self) -> dict[str, Any]:
+        """Return what the page shows."""
+        with self._lock:
+            s = self.state
+            return {
+                "folder": str(self.folder),
+                "available": self._available(),
+                "profiles": self.profiles(),
+                "samples": _sample_clips() is not None,
+                "sources": [self._source_document(x) for x in s.sources],
+                "fields": {k: getattr(s, k) for k in _FIELDS},
+                "inertias": {k: _inertia_text(getattr(s, k), k) for k in _FIELDS if k.startswith("inertia")},
+                "route": self._route(),
+                "missing": {"track": self._missing_to_track(), "match": self._missing_to_match()},
+                "commands": {
+                    "track": [_shown(self.track_words(x)) for x in s.sources if x.kind == "film" and x.body],
+                    "match": _shown(self._match_words()) if not self._missing_to_match() else "",
+                    "fit": _shown(["fit", s.case]) if s.case else "",
+                },
+                "match": s.match,
+                "is_matched": self._is_matched(),
+                "fit": s.fit if self._is_fitted() else {},
+                "case": s.case,
+                "jobs": {k: j.summary() for k in ("match", "fit") if (j := self.jobs.get(k)) is not None},
+            }
+
+    def _source_document(self, x: Source) -> dict[str, Any]:
+        jobs = {k: self.jobs.get(f"{k}:{x.key}") for k in ("track", "preview", "profile")}
+        return {
+            **x.model_dump(exclude={"file", "words"}),
+            "name": Path(x.file).name,
+            "info": self._info(x),
+            "is_current": self._is_current(x),
+            "can_continue": x.output != "" and (self.folder / f"{x.output}.unfinished").exists(),
+            "jobs": {k: j.summary() for k, j in jobs.items() if j is not None},
+            "command": _shown(self.track_words(x)) if x.kind == "film" and x.body else "",
+        }
+
+    def _info(self, x: Source) -> dict[str, Any]:
+        """Return what a film declares; an error where it cannot be read."""
+        if x.kind != "film":
+            return {}
+        if x.key not in self._infos:
+            try:
+                found = probe(self.path(x))
+                self._infos[x.key] = {
+                    "width": found.width,
+                    "height": found.height,
+                    "frames": found.frames_declared,
+                    "container_fps": found.container_fps if math.isfinite(found.container_fps) else None,
+                    "tag_fps": found.tag_fps,
+                }
+            except GyrotrackError as error:
+                self._infos[x.key] = {"error": " ".join(filter(None, (error.message, error.hint)))}
+        return self._infos[x.key]
+
+    def path(self, x: Source) -> Path:
+        """Return the file of a source."""
+        return self.folder / x.file  # an absolute name stays what it is
+
+    def _available(self) -> list[str]:
+        known = {self.path(x) for x in self.state.sources}
+        ours = {x.output for x in self.state.sources} | {self.state.case, STATE_FILE}
+        kinds = FILMS | TABLES | _DATASETS
+        with os.scandir(self.folder) as entries:
+            names = sorted(e.name for e in entries if e.is_file() and not e.name.startswith("."))
+        return [
+            n
+            for n in names
+            if (Path(n).suffix.lower() in kinds or n == "study.toml")
+            and n not in ours
+            and self.folder / n not in known
+            and not n.endswith(".fits.json")
+        ][:200]
+
+    def source(self, key: str) -> Source:
+        """Return a source.
+
+        Raises
+        ------
+        UsageError
+            There is none of this key.
+        """
+        for x in self.state.sources:
+            if x.key == key:
+                return x
+        raise UsageError("There is no such film or table.", "Reload the page.")
+
+    # films and tables
+
+    def add_named(self, name: str) -> None:
+        """Add a file of the work folder that the page lists."""
+        with self._lock:
+            if name not in self._available():
+                raise UsageError("There is no such file in the work folder.", "Reload the page.")
+            self.add(self.folder / name, confined=True)
+
+    def add(self, path: Path, *, confined: bool = False) -> None:
+        """Add a film, table, recording or the notes of an experiment (study.toml).
+
+        Parameters
+        ----------
+        path : Path
+            The file.
+        confined : bool
+            Of notes, accept only films in the work folder.
+
+        Raises
+        ------
+        UsageError
+            The file is none of these.
+        """
+        path = path if path.is_absolute() else Path.cwd() / path
+        with self._lock:
+            suffix = path.suffix.lower()
+            if not path.is_file():
+                raise UsageError(f"There is no file {path}.", "Check the path.")
+            if suffix == ".toml":
+                self._add_study(read_study(path), confined=confined)
+            elif suffix in FILMS or suffix in TABLES:
+                self._add_source(path, "film" if suffix in FILMS else "table")
+            elif suffix in _DATASETS and read_kind(path) == "recording":
+                self._add_source(path, "recording")
+            else:
+                raise UsageError(
+                    f"{path.name} is no film, table, recording or study.toml.",
+                    "A case is opened with `gyrotrack view CASE.h5`.",
+                )
+            self._save()
+
+    def add_samples(self) -> None:
+        """Add the sample clips with the notes beside them."""
+        folder = _sample_clips()
+        if folder is None:
+            raise UsageError(
+                "The sample clips are not installed.", "They are part of the source distribution."
+            )
+        self.add(folder / "study.toml")
+
+    def _add_source(self, path: Path, kind: Literal["film", "recording", "table"]) -> Source:
+        for x in self.state.sources:
+            if self.path(x) == path:
+                return x
+        if len(self.state.sources) >= _MOST_SOURCES:
+            raise UsageError(
+                f"There are {_MOST_SOURCES} sources already.", "Remove those that are not needed."
+            )
+        inside = path.parent == self.folder
+        key = str(1 + max((int(x.key) for x in self.state.sources), default=0))
+        x = Source(key=key, file=path.name if inside else str(path), kind=kind)
+        stem = path.stem.lower()
+        x.body = next((b for b in ("casing", "rotor") if b in stem), "")
+        if kind == "film":
+            x.output = self._free(f"{path.stem}.h5")
+            info = self._info(x)
+            if (stated := _RATE.search(path.stem)) is not None:
+                x.capture_fps, x.rate_from = float(stated[1]), "name of the file"
+            elif info.get("tag_fps"):
+                x.capture_fps, x.rate_from = info["tag_fps"], "tag of the camera"
+        self.state.sources.append(x)
+        return x
+
+    def _add_study(self, study: Experiment, *, confined: bool) -> None:
+        s = self.state
+        for clip in study.clips:
+            if confined and any(f.parent != self.folder for f in (clip.file, clip.profile) if f is not None):
+                raise UsageError(
+                    f"The notes name {clip.file.name} outside the work folder.",
+                    "Put films, profiles and notes into one folder.",
+                )
+            if not clip.file.is_file():
+                continue  # it may still be sent
+            x = self._add_source(clip.file, "film")
+            x.body = clip.body
+            if clip.capture_fps is not None:
+                x.capture_fps, x.rate_from = clip.capture_fps, "study.toml"
+            if clip.profile is not None and clip.profile.is_file():
+                x.profile = self._relative(clip.profile)
+        s.label, s.surface = study.label, study.surface
+        s.inertia_rotor = study.inertia_rotor or s.inertia_rotor
+        s.inertia_casing = study.inertia_casing or s.inertia_casing
+
+    def remove(self, key: str) -> None:
+        """Forget a source; its files stay."""
+        with self._lock:
+            x = self.source(key)
+            for step in ("track", "preview", "profile"):
+                self.jobs.cancel(f"{step}:{key}")
+            self.state.sources.remove(x)
+            self._infos.pop(key, None)
+            self._save()
+
+    def set(self, key: str, name: str, value: Any) -> None:
+        """Set one field of a source (with its key) or of the case.
+
+        Raises
+        ------
+        UsageError
+            The field or its value is not one that the page offers.
+        """
+        with self._lock:
+            if not key:
+                if name not in _FIELDS or not isinstance(value, str) or len(value) > _LONGEST:
+                    raise UsageError("This field cannot be set.", "Reload the page.")
+                setattr(self.state, name, value.strip())
+            else:
+                x = self.source(key)
+                if name == "body" and value in ("", "casing", "rotor", "single"):
+                    x.body = value
+                elif name == "capture_fps":
+                    x.capture_fps, x.rate_from = _rate(value), "entered" if value else ""
+                elif name == "profile" and (value == "" or value in self.profiles()):
+                    x.profile = value
+                else:
+                    raise UsageError("This field cannot be set.", "Reload the page.")
+            self._save()
+
+    async def receive(self, name: str, declared: int, pieces: AsyncIterator[bytes]) -> None:
+        """Write a file that the page sends into the work folder, and add it.
+
+        Parameters
+        ----------
+        name : str
+            Its name on the user's computer; only the last part is used.
+        declared : int
+            Its size [bytes].
+        pieces : asynchronous iterator of bytes
+            Its content.
+
+        Raises
+        ------
+        UsageError
+            The name or the kind of file is not accepted, or it is larger than declared or allowed.
+        """
+        target = self._upload_target(name, declared)
+        part = target.with_name(target.name + ".part")
+        try:
+            with part.open("xb") as stream:
+                size = 0
+                async for piece in pieces:
+                    size += len(piece)
+                    if size > declared:
+                        break
+                    stream.write(piece)
+                stream.flush()
+                os.fsync(stream.fileno())
+        except FileExistsError as error:
+            raise OutputError(f"{target.name} is being sent already.", "Wait for it.") from error
+        except OSError as error:
+            part.unlink(missing_ok=True)
+            raise OutputError(f"{target.name} cannot be written: {error.strerror}.", "Free space.") from error
+        except BaseException:  # the page was closed
+            part.unlink(missing_ok=True)
+            raise
+        if size != declared:
+            part.unlink(missing_ok=True)
+            raise UsageError(
+                f"{target.name} did not arrive as declared ({declared} bytes).", "Send it again."
+            )
+        part.replace(target)
+        try:
+            self.add(target, confined=True)
+        except GyrotrackError:
+            target.unlink(missing_ok=True)
+            raise
+
+    def _upload_target(self, name: str, declared: int) -> Path:
+        plain = re.sub(r"[^\w .+()-]", "_", name.replace("\\", "/").rpartition("/")[2]).strip(" .")[-120:]
+        suffix = Path(plain).suffix.lower()
+        if plain.startswith("-") or not (suffix in FILMS | TABLES | _DATASETS or plain == "study.toml"):
+            raise UsageError(
+                f"{plain[:60] or 'The file'} is no film, table, recording or study.toml.",
+                "Choose another file.",
+            )
+        if not 0 < declared <= LARGEST_UPLOAD:
+            raise UsageError(
+                f"{plain} has {declared} bytes; 1 to {LARGEST_UPLOAD} are accepted.",
+                "Copy larger films into the work folder and choose them there.",
+            )
+        if shutil.disk_usage(self.folder).free < 1.1 * declared:
+            raise OutputError(f"There is no room for {plain} in {self.folder}.", "Free space on the disk.")
+        return self.folder / self._free(plain)
+
+    def _free(self, name: str) -> str:
+        """Return a name that no file of the work folder and no planned output has."""
+        planned = {x.output for x in self.state.sources}
+        stem, suffix = Path(name).stem, Path(name).suffix
+        number, found = 1, name
+        while found in planned or (self.folder / found).exists():
+            number += 1
+            found = f"{stem}_{number}{suffix}"
+        return found
+
+    # markers
+
+    def profiles(self) -> list[str]:
+        """Return the profiles in the work folder."""
+        own = [p.name for p in self.folder.glob("*.toml") if p.name != "study.toml"]
+        return sorted({*own, *(x.profile for x in self.state.sources if x.profile)})
+
+    def mark(self, key: str, hub: Any, picks: Any, disc: str) -> None:
+        """Keep hub and markers that were clicked, write them as a profile, and follow them through the first frames.
+
+        Parameters
+        ----------
+        key : str
+            The film.
+        hub : list of two numbers or None
+            Centre of rotation [px].
+        picks : list
+            Markers; see `Pick`.
+        disc : str
+            Colour of a disc at the hub; empty where nothing marks it.
+        """
+        with self._lock:
+            x = self.source(key)
+            try:
+                x.picks = [Pick.model_validate(p) for p in picks][:20]
+                x.hub = None if hub is None else (float(hub[0]), float(hub[1]))
+            except (ValidationError, TypeError, ValueError, IndexError) as error:
+                raise UsageError("These places are not on the frame.", "Click them again.") from error
+            if x.hub is not None and not all(map(math.isfinite, x.hub)):
+                raise UsageError("The hub is not on the frame.", "Click it again.")
+            if x.body != "single" and x.picks:
+                x.profile = x.marked = x.marked or self._free(f"{Path(x.file).stem}.toml")
+                content: dict[str, Any] = {
+                    "name": Path(x.file).stem,
+                    "centre": "circle" if disc else "orbit",
+                    "marker": [p.model_dump(include={"name", "colour", "body"}) for p in x.picks],
+                }
+                if disc:
+                    content["circle_colour"] = disc
+                text = to_toml(parse(content, "profile"))
+                with new_file(self.folder / x.profile, force=True) as stream:
+                    stream.write(text.encode())
+                x.result = {}  # of other markers
+            self._save()
+            self.preview(key)
+
+    def preview(self, key: str) -> None:
+        """Follow the markers through the first frames, in a process of its own."""
+        with self._lock:
+            x = self.source(key)
+            request = {
+                "film": str(self.path(x)),
+                "profile": str(self.folder / x.profile) if x.profile else "",
+                "hub": x.hub,
+                "single": x.body == "single",
+                "points": [(p.x, p.y) for p in x.picks],
+            }
+            self.jobs.start(
+                f"preview:{key}", [json.dumps(request)], lambda _: None, module=_PREVIEW, replace=True
+            )
+
+    def previewed(self, key: str) -> dict[str, Any]:
+        """Return what the preview found; an empty object if there is none yet."""
+        job = self.jobs.get(f"preview:{key}")
+        return job.document if job is not None and job.state == "done" else {}
+
+    def find_markers(self, key: str) -> None:
+        """Let the program find the markers and write a profile (`gyrotrack profile`)."""
+        with self._lock:
+            x = self.source(key)
+            name = self._free(f"{Path(x.file).stem}.toml")
+
+            def finished(job: Job) -> None:
+                with self._lock:
+                    if job.state == "done":
+                        x.profile, x.picks, x.hub = name, [], None
+                        with suppress(GyrotrackError):
+                            self.preview(key)
+                        self._save()
+
+            self.jobs.start(f"profile:{key}", ["profile", _argument(x.file), "-o", name], finished)
+
+    def marker_list(self, key: str) -> list[dict[str, str]]:
+        """Return names, colours and bodies of the markers with which a film is tracked."""
+        from gyrotrack.tracking._profile import PAPER
+
+        x = self.source(key)
+        chosen = load(self.folder / x.profile) if x.profile else PAPER
+        return [{"name": m.name, "colour": m.colour, "body": m.body} for m in chosen.marker]
+
+    # the steps
+
+    def track_words(self, x: Source) -> list[str]:
+        """Return the command that tracks a film."""
+        rate = [] if x.capture_fps is None else ["--capture-fps", f"{x.capture_fps:g}"]
+        if x.body == "single":
+            words = ["spindown", _argument(x.file), *rate, "-o", x.output]
+            words += ["--report", f"{Path(x.output).stem}.html"]
+            if x.hub is not None:
+                words += ["--hub", f"{x.hub[0]:.1f},{x.hub[1]:.1f}"]
+            return words + (["--inertia", self.state.inertia] if self.state.inertia else [])
+        profile = ["--profile", _argument(x.profile)] if x.profile else []
+        return ["extract", _argument(x.file), *rate, *profile, "-o", x.output]
+
+    def track(self, keys: Sequence[str] = ()) -> None:
+        """Track these films; by default all that are not tracked with their current settings."""
+        with self._lock:
+            if missing := self._missing_to_track():
+                raise UsageError(missing[0], "Complete it in step 1.")
+            wanted = [self.source(k) for k in keys] or [
+                x for x in self.state.sources if x.kind == "film" and not self._is_current(x)
+            ]
+            for x in wanted:
+                job = self.jobs.get(f"track:{x.key}")
+                if job is not None and job.is_active:
+                    continue
+                words = self.track_words(x)
+                if x.body != "single" and (self.folder / f"{x.output}.unfinished").exists():
+                    words.append("--resume")
+                if x.result or (self.folder / x.output).exists():
+                    words.append("--force")  # ours: the name was free when the film was added
+                self.jobs.start(f"track:{x.key}", words, self._tracked(x, self.track_words(x)))
+
+    def _is_current(self, x: Source) -> bool:
+        return x.kind != "film" or (bool(x.result) and x.words == self.track_words(x))
+
+    def _is_matched(self) -> bool:
+        films = [x for x in self.state.sources if x.kind == "film"]
+        if self._route() == "single" and films:
+            return len(self.state.sources) == 1 and self._is_current(films[0])
+        return not self._missing_to_match() and self.state.matched == self._match_words()
+
+    def _is_fitted(self) -> bool:
+        return self._is_matched() and bool(self.state.fit) and self.state.fitted == self.state.matched
+
+    def _tracked(self, x: Source, words: list[str]) -> Callable[[Job], None]:
+        def finished(job: Job) -> None:
+            with self._lock:
+                if job.state != "done":
+                    return
+                x.words, x.result = words, _short_result(job.document)
+                self.state.matched = []
+                if x.body == "single":
+                    self.state.case = x.output
+                self._save()
+
+        return finished
+
+    def _route(self) -> str:
+        """Return how a case is made: "sync" of recordings, "import" of tables, "single" body, or nothing yet."""
+        bodies = {x.body for x in self.state.sources}
+        if "single" in bodies:
+            return "single"
+        kinds = {"table" if x.kind == "table" else "film" for x in self.state.sources if x.body}
+        return {frozenset({"table"}): "import", frozenset({"film"}): "sync"}.get(frozenset(kinds), "")
+
+    def _missing_to_track(self) -> list[str]:
+        found = []
+        for x in self.state.sources:
+            name = Path(x.file).name
+            if "error" in self._info(x):
+                found.append(str(self._info(x)["error"]))
+            elif not x.body:
+                found.append(f"It is not chosen which body {name} shows.")
+            elif x.kind == "film" and x.capture_fps is None:
+                found.append(f"The capture rate of {name} is not given.")
+        if not self.state.sources:
+            found.append("No film and no table is chosen.")
+        return found
+
+    def _missing_to_match(self) -> list[str]:
+        s, route = self.state, self._route()
+        found = self._missing_to_track()
+        if found:
+            return found[:1]
+        if route == "single":
+            if len(s.sources) > 1:
+                return ["A single body is one film or table; remove the others."]
+            return [] if s.sources[0].kind != "film" else ["A single body needs no matching of clocks."]
+        if not route:
+            return ["Films and tables are not combined in one case."]
+        if sum(x.body == "casing" for x in s.sources) != 1 or not any(x.body == "rotor" for x in s.sources):
+            found.append("A case needs one source of the casing and at least one of the rotor.")
+        if waiting := [Path(x.file).name for x in s.sources if not self._is_current(x)]:
+            found.append(f"Not tracked yet: {', '.join(waiting)}.")
+        for body in ("rotor", "casing"):
+            try:
+                Inertia.required(getattr(s, f"inertia_{body}") or None, body)
+            except UsageError as error:
+                found.append(error.message)
+        return found
+
+    def _match_words(self) -> list[str]:
+        s, route = self.state, self._route()
+        case = s.case if s.match and s.case else self._free("case.h5")
+        rotors = [x for x in s.sources if x.body == "rotor"]
+        casing = next((x for x in s.sources if x.body == "casing"), None)
+        inertias = [f"--inertia-rotor={s.inertia_rotor}", f"--inertia-casing={s.inertia_casing}"]
+        names = ([f"--label={s.label}"] if s.label else []) + (
+            [f"--surface={s.surface}"] if s.surface else []
+        )
+        if route == "single":
+            x = s.sources[0]
+            words = ["spindown", _argument(x.file), "-o", case, "--report", f"{Path(case).stem}.html"]
+            return words + ([f"--inertia={s.inertia}"] if s.inertia else [])
+        assert casing is not None  # noqa: S101 - `_missing_to_match` has refused
+        if route == "import":
+            rotor = [w for x in rotors for w in ("--rotor", _argument(x.file))]
+            return ["import", "--casing", _argument(casing.file), *rotor, "-o", case, *inertias, *names]
+        files = [_argument(x.output or x.file) for x in (casing, *rotors)]
+        return ["sync", *files, "-o", case, *inertias, *names]
+
+    def match(self) -> None:
+        """Put the recordings on one clock, or import the tables, and make a case of them."""
+        with self._lock:
+            if missing := self._missing_to_match():
+                raise UsageError(missing[0], "Complete it first.")
+            words = self._match_words()
+            case = words[words.index("-o") + 1]
+            again = ["--force"] if self.state.match else []
+
+            def finished(job: Job) -> None:
+                with self._lock:
+                    if job.state == "done":
+                        self.state.case = case
+                        self.state.match, self.state.matched = self._match_result(job.document), words
+                        self._save()
+
+            self.jobs.start("match", [*words, *again], finished)
+
+    def _match_result(self, document: dict[str, Any]) -> dict[str, Any]:
+        """Return what the page shows of the clocks: each clip with its interval on the clock of the casing."""
+        keys = ("offset_s", "offset_sigma_s", "rate", "rate_sigma", "ambiguous", "misfit_rad")
+        sources = {x.output or Path(x.file).name: x for x in self.state.sources}
+        clips = [
+            {"name": Path(x.file).name, "offset_s": 0.0, "duration_s": _duration(x)}
+            for x in self.state.sources
+            if x.body == "casing" and self._route() == "sync"
+        ]
+        for c in document.get("clips", []):
+            x = sources.get(Path(c["source"]).name)
+            name = Path(x.file).name if x is not None else Path(c["source"]).name
+            duration = _duration(x) if x is not None else None
+            clips.append({"name": name, "duration_s": duration, **{k: c[k] for k in keys}})
+        return {"clips": clips, "warnings": document.get("warnings", []), "case": self.state.case}
+
+    def fit(self) -> None:
+        """Fit the reduced model to the case."""
+        with self._lock:
+            if not self.state.case:
+                raise UsageError("There is no case yet.", "Match the clocks first.")
+
+            def finished(job: Job) -> None:
+                with self._lock:
+                    if job.state == "done":
+                        keys = ("fit_id", "verdict", "n_eff", "bic")
+                        self.state.fit = {k: job.document.get(k) for k in keys}
+                        self.state.fitted = self.state.matched
+                        self._save()
+
+            self.jobs.start("fit", ["fit", self.state.case], finished)
+
+    def cancel(self, name: str) -> None:
+        """Cancel a step: "match", "fit", or "track:KEY"."""
+        self.jobs.cancel(name)
+
+    # keeping
+
+    def _relative(self, path: Path) -> str:
+        return path.name if path.parent == self.folder else str(path)
+
+    def _save(self) -> None:
+        text = json.dumps(self.state.model_dump(mode="json"), indent=1, allow_nan=False)
+        with new_file(self.folder / STATE_FILE, force=True) as stream:
+            stream.write((text + "\n").encode())
+
+    def close(self) -> None:
+        """End all processes; checkpoints stay."""
+        self.jobs.close()
+
+
+_FIELDS = ("label", "surface", "inertia_rotor", "inertia_casing", "inertia")
+_LONGEST = 120
+
+
+def _read_state(path: Path) -> State:
+    if not path.exists():
+        return State()
+    try:
+        return State.model_validate_json(path.read_bytes())
+    except (OSError, ValueError) as error:
+        raise ConfigurationError(
+            f"{path} is not a state of the workbench.", "Move it away; films and recordings are not affected."
+        ) from error
+
+
+def _argument(name: str) -> str:
+    """Return a file name that no command takes for an option."""
+    return f"./{name}" if name.startswith("-") else name
+
+
+def _shown(words: Sequence[str]) -> str:
+    return shlex.join(["gyrotrack", *words])
+
+
+def _rate(value: Any) -> float | None:
+    if value in ("", None):
+        return None
+    try:
+        rate = float(str(value).replace(",", "."))
+    except ValueError:
+        rate = math.nan
+    if not 0 < rate < 1e7:
+        raise UsageError("The capture rate is not a positive number.", "Enter it in frames per second.")
+    return rate
+
+
+def _inertia_text(text: str, field: str) -> dict[str, str]:
+    """Return how a moment of inertia is understood, or what is wrong with it."""
+    if not text:
+        return {"value": "", "error": ""}
+    try:
+        found = Inertia.of(text, field.partition("_")[2] or "body")
+    except UsageError as error:
+        return {"value": "", "error": error.message}
+    u = f" ± {found.u:g}" if math.isfinite(found.u) else ", no uncertainty given"
+    return {"value": f"{found.value:g} kg m²{u}", "error": ""}
+
+
+def _short_result(document: dict[str, Any]) -> dict[str, Any]:
+    """Return what is kept and shown of a tracked film."""
+    if "motion" in document:  # of `spindown`
+        diagnosis = document.get("diagnosis") or {}
+        return {
+            "motion": document["motion"],
+            "sentence": diagnosis.get("sentence", ""),
+            "warnings": document.get("warnings", []),
+        }
+    keys = ("frames", "markers", "body", "sense", "capture_fps", "warnings")
+    return {k: document.get(k) for k in keys}
+
+
+def _duration(x: Source) -> float | None:
+    if x.result.get("frames") and x.result.get("capture_fps"):
+        return float(x.result["frames"]) / float(x.result["capture_fps"])
+    return None
+
+
+def _sample_clips() -> Path | None:
+    here = Path(__file__).resolve().parents[3] / "sample_clips"
+    return here if (here / "study.toml").is_file() else None

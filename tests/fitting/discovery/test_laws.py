@@ -1,0 +1,116 @@
+"""Laws outside the library: the true formula, its numbers, its variable; nothing where nothing is hidden."""
+
+import math
+from functools import lru_cache
+
+import numpy as np
+import pytest
+import twobody
+from cases import case, fitted
+
+from fitting._errors import EffectError
+from fitting.discovery._dependence import context_without, dependence
+from fitting.discovery._laws import laws, ranges_of
+from fitting.discovery._score import CaseColumns, ScoreContext
+from fitting.dynamics._model import Model
+from fitting.effects._library import REDUCED
+from fitting.effects._user import read_effects, resolve
+from fitting.inference._fit import fit
+from fitting.study._law_documents import check_name, laws_document, save_law
+
+K, W = 3e-6, 40.0
+SATURATING = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -K * math.tanh(wc / W))
+
+
+@lru_cache(maxsize=1)
+def saturating():
+    data = [case({}, 0, "a", hidden=SATURATING), case({"b1": 2e-5}, 1, "b", (740.0, 12.0), SATURATING)]
+    base = fit(Model.of(REDUCED), data)
+    return base, laws(base)
+
+
+@pytest.mark.slow
+def test_a_saturating_drag_is_found_with_its_numbers():
+    _, found = saturating()
+    assert found.verdict == "law"
+    best = found.laws[0]
+    assert best.formula == "casing: -k*tanh(omega_c/w)"
+    assert len(found.answer) <= 5
+    values = {k.rpartition(".")[2]: e for k, e in best.estimates.items()}
+    for symbol, true in (("k", K), ("w", W)):
+        assert abs(values[symbol].value - true) < 4 * values[symbol].stderr
+        assert values[symbol].stderr < 0.01 * true
+    speed = np.linspace(5, 160, 500)
+    assert 0.5 * K < best.torque_rms_Nm < K * math.tanh(speed.max() / W)
+    assert best.p_value < 1e-6
+    assert best.fit.verdict == "adequate"
+
+
+@pytest.mark.slow
+def test_the_torque_depends_on_the_speed_of_the_casing():
+    _, found = saturating()
+    first = found.depends_on[0]
+    assert "omega_c" in first.variable
+    (own,) = (d for d in found.depends_on if (d.variable, d.body) == ("omega_c", "casing"))
+    assert own.explained > 0.99
+    # the curve and the true law agree, both without what the base can represent
+    true = own.comparable(-K * np.tanh(own.value / W))
+    assert np.all(np.abs(own.torque - true) < 4 * own.sigma + 0.03 * np.abs(true).max())
+    assert np.median(own.sigma) < 0.2 * np.abs(true).max()
+    assert all(d.explained < own.explained + 1e-3 for d in found.depends_on)
+
+
+@pytest.mark.slow
+def test_a_law_is_kept_and_fits_as_an_effect(tmp_path):
+    base, found = saturating()
+    file = tmp_path / "lab.toml"
+    save_law(found.laws[0], "lab.saturation", file, "a test")
+    save_law(found.laws[1], "lab.other", file, "a test")
+    effects = read_effects(file)
+    assert [e.name for e in effects] == ["lab.saturation", "lab.other"]
+    with pytest.raises(EffectError, match="already"):
+        check_name("lab.saturation", file)
+    again = fit(base.model.with_effect(effects[0]), base.problem.data)
+    assert again.verdict == "adequate"
+    assert again.estimates["lab.saturation.w"].value == pytest.approx(W, rel=0.01)
+    document = laws_document(found, "f1")
+    assert document["laws"][0]["terms"] == [{"body": "casing", "law": "-k*tanh(omega_c/w)", "rate": ""}]
+    assert {"formula", "body", "score", "delta_bic", "p_value", "parameters", "torque_rms_Nm"} <= set(
+        document["laws"][0]
+    )
+
+
+@pytest.mark.slow
+def test_nothing_is_claimed_where_nothing_is_hidden():
+    found = laws(fitted())
+    assert found.verdict == "none"
+    assert found.laws == ()
+    assert min(d.p_value for d in found.depends_on) > 0.01
+
+
+def test_names_that_cannot_be_kept(tmp_path):
+    for name in ("9lives", "casing.windage", "a b"):
+        with pytest.raises(EffectError):
+            check_name(name, tmp_path / "lab.toml")
+
+
+def test_taking_a_law_out_gives_the_residual_of_a_fit_without_it():
+    """To first order: the torque rows that are added back are the derivative by the strength times the strength."""
+    base = fitted()
+    law = resolve("casing: -k*omega_c**3")
+    cases = [CaseColumns(base, 0)]
+    unit = cases[0].trials(law, [{}])[0].columns
+    found = fit(base.model.with_effect(law), base.problem.data, noise=base.noise)
+    out = context_without(found, [law], [CaseColumns(found, 0)])
+    k = found.estimates[f"{law.name}.k"].value
+    plain = ScoreContext(found, 1)
+    expected = plain.rotated(unit[:, 0] * k)
+    added = out._residual - plain._residual
+    assert np.linalg.norm(added - expected) < 0.01 * np.linalg.norm(expected)
+    assert ranges_of(base)["omega_c"][1] == pytest.approx(160, rel=0.3)
+
+
+@pytest.mark.slow
+def test_no_dependence_is_significant_in_null_data():
+    for seed in (1, 2):
+        assert min(d.p_value for d in dependence(fitted(seed))) > 0.005

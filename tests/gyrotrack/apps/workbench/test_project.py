@@ -1,0 +1,161 @@
+"""The work folder of the start page: what is accepted, what is run, what is kept."""
+
+import asyncio
+import json
+import shutil
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from gyrotrack._errors import ConfigurationError, GyrotrackError
+from gyrotrack.apps.workbench._jobs import Jobs
+from gyrotrack.apps.workbench._project import STATE_FILE, Project
+
+CLIPS = Path(__file__).parents[4] / "sample_clips"
+_ELSEWHERE = ThreadPoolExecutor(max_workers=1)
+
+
+@pytest.fixture
+def project(tmp_path):
+    found = Project(tmp_path)
+    yield found
+    found.close()
+
+
+def _send(project, name, content, declared=None):
+    async def pieces():
+        for k in range(0, len(content), 1000):
+            yield content[k : k + 1000]
+
+    size = len(content) if declared is None else declared
+    # the driver of the browser tests may keep a loop running in this thread
+    _ELSEWHERE.submit(lambda: asyncio.run(project.receive(name, size, pieces()))).result()
+
+
+TABLE = b"t,angle\n" + b"".join(b"%g,%g\n" % (k, k) for k in range(20))
+
+
+def test_what_is_sent_stays_in_the_work_folder(project, tmp_path):
+    for name in ("../../evil.csv", "/etc/evil.csv", "..\\evil.csv", "evil.csv"):
+        _send(project, name, TABLE)
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "evil.csv",
+        "evil_2.csv",
+        "evil_3.csv",
+        "evil_4.csv",
+        STATE_FILE,
+    ]
+    assert {x.file for x in project.state.sources} <= {p.name for p in tmp_path.iterdir()}
+
+
+@pytest.mark.parametrize(
+    ("name", "declared"),
+    [
+        ("a.sh", None),
+        ("", None),
+        ("-o.csv", None),
+        (".csv", None),
+        ("a.toml", None),
+        ("a.csv", 10),
+        ("a.csv", 10**6),
+        ("a.csv", 0),
+        ("a.csv", 10**15),
+        ("a.csv", -1),
+    ],
+)
+def test_what_is_not_accepted_leaves_nothing(project, tmp_path, name, declared):
+    with pytest.raises(GyrotrackError):
+        _send(project, name, TABLE, declared)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_notes_that_are_sent_cannot_name_films_elsewhere(project, tmp_path):
+    text = (CLIPS / "study.toml").read_text().replace('"casing.mp4"', json.dumps(str(CLIPS / "casing.mp4")))
+    with pytest.raises(GyrotrackError, match="outside the work folder"):
+        _send(project, "study.toml", text.encode())
+    assert project.state.sources == []
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("output", ["../x.h5", "/absolute/x.h5", "-x.h5", "x.txt", ".h5"])
+def test_a_state_that_writes_elsewhere_is_refused(tmp_path, output):
+    source = {"key": "1", "file": "a.mp4", "kind": "film", "output": output}
+    (tmp_path / STATE_FILE).write_text(json.dumps({"sources": [source]}))
+    with pytest.raises(ConfigurationError, match="not a state of the workbench"):
+        Project(tmp_path)
+
+
+def test_rates_are_stated_never_taken_from_the_container(project, tmp_path):
+    for name in ("casing.mp4", "rotor_1000fps.mp4"):
+        shutil.copy(CLIPS / "rotor_1.mp4", tmp_path / name)
+        project.add_named(name)
+    casing, rotor = project.state.sources
+    assert (casing.body, casing.capture_fps) == ("casing", None)
+    assert (rotor.body, rotor.capture_fps, rotor.rate_from) == ("rotor", 1000.0, "name of the file")
+    missing = project.document()["missing"]["track"]
+    assert missing == ["The capture rate of casing.mp4 is not given."]
+    with pytest.raises(GyrotrackError, match=r"capture rate of casing\.mp4"):
+        project.track()
+    for wrong in ("fast", "-1", "0", "nan"):
+        with pytest.raises(GyrotrackError, match="not a positive number"):
+            project.set(casing.key, "capture_fps", wrong)
+    project.set(casing.key, "capture_fps", "259,5")
+    assert project.document()["missing"]["track"] == []
+    assert Project(tmp_path).state == project.state
+
+
+def test_commands_are_those_of_the_command_line(project):
+    project.add_samples()
+    document = project.document()
+    assert document["commands"]["track"][0].endswith("casing.mp4 --capture-fps 260 -o casing.h5")
+    assert [x["body"] for x in document["sources"]] == ["casing", "rotor", "rotor", "rotor"]
+    assert document["missing"]["match"] == [
+        "Not tracked yet: casing.mp4, rotor_1.mp4, rotor_2.mp4, rotor_3.mp4."
+    ]
+    assert document["fields"]["surface"] == "grey cardstock"
+    assert document["inertias"]["inertia_rotor"]["value"].startswith("4.2e-06 kg m²")
+    project.set("", "inertia_rotor", "5 ells")
+    assert "not a moment of inertia" in project.document()["inertias"]["inertia_rotor"]["error"]
+
+
+def test_tables_become_a_case_in_a_process_of_their_own(project, tmp_path):
+    for name, speed in (("casing.csv", 5.0), ("rotor.csv", 50.0)):
+        rows = "".join(f"{0.01 * k},{speed * (0.01 * k - 0.01 * (0.01 * k) ** 2)}\n" for k in range(300))
+        (tmp_path / name).write_text("t,angle\n" + rows)
+        project.add_named(name)
+    project.set("", "inertia_rotor", "4.2e-6")
+    project.set("", "inertia_casing", "(1.6 +- 0.1) g cm2")
+    project.set("", "label", "--force")
+    assert project.document()["commands"]["match"] == (
+        "gyrotrack import --casing casing.csv --rotor rotor.csv -o case.h5 --inertia-rotor=4.2e-6 "
+        "'--inertia-casing=(1.6 +- 0.1) g cm2' --label=--force"
+    )
+    project.match()
+    _wait(project, "match")
+    assert project.document()["is_matched"], project.jobs.get("match")
+    assert (tmp_path / "case.h5").exists()
+    project.set("", "inertia_rotor", "4.3e-6")
+    assert not project.document()["is_matched"]
+
+
+def _wait(project, key):
+    for thread in list(project.jobs._threads):
+        thread.join(60)
+    assert not project.jobs.get(key).is_active
+
+
+def test_jobs_wait_for_a_slot_are_cancelled_and_report_their_error(tmp_path):
+    jobs, ended = Jobs(tmp_path, 1), []
+    first = jobs.start("a", ["extract", "absent.mp4"], ended.append)
+    second = jobs.start("b", ["extract", "absent.mp4"], ended.append)
+    jobs.cancel("b")
+    with pytest.raises(GyrotrackError, match="running already"):
+        jobs.start("a", ["extract", "absent.mp4"], ended.append)
+    for thread in list(jobs._threads):
+        thread.join(60)
+    assert first.state == "failed"
+    assert "absent.mp4" in first.summary()["message"]
+    assert second.state == "cancelled"
+    jobs.close()
+    assert {id(j) for j in ended} == {id(first), id(second)}
