@@ -128,7 +128,7 @@ class FitSummary:
 
 def summary_lines(fit: FitSummary) -> list[str]:
     """Return the figures of merit and the parameters of a fit as lines of at most 80 columns."""
-    lines = [f"{'':<12}{'R2':>10}{'rmse [rad/s]':>14}{'chi2/n':>12}{'held out':>11}"]
+    lines = [f"{'':<12}{'R2':>10}{'rmse [rad/s]':>14}{'chi2/n':>12}{'cv error':>11}"]
     for case in fit.cases:
         alone = math.isnan(case.rotor.rmse)  # the record of one body has none of a rotor
         for name, body in (("body" if alone else "casing", case.casing), ("rotor", case.rotor)):
