@@ -15,6 +15,7 @@ that a model without the law is excused with would excuse any shape: its level c
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -32,7 +33,7 @@ from fitting.inference._noise import Noise
 from fitting.inference._noise_level import measure_noise
 from fitting.inference._optimisation import minimise, search
 from fitting.inference._parameters import ParameterLayout, is_power_law
-from fitting.inference._problem import Problem, r_factor
+from fitting.inference._problem import Problem, r_factor, reference_speed
 from fitting.inference._record import Record, Samples
 
 Array = NDArray[np.float64]
@@ -59,6 +60,33 @@ def initial_values(problem: Problem, given: Mapping[str, float] | None) -> Array
         guessed = dict(zip(layout.names, found.tolist(), strict=True))
         known = guessed | {k: v for k, v in known.items() if k in guessed}
     return np.array([known[n] for n in layout.names])
+
+
+def equation_error(model: Model, data: Sequence[CaseData]) -> float:
+    """Return the part of the measured change of the speeds that a model does not account for, without a fit.
+
+    Parameters
+    ----------
+    model : Model
+        Its strengths come from the linear regression, its shape constants have their declared initial values.
+    data : sequence of CaseData
+        The cases.
+
+    Returns
+    -------
+    float
+        Norm of the residuals of the integrated equations of motion over that of the change [1].
+    """
+    layout = ParameterLayout.of(model, [d.record for d in data])
+    rough = [d.initial_speeds for d in data]
+    deflections = [_deflection(d, times) for d, (times, _) in zip(data, rough, strict=True)]
+    theta = start_values(layout, reference_speed(data), rough, deflections)
+    left = whole = 0.0
+    for case, ((times, speeds), deflection) in enumerate(zip(rough, deflections, strict=True)):
+        keys, design, target = _equations(layout, case, times, speeds, deflection, theta)
+        left += float(np.sum((design @ theta[layout.places(case, keys)] - target) ** 2))
+        whole += float(np.sum(target**2))
+    return math.sqrt(left / whole) if whole > 0 else 0.0
 
 
 def _deflection(data: CaseData, times: Array) -> Array:
