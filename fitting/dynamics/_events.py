@@ -147,8 +147,13 @@ class Segments:
         known : Path
             A solution for numbers nearby, or what was measured: its jumps say at which edges the casing turns back.
         """
-        if self.breaks or np.sign(start[_CASING]) != known.sense[0]:
+        if np.sign(start[_CASING]) != known.sense[0] or len(known.breaks) != len(self.breaks):
             return []
+        anchors = [*known.mesh.edges[[0, *sorted(known.jumps), -1]].tolist(), *known.breaks]
+        places = [*anchors[: len(anchors) - len(known.breaks)], *sorted(self.breaks)]
+        if np.any(np.argsort(anchors) != np.argsort(places)):
+            return []  # a law sets in before a reversal that came first, or after one that came later
+        known = replace(known, mesh=known.mesh.moved(sorted(anchors), sorted(places)))
         at = sorted(known.jumps)
         for share in _SHARES:
             count = math.ceil(share * len(at))
@@ -214,15 +219,19 @@ class Segments:
                 y += nodes
                 edges += moves[..., 0]
                 edges[at] += arriving - moves[at, :, 0] + ending * moved[:, None]
-                places = times + moved
-                ends = np.concatenate([mesh.edges[:1], times, mesh.edges[-1:]])
-                gaps = np.diff(ends)
-                late = float((np.abs(moved) / np.minimum(gaps[:-1], gaps[1:])).max())
+                fixed = [b for b in (mesh.edges[0], *self.breaks, mesh.edges[-1]) if b <= mesh.edges[-1]]
+                anchors = np.concatenate([fixed, times])
+                order = np.argsort(anchors)
+                places = np.concatenate([fixed, times + moved])[order]
+                anchors = anchors[order]
+                gaps = np.diff(anchors)
+                shift = np.abs(places - anchors)[1:-1]
+                late = float((shift / np.minimum(gaps[:-1], gaps[1:])).max())
                 scale = 1e-300 + np.abs(y).max(axis=(0, 1))
                 size = max(float((np.abs(nodes).max(axis=(0, 1)) / scale).max()), late)
                 if not size < 1e8 or not late < _LATEST:
                     break
-                new = mesh.moved(ends.tolist(), [float(ends[0]), *places.tolist(), float(ends[-1])])
+                new = mesh.moved(anchors.tolist(), places.tolist())
                 y += f * (new.times - mesh.times)[..., None]
                 inner = np.setdiff1d(np.arange(1, len(edges) - 1), at)
                 edges[inner] += (gauss.ends[1] @ f)[inner - 1] * (new.edges - mesh.edges)[inner, None]

@@ -97,3 +97,15 @@ def test_a_body_that_turns_in_one_sense_does_not_oscillate():
     assert swing is not None
     assert swing.period == pytest.approx(2 * np.pi / np.sqrt(10.0 - 0.05**2), rel=5e-3)
     assert np.abs(swing.deflection - analytic(t, 10.0, 0.1, 1.0)).max() < 0.02
+
+
+def test_a_step_of_friction_between_reversals():
+    dynamics = Dynamics(Model.of([SPRING, "touchpoint.constant", "touchpoint.step"]))
+    numbers = {f"{SPRING}.k": 10.0, "touchpoint.constant.b1": 0.1, "touchpoint.step.k": 0.1}
+    numbers |= {"touchpoint.step.t0": 4.1, INERTIA_ROTOR: 1.0, INERTIA_CASING: 1.0}
+    start, mesh = np.array([0.0, 0.5, -1.0]), Mesh.uniform(0.0, 8.0, 30)
+    near = solve(dynamics, numbers, start, mesh)
+    for t0 in (4.2, 5.6):
+        moved = numbers | {"touchpoint.step.t0": t0}
+        ends = [solve(dynamics, moved, start, mesh, guess).edges[-1] for guess in (near, None)]
+        np.testing.assert_allclose(*ends, atol=1e-10)
