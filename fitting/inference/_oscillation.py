@@ -24,6 +24,8 @@ _FEWEST = 3
 # largest progress over the path, of a body that does not get ahead
 _PROGRESS = 0.6
 _PHASE_DEGREE = 5
+# harmonics of an oscillation, and highest power of time of the amplitude of each
+_HARMONICS, _MODULATION = 3, 3
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,19 @@ class Oscillation:
         inside = np.clip(x, -1.0, 1.0)
         steady = 2 * np.pi / self.period * half * (x - inside)
         return np.asarray(np.polynomial.chebyshev.chebval(inside, phase) + steady)
+
+    def waves(self) -> Array:
+        """Return harmonics of the oscillation, each times powers of time: of any slowly varying amplitude and phase.
+
+        Returns
+        -------
+        ndarray, shape (samples, columns)
+        """
+        phase = self.phase(self.time)
+        x = 2 * (self.time - self.time[0]) / np.ptp(self.time) - 1
+        slow = np.polynomial.legendre.legvander(x, _MODULATION)
+        waves = [f(m * phase)[:, None] * slow for m in range(1, _HARMONICS + 1) for f in (np.cos, np.sin)]
+        return np.concatenate(waves, axis=1)
 
 
 def find_oscillation(record: Record) -> Oscillation | None:
