@@ -41,7 +41,9 @@ from fitting.effects._library import REDUCED
 
 def main() -> None:
     """Run some pairs, or print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("what", choices=("run", "table"))
     parser.add_argument("results", type=Path)
     parser.add_argument("--pairs", type=int, default=45)
@@ -51,7 +53,11 @@ def main() -> None:
     if args.what == "table":
         print("\n".join(table(args.results)))
         return
-    done = {json.loads(x)["key"] for x in args.results.read_text().splitlines()} if args.results.exists() else set()
+    done = (
+        {json.loads(x)["key"] for x in args.results.read_text().splitlines()}
+        if args.results.exists()
+        else set()
+    )
     pairs = [r for r in runs_of_discovery(4, ("pair",)) if r.noise == NOISE][: args.pairs]
     for run in [r for r in pairs if r.key not in done][: args.most]:
         line = answer(run, control=not args.no_control)
@@ -74,7 +80,8 @@ def answer(run: Planned, *, control: bool) -> dict[str, Any]:
         touchpoint=(1.0, 1.0), reversible=False,
     )  # fmt: skip
     proposed = plan(end, bounds=bounds).next_run
-    assert proposed is not None
+    if proposed is None:
+        raise SystemExit(f"{run.key}: no run can be simulated")
     began.append(time.process_time())
     line = {
         "key": run.key, "hidden": list(run.hidden), "two": _named(history, names),
@@ -108,7 +115,9 @@ def _third(run: Planned, wanted: Run) -> Any:
     for name in run.hidden:
         # as in benchmarks/discovery: the moment of an event is drawn for each recording, all else is common
         key = zlib.crc32(name.encode())
-        draw = Draw.of(case["span"], np.random.default_rng([seed, 0, key]), np.random.default_rng([seed, 1, key, 2]))
+        draw = Draw.of(
+            case["span"], np.random.default_rng([seed, 0, key]), np.random.default_rng([seed, 1, key, 2])
+        )
         worlds.append(HIDDEN[name](run.strength * budget(run.gyroscopes[0]), draw))
     made = record(
         case, together(worlds), torque_noise=run.noise, torque_time=run.noise_time,
@@ -121,7 +130,11 @@ def table(path: Path) -> list[str]:
     """Return the shares of pairs that are named, both and none extra."""
     lines = [json.loads(x) for x in path.read_text().splitlines()]
     rows = ["| recordings | both effects named, none extra |", "|---|---|"]
-    for key, words in (("two", "two"), ("third", "and the recommended third run"), ("control", "and a repetition")):
+    for key, words in (
+        ("two", "two"),
+        ("third", "and the recommended third run"),
+        ("control", "and a repetition"),
+    ):
         some = [x for x in lines if key in x]
         right = sum(both({"hidden": x["hidden"], "named": x[key]["named"]}) for x in some)
         if some:
