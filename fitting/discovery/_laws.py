@@ -60,8 +60,8 @@ Array = NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
 _DRAWS = 1000
-# laws that are refitted after the first and after each later search
-_FIRST, _LATER = 5, 9
+# laws that are refitted after the first and after each later search, and laws that take part in the later ones
+_FIRST, _LATER, _KEPT = 5, 9, 48
 _SEARCHES = 3
 _POINTS = 1000
 # steps of the refinement of two shape constants, and points of each
@@ -344,6 +344,8 @@ class _Search:
         self.steps.next()
         if min(self._p(s) for s in scores) >= self.criteria.significance:
             return []
+        self.forms = [law for law, _ in self._promising(scores, _KEPT)]
+        scores = [s for law in self.forms for s in scores if s.effect.name == law.effect.name]
         refits = self._refits(self._promising(scores, _FIRST), self.base, self.base.noise)
         self.steps.next()
         if not refits:

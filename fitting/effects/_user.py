@@ -257,7 +257,7 @@ def _amplitude_unit(expression: Expr, amplitude: str, parameters: tuple[Paramete
 
 
 def _hint() -> str:
-    return "a law may speak of t, omega_r, omega_c, psi_r, psi_c and delta"
+    return "a law may contain t, omega_r, omega_c, psi_r, psi_c and delta"
 
 
 _NAME = re.compile(r"^[A-Za-z][A-Za-z0-9_.]{0,60}$")

@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 from fitting.dynamics._mesh import Path, Sampler
 from fitting.dynamics._sensitivities import angles
 from fitting.effects._library import NUISANCE
-from fitting.inference._angle_noise import AngleNoise, estimate_angle_noise
 from fitting.inference._compression import (
     BLOCKS,
     CASING_DEGREE,
@@ -35,6 +34,12 @@ from fitting.inference._compression import (
     compress,
 )
 from fitting.inference._record import Record, Samples
+from fitting.inference._recording_noise import (
+    AngleNoise,
+    ProcessNoise,
+    estimate_angle_noise,
+    estimate_process_noise,
+)
 from fitting.inference._velocity import initial_speeds, speeds
 
 
@@ -158,9 +163,21 @@ class CaseData:
         """Correlated angle noise of the casing; white if none is significant, or if speeds were measured."""
         if not self.is_angle:
             return AngleNoise()
-        return estimate_angle_noise(
-            self.casing, self.casing.at_samples(camera_columns(self.casing.samples))[0]
-        )
+        return estimate_angle_noise(self.casing, self._camera_rows)
+
+    @cached_property
+    def process_noise(self) -> ProcessNoise:
+        """Random acceleration of the casing; no model and no moment of inertia enters."""
+        return estimate_process_noise(self.casing, self._camera_rows, self.angle_noise, angle=self.is_angle)
+
+    @cached_property
+    def _camera_rows(self) -> Array:
+        """Polynomial rows of the camera's nuisance functions."""
+        if self.is_angle:
+            return self.casing.at_samples(camera_columns(self.casing.samples))[0]
+        if self.record.gradients:
+            return self.casing.at_samples(_gradients(self.casing.samples))[0]
+        return np.zeros((len(self.casing.z), 0))
 
     def whitened(self, rows: Array) -> Array:
         """Return rows with unit white measurement noise, from rows in units of the white noise of the frames."""

@@ -265,7 +265,7 @@ def _best(problem: Problem, theta: Array, effect: Effect, noise: Sequence[Noise]
             starts.append((begin, problem.predict(begin)))
     ends = []
     for share in _SHARES:
-        levels = [n.at(max(n.pure, share * n.level)) for n in noise]
+        levels = [n.at(max(n.least, share * n.level)) for n in noise]
         trial = problem.with_noise(levels)
         log_determinant = sum(n.whitener.log_determinant for n in levels)
         for begin, predictions in starts:
