@@ -191,6 +191,10 @@ class CaseColumns:
         y = Sampler(path.mesh, self.response.centres).value(path.y)
         self._known: dict[str, Any] = {name: y[:, i] for i, name in enumerate(path.states)}
         self._known |= {"t": self.response.centres, "delta": y[:, 0] - y[:, 1]}
+        swing = self.case.data.oscillation
+        if swing is not None:
+            measured = np.interp(self.response.centres, swing.time, swing.deflection)
+            self._known = {"deflection": measured} | self._known
         tau = Tape([self.case.dynamics.bearing_torque])(
             self._known | self.case.dynamics.constants | self.numbers
         )
@@ -303,7 +307,7 @@ class CaseColumns:
         unit[cell] = (1 - late) * before + late * after
 
     def _state(self, effect: Effect, shape: dict[str, float]) -> Array:
-        """Integrate the effect's own state along the base's path (Crank-Nicolson on the cells)."""
+        """Integrate the effect's own state along the base's path (its source and decay constant in each cell)."""
         if effect.state is None or effect.rate is None:
             return np.zeros(0)
         symbol = effect.state.symbol
@@ -317,8 +321,12 @@ class CaseColumns:
             return np.asarray(
                 effect.state.start + np.concatenate([[0.0], np.cumsum(push)]) + 0.5 * h * source[0]
             )
-        keep = (1 + 0.5 * h * decay[:-1]) / (1 - 0.5 * h * decay[1:])
-        gain = push / (1 - 0.5 * h * decay[1:])
+        # exact for a constant rate: a state may forget within a cell
+        exponent = 0.5 * h * (decay[:-1] + decay[1:])
+        keep = np.exp(exponent)
+        gain = push * np.where(
+            exponent == 0, 1.0, np.expm1(exponent) / np.where(exponent == 0, 1.0, exponent)
+        )
         state = np.empty(n)
         state[0] = effect.state.start + 0.5 * h * source[0]
         for i in range(n - 1):
