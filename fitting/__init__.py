@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     )
     from fitting.discovery._criteria import Criteria
     from fitting.discovery._laws import laws
+    from fitting.discovery._plan import plan
     from fitting.discovery._select import Candidate, improve
     from fitting.discovery._verdict import Diagnosis, diagnose
     from fitting.dynamics._model import Model
@@ -55,6 +56,7 @@ _MODULES = {
     ),
     "fitting.discovery._criteria": ("Criteria",),
     "fitting.discovery._laws": ("laws",),
+    "fitting.discovery._plan": ("plan",),
     "fitting.discovery._select": ("Candidate", "improve"),
     "fitting.discovery._verdict": ("Diagnosis", "diagnose"),
     "fitting.dynamics._model": ("Model",),
@@ -108,6 +110,7 @@ __all__ = [
     "load",
     "load_fit",
     "make_record",
+    "plan",
     "predict_recordings",
     "profile_interval",
     "read_effects",

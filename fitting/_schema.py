@@ -180,6 +180,16 @@ class RippleDocument(Document):
     sigma_Nm: list[Number]  # noqa: N815
 
 
+class UpperLimitDocument(Document):
+    """An effect that could still be hidden: 95 % upper limit of its strength, and of its rms torque."""
+
+    effect: str
+    symbol: str
+    upper_limit: Number
+    unit: str
+    torque_Nm: Number  # noqa: N815 - the unit's own capitals
+
+
 class DiagnosisDocument(Document):
     """What `diagnose --json` prints."""
 
@@ -193,6 +203,7 @@ class DiagnosisDocument(Document):
     remainder: RemainderDocument | None = None
     nuisance: list[NuisanceDocument] = []
     next_experiment: str
+    upper_limits: list[UpperLimitDocument] = []
     whiteness: list[WhitenessDocument]
     energy_drift: dict[str, Number]
     residual_torque: list[TorqueDocument]
@@ -222,6 +233,63 @@ class BudgetDocument(Document):
     """What `budget --json` prints, in addition to the name of the fit."""
 
     parameters: dict[str, ParameterBudgetDocument]
+
+
+class EffectLimitsDocument(Document):
+    """What recordings can show of one effect; null where the model absorbs it (`absorbed`) or no torque exists.
+
+    `detection_limit`, `upper_limit`, `stderr` and `size` are strengths in `unit`; `torque_Nm`, `upper_torque_Nm` and
+    `size_Nm` are the same as rms torques along the motion.
+    """
+
+    effect: str
+    kind: str
+    symbol: str
+    unit: str
+    shape: dict[str, Number]
+    stderr: Number
+    detection_limit: Number
+    upper_limit: Number
+    torque_Nm: Number  # noqa: N815 - the unit's own capitals
+    upper_torque_Nm: Number  # noqa: N815
+    detection_range_Nm: tuple[Number, Number]  # noqa: N815
+    size: Number
+    size_Nm: Number  # noqa: N815
+    power: Number
+    runs_needed: Number
+    absorbed: bool
+    indistinguishable_from: list[str]
+
+
+class NextRunDocument(Document):
+    """The proposed run: initial angular rates [rad/s], times [s], and what it is expected to tell [sigma]."""
+
+    omega_rotor: Number
+    omega_casing: Number
+    duration: Number
+    windows: list[Number]
+    window_length: Number
+    inertia_casing_ratio: Number
+    rivals: list[list[str]]
+    separation_sigma: Number
+    present_sigma: Number
+    repeated_sigma: Number
+    inseparable: list[tuple[str, str]]
+    detection_limit_ratio: dict[str, Number]
+    bounds: dict[str, tuple[Number, Number] | bool]
+    sentence: str
+
+
+class PlanDocument(Document):
+    """What `plan --json` prints."""
+
+    effects: list[EffectLimitsDocument]
+    classes: list[list[str]]
+    next_run: NextRunDocument | None
+    power_wanted: Number
+    confidence: Number
+    size_Nm: Number  # noqa: N815
+    warning: str = ""
 
 
 class StepDocument(Document):
@@ -295,6 +363,7 @@ class StoredDiagnosis(Document):
     remainder: RemainderDocument | None = None
     nuisance: list[NuisanceDocument] = []
     next_experiment: str
+    upper_limits: list[UpperLimitDocument] = []
 
 
 class EntryDocument(FitDocument):

@@ -10,9 +10,10 @@ Its level of process noise is profiled. The p-value is calibrated on null data t
 smallest p of many correlated tests (P. Westfall, S. Young, Resampling-Based Multiple Testing (1993)). The explained
 share is that of the excess of chi-square over its degrees of freedom at the noise of the data.
 
-The curve is the posterior mean of f for independent coefficients of variance s^2, the most likely one. The base can
-represent some functions itself (a linear drag for example); the curve is the part that it cannot represent, and its
-band is the standard deviation of that part.
+The curve is the posterior mean of f for independent coefficients of variance s^2, the most likely one. Where the spline
+leaves more than noise, because the law has a finer shape, the noise of the coefficients is scaled by the root of the
+reduced chi-square (R. Birge, Phys. Rev. 40, 207 (1932)). The base can represent some functions itself (a linear drag
+for example); the curve is the part that it cannot represent, and its band is the standard deviation of that part.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
 
-_COLUMNS = 8
+_COLUMNS = 10
 _PAIR = 4
 _CUBIC = 3
 _HARMONICS = (1, 2, 3, 4)
@@ -229,7 +230,7 @@ def _tested(context: ScoreContext, test: _Test) -> tuple[Dependence | None, Arra
     size[size == 0] = np.inf
     rotated = context.rotated(test.columns / size)
     least = min(level.deviance for level in context.levels)
-    best: tuple[float, int, Array, Array, Array, Array] | None = None
+    best: tuple[float, float, Array, Array, Array] | None = None
     explained = 0.0
     null = np.ones(context.draws.shape[1])
     for i, level in enumerate(context.levels):
@@ -243,20 +244,21 @@ def _tested(context: ScoreContext, test: _Test) -> tuple[Dependence | None, Arra
         seen = u.T @ level.residual
         chi2 = float(seen @ seen)
         gain = chi2 - (level.deviance - least)
+        dof = max(len(level.residual) - level.basis.shape[1] - len(s), 1)
         if i == 0:
-            dof = len(level.residual) - level.basis.shape[1]
-            excess = max(float(level.residual @ level.residual) - dof, chi2, 1e-300)
+            excess = max(float(level.residual @ level.residual) - dof - len(s), chi2, 1e-300)
             explained = float(np.clip((chi2 - len(s)) / excess, 0.0, 1.0))
         if best is None or gain > best[0]:
-            best = (gain, len(s), s, vt, seen, size)
+            left_over = max(1.0, (float(level.residual @ level.residual) - chi2) / dof)
+            best = (gain, left_over, s, vt, seen)
         if i == len(context.levels) - 1:
             null = np.asarray(chdtrc(len(s), ((u.T @ context.draws) ** 2).sum(axis=0)))
     if best is None:
         return None, null
-    gain, rank, s, vt, seen, size = best
+    gain, scatter, s, vt, seen = best
+    rank, name = len(s), "*".join(test.variables)
     p = float(chdtrc(rank, max(gain, 0.0)))
-    torque, sigma, identified = _curve(test, s, vt, size, seen)
-    name = "*".join(test.variables)
+    torque, sigma, identified = _curve(test, s / np.sqrt(scatter), vt, size, seen / np.sqrt(scatter))
     return Dependence(
         name, test.body, p, explained, max(gain, 0.0), rank, test.value, torque, sigma, identified
     ), null

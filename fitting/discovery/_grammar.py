@@ -24,7 +24,9 @@ from itertools import product
 
 import numpy as np
 
-from fitting.effects._effect import MOMENTS, Effect, Joint, Parameter, State
+from fitting.effects._dimension import dimension, format_unit, parse_unit
+from fitting.effects._effect import MOMENTS, VARIABLES, Effect, Joint, Parameter, State
+from fitting.effects._expression import parse
 
 # bits for each symbol of a formula
 _BITS = 2.0
@@ -95,9 +97,19 @@ class _Form:
 _OF_SPEED = (
     _Form("power", "abs({x})**n{s}", (("n", "exponent"),), 2, odd=False),
     _Form("exponential", "exp(-abs({x})/w){s}", (("w", "speed"),), 3, odd=False),
+    _Form("exponential", "exp(-({x}/w)**2){s}", (("w", "speed"),), 4, odd=False),
     _Form("exponential growth", "(exp(abs({x})/w) - 1){s}", (("w", "wide speed"),), 4, odd=False),
     _Form("saturation", "tanh({x}/w)", (("w", "speed"),), 3),
     _Form("saturation", "{x}/(abs({x}) + w)", (("w", "speed"),), 3),
+    _Form("saturation", "atan({x}/w)", (("w", "speed"),), 3),
+    _Form("saturation", "{x}/sqrt({x}**2 + w**2)", (("w", "speed"),), 5),
+    _Form(
+        "saturation",
+        "abs({x})**n/(abs({x})**n + w**n){s}",
+        (("w", "speed"), ("n", "steepness")),
+        6,
+        odd=False,
+    ),
     _Form("peak", "{x}/(1 + ({x}/w)**2)", (("w", "speed"),), 4),
     _Form("peak", "{x}*exp(-abs({x})/w)", (("w", "speed"),), 4),
     _Form("logarithm", "log(1 + abs({x})/w){s}", (("w", "speed"),), 3, odd=False),
@@ -107,10 +119,12 @@ _OF_SPEED = (
     _Form("resonance", "1/(1 + (({x} - w)/u)**2)", (("w", "threshold"), ("u", "narrow")), 5),
     _Form("resonance", "exp(-(({x} - w)/u)**2)", (("w", "threshold"), ("u", "narrow")), 5),
     _Form("relaxation", "lag", (("T", "time"),), 3),
+    _Form("relaxation", "lag*{x}", (("T", "time"),), 4),
 )
 _OF_TIME = (
     _Form("power of time", "t**n", (("n", "positive exponent"),), 2),
     _Form("decay in time", "exp(-t/w)", (("w", "time"),), 3),
+    _Form("decay in time", "1/(1 + t/w)", (("w", "time"),), 3),
     _Form("logarithm of time", "log(1 + t/w)", (("w", "time"),), 3),
     _Form("oscillation", "sin(w*t - phi)", (("w", "frequency"),), 3, phase=True),
     _Form(
@@ -148,12 +162,25 @@ _PRODUCTS: dict[str, tuple[tuple[str, tuple[str, ...], int], ...]] = {
         ("delta*abs(delta)*t", ("delta", "t"), 4),
     ),
 }
+# with a free exponent
+_FREE_PRODUCTS: dict[str, tuple[tuple[str, tuple[str, ...]], ...]] = {
+    "rotor": (),
+    "casing": (
+        ("abs(omega_r)**n*omega_c", ("omega_r", "omega_c")),
+        ("abs(omega_c)**n*omega_r", ("omega_r", "omega_c")),
+        ("abs(omega_c)**n*t*sign(omega_c)", ("omega_c", "t")),
+    ),
+    "bearing": (
+        ("abs(delta)**n*omega_c", ("delta", "omega_c")),
+        ("abs(delta)**n*t*sign(delta)", ("delta", "t")),
+    ),
+}
 _DECAYING = {
     "rotor": ("omega_r", "omega_r*abs(omega_r)"),
     "casing": ("omega_c", "omega_c*abs(omega_c)", "omega_r"),
     "bearing": ("delta", "delta*abs(delta)"),
 }
-_HARMONICS = (3, 4, 5, 6)
+_HARMONICS = (3, 4)
 
 
 def grammar(
@@ -182,7 +209,7 @@ def grammar(
         if body != "rotor":
             found += [_of_time(f, body, span) for f in (*_OF_TIME, *_EVENTS)]
         else:
-            found += [_of_time(f, body, span) for f in (*_OF_TIME[:3], *_EVENTS[:1])]
+            found += [_of_time(f, body, span) for f in (*_OF_TIME[:4], *_EVENTS[:1])]
         found += _products(body, span, single=single)
     if angles:
         found += [_of_angle(n) for n in _HARMONICS]
@@ -220,6 +247,11 @@ def _products(body: Joint, span: float, *, single: bool) -> Iterator[LawForm]:
     for text, variables, symbols in _PRODUCTS[body]:
         if not single or "omega_r" not in variables:
             yield _law(_Form("product", text, (), symbols), body, text, (), variables)
+    for text, variables in _FREE_PRODUCTS[body]:
+        if not single or "omega_r" not in variables:
+            yield _law(
+                _Form("product", "", (), 4), body, text, (_shape("n", "exponent", 1.0, span),), variables
+            )
     for factor in _DECAYING[body]:
         if single and "omega_r" in factor:
             continue
@@ -262,19 +294,17 @@ def _word(name: str) -> str:
 
 
 def _unit(text: str, shapes: Sequence[Parameter]) -> str:
-    """Return the unit of the strength that makes the law a torque."""
-    from fitting.effects._dimension import dimension, format_unit, parse_unit
-    from fitting.effects._effect import VARIABLES
-    from fitting.effects._expression import parse
-
-    if any(p.unit == "1" for p in shapes):
-        return "N m s^-n" if text.startswith("t**") else "N m s^n"
+    """Return the unit of the strength that makes the law a torque; an exponent n stands in it as ``s^n``."""
+    expression = parse(text)
     units = {n: parse_unit(u) for n, u in VARIABLES.items()} | {p.symbol: parse_unit(p.unit) for p in shapes}
     units["phi"] = parse_unit("rad")
-    rest = dimension(parse(text), units, {})
-    torque = parse_unit("N m")
-    kg, m, s, kelvin = (a - b for a, b in zip(torque, rest, strict=True))
-    return format_unit((kg, m, s, kelvin))
+    exponents = [p.symbol for p in shapes if p.unit == "1"]
+    at = [dimension(expression, units, dict.fromkeys(exponents, n)) for n in (1.0, 2.0)]
+    # seconds of the law: a + b n
+    b = at[1][2] - at[0][2]
+    kg, m, s, kelvin = (x - y for x, y in zip(parse_unit("N m"), at[0], strict=True))
+    unit = format_unit((kg, m, s + b, kelvin))
+    return unit if b == 0 else f"{unit} s^{'-' if b > 0 else ''}{exponents[0]}"
 
 
 def _shape(symbol: str, kind: str, largest: float, span: float) -> Parameter:
@@ -300,6 +330,8 @@ def _shape(symbol: str, kind: str, largest: float, span: float) -> Parameter:
         )
     if kind == "threshold":
         return made("s-1", [v * largest for v in _THRESHOLDS], 0.0, 1.2 * largest)
+    if kind == "steepness":
+        return made("1", (0.5, 1.5, 2.0, 3.0), 0.2, 8.0)
     if kind == "narrow":
         return made("s-1", [v * largest for v in (0.03, 0.08, 0.2, 0.5)], 0.005 * largest, 3 * largest)
     if kind in {"time", "time few"}:

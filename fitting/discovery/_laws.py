@@ -32,8 +32,8 @@ from fitting._errors import FittingError
 from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._criteria import DEFAULT, Criteria
 from fitting.discovery._dependence import Dependence, context_without, dependence
-from fitting.discovery._experiment import next_experiment
 from fitting.discovery._grammar import LawForm, grammar
+from fitting.discovery._next_run import separating_run
 from fitting.discovery._refine import fit_at, refined, start_of
 from fitting.discovery._residuals import micro_newton_metres
 from fitting.discovery._score import (
@@ -60,8 +60,8 @@ Array = NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
 _DRAWS = 1000
-# laws that are refitted after the first and after each later search
-_FIRST, _LATER = 5, 9
+# laws that are refitted after the first and after each later search, and laws that take part in the later ones
+_FIRST, _LATER, _KEPT = 5, 9, 48
 _SEARCHES = 3
 _POINTS = 1000
 # steps of the refinement of two shape constants, and points of each
@@ -262,7 +262,7 @@ def laws(
         tuple(found),
         library,
         depends_on,
-        next_experiment(base, [_as_candidate(x) for x in answer], criteria),
+        separating_run(base, [(x.formula, x.effects, x.estimates) for x in answer], criteria),
         search.trials,
     )
 
@@ -344,6 +344,8 @@ class _Search:
         self.steps.next()
         if min(self._p(s) for s in scores) >= self.criteria.significance:
             return []
+        self.forms = [law for law, _ in self._promising(scores, _KEPT)]
+        scores = [s for law in self.forms for s in scores if s.effect.name == law.effect.name]
         refits = self._refits(self._promising(scores, _FIRST), self.base, self.base.noise)
         self.steps.next()
         if not refits:
@@ -629,23 +631,6 @@ def _as_good(candidates: Sequence[Candidate], best: Law, criteria: Criteria) -> 
             if refitted.bic < best.penalised + criteria.equivalence_width:
                 return replace(c, fit=refitted)
     return None
-
-
-def _as_candidate(law: Law) -> Candidate:
-    effect = replace(law.effects[0], name=law.formula)
-    screened = Score(effect, law.score, np.zeros(1), ({},), 1, 1, False, np.zeros(1), np.zeros(1))  # noqa: FBT003
-    return Candidate(
-        effect,
-        law.score,
-        law.delta_bic,
-        law.p_value,
-        float("nan"),
-        (),
-        law.estimates,
-        significant=True,
-        screened=screened,
-        fit=law.fit,
-    )
 
 
 def _sentence(

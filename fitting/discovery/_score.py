@@ -229,6 +229,17 @@ class CaseColumns:
             return np.asarray(first + finer * (last - first))
         return grid * (last - first) if p.relative else grid
 
+    @property
+    def typical_torque(self) -> Array:
+        """Torque of the bearing in each cell [N m]; of a single body the net torque."""
+        return np.asarray(self._whole["inertia"] if self.case.data.record.single else self._whole["factor"])
+
+    def torque(self, effect: Effect, shape: dict[str, float]) -> tuple[Array, Array]:
+        """Return the torques of a unit strength on rotor and casing, each (cells, columns) [N m]."""
+        unit = self._unit(effect, shape)
+        rotor, casing = _ACTING.get(effect.joint, (-1.0, 1.0))
+        return rotor * unit, casing * unit
+
     def _units(self, effect: Effect, choices: Sequence[dict[str, float]]) -> Array:
         """Return the torque of a law at strength 1 in each cell, for all choices of its shape constants at once."""
         amplitude = next(p.symbol for p in effect.parameters if p.role == "amplitude")

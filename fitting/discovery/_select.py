@@ -117,11 +117,7 @@ def rank(
     workers : WorkerPool, optional
         Processes that run some of the refits.
     """
-    known = {e.name: e for e in (*LIBRARY.values(), *extra)}
-    names = set(base.model.names)
-    effects = [
-        e for e in known.values() if e.name not in names and not e.nuisance and _is_applicable(e, base)
-    ]
+    effects = applicable_effects(base, extra)
     cases = [CaseColumns(base, i) for i in range(len(base.problem.cases))]
     scores = score(base, effects, cases, criteria)
     nulls = {s.effect.name: NullDistribution(s) for s in scores}
@@ -146,6 +142,13 @@ def rank(
 
 def _measured(fit: Fit) -> Sequence[CaseData]:
     return fit.problem.data
+
+
+def applicable_effects(base: Fit, extra: Sequence[Effect]) -> list[Effect]:
+    """Return the effects of the library and of the user that a fit could lack."""
+    known = {e.name: e for e in (*LIBRARY.values(), *extra)}
+    names = set(base.model.names)
+    return [e for e in known.values() if e.name not in names and not e.nuisance and _is_applicable(e, base)]
 
 
 def _is_applicable(effect: Effect, base: Fit) -> bool:

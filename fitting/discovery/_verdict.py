@@ -16,7 +16,6 @@ from fitting._display import block, draw_candidates, draw_torque, figure, headli
 from fitting._numbers import probability, rounded, short, typeset
 from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._criteria import DEFAULT, Criteria
-from fitting.discovery._experiment import next_experiment
 from fitting.discovery._lack_of_fit import (
     UNKNOWN_IN_TIME,
     UNKNOWN_LAW,
@@ -26,6 +25,8 @@ from fitting.discovery._lack_of_fit import (
     contradiction,
     nonparametric_rivals,
 )
+from fitting.discovery._next_run import separating_run
+from fitting.discovery._power import UpperLimit, largest_hidden
 from fitting.discovery._remainder import Grade, Nuisance, Remainder, grade, nuisance_parameters
 from fitting.discovery._residuals import (
     Failure,
@@ -82,6 +83,8 @@ class Diagnosis:
         Harmonics of the unmodelled torque in the angle of the casing, with bands.
     whiteness : tuple of Whiteness
         Whether the residuals are independent.
+    upper_limits : tuple of UpperLimit
+        Of an adequate fit: the physical effects that could still be hidden, with the largest torques.
     """
 
     fit: Fit
@@ -97,6 +100,7 @@ class Diagnosis:
     torques: tuple[ResidualTorque, ...] = field(repr=False)
     ripples: tuple[Ripple, ...] = field(repr=False)
     whiteness: tuple[Whiteness, ...] = field(repr=False)
+    upper_limits: tuple[UpperLimit, ...] = ()
 
     def plot(self) -> Figure:
         """Draw the unmodelled torque with its band, where the model fails, and the candidates (matplotlib)."""
@@ -210,21 +214,25 @@ def diagnose(
         selection = _with_rivals(selection, rivals)
     nuisance = nuisance_parameters(selection.end)
     torques, waves = curves.result(), harmonics.result()
+    hidden = largest_hidden(fit, extra, criteria) if verdict == "adequate" else ()
     failures = find_failures(fit, torques, waves, criteria) if verdict != "adequate" else []
     return Diagnosis(
         fit,
         verdict,
-        _sentence(fit, verdict, selection, failures, doubt, size, nuisance, criteria),
+        _sentence(fit, verdict, selection, failures, doubt, size, nuisance, criteria, hidden),
         tuple(failures),
         tuple(selection.candidates),
         size.form,
         size.explained,
         size.remainder,
         tuple(nuisance),
-        next_experiment(fit, _class_of(selection), criteria),
+        separating_run(
+            fit, [(c.effect.name, [c.effect], c.estimates) for c in _class_of(selection) if c.fit], criteria
+        ),
         tuple(torques),
         tuple(waves),
         tuple(whiteness(fit)),
+        hidden,
     )
 
 
@@ -265,10 +273,16 @@ def _sentence(
     size: Grade,
     nuisance: Sequence[Nuisance],
     criteria: Criteria,
+    hidden: Sequence[UpperLimit],
 ) -> str:
     """Return the answer in a few sentences."""
     if verdict == "adequate":
         parts = ["The residuals are consistent with noise; the model is adequate."]
+        if hidden:
+            limits = ", ".join(f"{u.effect} {micro_newton_metres(u.torque_Nm)}" for u in hidden)
+            parts.append(
+                f"Effects that could still be hidden, with 95 % upper limits of the rms torque: {limits}."
+            )
     else:
         parts = [f"Significant lack of fit{f': {failures[0]}' if failures else ''}."]
         parts += (

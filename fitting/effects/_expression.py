@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from fitting._errors import ExpressionError
 
-FUNCTIONS = ("abs", "sign", "sqrt", "exp", "log", "sin", "cos", "tanh", "heaviside")
+FUNCTIONS = ("abs", "sign", "sqrt", "exp", "log", "sin", "cos", "tanh", "atan", "heaviside")
 
 
 class Expr(NamedTuple):
@@ -271,6 +271,7 @@ _OUTER: dict[str, Callable[[Expr], Expr]] = {
     "sin": lambda u: call("cos", u),
     "cos": lambda u: neg(call("sin", u)),
     "tanh": lambda u: sub(ONE, power(call("tanh", u), num(2.0))),
+    "atan": lambda u: div(ONE, add(ONE, power(u, num(2.0)))),
 }
 
 
@@ -349,6 +350,7 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
     "sin": np.sin,
     "cos": np.cos,
     "tanh": np.tanh,
+    "atan": np.arctan,
     "heaviside": _heaviside,
 }
 

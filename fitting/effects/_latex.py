@@ -82,4 +82,5 @@ def _function(e: Expr) -> str:
         return rf"\operatorname{{sgn}}\left({inner}\right)"
     if e.op == "heaviside":
         return rf"H\left({inner}\right)"
-    return rf"\{e.op}\left({inner}\right)"
+    name = {"atan": "arctan"}.get(e.op, e.op)
+    return rf"\{name}\left({inner}\right)"

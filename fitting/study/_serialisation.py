@@ -25,11 +25,14 @@ from fitting._schema import (
     CandidateDocument,
     CaseDocument,
     DiagnosisDocument,
+    EffectLimitsDocument,
     EstimateDocument,
     FailureDocument,
     FitDocument,
+    NextRunDocument,
     NuisanceDocument,
     ParameterBudgetDocument,
+    PlanDocument,
     RemainderDocument,
     RippleDocument,
     SavedFitDocument,
@@ -40,11 +43,15 @@ from fitting._schema import (
     StoredFit,
     StoredNoise,
     TorqueDocument,
+    UpperLimitDocument,
     WhitenessDocument,
     effects_of,
     own_effects,
     read_json,
 )
+from fitting.discovery._next_run import NextRun
+from fitting.discovery._plan import Plan
+from fitting.discovery._power import CONFIDENCE, POWER, EffectLimits, UpperLimit
 from fitting.discovery._remainder import Nuisance, Remainder
 from fitting.discovery._residuals import Failure, ResidualTorque, residual_torques, ripples, whiteness
 from fitting.discovery._score import Score
@@ -103,6 +110,61 @@ def budget_document(found: Mapping[str, ParameterBudget]) -> dict[str, Any]:
     return BudgetDocument(parameters=parameters).model_dump()
 
 
+def plan_document(found: Plan) -> dict[str, Any]:
+    """Return a plan under the keys of `plan --json`."""
+    return PlanDocument(
+        effects=[_limits(e) for e in found.effects],
+        classes=[list(c) for c in found.classes],
+        next_run=_next_run(found.next_run) if found.next_run is not None else None,
+        power_wanted=POWER,
+        confidence=CONFIDENCE,
+        size_Nm=found.size,
+        warning=found.warning,
+    ).model_dump()
+
+
+def _limits(e: EffectLimits) -> EffectLimitsDocument:
+    return EffectLimitsDocument(
+        effect=e.effect.name,
+        kind=e.effect.kind,
+        symbol=e.strength,
+        unit=e.unit,
+        shape=e.shape,
+        stderr=e.stderr,
+        detection_limit=e.detection_limit,
+        upper_limit=e.upper_limit,
+        torque_Nm=e.detection_torque,
+        upper_torque_Nm=e.upper_torque,
+        detection_range_Nm=e.detection_range if e.effect.mechanical else (float("nan"), float("nan")),
+        size=e.size,
+        size_Nm=e.size * e.torque,
+        power=e.power,
+        runs_needed=e.runs_needed,
+        absorbed=e.absorbed,
+        indistinguishable_from=list(e.indistinguishable_from),
+    )
+
+
+def _next_run(n: NextRun) -> NextRunDocument:
+    run = n.run
+    return NextRunDocument(
+        omega_rotor=run.omega_rotor,
+        omega_casing=run.omega_casing,
+        duration=run.duration,
+        windows=list(run.windows),
+        window_length=run.window_length,
+        inertia_casing_ratio=run.ring,
+        rivals=[list(names) for names in n.rivals],
+        separation_sigma=max(n.separation, 0.0) ** 0.5,
+        present_sigma=max(n.present, 0.0) ** 0.5,
+        repeated_sigma=max(n.repeated, 0.0) ** 0.5,
+        inseparable=list(n.inseparable),
+        detection_limit_ratio=n.gains,
+        bounds=asdict(n.bounds),
+        sentence=n.sentence,
+    )
+
+
 def not_determined_together(fit: Fit) -> list[dict[str, float]]:
     """Return degenerate combinations of parameters: relative changes by name, the largest 1."""
     kept = [i for i, n in enumerate(fit.problem.layout.names) if not n.startswith("initial.")]
@@ -128,6 +190,7 @@ def diagnosis_document(d: Diagnosis, fit_id: str) -> dict[str, Any]:
         remainder=RemainderDocument.model_validate(d.remainder) if d.remainder is not None else None,
         nuisance=[NuisanceDocument.model_validate(n) for n in d.nuisance],
         next_experiment=d.next_experiment,
+        upper_limits=[UpperLimitDocument.model_validate(u) for u in d.upper_limits],
         whiteness=[WhitenessDocument.model_validate(w) for w in d.whiteness],
         energy_drift={c.label: c.energy_drift for c in d.fit.cases},
         residual_torque=[_torque(t) for t in d.torques],
@@ -389,6 +452,7 @@ def stored_diagnosis(found: Diagnosis, extra: Sequence[Effect] = ()) -> StoredDi
         remainder=RemainderDocument.model_validate(found.remainder) if found.remainder is not None else None,
         nuisance=[NuisanceDocument.model_validate(n) for n in found.nuisance],
         next_experiment=found.next_experiment,
+        upper_limits=[UpperLimitDocument.model_validate(u) for u in found.upper_limits],
     )
 
 
@@ -422,6 +486,7 @@ def restored_diagnosis(stored: StoredDiagnosis, fit: Fit, extra: Sequence[Effect
         tuple(residual_torques(fit)),
         tuple(ripples(fit)),
         tuple(whiteness(fit)),
+        tuple(UpperLimit(**u.model_dump()) for u in stored.upper_limits),
     )
 
 

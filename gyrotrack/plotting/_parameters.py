@@ -14,7 +14,7 @@ from gyrotrack.plotting._style import AFTER, BEFORE, Picture, canvas, markup, pl
 Array = NDArray[np.float64]
 _STRONG = 0.95
 _MOST_NUMBERED = 14
-_FUNCTION = re.compile(r"([\w})|]) ?(\\(?:operatorname|exp|log|sqrt|sin|cos|tan|tanh|left\())")
+_FUNCTION = re.compile(r"([\w})|]) ?(\\(?:operatorname|exp|log|sqrt|sin|cos|tan|tanh|arctan|left\())")
 
 
 def formula(latex: str, name: str, *, size: float = 15.0, colour: str = "black") -> str:

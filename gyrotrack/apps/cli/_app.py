@@ -45,6 +45,7 @@ COMMANDS = (
     Entry("diagnose", "_fitting", _PHYSICS, "Locate the lack of fit and rank the missing effects."),
     Entry("improve", "_fitting", _PHYSICS, "Add effects until the residuals are consistent with noise."),
     Entry("laws", "_laws", _PHYSICS, "Find the law of an unmodelled torque, as a set of formulas."),
+    Entry("plan", "_plan", _PHYSICS, "Compute detection limits, upper limits and the best next run."),
     Entry("budget", "_fitting", _PHYSICS, "Uncertainty budget of every parameter (GUM)."),
     Entry("ladder", "_fitting", _PHYSICS, "List the fits of a case: one bar per fit."),
     Entry("report", "_presentation", _PHYSICS, "Write a report: one HTML page or a PDF."),

@@ -34,6 +34,7 @@ FUNCTIONS = {
     "sin": sympy.sin,
     "cos": sympy.cos,
     "tanh": sympy.tanh,
+    "atan": sympy.atan,
     "heaviside": lambda u: sympy.Heaviside(u, 1),
 }
 # functions with a jump or a kink at zero: there a derivative is a matter of taste
@@ -141,6 +142,7 @@ def test_random_formula_agrees_with_sympy(tree, x, y, g):
         ("exp(-x/y)", "y", "x/y**2*exp(-x/y)"),
         ("sqrt(x)", "x", "0.5/sqrt(x)"),
         ("tanh(x)", "x", "1 - tanh(x)**2"),
+        ("atan(x/2)", "x", "0.5/(1 + (x/2)**2)"),
         ("heaviside(x)", "x", "0"),
         ("sign(x)*x", "x", "sign(x)"),
         ("y", "x", "0"),

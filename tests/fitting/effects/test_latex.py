@@ -10,7 +10,7 @@ from fitting.effects._latex import latex
 from fitting.effects._library import GENERAL, LIBRARY
 
 BACKTICKED = re.compile(
-    r"\\(?!omega|psi|varphi|varepsilon|tau|chi|left|right|frac|sqrt|mathrm|operatorname|times|dot|sin|cos|exp|log|tanh)[A-Za-z]+"
+    r"\\(?!omega|psi|varphi|varepsilon|tau|chi|left|right|frac|sqrt|mathrm|operatorname|times|dot|sin|cos|exp|log|tanh|arctan)[A-Za-z]+"
 )
 
 

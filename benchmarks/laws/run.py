@@ -1,0 +1,181 @@
+"""How well `laws` finds laws outside the library, on recordings made elsewhere.
+
+    python benchmarks/laws/run.py hidden [--noise 1e-7] [--only NUMBER ...] [--seed N]
+    python benchmarks/laws/run.py empty --count 60
+    python benchmarks/laws/run.py table
+
+Each run appends a line of JSON to results.jsonl; `table` writes RESULTS.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+import traceback
+from pathlib import Path
+from typing import Any
+
+for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+    os.environ.setdefault(variable, "1")
+
+import numpy as np
+from worlds import LAWS, World, world
+
+from fitting._workers import WorkerPool
+from fitting.discovery._criteria import DEFAULT
+from fitting.discovery._laws import Laws, _Search, _Steps, _with_class, laws
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
+from fitting.effects._library import REDUCED
+from fitting.inference._case_data import CaseData
+from fitting.inference._fit import fit
+from fitting.inference._record import make_record
+from fitting.inference._result import Fit
+
+RESULTS = Path(__file__).parent / "results.jsonl"
+TABLE = Path(__file__).parent / "RESULTS.md"
+_POINTS = 1500
+
+
+def hidden(index: int, noise: float, seed: int, *, diagnosed: bool) -> dict[str, Any]:
+    """Search for the hidden law of this number; without the diagnosis, which takes longer, unless `diagnosed`."""
+    w = world(index, seed)
+    began = time.process_time()
+    data = [CaseData.of(make_record(**r)) for r in w.records(noise, seed)]
+    base = fit(Model.of(REDUCED), data[:2])
+    if diagnosed:
+        found = laws(base)
+    else:
+        set_ = _Search(base, DEFAULT, WorkerPool(0), _Steps(None)).best_set()
+        answer = [x for x in set_ if x.penalised - set_[0].penalised < DEFAULT.equivalence_width]
+        found = Laws(
+            base, "law" if set_ else "none", "", tuple(_with_class(x, answer) for x in set_), None, (), "", 0
+        )
+    line: dict[str, Any] = {
+        "key": f"hidden|{index}|{noise:g}|{seed}", "name": w.name, "noise": noise, "verdict": found.verdict,
+        "library": found.library.effect.name if found.library else None,
+        "set": [x.formula for x in found.answer], "all": [x.formula for x in found.laws],
+        "form": any(_is_true(w, x) for x in found.answer[:5]), "set_size": len(found.answer),
+        "first": bool(found.laws) and _is_true(w, found.laws[0]),
+        "diagnosed": diagnosed, "p": found.laws[0].p_value if found.laws else None,
+        "seconds": time.process_time() - began,
+    }  # fmt: skip
+    best = found.laws[0].fit if found.laws else (found.library.fit if found.library is not None else None)
+    if best is None:
+        best = base
+    line |= {"torque_error": torque_error(w, best), "third": third(best, data[2])}
+    return line
+
+
+def _is_true(w: World, law: Any) -> bool:
+    terms = law.form.split(" + ")
+    variables = law.fit.model.names[-len(terms) :]
+    own = [
+        (form, e.joint, frozenset(name.split(".")[2].replace("_omega", " omega").replace("_t", " t").split()))
+        for form, e, name in zip(terms, law.effects, variables, strict=True)
+    ]
+    return any(f in w.forms and j == w.body and v == frozenset(w.variables) for f, j, v in own)
+
+
+def torque_error(w: World, found: Fit) -> float:
+    """Return the rms error of the net torques along the true motion, over the rms of the hidden torque."""
+    wrong, size = [], []
+    for case in range(2):
+        true = w.motion(case)
+        first, last = found.problem.data[case].record.span
+        keep = (true.time > first) & (true.time < last)
+        t, y, a = true.time[keep], true.speed[keep], true.acceleration[keep]
+        step = max(1, len(t) // _POINTS)
+        t, y, a = t[::step], y[::step], a[::step]
+        numbers = found.problem.layout.numbers(found.theta, case)
+        own = found.predictions[case].path
+        if own.y.shape[-1] > 2:
+            from fitting.dynamics._mesh import Sampler
+
+            y = np.concatenate([y, Sampler(own.mesh, t).value(own.y)[:, 2:]], axis=1)
+        rates = found.problem.cases[case].dynamics.rates(t, y, numbers)
+        for body, key in ((0, INERTIA_ROTOR), (1, INERTIA_CASING)):
+            wrong.append(numbers[key] * (rates[:, body] - a[:, body]))
+        (law,) = w.hidden.casing + w.hidden.bearing + w.hidden.rotor
+        size.append([law(float(s), float(v[0]), float(v[1]), 0.0) for s, v in zip(t, y, strict=True)])
+    error = np.sqrt(np.mean(np.concatenate(wrong) ** 2))
+    return float(error / np.sqrt(np.mean(np.concatenate(size) ** 2)))
+
+
+def third(found: Fit, data: CaseData) -> float:
+    """Return the rms error of the casing's angle in a third recording over the noise.
+
+    What the recordings share is held; touch point, drag of the casing and start speeds are free, as in a joint fit.
+    """
+    from fitting.inference._cross_validation import _prediction_error
+
+    shared = {k: found.estimates[k].value for k in found.model.free if k in found.estimates}
+    # of an event every recording has its own; there is none here
+    alone = fit(found.model.with_fixed(shared), [data])
+    return float(_prediction_error(alone.cases[0].casing))
+
+
+def empty(seed: int) -> dict[str, Any]:
+    """Search where nothing is hidden; the diagnosis, which could only stop the search, is left out."""
+    w = world(None, seed)
+    data = [CaseData.of(make_record(**r)) for r in w.records(0.0 if seed % 2 else 1e-7, seed)[:2]]
+    base = fit(Model.of(REDUCED), data)
+    search = _Search(base, DEFAULT, WorkerPool(0), _Steps(None))
+    found = search.best_set()
+    return {
+        "key": f"empty|{seed}", "noise": 0.0 if seed % 2 else 1e-7, "claimed": [x.formula for x in found[:3]],
+        "p": found[0].p_value if found else None, "delta_bic": found[0].delta_bic if found else None,
+        "base": base.verdict,
+    }  # fmt: skip
+
+
+def append(line: dict[str, Any]) -> None:
+    with RESULTS.open("a", encoding="utf-8") as stream:
+        stream.write(json.dumps(line) + "\n")
+    print(json.dumps(line), flush=True)
+
+
+def lines() -> dict[str, dict[str, Any]]:
+    if not RESULTS.is_file():
+        return {}
+    return {x["key"]: x for x in map(json.loads, RESULTS.read_text(encoding="utf-8").splitlines())}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("what", choices=["hidden", "empty", "table"])
+    parser.add_argument("--noise", type=float, default=0.0)
+    parser.add_argument("--only", type=int, nargs="+", default=list(range(len(LAWS))))
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--count", type=int, default=60)
+    parser.add_argument("--diagnosed", action="store_true", help="the whole command, the diagnosis included")
+    parser.add_argument("--again", action="store_true", help="run what is in the results already")
+    options = parser.parse_args()
+    done = {} if options.again else lines()
+    if options.what == "hidden":
+        for index in options.only:
+            key = f"hidden|{index}|{options.noise:g}|{options.seed}"
+            if key not in done:
+                _kept(
+                    key,
+                    lambda index=index: hidden(
+                        index, options.noise, options.seed, diagnosed=options.diagnosed
+                    ),
+                )
+    elif options.what == "empty":
+        for seed in range(options.count):
+            if f"empty|{seed}" not in done:
+                _kept(f"empty|{seed}", lambda seed=seed: empty(seed))
+
+
+def _kept(key: str, work: Any) -> None:
+    try:
+        append(work())
+    except Exception as fault:  # whatever went wrong belongs into the table
+        append({"key": key, "error": "".join(traceback.format_exception_only(fault)).strip()})
+        traceback.print_exc()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,234 @@
+"""Fisher information of recordings, made or planned, about parameters and candidate effects.
+
+A run that is planned is simulated without noise, and its rows and their derivatives are computed as those of a
+recording, with the measurement noise and the process noise of the recordings at hand. With J the derivatives by the
+free parameters, s_k the responses to the candidate effects, and everything that belongs to one run alone (its initial
+angular rates, touch point, casing drag, phases of the films) projected out,
+
+    I = sum over runs of [J s]' C^-1 [J s].
+
+Runs add up, present and planned ones alike.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.discovery._score import CaseColumns
+from fitting.dynamics._mesh import Sampler
+from fitting.dynamics._model import INERTIA_CASING
+from fitting.effects._effect import Effect
+from fitting.effects._library import GENERAL
+from fitting.inference._case_data import CaseData
+from fitting.inference._compression import CASING_DEGREE, ROTOR_DEGREE, compress
+from fitting.inference._noise import Noise, TorqueNoise, TorqueResponse
+from fitting.inference._parameters import START_CASING, START_ROTOR, ParameterLayout
+from fitting.inference._problem import Problem
+from fitting.inference._record import Record, Samples
+from fitting.inference._result import Fit
+from fitting.inference._simulation import Experiment, simulate_path
+
+Array = NDArray[np.float64]
+
+# blocks of a planned recording, and samples of each: a smooth motion needs no more
+_BLOCKS = 24
+_PER_BLOCK = 64
+_TINY = 1e-12
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run that is planned.
+
+    Attributes
+    ----------
+    omega_rotor, omega_casing : float
+        Initial angular rates [rad/s].
+    duration : float
+        Length of the casing's recording [s].
+    windows : tuple of float
+        Start of each rotor window [s].
+    window_length : float
+        Length of each window [s].
+    ring : float
+        Moment of inertia of the casing over the present one.
+    """
+
+    omega_rotor: float
+    omega_casing: float
+    duration: float
+    windows: tuple[float, ...]
+    window_length: float
+    ring: float = 1.0
+
+
+class Information:
+    """Fisher information of runs about the shared parameters and the strengths of candidates.
+
+    Parameters
+    ----------
+    fit : Fit
+        The recordings at hand.
+    candidates : sequence of (Effect, dict)
+        Effects with their shape constants.
+    """
+
+    def __init__(self, fit: Fit, candidates: Sequence[tuple[Effect, Mapping[str, float]]]) -> None:
+        self.fit = fit
+        self.candidates = [(e, dict(s)) for e, s in candidates if not e.depends_on_angle]
+        layout, model = fit.problem.layout, fit.model.smooth
+        self._shared = [k for k in model.free if k not in model.per_case]
+        # a parameter at its bound is held, as in the search
+        bound = dict(zip(layout.names, layout.at_bound(fit.theta), strict=True))
+        self._held = {k for k in self._shared if bound.get(k, False)}
+        parts = [self._of(fit, i) for i in range(len(fit.problem.cases))]
+        self.present = np.asarray(np.sum([p[0] for p in parts], axis=0))
+        # products of all columns with the residuals of the fit
+        self.right = np.asarray(np.sum([p[1] for p in parts], axis=0))
+
+    def added(self) -> dict[str, tuple[int, float]]:
+        """Return place and strength of the effects beyond the paper's that have one strength for all runs."""
+        found = {}
+        for e in self.fit.model.smooth.effects:
+            key = f"{e.name}.{e.amplitude.symbol}" if e.amplitude is not None else ""
+            if (
+                e.name not in GENERAL
+                and e.kind == "physical"
+                and key in self._shared
+                and key not in self._held
+            ):
+                found[e.name] = self._shared.index(key), self.fit.estimates[key].value
+        return found
+
+    @property
+    def parameters(self) -> int:
+        """Number of shared parameters, which come before the candidates."""
+        return len(self._shared)
+
+    def _of(self, fit: Fit, case: int) -> tuple[Array, Array]:
+        """Return the information of one run, its own parameters projected out, and its products with the residuals."""
+        data, prediction, noise = fit.problem.data[case], fit.predictions[case], fit.noise[case]
+        whitener = noise.whitener.at(noise.pure)
+        layout, jacobian = fit.problem.layout, prediction.jacobian
+        places = [int(p) for p in layout.places(case, self._shared)]
+        shared = jacobian[:, places]
+        shared[:, [k in self._held for k in self._shared]] = 0.0
+        rest = [i for i in range(jacobian.shape[1]) if i not in places]
+        columns = CaseColumns(fit, case)
+        strengths = []
+        for effect, shape in self.candidates:
+            trial = columns.trials(effect, [shape])[0]
+            strengths.append(trial.columns)
+        everything = whitener(np.concatenate([shared, *strengths], axis=1))
+        own = whitener(np.concatenate([jacobian[:, rest], data.nuisance], axis=1))
+        size = np.linalg.norm(own, axis=0)
+        u, s, _ = np.linalg.svd(own[:, size > 0] / size[size > 0], full_matrices=False)
+        basis = u[:, s > 1e-7 * s.max(initial=1.0)]
+        everything = everything - basis @ (basis.T @ everything)
+        left = whitener(data.z - prediction.rows)
+        return np.asarray(everything.T @ everything), np.asarray(everything.T @ left)
+
+    def places(self, candidate: int) -> list[int]:
+        """Return the columns of a candidate: two for a law with a phase."""
+        widths = [2 if any(p.role == "phase" for p in e.parameters) else 1 for e, _ in self.candidates]
+        first = self.parameters + sum(widths[:candidate])
+        return list(range(first, first + widths[candidate]))
+
+    def of_run(self, run: Run) -> tuple[Array, Fit]:
+        """Return the information of a planned run, and its noiseless simulation.
+
+        Raises
+        ------
+        FittingError
+            If the run cannot be simulated.
+        """
+        planned = simulated(self.fit, run)
+        return self._of(planned, 0)[0], planned
+
+
+def schur(information: Array, kept: Sequence[int], free: Sequence[int]) -> Array:
+    """Return the information about some columns when others are free."""
+    kept, free = list(kept), list(free)
+    block = information[np.ix_(free, free)]
+    size = np.sqrt(np.maximum(np.diag(block), 1e-300))
+    inverse = np.linalg.pinv(block / np.outer(size, size), rcond=_TINY, hermitian=True) / np.outer(size, size)
+    cross = information[np.ix_(kept, free)]
+    return np.asarray(information[np.ix_(kept, kept)] - cross @ inverse @ cross.T)
+
+
+def simulated(fit: Fit, run: Run) -> Fit:
+    """Return the noiseless recording of a planned run with the parameters and noise of a fit, as a fit."""
+    template = fit.problem.data[0].record
+    layout = fit.problem.layout
+    numbers = layout.numbers(fit.theta, 0) | {INERTIA_CASING: template.I_casing * run.ring}
+    experiment = Experiment(
+        omega_rotor=run.omega_rotor,
+        omega_casing=run.omega_casing,
+        duration=run.duration,
+        windows=run.windows,
+        window_length=run.window_length,
+    )
+    _, path = simulate_path(fit.model.smooth, numbers, experiment)
+    count = _BLOCKS * _PER_BLOCK
+    time = np.linspace(0.0, run.duration, count)
+    angle = template.quantity == "angle"
+
+    def samples(t: Array, state: str, like: Samples, effective: float, fewest: int) -> Samples:
+        sampler = Sampler(path.mesh, t)
+        value = (
+            sampler.integral(*path.angle(state))
+            if angle
+            else sampler.value(path.y[..., path.states.index(state)])
+        )
+        # as many samples a second, with the correlation of the recording's
+        rate = effective / max(float(like.time[-1] - like.time[0]), 1e-9)
+        seconds = max(float(t[-1] - t[0]), 1e-9)
+        sigma = float(np.median(like.sigma)) * math.sqrt(fewest / (rate * seconds))
+        return Samples(t, value, np.full(len(t), sigma))
+
+    first = fit.problem.data[0]
+    casing = samples(
+        time, "omega_c", template.casing, first.casing.n_effective / first.casing.scale**2, count
+    )
+    windows = []
+    if template.rotor:
+        like, run_of = template.rotor[0], first.rotor[0]
+        for start in run.windows:
+            t = start + np.linspace(0.0, run.window_length, 2 * _PER_BLOCK)
+            windows.append(samples(t, "omega_r", like, run_of.n_effective / run_of.scale**2, len(t)))
+    record = Record(
+        "planned",
+        template.I_rotor,
+        template.I_casing * run.ring,
+        casing,
+        tuple(windows),
+        template.quantity,
+        digest="planned",
+    )
+    data = CaseData(
+        record,
+        compress(casing, degree=CASING_DEGREE, harmonics=False, blocks=_BLOCKS, noisy=False),
+        tuple(compress(w, degree=ROTOR_DEGREE, harmonics=False, blocks=1, noisy=False) for w in windows),
+    )
+    problem = Problem.of(ParameterLayout.of(fit.model.smooth, [record]), [data])
+    values = numbers | {START_ROTOR: run.omega_rotor, START_CASING: run.omega_casing}
+    theta = np.array([values[n.partition("@")[0]] for n in problem.layout.names])
+    predictions = tuple(problem.predict(theta))
+    own = fit.noise[0]
+    response = TorqueResponse(data, predictions[0].motion)
+    whitener = response.whitener(TorqueNoise(own.pure, own.time))
+    noise = (Noise(1.0, own.pure, own.pure, own.time, whitener),)
+    return replace(
+        fit,
+        model=problem.layout.model,
+        labels=("planned",),
+        theta=theta,
+        noise=noise,
+        problem=problem,
+        predictions=predictions,
+    )

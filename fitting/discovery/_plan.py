@@ -1,0 +1,165 @@
+"""What recordings can show, and what to record next.
+
+    recordings (a fit of them, or their description) -> power of the search -> rivals -> the next run
+
+The recordings are at hand, with the fit of a model to them, or they are described in a file
+(`fitting.discovery._planned_recordings`) and simulated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from fitting._errors import EstimationError
+from fitting._workers import single_blas_thread
+from fitting.discovery._criteria import DEFAULT, Criteria
+from fitting.discovery._information import Information
+from fitting.discovery._next_run import Bounds, NextRun, next_run
+from fitting.discovery._planned_recordings import read_planned
+from fitting.discovery._power import EffectLimits, Search
+from fitting.discovery._rivals import rivals
+from fitting.discovery._select import fails
+from fitting.effects._effect import Effect
+from fitting.inference._result import Fit
+
+Progress = Callable[[int, int | None], None]
+
+_EVALUATIONS = 60
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What some recordings can show, and the next run.
+
+    Attributes
+    ----------
+    fit : Fit
+        The model fitted to the recordings, measured or simulated.
+    planned : bool
+        The recordings are described and not measured.
+    size : float
+        Rms torque of an effect [N m] to which `power` and `runs_needed` refer.
+    effects : tuple of EffectLimits
+        Of every candidate effect, the one with the smallest detection limit first.
+    classes : tuple of tuple of str
+        Effects that these recordings would not separate.
+    next_run : NextRun or None
+        The proposed run; None if none can be simulated.
+    warning : str
+        What restricts the answer; empty if nothing does.
+    """
+
+    fit: Fit
+    planned: bool
+    size: float
+    effects: tuple[EffectLimits, ...]
+    classes: tuple[tuple[str, ...], ...]
+    next_run: NextRun | None
+    warning: str = field(default="")
+
+
+@single_blas_thread()
+def plan(
+    recordings: Fit | str | Path,
+    extra: Sequence[Effect] = (),
+    *,
+    size: float | None = None,
+    bounds: Bounds | None = None,
+    criteria: Criteria = DEFAULT,
+    progress: Progress | None = None,
+) -> Plan:
+    """Return what recordings can show of every effect, and the next run that tells most.
+
+    Parameters
+    ----------
+    recordings : Fit, str or Path
+        A fit of the recordings at hand, or a TOML file that describes recordings to be made.
+    extra : sequence of Effect
+        Effects of the user, besides the library.
+    size : float, optional
+        Rms torque of an effect [N m] for `power` and `runs_needed`; by default 1 % of the rms torque of the bearing
+        (for a single body, of the net torque).
+    bounds : Bounds, optional
+        Runs that are possible; by default those of the file, or what the recordings have shown to be possible.
+    criteria : Criteria
+        Thresholds of the search whose power is computed.
+    progress : callable, optional
+        Called with (steps done, all).
+
+    Returns
+    -------
+    Plan
+
+    Raises
+    ------
+    FittingError
+        If the description is not valid, or the size is not positive.
+    """
+    if size is not None and not 0 < size < np.inf:
+        raise EstimationError(f"the size of the effect is {size:g} N m", "give a positive rms torque in N m")
+    planned = not isinstance(recordings, Fit)
+    if isinstance(recordings, Fit):
+        fit = recordings
+    else:
+        described = read_planned(recordings)
+        fit, bounds = described.fit(), bounds or described.bounds
+    report = progress or _ignore
+    search = Search(fit, extra, criteria)
+    total = len(search.effects) + _EVALUATIONS
+    found = []
+    for i, effect in enumerate(search.effects):
+        report(i, total)
+        found.append(search.limits(effect, size, planned=planned))
+    found.sort(key=lambda e: (not np.isfinite(e.detection_limit), np.isnan(e.torque), e.detection_torque))
+    limits = {e.effect.name: e for e in found}
+    scores = search.scores()
+    information = Information(
+        fit, [(e, scores[e.name].shape) for e in search.effects if not limits[e.name].absorbed]
+    )
+    significant = [s.threshold for s in scores.values()]
+    alternatives = [] if planned else rivals(information, significant, criteria)
+    proposed = next_run(
+        information,
+        alternatives,
+        criteria,
+        bounds or Bounds.of(fit),
+        evaluations=_EVALUATIONS,
+        progress=lambda done, all_: report(total - (all_ or 0) + done, total),
+    )
+    used = size if size is not None else search.default_size
+    return Plan(fit, planned, used, tuple(found), _classes(found), proposed, _warning(fit, criteria))
+
+
+def _ignore(done: int, total: int | None) -> None:
+    del done, total
+
+
+def _classes(found: Sequence[EffectLimits]) -> tuple[tuple[str, ...], ...]:
+    """Return groups of effects of which each is indistinguishable from another, as connected components."""
+    groups: list[set[str]] = []
+    for e in found:
+        if not e.indistinguishable_from:
+            continue
+        joined = {e.effect.name, *e.indistinguishable_from}
+        apart = [g for g in groups if not g & joined]
+        for g in groups:
+            if g & joined:
+                joined |= g
+        groups = [*apart, joined]
+    order = [e.effect.name for e in found]
+    return tuple(tuple(sorted(g, key=order.index)) for g in groups)
+
+
+def _warning(fit: Fit, criteria: Criteria) -> str:
+    if not fit.converged:
+        return "The fit has not converged: the limits are not reliable."
+    if fails(fit, criteria):
+        return (
+            "The model has a significant lack of fit: limits hold for a model without it. "
+            "Run `gyrotrack improve` first."
+        )
+    return ""

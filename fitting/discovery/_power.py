@@ -1,0 +1,557 @@
+"""Power of the search for a missing effect: detection limits, upper limits, runs needed.
+
+An effect of strength k has the whitened response k s in the rows of the recordings. With M, which projects out all free
+parameters, its noncentrality is
+
+    delta = k |M s|,        standard error of k:  se = 1 / |M s|.
+
+Null data plus delta times the unit response go through the search's own score test: all candidates, all trials of their
+shape constants, the same null distributions, and the thresholds of `Criteria`. The power is the share of data sets in
+which at least one candidate is significant in the whole list and lowers BIC by the evidence that an added effect needs.
+The detection limit is the strength at which it is 90 %.
+
+Where nothing was found, the one-sided 95 % upper limit of a strength with estimate k is |k| + 1.64 se (max(k, 0) + 1.64
+se for a friction, which is not negative); for an amplitude with a phase, the amplitude whose noncentral chi-square
+gives a smaller score than the observed one with a probability of 5 % (J. Neyman, Phil. Trans. R. Soc. A 236, 333
+(1937)). For recordings that are only planned, the estimate is taken as zero: the expected limit.
+
+Several runs of the same kind multiply delta^2 by their number.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.discovery._criteria import DEFAULT, Criteria
+from fitting.discovery._score import (
+    CaseColumns,
+    FamilywiseNull,
+    NullDistribution,
+    Score,
+    ScoreContext,
+    Trial,
+)
+from fitting.discovery._select import applicable_effects, fails
+from fitting.effects._effect import Effect
+from fitting.inference._result import Fit
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, int | None], None]
+
+POWER = 0.9
+CONFIDENCE = 0.95
+# standard errors of a one-sided limit at this confidence
+_ONE_SIDED = 1.6448536
+_DRAWS = 1500
+_POWER_DRAWS = 600
+_DELTAS = np.linspace(0.0, 14.0, 29)
+# share of the bearing's torque that is the size of an effect if none is given
+_SIZE = 0.01
+_MOST_RUNS = 10_000
+# effects in the sentence of an adequate fit
+_MOST_HIDDEN = 5
+_RANK = 1e-6
+# cosine below which a candidate answers to nothing of an effect
+_NOTHING = 0.02
+
+
+@dataclass(frozen=True)
+class EffectLimits:
+    """What some recordings can show of one effect.
+
+    Attributes
+    ----------
+    effect : Effect
+        The effect.
+    strength : str
+        Symbol of its strength.
+    unit : str
+        Unit of its strength.
+    shape : dict of str to float
+        Shape constants for which the limits hold: those with the median detection limit.
+    stderr : float
+        Standard error of the strength when it is added to the model [unit]; infinite if the base absorbs it.
+    torque : float
+        Rms torque along the motion for a strength of 1 [N m / unit], of the body with the larger one; NaN for a camera.
+    detection_limit : float
+        Strength found with 90 % probability [unit].
+    detection_range : tuple of float
+        The smallest and the largest detection limit over the shapes tried, as rms torques [N m].
+    upper_limit : float
+        95 % upper limit of the strength [unit]; NaN if the effect is significant.
+    power : float
+        Probability of finding an effect of `size`.
+    size : float
+        Strength of this size [unit].
+    runs_needed : float
+        Runs like these, these included, that find it with 90 % probability; infinite if none do.
+    indistinguishable_from : tuple of str
+        Effects that these recordings would not separate from it at the larger of `size` and `detection_limit`.
+    curve : ndarray, shape (points, 2)
+        Noncentrality and power.
+    """
+
+    effect: Effect
+    strength: str
+    unit: str
+    shape: dict[str, float]
+    stderr: float
+    torque: float
+    detection_limit: float
+    detection_range: tuple[float, float]
+    upper_limit: float
+    power: float
+    size: float
+    runs_needed: float
+    indistinguishable_from: tuple[str, ...]
+    curve: Array = field(repr=False)
+
+    @property
+    def absorbed(self) -> bool:
+        """Whether the model absorbs it, so that no limit exists."""
+        return not math.isfinite(self.stderr)
+
+    @property
+    def detection_torque(self) -> float:
+        """Detection limit as an rms torque along the motion [N m]; NaN for a camera."""
+        return self.detection_limit * self.torque
+
+    @property
+    def upper_torque(self) -> float:
+        """Upper limit as an rms torque along the motion [N m]; NaN for a camera, or if the effect is significant."""
+        return self.upper_limit * self.torque
+
+
+@dataclass(frozen=True)
+class UpperLimit:
+    """An effect that could still be hidden in the recordings.
+
+    Attributes
+    ----------
+    effect, symbol, unit : str
+        The effect, its strength, the unit of the strength.
+    upper_limit : float
+        95 % upper limit of the strength [unit].
+    torque_Nm : float
+        The same as an rms torque along the motion [N m].
+    """
+
+    effect: str
+    symbol: str
+    upper_limit: float
+    unit: str
+    torque_Nm: float  # noqa: N815 - the unit's own capitals
+
+
+@dataclass(frozen=True)
+class _Responses:
+    """Whitened, projected responses of one candidate: an orthonormal basis of each group of columns.
+
+    Attributes
+    ----------
+    basis : ndarray, shape (rows, groups * width)
+        Zero for groups that the base absorbs.
+    root : ndarray, shape (groups,)
+        Noncentrality of a unit strength (rms over the phases).
+    """
+
+    basis: Array
+    root: Array
+    width: int
+    one_sided: bool
+
+    @classmethod
+    def of(cls, columns: Array, width: int, absorbed: NDArray[np.bool_], effect: Effect) -> _Responses:
+        groups = columns.shape[1] // width
+        c = columns.reshape(len(columns), groups, width)
+        gram = np.einsum("rgw,rgv->gwv", c, c)
+        values, vectors = np.linalg.eigh(gram)
+        top = np.maximum(values[:, -1:], 1e-300)
+        kept = (values > _RANK * top) & ~absorbed[:, None]
+        turn = vectors * np.where(kept, 1 / np.sqrt(np.maximum(values, 1e-300)), 0.0)[:, None, :]
+        basis = np.einsum("rgw,gwv->rgv", c, turn).reshape(len(columns), -1)
+        root = np.sqrt(np.maximum(np.trace(gram, axis1=1, axis2=2), 0.0) / width)
+        strength = effect.amplitude
+        one_sided = width == 1 and strength is not None and strength.lower >= 0
+        return cls(basis, np.where(absorbed, 0.0, root), width, one_sided)
+
+    def scores(self, projections: Array) -> Array:
+        """Return the score of each group (groups, data sets) from projections on the basis."""
+        p = np.maximum(projections, 0.0) if self.one_sided else projections
+        return np.asarray((p.reshape(len(self.root), self.width, -1) ** 2).sum(axis=1))
+
+    def direction(self, group: int) -> Array:
+        """Return the unit response of a group; with a phase, at the middle phase."""
+        part = self.basis[:, group * self.width : (group + 1) * self.width].sum(axis=1)
+        return np.asarray(part / max(float(np.linalg.norm(part)), 1e-300))
+
+
+@dataclass(frozen=True)
+class _Test:
+    """The score test of one candidate in null data.
+
+    Attributes
+    ----------
+    parts : tuple of _Responses
+        One, or one for each case where each has its own strength: scores of the best shapes add up.
+    null : ndarray, shape (rows of all bases, data sets)
+        Projections of the null data on the bases, of all parts one below the other.
+    threshold : float
+        Score from which the candidate is found.
+    """
+
+    parts: tuple[_Responses, ...]
+    null: Array
+    threshold: float
+
+    @property
+    def basis(self) -> Array:
+        return np.concatenate([p.basis for p in self.parts], axis=1)
+
+    def best(self, projections: Array) -> Array:
+        """Return the best score in each data set."""
+        ends = np.cumsum([0, *(p.basis.shape[1] for p in self.parts)])
+        each = [
+            p.scores(projections[a:b]).max(axis=0)
+            for p, a, b in zip(self.parts, ends, ends[1:], strict=False)
+        ]
+        return np.asarray(np.sum(each, axis=0))
+
+
+class SearchScore(NamedTuple):
+    """Score of a candidate, its best shape constants, and the score from which it is significant."""
+
+    score: float
+    shape: dict[str, float]
+    threshold: float
+
+
+class Search:
+    """The search for a missing effect in the recordings of a fit, as a test whose power can be computed.
+
+    Parameters
+    ----------
+    fit : Fit
+        The model with which the search begins.
+    extra : sequence of Effect
+        Effects of the user, besides the library.
+    criteria : Criteria
+        Thresholds.
+    draws : int
+        Number of null data sets.
+    """
+
+    def __init__(
+        self, fit: Fit, extra: Sequence[Effect] = (), criteria: Criteria = DEFAULT, draws: int = _DRAWS
+    ) -> None:
+        self.fit, self.criteria = fit, criteria
+        self.effects = applicable_effects(fit, extra)
+        self.cases = [CaseColumns(fit, i) for i in range(len(fit.problem.cases))]
+        self._context = ScoreContext(fit, draws)
+        # what a model fails to describe is no noise: a search that follows finds the data at the pure level
+        self._level = self._context.levels[0 if fails(fit, criteria) else -1]
+        self._trials = {e.name: self._all_trials(e) for e in self.effects}
+        self._common = {e.name: self._responses(e, self._stacked(e)) for e in self.effects}
+        self._tests = self._calibrated() if draws > 1 else {}
+
+    def _all_trials(self, effect: Effect) -> list[list[Trial]]:
+        first = self.cases[0].trials(effect)
+        return [first, *(c.trials(effect, [t.shape for t in first]) for c in self.cases[1:])]
+
+    def _stacked(self, effect: Effect) -> list[Array]:
+        """Return the columns of an effect of common strength for each choice of its shape constants."""
+        trials = self._trials[effect.name]
+        return [np.concatenate([t[i].columns for t in trials]) for i in range(len(trials[0]))]
+
+    def _responses(self, effect: Effect, groups: Sequence[Array]) -> _Responses:
+        absorbed = self._context.absorbed_by_base(groups)
+        columns = self._level.gain[:, None] * self._context.rotated(np.concatenate(groups, axis=1))
+        columns = columns - self._level.basis @ (self._level.basis.T @ columns)
+        return _Responses.of(columns, groups[0].shape[1], absorbed, effect)
+
+    def _calibrated(self) -> dict[str, list[_Test]]:
+        """Return the tests that the search makes for each effect, with their thresholds."""
+        parts: list[tuple[Effect, tuple[_Responses, ...], Array, float, int]] = []
+        for e in self.effects:
+            common = self._common[e.name]
+            variants: list[tuple[tuple[_Responses, ...], float]] = [((common,), 1.0)]
+            if len(self.cases) > 1 and e.per_case:
+                # each case has its own strength; the fit with one common value is tried too, hence twice the p-value
+                own = tuple(self._responses(e, self._of_case(e, i)) for i in range(len(self.cases)))
+                variants = [(own, 1.0), ((common,), 2.0)]
+            for responses, factor in variants:
+                basis = np.concatenate([r.basis for r in responses], axis=1)
+                parts.append((e, responses, basis.T @ self._context.draws, factor, len(responses)))
+        raw = [(e, _Test(r, null, np.inf), factor, n) for e, r, null, factor, n in parts]
+        nulls = [_null(e, t, n * t.parts[0].width) for e, t, _, n in raw]
+        family = FamilywiseNull([n for n, (*_, factor, _) in zip(nulls, raw, strict=True) if factor == 1.0])
+        tests: dict[str, list[_Test]] = {e.name: [] for e in self.effects}
+        for null, (e, test, factor, n) in zip(nulls, raw, strict=True):
+            significant = _smallest_score(null, family, factor, self.criteria.significance)
+            evidence = (
+                self.criteria.evidence_periodic
+                if e.periodic
+                and e.kind == "physical"
+                and any(d.record.tracked for d in self.fit.problem.data)
+                else self.criteria.evidence
+            )
+            bic = evidence + n * len(e.free) * math.log(self.fit.problem.rows)
+            tests[e.name].append(_Test(test.parts, test.null, max(significant, bic)))
+        return tests
+
+    def _of_case(self, effect: Effect, case: int) -> list[Array]:
+        ends = self._context.ends
+        groups = []
+        for trial in self._trials[effect.name][case]:
+            rows = np.zeros((ends[-1], trial.columns.shape[1]))
+            rows[ends[case] : ends[case + 1]] = trial.columns
+            groups.append(rows)
+        return groups
+
+    def power(self, effect: Effect, group: int, deltas: Array) -> Array:
+        """Return the probability that the search finds something, for some noncentralities of an effect."""
+        u = self._common[effect.name].direction(group)
+        found = np.zeros((len(deltas), _POWER_DRAWS), dtype=bool)
+        for test in (t for tests in self._tests.values() for t in tests):
+            signal, null = test.basis.T @ u, test.null[:, :_POWER_DRAWS]
+            if np.abs(signal).max(initial=0.0) < _NOTHING:
+                # nothing of the effect is in this candidate: it adds its false alarms at every strength alike
+                found |= (test.best(null) > test.threshold)[None]
+                continue
+            for i, delta in enumerate(deltas):
+                found[i] |= test.best(null + delta * signal[:, None]) > test.threshold
+        return np.asarray(found.mean(axis=1))
+
+    def scores(self) -> dict[str, SearchScore]:
+        """Return the score of each candidate in the recordings, its best shape, and its threshold."""
+        found = {}
+        for e in self.effects:
+            common = self._common[e.name]
+            each = common.scores(common.basis.T @ self._level.residual[:, None])[:, 0]
+            best = int(np.argmax(each))
+            threshold = min(t.threshold for t in self._tests[e.name])
+            found[e.name] = SearchScore(float(each[best]), self._trials[e.name][0][best].shape, threshold)
+        return found
+
+    def limits(self, effect: Effect, size: float | None = None, *, planned: bool = False) -> EffectLimits:
+        """Return what the recordings can show of an effect.
+
+        Parameters
+        ----------
+        effect : Effect
+            One of `effects`.
+        size : float, optional
+            Rms torque of the effect [N m] of which power and runs are told; by default 1 % of the rms torque of the
+            bearing (for a single body, of the net torque).
+        planned : bool
+            The data are simulated: upper limits are expected ones.
+        """
+        common = self._common[effect.name]
+        unit_torque = self._unit_torques(effect)
+        group, ranged = _median_shape(common.root, unit_torque)
+        root, torque = float(common.root[group]), float(unit_torque[group])
+        shape = self._trials[effect.name][0][group].shape
+        strength = next(p for p in effect.parameters if p.role == "amplitude")
+        if root == 0:
+            nothing = np.zeros((0, 2))
+            return EffectLimits(
+                effect, strength.symbol, strength.unit, shape, np.inf, torque, np.inf, (np.inf, np.inf), np.inf,
+                float("nan"), self._size(torque, size), np.inf, (), nothing,
+            )  # fmt: skip
+        curve = (
+            np.stack([_DELTAS, self.power(effect, group, _DELTAS)], axis=1)
+            if self._tests
+            else np.zeros((0, 2))
+        )
+        needed = delta_of_power(curve) if self._tests else np.nan
+        wanted = self._size(torque, size)
+        delta = wanted * root
+        at = max(delta if math.isfinite(delta) else 0.0, needed if math.isfinite(needed) else 0.0)
+        return EffectLimits(
+            effect,
+            strength.symbol,
+            strength.unit,
+            shape,
+            1 / root,
+            torque,
+            needed / root,
+            (needed * ranged[0], needed * ranged[1]),
+            self._upper(effect, group, planned=planned) / root,
+            float(np.interp(delta, *curve.T)) if self._tests and math.isfinite(delta) else float("nan"),
+            wanted,
+            self._runs(effect, delta, needed) if self._tests and math.isfinite(delta) else float("nan"),
+            self._alike(effect, group, at) if self._tests else (),
+            curve,
+        )
+
+    def _unit_torques(self, effect: Effect) -> Array:
+        """Return the rms torque of a unit strength for each choice of the shape constants [N m / unit]."""
+        trials = self._trials[effect.name][0]
+        if not effect.mechanical:
+            return np.full(len(trials), np.nan)
+        if effect.depends_on_angle:
+            return np.full(len(trials), math.sqrt(0.5))
+        found = []
+        for t in trials:
+            both = [c.torque(effect, t.shape) for c in self.cases]
+            bodies = [float(np.mean([np.mean(b[i] ** 2) for b in both])) for i in (0, 1)]
+            found.append(math.sqrt(max(bodies)))
+        return np.array(found)
+
+    def _size(self, unit_torque: float, size: float | None) -> float:
+        wanted = self.default_size if size is None else size
+        return wanted / unit_torque if unit_torque > 0 else float("nan")
+
+    @property
+    def default_size(self) -> float:
+        """1 % of the rms torque of the bearing along the motion; of a single body, of the net torque [N m]."""
+        return _SIZE * float(np.sqrt(np.mean([np.mean(c.typical_torque**2) for c in self.cases])))
+
+    def _upper(self, effect: Effect, group: int, *, planned: bool) -> float:
+        """Return the upper limit of the noncentrality; NaN if the effect is significant."""
+        common = self._common[effect.name]
+        seen = common.basis.T @ (np.zeros_like(self._level.residual) if planned else self._level.residual)
+        tests = self._tests.get(effect.name, ())
+        if (
+            any(float(t.best(t.basis.T @ self._level.residual[:, None])[0]) > t.threshold for t in tests)
+            and not planned
+        ):
+            return float("nan")
+        p = seen[group * common.width : (group + 1) * common.width]
+        return upper_limit(p, one_sided=common.one_sided)
+
+    def _runs(self, effect: Effect, delta: float, needed: float) -> float:
+        """Return how many runs find an effect of this noncentrality in all present runs."""
+        if delta <= 0:
+            return np.inf
+        cases = len(self.cases)
+        parameters = len(effect.free)
+        for n in _candidate_numbers(cases * (needed / delta) ** 2):
+            # BIC asks for more evidence in more rows
+            more = parameters * math.log(max(n / cases, 1e-9))
+            if n / cases * delta**2 >= needed**2 + max(more, 0.0):
+                return float(n)
+        return np.inf
+
+    def _alike(self, effect: Effect, group: int, delta: float) -> tuple[str, ...]:
+        """Return the effects that are indistinguishable from one of this noncentrality."""
+        u = self._common[effect.name].direction(group)
+        names = []
+        for e in self.effects:
+            if e.name == effect.name:
+                continue
+            other = self._common[e.name]
+            cosine2 = float(other.scores(other.basis.T @ u[:, None]).max(initial=0.0))
+            if other.one_sided:
+                # the other sign of the effect counts as well if it has one
+                own = self._common[effect.name]
+                back = (
+                    0.0
+                    if own.one_sided
+                    else float(other.scores(other.basis.T @ -u[:, None]).max(initial=0.0))
+                )
+                cosine2 = max(cosine2, back)
+            penalty = (len(e.free) - len(effect.free)) * math.log(self.fit.problem.rows)
+            if delta**2 * (1 - min(cosine2, 1.0)) + penalty < self.criteria.equivalence_width:
+                names.append(e.name)
+        return tuple(names)
+
+
+def largest_hidden(
+    fit: Fit, extra: Sequence[Effect], criteria: Criteria, most: int = _MOST_HIDDEN
+) -> tuple[UpperLimit, ...]:
+    """Return the physical effects with the largest upper limits of the rms torque; absorbed ones have none.
+
+    Parameters
+    ----------
+    fit : Fit
+        An adequate fit.
+    extra : sequence of Effect
+        Effects of the user, besides the library.
+    criteria : Criteria
+        Thresholds.
+    most : int
+        How many.
+    """
+    search = Search(fit, extra, criteria, draws=1)
+    found = [search.limits(e) for e in search.effects if e.kind == "physical"]
+    finite = sorted((e for e in found if np.isfinite(e.upper_torque)), key=lambda e: -e.upper_torque)
+    return tuple(
+        UpperLimit(e.effect.name, e.strength, e.upper_limit, e.unit, e.upper_torque) for e in finite[:most]
+    )
+
+
+def _null(effect: Effect, test: _Test, columns: int) -> NullDistribution:
+    empty = np.zeros(0)
+    return NullDistribution(Score(effect, 0.0, empty, ({},), columns, 1, False, empty, test.best(test.null)))  # noqa: FBT003
+
+
+def _smallest_score(
+    null: NullDistribution, family: FamilywiseNull, factor: float, significance: float
+) -> float:
+    """Return the smallest score that is significant in the whole list."""
+    low, high = 0.0, 500.0
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        if family(min(1.0, factor * null(middle))) < significance:
+            high = middle
+        else:
+            low = middle
+    return high
+
+
+def _median_shape(root: Array, torque: Array) -> tuple[int, tuple[float, float]]:
+    """Return the shape with the median limit, and the smallest and largest torque of unit noncentrality."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        per_sigma = np.where(root > 0, (1.0 if np.isnan(torque).any() else torque) / root, np.inf)
+    order = np.argsort(per_sigma)
+    finite = order[np.isfinite(per_sigma[order])]
+    if not len(finite):
+        return int(order[0]), (np.inf, np.inf)
+    middle = int(finite[len(finite) // 2])
+    return middle, (float(per_sigma[finite[0]]), float(per_sigma[finite[-1]]))
+
+
+def delta_of_power(curve: Array, power: float = POWER) -> float:
+    """Return the noncentrality of some power, from a monotonic power curve; infinite if it is not reached."""
+    rising = np.maximum.accumulate(curve[:, 1])
+    i = int(np.argmax(rising >= power))
+    if rising[i] < power or i == 0:
+        return np.inf
+    from scipy.special import ndtri
+
+    # the power is nearly a normal integral of delta
+    a, b = (float(ndtri(np.clip(x, 1e-3, 1 - 1e-3))) for x in rising[i - 1 : i + 1])
+    share = (float(ndtri(power)) - a) / (b - a) if b > a else 1.0
+    return float(curve[i - 1, 0] + share * (curve[i, 0] - curve[i - 1, 0]))
+
+
+def upper_limit(projections: Array, *, one_sided: bool) -> float:
+    """Return the 95 % upper limit of the noncentrality from projections on an orthonormal basis.
+
+    Parameters
+    ----------
+    projections : ndarray, shape (1,) or (2,)
+        Estimate over its standard error; for an amplitude with a phase, of sine and cosine.
+    one_sided : bool
+        The strength is not negative.
+    """
+    if len(projections) == 1:
+        p = float(projections[0])
+        return (max(p, 0.0) if one_sided else abs(p)) + _ONE_SIDED
+    from scipy.special import chndtrinc
+
+    # below the median of the null the limit would shrink to nothing: a small score is luck, not knowledge
+    seen = max(float(projections @ projections), 1.3862944)
+    return float(np.sqrt(chndtrinc(seen, len(projections), 1 - CONFIDENCE)))
+
+
+def _candidate_numbers(first: float) -> Sequence[int]:
+    start = max(1, math.ceil(first - 1e-9))
+    return range(start, min(start + 100, _MOST_RUNS + 1)) if start <= _MOST_RUNS else ()

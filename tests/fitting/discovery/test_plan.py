@@ -1,0 +1,339 @@
+"""Detection limits, upper limits, rivals, the next run, and descriptions of recordings."""
+
+import math
+from dataclasses import replace
+from functools import lru_cache
+
+import cases
+import numpy as np
+import pytest
+import twobody
+from scipy.stats import norm
+
+from fitting import Model
+from fitting._errors import EstimationError
+from fitting.discovery._criteria import DEFAULT
+from fitting.discovery._information import Information, Run, schur, simulated
+from fitting.discovery._next_run import Bounds, next_run, separating_run
+from fitting.discovery._plan import plan
+from fitting.discovery._planned_recordings import read_planned
+from fitting.discovery._power import Search, delta_of_power, largest_hidden, upper_limit
+from fitting.discovery._rivals import rivals
+from fitting.dynamics._mesh import Sampler
+from fitting.effects._library import LIBRARY, REDUCED
+from fitting.inference._fit import fit
+from fitting.inference._record import make_record
+
+DRAG = LIBRARY["casing.air.quadratic"]
+NOISE = 1e-7
+
+
+@lru_cache(maxsize=2)
+def base():
+    return cases.fitted(seed=3, ou=NOISE)
+
+
+@lru_cache(maxsize=1)
+def search():
+    return Search(base())
+
+
+@lru_cache(maxsize=1)
+def drag():
+    return search().limits(DRAG, 1e-6)
+
+
+class TestUpperLimit:
+    def test_of_a_signed_strength_covers_it_in_95_percent(self):
+        random = np.random.default_rng(1)
+        for true in (0.0, 0.5, 3.0):
+            limits = [
+                upper_limit(np.array([true + e]), one_sided=False) for e in random.standard_normal(4000)
+            ]
+            assert np.mean(np.array(limits) >= true) >= 0.95 - 3 * math.sqrt(0.05 * 0.95 / 4000)
+
+    def test_of_a_friction_is_the_one_sided_normal_limit(self):
+        assert upper_limit(np.array([2.0]), one_sided=True) == pytest.approx(2.0 + norm.ppf(0.95))
+        assert upper_limit(np.array([-2.0]), one_sided=True) == pytest.approx(norm.ppf(0.95))
+
+    def test_of_an_amplitude_with_a_phase_covers_it_in_95_percent(self):
+        random = np.random.default_rng(2)
+        for true in (1.0, 4.0):
+            draws = random.standard_normal((1500, 2)) + np.array([true, 0.0])
+            covered = np.mean([upper_limit(d, one_sided=False) >= true for d in draws])
+            assert covered >= 0.95 - 3 * math.sqrt(0.05 * 0.95 / 1500)
+            assert covered < 0.99 or true < 2
+
+
+def test_the_noncentrality_of_90_percent_power():
+    delta = np.linspace(0, 10, 21)
+    curve = np.stack([delta, norm.cdf(delta - 3.0)], axis=1)
+    assert delta_of_power(curve) == pytest.approx(3.0 + norm.ppf(0.9), abs=0.02)
+    assert delta_of_power(np.stack([delta, np.full(21, 0.5)], axis=1)) == np.inf
+
+
+class TestLimits:
+    def test_the_standard_error_is_that_of_a_fit_with_the_effect(self):
+        found = fit(base().model.with_effect(DRAG), base().problem.data, noise=base().noise)
+        stderr = found.estimates["casing.air.quadratic.k"].stderr
+        assert drag().stderr == pytest.approx(stderr, rel=0.1)
+        assert drag().unit == "N m s2"
+
+    def test_the_torque_is_the_rms_along_the_motion(self):
+        path = base().predictions[0].path
+        t = np.linspace(*base().problem.data[0].record.span, 3000)
+        omega_c = Sampler(path.mesh, t).value(path.y[..., 1])
+        assert drag().torque == pytest.approx(np.sqrt(np.mean(omega_c**4)), rel=0.01)
+        assert drag().detection_torque == pytest.approx(drag().detection_limit * drag().torque)
+
+    def test_the_detection_limit_has_90_percent_power_and_the_false_alarm_rate_is_the_significance(self):
+        delta = drag().detection_limit / drag().stderr
+        power = search().power(DRAG, 0, np.array([0.0, delta]))
+        assert power[1] == pytest.approx(0.9, abs=0.03)
+        assert power[0] <= DEFAULT.significance + 3 * math.sqrt(0.03 / 600)
+
+    def test_the_search_pays_for_its_candidates(self):
+        """One candidate alone, tested at the same significance, would be seen at a smaller strength."""
+        alone = norm.ppf(1 - DEFAULT.significance) + norm.ppf(0.9)
+        assert drag().detection_limit / drag().stderr > alone + 0.5
+
+    def test_twice_the_size_needs_a_quarter_of_the_runs(self):
+        small, large = (search().limits(DRAG, s * drag().detection_torque) for s in (0.1, 0.2))
+        # BIC asks for a little more in more rows
+        assert 100 <= small.runs_needed <= 160
+        assert 25 <= large.runs_needed <= 40
+        assert small.power < large.power < 0.5
+
+    def test_what_the_model_absorbs_has_no_limit(self):
+        constant = search().limits(LIBRARY["external.constant"])
+        assert constant.absorbed
+        assert math.isinf(constant.detection_limit)
+        assert math.isinf(constant.upper_limit)
+
+    def test_windage_and_bearing_load_are_named_as_indistinguishable(self):
+        assert "bearing.load" in search().limits(LIBRARY["casing.windage"], 1e-6).indistinguishable_from
+
+    def test_planned_data_have_the_expected_limit(self):
+        expected = search().limits(DRAG, planned=True)
+        assert expected.upper_limit == pytest.approx(norm.ppf(0.95) * expected.stderr)
+
+
+@pytest.mark.slow
+def test_upper_limits_cover_the_truth():
+    """An effect of twice its standard error is below its limit in 95 % of recordings: 12 of 12, 11 or at least 10."""
+    limit, n = [], 12
+    true = 2 * drag().stderr
+    hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -true * wc**2)
+    for seed in range(n):
+        motion = twobody.simulate(seed=seed, ou=NOISE, hidden=hidden)
+        found = fit(Model.of(REDUCED), [make_record(**twobody.film(motion, seed=seed))])
+        limit.append(Search(found, draws=1).limits(DRAG).upper_limit)
+    assert sum(x >= true for x in limit) >= 10
+
+
+class TestHidden:
+    def test_five_effects_largest_torque_first(self):
+        found = largest_hidden(base(), (), DEFAULT)
+        torques = [u.torque_Nm for u in found]
+        assert len(found) == 5
+        assert torques == sorted(torques, reverse=True)
+        assert all(LIBRARY[u.effect].kind == "physical" for u in found)
+
+
+@lru_cache(maxsize=1)
+def information():
+    names = ("casing.air.quadratic", "casing.windage", "bearing.load", "bearing.quadratic", "touchpoint.load")
+    return Information(base(), [(LIBRARY[n], {}) for n in names])
+
+
+class TestInformation:
+    def test_it_holds_the_same_standard_error_as_the_search(self):
+        info = information()
+        places = info.places(0)
+        left = schur(info.present, places, range(info.parameters))
+        assert 1 / math.sqrt(left[0, 0]) == pytest.approx(drag().stderr, rel=1e-3)
+
+    def test_a_planned_run_tells_what_the_same_run_tells_when_it_is_made(self):
+        """The run at hand, planned again: the coarse simulation keeps the information about a torque within 10 %."""
+        info = information()
+        e = base().estimates
+        label = base().labels[0]
+        record = base().problem.data[0].record
+        run = Run(
+            e[f"initial.omega_r@{label}"].value,
+            e[f"initial.omega_c@{label}"].value,
+            record.span[1] - record.span[0],
+            tuple(float(w.time[0]) for w in record.rotor),
+            float(record.rotor[0].time[-1] - record.rotor[0].time[0]),
+        )
+        added, _ = info.of_run(run)
+        made, planned = (
+            schur(total, info.places(0), range(info.parameters))[0, 0] for total in (info.present, added)
+        )
+        assert planned == pytest.approx(made, rel=0.2)
+
+    def test_twice_the_inertia_halves_the_acceleration_of_the_casing(self):
+        run = Run(800.0, 5.0, 60.0, (1.0, 20.0, 50.0), 3.0)
+        gained = []
+        for r in (run, replace(run, ring=2.0)):
+            path = simulated(base(), r).predictions[0].path
+            gained.append(float(np.diff(Sampler(path.mesh, np.array([0.0, 0.3])).value(path.y)[:, 1])[0]))
+        assert gained[1] == pytest.approx(0.5 * gained[0], rel=0.03)
+
+
+class TestNextRun:
+    @pytest.mark.slow
+    def test_it_separates_windage_from_bearing_load_better_than_a_repetition(self):
+        info = information()
+        found = rivals_of(info, "casing.windage", "bearing.load", 3e-12)
+        chosen = next_run(info, found, DEFAULT, Bounds.of(base()), evaluations=24)
+        assert chosen.separation > 1.5 * chosen.repeated
+        assert chosen.repeated >= chosen.present
+        low, high = chosen.bounds.omega_rotor
+        assert low <= abs(chosen.run.omega_rotor) <= high * (1 + 1e-9)
+        for a, b in zip(chosen.run.windows, chosen.run.windows[1:], strict=False):
+            assert b - a >= chosen.run.window_length - 1e-9
+        assert chosen.run.windows[-1] + chosen.run.window_length <= chosen.run.duration + 1e-9
+
+    @pytest.mark.slow
+    def test_without_rivals_it_lowers_the_detection_limits(self):
+        chosen = next_run(information(), [], DEFAULT, Bounds.of(base()), evaluations=16)
+        assert all(g <= 1 + 1e-9 for g in chosen.gains.values())
+        assert min(chosen.gains.values()) < 0.7
+        assert chosen.rivals == ()
+        assert "rad/s" in chosen.sentence
+
+    def test_one_candidate_has_no_rival(self):
+        assert separating_run(base(), [], DEFAULT) == ""
+
+
+def rivals_of(info, a, b, strength):
+    from fitting.discovery._rivals import Rival
+
+    index = {e.name: i for i, (e, _) in enumerate(info.candidates)}
+    return [Rival((n,), tuple(info.places(index[n])), np.array([strength])) for n in (a, b)]
+
+
+@pytest.mark.slow
+def test_rivals_are_the_effects_that_the_data_do_not_separate():
+    hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: 4e-12 * wr**2)
+    motion = twobody.simulate(seed=1, ou=NOISE, hidden=hidden)
+    found = fit(Model.of(REDUCED), [make_record(**twobody.film(motion, seed=1))])
+    looked = Search(found)
+    scores = looked.scores()
+    info = Information(found, [(e, scores[e.name].shape) for e in looked.effects])
+    named = {n for r in rivals(info, [s.threshold for s in scores.values()], DEFAULT) for n in r.names}
+    assert {"casing.windage", "bearing.load"} <= named
+
+
+def test_nothing_hidden_has_no_rivals():
+    thresholds = [s.threshold for s in search().scores().values()]
+    assert rivals(information(), thresholds, DEFAULT) == []
+
+
+PLAN = """
+model = "reduced"
+[inertia]
+rotor = 5.54e-5
+casing = 2.06e-5
+[parameters]
+"rotor.air.quadratic.a2" = 9.97e-11
+"touchpoint.constant.b1" = 2.88e-06
+"casing.air.linear.b2" = 8.28e-07
+"bearing.linear.d" = 1.57e-07
+"bearing.power.f" = 1.26e-08
+"bearing.power.g" = 1.32
+[noise]
+angle = 1e-3
+torque = 1e-7
+torque_time = 1.0
+[[run]]
+omega_rotor = 900.0
+omega_casing = 5.0
+duration = 60.0
+casing_fps = 260.0
+rotor_fps = 1000.0
+windows = [2.0, 30.0, 50.0]
+window_length = 3.0
+"""
+
+
+@pytest.fixture
+def described(tmp_path):
+    """Write a description with one change."""
+
+    def write(old="", new=""):
+        assert old in PLAN
+        path = tmp_path / "plan.toml"
+        path.write_text(PLAN.replace(old, new, 1) if old else PLAN)
+        return path
+
+    return write
+
+
+class TestDescription:
+    def test_it_is_read_and_simulated_with_its_noise(self, described):
+        found = read_planned(described()).fit()
+        record = found.problem.data[0].record
+        assert record.I_casing == 2.06e-5
+        assert len(record.casing) == pytest.approx(60 * 260, abs=1)
+        assert record.rotor[1].time[0] == 30.0
+        assert found.problem.data[0].casing.scale == pytest.approx(1.0, abs=0.05)
+        assert found.noise[0].pure == pytest.approx(NOISE, rel=0.4)
+
+    @pytest.mark.parametrize(
+        ("old", "new", "message"),
+        [
+            ("casing = 2.06e-5", "", "inertia.casing is missing"),
+            ("rotor = 5.54e-5", "rotor = -1", "inertia.rotor: input should be greater than 0"),
+            ("rotor = 5.54e-5", 'rotor = "heavy"', "inertia.rotor: input should be a valid number"),
+            ("angle = 1e-3", "", "noise.angle is missing"),
+            ("angle = 1e-3", "angle = nan", "noise.angle: input should be a finite number"),
+            ("angle = 1e-3", "angel = 1e-3", "noise.angle is missing"),
+            ("[[run]]", "[[run]]\nspeed = 1", "run.1.speed is an unknown key"),
+            ('"bearing.power.g" = 1.32', "", "parameters: no value of bearing.power.g"),
+            (
+                '"bearing.power.g" = 1.32',
+                '"bearing.power.g" = 1.32\n"bearing.h" = 1',
+                "'bearing.h' is no parameter",
+            ),
+            (
+                '"bearing.power.g" = 1.32',
+                '"bearing.power.g" = 9',
+                "bearing.power.g = 9 is outside 0.3 to 1.4",
+            ),
+            ('model = "reduced"', 'model = "redused"', "there is no model named 'redused'"),
+            ("windows = [2.0, 30.0, 50.0]", "windows = [2.0, 58.0]", "ends after the recording (60 s)"),
+            ("windows = [2.0, 30.0, 50.0]", "windows = []", "run.1.windows"),
+            ("[noise]", "[noise", "is no valid TOML"),
+            ("[[run]]", "[bounds]\nduration = [9, 3]\n[[run]]", "bounds.duration: 9 is larger than 3"),
+            ("casing_fps = 260.0", "casing_fps = 1e9", "more than 10 million frames"),
+        ],
+    )
+    def test_an_error_is_one_clear_sentence(self, described, old, new, message):
+        with pytest.raises(EstimationError) as fault:
+            read_planned(described(old, new))
+        assert message in fault.value.message
+        assert "plan.toml" in fault.value.message
+        assert "\n" not in fault.value.message
+
+    def test_a_missing_file(self, tmp_path):
+        with pytest.raises(EstimationError, match="cannot be read"):
+            read_planned(tmp_path / "no.toml")
+
+    @pytest.mark.slow
+    def test_a_plan_of_it(self, described):
+        steps = []
+        found = plan(described(), progress=lambda done, total: steps.append((done, total)))
+        assert found.planned
+        limits = {e.effect.name: e for e in found.effects}
+        assert limits["casing.air.quadratic"].upper_limit < limits["casing.air.quadratic"].detection_limit
+        assert found.next_run is not None
+        assert steps == sorted(steps)
+        assert steps[-1][0] <= steps[-1][1]
+
+
+@pytest.mark.parametrize("size", [0.0, -1e-6, math.nan, math.inf])
+def test_a_size_that_is_no_torque_is_refused(size):
+    with pytest.raises(EstimationError, match="size"):
+        plan(base(), size=size)

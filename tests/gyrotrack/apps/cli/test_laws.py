@@ -1,0 +1,43 @@
+"""`gyrotrack laws`: what it refuses before it begins, and one whole search."""
+
+import json
+
+import pytest
+
+from fitting.effects._user import read_effects
+
+
+def test_a_picture_needs_a_known_suffix(gyrotrack, simulated):
+    said = gyrotrack("laws", simulated / "plain.h5", "--picture", "laws.jpg", "--json")
+    assert said.code == 2
+    assert ".png" in said.error["hint"]
+
+
+@pytest.mark.parametrize("name", ["casing.windage", "9lives"])
+def test_a_law_needs_a_name_of_its_own(gyrotrack, simulated, tmp_path, name):
+    file = tmp_path / "lab.toml"
+    said = gyrotrack("laws", simulated / "plain.h5", "--save-law", name, file, "--json")
+    assert said.code in {1, 2}
+    assert name in said.error["message"]
+    assert not file.exists()
+
+
+@pytest.mark.slow
+def test_a_search_of_one_case(gyrotrack, tmp_path):
+    case, picture, file = tmp_path / "case.h5", tmp_path / "laws.svg", tmp_path / "lab.toml"
+    inertias = ["--inertia-rotor", "5.54e-5", "--inertia-casing", "2.06e-5"]
+    hidden = ["--add", "casing: -k*tanh(omega_c/30)", "--set", "casing.k=4e-6"]
+    windows = ["--duration", "100", "--window", "10", "--window", "50", "--window", "90"]
+    assert gyrotrack("simulate", "-o", case, *hidden, *windows, *inertias).code == 0
+    said = gyrotrack("laws", case, "--picture", picture, "--save-law", "lab.found", file, "--json", "-q")
+    assert said.code == 0
+    document = said.json
+    assert document["verdict"] in {"law", "library"}
+    assert {"variable", "p_value", "explained"} <= set(document["depends_on"][0])
+    assert any("tanh(omega_c/w)" in law["formula"] for law in document["laws"])
+    assert all(json.dumps(law) for law in document["laws"])
+    assert picture.read_text(encoding="utf-8").count("<svg") == 1
+    (effect, *_) = read_effects(file)
+    assert effect.name == "lab.found"
+    # a second one of this name is refused before the search begins
+    assert gyrotrack("laws", case, "--save-law", "lab.found", file, "--json").code == 1

@@ -1,0 +1,73 @@
+"""`plan` as a user runs it."""
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+GUIDE = Path(__file__).parents[4] / "docs" / "how-to" / "plan-an-experiment.md"
+
+
+@pytest.fixture
+def described(tmp_path):
+    """The description in the guide, with a shorter run."""
+    text = GUIDE.read_text(encoding="utf-8").partition("```toml\n")[2].partition("```")[0]
+    tomllib.loads(text)
+    text = text.replace("duration = 200.0 ", "duration = 60.0 ").replace(
+        "[5.0, 70.0, 150.0]", "[2.0, 30.0, 50.0]"
+    )
+    path = tmp_path / "plan.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.slow
+def test_the_guides_description_gives_limits_a_run_and_a_picture(gyrotrack, described, tmp_path):
+    picture = tmp_path / "plan.png"
+    said = gyrotrack(
+        "plan", described, "--size", "2e-6", "--bound", "inertia_casing=1,1", "--plot", picture, "--json"
+    )
+    assert said.code == 0
+    assert said.err == ""
+    keys = {"effect", "detection_limit", "upper_limit", "unit", "torque_Nm", "runs_needed", "power"}
+    assert all(keys <= set(e) for e in said.json["effects"])
+    drag = next(e for e in said.json["effects"] if e["effect"] == "casing.air.quadratic")
+    assert drag["unit"] == "N m s2"
+    assert drag["size_Nm"] == pytest.approx(2e-6)
+    assert 0 < drag["upper_limit"] < drag["detection_limit"]
+    assert 0 <= drag["power"] <= 1
+    run = said.json["next_run"]
+    # the file states that the rotor turns in one sense only
+    assert 300 <= run["omega_rotor"] <= 900
+    assert run["inertia_casing_ratio"] == 1
+    assert run["bounds"]["reversible"] is False
+    assert len(run["windows"]) == 3
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--size", "0"], "--size 0 is no torque"),
+        (["--bound", "speed=1,2"], "unknown quantity"),
+        (["--bound", "duration=0,2"], "is not positive"),
+        (["--bound", "omega_casing=5"], "no pair of numbers"),
+        (["--bound", "omega_casing=9,5"], "no pair of numbers"),
+        (["--plot", "plan.gif"], "Unknown picture format"),
+    ],
+)
+def test_wrong_usage(gyrotrack, described, words, message):
+    said = gyrotrack("plan", described, *words, "--json")
+    assert said.code == 2
+    assert message in said.error["message"]
+
+
+def test_a_description_stands_alone(gyrotrack, described):
+    assert gyrotrack("plan", described, described, "--json").code == 2
+
+
+def test_a_description_without_inertia_is_refused(gyrotrack, described):
+    described.write_text(described.read_text().replace("casing = 2.06e-5", ""))
+    said = gyrotrack("plan", described, "--json")
+    assert said.code == 1
+    assert said.error["message"].startswith("plan.toml: inertia.casing is missing")
