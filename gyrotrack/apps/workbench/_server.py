@@ -200,6 +200,16 @@ def number(asked: dict[str, Any], name: str) -> float:
     return value
 
 
+def numbers(asked: dict[str, Any], name: str) -> dict[str, float]:
+    """Return numbers by name that are asked for; nothing, if there are none."""
+    found = asked.get(name)
+    if not isinstance(found, dict):
+        return {}
+    if not all(isinstance(v, int | float) for v in found.values()):
+        raise UsageError("A value is not a number.", "Reload the page.")
+    return {str(k): float(v) for k, v in found.items()}
+
+
 _ADDRESS = "127.0.0.1"
 
 
@@ -300,7 +310,11 @@ class Workbench:
             return lab.session.remember(lab.ranker.rank(lab.session.model_document()))
 
         return {
-            "change": session(lambda s, a: s.change(add=text(a, "add"), drop=text(a, "drop"))),
+            "change": session(
+                lambda s, a: s.change(add=text(a, "add"), drop=text(a, "drop"), values=numbers(a, "values"))
+            ),
+            "sliders": session(lambda s, _: s.sliders()),
+            "moved": session(lambda s, a: s.moved(numbers(a, "values"))),
             "go": session(lambda s, a: s.go(whole(a, "place"))),
             "compare": session(lambda s, a: s.compare(whole(a, "place"))),
             "undo": session(lambda s, _: s.undo()),

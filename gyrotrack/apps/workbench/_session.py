@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from threading import RLock
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from fitting.inference._case_data import CaseData
     from fitting.inference._result import Fit
     from fitting.study._history import Ledger
+    from gyrotrack.apps.workbench._prediction import Prediction
     from gyrotrack.io._records import Case
 
 
@@ -38,6 +39,7 @@ class Step:
     fit_id: str = ""
     sharp: bool = True
     torques: tuple[ResidualTorque, ...] | None = None
+    prediction: Prediction | None = None
     note: str = ""
     is_deleted: bool = False
 
@@ -84,8 +86,10 @@ class Session:
         """The current fit."""
         return self.steps[self.current].fit
 
-    def change(self, *, add: str = "", drop: str = "") -> dict[str, Any]:
-        """Add an effect (by name or as ``body: law``) or drop one, fit, and return the new state.
+    def change(
+        self, *, add: str = "", drop: str = "", values: dict[str, float] | None = None
+    ) -> dict[str, Any]:
+        """Add an effect (by name or as ``body: law``), drop one, or begin at other values; fit; return the new state.
 
         Raises
         ------
@@ -115,6 +119,9 @@ class Session:
             if drop:
                 model = model.without(drop)
                 words.append(f"-{drop}")
+            if values:
+                start |= values
+                words.append("other initial values")
             if not words:
                 raise GyrotrackError("Nothing was asked for.", "Type the name of an effect, or a law.")
             noise = self.fit.noise
@@ -125,6 +132,24 @@ class Session:
             self.steps.append(Step(" ".join(words), self.current, found, sharp=False))
             self._show(len(self.steps) - 1)
             return self.state()
+
+    def _prediction(self) -> Prediction:
+        from gyrotrack.apps.workbench._prediction import Prediction
+
+        step = self.steps[self.current]
+        if step.prediction is None:
+            step.prediction = Prediction(step.fit)
+        return step.prediction
+
+    def sliders(self) -> dict[str, Any]:
+        """Return the parameters of the current fit with their ranges, and the slopes of its residual."""
+        with self._lock:
+            return _document(self._prediction().sliders()) | {"place": self.current}
+
+    def moved(self, values: dict[str, float]) -> dict[str, Any]:
+        """Return the exact residual of the current model at other values of its parameters."""
+        with self._lock:
+            return _document(self._prediction().moved(values))
 
     def go(self, place: int) -> dict[str, Any]:
         """Show another step."""
@@ -213,6 +238,7 @@ class Session:
 
         if not step.sharp:
             step.fit, step.sharp, step.torques = refined(step.fit), True, None
+            step.prediction = None
 
     def remember(self, answer: dict[str, Any]) -> dict[str, Any]:
         """Keep the parameters of the candidates of a search as initial values, and return its answer, typeset."""
@@ -320,7 +346,7 @@ class Session:
     def _board(self, step: Step, *, whole: bool) -> dict[str, Any]:
         from fitting.discovery._residuals import find_failures
         from fitting.discovery._select import Step as FitStep
-        from gyrotrack.plotting._case_charts import case_dashboard
+        from gyrotrack.plotting._case_charts import case_dashboard, torque_angle_charts
         from gyrotrack.plotting._study_data import case_view, intervals_of
         from gyrotrack.plotting._tracking import tracks_of
 
@@ -331,7 +357,10 @@ class Session:
         view = case_view(history, None, [self._torques(s) for s in steps], 0)
         tracks = tracks_of(self._case) if whole and self._case is not None else None
         names = (f"fit {compared + 1}", f"fit {self.current + 1}") if before is not None else ("fit 1",)
-        board = dashboard_document(case_dashboard(view, tracks, [s.change for s in steps], names=names))
+        dashboard = case_dashboard(view, tracks, [s.change for s in steps], names=names)
+        charts = list(dashboard.charts)
+        charts[3:3] = torque_angle_charts([s.fit for s in steps], names)
+        board = dashboard_document(replace(dashboard, charts=tuple(charts)))
         failures = find_failures(step.fit, list(self._torques(step)))
         board["intervals"] = [interval_document(i) for i in intervals_of(failures)]
         return board
