@@ -222,7 +222,7 @@ def simulated(fit: Fit, run: Run) -> Fit:
     own = fit.noise[0]
     response = TorqueResponse(data, predictions[0].motion)
     whitener = response.whitener(TorqueNoise(own.pure, own.time))
-    noise = (Noise(1.0, own.pure, own.pure, own.time, whitener),)
+    noise = (Noise(1.0, own.pure, own.pure_u, own.pure, own.time, whitener, own.process),)
     return replace(
         fit,
         model=problem.layout.model,

@@ -285,7 +285,9 @@ def nuisance_parameters(fit: Fit) -> list[Nuisance]:
     """Return the camera effects that every fit frees, with their amplitudes, case by case.
 
     The columns of the cameras and the free parameters are estimated together by generalised least squares at the pure
-    noise; the amplitude is the root of the sum of the squares of its cosine and sine.
+    noise; the amplitude is the root of the sum of the squares of its cosine and sine. Gaussian priors hold them to
+    what a camera can do where the data do not determine them, as a steady speed does not centre and shutter: a centre
+    within a third of the radius, a tilt below 0.6 rad, a shutter that takes no longer than a frame.
     """
     from fitting.effects._library import LIBRARY
 
@@ -299,10 +301,19 @@ def nuisance_parameters(fit: Fit) -> list[Nuisance]:
         size[size == 0] = np.inf
         whitener = n.whitener.at(n.pure)
         white, r = whitener(columns / size), whitener(data.z - p.rows)
-        gram = np.linalg.pinv(white.T @ white, rcond=1e-12, hermitian=True)
+        first = columns.shape[1] - _camera_width()
+        speed = _scale(data.casing.samples.value, data.casing.samples.time)
+        frame = float(np.median(np.diff(data.casing.samples.time)))
+        known = np.zeros(columns.shape[1])
+        for name, limit in (
+            ("camera.centre", 0.15),
+            ("camera.tilt", 0.05),
+            ("camera.shutter", 0.5 * frame * speed),
+        ):
+            known[[first + i for i in CAMERA_COLUMNS[name]]] = 1.0 / limit
+        gram = np.linalg.pinv(white.T @ white + np.diag((known / size) ** 2), rcond=1e-12, hermitian=True)
         value = (gram @ (white.T @ r)) / size
         covariance = gram / np.outer(size, size)
-        first = columns.shape[1] - _camera_width()
         for name, places in CAMERA_COLUMNS.items():
             at = [first + i for i in places]
             both, cov = value[at], covariance[np.ix_(at, at)]
@@ -310,11 +321,7 @@ def nuisance_parameters(fit: Fit) -> list[Nuisance]:
             direction = both / max(amplitude, 1e-300)
             stderr = float(np.sqrt(max(direction @ cov @ direction, 0.0)))
             chi2 = float(both @ np.linalg.pinv(cov, hermitian=True) @ both)
-            scale = (
-                _scale(data.casing.samples.value, data.casing.samples.time)
-                if name == "camera.shutter"
-                else 1.0
-            )
+            scale = speed if name == "camera.shutter" else 1.0
             unit = next(q.unit for q in LIBRARY[name].parameters if q.role == "amplitude")
             found.append(
                 Nuisance(
