@@ -41,9 +41,9 @@ class Prediction:
         Returns
         -------
         dict
-            ``parameters``: name, value, low, high, unit; ``time`` and ``value`` of each run, the casing first; ``sigma``
-            of the casing's; ``slope``: the residual speeds of a run change by ``slope[run][parameter][part]`` [rad/s]
-            per unit of a parameter.
+            ``parameters``: name, value, low, high, unit; ``time`` and ``value`` of each run, the casing first;
+            ``sigma`` of the casing's; ``slope``: the residual speeds of a run change by
+            ``slope[run][parameter][part]`` [rad/s] per unit of a parameter.
         """
         fit, layout = self._fit, self._fit.problem.layout
         lower, upper = layout.bounds()

@@ -319,7 +319,9 @@ class Workbench:
             "compare": session(lambda s, a: s.compare(whole(a, "place"))),
             "undo": session(lambda s, _: s.undo()),
             "delete": session(lambda s, a: s.delete(whole(a, "place"))),
-            "note": session(lambda s, a: s.annotate(whole(a, "place"), text(a, "note"))),
+            "note": session(
+                lambda s, a: s.annotate(whole(a, "place"), name=text(a, "name"), note=text(a, "note"))
+            ),
             "keep": session(lambda s, _: s.keep()),
             "rank": rank,
             "colour": lambda a: self.laboratory.clips.colour(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from threading import RLock
 from typing import TYPE_CHECKING, Any
 
@@ -27,25 +28,40 @@ def library_document() -> list[dict[str, Any]]:
 
 
 _LONGEST = 500
+_LONGEST_NAME = 60
 
 
 @dataclass
 class Step:
-    """One fit of the history: its change, its parent, its name in the ledger, and the user's note."""
+    """One fit of the history: its change, its parent, its name in the ledger, and the user's name and note.
+
+    A fit of the ledger is restored when it is first shown.
+    """
 
     change: str
     parent: int
-    fit: Fit
+    found: Fit | None
     fit_id: str = ""
     sharp: bool = True
     torques: tuple[ResidualTorque, ...] | None = None
     prediction: Prediction | None = None
+    name: str = ""
     note: str = ""
     is_deleted: bool = False
+    rung: dict[str, Any] | None = None
+    restore: Callable[[], Fit] | None = None
+
+    @property
+    def fit(self) -> Fit:
+        """The fit."""
+        if self.found is None and self.restore is not None:
+            self.found = self.restore()
+        assert self.found is not None  # noqa: S101 - one of both is given
+        return self.found
 
 
 class Session:
-    """One case on the workbench: a tree of fits of which one is shown.
+    """One case on the workbench: a tree of fits of which one is shown, those of the ledger and new ones.
 
     Steps keep their index for the whole session; a deleted one is hidden and comes back with `undo`.
 
@@ -68,8 +84,9 @@ class Session:
     ) -> None:
         self._lock = RLock()
         self._data, self._ledger, self._case = data, ledger, case
-        self.steps = [Step("base", -1, base, fit_id)]
-        self.current = 0
+        self.steps = _steps_of(data, ledger) or [Step("base", -1, base, fit_id)]
+        self.current = next(i for i, s in enumerate(self.steps) if s.fit_id == fit_id)
+        self.steps[self.current].found = base
         # the step with which the current one is compared; its parent if negative
         self.reference = -1
         self._undo: list[Callable[[], None]] = []
@@ -172,33 +189,44 @@ class Session:
             return self.state()
 
     def delete(self, place: int) -> dict[str, Any]:
-        """Remove a step that has no successors and is not in the ledger."""
+        """Remove a step that has no successors, also from the ledger if it is kept there."""
         with self._lock:
             step = self.steps[self._existing(place)]
-            if place == 0 or step.fit_id:
-                raise GyrotrackError("A fit that is kept in the ledger cannot be deleted here.")
-            if any(s.parent == place and not s.is_deleted for s in self.steps):
+            left = [i for i, s in enumerate(self.steps) if not s.is_deleted and i != place]
+            if not left:
+                raise GyrotrackError("The only fit cannot be deleted.")
+            if any(self.steps[i].parent == place for i in left):
                 raise GyrotrackError("This fit has successors.", "Delete those first.")
             before = self.current, self.reference
+            entry = self._ledger.delete(step.fit_id) if step.fit_id else None
             step.is_deleted = True
             if self.current == place:
-                self.current = step.parent
+                self.current = step.parent if step.parent >= 0 else left[0]
             if place == self.reference:
                 self.reference = -1
 
             def restore() -> None:
+                if entry is not None:
+                    self._ledger.restore(entry)
                 step.is_deleted = False
                 self.current, self.reference = before
 
             self._undo.append(restore)
             return self.state()
 
-    def annotate(self, place: int, note: str) -> dict[str, Any]:
-        """Set the note of a step (for this session)."""
+    def annotate(self, place: int, *, name: str, note: str) -> dict[str, Any]:
+        """Set name and note of a step; of a fit in the ledger they are stored at once, else when it is kept."""
         with self._lock:
-            step, old = self.steps[self._existing(place)], self.steps[place].note
-            step.note = note.strip()[:_LONGEST]
-            self._undo.append(lambda: setattr(step, "note", old))
+            step = self.steps[self._existing(place)]
+            old = step.name, step.note
+
+            def write(name: str, note: str) -> None:
+                step.name, step.note = name.strip()[:_LONGEST_NAME], note.strip()[:_LONGEST]
+                if step.fit_id:
+                    self._ledger.annotate(step.fit_id, name=step.name, note=step.note)
+
+            write(name, note)
+            self._undo.append(lambda: write(*old))
             return self.state()
 
     def _existing(self, place: int) -> int:
@@ -230,14 +258,16 @@ class Session:
         entry = self._ledger.add(
             step.fit, parent=parent, added=step.change, previous=self.steps[step.parent].fit
         )
-        step.fit_id = entry.fit_id
+        step.fit_id, step.rung = entry.fit_id, None
+        if step.name or step.note:
+            self._ledger.annotate(step.fit_id, name=step.name, note=step.note)
         return step.fit_id
 
     def _sharpen(self, step: Step) -> None:
         from fitting.discovery._refine import refined
 
         if not step.sharp:
-            step.fit, step.sharp, step.torques = refined(step.fit), True, None
+            step.found, step.sharp, step.torques = refined(step.fit), True, None
             step.prediction = None
 
     def remember(self, answer: dict[str, Any]) -> dict[str, Any]:
@@ -309,8 +339,10 @@ class Session:
         from fitting.study._serialisation import step_document
 
         step = self.steps[place]
-        previous = self.steps[step.parent].fit if step.parent >= 0 else None
-        document = step_document(step.fit, step.fit_id, step.change, previous)
+        document = step.rung
+        if document is None:
+            previous = self.steps[step.parent].fit if step.parent >= 0 else None
+            document = step_document(step.fit, step.fit_id, step.change, previous)
         keys = ("added", "rmse_casing", "reduced_chi2", "held_out", "delta_bic", "torque_left_Nm", "verdict")
         depth, up = 0, step.parent
         while up >= 0:
@@ -320,9 +352,10 @@ class Session:
             "depth": depth,
             "fit_id": step.fit_id,
             "parent": step.parent,
+            "name": step.name,
             "note": step.note,
         }
-        return own | {k: document[k] for k in keys}
+        return own | {k: document.get(k) for k in keys}
 
     def _tree(self) -> list[tuple[int, Step]]:
         """Return the steps with their places, every one followed by its successors."""
@@ -334,7 +367,8 @@ class Session:
                 if s.parent == place:
                     visit(i)
 
-        visit(0)
+        for root in [i for i, s in enumerate(self.steps) if s.parent < 0]:
+            visit(root)
         return found
 
     def _compared(self, step: Step) -> int:
@@ -371,6 +405,28 @@ class Session:
         if step.torques is None:
             step.torques = tuple(residual_torques(step.fit))
         return step.torques
+
+
+def _steps_of(data: CaseData, ledger: Ledger | None) -> list[Step]:
+    """Return the fits of a case in the ledger as steps; they are restored when they are shown."""
+    entries = ledger.of([data]) if ledger is not None else []
+    places = {e.fit_id: i for i, e in enumerate(entries)}
+    steps = []
+    for e in entries:
+        d = e.document
+        steps.append(
+            Step(
+                change=str(d.get("added") or "base"),
+                parent=places.get(str(d.get("parent", "")), -1),
+                found=None,
+                fit_id=e.fit_id,
+                name=e.stored.name,
+                note=e.stored.note,
+                rung=d.get("rung"),
+                restore=partial(e.shown, (data,)),
+            )
+        )
+    return steps
 
 
 def _document(found: dict[str, Any]) -> dict[str, Any]:

@@ -65,9 +65,9 @@ const Laboratory = (() => {
       bar.style.width = `${Math.max(1, 100 * r.rmse_casing / largest)}%`;
       const name = (r.parent >= 0 ? r.added : "start") + (r.fit_id ? ` (${r.fit_id})` : "");
       const head = element("th", { scope: "row" }, (r.depth ? "\u2514 " : "") + name, bar,
-        element("span", { class: "more" }, [`fit ${r.place + 1}`, r.note].filter(Boolean).join(": ")));
+        element("span", { class: "more" }, [`fit ${r.place + 1}`, r.name, r.note].filter(Boolean).join(": ")));
       head.style.paddingLeft = `${0.8 * Math.max(0, r.depth - 1)}rem`;
-      const now = r.place === state.current, leaf = !r.fit_id && r.place > 0 && !state.ladder.some((o) => o.parent === r.place);
+      const now = r.place === state.current, leaf = state.ladder.length > 1 && !state.ladder.some((o) => o.parent === r.place);
       const acts = element("td", {});
       if (now) acts.append("shown ");
       else acts.append(button("show", `show fit ${r.place + 1}`, () => go(r.place)));
@@ -78,7 +78,7 @@ const Laboratory = (() => {
         element("td", {}, format(r.reduced_chi2, 3)), element("td", {}, format(r.held_out, 3)),
         element("td", {}, r.parent >= 0 ? format(r.delta_bic, 3) : "\u2013"), acts);
     }));
-    at("note").value = state.ladder.find((r) => r.place === state.current)?.note || "";
+    for (const field of ["name", "note"]) at(field).value = state.ladder.find((r) => r.place === state.current)?.[field] || "";
   }
 
   /* --- parameters moved by hand: the residual follows at once to first order, then exactly --- */
@@ -360,7 +360,7 @@ const Laboratory = (() => {
   at("tuning").addEventListener("toggle", () => { if (at("tuning").open && !sliders) tune(); });
   at("reset").addEventListener("click", () => { for (const input of document.querySelectorAll("#parameters input")) { const p = sliders.parameters[Number(input.dataset.place)]; input.value = String(1000 * (p.value - p.low) / (p.high - p.low)); input.nextSibling.textContent = ""; p.now = p.value; } move(); });
   at("from-here").addEventListener("click", () => change({ values: Object.fromEntries(sliders.parameters.filter((p) => p.now !== p.value).map((p) => [p.name, p.now])) }));
-  at("note").addEventListener("change", () => apply("/api/note", { place: shown, note: at("note").value }));
+  for (const field of ["name", "note"]) at(field).addEventListener("change", () => apply("/api/note", { place: shown, name: at("name").value, note: at("note").value }));
   document.addEventListener("keydown", (event) => {
     if (document.body.dataset.part !== "laboratory") return;
     const typing = event.target.closest("input:not([type=range]):not([type=checkbox]), select, textarea");
