@@ -48,9 +48,10 @@ def test_slopes_are_the_derivatives_of_the_exact_residual(base, prediction):
 def test_at_the_fitted_values_the_residual_is_that_of_the_fit(base, prediction):
     casing, rotor = base.speed_residuals(0)
     found = prediction.moved({})
-    assert np.allclose(found["value"][0], casing.value, rtol=1e-9, atol=1e-12)
-    assert np.allclose(found["value"][2], rotor[1].value, rtol=1e-9, atol=1e-12)
-    assert found["rms"] == pytest.approx(np.sqrt(np.mean((casing.value / casing.sigma) ** 2)))
+    # the equations of motion are solved anew, to a small part of the noise
+    assert np.allclose(found["value"][0], casing.value, rtol=0, atol=0.02 * casing.sigma.min())
+    assert np.allclose(found["value"][2], rotor[1].value, rtol=0, atol=0.02 * rotor[1].sigma.min())
+    assert found["rms"] == pytest.approx(np.sqrt(np.mean((casing.value / casing.sigma) ** 2)), rel=1e-3)
     name = base.problem.layout.names[0]
     with pytest.raises(UsageError, match="outside its bounds"):
         prediction.moved({name: -1.0})
