@@ -240,8 +240,11 @@ class Laboratory:
         """
         tracked = read_case(case)
         study = open_study([case], ledger)
-        base, fit_id = study.base(start)
+        entry = study.entry(start)
+        base, fit_id = study.base(None) if entry is None else (entry.shown(study.data), entry.fit_id)
         session = Session(study.data[0], base, fit_id, study.ledger, tracked)
+        # what the page asks for first is ready, or nearly so, when it does
+        Thread(target=session.state, kwargs={"whole": True}, daemon=True).start()
         return cls(session, Clips(tracked, list(films)), Ranker(case))
 
     def close(self) -> None:
