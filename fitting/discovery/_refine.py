@@ -177,6 +177,9 @@ def refit(base: Fit, score: Score, criteria: Criteria, *, thorough: bool = True)
 
     With `thorough`, a refit that falls short of its score is repeated in other ways.
     """
+    if score.effect.restoring and not base.model.restoring:
+        # the base does not oscillate: nothing of its optimum is near that of a model which does
+        return _afresh(base, score.effect)
     found = together(base, score)
     if thorough and found is not None:
         found = _as_scored(base, score, found, criteria)
@@ -186,6 +189,14 @@ def refit(base: Fit, score: Score, criteria: Criteria, *, thorough: bool = True)
     found = _better(found, together(base, score, distant) if distant else None)
     local = local_changepoints(found, score.effect)
     return _better(found, together(base, score, local) if local else None)
+
+
+def _afresh(base: Fit, effect: Effect) -> Fit | None:
+    """Return the fit of base and candidate from initial values of its own; None if there is none."""
+    with suppress(FittingError):
+        found = fit(base.model.with_effect(effect), base.problem.data, noise=base.noise, quick=True)
+        return found if np.isfinite(found.deviance) else None
+    return None
 
 
 def _better(found: Fit, other: Fit | None) -> Fit:

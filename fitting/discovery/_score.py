@@ -91,10 +91,10 @@ class ScoreContext:
         residual = np.concatenate([d.z - p.rows for d, p in zip(data, fit.predictions, strict=True)])
         residual = residual if torque_rows is None else residual + torque_rows
         everything = np.concatenate([free, nuisance], axis=1)
-        self._free = self.rotated(everything)
+        self.free = self.rotated(everything)
         self._residual = self.rotated(residual)
-        self._plain = _orthonormal(free)
-        self.levels = [self._level(w, self._free) for w in self._whiteners]
+        self._plain = orthonormal(free)
+        self.levels = [self._level(w, self.free) for w in self._whiteners]
         self.draws = self.rotated(random.standard_normal((len(residual), draws)))
 
     def rotated(self, rows: Array) -> Array:
@@ -116,7 +116,7 @@ class ScoreContext:
             np.concatenate([1 / np.sqrt(1 + w.level**2 * w.values), np.ones(b - a - len(w.values))])
             for w, a, b in zip(whiteners, self.ends, self.ends[1:], strict=False)
         ])  # fmt: skip
-        q = _orthonormal(gain[:, None] * free)
+        q = orthonormal(gain[:, None] * free)
         r = gain * self._residual
         r = r - q @ (q.T @ r)
         return Level(gain, q, r, float(r @ r) + sum(w.log_determinant for w in whiteners))
@@ -135,7 +135,7 @@ class ScoreContext:
 
     def with_free(self, columns: Array) -> list[Level]:
         """Return the levels with further columns free."""
-        free = np.concatenate([self._free, self.rotated(columns)], axis=1)
+        free = np.concatenate([self.free, self.rotated(columns)], axis=1)
         return [self._level(w, free) for w in self._whiteners]
 
 
@@ -146,7 +146,7 @@ def _between(least: float, level: float, share: float) -> float:
     return float(floor * (level / floor) ** share)
 
 
-def _orthonormal(columns: Array) -> Array:
+def orthonormal(columns: Array) -> Array:
     size = np.linalg.norm(columns, axis=0)
     u, s, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
     return np.asarray(u[:, s > 1e-10 * s[0]])
@@ -191,6 +191,10 @@ class CaseColumns:
         y = Sampler(path.mesh, self.response.centres).value(path.y)
         self._known: dict[str, Any] = {name: y[:, i] for i, name in enumerate(path.states)}
         self._known |= {"t": self.response.centres, "delta": y[:, 0] - y[:, 1]}
+        swing = self.case.data.oscillation
+        if swing is not None:
+            measured = np.interp(self.response.centres, swing.time, swing.deflection)
+            self._known = {"deflection": measured} | self._known
         tau = Tape([self.case.dynamics.bearing_torque])(
             self._known | self.case.dynamics.constants | self.numbers
         )
@@ -303,7 +307,7 @@ class CaseColumns:
         unit[cell] = (1 - late) * before + late * after
 
     def _state(self, effect: Effect, shape: dict[str, float]) -> Array:
-        """Integrate the effect's own state along the base's path (Crank-Nicolson on the cells)."""
+        """Integrate the effect's own state along the base's path (its source and decay constant in each cell)."""
         if effect.state is None or effect.rate is None:
             return np.zeros(0)
         symbol = effect.state.symbol
@@ -317,8 +321,12 @@ class CaseColumns:
             return np.asarray(
                 effect.state.start + np.concatenate([[0.0], np.cumsum(push)]) + 0.5 * h * source[0]
             )
-        keep = (1 + 0.5 * h * decay[:-1]) / (1 - 0.5 * h * decay[1:])
-        gain = push / (1 - 0.5 * h * decay[1:])
+        # exact for a constant rate: a state may forget within a cell
+        exponent = 0.5 * h * (decay[:-1] + decay[1:])
+        keep = np.exp(exponent)
+        gain = push * np.where(
+            exponent == 0, 1.0, np.expm1(exponent) / np.where(exponent == 0, 1.0, exponent)
+        )
         state = np.empty(n)
         state[0] = effect.state.start + 0.5 * h * source[0]
         for i in range(n - 1):
