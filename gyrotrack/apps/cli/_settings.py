@@ -51,9 +51,9 @@ _COMPUTE = (
 # options whose values are files to read or to write; a found file may name those in its own folder
 _PATHS = "clips contact_sheet csv effects film films folder latex ledger output overlay picture plot report"
 FOUND = frozenset(f"{_COMPUTE} {_PATHS}".split())
-# options that only the user may set: replacing files, addresses, certificates, ports, the desktop, the cores
+# options that only the user may set: replacing or deleting files, addresses, certificates, ports, the desktop, the cores
 REFUSED = frozenset({
-    "force", "scheduler", "tls_ca", "tls_cert", "tls_key", "port", "browser", "answer", "save_law", "workers",
+    "force", "scheduler", "tls_ca", "tls_cert", "tls_key", "port", "browser", "answer", "delete", "save_law", "workers",
 })  # fmt: skip
 
 
