@@ -129,7 +129,7 @@ class _Test(NamedTuple):
 def dependence(
     about: Fit, *, without: Sequence[str] = (), context: ScoreContext | None = None
 ) -> list[Dependence]:
-    """Return on what the unmodelled torque of a fit depends, the largest score first.
+    """Return on what the unmodelled torque of a fit depends, the smallest BIC first: one variable if that is enough.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def dependence(
             found.append(result)
             smallest = np.minimum(smallest, null)
     calibrated = [replace(d, p_value=over_many_tests(d.p_value, smallest)) for d in found]
-    return sorted(calibrated, key=lambda d: (d.p_value, -d.score))
+    return sorted(calibrated, key=lambda d: d.columns * np.log(about.n_eff) - d.score)
 
 
 def _tests(about: Fit, cases: Sequence[CaseColumns]) -> Iterator[_Test]:

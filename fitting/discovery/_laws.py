@@ -64,6 +64,8 @@ _DRAWS = 1000
 _FIRST, _LATER, _KEPT = 5, 9, 48
 _SEARCHES = 3
 _POINTS = 1000
+# share of the best law's fall of the deviance from which an effect of the library is fitted at the same noise
+_AS_GOOD = 0.8
 # steps of the refinement of two shape constants, and points of each
 _ROUNDS, _GRID = 4, 5
 _STEPS = 7
@@ -624,7 +626,7 @@ def _difference(one: Law, other: Law) -> Difference | None:
 def _as_good(candidates: Sequence[Candidate], best: Law, criteria: Criteria) -> Candidate | None:
     """Return the effect of the library that describes the data as well as the best law; None if there is none."""
     for c in candidates:
-        if c.fit is None or not c.physical or not c.significant:
+        if c.fit is None or not c.physical or not c.significant or c.score < _AS_GOOD * best.score:
             continue
         with suppress(FittingError):
             refitted = fit_at(c.fit, [n.at(n.pure) for n in best.fit.noise])
