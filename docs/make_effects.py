@@ -19,7 +19,7 @@ A law is a torque in N m. One on the rotor or the casing acts on that body; one 
 angle [rad] added to what it sees, with `psi` and `omega` those of the filmed body: an artefact, never physics.
 
 A name in the first column is what `gyrotrack fit --add` takes and what `gyrotrack diagnose` answers. A law of your own
-may speak of t, omega_r, omega_c, psi_r, psi_c and delta; any other name in it is a parameter. A moment, as t0 in
+may contain t, omega_r, omega_c, psi_r, psi_c and delta; any other name in it is a parameter. A moment, as t0 in
 `heaviside(t - t0)` or in `exp(-((t - t0)/w)**2)`, is sought in the whole record.
 """
 

@@ -74,6 +74,9 @@ class CaseDocument(MetricsDocument):
     """The same with the process noise, of the recording and of this fit [N m], and the scale of the angle noise."""
 
     torque_noise_Nm: Number = Field(validation_alias=AliasChoices("torque_noise_Nm", "pure"))  # noqa: N815
+    torque_noise_u_Nm: Number = Field(  # noqa: N815
+        math.nan, validation_alias=AliasChoices("torque_noise_u_Nm", "pure_u")
+    )
     torque_left_Nm: Number = Field(validation_alias=AliasChoices("torque_left_Nm", "level"))  # noqa: N815
     noise_scale: Number = Field(validation_alias=AliasChoices("noise_scale", "scale"))
 
@@ -270,6 +273,7 @@ class NextRunDocument(Document):
     windows: list[Number]
     window_length: Number
     inertia_casing_ratio: Number
+    touchpoint_ratio: Number
     rivals: list[list[str]]
     separation_sigma: Number
     present_sigma: Number
@@ -309,10 +313,11 @@ class StepDocument(Document):
 
 
 class NoiseDocument(Document):
-    """Noise of one case: scale of the angle noise, process noise [N m], as `fitting.inference._noise_level` has it."""
+    """Noise of one case: scale of the white noise, process noise, its uncertainty, and what the model leaves [N m]."""
 
     scale: Number
     pure: Number
+    pure_u: Number = 0.0
     level: Number
 
 

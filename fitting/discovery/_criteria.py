@@ -79,6 +79,9 @@ class Criteria:
     refit_shortfall: float = _criterion(10.0, "deviance by which a refit may fall short of its score", _KASS)
     own_phase: float = _criterion(10.0, "deviance per case that justifies a phase of its own", _KASS)
     changepoint_score: float = _criterion(25.0, "score that moves a changepoint far away", "5 sigma")
+    equation_error: float = _criterion(
+        3.0, "error of the equations, over the least, up to which a spring is fitted"
+    )
     quieter: float = _criterion(0.8, "ratio below which process noise counts as reduced")
 
     def __post_init__(self) -> None:

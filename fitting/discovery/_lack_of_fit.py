@@ -43,7 +43,7 @@ from fitting.effects._effect import Effect, Parameter
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import Prediction
 from fitting.inference._lack_of_fit import block_diagonal, orthonormal
-from fitting.inference._noise import Noise, TorqueResponse
+from fitting.inference._noise import Noise, TorqueResponse, tail_probability
 from fitting.inference._problem import Projection, r_factor
 from fitting.inference._result import Fit
 
@@ -127,7 +127,7 @@ def smooth_test(fit: Fit) -> SmoothTest:
     fit : Fit
         The fit with the named law.
     """
-    named, tried, free, residual = _smooth_rows(fit)
+    named, tried, free, residual, shares = _smooth_rows(fit)
     basis = orthonormal(free, _RANK_FREE)
     left = residual - basis @ (basis.T @ residual)
     columns = [(name, _orthogonal(s, basis)) for name, s in zip(named, tried, strict=True)]
@@ -137,10 +137,11 @@ def smooth_test(fit: Fit) -> SmoothTest:
     # all columns lie in a space of few dimensions, in which white noise is white
     whole = orthonormal(np.concatenate([s for _, s in columns], axis=1), _RANK_FREE)
     tests = [s.T @ whole for _, s in columns]
-    found = _p_values(tests, (whole.T @ left)[:, None])[:, 0]
+    seen = whole.T @ left
+    found = [float(tail_probability(np.sum((t @ seen) ** 2), len(t), fit.noise, shares)) for t in tests]
     null = _p_values(tests, np.random.default_rng(0).standard_normal((whole.shape[1], _DRAWS)))
     best = int(np.argmin(found))
-    return SmoothTest(columns[best][0], over_many_tests(float(found[best]), null.min(axis=0)))
+    return SmoothTest(columns[best][0], over_many_tests(found[best], null.min(axis=0)))
 
 
 def _orthogonal(columns: Array, basis: Array) -> Array:
@@ -157,22 +158,24 @@ def _p_values(tests: list[Array], rows: Array) -> Array:
     return np.array([chdtrc(len(test), np.sum((test @ rows) ** 2, axis=0)) for test in tests])
 
 
-def _smooth_rows(fit: Fit) -> tuple[list[str], list[Array], Array, Array]:
-    """Return names, and as whitened rows of all cases: torques of a speed, free columns, the residual."""
+def _smooth_rows(fit: Fit) -> tuple[list[str], list[Array], Array, Array, list[float]]:
+    """Return names; torques of a speed, free columns and the residual as whitened rows of all cases; noise shares."""
     cases = list(zip(fit.problem.data, fit.predictions, fit.noise, strict=True))
     responses = [TorqueResponse(data, p.motion) for data, p, _ in cases]
     each = [speeds(r.centres, p) for r, (_, p, _) in zip(responses, cases, strict=True)]
     record = cases[0][0].record
     bodies = (record.body,) if record.single else (record.body, "rotor", "bearing")
     choices = _choices(np.concatenate(each, axis=1)[: len(bodies)])
-    tried, free, residual = [], [], []
+    tried, free, residual, shares = [], [], [], []
     for response, own, (data, p, noise) in zip(responses, each, cases, strict=True):
         acting = response.casing, response.casing - response.rotor
         torques = [acting[body] @ hats(own[which], knots) for which, knots, body in choices]
         rows = np.zeros((len(data.z), sum(t.shape[1] for t in torques)))
         rows[: len(response.casing)] = np.concatenate(torques, axis=1)
         project = Projection(data, noise.whitener.at(noise.pure))
-        few = r_factor(project(np.concatenate([rows, p.columns, (data.z - p.rows)[:, None]], axis=1)))
+        white = project(np.concatenate([rows, p.columns, (data.z - p.rows)[:, None]], axis=1))
+        shares.append(project.whitener.share(orthonormal(white[:, : rows.shape[1]], _RANK)))
+        few = r_factor(white)
         *parts, rest = np.split(few, np.cumsum([t.shape[1] for t in torques]), axis=1)
         tried.append(parts)
         free.append(np.zeros((len(few), p.count)))
@@ -180,7 +183,8 @@ def _smooth_rows(fit: Fit) -> tuple[list[str], list[Array], Array, Array]:
         residual.append(rest[:, -1])
     # a law is the same in all cases
     joined = [np.concatenate(parts) for parts in zip(*tried, strict=True)]
-    return [bodies[which] for which, _, _ in choices], joined, np.concatenate(free), np.concatenate(residual)
+    names = [bodies[which] for which, _, _ in choices]
+    return names, joined, np.concatenate(free), np.concatenate(residual), shares
 
 
 def _choices(seen: Array) -> list[tuple[int, Array, int]]:
@@ -265,9 +269,16 @@ def _peaks(fit: Fit) -> Iterator[PeriodogramPeak | None]:
         k, rate = float(torque[top]), float(fine[top])
         angle = k / (data.record.I_casing * rate**2)
         shown = not data.record.tracked or angle > float(np.median(data.record.casing.sigma))
-        chance = len(cases) * false_alarm_probability(
-            float(power[top]), (highest - lowest) / (2 * np.pi), periodogram.span
-        )
+        share = periodogram.share(rate)
+        chances = [
+            false_alarm_probability(
+                float(power[top]) / (1 - share + share * x),
+                (highest - lowest) / (2 * np.pi),
+                periodogram.span,
+            )
+            for x in noise.process.ratios
+        ]
+        chance = len(cases) * float(np.dot(chances, noise.process.weights))
         p_value = min(chance, 1.0) if shown else 1.0
         yield PeriodogramPeak(rate, k, angle, data.record.label, data.record.body, p_value)
 
@@ -310,13 +321,22 @@ class _Periodogram:
         cell = self._response.edges[1] - self._response.edges[0]
         return 2 * np.pi * _FEWEST_PERIODS / self.span, 1.0 / float(cell), 2 * np.pi / self.span / _PER_PEAK
 
-    def __call__(self, rates: Array) -> tuple[Array, Array]:
-        """Return chi-square and amplitude at frequencies [rad/s]."""
+    def share(self, rate: float) -> float:
+        """Return the share of the process noise in the variance of the response at a frequency [rad/s]."""
+        return self._project.whitener.share(
+            orthonormal(self._orthogonal(self._response_to(np.array([rate]))), _RANK)
+        )
+
+    def _response_to(self, rates: Array) -> Array:
         turn = np.outer(self._response.centres, rates)
         waves = np.concatenate([np.cos(turn), np.sin(turn)], axis=1)
         rows = np.zeros((self._rows, waves.shape[1]))
         rows[: len(self._response.casing)] = self._response.casing @ waves
-        seen = self._project(rows)
+        return self._project(rows)
+
+    def __call__(self, rates: Array) -> tuple[Array, Array]:
+        """Return chi-square and amplitude at frequencies [rad/s]."""
+        seen = self._response_to(rates)
         c, s = np.split(self._orthogonal(seen), 2, axis=1)
         whole = np.prod(np.split(np.sum(seen**2, axis=0), 2), axis=0)
         cc, ss, cs = np.sum(c * c, axis=0), np.sum(s * s, axis=0), np.sum(c * s, axis=0)
@@ -365,14 +385,13 @@ def harmonic_test(fit: Fit) -> HarmonicTest:
     chi2 = r'S (S'S)^-1 S'r with 2 degrees of freedom per case, S the whitened responses to sin(n psi), cos(n psi)
     orthogonal to the free columns.
     """
-    from scipy.special import chdtrc
-
     found = HarmonicTest(0, 0.0, 1.0)
     for order in _ORDERS:
         law = Effect("harmonic", "casing", f"k*sin({order}*psi_c - phi)", _WAVE)
-        chi2, torque, count = 0.0, 0.0, 0
+        chi2, torque, count, shares = 0.0, 0.0, 0, []
         for index, (data, p, n) in enumerate(zip(fit.problem.data, fit.predictions, fit.noise, strict=True)):
             if not data.is_angle:
+                shares.append(0.0)
                 continue
             numbers = fit.problem.layout.numbers(fit.theta, index)
             sine, cosine = fit.problem.cases[index].unit_columns(law, p.path, p.sensitivity, numbers)
@@ -381,10 +400,13 @@ def harmonic_test(fit: Fit) -> HarmonicTest:
             rows = project(np.stack([sine, cosine, data.z - p.rows], axis=1))
             rows = rows - basis @ (basis.T @ rows)
             s, r = rows[:, :2], rows[:, 2]
+            shares.append(project.whitener.share(orthonormal(s, _RANK)))
             gamma = np.linalg.pinv(s.T @ s, hermitian=True) @ (s.T @ r)
             chi2, count = chi2 + float(gamma @ (s.T @ r)), count + 2
             torque = max(torque, float(np.hypot(*gamma)))
-        p_value = min(1.0, len(_ORDERS) * float(chdtrc(count, chi2))) if count else 1.0
+        p_value = (
+            min(1.0, len(_ORDERS) * float(tail_probability(chi2, count, fit.noise, shares))) if count else 1.0
+        )
         if p_value < found.p_value:
             found = HarmonicTest(order, torque, p_value)
     return found

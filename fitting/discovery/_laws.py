@@ -687,7 +687,7 @@ def _as_good(candidates: Sequence[Candidate], best: Law, criteria: Criteria) -> 
         if c.fit is None or not c.physical or not c.significant or c.score < _AS_GOOD * best.score:
             continue
         with suppress(FittingError):
-            refitted = fit_at(c.fit, [n.at(n.pure) for n in best.fit.noise])
+            refitted = fit_at(c.fit, best.fit.noise)
             if refitted.bic < best.penalised + criteria.equivalence_width:
                 return replace(c, fit=refitted)
     return None

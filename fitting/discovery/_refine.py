@@ -28,7 +28,6 @@ from fitting.effects._effect import Effect, Parameter
 from fitting.inference._fit import fit
 from fitting.inference._lack_of_fit import orthonormal
 from fitting.inference._noise import Noise
-from fitting.inference._noise_level import measure_noise
 from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
@@ -39,42 +38,30 @@ _RANK = 1e-7
 
 
 def refined(found: Fit, criteria: Criteria = DEFAULT) -> Fit:
-    """Return a quick fit at its exact minimum, with the noise measured about its own model.
-
-    Process noise that falls when an effect is added was partly that effect.
-    """
-    end = at_pure_noise(fit_at(found, found.noise), criteria)
-    noise = measure_noise(end.problem, end.theta)
-    if all(new.pure >= criteria.quieter * old.pure for new, old in zip(noise, end.noise, strict=True)):
-        return end
-    quieter = at_pure_noise(fit_at(end, noise), criteria)
-    return quieter if quieter.bic < end.bic - criteria.evidence else end
+    """Return a quick fit at its exact minimum."""
+    return at_least_noise(fit_at(found, found.noise), criteria)
 
 
 def is_quieter(fit: Fit, than: Fit, criteria: Criteria) -> bool:
-    """Return whether a fit has less process noise than another: the pure level, or that of its model."""
-    return any(
-        n.pure < old.pure or n.level < criteria.quieter * old.level
-        for n, old in zip(fit.noise, than.noise, strict=True)
-    )
+    """Return whether a fit leaves less random torque than another."""
+    return any(n.level < criteria.quieter * old.level for n, old in zip(fit.noise, than.noise, strict=True))
 
 
 def has_model_noise(found: Fit) -> bool:
-    """Return whether a model needs more process noise than the data has, which hides its lack of fit."""
-    return any(n.level > n.pure for n in found.noise)
+    """Return whether a model needs more random torque than the recording has, which hides its lack of fit."""
+    return any(n.raised for n in found.noise)
 
 
-def at_pure_noise(found: Fit, criteria: Criteria) -> Fit:
-    """Return a fit, or the one at no more noise than the data has if that describes the data better.
+def at_least_noise(found: Fit, criteria: Criteria) -> Fit:
+    """Return a fit, or the one at the least noise of the recordings if that describes the data better.
 
     Where process noise stands for a lack of fit in the shape of a law, nothing moves that shape.
     """
     if not has_model_noise(found):
         return found
-    pure = [replace(n, level=n.pure, whitener=n.whitener.at(n.pure)) for n in found.noise]
-    # at the pure noise a search may diverge
+    # with so little noise a search may diverge
     with suppress(FittingError):
-        sharp = fit_at(found, pure)
+        sharp = fit_at(found, [n.at(n.least) for n in found.noise])
         return sharp if sharp.deviance < found.deviance - criteria.evidence else found
     return found
 
@@ -120,7 +107,7 @@ def distant_changepoints(fit: Fit, effect: Effect, criteria: Criteria) -> dict[s
     layout = fit.problem.layout
     strength = next(p.symbol for p in effect.parameters if p.role == "amplitude")
     keys = [f"{effect.name}.{effect.breakpoint}", f"{effect.name}.{strength}"]
-    noisy = [i for i, n in enumerate(fit.noise) if n.level > n.pure]
+    noisy = [i for i, n in enumerate(fit.noise) if n.raised]
     if not noisy:
         return {}
     theta, context = fit.theta.copy(), ScoreContext(fit, 1)
@@ -190,6 +177,9 @@ def refit(base: Fit, score: Score, criteria: Criteria, *, thorough: bool = True)
 
     With `thorough`, a refit that falls short of its score is repeated in other ways.
     """
+    if score.effect.restoring and not base.model.restoring:
+        # the base does not oscillate: nothing of its optimum is near that of a model which does
+        return _afresh(base, score.effect)
     found = together(base, score)
     if thorough and found is not None:
         found = _as_scored(base, score, found, criteria)
@@ -199,6 +189,14 @@ def refit(base: Fit, score: Score, criteria: Criteria, *, thorough: bool = True)
     found = _better(found, together(base, score, distant) if distant else None)
     local = local_changepoints(found, score.effect)
     return _better(found, together(base, score, local) if local else None)
+
+
+def _afresh(base: Fit, effect: Effect) -> Fit | None:
+    """Return the fit of base and candidate from initial values of its own; None if there is none."""
+    with suppress(FittingError):
+        found = fit(base.model.with_effect(effect), base.problem.data, noise=base.noise, quick=True)
+        return found if np.isfinite(found.deviance) else None
+    return None
 
 
 def _better(found: Fit, other: Fit | None) -> Fit:
@@ -218,7 +216,7 @@ def _as_scored(base: Fit, score: Score, found: Fit, criteria: Criteria) -> Fit:
     if not has_model_noise(base) or not short(found):
         return found
     found = _better(found, together(base, score, held=True))
-    return at_pure_noise(found, criteria) if short(found) else found
+    return at_least_noise(found, criteria) if short(found) else found
 
 
 def together(

@@ -109,7 +109,7 @@ def _case(fit: Fit, index: int) -> list[ResidualTorque]:
     residual = data.z - prediction.rows
     time = _SHARE * float(response.edges[-1] - response.edges[0])
     slow = response.whitener(TorqueNoise(0.0, time))
-    level, _ = remaining_level(slow, residual, data.nuisance, noise.pure)
+    level, _ = remaining_level(slow, residual, data.nuisance)
     floor = noise.pure**2 * response.covariance(noise.time) if noise.pure > 0 else 0.0
     covariance = np.eye(smooth.stop) + floor
     shaped = {

@@ -38,7 +38,7 @@ from fitting.effects._effect import Effect, Parameter
 from fitting.effects._expression import Tape, derivative
 from fitting.inference._case_model import CaseModel, Prediction
 from fitting.inference._lack_of_fit import block_diagonal
-from fitting.inference._noise import TorqueResponse, Whitener
+from fitting.inference._noise import Noise, TorqueResponse, Whitener, tail_probability
 from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
@@ -88,9 +88,9 @@ class ScoreContext:
         data = fit.problem.data
         self.ends = np.cumsum([0, *(len(d.z) for d in data)])
         random = np.random.default_rng(_SEED)
-        shares = np.linspace(0, 1, _LEVELS) if any(n.level > n.pure for n in fit.noise) else np.array([1.0])
+        shares = np.linspace(0, 1, _LEVELS) if any(n.raised for n in fit.noise) else np.array([1.0])
         self._axes = [n.whitener.vectors for n in fit.noise]
-        self._whiteners = [[n.whitener.at(_between(n.pure, n.level, x)) for n in fit.noise] for x in shares]
+        self._whiteners = [[n.whitener.at(_between(n.least, n.level, x)) for n in fit.noise] for x in shares]
         # a parameter at its bound is held, unless it is to be released; only the refit respects the bound
         moving = np.ones(len(fit.theta), dtype=bool) if release else ~fit.problem.layout.at_bound(fit.theta)
         names = fit.problem.layout.names
@@ -101,10 +101,10 @@ class ScoreContext:
         residual = residual if torque_rows is None else residual + torque_rows
         self._moving = moving
         everything = np.concatenate([free, nuisance], axis=1)
-        self._free = self.rotated(everything)
+        self.free = self.rotated(everything)
         self._residual = self.rotated(residual)
-        self._plain = _orthonormal(free)
-        self.levels = [self._level(w, self._free) for w in self._whiteners]
+        self._plain = orthonormal(free)
+        self.levels = [self._level(w, self.free) for w in self._whiteners]
         self.draws = self.rotated(random.standard_normal((len(residual), draws)))
 
     def rotated(self, rows: Array) -> Array:
@@ -120,7 +120,7 @@ class ScoreContext:
         Generalised least squares at the level of the fit; zero for a variable that is not free.
         """
         gain = self.levels[-1].gain
-        columns, seen = gain[:, None] * self._free, gain * (self._residual - self.rotated(rows))
+        columns, seen = gain[:, None] * self.free, gain * (self._residual - self.rotated(rows))
         size = np.linalg.norm(columns, axis=0)
         size[size == 0] = np.inf
         found = np.linalg.lstsq(columns / size, seen, rcond=1e-10)[0] / size
@@ -140,25 +140,37 @@ class ScoreContext:
             np.concatenate([1 / np.sqrt(1 + w.level**2 * w.values), np.ones(b - a - len(w.values))])
             for w, a, b in zip(whiteners, self.ends, self.ends[1:], strict=False)
         ])  # fmt: skip
-        q = _orthonormal(gain[:, None] * free)
+        q = orthonormal(gain[:, None] * free)
         r = gain * self._residual
         r = r - q @ (q.T @ r)
         return Level(gain, q, r, float(r @ r) + sum(w.log_determinant for w in whiteners))
 
+    def shares(self, direction: Array) -> tuple[float, ...]:
+        """Return the share of each case's process noise in the variance of a response (rotated, whitened, unit length).
+
+        A level that the lack of fit of the model determines is not that of the process noise.
+        """
+        found = []
+        for n, a in zip(self.fit.noise, self.ends, strict=False):
+            torque = n.level**2 * n.whitener.values
+            square = direction[a : a + len(torque)] ** 2
+            found.append(0.0 if n.raised else float(square @ (torque / (1 + torque))))
+        return tuple(found)
+
     def with_free(self, columns: Array) -> list[Level]:
         """Return the levels with further columns free."""
-        free = np.concatenate([self._free, self.rotated(columns)], axis=1)
+        free = np.concatenate([self.free, self.rotated(columns)], axis=1)
         return [self._level(w, free) for w in self._whiteners]
 
 
-def _between(pure: float, level: float, share: float) -> float:
-    if level <= pure:
-        return pure
-    floor = max(pure, 1e-3 * level)
+def _between(least: float, level: float, share: float) -> float:
+    if level <= least:
+        return level
+    floor = max(least, 1e-3 * level)
     return float(floor * (level / floor) ** share)
 
 
-def _orthonormal(columns: Array) -> Array:
+def orthonormal(columns: Array) -> Array:
     size = np.linalg.norm(columns, axis=0)
     u, s, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
     return np.asarray(u[:, s > 1e-10 * s[0]])
@@ -203,6 +215,10 @@ class CaseColumns:
         y = Sampler(path.mesh, self.response.centres).value(path.y)
         self._known: dict[str, Any] = {name: y[:, i] for i, name in enumerate(path.states)}
         self._known |= {"t": self.response.centres, "delta": y[:, 0] - y[:, 1]}
+        swing = self.case.data.oscillation
+        if swing is not None:
+            measured = np.interp(self.response.centres, swing.time, swing.deflection)
+            self._known = {"deflection": measured} | self._known
         tau = Tape([self.case.dynamics.bearing_torque])(
             self._known | self.case.dynamics.constants | self.numbers
         )
@@ -315,7 +331,7 @@ class CaseColumns:
         unit[cell] = (1 - late) * before + late * after
 
     def _state(self, effect: Effect, shape: dict[str, float]) -> Array:
-        """Integrate the effect's own state along the base's path (Crank-Nicolson on the cells)."""
+        """Integrate the effect's own state along the base's path (its source and decay constant in each cell)."""
         if effect.state is None or effect.rate is None:
             return np.zeros(0)
         symbol = effect.state.symbol
@@ -329,8 +345,12 @@ class CaseColumns:
             return np.asarray(
                 effect.state.start + np.concatenate([[0.0], np.cumsum(push)]) + 0.5 * h * source[0]
             )
-        keep = (1 + 0.5 * h * decay[:-1]) / (1 - 0.5 * h * decay[1:])
-        gain = push / (1 - 0.5 * h * decay[1:])
+        # exact for a constant rate: a state may forget within a cell
+        exponent = 0.5 * h * (decay[:-1] + decay[1:])
+        keep = np.exp(exponent)
+        gain = push * np.where(
+            exponent == 0, 1.0, np.expm1(exponent) / np.where(exponent == 0, 1.0, exponent)
+        )
         state = np.empty(n)
         state[0] = effect.state.start + 0.5 * h * source[0]
         for i in range(n - 1):
@@ -368,6 +388,12 @@ class Score:
         The base absorbs it completely.
     direction : ndarray
         Its whitened, projected column at the fitted strength, of unit length (for cosines).
+    null : ndarray
+        Scores of the null data.
+    shares : tuple of float
+        Share of the process noise of each case in the variance of its response.
+    noise : tuple of Noise
+        Of each case.
     own_phase : bool
         Each case has its own strength and phase, but not its own shape.
     """
@@ -381,6 +407,8 @@ class Score:
     absorbed: bool
     direction: Array = field(repr=False)
     null: Array = field(repr=False)
+    shares: tuple[float, ...] = field(default=(), repr=False)
+    noise: tuple[Noise, ...] = field(default=(), repr=False)
     own_phase: bool = False
 
 
@@ -436,6 +464,8 @@ def best_group(
         bool(absorbed.all()),
         best[3],
         empty,
+        context.shares(best[3]),
+        context.fit.noise,
     )
 
 
@@ -484,6 +514,7 @@ class NullDistribution:
 
     def __init__(self, score: Score) -> None:
         self._columns = score.columns
+        self._noise, self._shares = score.noise, score.shares
         self.draws = score.null
         middle = float(np.median(self.draws))
         tail = float(np.quantile(self.draws, 0.9))
@@ -498,7 +529,7 @@ class NullDistribution:
 
     def of(self, score: float, columns: int) -> float:
         """Return the p-value of a score with fewer strengths, searched over as many shapes."""
-        single = float(_tail(score, max(columns, 1)))
+        single = float(tail_probability(max(score, 0.0), max(columns, 1), self._noise, self._shares))
         return float(-np.expm1(self._trials * np.log1p(-min(single, 1 - 1e-12))))
 
     def of_draws(self) -> Array:

@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
@@ -37,6 +38,7 @@ from fitting.effects._effect import Effect
 from fitting.effects._library import LIBRARY
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
+from fitting.inference._initial_values import equation_error
 from fitting.inference._noise import Noise
 from fitting.inference._result import Estimate, Fit
 
@@ -129,6 +131,17 @@ def rank(
     found.sort(key=lambda c: -c.score)
     if refitting:
         worth = _worth_refitting(found, criteria)
+        swing = base.problem.data[0].oscillation
+        if swing is not None and not base.model.restoring:
+            # only a restoring torque makes a body oscillate, and scores about a motion that does not say little
+            data = base.problem.data
+            error = {
+                c.effect.name: equation_error(base.model.with_effect(c.effect), data)
+                for c in found
+                if c.effect.restoring
+            }
+            most = criteria.equation_error * min(error.values())
+            worth = [error.get(c.effect.name, math.inf) <= most for c in found]
         best_score = max((c.score for c, w in zip(found, worth, strict=True) if w), default=0.0)
         promising = [
             _Promising(c, nulls[c.effect.name], family, criteria, c.score > criteria.rival_share * best_score)
@@ -153,6 +166,8 @@ def applicable_effects(base: Fit, extra: Sequence[Effect]) -> list[Effect]:
 
 def _is_applicable(effect: Effect, base: Fit) -> bool:
     if base.problem.data[0].record.single and not effect.single_body:
+        return False
+    if effect.restoring and base.problem.data[0].oscillation is None:
         return False
     if not effect.mechanical:
         return base.problem.data[0].is_angle

@@ -29,7 +29,7 @@ from fitting.dynamics._sensitivities import UNBOUNDED, Propagator
 
 Array = NDArray[np.float64]
 
-_TOLERANCE = 1e-10
+TOLERANCE = 1e-10
 _MAX_NEWTON = 25
 _MAX_INTERVALS = 40_000
 _CASING = 1
@@ -73,7 +73,7 @@ def refine(
 ) -> Path:
     """Halve the intervals of a solution until it is resolved."""
     for _ in range(40):
-        rough = truncation_error(path) > _TOLERANCE
+        rough = truncation_error(path) > TOLERANCE
         if not rough.any():
             return path
         edges = path.mesh.edges

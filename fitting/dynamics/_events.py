@@ -10,10 +10,15 @@ before a jump of the rates from f- to f+, on the surface omega_c = 0, is afterwa
 
 A known solution for numbers nearby is followed: stretch by stretch on its own mesh, with the time of each stop as one
 more unknown. Only where the motion is no longer alike are meshes and moments sought from nothing.
+
+An oscillation has hundreds of such moments. There Newton's method treats all stretches at once: with the state y, the
+casing's speed w and the rates f- and f+ at an edge where the casing turns back, the edge moves by -(w + dw) / f-_c,
+and the deviation of what follows, continued to the old time, is the saltation matrix times dy minus (f- - f+) w / f-_c.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -21,10 +26,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import SimulationError
-from fitting.dynamics._collocation import coarsened, collocate, newton, refine, runge_kutta
-from fitting.dynamics._mesh import Mesh, Path, Sampler, transfer
+from fitting.dynamics._collocation import (
+    TOLERANCE,
+    coarsened,
+    collocate,
+    newton,
+    refine,
+    runge_kutta,
+    truncation_error,
+)
+from fitting.dynamics._mesh import Mesh, Path, Sampler, rule, transfer
 from fitting.dynamics._model import Dynamics
-from fitting.dynamics._sensitivities import UNBOUNDED
+from fitting.dynamics._sensitivities import UNBOUNDED, Propagator
 
 Array = NDArray[np.float64]
 
@@ -124,6 +137,111 @@ class Segments:
         braked = self.push(stop, y, sense) * sense < 0
         return bool(stop < end and not between and braked and abs(y[_CASING]) <= _STOPPED * largest)
 
+    def oscillating(self, start: Array, known: Path) -> list[Path]:
+        """Return the stretches of a motion through many reversals, as far as it goes like one nearby.
+
+        Parameters
+        ----------
+        start : ndarray, shape (states,)
+            State at the first edge.
+        known : Path
+            A solution for numbers nearby, or what was measured: its jumps say at which edges the casing turns back.
+        """
+        if np.sign(start[_CASING]) != known.sense[0] or len(known.breaks) != len(self.breaks):
+            return []
+        anchors = [*known.mesh.edges[[0, *sorted(known.jumps), -1]].tolist(), *known.breaks]
+        places = [*anchors[: len(anchors) - len(known.breaks)], *sorted(self.breaks)]
+        if np.any(np.argsort(anchors) != np.argsort(places)):
+            return []  # a law sets in before a reversal that came first, or after one that came later
+        known = replace(known, mesh=known.mesh.moved(sorted(anchors), sorted(places)))
+        at = sorted(known.jumps)
+        for share in _SHARES:
+            count = math.ceil(share * len(at))
+            path = known if count == len(at) else _until(known, at[count])
+            path = replace(path, edges=path.edges.copy(), y=path.y.copy())
+            path.edges[0] = start
+            try:
+                found = self._resolved(path).pieces()
+            except SimulationError:
+                continue
+            # the last stretch of a part ends before its event
+            return self._kept(found if count == len(at) else found[:-1])
+        return []
+
+    def _resolved(self, path: Path) -> Path:
+        for _ in range(40):
+            path = self._through_reversals(path)
+            rough = truncation_error(path) > TOLERANCE
+            if not rough.any():
+                return path
+            path = halved(path, rough)
+        raise SimulationError(UNBOUNDED)
+
+    def _kept(self, pieces: list[Path]) -> list[Path]:
+        """Return the stretches before the first in which the casing does not keep its sense, or is held in vain."""
+        largest = max(float(np.abs(p.y[..., _CASING]).max()) for p in pieces)
+        for i, piece in enumerate(pieces):
+            if piece.sense[0] == 0:
+                return pieces[: i + (self._release(piece) is None)]
+            if (piece.y[..., _CASING] * piece.sense[0] < -NOTHING * largest).any():
+                return pieces[:i]
+        return pieces
+
+    def _through_reversals(self, path: Path) -> Path:
+        """Solve the collocation equations of all stretches at once; the times of the reversals are unknowns."""
+        gauss, dynamics = rule(), self.dynamics
+        mesh, y, edges, sense = path.mesh, path.y.copy(), path.edges.copy(), path.sense[:, None]
+        at = np.array(sorted(path.jumps))
+        before = np.inf
+        with np.errstate(all="ignore"):
+            for _ in range(_MOST_STEPS):
+                f, a = dynamics.tangent(mesh.times, y, self.numbers, sense)
+                node_defect = edges[:-1, None] + mesh.half[..., None] * (gauss.s @ f) - y
+                edge_defect = edges[:-1] + mesh.half * (gauss.w @ f) - edges[1:]
+                times = mesh.edges[at]
+                ending, following = (
+                    dynamics.rates(times, edges[at], self.numbers, path.sense[at - side]) for side in (1, 0)
+                )
+                step = (ending - following) / ending[:, _CASING, None]
+                jumps = np.tile(np.eye(y.shape[-1]), (len(at), 1, 1))
+                jumps[:, :, _CASING] -= step
+                kicks = -step * edges[at, _CASING, None]
+                shape = Propagator(mesh, a, dict(zip(at.tolist(), jumps, strict=True)), defect=node_defect)
+                moves = shape.chain(
+                    shape.response,
+                    edge_defect[..., None],
+                    added=dict(zip(at.tolist(), kicks[..., None], strict=True)),
+                )
+                nodes = (shape.response + shape.carried(moves))[..., 0]
+                arriving = moves[at - 1, :, 0] + edge_defect[at - 1]
+                arriving += mesh.half[at - 1] * np.einsum("k,eknm,ekm->en", gauss.w, a[at - 1], nodes[at - 1])
+                moved = -(edges[at, _CASING] + arriving[:, _CASING]) / ending[:, _CASING]
+                y += nodes
+                edges += moves[..., 0]
+                edges[at] += arriving - moves[at, :, 0] + ending * moved[:, None]
+                fixed = [b for b in (mesh.edges[0], *self.breaks, mesh.edges[-1]) if b <= mesh.edges[-1]]
+                anchors = np.concatenate([fixed, times])
+                order = np.argsort(anchors)
+                places = np.concatenate([fixed, times + moved])[order]
+                anchors = anchors[order]
+                gaps = np.diff(anchors)
+                shift = np.abs(places - anchors)[1:-1]
+                late = float((shift / np.minimum(gaps[:-1], gaps[1:])).max())
+                scale = 1e-300 + np.abs(y).max(axis=(0, 1))
+                size = max(float((np.abs(nodes).max(axis=(0, 1)) / scale).max()), late)
+                if not size < 1e8 or not late < _LATEST:
+                    break
+                new = mesh.moved(anchors.tolist(), places.tolist())
+                y += f * (new.times - mesh.times)[..., None]
+                inner = np.setdiff1d(np.arange(1, len(edges) - 1), at)
+                edges[inner] += (gauss.ends[1] @ f)[inner - 1] * (new.edges - mesh.edges)[inner, None]
+                mesh = new
+                if size < _SMALL or 10 * size**2 < _EXACT < before**2:
+                    edges[at, _CASING] = 0.0
+                    return replace(path, mesh=mesh, y=y, edges=edges)
+                before = size
+        raise SimulationError(UNBOUNDED)
+
     def turning(self, start: Array, mesh: Mesh, sense: float, guess: Path | None) -> Path:
         """Return the path until the casing comes to rest, or to the end of the mesh."""
         path = self._rough(start, mesh, sense, guess)
@@ -214,6 +332,37 @@ class Segments:
         return near[0] if near else time
 
 
+def _until(path: Path, edge: int) -> Path:
+    """Return a path up to an edge."""
+    jumps = {i: matrix for i, matrix in path.jumps.items() if i < edge}
+    edges = path.mesh.edges[: edge + 1]
+    return replace(
+        path,
+        mesh=Mesh(edges),
+        y=path.y[:edge],
+        edges=path.edges[: edge + 1],
+        sense=path.sense[:edge],
+        jumps=jumps,
+    )
+
+
+def halved(path: Path, rough: NDArray[np.bool_]) -> Path:
+    """Return a path with some of its intervals cut in two; senses and jumps stay at their times."""
+    edges = path.mesh.edges
+    parent = np.repeat(np.arange(len(rough)), 1 + rough)
+    middle = 0.5 * (edges[1:] + edges[:-1])[rough]
+    mesh = Mesh(np.sort(np.concatenate([edges, middle])))
+    if len(mesh.edges) > _MOST_INTERVALS:
+        raise SimulationError("the equations of motion change too sharply to be integrated")
+    y = Sampler(path.mesh, mesh.times.ravel()).value(path.y).reshape(*mesh.times.shape, -1)
+    states = np.empty((len(mesh.edges), path.edges.shape[1]))
+    old = np.searchsorted(mesh.edges, edges)
+    states[old] = path.edges
+    states[np.searchsorted(mesh.edges, middle)] = Sampler(path.mesh, middle).value(path.y)
+    jumps = {int(old[i]): matrix for i, matrix in path.jumps.items()}
+    return replace(path, mesh=mesh, y=y, edges=states, sense=path.sense[parent], jumps=jumps)
+
+
 def _at_rest(path: Path) -> Path:
     y, edges = path.y.copy(), path.edges.copy()
     y[..., _CASING] = edges[:, _CASING] = 0.0
@@ -236,6 +385,16 @@ def _first_crossing(path: Path) -> float | None:
 
 
 _MAX_EVENTS = 2000
+# reversals from which on all stretches of an oscillation are solved at once
+_MANY = 3
+_MOST_STEPS = 25
+# share of the reversals that are tried together
+_SHARES = (1.0, 0.9, 0.7, 0.4)
+_SMALL = 1e-9
+_EXACT = 1e-13
+# farthest move of a reversal in a step, as a share of the time to its neighbours
+_LATEST = 0.45
+_MOST_INTERVALS = 40_000
 
 
 def solve(
@@ -279,10 +438,16 @@ def solve(
     y, time, end = np.asarray(start, dtype=np.float64), float(mesh.edges[0]), float(mesh.edges[-1])
     sense = run.sense_after(time, y, float(np.sign(y[_CASING])))
     known = guess.pieces() if guess is not None and guess.exact else []
+    ready: list[Path] = []
+    if dynamics.dry and guess is not None and len(guess.jumps) >= _MANY:
+        ready, guess = run.oscillating(y, guess), None
     for _ in range(_MAX_EVENTS):
         alike = known[len(pieces)] if len(pieces) < len(known) else None
         stops = len(pieces) + 1 < len(known)
-        piece = None if alike is None else run.alike(y, time, end, sense, alike, stops=stops)
+        ready = ready if ready and ready[0].sense[0] == sense else []
+        piece = ready.pop(0) if ready else None
+        if piece is None and alike is not None:
+            piece = run.alike(y, time, end, sense, alike, stops=stops)
         if piece is None:
             rest = mesh.between(time, end)
             piece = run.held(y, rest, guess) if sense == 0 else run.turning(y, rest, sense, guess)

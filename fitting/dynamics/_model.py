@@ -191,6 +191,11 @@ class Model:
         return tuple(e for e in self.effects if e.mechanical and e.depends_on_angle)
 
     @cached_property
+    def restoring(self) -> bool:
+        """Whether a torque drives the casing back to an equilibrium: then its deflection is a state of the motion."""
+        return any(e.restoring for e in self.smooth.effects)
+
+    @cached_property
     def measurement(self) -> tuple[Effect, ...]:
         """What the cameras add to the angles."""
         return tuple(e for e in self.effects if not e.mechanical)
@@ -281,7 +286,11 @@ class Dynamics:
     Attributes
     ----------
     states : tuple of str
-        ``omega_r, omega_c``, then states of effects, then the angles if asked for.
+        ``omega_r, omega_c``, then ``deflection`` if a torque depends on it, then states of effects, then the angles if
+        asked for.
+    free_starts : int
+        Number of states, from the first one on, whose initial values belong to the recording: the speeds and the
+        deflection.
     parameters : tuple of str
         Keys of the parameters whose derivatives are given.
     dry : bool
@@ -291,9 +300,12 @@ class Dynamics:
     def __init__(self, model: Model, *, angles: bool = False) -> None:
         physical = [e for e in model.effects if e.mechanical]
         own = [(e, e.state) for e in physical if e.state is not None]
+        restoring = any(e.restoring for e in physical)
+        self.free_starts = 3 if restoring else 2
         self.states = (
             "omega_r",
             "omega_c",
+            *(("deflection",) if restoring else ()),
             *(s.symbol for _, s in own),
             *(("psi_r", "psi_c") if angles else ()),
         )
@@ -349,7 +361,7 @@ class Dynamics:
         for factor in laws["inertia"]:
             casing = mul(casing, factor)
         self.bearing_torque = tau
-        return [rotor, casing, *own]
+        return [rotor, casing, *([sym("omega_c")] if self.free_starts > 2 else []), *own]
 
     def _values(self, t: Array, y: Array, numbers: Mapping[str, float]) -> dict[str, object]:
         values: dict[str, object] = {"t": t, **self.constants, **numbers}

@@ -115,11 +115,22 @@ class Propagator:
         """Return what deviations at the edges (intervals + 1, n, columns) do at the nodes."""
         return np.asarray(self.transfer @ edges[:-1, None])
 
-    def chain(self, response: Array, edge_defect: Array, first: Array | None = None) -> Array:
-        """Return the deviations at all edges, (intervals + 1, n, columns), from the first edge on."""
+    def chain(
+        self,
+        response: Array,
+        edge_defect: Array,
+        first: Array | None = None,
+        added: Mapping[int, Array] | None = None,
+    ) -> Array:
+        """Return the deviations at all edges, (intervals + 1, n, columns), from the first edge on.
+
+        At some edges a deviation is added, after the jump.
+        """
         gain = edge_defect + self._gained(response)
         for i, jump in self._jumps.items():
             gain[i - 1] = jump @ gain[i - 1]
+        for i, deviation in (added or {}).items():
+            gain[i - 1] += deviation
         step = self._steps()
         out = np.zeros((gain.shape[0] + 1, *gain.shape[1:]))
         if first is not None:
@@ -296,7 +307,8 @@ def _independent(phi: Array) -> bool:
 class Sensitivity:
     """Derivatives of the states at nodes and edges, last axis the columns.
 
-    Columns are the parameters of the dynamics, then the start values of omega_r and omega_c.
+    Columns are the parameters of the dynamics, then the initial values of the speeds, and of the deflection if it is a
+    state.
     """
 
     nodes: Array
@@ -305,14 +317,14 @@ class Sensitivity:
 
 
 def sensitivities(dynamics: Dynamics, numbers: Mapping[str, float], path: Path) -> Sensitivity:
-    """Return the derivatives of a solution by parameters and by the two start speeds."""
+    """Return the derivatives of a solution by parameters and by the initial values that belong to the recording."""
     _, a, b = dynamics.linearised(path.mesh.times, path.y, numbers, path.sense[:, None])
     propagator = Propagator(path.mesh, a, path.jumps)
-    n, p = len(dynamics.states), len(dynamics.parameters)
-    forcing = np.concatenate([b, np.zeros((*b.shape[:3], 2))], axis=3)
-    first = np.zeros((n, p + 2))
-    first[0, p] = first[1, p + 1] = 1.0
-    kicks = _kicks(dynamics, numbers, path, p + 2)
+    n, p, starts = len(dynamics.states), len(dynamics.parameters), dynamics.free_starts
+    forcing = np.concatenate([b, np.zeros((*b.shape[:3], starts))], axis=3)
+    first = np.zeros((n, p + starts))
+    first[np.arange(starts), p + np.arange(starts)] = 1.0
+    kicks = _kicks(dynamics, numbers, path, p + starts)
     nodes, edges = _march(path, propagator, forcing, first, kicks)
     return Sensitivity(nodes, edges, propagator)
 

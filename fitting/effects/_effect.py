@@ -15,16 +15,19 @@ Joint = Literal["rotor", "casing", "bearing", "factor", "inertia", "camera.casin
 Kind = Literal["physical", "measurement"]
 Role = Literal["amplitude", "shape", "phase", "fixed"]
 
-# The variables of a law, with their units. `tau` is the whole bearing torque, for states that it feeds.
+# The variables of a law, with their units. `tau` is the whole bearing torque, for states that it feeds; `deflection` is
+# the angle of the casing, or of the single body, from its equilibrium.
 VARIABLES: dict[str, str] = {
     "t": "s",
     "omega_r": "s-1",
     "omega_c": "s-1",
     "psi_r": "1",
     "psi_c": "1",
+    "deflection": "1",
     "delta": "s-1",
     "temperature": "K",
     "chirp": "1",
+    "strain": "1",
     "tau": "N m",
     "lag": "s-1",
     "psi": "1",
@@ -199,6 +202,11 @@ class Effect:
         """Whether the law is a function of an angle: a harmonic of psi."""
         names = symbols(self.expression)
         return bool(names & {"psi_r", "psi_c", "psi"})
+
+    @cached_property
+    def restoring(self) -> bool:
+        """Whether the law depends on the angle from equilibrium: a torque that makes the body oscillate."""
+        return "deflection" in symbols(self.expression)
 
     @property
     def periodic(self) -> bool:

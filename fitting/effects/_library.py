@@ -88,6 +88,27 @@ AIR = (
         source=_DISC,
     ),
     Effect(
+        "casing.brake.eddy",
+        "casing",
+        "-k*omega_c/(1 + (omega_c/w)**2)",
+        (
+            Parameter("k", "N m s", meaning="braking torque per unit of speed, at low speed"),
+            Parameter(
+                "w",
+                "s-1",
+                "shape",
+                0.1,
+                1e5,
+                50.0,
+                (1.0, 3.0, 10.0, 30.0, 100.0, 300.0),
+                meaning="critical speed, of the largest torque",
+            ),
+        ),
+        signature="linear at low speed, and a loss that falls again above the critical speed",
+        confused_with=("casing.air.linear",),
+        source="W. R. Smythe, Trans. AIEE 61, 681 (1942); J. H. Wouterse, IEE Proc. B 138, 153 (1991)",
+    ),
+    Effect(
         "casing.windage",
         "casing",
         "k*omega_r*abs(omega_r)",
@@ -277,6 +298,50 @@ TOUCHPOINT = (
         per_case=True,
         per_surface=True,
     ),
+    Effect(
+        "casing.friction.presliding",
+        "casing",
+        "-k*strain",
+        (
+            Parameter("k", "N m", meaning="dry friction once the contact slides"),
+            Parameter(
+                "s",
+                "1",
+                "shape",
+                1e-5,
+                10.0,
+                0.01,
+                (0.001, 0.003, 0.01, 0.03, 0.1, 0.3),
+                meaning="angle through which the contact yields before it slides [rad]",
+            ),
+        ),
+        signature="dry friction that reverses over an angle, not at once: hysteresis near rest",
+        confused_with=("touchpoint.constant",),
+        source="P. R. Dahl, Aerospace Corp. TOR-0158 (1968)",
+        state=State("strain", "(omega_c - abs(omega_c)*strain)/s"),
+    ),
+    Effect(
+        "casing.seal.cooling",
+        "casing",
+        "-k*(1 - exp(-t/tau_T))*sign(omega_c)",
+        (
+            Parameter("k", "N m", meaning="friction that a warm seal gains until it is cold"),
+            Parameter(
+                "tau_T",
+                "s",
+                "shape",
+                0.01,
+                1e6,
+                30.0,
+                (0.03, 0.1, 0.3, 1.0, 3.0),
+                relative=True,
+                meaning="cooling time",
+            ),
+        ),
+        signature="a loss that grows from the start and levels off, whatever the speed is",
+        confused_with=("touchpoint.drift", "touchpoint.stribeck"),
+        source="viscosity and grip of a lip seal against temperature; Newton's law of cooling",
+    ),
 )
 
 
@@ -333,6 +398,37 @@ CASING = (
         confused_with=("touchpoint.constant",),
         source="a constant outer torque",
         equivalent=("touchpoint.constant",),
+    ),
+)
+
+
+OSCILLATOR = (
+    Effect(
+        "casing.spring.linear",
+        "casing",
+        "-k*deflection",
+        (Parameter("k", "N m", meaning="stiffness per radian"),),
+        signature="an oscillation whose period does not depend on the amplitude",
+        confused_with=("casing.gravity",),
+        source="Hooke's law of a torsion wire or a spiral spring",
+    ),
+    Effect(
+        "casing.spring.cubic",
+        "casing",
+        "-k*deflection**3",
+        (Parameter("k", "N m", lower=_ANY, meaning="stiffness that grows with the deflection"),),
+        signature="the frequency rises (falls, if negative) with the square of the amplitude",
+        confused_with=("casing.gravity",),
+        source="third-order term of a symmetric spring (G. Duffing, 1918)",
+    ),
+    Effect(
+        "casing.gravity",
+        "casing",
+        "-k*sin(deflection)",
+        (Parameter("k", "N m", meaning="weight times distance of the centre of mass from the axis"),),
+        signature="an oscillation that is slower at large amplitude: a pendulum",
+        confused_with=("casing.spring.linear", "casing.spring.cubic"),
+        source="m g s sin(angle), at any amplitude",
     ),
 )
 
@@ -415,7 +511,9 @@ SETUP = (
 )
 
 
-LIBRARY = MappingProxyType({e.name: e for e in (*AIR, *BEARING, *TOUCHPOINT, *CASING, *CAMERA, *SETUP)})
+LIBRARY = MappingProxyType(
+    {e.name: e for e in (*AIR, *BEARING, *TOUCHPOINT, *CASING, *OSCILLATOR, *CAMERA, *SETUP)}
+)
 # the effects that the discovery always fits and marginalises over
 NUISANCE = tuple(e.name for e in LIBRARY.values() if e.nuisance)
 

@@ -27,7 +27,7 @@ _BODIES = ("rotor", "casing", "bearing")
 _FIRST_VARIABLE = {"rotor": "omega_r", "casing": "omega_c", "bearing": "delta"}
 # so many edits turn a misspelt name into that of a variable
 _EDITS = 2
-_NOT_FOR_USERS = {"temperature", "chirp", "tau", "psi", "omega", "lag"}
+_NOT_FOR_USERS = {"temperature", "chirp", "strain", "tau", "psi", "omega", "lag"}
 
 
 def formula(
@@ -257,7 +257,7 @@ def _amplitude_unit(expression: Expr, amplitude: str, parameters: tuple[Paramete
 
 
 def _hint() -> str:
-    return "a law may speak of t, omega_r, omega_c, psi_r, psi_c and delta"
+    return "a law may contain t, omega_r, omega_c, psi_r, psi_c, delta and deflection"
 
 
 _NAME = re.compile(r"^[A-Za-z][A-Za-z0-9_.]{0,60}$")

@@ -15,9 +15,11 @@ rolling shutter of the casing's camera that do not change through the recording.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +27,6 @@ from numpy.typing import NDArray
 from fitting.dynamics._mesh import Path, Sampler
 from fitting.dynamics._sensitivities import angles
 from fitting.effects._library import NUISANCE
-from fitting.inference._angle_noise import AngleNoise, estimate_angle_noise
 from fitting.inference._compression import (
     BLOCKS,
     CASING_DEGREE,
@@ -34,8 +35,15 @@ from fitting.inference._compression import (
     Compressed,
     compress,
 )
+from fitting.inference._oscillation import Oscillation, find_oscillation
 from fitting.inference._record import Record, Samples
-from fitting.inference._velocity import initial_speeds, speeds
+from fitting.inference._recording_noise import (
+    AngleNoise,
+    ProcessNoise,
+    estimate_angle_noise,
+    estimate_process_noise,
+)
+from fitting.inference._velocity import WIDTH, initial_speeds, speeds
 
 
 @dataclass(frozen=True)
@@ -98,9 +106,39 @@ def acceleration(samples: Samples, *, angle: bool) -> float:
 Array = NDArray[np.float64]
 
 _GENERATED_BLOCKS = 20
+# of an oscillation: fewest samples of a block, rough speeds in each period
+_PERIOD_SAMPLES = 24
+_POINTS_PER_PERIOD = 24
 # speeds are smoothed: blocks long beside that, and in a lone window rows enough to see it
 SPEED_BLOCKS = 30
 SPEED_NOISE_ROWS = 28
+
+
+class Block(NamedTuple):
+    """Blocks of an oscillation: length [periods], highest power, and the power from which on there is only noise."""
+
+    width: float
+    degree: int
+    quiet: int
+
+
+class OscillationBlocks(NamedTuple):
+    """The blocks of records of so many periods at most.
+
+    cos(x) over a block of half width h is a polynomial of degree h and a few more (Bessel functions J_n(h) fall steeply
+    beyond n = h). Short records keep the third harmonic, long ones the fundamental; in both the noise is measured
+    beyond the third harmonic.
+    """
+
+    periods: float
+    block: Block
+
+
+_OSCILLATION_BLOCKS = (
+    OscillationBlocks(48, Block(1, 15, 16)),
+    OscillationBlocks(200, Block(4, 24, 50)),
+    OscillationBlocks(math.inf, Block(12, 50, 126)),
+)
 
 
 @dataclass(frozen=True)
@@ -110,17 +148,32 @@ class CaseData:
     record: Record
     casing: Compressed
     rotor: tuple[Compressed, ...]
+    oscillation: Oscillation | None = None
 
     @classmethod
     def of(cls, record: Record) -> CaseData:
         """Project a record."""
         angle = record.quantity == "angle"
-        casing = compress(
-            record.casing,
-            degree=CASING_DEGREE,
-            harmonics=angle,
-            blocks=BLOCKS if angle else SPEED_BLOCKS,
-        )
+        swing = find_oscillation(record)
+        if swing is None:
+            casing = compress(
+                record.casing,
+                degree=CASING_DEGREE,
+                harmonics=angle,
+                blocks=BLOCKS if angle else SPEED_BLOCKS,
+            )
+        else:
+            width, degree, quiet = next(b for b in _OSCILLATION_BLOCKS if swing.periods <= b.periods).block
+            blocks = max(1, round(swing.periods / width))
+            most = len(record.casing) // (2 * blocks)
+            casing = compress(
+                record.casing,
+                degree=min(degree, max(3, most)),
+                harmonics=False,
+                blocks=blocks,
+                samples_per_block=_PERIOD_SAMPLES,
+                first_noise_row=min(quiet, most),
+            )
         rotor = tuple(
             compress(
                 w,
@@ -134,7 +187,7 @@ class CaseData:
             )
             for w in record.rotor
         )
-        return cls(record, casing, rotor)
+        return cls(record, casing, rotor, swing)
 
     @property
     def is_angle(self) -> bool:
@@ -155,12 +208,31 @@ class CaseData:
 
     @cached_property
     def angle_noise(self) -> AngleNoise:
-        """Correlated angle noise of the casing; white if none is significant, or if speeds were measured."""
-        if not self.is_angle:
+        """Correlated angle noise of the casing; white if none is significant, or if speeds were measured.
+
+        It is told from the motion by being faster; an oscillation is as fast, so there the noise is taken as white.
+        """
+        if not self.is_angle or self.oscillation is not None:
             return AngleNoise()
-        return estimate_angle_noise(
-            self.casing, self.casing.at_samples(camera_columns(self.casing.samples))[0]
-        )
+        return estimate_angle_noise(self.casing, self._camera_rows)
+
+    @cached_property
+    def process_noise(self) -> ProcessNoise:
+        """Random acceleration of the casing; no model and no moment of inertia enters."""
+        free = self._camera_rows
+        if self.oscillation is not None:
+            waves = self.casing.at_samples(self.oscillation.waves())[0]
+            free = np.concatenate([free, waves], axis=1) if self.record.tracked else waves
+        return estimate_process_noise(self.casing, free, self.angle_noise, angle=self.is_angle)
+
+    @cached_property
+    def _camera_rows(self) -> Array:
+        """Polynomial rows of the camera's nuisance functions."""
+        if self.is_angle:
+            return self.casing.at_samples(camera_columns(self.casing.samples))[0]
+        if self.record.gradients:
+            return self.casing.at_samples(_gradients(self.casing.samples))[0]
+        return np.zeros((len(self.casing.z), 0))
 
     def whitened(self, rows: Array) -> Array:
         """Return rows with unit white measurement noise, from rows in units of the white noise of the frames."""
@@ -193,7 +265,9 @@ class CaseData:
     @cached_property
     def initial_speeds(self) -> tuple[Array, Array]:
         """Times and rough speeds of rotor and casing, (times, 2)."""
-        return initial_speeds(self.record)
+        if self.oscillation is None:
+            return initial_speeds(self.record)
+        return initial_speeds(self.record, math.ceil(_POINTS_PER_PERIOD * self.oscillation.periods), 3)
 
     @cached_property
     def speeds(self) -> dict[str, tuple[Array, Array]]:
@@ -201,10 +275,18 @@ class CaseData:
         record = self.record
         found = {}
         for body, runs in (("casing", (record.casing,)), ("rotor", record.rotor)):
-            parts = [speeds(run, record.quantity) for run in runs]
+            parts = [speeds(run, record.quantity, self.smoothing_width) for run in runs]
             if parts:
                 found[body] = np.concatenate([t for t, _ in parts]), np.concatenate([v for _, v in parts])
         return found
+
+    @property
+    def smoothing_width(self) -> int:
+        """Points of the running median of `speeds`: the paper's 51, and at most a sixteenth of a period."""
+        swing = self.oscillation
+        if swing is None:
+            return WIDTH
+        return min(WIDTH, max(1, int(len(self.record.casing) / (16 * swing.periods))) | 1)
 
     @property
     def n_effective(self) -> float:
@@ -227,7 +309,9 @@ class CaseData:
             for i in range(len(self.rotor)):
                 ones = [np.full(len(w.node_times), float(i == j)) for j, w in enumerate(self.rotor)]
                 columns.append(self.rows(np.zeros(nodes), ones))
-            columns += list(self.casing_rows(camera_columns(self.casing.samples)).T)
+            # over a part of a turn a harmonic of the angle is a change of scale, which no table of angles has
+            if self.oscillation is None or self.record.tracked:
+                columns += list(self.casing_rows(camera_columns(self.casing.samples)).T)
         elif self.record.gradients:
             # in the first slow turns what a camera adds to angles is as slow as physics
             columns += list(self.casing_rows(_gradients(self.casing.samples)).T)
@@ -280,15 +364,21 @@ class CaseData:
         return angles(sampler, path, state, nodes) if self.is_angle else sampler.value(nodes[:, :, state])
 
     def _mend_kinks(self, path: Path, nodes: Array | None, rows: Array) -> Array:
-        # a block with a kink inside is no polynomial: project it sample by sample
-        if not path.kinks:
+        # a block with a kink inside is no polynomial, nor is a period with many harmonics: project them by samples
+        swings = self.oscillation is not None
+        if not path.kinks and not swings:
             return rows
         first = 0
         for state, run in ((1, self.casing), *((0, w) for w in self.rotor)):
             k = run.lift.shape[1]
+            everywhere = (
+                self._seen(Sampler(path.mesh, run.samples.time), path, state, nodes) if swings else None
+            )
             for i, (where, operator) in enumerate(run.operators):
                 t = run.samples.time[where]
-                if any(t[0] < time < t[-1] for time in path.kinks):
+                if everywhere is not None:
+                    rows[first + i * k : first + (i + 1) * k] = operator[:k] @ everywhere[where]
+                elif any(t[0] < time < t[-1] for time in path.kinks):
                     seen = self._seen(Sampler(path.mesh, t), path, state, nodes)
                     rows[first + i * k : first + (i + 1) * k] = operator[:k] @ seen
             first += len(run.z)

@@ -10,6 +10,7 @@ and beside it what the measurement differs by, smoothed by cubics in as few piec
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -27,7 +28,7 @@ from fitting.effects._effect import Effect
 from fitting.effects._expression import Tape
 from fitting.inference._case_data import CaseData
 from fitting.inference._compression import Compressed
-from fitting.inference._parameters import START_CASING, START_ROTOR, ParameterLayout
+from fitting.inference._parameters import ParameterLayout
 from fitting.inference._velocity import hermite
 
 _GAUSS = 3
@@ -140,6 +141,8 @@ def _rotor_rows(data: CaseData, speed: Array, angle: Array) -> Array:
 Array = NDArray[np.float64]
 
 _INTERVALS = 12
+# intervals of the first mesh in each period of an oscillation
+_PER_PERIOD = 4
 
 
 @dataclass(frozen=True)
@@ -196,7 +199,7 @@ class CaseModel:
     def __init__(self, data: CaseData, layout: ParameterLayout, case: int) -> None:
         self.data, self.layout, self.case = data, layout, case
         self.dynamics = Dynamics(layout.model.smooth)
-        moving = layout.places(case, (*self.dynamics.parameters, START_ROTOR, START_CASING))
+        moving = layout.places(case, (*self.dynamics.parameters, *layout.starts))
         added = [
             f"{e.name}.{p.symbol}"
             for e in (*layout.model.angle_dependent, *layout.model.measurement)
@@ -218,17 +221,34 @@ class CaseModel:
 
     @cached_property
     def _mesh(self) -> Mesh:
-        return Mesh.uniform(*self.data.record.span, _INTERVALS)
+        swing = self.data.oscillation
+        needed = _INTERVALS if swing is None else math.ceil(_PER_PERIOD * swing.periods)
+        return Mesh.uniform(*self.data.record.span, max(_INTERVALS, needed))
 
     def _measured(self, first: Array) -> Path:
         """Return the measured motion as a first guess."""
         times, speeds = self.data.initial_speeds
         mesh, n = self._mesh, len(first)
+        mesh, jumps, sense = self._reversals(mesh, first)
         y, edges = (np.tile(first, (*t.shape, 1)) for t in (mesh.times, mesh.edges))
-        for i in range(2):
-            y[..., i] = np.interp(mesh.times, times, speeds[:, i])
-            edges[:, i] = np.interp(mesh.edges, times, speeds[:, i])
-        return Path(mesh, y, edges, self.dynamics.states[:n], np.ones(len(y)), exact=False)
+        measured = [(times, speeds[:, i]) for i in range(2)]
+        swing = self.data.oscillation
+        if swing is not None and self.dynamics.free_starts > 2:
+            measured.append((swing.time, swing.deflection))
+        for i, (t, value) in enumerate(measured):
+            y[..., i] = np.interp(mesh.times, t, value)
+            edges[:, i] = np.interp(mesh.edges, t, value)
+        return Path(mesh, y, edges, self.dynamics.states[:n], sense, jumps=jumps, exact=False)
+
+    def _reversals(self, mesh: Mesh, first: Array) -> tuple[Mesh, dict[int, Array], Array]:
+        """Return the mesh with an edge at each measured reversal, which these are, and the sense of each interval."""
+        swing = self.data.oscillation
+        times = () if swing is None or self.dynamics.free_starts < 3 else tuple(swing.reversals)
+        mesh = mesh.with_breakpoints(times)
+        at = np.searchsorted(mesh.edges, times)
+        turned = np.searchsorted(at, np.arange(len(mesh.edges) - 1), side="right")
+        sense: Array = np.asarray((np.sign(first[1]) or 1.0) * (-1.0) ** turned)
+        return mesh, {int(i): np.eye(len(first)) for i in at}, sense
 
     def predict(self, theta: Array) -> Prediction:
         """Return rows and derivatives at these variables."""

@@ -120,6 +120,8 @@ def compress(
     blocks: int = BLOCKS,
     noisy: bool = True,
     noise_rows: int = NOISE_ROWS,
+    samples_per_block: int = _MIN_SAMPLES,
+    first_noise_row: int | None = None,
 ) -> Compressed:
     """Project the samples of a series block by block.
 
@@ -138,18 +140,30 @@ def compress(
     noise_rows : int
         Polynomials of each block, beyond those of a model, that measure the noise: more of them where there are few
         blocks and neighbouring samples share their noise.
+    samples_per_block : int
+        At least so many samples in a block.
+    first_noise_row : int, optional
+        Lowest power of the polynomials that measure the noise; the next after `degree` if not given.
 
     Returns
     -------
     Compressed
         With the noise calibrated on what the model cannot reach.
     """
-    count = max(1, min(blocks, len(samples) // _MIN_SAMPLES))
+    count = max(1, min(blocks, len(samples) // samples_per_block))
     edges = np.linspace(0, len(samples), count + 1).astype(int)
     if harmonics:
         edges = _cut_where_slow(samples, edges)
     parts = [
-        _block(samples, slice(a, b), degree, noise_rows, harmonics=harmonics) for a, b in pairwise(edges)
+        _block(
+            samples,
+            slice(a, b),
+            degree,
+            noise_rows,
+            max(0, (first_noise_row or 0) - degree - 1),
+            harmonics=harmonics,
+        )
+        for a, b in pairwise(edges)
     ]
     slow = np.concatenate([p.noise for p in parts])
     rest, dof = sum(p.rest for p in parts), sum(p.rest_dof for p in parts)
@@ -216,11 +230,14 @@ class _Block:
     rest_dof: int
 
 
-def _block(samples: Samples, where: slice, degree: int, noise_rows: int, *, harmonics: bool) -> _Block:
+def _block(
+    samples: Samples, where: slice, degree: int, noise_rows: int, passed: int = 0, *, harmonics: bool
+) -> _Block:
     t, y, sigma = samples.time[where], samples.value[where], samples.sigma[where]
     k = degree + 1
     middle, half = 0.5 * (t[0] + t[-1]), max(0.5 * (t[-1] - t[0]), 1e-9)
-    extra = min(noise_rows, max(0, len(t) - k - HARMONICS - 6))
+    extra = min(passed + noise_rows, max(0, len(t) - k - HARMONICS - 6))
+    passed = min(passed, extra)
     powers = chebyshev.chebvander((t - middle) / half, degree + extra)
     waves = independent_harmonics(y, powers[:, :k]) if harmonics else np.zeros((len(t), 0))
     chosen = np.flatnonzero(np.any(waves != 0, axis=0))
@@ -235,11 +252,12 @@ def _block(samples: Samples, where: slice, degree: int, noise_rows: int, *, harm
     x = np.cos(np.pi * (np.arange(k) + 0.5) / k)
     lift = r[:k, :k] @ np.linalg.inv(chebyshev.chebvander(x, degree))
     projected = q.T @ (y / sigma)
-    noise = projected[kept:]
-    rest = float(np.sum((y / sigma) ** 2) - np.sum(projected[:kept] ** 2))
+    noise = projected[kept + passed :]
+    fixed = kept + passed
+    rest = float(np.sum((y / sigma) ** 2) - np.sum(projected[:fixed] ** 2))
     if rest < 1e-6 * np.sum((y / sigma) ** 2):  # large angles: subtract before squaring
-        rest = float(np.sum((y / sigma - q[:, :kept] @ projected[:kept]) ** 2))
-    return _Block(where, middle + half * x, lift, rows, noise, rest, max(0, len(t) - kept))
+        rest = float(np.sum((y / sigma - q[:, :fixed] @ projected[:fixed]) ** 2))
+    return _Block(where, middle + half * x, lift, rows, noise, rest, max(0, len(t) - fixed))
 
 
 def _robust_variance(values: Array) -> float:

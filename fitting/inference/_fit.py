@@ -3,10 +3,9 @@
 It goes past the places where a wrong path would hold it: stops at wrong times, bounds far from the data, other
 power_laws.
 
-Two levels of random torque are found for each case. The *pure* level is what no slow torque can explain: the
-noise. The *level* of the fit is what this model leaves: the same if the model is right, more if it
-misses something. Parameters are estimated at the level of the fit, so that a model that fails by a
-thousand sigma somewhere is not torn there; its chi-square and held-out error are told at the pure level.
+Parameters are estimated at the level of random torque that the model leaves, so that a model that fails by a thousand
+standard deviations somewhere is not dominated by its worst interval. Chi-square, cross-validation error and tests use
+the noise of the recording, which no model enters (`fitting.inference._noise`).
 """
 
 from __future__ import annotations
@@ -125,14 +124,13 @@ def _with_less_noise(
 
 def _lower_levels(problem: Problem, theta: Array, noise: Sequence[Noise]) -> Iterator[tuple[float, ...]]:
     """Yield levels of the process noise of each case with which a search may end elsewhere."""
-    raised = [n for n in noise if n.level > n.pure]
+    raised = [n for n in noise if n.raised]
     held = raised and any((p.path.sense == 0).any() for p in problem.predict(theta))
     if held or (raised and problem.layout.at_bound(theta).any()):
-        # the pure level was measured about a wrong path too: with none at all the angles alone decide
-        yield from dict.fromkeys([tuple(n.pure for n in noise), (0.0,) * len(noise)])
+        yield from dict.fromkeys([tuple(n.least for n in noise), (0.0,) * len(noise)])
     if len(raised) > 1:
         worst = max(raised, key=lambda n: n.excess)
-        yield tuple(n.level if n is worst else n.pure for n in noise)
+        yield tuple(n.level if n is worst else n.least for n in noise)
 
 
 def _deviance(problem: Problem, theta: Array, noise: Sequence[Noise]) -> float:

@@ -15,6 +15,7 @@ that a model without the law is excused with would excuse any shape: its level c
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -26,18 +27,24 @@ from fitting._errors import EstimationError, SimulationError
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
 from fitting.effects._effect import Effect
 from fitting.effects._library import LIBRARY
+from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import Prediction
 from fitting.inference._noise import Noise
 from fitting.inference._noise_level import measure_noise
 from fitting.inference._optimisation import minimise, search
-from fitting.inference._parameters import START_CASING, START_ROTOR, ParameterLayout, is_power_law
-from fitting.inference._problem import Problem, r_factor
+from fitting.inference._parameters import ParameterLayout, is_power_law
+from fitting.inference._problem import Problem, r_factor, reference_speed
+from fitting.inference._record import Record, Samples
 
 Array = NDArray[np.float64]
 
 _FIRST_SHARE = 0.1
 # a casing slower than this share of its largest speed is taken to stand still, for start values
 _AT_REST = 0.01
+# of an oscillation: periods of the first search, samples that it takes at least, steps
+_FIRST_PERIODS = 2.0
+_FEWEST_SAMPLES = 24
+_PATIENCE = 60
 
 
 def initial_values(problem: Problem, given: Mapping[str, float] | None) -> Array:
@@ -46,14 +53,82 @@ def initial_values(problem: Problem, given: Mapping[str, float] | None) -> Array
     known = dict(given or {})
     if not set(layout.names) <= set(known):
         rough = [d.initial_speeds for d in problem.data]
-        guessed = dict(
-            zip(layout.names, start_values(layout, problem.reference, rough).tolist(), strict=True)
-        )
+        deflections = [_deflection(d, times) for d, (times, _) in zip(problem.data, rough, strict=True)]
+        found = start_values(layout, problem.reference, rough, deflections)
+        if layout.model.restoring and not known:
+            found = _period_by_period(problem, found)
+        guessed = dict(zip(layout.names, found.tolist(), strict=True))
         known = guessed | {k: v for k, v in known.items() if k in guessed}
     return np.array([known[n] for n in layout.names])
 
 
-def start_values(layout: ParameterLayout, reference: float, rough: Sequence[tuple[Array, Array]]) -> Array:
+def equation_error(model: Model, data: Sequence[CaseData]) -> float:
+    """Return the part of the measured change of the speeds that a model does not account for, without a fit.
+
+    Parameters
+    ----------
+    model : Model
+        Its strengths come from the linear regression, its shape constants have their declared initial values.
+    data : sequence of CaseData
+        The cases.
+
+    Returns
+    -------
+    float
+        Norm of the residuals of the integrated equations of motion over that of the change [1].
+    """
+    layout = ParameterLayout.of(model, [d.record for d in data])
+    rough = [d.initial_speeds for d in data]
+    deflections = [_deflection(d, times) for d, (times, _) in zip(data, rough, strict=True)]
+    theta = start_values(layout, reference_speed(data), rough, deflections)
+    left = whole = 0.0
+    for case, ((times, speeds), deflection) in enumerate(zip(rough, deflections, strict=True)):
+        keys, design, target = _equations(layout, case, times, speeds, deflection, theta)
+        left += float(np.sum((design @ theta[layout.places(case, keys)] - target) ** 2))
+        whole += float(np.sum(target**2))
+    return math.sqrt(left / whole) if whole > 0 else 0.0
+
+
+def _deflection(data: CaseData, times: Array) -> Array:
+    """Return the measured angle from the equilibrium at some times [rad]; zero for a body that turns in one sense."""
+    swing = data.oscillation
+    return np.zeros(len(times)) if swing is None else np.interp(times, swing.time, swing.deflection)
+
+
+def _period_by_period(problem: Problem, theta: Array) -> Array:
+    """Return initial values from the first periods of oscillations: two of them, then twice as many, up to half.
+
+    Over a record of n periods a frequency that is off by 1 / 2n slips by half a period, and the search ends in a wrong
+    minimum; the error that k periods leave is always small enough for 2 k.
+    """
+    layout = problem.layout
+    longest = max(d.oscillation.periods for d in problem.data if d.oscillation is not None)
+    count = _FIRST_PERIODS
+    while count < longest:
+        data = [CaseData.of(_first_periods(d, count)) for d in problem.data]
+        part = Problem.of(replace(layout, records=tuple(d.record for d in data)), data)
+        with suppress(EstimationError):
+            theta = search(part, theta, quick=True, max_iterations=_PATIENCE).theta
+        count *= 2
+    return theta
+
+
+def _first_periods(data: CaseData, count: float) -> Record:
+    record, swing = data.record, data.oscillation
+    if swing is None or swing.periods <= count:
+        return record
+    runs = record.casing
+    size = max(_FEWEST_SAMPLES, int(np.searchsorted(runs.time, runs.time[0] + count * swing.period)))
+    casing = Samples(runs.time[:size], runs.value[:size], runs.sigma[:size])
+    return replace(record, casing=casing, digest="")
+
+
+def start_values(
+    layout: ParameterLayout,
+    reference: float,
+    rough: Sequence[tuple[Array, Array]],
+    deflections: Sequence[Array],
+) -> Array:
     """Return start values of all variables.
 
     Parameters
@@ -64,17 +139,20 @@ def start_values(layout: ParameterLayout, reference: float, rough: Sequence[tupl
         Of each case, as `fitting.inference._velocity` gives them.
     reference : float
         Speed difference [rad/s] at which a power law starts with a tenth of the linear law's torque.
+    deflections : sequence of ndarray
+        Angle of each case from its equilibrium at the same times [rad].
     """
     theta = np.array([_resting(layout, name) for name in layout.names])
     parts = []
     for case, (times, speeds) in enumerate(rough):
-        keys, design, target = _equations(layout, case, times, speeds, theta)
+        keys, design, target = _equations(layout, case, times, speeds, deflections[case], theta)
         parts.append((layout.places(case, keys), design, target))
     # what cases share is sought in all of them at once: a mean of what each says alone need not suit any
     places, values = _regress(layout, parts)
     theta[places] = values
     for case, (_, speeds) in enumerate(rough):
-        theta[layout.places(case, (START_ROTOR, START_CASING))] = speeds[0]
+        first = [*speeds[0], deflections[case][0]]
+        theta[layout.places(case, layout.starts)] = first[: len(layout.starts)]
     pair = ("bearing.linear.d", "bearing.power.f", "bearing.power.g")
     if all(k in layout.model.free for k in pair):
         # each bearing once, however many cases share it
@@ -96,12 +174,14 @@ def _resting(layout: ParameterLayout, name: str) -> float:
 
 
 def _equations(
-    layout: ParameterLayout, case: int, times: Array, speeds: Array, theta: Array
+    layout: ParameterLayout, case: int, times: Array, speeds: Array, deflection: Array, theta: Array
 ) -> tuple[list[str], Array, Array]:
     """Return the strengths of one case, and the linear equations for them with both start speeds free."""
     dynamics = Dynamics(layout.model.smooth)
     numbers = layout.numbers(theta, case)
     state = np.concatenate([speeds, np.zeros((len(times), len(dynamics.states) - 2))], axis=1)
+    if dynamics.free_starts > 2:
+        state[:, 2] = deflection
     linear = _strengths(layout, dynamics.parameters)
     with np.errstate(all="ignore"):
         # without the strengths that are sought: what parameters held at a value do
@@ -119,7 +199,8 @@ def _equations(
     integrals = _integral(times, rates)
     held = _integral(times, still[:, :2])
     # while friction holds the casing its torque is what it has to be, and says nothing
-    seen = [np.ones(len(times), dtype=bool), _turning(speeds[:, 1])]
+    everywhere = np.ones(len(times), dtype=bool)
+    seen = [everywhere, everywhere if dynamics.free_starts > 2 else _turning(speeds[:, 1])]
     blocks, targets = [], []
     for i in (0, 1):
         columns = np.column_stack([integrals[:, i], speeds[:, i] - held[:, i]])[seen[i]] * weight[i]
@@ -265,7 +346,7 @@ def _best(problem: Problem, theta: Array, effect: Effect, noise: Sequence[Noise]
             starts.append((begin, problem.predict(begin)))
     ends = []
     for share in _SHARES:
-        levels = [n.at(max(n.pure, share * n.level)) for n in noise]
+        levels = [n.at(max(n.least, share * n.level)) for n in noise]
         trial = problem.with_noise(levels)
         log_determinant = sum(n.whitener.log_determinant for n in levels)
         for begin, predictions in starts:

@@ -1,17 +1,16 @@
 """Test of lack of fit against any slow torque.
 
 Slow torques on the casing and in the bearing, piecewise linear in time with knots a twentieth of the record apart, are
-given to the fitted model all at once. With the whitened response S to them, beside all that is free,
+added to the fitted model all at once. With the whitened response S to them, beside all that is free,
 
     chi2 = r'S (S'S)^-1 S'r   with rank(S) degrees of freedom
 
 if the model is right: the test of lack of fit against pure error (N. Draper, H. Smith, Applied Regression
-Analysis, Wiley (1998), 1.5), blind to which law is missing and so able to object to every one that is named.
+Analysis, Wiley (1998), 1.5), which does not depend on which law is missing.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import Prediction
-from fitting.inference._noise import Noise, TorqueResponse
+from fitting.inference._noise import Noise, TorqueResponse, tail_probability
 from fitting.inference._problem import Problem, Projection, r_factor
 
 Array = NDArray[np.float64]
@@ -34,23 +33,14 @@ _MANY = 4
 
 @dataclass(frozen=True)
 class LackOfFit:
-    """Chi-square that slow torques take away, its degrees of freedom, and the probability of as much by noise."""
+    """Chi-square that slow torques take away, its degrees of freedom, and the probability of as much by noise.
+
+    The process noise is known with an uncertainty, which is integrated out.
+    """
 
     chi2: float
     dof: int
-
-    @property
-    def p_value(self) -> float:
-        """Probability of such a chi-square if nothing is missing.
-
-        Its cube root is nearly normal (E. Wilson, M. Hilferty, Proc. Natl. Acad. Sci. 17, 684 (1931)); far out, where
-        the approximation is off by a factor, nobody needs the factor.
-        """
-        if self.dof == 0:
-            return 1.0
-        spread = 2 / (9 * self.dof)
-        z = ((self.chi2 / self.dof) ** (1 / 3) - (1 - spread)) / math.sqrt(spread)
-        return 0.5 * math.erfc(z / math.sqrt(2))
+    p_value: float
 
 
 def lack_of_fit(problem: Problem, predictions: Sequence[Prediction], noise: Sequence[Noise]) -> LackOfFit:
@@ -65,19 +55,24 @@ def lack_of_fit(problem: Problem, predictions: Sequence[Prediction], noise: Sequ
     noise : sequence of Noise
         Their noise.
     """
-    slow, free, residual = [], [], []
+    slow, free, residual, shares = [], [], [], []
     for data, p, n in zip(problem.data, predictions, noise, strict=True):
         rows = slow_responses(data, p)
         project = Projection(data, n.whitener.at(n.pure))
         white = project(np.concatenate([rows, p.columns, (data.z - p.rows)[:, None]], axis=1))
+        shares.append(project.whitener.share(orthonormal(white[:, : rows.shape[1]], _RANK)))
         few = r_factor(white)
         slow.append(few[:, : rows.shape[1]])
         free.append(np.zeros((len(few), p.count)))
         free[-1][:, p.places] = few[:, rows.shape[1] : -1]
         residual.append(few[:, -1])
     # the parameters are common to all cases, so the cases are tested together
-    if len(slow) > _MANY:
-        return _case_by_case(slow, free, residual)
+    chi2, dof = (_case_by_case if len(slow) > _MANY else _together)(slow, free, residual)
+    p_value = float(tail_probability(chi2, dof, noise, shares)) if dof else 1.0
+    return LackOfFit(chi2, dof, p_value)
+
+
+def _together(slow: Sequence[Array], free: Sequence[Array], residual: Sequence[Array]) -> tuple[float, int]:
     basis, r, s = (
         orthonormal(np.concatenate(free), _RANK_FREE),
         np.concatenate(residual),
@@ -85,11 +80,13 @@ def lack_of_fit(problem: Problem, predictions: Sequence[Prediction], noise: Sequ
     )
     r = r - basis @ (basis.T @ r)
     span = orthonormal(s - basis @ (basis.T @ s), _RANK)
-    return LackOfFit(float(np.sum((span.T @ r) ** 2)), span.shape[1])
+    return float(np.sum((span.T @ r) ** 2)), span.shape[1]
 
 
-def _case_by_case(slow: Sequence[Array], free: Sequence[Array], residual: Sequence[Array]) -> LackOfFit:
-    """Return the lack of fit of many cases: P(S, B) - P(B), with each case's S taken out first.
+def _case_by_case(
+    slow: Sequence[Array], free: Sequence[Array], residual: Sequence[Array]
+) -> tuple[float, int]:
+    """Return the lack of fit of many cases: P(S, B) - P(B), with each case's S projected out first.
 
     The same but for the ranks, which are decided case by case; its cost does not grow with the cube of the cases.
     """
@@ -107,7 +104,7 @@ def _case_by_case(slow: Sequence[Array], free: Sequence[Array], residual: Sequen
         u = u[:, value > (_RANK if sign > 0 else _RANK_FREE) * value[0]]
         total += sign * float(np.sum((u.T @ rows[:, -1]) ** 2))
         rank += sign * u.shape[1]
-    return LackOfFit(max(total, 0.0), max(rank, 0))
+    return max(total, 0.0), max(rank, 0)
 
 
 def slow_responses(data: CaseData, prediction: Prediction) -> Array:

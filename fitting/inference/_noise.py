@@ -1,8 +1,15 @@
-"""The noise model of a recording: white measurement noise and process noise.
+"""Covariance of the rows of a case, and the level of random torque that a model leaves.
 
-The level s is estimated stretch by stretch with a *saturated* model: in each stretch the start and any slow
-torque are free, so that a missing effect cannot pass for noise. The likelihood is restricted.
-A stretch that is far noisier than the others holds an event (a kink, a jump) and is left out.
+Rows in units of the white noise of the angles have the covariance C(s) = 1 + s^2 K, K their response to an
+Ornstein-Uhlenbeck torque of rms 1 N m on the casing and another one between the bodies, with the correlation time of
+the process noise of the recording.
+
+Two levels matter. The *pure* level is that of the recording (`fitting.inference._recording_noise`): no model enters,
+and chi-square, cross-validation errors and tests of every fit of the recording use it. The *level* of a fit is what its
+model leaves: the maximum of the restricted likelihood of its residuals. It is larger if the model has a lack of fit,
+and smaller if the model needs less random torque than the recording alone can exclude. Parameters and rival models are
+estimated at this level, so that a model that fails by a thousand standard deviations somewhere is not dominated by its
+worst interval.
 """
 
 from __future__ import annotations
@@ -11,13 +18,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting.dynamics._sensitivities import LinearMotion
 from fitting.inference._case_data import CaseData
+from fitting.inference._recording_noise import ProcessNoise
 
 Array = NDArray[np.float64]
 
@@ -48,6 +55,15 @@ class Whitener:
         inner = inner * (gain if rows.ndim == 1 else gain[:, None])
         return np.concatenate([self.vectors @ inner, rows[m:]])
 
+    def share(self, rows: Array) -> float:
+        """Return the share of the random torque in the variance along orthonormal columns of whitened rows."""
+        m = len(self.values)
+        if not m or not rows.size:
+            return 0.0
+        torque = self.level**2 * self.values
+        square = np.sum((self.vectors.T @ rows[:m]) ** 2, axis=1)
+        return float(square @ (torque / (1 + torque)) / np.sum(rows**2))
+
     @property
     def log_determinant(self) -> float:
         """Return log det C."""
@@ -63,33 +79,49 @@ WHITE = Whitener(np.zeros((0, 0)), np.zeros(0))
 
 @dataclass(frozen=True)
 class Noise:
-    """What was measured about the noise of one case.
+    """Noise of one case, and the random torque that a model leaves.
 
     Attributes
     ----------
     scale : float
-        Measured noise of the casing's samples over the sigma that came with them.
-    pure, level : float
-        Rms of the random torque [N m] on the casing and between the bodies, each: what no slow
-        torque explains, and what the fitted model leaves.
+        White noise of the casing's samples over the sigma that came with them.
+    pure, pure_u : float
+        Rms of the process noise of the recording [N m], on the casing and between the bodies, each, and its standard
+        uncertainty.
+    level : float
+        Rms of the random torque that the fitted model leaves [N m].
     time : float
-        Its correlation time [s].
-    excess : float
-        Twice the log-likelihood by which `level` beats `pure`.
+        Correlation time of both [s].
     whitener : Whitener
         At `level`.
+    process : ProcessNoise
+        The process noise as an acceleration.
+    excess : float
+        Twice the log-likelihood by which `level` exceeds none.
     """
 
     scale: float
     pure: float
+    pure_u: float
     level: float
     time: float
     whitener: Whitener = field(repr=False)
+    process: ProcessNoise = field(repr=False)
     excess: float = 0.0
 
     def at(self, level: float) -> Noise:
         """Return the noise at another level of the random torque [N m]."""
         return replace(self, level=level, whitener=self.whitener.at(level))
+
+    @property
+    def least(self) -> float:
+        """The lowest level that the recording allows [N m]."""
+        return self.pure * self.process.least / self.process.level
+
+    @property
+    def raised(self) -> bool:
+        """Whether the model may need more random torque than the recording has."""
+        return self.level > _MORE * self.least
 
 
 @dataclass(frozen=True)
@@ -100,20 +132,36 @@ class TorqueNoise:
     time: float
 
 
+def tail_probability(chi2: float | Array, dof: int, noise: Sequence[Noise], shares: Sequence[float]) -> Array:
+    """Return the probability of a larger chi-square, with the uncertain process noise of the cases integrated out.
+
+    Parameters
+    ----------
+    chi2 : float or ndarray
+        Sum of squares of whitened residuals.
+    dof : int
+        Its degrees of freedom.
+    noise : sequence of Noise
+        Of each case; empty for white noise alone.
+    shares : sequence of float
+        Share of the process noise of each case in the variance of what was summed.
+    """
+    if not noise:
+        from scipy.special import chdtrc
+
+        return np.asarray(chdtrc(dof, chi2))
+    each = [n.process.p_value(chi2, dof, share) for n, share in zip(noise, shares, strict=True)]
+    return np.asarray(np.mean(each, axis=0))
+
+
 LEVELS = np.concatenate([[0.0], np.geomspace(0.03, 3e5, 57)])
-# a casing at rest answers to no torque
-_FELT = 1e-12
 _ROUNDING = 1e-20
+# over the lowest level that the recording allows
+_MORE = 1.5
 
 
-def unit_level(variances: Array) -> float:
-    """Return the level of torque that is as large as the noise of the angles in half of the rows that feel it."""
-    felt = variances[variances > _FELT * variances.max(initial=0.0)]
-    return float(1 / np.sqrt(np.median(felt) + 1e-300)) if len(felt) else 1.0
-
-
-def remaining_level(whitener: Whitener, residual: Array, free: Array, least: float) -> tuple[float, float]:
-    """Return the level of random torque that a model leaves, and twice the log-likelihood it gains over `least`.
+def remaining_level(whitener: Whitener, residual: Array, free: Array) -> tuple[float, float]:
+    """Return the level of random torque that a model leaves, and twice the log-likelihood it gains over none.
 
     The likelihood is restricted: what is free is integrated out.
 
@@ -125,24 +173,22 @@ def remaining_level(whitener: Whitener, residual: Array, free: Array, least: flo
         Measured minus predicted.
     free : ndarray, shape (rows, columns)
         What is free: derivatives by the parameters, and nuisances.
-    least : float
-        The pure level, below which no model gets [N m].
     """
     m = len(whitener.values)
     size = np.linalg.norm(free, axis=0)
     columns = np.concatenate([free[:, size > 0] / size[size > 0], residual[:, None]], axis=1)
     rotated = np.concatenate([whitener.vectors.T @ columns[:m], columns[m:]])
     values = np.concatenate([whitener.values, np.zeros(len(residual) - m)])
-    # rows of a casing that is held answer to no torque
+    # rows of a casing that is held respond to no torque
     answering = whitener.values > _ROUNDING * whitener.values.max(initial=0.0)
     unit = 1 / np.sqrt(np.median(whitener.values[answering]) + 1e-300) if answering.any() else 0.0
-    levels = np.concatenate([[least], (LEVELS * unit)[LEVELS * unit > least]])
+    levels = LEVELS * unit if unit else np.zeros(1)
     deviances = [_deviance(rotated, 1 + s**2 * values) for s in levels]
     best = int(np.argmin(deviances))
-    return peak(levels, -np.array(deviances)), deviances[0] - deviances[best]
+    return _peak(levels, -np.array(deviances)), deviances[0] - deviances[best]
 
 
-def peak(levels: Array, likelihood: Array) -> float:
+def _peak(levels: Array, likelihood: Array) -> float:
     """Return the level of the highest likelihood, between the levels of the grid by a parabola in its logarithm."""
     i = int(np.argmax(likelihood))
     if not 1 <= i < len(levels) - 1 or levels[i - 1] <= 0:
@@ -165,8 +211,6 @@ def _deviance(rotated: Array, variance: Array) -> float:
 
 _CELLS_PER_ROW = 2.5
 _RUNS = 8
-# of the record
-_DEFAULT_TIME = 1 / 200
 
 
 class TorqueResponse:
@@ -200,16 +244,10 @@ class TorqueResponse:
         """Middle of each cell [s]."""
         return np.asarray(0.5 * (self.edges[1:] + self.edges[:-1]))
 
-    @property
-    def default_time(self) -> float:
-        """A middling correlation time [s]."""
-        return float((self.edges[-1] - self.edges[0]) * _DEFAULT_TIME)
-
     def covariance(self, time: float) -> Array:
         """Return the covariance K of the smooth rows for torques of rms 1 N m."""
         if time not in self._known:
-            # the time that is chosen is asked for twice, no other
-            self._known = {time: self._covariance(time)}
+            self._known[time] = self._covariance(time)
         return self._known[time]
 
     def _covariance(self, time: float) -> Array:
@@ -279,185 +317,3 @@ def decaying_sums(w: Array, decay: float) -> Array:
     for k in range(len(sums) - 2, -1, -1):
         sums[k] += decay * sums[k + 1]
     return sums
-
-
-_STRETCHES = 6
-_SLOW_TORQUES = 4
-_TIMES = (1 / 800, 1 / 400, 1 / 200, 1 / 100, 1 / 50, 1 / 20)
-# standard deviations by which the correlation time is taken longer than its best value
-_CAUTION = 0.5
-# twice the logarithm of a likelihood ratio that pure angle noise hardly ever reaches
-_SIGNIFICANT = 8.0
-# twice the logarithm of a likelihood ratio that a true level reaches in one case of twenty
-_ALLOWED = 4.0
-_OUTLIER = 14.0
-_MAX_OUTLIERS = 3
-_FEWEST = 5
-
-
-class LevelCurve(NamedTuple):
-    """Levels of a random torque [N m] and the log-likelihood of each, the first level being none."""
-
-    levels: Array
-    likelihood: Array
-
-
-def estimate_noise(responses: Sequence[TorqueResponse], residuals: Sequence[Array]) -> list[TorqueNoise]:
-    """Estimate the random torque of some cases: a level each, and one correlation time for all.
-
-    Parameters
-    ----------
-    responses : sequence of TorqueResponse
-        One a case.
-    residuals : sequence of ndarray
-        Their rows: measured minus the path about which the response is linearised.
-    """
-    span = float(np.mean([r.edges[-1] - r.edges[0] for r in responses]))
-    times = [span * share for share in _TIMES]
-    searched = [likelihoods(r, x, times) for r, x in zip(responses, residuals, strict=True)]
-    curves = [c for c, _ in searched]
-    total = [sum(float(c[i].likelihood.max()) for c in curves) for i in range(len(times))]
-    quiet = sum(float(c[0].likelihood[0]) for c in curves)
-    # where there is no random torque its time is anything; what a model may leave is slow
-    seen = 2 * (max(total) - quiet) > _SIGNIFICANT
-    time = _cautious_time(times, total) if seen else max(times)
-    chosen = [
-        likelihoods(response, residual, [time], kept)[0][0]
-        for response, residual, (_, kept) in zip(responses, residuals, searched, strict=True)
-    ]
-    heard = [c for c in chosen if _shows(c)]
-    return [TorqueNoise(_level(c, heard), time) for c in chosen]
-
-
-def _shows(curve: LevelCurve) -> bool:
-    return 2 * float(curve.likelihood.max() - curve.likelihood[0]) > _SIGNIFICANT
-
-
-def _level(curve: LevelCurve, heard: Sequence[LevelCurve]) -> float:
-    """Return the level of a case: its own if it shows, else that of the cases where it does, if this one allows it.
-
-    The same bodies turn in the same bearing: where a louder camera hides their random torque, it is there all the same,
-    and its slow part would look like something missing.
-    """
-    if _shows(curve):
-        return peak(curve.levels, curve.likelihood)
-    if not heard:
-        return 0.0
-    levels = heard[0].levels[1:]
-    each = [_at(c, levels) for c in (curve, *heard)]
-    common = int(np.argmax(np.sum(each, axis=0)))
-    allowed = 2 * (curve.likelihood.max() - each[0][common]) < _ALLOWED
-    return peak(levels, np.sum(each, axis=0)) if allowed else 0.0
-
-
-def _at(curve: LevelCurve, levels: Array) -> Array:
-    return np.interp(
-        np.log(levels), np.log(curve.levels[1:]), curve.likelihood[1:], left=float(curve.likelihood[0])
-    )
-
-
-def _cautious_time(times: Sequence[float], likelihood: Sequence[float]) -> float:
-    """Return the correlation time: the top of a parabola in its logarithm, and half its standard deviation more.
-
-    What lasts longer than a few seconds is told by its fast tail only: any longer time fits as well then,
-    and stands for far more of the slow torque that a missing effect would be mistaken for.
-    """
-    x, y = np.log(np.array(times)), np.array(likelihood)
-    i = int(np.clip(np.argmax(y), 1, len(x) - 2))
-    near = slice(i - 1, i + 2)
-    bend, slope, _ = np.polyfit(x[near] - x[i], y[near], 2)
-    if bend >= 0:
-        return float(times[int(np.argmax(y))])
-    top, spread = -slope / (2 * bend), np.sqrt(-0.5 / bend)
-    return float(np.exp(np.clip(x[i] + top + _CAUTION * spread, x[0], x[-1])))
-
-
-def likelihoods(
-    response: TorqueResponse, residual: Array, times: Sequence[float], kept: NDArray[np.bool_] | None = None
-) -> tuple[list[LevelCurve], NDArray[np.bool_]]:
-    """Return the restricted likelihood of each level for each correlation time, and the stretches behind it.
-
-    Parameters
-    ----------
-    response : TorqueResponse
-        Of one case.
-    residual : ndarray
-        Rows: measured minus the path about which the response is linearised.
-    times : sequence of float
-        Correlation times [s].
-    kept : ndarray of bool, optional
-        Which stretches count; without it those that are no outliers.
-    """
-    stretches = _stretches(response.data)
-    tables, units = [], []
-    for time in times:
-        covariance = response.covariance(time)
-        units.append(unit_level(np.diag(covariance)))
-        tables.append(
-            np.array([_likelihoods(s, residual, covariance, LEVELS * units[-1]) for s in stretches])
-        )
-    # one choice of stretches for all correlation times, or their likelihoods could not be compared
-    if kept is None:
-        kept = np.all([_ordinary(table) for table in tables], axis=0)
-    curves = [LevelCurve(LEVELS * u, t[kept].sum(axis=0)) for u, t in zip(units, tables, strict=True)]
-    return curves, kept
-
-
-def _stretches(data: CaseData) -> list[tuple[Array, Array]]:
-    """Return the rows of each stretch and the columns that are free in it."""
-    blocks, k, _ = data.casing.lift.shape
-    stretches = []
-    for part in np.array_split(np.arange(blocks), max(1, min(_STRETCHES, blocks // 4))):
-        rows = (part[:, None] * k + np.arange(k)).ravel()
-        nodes = data.casing.node_times.reshape(blocks, k)[part]
-        x = 2 * (nodes - nodes.min()) / (nodes.max() - nodes.min()) - 1
-        powers = np.polynomial.legendre.legvander(x.ravel(), _SLOW_TORQUES + 2).reshape(*x.shape, -1)
-        values = np.zeros((blocks, k, powers.shape[-1]))
-        values[part] = powers
-        free = data.rows(values.reshape(blocks * k, -1), _nothing(data, powers.shape[-1]))[rows]
-        stretches.append((rows, np.concatenate([free, data.nuisance[rows]], axis=1)))
-    first = len(data.casing.z)
-    # a generated curve has no noise
-    for i, window in enumerate(() if data.record.generated else data.rotor):
-        t = window.node_times - window.node_times.mean()
-        rows = first + np.arange(len(t))
-        first += len(t)
-        parabola = _nothing(data, 3)
-        parabola[i] = np.stack([np.ones_like(t), t, t**2], axis=1)
-        stretches.append((rows, data.rows(np.zeros((len(data.casing.node_times), 3)), parabola)[rows]))
-    return stretches
-
-
-def _nothing(data: CaseData, columns: int) -> list[Array]:
-    return [np.zeros((len(w.node_times), columns)) for w in data.rotor]
-
-
-def _likelihoods(stretch: tuple[Array, Array], residual: Array, covariance: Array, levels: Array) -> Array:
-    """Return the restricted log-likelihood of a stretch for each level."""
-    rows, free = stretch
-    size = np.linalg.norm(free, axis=0)
-    u, s, _ = np.linalg.svd(free[:, size > 0] / size[size > 0], full_matrices=True)
-    outside = u[:, int((s > 1e-7 * s[0]).sum()) :]
-    values, vectors = np.linalg.eigh(outside.T @ covariance[np.ix_(rows, rows)] @ outside)
-    seen = vectors.T @ (outside.T @ residual[rows])
-    variance = 1 + levels[:, None] ** 2 * np.maximum(values, 0.0)
-    return np.asarray(-0.5 * (np.log(variance) + seen**2 / variance).sum(axis=1))
-
-
-def _ordinary(table: Array) -> NDArray[np.bool_]:
-    """Return which stretches (rows) are about as noisy as the others; levels are the columns."""
-    kept = np.ones(len(table), dtype=bool)
-    number = np.arange(len(table))
-    for _ in range(_MAX_OUTLIERS):
-        if kept.sum() <= _FEWEST:
-            break
-        without = [int(np.argmax(table[kept & (number != i)].sum(axis=0))) for i in number]
-        # a stretch in which the level of the others is far too small
-        excess = np.array([
-            2 * (row.max() - row[w]) if int(np.argmax(row)) > w else 0.0 for row, w in zip(table, without, strict=True)
-        ])  # fmt: skip
-        excess[~kept] = 0.0
-        if excess.max() < _OUTLIER:
-            break
-        kept[int(np.argmax(excess))] = False
-    return kept

@@ -1,18 +1,37 @@
-"""Noise levels of the cases of a fit."""
+"""Noise of the cases of a fit: what each recording has, and the random torque that a model leaves."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.inference._noise import Noise, TorqueNoise, TorqueResponse, estimate_noise, remaining_level
+from fitting.inference._case_data import CaseData
+from fitting.inference._case_model import Prediction
+from fitting.inference._noise import Noise, TorqueNoise, TorqueResponse, remaining_level
 from fitting.inference._problem import Problem
 
 Array = NDArray[np.float64]
 
 _FIRST_LEVEL = 0.01
+# correlation time, of the record: a slower torque would account for the misfit of the initial values
+_FIRST_TIME = 1 / 200
+
+
+def recording_noise(data: CaseData, prediction: Prediction) -> Noise:
+    """Return the noise of a recording, with the response of its rows linearised about a prediction.
+
+    The random torques on the casing and between the bodies are of one size; together they accelerate the casing.
+    """
+    process = data.process_noise
+    torque = data.record.I_casing / float(np.sqrt(2))
+    pure = TorqueNoise(torque * process.level, process.time)
+    whitener = TorqueResponse(data, prediction.motion).whitener(pure)
+    return Noise(
+        data.casing.scale, pure.rms, torque * process.level_u, pure.rms, pure.time, whitener, process
+    )
 
 
 def first_noise(problem: Problem, theta: Array) -> tuple[Noise, ...]:
@@ -20,10 +39,11 @@ def first_noise(problem: Problem, theta: Array) -> tuple[Noise, ...]:
     found = []
     predictions = problem.predict(theta)
     for case, p, level in zip(problem.cases, predictions, _first_levels(problem, theta), strict=True):
-        response = TorqueResponse(case.data, p.motion)
-        time = response.default_time
-        whitener = response.whitener(TorqueNoise(level, time))
-        found.append(Noise(case.data.casing.scale, level, level, time, whitener))
+        first, last = case.data.record.span
+        time = _FIRST_TIME * (last - first)
+        whitener = TorqueResponse(case.data, p.motion).whitener(TorqueNoise(level, time))
+        process = case.data.process_noise
+        found.append(Noise(case.data.casing.scale, level, 0.0, level, time, whitener, process))
     return tuple(found)
 
 
@@ -43,16 +63,8 @@ def _first_levels(problem: Problem, theta: Array) -> list[float]:
 
 
 def measure_noise(problem: Problem, theta: Array) -> tuple[Noise, ...]:
-    """Measure the pure noise of each case about a fitted model, and what the model leaves."""
-    predictions = problem.predict(theta)
-    responses = [TorqueResponse(d, p.motion) for d, p in zip(problem.data, predictions, strict=True)]
-    residuals = [d.z - p.rows for d, p in zip(problem.data, predictions, strict=True)]
-    found = [
-        Noise(d.casing.scale, pure.rms, pure.rms, pure.time, response.whitener(pure))
-        for d, response, pure in zip(
-            problem.data, responses, estimate_noise(responses, residuals), strict=True
-        )
-    ]
+    """Return the noise of each case about a fitted model, with what the model leaves."""
+    found = [recording_noise(d, p) for d, p in zip(problem.data, problem.predict(theta), strict=True)]
     return refine_level(problem, theta, found)
 
 
@@ -61,13 +73,13 @@ def refine_level(
 ) -> tuple[Noise, ...]:
     """Return the noise with the level that the model at these variables leaves.
 
-    Each case is asked for itself, its variables free to follow; if `settled`, they stand where they are: cases that
-    share a variable may each want it elsewhere.
+    The level of each case is estimated by itself, with its variables free; if `settled`, they keep their values: cases
+    that share a variable may each need it elsewhere.
     """
     found = []
     moving = ~problem.layout.at_bound(theta) & (not settled)
     for data, p, n in zip(problem.data, problem.predict(theta), noise, strict=True):
         columns = np.concatenate([p.columns[:, moving[p.places]], data.nuisance], axis=1)
-        level, excess = remaining_level(n.whitener, data.z - p.rows, columns, n.pure)
-        found.append(Noise(n.scale, n.pure, level, n.time, n.whitener.at(level), excess))
+        level, excess = remaining_level(n.whitener, data.z - p.rows, columns)
+        found.append(replace(n.at(level), excess=excess))
     return tuple(found)

@@ -36,8 +36,9 @@ from fitting.inference._record import Record
 
 Array = NDArray[np.float64]
 
-START_ROTOR, START_CASING = "initial.omega_r", "initial.omega_c"
+START_ROTOR, START_CASING, START_DEFLECTION = "initial.omega_r", "initial.omega_c", "initial.deflection"
 _START = Parameter("omega", "rad s-1", "shape", -np.inf, np.inf)
+_DEFLECTION = Parameter("deflection", "rad", "shape", -np.inf, np.inf)
 
 
 @dataclass(frozen=True)
@@ -109,8 +110,13 @@ class ParameterLayout:
         for key in self.model.free:
             names += [f"{key}@{r.label}" for r in self.records] if key in self.per_case else [key]
         for record in self.records:
-            names += [f"{START_ROTOR}@{record.label}", f"{START_CASING}@{record.label}"]
+            names += [f"{key}@{record.label}" for key in self.starts]
         return tuple(names)
+
+    @property
+    def starts(self) -> tuple[str, ...]:
+        """The initial values that each case has: both speeds, and the deflection if a torque depends on it."""
+        return (START_ROTOR, START_CASING, START_DEFLECTION)[: 3 if self.model.restoring else 2]
 
     @cached_property
     def index(self) -> dict[str, int]:
@@ -129,14 +135,14 @@ class ParameterLayout:
         inertias = {INERTIA_ROTOR: record.I_rotor, INERTIA_CASING: record.I_casing}
         return values | self.model.constants | inertias
 
-    def start(self, theta: Array, case: int) -> tuple[float, float]:
-        """Return the start speeds of one case [rad/s]."""
-        i, j = self.places(case, (START_ROTOR, START_CASING))
-        return float(theta[i]), float(theta[j])
+    def start(self, theta: Array, case: int) -> Array:
+        """Return the initial values of one case: speeds [rad/s], and the deflection [rad] if it is a state."""
+        return np.asarray(theta[self.places(case, self.starts)])
 
     def parameter(self, name: str) -> Parameter:
         """Return the declaration behind a name."""
-        return self.model.parameters.get(name.partition("@")[0], _START)
+        key = name.partition("@")[0]
+        return self.model.parameters.get(key, _DEFLECTION if key == START_DEFLECTION else _START)
 
     def bounds(self) -> tuple[Array, Array]:
         """Return lower and upper bounds of all variables."""

@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 Quantity = Literal["angle", "omega"]
 
 # an angle tells a speed only over several samples; a measured speed tells it at once
+# a block of the compression takes 12 samples for what a model does, and as many measure the noise
+_FEWEST_OF_BODY = 24
 _FEWEST: dict[str, int] = {"angle": 8, "omega": 1}
 
 
@@ -154,9 +156,11 @@ def make_record(
         If too few samples are left, or times do not grow.
     """
     runs = [_clean(*casing, what="body" if single else "casing"), *(_clean(*r, what="rotor") for r in rotor)]
-    if len(runs[0]) < 60:
+    if len(runs[0]) < _FEWEST_OF_BODY:
         body = "body" if single else "casing"
-        raise RecordError(f"{label}: the {body} has {len(runs[0])} usable samples; at least 60 are needed")
+        raise RecordError(
+            f"{label}: the {body} has {len(runs[0])} usable samples; at least {_FEWEST_OF_BODY} are needed"
+        )
     kept = [len(r) >= _FEWEST[quantity] for r in runs[1:]]
     windows = tuple(compress(runs[1:], kept))
     if not windows and not single:

@@ -21,13 +21,13 @@ from fitting._display import block, draw_speed, draw_speed_residual, figure, hea
 from fitting._errors import EstimationError
 from fitting._numbers import rounded, short, with_uncertainty
 from fitting.dynamics._model import Model
-from fitting.inference._angle_noise import AngleNoise
 from fitting.inference._case_model import Prediction
 from fitting.inference._lack_of_fit import LackOfFit, lack_of_fit
 from fitting.inference._metrics import CaseMetrics, EnergyBalance, case_metrics, energy_balance
 from fitting.inference._noise import Noise
 from fitting.inference._parameters import START_ROTOR, ParameterLayout
 from fitting.inference._problem import Problem, Projection, covariance_of, surely_at_bound
+from fitting.inference._recording_noise import AngleNoise
 from fitting.inference._speed_residuals import SpeedResidual, modelled_speed, speed_residuals
 from fitting.inference._velocity import speeds
 
@@ -128,7 +128,7 @@ class FitSummary:
 
 def summary_lines(fit: FitSummary) -> list[str]:
     """Return the figures of merit and the parameters of a fit as lines of at most 80 columns."""
-    lines = [f"{'':<12}{'R2':>10}{'rmse [rad/s]':>14}{'chi2/n':>12}{'held out':>11}"]
+    lines = [f"{'':<12}{'R2':>10}{'rmse [rad/s]':>14}{'chi2/n':>12}{'cv error':>11}"]
     for case in fit.cases:
         alone = math.isnan(case.rotor.rmse)  # the record of one body has none of a rotor
         for name, body in (("body" if alone else "casing", case.casing), ("rotor", case.rotor)):
@@ -142,8 +142,10 @@ def summary_lines(fit: FitSummary) -> list[str]:
         f"energy drift {max(c.energy_drift for c in fit.cases):.2g}, "
         f"effective samples {fit.n_eff:.0f}, BIC {fit.bic:.1f}"
     )
-    left = ", ".join(f"{level:.2g}" for level in _levels(fit))
-    lines.append(f"process noise of this model: {left} N m rms")
+    noises = getattr(fit, "noise", ())
+    if noises:
+        pure = ", ".join(rounded(n.pure, n.pure_u, "N m") for n in noises)
+        lines.append(f"process noise {pure} rms; with this model {_levels(noises)} N m")
     for label, noise in _angle_noises(fit):
         level = rounded(1e3 * noise.sigma, 1e3 * noise.sigma_u, "mrad")
         lines.append(f"correlated angle noise{label}: {level}, correlation time {noise.time:.2g} s")
@@ -163,8 +165,8 @@ def summary_lines(fit: FitSummary) -> list[str]:
     return lines
 
 
-def _levels(fit: FitSummary) -> Sequence[float]:
-    return [n.level for n in getattr(fit, "noise", ())]
+def _levels(noises: Sequence[Noise]) -> str:
+    return ", ".join(f"{n.level:.2g}" for n in noises)
 
 
 def _angle_noises(fit: FitSummary) -> list[tuple[str, AngleNoise]]:

@@ -20,7 +20,6 @@ from fitting.dynamics._mesh import Sampler
 from fitting.inference._case_model import Prediction
 from fitting.inference._compression import Compressed
 from fitting.inference._noise import Noise, Whitener
-from fitting.inference._parameters import START_CASING, START_ROTOR
 from fitting.inference._problem import Problem
 
 Array = NDArray[np.float64]
@@ -64,7 +63,7 @@ def modelled_speed(fit: _Fitted, case: int, body: int, time: Array) -> tuple[Arr
     """
     prediction, model = fit.predictions[case], fit.problem.cases[case]
     sampler = Sampler(prediction.path.mesh, time)
-    places = fit.problem.layout.places(case, (*model.dynamics.parameters, START_ROTOR, START_CASING))
+    places = fit.problem.layout.places(case, (*model.dynamics.parameters, *fit.problem.layout.starts))
     slope = sampler.value(prediction.sensitivity.nodes[:, :, body])
     covariance = fit.covariance[np.ix_(places, places)]
     # a parameter that moves nothing has no finite variance and does not matter here

@@ -69,9 +69,9 @@ def running_median(value: Array, width: int) -> Array:
 _POINTS = 160
 
 
-def initial_speeds(record: Record, points: int = _POINTS) -> tuple[Array, Array]:
-    """Return times and speeds of rotor and casing (points, 2) from local straight lines."""
-    casing = _local(record.casing, min(points, len(record.casing) // 12), record.quantity == "angle")
+def initial_speeds(record: Record, points: int = _POINTS, samples: int = 12) -> tuple[Array, Array]:
+    """Return times and speeds of rotor and casing (points, 2) from local straight lines of so many samples at least."""
+    casing = _local(record.casing, min(points, len(record.casing) // samples), record.quantity == "angle")
     windows = np.array([_local(w, 1, record.quantity == "angle")[0] for w in record.rotor])
     times = np.linspace(*record.span, points)
     omega_c = np.interp(times, casing[:, 0], casing[:, 1])

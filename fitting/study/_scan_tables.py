@@ -52,7 +52,7 @@ def concise(value: float, error: float) -> str:
 _MARKS = {"white": " ", "light gray": ".", "gray": ":", "dark gray": "#"}
 LEGEND = (
     "R2 of the casing's speed: . below 0.99, : below 0.90, # below 0 (the paper's three shades)",
-    "- term left out   * on its bound   ? error larger than the value   ! not converged",
+    "- term excluded   * active bound   ? uncertainty larger than the value   ! not converged",
     "dBIC: against the best run of the table",
 )
 _WIDTH = 8
@@ -163,7 +163,7 @@ def _model(model: ModelFits, labels: Sequence[str]) -> list[str]:
 
 
 def _metrics_head() -> str:
-    return f"{'R2 rotor':>10}{'R2 casing':>11}{'rmse':>9}{'chi2/n':>10}{'held out':>10}{'predicted':>11}{'energy':>10}"
+    return f"{'R2 rotor':>10}{'R2 casing':>11}{'rmse':>9}{'chi2/n':>10}{'cv error':>10}{'predicted':>11}{'energy':>10}"
 
 
 def _metrics(fit: Fit, label: str, predicted: float, *, joint: bool) -> str:
@@ -333,7 +333,7 @@ _FIGURES_OF_MERIT = (
     r"$R^2$ for $\dot\psi_r$",
     r"$R^2$ for $\dot\psi_c$",
     r"reduced $\chi^2$ for $\dot\psi_c$",
-    "held out",
+    "cross-validation error",
     "energy drift",
 )
 

@@ -81,7 +81,9 @@ _FITS = 4
 def fit_document(fit: Fit, fit_id: str) -> dict[str, Any]:
     """Return a fit under the keys of `fit --json`."""
     cases = [
-        CaseDocument.model_validate({**vars(c), **{k: getattr(n, k) for k in ("pure", "level", "scale")}})
+        CaseDocument.model_validate(
+            {**vars(c), **{k: getattr(n, k) for k in ("pure", "pure_u", "level", "scale")}}
+        )
         for c, n in zip(fit.cases, fit.noise, strict=True)
     ]
     document = FitDocument(
@@ -154,6 +156,7 @@ def _next_run(n: NextRun) -> NextRunDocument:
         windows=list(run.windows),
         window_length=run.window_length,
         inertia_casing_ratio=run.ring,
+        touchpoint_ratio=run.surface,
         rivals=[list(names) for names in n.rivals],
         separation_sigma=max(n.separation, 0.0) ** 0.5,
         present_sigma=max(n.present, 0.0) ** 0.5,
@@ -277,9 +280,10 @@ def history_verdict(steps: Sequence[Step]) -> str:
 
 @dataclass(frozen=True)
 class SavedNoise:
-    """Process noise of one case [N m], of the recording and of this fit, and the scale of the angle noise."""
+    """Process noise of a recording with its standard uncertainty and random torque of the model [N m]; white scale."""
 
     pure: float
+    pure_u: float
     level: float
     scale: float
 
@@ -419,7 +423,7 @@ def restored_fit(stored: StoredFit, model: Model, data: Sequence[CaseData]) -> F
     noise = []
     for d, p, n in zip(data, problem.predict(theta), stored.noise, strict=True):
         whitener = TorqueResponse(d, p.motion).whitener(TorqueNoise(n.level, n.time))
-        noise.append(Noise(**n.model_dump(), whitener=whitener))
+        noise.append(Noise(**n.model_dump(), process=d.process_noise, whitener=whitener))
     return outcome(problem.with_noise(noise), theta, tuple(noise), converged=stored.converged)
 
 

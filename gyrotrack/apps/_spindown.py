@@ -1,25 +1,22 @@
-"""One body, from a film or a table to its motion, its torque law and a report.
-
-What the motion is (a spin-down, an oscillation, a steady rotation) is read from the angles by least squares; the
-uncertainties are from a block bootstrap of the residuals, which keeps what neighbouring frames have in common.
-"""
+"""One body, from a film or a table to its motion, its torque law and a report."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import least_squares
 
-from gyrotrack._errors import DatasetError, TrackingError, VideoError
+from gyrotrack._errors import DatasetError, GyrotrackError, TrackingError, VideoError
 from gyrotrack._inertia import Inertia
 from gyrotrack._smoothing import WIDTH, angular_velocity
+from gyrotrack.apps._motion import TURN, BodyMotion, Value, motion_of, start_of_motion
 from gyrotrack.apps._study import open_study
 from gyrotrack.apps.report._page import write_report
 from gyrotrack.io._atomic import new_file
@@ -29,231 +26,19 @@ from gyrotrack.io.readers._import_case import import_body, no_series
 from gyrotrack.io.readers._motion_table import ReadOptions
 from gyrotrack.io.readers._run import Limits
 from gyrotrack.tracking._any_body import Film, Tracked, track_body
+from gyrotrack.tracking._extract import extract
+from gyrotrack.tracking._profile import load
 from gyrotrack.video._container import file_sha256
 from gyrotrack.video._timestamps import SLOWEST_PLAIN_RATE, gap_warnings
+
+if TYPE_CHECKING:
+    from fitting.inference._result import Fit
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
-TURN = 2 * math.pi
-_RESAMPLED = 400
-_FEWEST = 12
+_TRACKED = 0.8  # share of the frames in which markers must be found where the body's own picture is not
 _FILMS = (".mp4", ".mov", ".mkv", ".webm", ".avi", ".m4v", ".3gp", ".mjpeg", ".mjpg")
-
-
-@dataclass(frozen=True)
-class Value:
-    """A quantity and its standard uncertainty."""
-
-    value: float
-    stderr: float
-
-
-@dataclass(frozen=True)
-class BodyMotion:
-    """The motion of one body.
-
-    Attributes
-    ----------
-    kind : {"spin-down", "oscillation", "steady"}
-        What the motion is.
-    turns : float
-        Distance between the extreme angles in turns.
-    omega : dict
-        Angular velocity at the "first" and the "last" sample [rad/s].
-    omega_mean : Value
-        Mean angular velocity [rad/s].
-    alpha : Value
-        Angular acceleration at the middle of the record [rad/s2].
-    period, amplitude, decay : Value or None
-        Of an oscillation: period [s], amplitude at the middle of the record [rad], rate of decay [1/s].
-    """
-
-    kind: str
-    turns: float
-    omega: dict[str, float]
-    omega_mean: Value
-    alpha: Value
-    period: Value | None = None
-    amplitude: Value | None = None
-    decay: Value | None = None
-
-
-def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
-    """Describe a motion.
-
-    Parameters
-    ----------
-    time, angle, sigma : ndarray, shape (n,)
-        Time [s], unwrapped angle and its standard uncertainty [rad].
-
-    Notes
-    -----
-    A rotation is fitted by a polynomial in time (of order 1 to 6, by the Bayesian information criterion) and, from one
-    turn on, the first two harmonics of the angle, which are what a hub out of place and a tilted camera add. An
-    oscillation is a exp(-d t) cos(2 pi t / P + phi) about a mean that may drift.
-
-    Raises
-    ------
-    DatasetError
-        There are fewer than 12 samples.
-    """
-    if len(time) < _FEWEST:
-        raise DatasetError(
-            f"The motion has {len(time)} samples; {_FEWEST} are needed.", "Give a longer record."
-        )
-    middle = 0.5 * (time[0] + time[-1])
-    t = time - middle
-    turns = float(np.ptp(angle)) / TURN
-    swing = _oscillation(t, angle, sigma)
-    polynomial = _rotation(t, angle, sigma)
-    if swing is not None:
-        period, amplitude, decay, rest = swing
-        if _reverses(t, angle, period.value) and rest < 0.2 * np.var(angle):
-            return BodyMotion(
-                "oscillation", turns, polynomial[0], polynomial[1], polynomial[2], period, amplitude, decay
-            )
-    omega, mean, alpha = polynomial
-    change = abs(omega["last"] - omega["first"])
-    steady = abs(alpha.value) < 3 * alpha.stderr or change < 0.01 * abs(mean.value)
-    return BodyMotion("steady" if steady else "spin-down", turns, omega, mean, alpha)
-
-
-def _reverses(t: Floats, angle: Floats, period: float) -> bool:
-    """Tell whether the body turns back at least twice, and does not get ahead while it does."""
-    net, path = abs(angle[-1] - angle[0]), float(np.abs(np.diff(angle)).sum())
-    return bool(np.ptp(t) > 1.2 * period and net < 0.6 * path)
-
-
-def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[dict[str, float], Value, Value]:
-    half = max(abs(t[0]), abs(t[-1]))
-    x = t / half
-    root = 1.0 / sigma
-    harmonics = [f(k * angle) for k in (1, 2) for f in (np.cos, np.sin)] if np.ptp(angle) > TURN else []
-    best = None
-    for order in range(1, 7):
-        basis = np.stack([x**k for k in range(order + 1)] + harmonics, axis=1)
-        if len(t) < 2 * basis.shape[1]:
-            break
-        solved: Floats = np.asarray(
-            np.linalg.lstsq(basis * root[:, None], angle * root, rcond=None)[0], dtype=np.float64
-        )
-        rest = angle - basis @ solved
-        effective = len(t) / _inflation(rest * root)
-        score = effective * math.log(max(float(np.mean((rest * root) ** 2)), 1e-300)) + basis.shape[
-            1
-        ] * math.log(max(effective, 2.0))
-        if best is None or score < best[0]:
-            best = (score, order, basis, solved, rest)
-    assert best is not None  # noqa: S101 - 12 samples carry order 1
-    _, order, basis, solved, rest = best
-    draws = solved[None, :] + _resampled(basis, root, rest)
-
-    def rates(c: npt.NDArray[Any]) -> Floats:
-        first = sum(k * c[..., k] * x[0] ** (k - 1) for k in range(1, order + 1)) / half
-        last = sum(k * c[..., k] * x[-1] ** (k - 1) for k in range(1, order + 1)) / half
-        mean = sum(c[..., k] * (x[-1] ** k - x[0] ** k) for k in range(1, order + 1)) / (t[-1] - t[0])
-        alpha = 2 * c[..., 2] / half**2 if order >= 2 else 0.0 * c[..., 1]
-        return np.stack([np.asarray(v, dtype=np.float64) for v in (first, last, mean, alpha)], axis=-1)
-
-    found, spread = rates(solved), rates(draws).std(axis=0)
-    if order < 2:  # what a quadratic term could be
-        wider = np.insert(basis, 2, x**2, axis=1)
-        spread[3] = 2 / half**2 * float(_resampled(wider, root, rest)[:, 2].std())
-        found[3] = 2 / half**2 * float(np.linalg.lstsq(wider * root[:, None], angle * root, rcond=None)[0][2])
-    omega = {"first": float(found[0]), "last": float(found[1])}
-    return omega, Value(float(found[2]), float(spread[2])), Value(float(found[3]), float(spread[3]))
-
-
-def _inflation(rest: Floats) -> float:
-    """Return by what factor the variance of a mean grows because neighbours are correlated, 1 for white noise."""
-    rest = rest - rest.mean()
-    power = float(rest @ rest)
-    total = 1.0
-    for lag in range(1, len(rest) // 4):
-        share = float(rest[lag:] @ rest[:-lag]) / max(power, 1e-300)
-        if share < 0.05:
-            break
-        total += 2 * share
-    return total
-
-
-def _resampled(basis: Floats, root: Floats, rest: Floats) -> Floats:
-    """Return changes of the coefficients under a block bootstrap of the residuals, (_RESAMPLED, columns)."""
-    n, p = basis.shape
-    rng = np.random.default_rng(0)
-    block = int(np.clip(3 * _inflation(rest * root), 3, max(3, n // 6)))
-    inverse = np.linalg.pinv(basis * root[:, None])
-    scaled = rest * root * math.sqrt(n / max(n - p, 1))
-    starts = rng.integers(0, n, size=(_RESAMPLED, -(-n // block)))
-    index = (starts[:, :, None] + np.arange(block)).reshape(_RESAMPLED, -1)[:, :n] % n
-    signs = rng.choice([-1.0, 1.0], size=starts.shape).repeat(block, axis=1)[:, :n]
-    return np.asarray((scaled[index] * signs) @ inverse.T)
-
-
-def _oscillation(t: Floats, angle: Floats, sigma: Floats) -> tuple[Value, Value, Value, float] | None:
-    """Fit a damped oscillation about a drifting mean; None where there is none."""
-    even = np.linspace(t[0], t[-1], len(t))
-    value = np.interp(even, t, angle)
-    value = value - np.polyval(np.polyfit(even, value, 1), even)
-    power = np.abs(np.fft.rfft(value * np.hanning(len(value)), 8 * len(value))) ** 2
-    frequency = np.fft.rfftfreq(8 * len(value), even[1] - even[0])
-    valid = frequency > 0.7 / np.ptp(t)
-    if not valid.any():
-        return None
-    start = float(frequency[valid][np.argmax(power[valid])])
-    root = 1.0 / sigma
-
-    def model(c: Floats) -> Floats:
-        wave = c[2] * np.cos(TURN * c[0] * t) + c[3] * np.sin(TURN * c[0] * t)
-        return np.asarray(np.exp(-c[1] * t) * wave + c[4] + c[5] * t)
-
-    c0 = np.array([start, 0.0, 0.0, 0.0, 0.0, 0.0])
-    linear = np.stack([np.cos(TURN * start * t), np.sin(TURN * start * t), np.ones_like(t), t], axis=1)
-    c0[2:] = np.linalg.lstsq(linear, angle, rcond=None)[0]
-    limit = 5.0 / np.ptp(t)
-
-    def residual(c: Floats) -> Floats:
-        return (model(c) - angle) * root
-
-    lower = [0.5 * start, -limit, *[-np.inf] * 4]
-    upper = [2 * start, 4 * limit, *[np.inf] * 4]
-    found = least_squares(residual, c0, x_scale=np.maximum(np.abs(c0), 1e-3), bounds=(lower, upper))
-    c, rest = found.x, angle - model(found.x)
-    jacobian: Floats = np.asarray(found.jac, dtype=np.float64)
-    draws = _resampled(jacobian / root[:, None], root, rest)
-    size = float(np.hypot(c[2], c[3]))
-    period = Value(1 / float(c[0]), float(draws[:, 0].std()) / float(c[0]) ** 2)
-    amplitude = Value(size, float(np.std(draws[:, 2] * c[2] + draws[:, 3] * c[3]) / max(size, 1e-300)))
-    return period, amplitude, Value(float(c[1]), float(draws[:, 1].std())), float(np.var(rest))
-
-
-def start_of_motion(time: Floats, angle: Floats, sigma: Floats) -> int:
-    """Return the first sample of the free motion: what a hand or a motor speeds up before it is left out.
-
-    The speed over windows of a fiftieth of the record (5 samples at least) rises to its largest in the first half of
-    the record by more than 5 % and 5 standard errors; an oscillation is never cut.
-    """
-    width = max(5, len(time) // 50)
-    edges = np.arange(0, len(time) - width + 1, width)
-    if len(edges) < 8:
-        return 0
-    speed = np.array([np.polyfit(time[i : i + width], angle[i : i + width], 1)[0] for i in edges])
-    duration = float(np.median(np.diff(time))) * width
-    error = float(np.median(sigma)) * math.sqrt(12 / width) / duration
-    size = np.abs(speed)
-    if (
-        speed.min() < -5 * error
-        and speed.max() > 5 * error
-        and min(-speed.min(), speed.max()) > 0.2 * size.max()
-    ):
-        return 0
-    top = int(np.argmax(size))
-    late = float(np.median(size[len(size) // 2 :]))
-    rises = size[top] - size[0] > max(0.05 * size[top], 5 * error)
-    if top == 0 or top > len(size) // 2 or not rises or late > 0.98 * size[top]:
-        return 0
-    return int(edges[top])
 
 
 @dataclass(frozen=True)
@@ -274,6 +59,10 @@ class Wish:
         Keep the start of the record even where a hand or a motor drives the body.
     label : str
         Name of the case.
+    profile : Path, optional
+        Markers and colours of a film; without it the picture of the body itself is tracked, or the paper's markers.
+    body : str, optional
+        The body, "casing" or "rotor", of a film or recording that holds both.
     """
 
     hub: tuple[float, float] | None = None
@@ -282,6 +71,8 @@ class Wish:
     pulses_per_turn: float | None = None
     keep_all: bool = False
     label: str = ""
+    profile: Path | None = None
+    body: str | None = None
 
 
 def read_source(source: Path, wish: Wish, progress: Progress | None = None) -> tuple[Case, Tracked | None]:
@@ -297,10 +88,10 @@ def read_source(source: Path, wish: Wish, progress: Progress | None = None) -> t
         raise DatasetError(f"There is no file {source}.", "Check the path.")
     tracked = None
     if source.suffix.lower() in _FILMS and wish.pulses_per_turn is None:
-        recording, tracked = film_recording(source, wish, progress)
-        case = _recording_case(recording, moment.value)
+        recording, tracked = _film(source, wish, progress)
+        case = _recording_case(recording, moment.value, wish.body)
     elif source.suffix.lower() in (".h5", ".hdf5") and (found := _recording_in(source)) is not None:
-        case = _recording_case(found, moment.value)
+        case = _recording_case(found, moment.value, wish.body)
     else:
         options = ReadOptions(pulses_per_turn=wish.pulses_per_turn, fps=wish.capture_fps)
         case = import_body(source, moment.value, options=options, limits=Limits(keep_all=wish.keep_all))
@@ -330,24 +121,46 @@ def _recording_in(path: Path) -> Recording | None:
         return None
 
 
-def film_recording(source: Path, wish: Wish, progress: Progress | None = None) -> tuple[Recording, Tracked]:
-    """Track one body in a film and make a recording of it."""
+def _film(source: Path, wish: Wish, progress: Progress | None) -> tuple[Recording, Tracked | None]:
+    """Track a film by its profile if one is given, else by the picture of the body, else by the paper's markers."""
+    if wish.profile is not None:
+        return extract(
+            source, load(wish.profile), capture_fps=wish.capture_fps, body=wish.body, progress=progress
+        ), None
     film = Film(source)
-    warnings = []
-    if wish.capture_fps is not None:
-        fps, origin = wish.capture_fps, "asked for"
-        if not (math.isfinite(fps) and fps > 0):
-            raise VideoError(f"a capture rate of {fps:g} fps is not possible", "give a positive number")
-    elif film.info.tag_fps is not None:
-        fps, origin = film.info.tag_fps, "tag of the camera"
-    elif math.isfinite(film.info.container_fps):
-        fps, origin = film.info.container_fps, "container"
-        if fps < SLOWEST_PLAIN_RATE:
-            warnings.append(
-                f"Time from the container's rate, {fps:g} frames/s; a film in slow motion needs --capture-fps."
-            )
-    else:
-        raise VideoError(f"{source} does not say at what rate it was captured", "give --capture-fps")
+    try:
+        return film_recording(film, wish, progress)
+    except TrackingError:
+        if wish.hub is not None:
+            raise
+        fps, _, warnings = _rate(film, wish.capture_fps)
+        with suppress(GyrotrackError):
+            found = extract(source, capture_fps=fps, body=wish.body, progress=progress)
+            if max(len(body.time) for body in found.bodies.values()) > _TRACKED * len(film):
+                note = "The paper's coloured markers are tracked; --profile or --hub X,Y names another body."
+                return replace(found, warnings=(*warnings, note, *found.warnings)), None
+        raise
+
+
+def _rate(film: Film, asked: float | None) -> tuple[float, str, list[str]]:
+    """Return the capture rate of a film [1/s], where it is from, and a warning where it may be another one."""
+    if asked is not None:
+        if not (math.isfinite(asked) and asked > 0):
+            raise VideoError(f"a capture rate of {asked:g} fps is not possible", "give a positive number")
+        return asked, "asked for", []
+    if film.info.tag_fps is not None:
+        return film.info.tag_fps, "tag of the camera", []
+    fps = film.info.container_fps
+    if not math.isfinite(fps):
+        raise VideoError(f"{film.path} does not say at what rate it was captured", "give --capture-fps")
+    slow = f"Time from the container's rate, {fps:g} frames/s; a film in slow motion needs --capture-fps."
+    return fps, "container", [slow] if fps < SLOWEST_PLAIN_RATE else []
+
+
+def film_recording(film: Film, wish: Wish, progress: Progress | None = None) -> tuple[Recording, Tracked]:
+    """Track one body in a film and make a recording of it."""
+    source = film.path
+    fps, origin, warnings = _rate(film, wish.capture_fps)
     tracked = track_body(film, wish.hub, progress)
     time_all = film.numbers / fps
     time = time_all[tracked.frame]
@@ -406,14 +219,23 @@ def film_recording(source: Path, wish: Wish, progress: Progress | None = None) -
     return recording, tracked
 
 
-def _recording_case(recording: Recording, inertia: float) -> Case:
-    """Put the one body of a recording in the casing's place."""
-    if len(recording.bodies) != 1:
-        raise DatasetError(
-            f"The recording holds {len(recording.bodies)} bodies; one is needed.",
-            "Use `gyrotrack sync` for two.",
+def _recording_case(recording: Recording, inertia: float, name: str | None = None) -> Case:
+    """Put one body of a recording, the one with most samples if none is named, in the casing's place."""
+    if name is not None and name not in recording.bodies:
+        raise DatasetError(f"{recording.source} shows no {name}.", f"It shows {', '.join(recording.bodies)}.")
+    if not recording.bodies:
+        raise DatasetError(f"{recording.source} holds no body.", "Track the film again.")
+    count = {key: len(body.time) for key, body in recording.bodies.items()}
+    name = name or max(
+        count, key=lambda key: (count[key] > 0.9 * max(count.values()), key == recording.body, count[key])
+    )
+    if len(recording.bodies) > 1:
+        other = next(key for key in recording.bodies if key != name)
+        text = (
+            f"Of {len(recording.bodies)} bodies the {name} is analysed; --body {other} takes the other one."
         )
-    body = next(iter(recording.bodies.values()))
+        recording = replace(recording, warnings=(*recording.warnings, text))
+    body = recording.bodies[name]
     series = Series(
         body.time,
         body.angle,
@@ -481,6 +303,8 @@ def spindown(
     case, tracked = read_source(source, wish, progress)
     series = case.casing
     motion = motion_of(series.time, series.angle, series.sigma)
+    if tracked is not None:
+        motion = _with_view(motion, series, case.recordings["casing"], tracked)
     if motion.turns * TURN < 10 * float(np.median(series.sigma)):
         raise TrackingError(f"nothing turns in {source}", "check that it is the right file")
     settings = {"source": source, "hub": wish.hub, "capture_fps": wish.capture_fps, "inertia": wish.inertia}
@@ -497,6 +321,7 @@ def spindown(
         study = open_study([target], None)
         with WorkerPool() as workers:
             base, parent = study.base(None)
+            _check_law(motion, base)
             rungs = improve(base, [], workers=workers)
             steps = [entry.document["rung"] for entry in study.keep(rungs, parent)]
             found = diagnose(base, [], candidates=rungs[0].candidates, workers=workers)
@@ -517,7 +342,7 @@ def spindown(
                 )
                 written = report
     except FittingError as error:
-        warnings.append(f"No torque law is fitted: {error.message}")
+        warnings.append(f"No torque law is fitted: {error.message.rstrip('.')}.")
     return {
         "case": target,
         "report": written,
@@ -527,6 +352,43 @@ def spindown(
         "diagnosis": diagnosis,
         "warnings": warnings,
     }
+
+
+def _check_law(motion: BodyMotion, fit: Fit) -> None:
+    """Refuse to explain an oscillation by friction alone, or a rotation without any acceleration."""
+    from fitting._errors import FittingError
+
+    if motion.kind == "steady" and abs(motion.alpha.value) < 3 * motion.alpha.stderr:
+        raise FittingError(
+            f"the angular acceleration, {motion.alpha.value:.2g} +- {motion.alpha.stderr:.1g} rad/s2, is consistent "
+            "with zero."
+        )
+    restoring = any(getattr(effect, "restoring", False) for effect in fit.model.effects)
+    if motion.kind == "oscillation" and not restoring:
+        raise FittingError("the motion is an oscillation, and the model has no restoring torque.")
+
+
+def _with_view(motion: BodyMotion, series: Series, recording: Recording, tracked: Tracked) -> BodyMotion:
+    """Add to the uncertainties half the difference of what the inner and the outer half of the ring show.
+
+    The view (perspective, a displaced hub) and what is fixed in the image act on both differently; noise does not
+    average them out.
+    """
+    taken = np.isin(np.round(recording.bodies["casing"].time, 9), np.round(series.time, 9))
+    inner, outer = (motion_of(series.time, half[taken], series.sigma) for half in tracked.halves)
+
+    def wider(value: Value, a: Value | None, b: Value | None) -> Value:
+        apart = 0.0 if a is None or b is None else 0.5 * abs(abs(a.value) - abs(b.value))
+        return replace(value, stderr=math.hypot(value.stderr, apart))
+
+    return replace(
+        motion,
+        omega_mean=wider(motion.omega_mean, inner.omega_mean, outer.omega_mean),
+        alpha=wider(motion.alpha, inner.alpha, outer.alpha),
+        period=motion.period and wider(motion.period, inner.period, outer.period),
+        amplitude=motion.amplitude and wider(motion.amplitude, inner.amplitude, outer.amplitude),
+        decay=motion.decay and wider(motion.decay, inner.decay, outer.decay),
+    )
 
 
 def _write_picture(path: Path, film: Film, tracked: Tracked) -> None:

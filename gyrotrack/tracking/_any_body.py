@@ -19,6 +19,7 @@ from gyrotrack._errors import TrackingError, UsageError
 from gyrotrack.tracking._hub_search import Motion, Proposal, follow_features, propose_hubs, still_point
 from gyrotrack.tracking._registration import (
     TURN,
+    Area,
     Picture,
     Pose,
     Ring,
@@ -42,7 +43,10 @@ _HELD = (
 _TRIAL = 300  # frames on which a hub is tried
 _LEARNT = 300  # frames from which the body's picture is learnt
 _COARSE = 48.0
+_MIDDLE = 100.0
 _FINE = 200.0
+_SETTLING = 10  # times that picture and angles are estimated in turn, at most ...
+_SETTLED = 1e-3  # ... until the angles change by less than this share of the motion
 _EXPLAINED = 0.4
 """Share of the change of brightness that a turning body must explain; below it nothing is tracked."""
 _OUTSIDE = 0.85
@@ -128,6 +132,9 @@ class Tracked:
         How the hub was found.
     scale : float
         Measured scatter of the angles over the Cramer-Rao bound.
+    halves : ndarray, shape (2, m)
+        The angle from the inner and from the outer half of the ring alone [rad]; their difference is due to the view
+        (perspective, a hub that is displaced) and to what is fixed in the image.
     correlated : float
         Uncertainty that frames share, from the difference of two ways to measure [rad]; 0 where there is one.
     warnings : tuple of str
@@ -143,6 +150,7 @@ class Tracked:
     explained: float
     way: str
     scale: float
+    halves: Floats
     correlated: float
     warnings: tuple[str, ...]
 
@@ -194,10 +202,10 @@ def track_body(
         if not all(math.isfinite(v) for v in hub):
             raise UsageError("The hub is not a place.", "Give it as --hub X,Y in px.")
         proposals = [Proposal(hub, "given")]
+    elif (loose := _by_features(film, usable, motion, progress)) is not None:
+        return loose
     else:
         proposals = propose_hubs(block, motion)
-    if hub is None and (loose := _by_features(film, usable, motion)) is not None:
-        return loose
     trials = [trial for p in proposals for trial in _trials(p, block, motion)]
     trials.sort(key=lambda trial: -trial.score - 0.02 * trial.static)
     if not trials or trials[0].score < 0.02:
@@ -206,7 +214,7 @@ def track_body(
             "give the centre of rotation with --hub X,Y",
         )
     best = max(
-        (_refined_trial(trial, block, keep=hub is not None) for trial in _distinct(trials)),
+        (_refined_trial(trial, block, motion.area, keep=hub is not None) for trial in _distinct(trials)),
         key=lambda t: t.score,
     )
     height, width = motion.mean.shape
@@ -221,7 +229,9 @@ def track_body(
     return _measure(film, usable, first, best, motion, progress)
 
 
-def _by_features(film: Film, usable: npt.NDArray[np.int64], motion: Motion) -> Tracked | None:
+def _by_features(
+    film: Film, usable: npt.NDArray[np.int64], motion: Motion, progress: Progress | None
+) -> Tracked | None:
     """Track a body without an axle, such as a hanging table, by its features; None for any other film.
 
     A body on an axle is left to registration, which uses the whole picture: features are for a hub that moves by more
@@ -248,7 +258,7 @@ def _by_features(film: Film, usable: npt.NDArray[np.int64], motion: Motion) -> T
     pictures = film.some(usable[use])
     for again in range(2):
         polars = [ring.unwrap(f, tuple(shift[k])) for k, f in zip(use, pictures, strict=True)]
-        allowed = ring.inside(motion.mean.shape)
+        allowed = ring.inside(motion.area)
         template = learn(polars, theta[use], allowed, ring, separate=False, plain=True)
         share, rows = explained(polars, theta[use], template)
         if not again:
@@ -258,18 +268,32 @@ def _by_features(film: Film, usable: npt.NDArray[np.int64], motion: Motion) -> T
     # features at the body's edge are dragged by the background: the whole picture decides, and the difference between
     # the two is an uncertainty that neighbouring frames share
     of_features = -theta.copy()
-    for _ in range(3):
-        poses = [register(p, template, theta[k], move=True) for k, p in zip(use, polars, strict=True)]
-        theta[use] = [p.angle for p in poses]
-        shift[use] += np.array([p.shift for p in poses]).clip(-2.0, 2.0)
+    ring = Ring.about(ring.hub, ring.inner, ring.outer, finest=_MIDDLE, start=ring.start, span=ring.span)
+    allowed = ring.inside(motion.area)
+    for _ in range(_SETTLING):
         polars = [ring.unwrap(f, tuple(shift[k])) for k, f in zip(use, pictures, strict=True)]
         template = learn(polars, theta[use], allowed, ring, separate=False, plain=True)
-    template = learn(polars, theta[use], allowed, ring, separate=False)
+        poses = [register(p, template, theta[k], move=True) for k, p in zip(use, polars, strict=True)]
+        before = theta[use]
+        theta[use] = [p.angle for p in poses]
+        shift[use] += np.array([p.shift for p in poses]).clip(-2.0, 2.0)
+        if np.std(theta[use] - before) < _SETTLED * np.std(theta):
+            break
+    polars = [ring.unwrap(f, tuple(shift[k])) for k, f in zip(use, pictures, strict=True)]
+    # samples keep equal variances: over a small turn flat parts of the body, in which only shading that is fixed in the
+    # image changes, would seem the most precise ones
+    template = learn(polars, theta[use], allowed, ring, separate=False, plain=True)
+    parts = template.halves()
     every: list[Pose] = []
+    halves = np.empty((2, len(theta)))
     for k, frame in enumerate(f for i, f in enumerate(film.frames()) if i in wanted):
         pose = register(ring.unwrap(frame, tuple(shift[k])), template, theta[k], move=True)
         shift[k] += np.clip(pose.shift, -2.0, 2.0)
-        every.append(register(ring.unwrap(frame, tuple(shift[k])), template, pose.angle, move=True))
+        polar = ring.unwrap(frame, tuple(shift[k]))
+        every.append(register(polar, template, pose.angle, move=True))
+        halves[:, k] = [-register(polar, part, pose.angle, move=True).angle for part in parts]
+        if progress is not None:
+            progress(k + 1, len(usable))
     share, _ = explained(polars, theta[use], template)
     angle = -np.array([p.angle for p in every])
     formal = np.array([p.formal for p in every])
@@ -295,6 +319,7 @@ def _by_features(film: Film, usable: npt.NDArray[np.int64], motion: Motion) -> T
         explained=share,
         way="features",
         scale=scale,
+        halves=halves,
         correlated=correlated,
         warnings=tuple(warnings),
     )
@@ -343,7 +368,7 @@ def _trials(proposal: Proposal, block: Sequence[Plane], motion: Motion) -> list[
     if ring is None:
         return []
     polars = [ring.unwrap(frame) for frame in block]
-    allowed = ring.inside(block[0].shape)
+    allowed = ring.inside(motion.area)
     mean = np.mean(polars, axis=0)
     moving = np.std(polars, axis=0) > 4 * motion.noise
     area = ring.area.astype(np.float32) * allowed
@@ -385,20 +410,19 @@ def _distinct(trials: Sequence[_Trial]) -> list[_Trial]:
     return kept
 
 
-def _refined_trial(trial: _Trial, block: Sequence[Plane], *, keep: bool) -> _Trial:
+def _refined_trial(trial: _Trial, block: Sequence[Plane], area: Area, *, keep: bool) -> _Trial:
     """Improve radii, hub and angles of a reading on its block of frames."""
-    shape = block[0].shape
     ring, angle = trial.ring, trial.angle
     polars = [ring.unwrap(frame) for frame in block]
-    _, rows = _score(polars, angle, ring.inside(shape), ring)
+    _, rows = _score(polars, angle, ring.inside(area), ring)
     ring = _trimmed(ring, rows)
     use = np.unique(np.linspace(0, len(block) - 1, 60).astype(int))
     few = [block[i] for i in use]
 
     def tried(place: Floats, angle: Floats) -> tuple[float, Floats]:
         there = _placed(ring, place)
-        allowed = there.inside(shape)
-        if allowed.mean() < 0.7 * ring.inside(shape).mean():  # the ring leaves the picture
+        allowed = there.inside(area)
+        if allowed.mean() < 0.7 * ring.inside(area).mean():  # the ring leaves the picture
             return -math.inf, angle
         polars = [there.unwrap(frame) for frame in few]
         for _ in range(2):
@@ -420,7 +444,7 @@ def _refined_trial(trial: _Trial, block: Sequence[Plane], *, keep: bool) -> _Tri
     free = _free(ring, angle, given=keep)
     for _ in range(6 if free else 0):
         change: Floats = np.zeros(4)
-        change[free] = ring_step(_placed(ring, place), few, angles, free)
+        change[free] = ring_step(_placed(ring, place), few, angles, free, area)
         factor, before, start = 1.0, best, place
         while True:  # lengthen the step while that helps, for the learnt picture gives way
             value, there = tried(start + factor * change, angles)
@@ -434,7 +458,7 @@ def _refined_trial(trial: _Trial, block: Sequence[Plane], *, keep: bool) -> _Tri
             break
     ring = _placed(ring, place)
     polars = [ring.unwrap(frame) for frame in block]
-    allowed = ring.inside(shape)
+    allowed = ring.inside(area)
     template = learn([polars[i] for i in use], angles, allowed, ring, separate=_separable(angles), plain=True)
     offset = float(np.median(angles - angle[use]))
     angle = np.array([register(p, template, a + offset).angle for p, a in zip(polars, angle, strict=True)])
@@ -459,9 +483,9 @@ def _free(ring: Ring, angle: Floats, *, given: bool) -> list[int]:
     return ([] if given else [0, 1]) + ([2, 3] if stretch else [])
 
 
-def ring_step(ring: Ring, frames: Sequence[Plane], angles: Floats, free: Sequence[int]) -> Floats:
+def ring_step(ring: Ring, frames: Sequence[Plane], angles: Floats, free: Sequence[int], area: Area) -> Floats:
     """Return the Gauss-Newton step in hub and stretch (x, y, p, q), the learnt picture and the angles projected out."""
-    allowed = ring.inside(frames[0].shape)
+    allowed = ring.inside(area)
     polars = [ring.unwrap(frame) for frame in frames]
     template = learn(polars, angles, allowed, ring, separate=_separable(angles), plain=True)
     cos, sin = np.cos(ring.angle), np.sin(ring.angle)
@@ -545,8 +569,8 @@ def _measure(
 ) -> Tracked:
     """Follow the body through all of the film, learn its picture, and measure every frame against it."""
     coarse = best.ring
-    shape = motion.mean.shape
-    allowed = coarse.inside(shape)
+    area = motion.area
+    allowed = coarse.inside(area)
     wanted = set(usable.tolist())
     polars = [coarse.unwrap(f) for i, f in enumerate(film.frames()) if i in wanted]
     use = np.unique(np.linspace(0, len(polars) - 1, 120).astype(int))
@@ -582,7 +606,7 @@ def _measure(
         ),
         stretch=coarse.stretch,
     )
-    allowed = ring.inside(shape)
+    allowed = ring.inside(area)
     limit = max(40, min(_LEARNT, int(400e6 / (4 * ring.rows * ring.columns))))
     chosen = np.unique(np.linspace(0, len(usable) - 1, limit).astype(int))
     pictures = film.some(usable[chosen])
@@ -596,7 +620,7 @@ def _measure(
         few = np.unique(np.linspace(0, len(chosen) - 1, 60).astype(int))
         if free:
             place = np.array([*ring.hub, *ring.stretch])
-            place[free] += ring_step(ring, [pictures[i] for i in few], angle[chosen][few], free)
+            place[free] += ring_step(ring, [pictures[i] for i in few], angle[chosen][few], free, area)
             ring = _placed(ring, place)
     shown = [ring.unwrap(picture) for picture in pictures]
     template = learn(shown, angle[chosen], allowed, ring, separate=separate, plain=True)
@@ -607,11 +631,15 @@ def _measure(
     hub_sigma = _hub_motion(shown, angle[chosen], template) if best.way != "given" else 0.0
     template = replace(template, hub_sigma=hub_sigma)
     poses = []
+    parts = template.halves()
+    halves = np.empty((2, len(usable)))
     for k, frame in enumerate(f for i, f in enumerate(film.frames()) if i in wanted):
-        poses.append(register(ring.unwrap(frame), template, angle[k]))
+        polar = ring.unwrap(frame)
+        poses.append(register(polar, template, angle[k]))
+        halves[:, k] = [-register(polar, part, poses[-1].angle).angle for part in parts]
         if progress is not None:
             progress(k + 1, len(usable))
-    return _finish(film, usable, ring, template, poses, best, angle)
+    return _finish(film, usable, ring, template, poses, halves, best, angle)
 
 
 def _settle(polars: Sequence[Picture], angle: Floats, allowed: Bools, ring: Ring) -> Floats:
@@ -651,6 +679,7 @@ def _finish(
     ring: Ring,
     template: Template,
     poses: Sequence[Pose],
+    halves: Floats,
     best: _Trial,
     rough: Floats,
 ) -> Tracked:
@@ -681,6 +710,7 @@ def _finish(
         explained=best.score,
         way=best.way,
         scale=scale,
+        halves=halves[:, kept],
         correlated=0.0,
         warnings=tuple(warnings),
     )

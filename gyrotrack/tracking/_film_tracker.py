@@ -151,7 +151,7 @@ def _as_json(path: str, value: Any) -> Any:
     kind = type(value).__name__
     if kind in _RECORDS:
         return {"record": kind, "fields": [_as_json(path, getattr(value, f.name)) for f in fields(value)]}
-    raise TypeError(f"{path} is a {kind}, which no memento can hold")
+    raise TypeError(f"{path} is a {kind}, which a checkpoint cannot store")
 
 
 def _from_json(value: Any) -> Any:

@@ -23,6 +23,7 @@ _PAIRS = 40
 _FEATURES = 400
 _STRAY = 8.0  # px from the similarity at which a feature is given up
 _FEWEST = 12  # features that a similarity needs
+_UNIFORM = 1.5  # grey levels by which a bar at the side of a picture may vary
 _FARTHEST = 6.0  # picture sizes; a hub farther off than that has no curvature that could be measured
 
 
@@ -38,12 +39,15 @@ class Motion:
         Standard deviation where nothing moves.
     moving : ndarray of bool, shape (height, width)
         Where the brightness changes by more than noise.
+    area : tuple of int
+        The part (left, top, right, bottom) of the frame that the picture fills, without uniform bars at its sides.
     """
 
     mean: Floats
     deviation: Floats
     noise: float
     moving: npt.NDArray[np.bool_]
+    area: tuple[int, int, int, int]
 
     @classmethod
     def of(cls, frames: Sequence[Plane]) -> Motion:
@@ -61,7 +65,19 @@ class Motion:
         moving = cv2.morphologyEx(
             (smooth > 4.0 * noise).astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8)
         ).astype(bool)
-        return cls(mean, deviation, noise, moving)
+        left, right = _without_bars(mean, deviation)
+        top, bottom = _without_bars(mean.T, deviation.T)
+        return cls(mean, deviation, noise, moving, (left, top, right, bottom))
+
+
+def _without_bars(mean: Floats, deviation: Floats) -> tuple[int, int]:
+    """Return the first column of a picture and the one after its last, without uniform bars that never change."""
+    uniform = (mean.std(axis=0) < _UNIFORM) & (deviation.mean(axis=0) < _UNIFORM)
+    ends = []
+    for flat, level in ((uniform, mean.mean(axis=0)), (uniform[::-1], mean.mean(axis=0)[::-1])):
+        bar = flat & (np.abs(level - level[0]) < _UNIFORM)
+        ends.append(int(np.argmin(bar)) if not bar.all() else 0)
+    return ends[0], len(uniform) - ends[1]
 
 
 def _spatial_noise(frames: Sequence[Plane]) -> float:

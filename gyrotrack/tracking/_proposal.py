@@ -94,7 +94,7 @@ def name_bodies(
             len(fast.members) == len(slow.members) and open_share[1] > open_share[0]
         ):
             slow, fast = fast, slow
-        notes.append("both bodies turn about equally fast: which one is the rotor is a guess")
+        notes.append("both bodies turn about equally fast: which one is the rotor is uncertain")
     return {"casing": slow, "rotor": fast}, notes
 
 

@@ -24,6 +24,7 @@ import numpy.typing as npt
 Floats = npt.NDArray[np.float64]
 Picture = npt.NDArray[np.float32]
 Bools = npt.NDArray[np.bool_]
+Area = tuple[int, int, int, int]
 
 TURN = 2 * np.pi
 _PHASES = 8  # copies of the template shifted by fractions of a column
@@ -105,10 +106,11 @@ class Ring:
         y = self.hub[1] + shift[1] + self.radius[:, None] * (q * cos + (1 - p) * sin)
         return x.astype(np.float32), y.astype(np.float32)
 
-    def inside(self, shape: tuple[int, int]) -> Bools:
-        """Tell which samples are within a picture of shape (height, width)."""
+    def inside(self, area: Area) -> Bools:
+        """Tell which samples are within a picture that fills (left, top, right, bottom) [px]."""
         x, y = self.grid()
-        return np.asarray((x >= 1) & (y >= 1) & (x <= shape[1] - 2) & (y <= shape[0] - 2))
+        left, top, right, bottom = area
+        return np.asarray((x >= left + 1) & (y >= top + 1) & (x <= right - 2) & (y <= bottom - 2))
 
     def unwrap(self, picture: npt.NDArray[np.uint8], shift: Sequence[float] = (0.0, 0.0)) -> Picture:
         """Return the polar picture, (rows, columns)."""
@@ -191,9 +193,14 @@ class Template:
             self._shifts.append(np.asarray(-(radial * sin + across * cos), dtype=np.float32))
         return self._shifts
 
-    def only(self, part: Picture) -> Template:
-        """Return the same template with a part of the body alone."""
-        return replace(self, part=part)
+    def halves(self) -> tuple[Template, Template]:
+        """Return the same template with the inner and with the outer half of the ring alone, of equal information."""
+        slope = _slope(self.body)
+        known = np.cumsum(np.sum(self.ring.area * slope**2 / self.body_variance, axis=1))
+        row = int(np.clip(np.searchsorted(known, 0.5 * known[-1]), 1, len(known) - 1))
+        inner = np.zeros_like(self.body)
+        inner[:row] = 1.0
+        return replace(self, part=inner), replace(self, part=1.0 - inner)
 
 
 @dataclass(frozen=True)

@@ -215,7 +215,7 @@ def _show_plan(out: Output, cases: tuple[Experiment, ...], steps: tuple[Step, ..
 
 def config_command(
     name: Annotated[
-        str | None, typer.Argument(metavar="[COMMAND]", help="Show the options of one command.")
+        str | None, typer.Argument(metavar="COMMAND", help="Show the options of one command.")
     ] = None,
     *,
     everything: Annotated[bool, typer.Option("--all", help="Also options at their defaults.")] = False,

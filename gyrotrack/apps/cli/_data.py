@@ -327,7 +327,7 @@ def _placement_line(p: dict[str, Any]) -> str:
 
 def _recording_lines(holds: dict[str, Any]) -> list[str]:
     turning = "clockwise" if holds["sense"] < 0 else "counter-clockwise"
-    stamped = ", times from the time stamps" if holds["times_from"] == "stamps" else ""
+    stamped = ", times from the timestamps" if holds["times_from"] == "stamps" else ""
     lines = [
         f"film     {holds['source']}, {holds['width']} x {holds['height']} px, {holds['capture_fps']:g} fps{stamped}",
         f"frames   {holds['frames']} in {holds['duration_s']:.3f} s, turning {turning} as seen",

@@ -28,7 +28,7 @@ OptionalOutputFile = Annotated[
 ]
 CaseFile = Annotated[Path, typer.Argument(metavar="CASE.h5", help="Case file, made by `sync` or `import`.")]
 CaseFiles = Annotated[
-    list[Path], typer.Argument(metavar="CASE.h5...", help="Case files, made by `sync` or `import`.")
+    list[Path], typer.Argument(metavar="CASE.h5", help="Case files, made by `sync` or `import`.")
 ]
 
 Films = Annotated[

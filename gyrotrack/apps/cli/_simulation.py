@@ -184,7 +184,7 @@ def reveal_command(
         Path, typer.Argument(metavar="SEAL.json", help="Sealed file, made by `simulate --hide`.")
     ],
     case: Annotated[
-        Path | None, typer.Argument(metavar="[CASE.h5]", help="Case whose latest fit is the answer.")
+        Path | None, typer.Argument(metavar="CASE.h5", help="Case whose latest fit is the answer.")
     ] = None,
     *,
     answer: Annotated[

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,6 +11,13 @@ import typer
 from gyrotrack._errors import UsageError
 from gyrotrack.apps.cli._options import Force, Json, Quiet
 from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output, command_line
+
+
+class Body(StrEnum):
+    """Body to analyse."""
+
+    casing = "casing"
+    rotor = "rotor"
 
 
 def spindown_command(
@@ -28,6 +36,15 @@ def spindown_command(
     hub: Annotated[
         str | None,
         typer.Option("--hub", metavar="X,Y", help="Centre of rotation [px]; it may be outside the picture."),
+    ] = None,
+    profile: Annotated[
+        Path | None,
+        typer.Option(
+            "--profile", metavar="P", help="Markers and colours of the film; found by itself if not given."
+        ),
+    ] = None,
+    body: Annotated[
+        Body | None, typer.Option("--body", help="The body to analyse where the film or recording shows two.")
     ] = None,
     capture_fps: Annotated[
         float | None, typer.Option("--capture-fps", metavar="N", help="Frames per second of the camera.")
@@ -67,7 +84,16 @@ def spindown_command(
     page = report if report is not None else target.with_suffix(".html")
     for path in (target, page):
         refuse_existing(path, force=force)
-    wish = Wish(_place(hub), capture_fps, inertia, pulses_per_turn, keep_all, label)
+    wish = Wish(
+        _place(hub),
+        capture_fps,
+        inertia,
+        pulses_per_turn,
+        keep_all,
+        label,
+        profile,
+        body.value if body else None,
+    )
     with out.progress(f"tracking {source.name}", "frames") as progress:
         document = spindown(
             source, target, page, wish, command=command_line(), force=force, progress=progress
@@ -77,7 +103,9 @@ def spindown_command(
     out.result(document)
     out.show(*_lines(document))
     verdict = (document["diagnosis"] or {}).get("verdict")
-    return NOT_TRUSTED if document["diagnosis"] is None or verdict == "unexplained" else DONE
+    if document["diagnosis"] is None:
+        return NOT_TRUSTED if document["motion"].kind == "spin-down" else DONE
+    return NOT_TRUSTED if verdict == "unexplained" else DONE
 
 
 def _place(text: str | None) -> tuple[float, float] | None:

@@ -296,7 +296,7 @@ def _extraction_lines(document: dict[str, Any]) -> str:
     source = {"asked for": "as asked for", "profile": "by the profile"}.get(
         document["capture_fps_from"], f"by the {document['capture_fps_from']}"
     )
-    stamped = "; times from the time stamps" if document["times_from"] == "stamps" else ""
+    stamped = "; times from the timestamps" if document["times_from"] == "stamps" else ""
     lines.append(f"captured at {document['capture_fps']:g} fps, {source}{stamped}")
     lines.append(f"{document['frames']} frames{pace}; written: {document['output']}")
     return "\n".join(lines)
@@ -304,7 +304,7 @@ def _extraction_lines(document: dict[str, Any]) -> str:
 
 def sync_command(
     casing: Annotated[Path, typer.Argument(metavar="CASING.h5", help="Recording of the casing.")],
-    rotors: Annotated[list[Path], typer.Argument(metavar="ROTOR.h5...", help="Recordings of the rotor.")],
+    rotors: Annotated[list[Path], typer.Argument(metavar="ROTOR.h5", help="Recordings of the rotor.")],
     *,
     output: OutputFile,
     label: Label = None,

@@ -14,7 +14,7 @@ def sgn(x):
 
 
 # name: (joint, law by hand, {symbol: unit}); torques on the body named, angles for cameras.
-# v holds t, omega_r, omega_c, D, psi_r, psi_c, T, chirp, tau, psi, omega and the parameters.
+# v holds t, omega_r, omega_c, D, psi_r, psi_c, T, chirp, strain, deflection, tau, psi, omega and the parameters.
 TABLE = {
     "rotor.air.linear": ("rotor", lambda v: -v["a1"] * v["omega_r"], {"a1": "N m s"}),
     "rotor.air.quadratic": ("rotor", lambda v: -v["a2"] * v["omega_r"] * abs(v["omega_r"]), {"a2": "N m s2"}),
@@ -75,6 +75,20 @@ TABLE = {
         lambda v: v["k"] * np.sin(2 * v["psi_c"] - v["phi"]),
         {"k": "N m", "phi": "rad"},
     ),
+    "casing.brake.eddy": (
+        "casing",
+        lambda v: -v["k"] * v["omega_c"] / (1 + (v["omega_c"] / v["w"]) ** 2),
+        {"k": "N m s", "w": "s-1"},
+    ),
+    "casing.seal.cooling": (
+        "casing",
+        lambda v: -v["k"] * (1 - np.exp(-v["t"] / v["tau_T"])) * sgn(v["omega_c"]),
+        {"k": "N m", "tau_T": "s"},
+    ),
+    "casing.friction.presliding": ("casing", lambda v: -v["k"] * v["strain"], {"k": "N m", "s": "1"}),
+    "casing.spring.linear": ("casing", lambda v: -v["k"] * v["deflection"], {"k": "N m"}),
+    "casing.spring.cubic": ("casing", lambda v: -v["k"] * v["deflection"] ** 3, {"k": "N m"}),
+    "casing.gravity": ("casing", lambda v: -v["k"] * np.sin(v["deflection"]), {"k": "N m"}),
     "casing.precession": (
         "casing",
         lambda v: v["k"] * np.cos(v["chirp"] + v["phi"]),
@@ -119,6 +133,8 @@ def places(effect, n=200, seed=0):
         "psi_c": rng.uniform(0, 1e4, n),
         "temperature": rng.uniform(0, 30, n),
         "chirp": rng.uniform(0, 500, n),
+        "strain": rng.uniform(-1, 1, n),
+        "deflection": rng.uniform(-2, 2, n),
         "tau": rng.uniform(-1e-4, 1e-4, n),
         "psi": rng.uniform(0, 1e4, n),
         "omega": rng.uniform(-200, 200, n),
@@ -195,6 +211,19 @@ def test_equivalence_is_mutual(effect):
     assert all(effect.name in LIBRARY[other].equivalent for other in effect.equivalent)
 
 
+def test_a_presliding_contact_takes_energy_over_each_cycle():
+    """Steady cycles of any amplitude: the strain stays within +-1, and the work over a cycle is a loss."""
+    rate = Tape([find("casing.friction.presliding").rate])
+    for amplitude in (0.003, 0.3):
+        strain, work, h = 0.0, 0.0, 1e-4
+        for i in range(40_000):
+            omega = amplitude * np.cos(2 * np.pi * i * h)
+            strain += h * float(rate({"omega_c": omega, "strain": strain, "s": 0.01})[0])
+            work += (i >= 30_000) * h * -strain * omega
+            assert abs(strain) <= 1
+        assert work < 0
+
+
 def test_states_feed_on_what_the_table_says():
     v = places(find("bearing.heating")) | {"C": 2.0, "tau_T": 30.0}
     heat = Tape([find("bearing.heating").rate])(v)[0]
@@ -207,6 +236,8 @@ def test_states_feed_on_what_the_table_says():
 # windage is driven by air that the rotor throws (its loss stands in rotor.air); a draught comes from outside;
 # unbalance, asymmetry and precession follow an angle and give back what they take, or take it from gravity.
 DRIVERS = {"casing.windage", "external.constant", "casing.unbalance", "casing.asymmetry", "casing.precession"}
+# They store energy and give it back; the presliding contact keeps a part of it.
+ELASTIC = {"casing.spring.linear", "casing.spring.cubic", "casing.gravity", "casing.friction.presliding"}
 
 
 # k omega_r^2 pushes the casing forward whatever it does: friction only while the rotor is the faster body,
@@ -214,7 +245,9 @@ DRIVERS = {"casing.windage", "external.constant", "casing.unbalance", "casing.as
 FORWARD_ONLY = {"bearing.load"}
 
 
-@pytest.mark.parametrize("name", sorted(n for n in TABLE if not LIBRARY[n].camera and n not in DRIVERS))
+@pytest.mark.parametrize(
+    "name", sorted(n for n in TABLE if not LIBRARY[n].camera and n not in DRIVERS | ELASTIC)
+)
 def test_friction_never_puts_energy_in(name):
     effect = find(name)
     v = places(effect, 4000)
@@ -304,6 +337,8 @@ def test_dynamics_with_the_effect_has_right_derivatives(effect):
         "omega_c": 90.0,
         "temperature": 3.0,
         "chirp": 20.0,
+        "strain": 0.5,
+        "deflection": 0.7,
         "psi_r": 5.0,
         "psi_c": 7.0,
     }

@@ -113,7 +113,12 @@ def test_starts_without_a_guess_are_of_the_right_size():
     theta = dict(
         zip(
             problem.layout.names,
-            start_values(problem.layout, problem.reference, [problem.data[0].initial_speeds]),
+            start_values(
+                problem.layout,
+                problem.reference,
+                [problem.data[0].initial_speeds],
+                [np.zeros(len(problem.data[0].initial_speeds[0]))],
+            ),
             strict=True,
         )
     )

@@ -35,4 +35,4 @@ def test_a_recording_that_excludes_it_has_none(quiet_camera):
     found = fit(Model.of(REDUCED), [quiet_camera, recorded("still", 3, 0.0, 1e-3, (700.0, 12.0))])
     assert found.verdict == "adequate"
     assert found.noise[0].pure == pytest.approx(LEVEL, rel=0.5)
-    assert found.noise[1].pure == 0.0
+    assert found.noise[1].pure < 0.3 * LEVEL

@@ -91,10 +91,11 @@ def test_what_is_missing_is_found():
 
 
 def test_what_a_wrong_law_leaves_follows_the_speed_of_the_body():
-    cubic = fit(BASE.with_effect(resolve("casing: -k*omega_c**3")), [wheel(SQUARE)])
+    measured = wheel(SQUARE, quantity="angle")
+    cubic = fit(BASE.with_effect(resolve("casing: -k*omega_c**3")), [measured])
     assert smooth_test(cubic).body == "body"
     assert smooth_test(cubic).p_value < 1e-3
-    right = fit(BASE.with_effect(resolve("casing: -k*omega_c*abs(omega_c)")), [wheel(SQUARE)])
+    right = fit(BASE.with_effect(resolve("casing: -k*omega_c*abs(omega_c)")), [measured])
     assert smooth_test(right).p_value > 1e-3
 
 

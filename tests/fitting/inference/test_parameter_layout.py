@@ -64,7 +64,7 @@ def test_each_case_gets_its_own_numbers(records):
         assert numbers["bearing.linear.d"] == layout.index["bearing.linear.d"]
         assert numbers[INERTIA_ROTOR] == 5e-5
         assert numbers[INERTIA_CASING] == 2e-5 + i * 1e-6
-        assert layout.start(theta, i) == (
+        assert tuple(layout.start(theta, i)) == (
             layout.index[f"initial.omega_r@{label}"],
             layout.index[f"initial.omega_c@{label}"],
         )

@@ -8,6 +8,10 @@ from gyrotrack.tracking._extract import extract
 
 
 @pytest.mark.slow
+@pytest.mark.skipif(
+    not hasattr(av.video.stream.VideoStream, "set_display_rotation"),
+    reason="needs PyAV 17.1 to write a rotation",
+)
 @pytest.mark.parametrize("quarter", [90, 180])
 def test_a_turned_film_turns_the_angles(casing_clip, tmp_path, quarter):
     path = tmp_path / "turned.mp4"

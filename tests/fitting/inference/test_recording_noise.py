@@ -10,10 +10,10 @@ import twobody
 from scipy.signal import lfilter
 
 from fitting.dynamics._model import Model
-from fitting.inference._angle_noise import _covariance
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 from fitting.inference._record import Samples, make_record
+from fitting.inference._recording_noise import _covariance
 from fitting.inference._simulation import Experiment, simulate
 
 ROOT = Path(__file__).parents[3]

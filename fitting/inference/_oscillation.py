@@ -1,0 +1,146 @@
+"""Whether a body oscillates, with which period, and about which equilibrium: read from the measured motion.
+
+Turning points are found with hysteresis: the angle has to come back by more than the noise, and by more than a
+hundredth of its range, before an extreme counts. Three successive turning points e_1, e_2, e_3 of a damped oscillation
+give the equilibrium (e_1 + 2 e_2 + e_3) / 4, free of the decay to first order; dry friction, which shifts it to
+alternate sides, cancels too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.inference._record import Record
+
+Array = NDArray[np.float64]
+
+# smallest change of sense that counts: in standard uncertainties, and as a share of the range
+_SIGMAS = 8.0
+_SHARE = 0.01
+_FEWEST = 3
+# largest progress over the path, of a body that does not get ahead
+_PROGRESS = 0.6
+_PHASE_DEGREE = 5
+# harmonics of an oscillation, and highest power of time of the amplitude of each
+_HARMONICS, _MODULATION = 3, 3
+
+
+@dataclass(frozen=True)
+class Oscillation:
+    """The measured oscillation of a body.
+
+    Attributes
+    ----------
+    reversals : ndarray, shape (n,)
+        Times at which the body turns back [s].
+    period : float
+        Median of twice the time between neighbouring reversals [s].
+    time, deflection : ndarray, shape (samples,)
+        Angle from the equilibrium [rad] at the samples; of measured speeds their integral, without its drift.
+    """
+
+    reversals: Array
+    period: float
+    time: Array
+    deflection: Array
+
+    @property
+    def periods(self) -> float:
+        """Length of the record in periods."""
+        return float((self.time[-1] - self.time[0]) / self.period)
+
+    def phase(self, times: Array) -> Array:
+        """Return the phase of the oscillation at some times [rad], a polynomial in time through the reversals."""
+        count = len(self.reversals)
+        middle, half = 0.5 * (self.reversals[0] + self.reversals[-1]), 0.5 * float(np.ptp(self.reversals))
+        degree = min(_PHASE_DEGREE, max(1, count - 2))
+        phase = np.polynomial.chebyshev.chebfit(
+            (self.reversals - middle) / half, np.pi * np.arange(count), degree
+        )
+        x = (times - middle) / half
+        inside = np.clip(x, -1.0, 1.0)
+        steady = 2 * np.pi / self.period * half * (x - inside)
+        return np.asarray(np.polynomial.chebyshev.chebval(inside, phase) + steady)
+
+    def waves(self) -> Array:
+        """Return harmonics of the oscillation, each times powers of time: of any slowly varying amplitude and phase.
+
+        Returns
+        -------
+        ndarray, shape (samples, columns)
+        """
+        phase = self.phase(self.time)
+        x = 2 * (self.time - self.time[0]) / np.ptp(self.time) - 1
+        slow = np.polynomial.legendre.legvander(x, _MODULATION)
+        waves = [f(m * phase)[:, None] * slow for m in range(1, _HARMONICS + 1) for f in (np.cos, np.sin)]
+        return np.concatenate(waves, axis=1)
+
+
+def find_oscillation(record: Record) -> Oscillation | None:
+    """Return the oscillation of a single body; None if it turns in one sense or was recorded with a rotor.
+
+    Parameters
+    ----------
+    record : Record
+        Angles or angular velocities.
+    """
+    if not record.single:
+        return None
+    t, y = record.casing.time, record.casing.value
+    angle = y if record.quantity == "angle" else _integral(t, y)
+    least = _SHARE * float(np.ptp(angle))
+    if record.quantity == "angle":
+        least = max(least, _SIGMAS * float(np.median(record.casing.sigma)))
+        turns = turning_points(angle, least)
+    else:
+        turns = _sign_changes(
+            y, max(_SHARE * float(np.abs(y).max()), _SIGMAS * float(np.median(record.casing.sigma)))
+        )
+    if len(turns) < _FEWEST:
+        return None
+    extreme = angle[turns]
+    path = float(np.abs(np.diff(extreme)).sum())
+    if abs(extreme[-1] - extreme[0]) > _PROGRESS * path:
+        return None
+    middle = 0.25 * (extreme[:-2] + 2 * extreme[1:-1] + extreme[2:])
+    if record.quantity == "angle" or len(middle) < _FEWEST:
+        rest: Array = np.full(len(t), np.median(middle))
+    else:
+        rest = np.asarray(np.polyval(np.polyfit(t[turns[1:-1]], middle, 1), t))
+    period = 2 * float(np.median(np.diff(t[turns])))
+    return Oscillation(t[turns], period, t, angle - rest)
+
+
+def turning_points(angle: Array, least: float) -> NDArray[np.intp]:
+    """Return the samples at which a curve turns back by more than `least`; its ends are none."""
+    found: list[int] = []
+    low = high = extreme = 0
+    sense = 0
+    values = angle.tolist()
+    for i, x in enumerate(values):
+        if sense == 0:
+            low, high = (i if x < values[low] else low), (i if x > values[high] else high)
+            sense = 1 if x - values[low] > least else -1 if values[high] - x > least else 0
+            extreme = i
+        elif sense * (x - values[extreme]) > 0:
+            extreme = i
+        elif sense * (values[extreme] - x) > least:
+            found.append(extreme)
+            sense, extreme = -sense, i
+    return np.array(found, dtype=np.intp)
+
+
+def _sign_changes(speed: Array, least: float) -> NDArray[np.intp]:
+    """Return the samples before which a speed changed its sign, from beyond `least` on one side to the other."""
+    clear = np.flatnonzero(np.abs(speed) > least)
+    change = np.flatnonzero(np.diff(np.sign(speed[clear])) != 0)
+    before, after = clear[change], clear[change + 1]
+    share = speed[before] / (speed[before] - speed[after])
+    return np.asarray(np.round(before + share * (after - before)), dtype=np.intp)
+
+
+def _integral(t: Array, speed: Array) -> Array:
+    return np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(t))])

@@ -1,0 +1,468 @@
+"""Noise of a recording beyond the white noise of its frames, estimated once and used for every fit.
+
+Neither a model nor a moment of inertia enters: the motion is described by polynomials in each of a few stretches of
+time, with the camera's nuisance functions free, and the restricted likelihood of what is orthogonal to them (H.
+Patterson, R. Thompson, Biometrika 58, 545 (1971)) decides. A slow torque, fitted or missing, is part of the
+polynomials.
+
+Correlated angle noise. Tracking errors are not white: a hub that is estimated from neighbouring frames, a hand-held
+camera or a codec move the measured angle for a time. The angle noise of a run has the covariance
+
+    cov[n(t), n(t')] = a^2 exp(-|t - t'| / T),
+
+an Ornstein-Uhlenbeck process of standard deviation a and correlation time T. Projected rows with unit white noise have
+
+    C = 1 + a^2 (P R P' - f 1) + s^2 K,
+
+P the projection, f the mean of P R P' in the band in which the white noise is measured (it is not counted twice), K the
+response to a random acceleration of rms s. (a, T) maximise the likelihood beside a process noise with a level and a
+correlation time of its own; angle noise is included if twice the log-likelihood ratio exceeds 8.
+
+In a short record the two may fit equally well. Then process noise is accepted as long as its torque is smaller than the
+mean torque on the body; a random torque larger than the one that slows the body is not credible, and the deviations are
+angle noise.
+
+Process noise. A random acceleration of the casing, an Ornstein-Uhlenbeck process of rms s [rad/s2] and correlation time
+T. Level and time are the posterior means of s and ln T; no test decides whether there is process noise. The prior of s
+at a given T is the positive half of a Student distribution with three degrees of freedom; its scale is the camera's
+resolution, the spectral density 2 s^2 T of an acceleration that is white for the rows and as large as their noise in
+half of them. So the level is never zero, and where the data contain no process noise it is a small part of that
+resolution. The prior of T is uniform in ln T from a thirty-second of a block, within which the noise is white for the
+rows, to three blocks, a twentieth of a long record. A stretch with a kink or a jump is far noisier than the others:
+the likelihood of a stretch is a mixture, with a share of a twentieth for a level of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.inference._compression import NOISE_ROWS, Compressed
+
+Array = NDArray[np.float64]
+
+# twice the logarithm of a likelihood ratio that white noise hardly ever reaches
+_SIGNIFICANT = 8.0
+_STRETCHES = 6
+_BINS = 128
+# correlation times in lengths of a block, levels in units of the white noise of the rows
+_TIMES = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0)
+_LEVELS = np.geomspace(0.3, 300.0, 13)
+_SCREENED = (2, 5, 8)
+_TORQUES = np.concatenate([[0.0], np.geomspace(0.1, 1e5, 31)])
+_TORQUE_TIMES = (0.1, 1.0)
+_CELLS_PER_ROW = 2.5
+
+_DEGREE = 11
+# blocks of a stretch, and degree, where a stretch holds several periods of an oscillation
+_SHORT, _MANY = 4, 14
+# rows of the longest stretch
+_LONGEST = 170
+# twice the logarithm of a likelihood ratio that is no contradiction
+_ALLOWED = 6.0
+# stretches up to which none may have a level of its own
+_FEW = 2
+_PROCESS_TIMES = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0, 3.0)
+_PROCESS_LEVELS = np.geomspace(1e-4, 1e6, 121)
+_FINER = 16
+_OWN_LEVEL = 0.05
+_FREEDOM = 3
+_NEGLIGIBLE = 1e-25
+_LEAST = 1e-3
+_WEIGHTY = 1e-4
+_BINNED = 60
+
+
+@dataclass(frozen=True)
+class AngleNoise:
+    """Correlated angle noise of the casing.
+
+    Attributes
+    ----------
+    sigma, sigma_u : float
+        Standard deviation a and its standard uncertainty [rad]; 0 if it is not significant.
+    time : float
+        Correlation time T [s].
+    gain : float
+        Twice the logarithm of the likelihood ratio of this noise against white noise.
+    root, inverse : ndarray, shape (rows, rows)
+        C^(1/2) and C^(-1/2) of the polynomial rows, or empty for white noise.
+    """
+
+    sigma: float = 0.0
+    sigma_u: float = 0.0
+    time: float = 0.0
+    gain: float = 0.0
+    root: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
+    inverse: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
+
+
+def estimate_angle_noise(run: Compressed, nuisance: Array) -> AngleNoise:
+    """Estimate the correlated angle noise of a run.
+
+    Parameters
+    ----------
+    run : Compressed
+        Projected angles.
+    nuisance : ndarray, shape (rows, columns)
+        Polynomial rows of the functions that are free in every fit.
+
+    Returns
+    -------
+    AngleNoise
+        White (`sigma` = 0) if no correlated noise is significant.
+    """
+    stretches = _stretches(run, nuisance)
+    block = float(np.ptp(run.samples.time)) / len(run.lift)
+    torques = [[s.torque(block * t) for t in _TORQUE_TIMES] for s in stretches]
+    white = sum(s.likelihood(None, ())[0] for s in stretches)
+    alone = [s.likelihood(None, t) for s, t in zip(stretches, torques, strict=True)]
+    process = sum(found for found, _ in alone)
+    credible = max(level for _, level in alone) < _mean_acceleration(run)
+    reference = process if credible else white
+
+    def gain(covariance: Array) -> float:
+        both = zip(stretches, torques, strict=True)
+        found = sum(s.likelihood(covariance, t if credible else ())[0] for s, t in both)
+        return 2 * (found - reference)
+
+    covariances = [_covariance(run, block * share) for share in _TIMES]
+    units = [1 / np.sqrt(np.median(np.diag(k)) + 1e-300) for k in covariances]
+    grid = [(u * _LEVELS[:, None, None]) ** 2 for u in units]
+    screened = [[gain(g[j] * k) for j in _SCREENED] for g, k in zip(grid, covariances, strict=True)]
+    if np.max(screened) < 0.25 * _SIGNIFICANT:
+        return AngleNoise(gain=float(np.max(screened)))
+    gains = np.array([[gain(level * k) for level in g] for g, k in zip(grid, covariances, strict=True)])
+    i, j = np.unravel_index(int(np.argmax(gains)), gains.shape)
+    best = float(gains[i, j])
+    if best < _SIGNIFICANT or (not credible and best < 2 * (process - white) - _SIGNIFICANT):
+        return AngleNoise(gain=best)
+    level, relative_u = _level(gains[i], int(j))
+    sigma = level * float(units[i])
+    values, vectors = np.linalg.eigh(np.eye(len(covariances[i])) + sigma**2 * covariances[i])
+    root = (vectors * np.sqrt(values)) @ vectors.T
+    inverse = (vectors / np.sqrt(values)) @ vectors.T
+    return AngleNoise(sigma, relative_u * sigma, block * _TIMES[i], best, root, inverse)
+
+
+def _mean_acceleration(run: Compressed) -> float:
+    """Return the mean absolute acceleration of a run, from the mean speeds in its parts [rad/s2]."""
+    t, y = run.samples.time, run.samples.value
+    edges = np.linspace(0, len(t) - 1, int(np.clip(len(run.lift), 4, 12)) + 1).astype(int)
+    speed = np.diff(y[edges]) / np.diff(t[edges])
+    return float(np.abs(np.diff(speed)).sum() / np.ptp(t))
+
+
+def _level(gains: Array, j: int) -> tuple[float, float]:
+    """Return the level at the top of a parabola in its logarithm, and its relative standard uncertainty."""
+    x = np.log(_LEVELS)
+    j = int(np.clip(j, 1, len(x) - 2))
+    bend, slope, _ = np.polyfit(x[j - 1 : j + 2] - x[j], gains[j - 1 : j + 2], 2)
+    if bend >= 0:
+        return float(_LEVELS[j]), 1.0
+    step = float(np.clip(-slope / (2 * bend), x[0] - x[1], x[1] - x[0]))
+    return float(np.exp(x[j] + step)), float(np.sqrt(-1 / bend))
+
+
+def _covariance(run: Compressed, time: float) -> Array:
+    """Return P R P' - f 1 of a run, without negative eigenvalues."""
+    blocks, k, _ = run.lift.shape
+    forward, backward, first, last, diagonal = [], [], [], [], []
+    for where, operator in run.operators:
+        t = run.samples.time[where]
+        edges = np.unique(np.linspace(0, len(t), _BINS + 1).astype(int))[:-1]
+        p = np.add.reduceat(operator[:k], edges, axis=1)
+        middle = np.add.reduceat(t, edges) / np.diff(np.append(edges, len(t)))
+        diagonal.append(p @ np.exp(-np.abs(middle[:, None] - middle) / time) @ p.T)
+        forward.append(p @ np.exp((middle - t[-1]) / time))
+        backward.append(p @ np.exp((t[0] - middle) / time))
+        first.append(t[0])
+        last.append(t[-1])
+    between = np.exp(-np.maximum(np.array(first) - np.array(last)[:, None], 0.0) / time)
+    upper = np.einsum("bc,bi,cj->bicj", np.triu(between, 1), np.array(forward), np.array(backward))
+    total = upper.reshape(blocks * k, blocks * k)
+    total = total + total.T
+    for b, d in enumerate(diagonal):
+        total[b * k : (b + 1) * k, b * k : (b + 1) * k] += d
+    # rows of degree n have frequencies about n / (2 block lengths)
+    length = float(np.ptp(run.samples.time)) / blocks
+    band, highest = np.arange(k, k + NOISE_ROWS) / (2 * length), np.array((k - 1) / (2 * length))
+    share = float(np.mean(_spectrum(band, time)) / _spectrum(highest, time))
+    values, vectors = np.linalg.eigh(
+        total - share * float(np.median([d[-1, -1] for d in diagonal])) * np.eye(len(total))
+    )
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
+
+
+def _spectrum(frequency: Array, time: float) -> Array:
+    return np.asarray(1 / (1 + (2 * np.pi * frequency * time) ** 2))
+
+
+@dataclass(frozen=True)
+class ProcessNoise:
+    """Random acceleration of the casing, without a fit.
+
+    Attributes
+    ----------
+    level, level_u : float
+        Rms s and its standard uncertainty [rad/s2].
+    time : float
+        Correlation time T [s].
+    least : float
+        The quantile 0.001 of the posterior distribution of s [rad/s2].
+    ratios, weights : ndarray, shape (n,)
+        Posterior distribution of s^2 T, on which the variance of slow rows depends, in units of `level`^2 `time`.
+    """
+
+    level: float
+    level_u: float
+    time: float
+    least: float
+    ratios: Array = field(repr=False)
+    weights: Array = field(repr=False)
+
+    def p_value(self, chi2: float | Array, dof: int, share: float) -> Array:
+        """Return the probability of a larger chi-square, with the level's distribution integrated out.
+
+        Parameters
+        ----------
+        chi2 : float or ndarray
+            Sum of squares of residuals whitened at `level`.
+        dof : int
+            Its degrees of freedom.
+        share : float
+            Share of the process noise in the variance of what was summed.
+        """
+        from scipy.special import chdtrc
+
+        x = np.maximum(np.asarray(chi2, dtype=float), 0.0)
+        scale = 1 - share + share * self.ratios
+        return np.asarray(chdtrc(dof, x[..., None] / scale) @ self.weights)
+
+
+def estimate_process_noise(
+    run: Compressed, nuisance: Array, angle_noise: AngleNoise, *, angle: bool
+) -> ProcessNoise:
+    """Estimate the process noise of a run.
+
+    Parameters
+    ----------
+    run : Compressed
+        Projected angles or speeds.
+    nuisance : ndarray, shape (rows, columns)
+        Polynomial rows of the functions that are free in every fit.
+    angle_noise : AngleNoise
+        Correlated angle noise of the run.
+    angle : bool
+        Whether angles were measured (and not speeds).
+
+    Returns
+    -------
+    ProcessNoise
+    """
+    blocks, k, _ = run.lift.shape
+    times = float(np.ptp(run.samples.time)) / blocks * np.array(_PROCESS_TIMES)
+    angles = None
+    if len(angle_noise.root):
+        angles = angle_noise.root @ angle_noise.root - np.eye(len(angle_noise.root))
+
+    def stretch(part: NDArray[np.intp], degree: int) -> _Stretch:
+        degree = min(degree - (not angle), len(part) * k // 3)
+        found = _Stretch(run, part, nuisance, degree, angle=angle)
+        return found if len(found.seen) else _Stretch(run, part, nuisance[:, :0], 2, angle=angle)
+
+    def description(count: int, degree: int) -> _Description:
+        parts = np.array_split(np.arange(blocks), max(1, count))
+        return _Description([stretch(p, degree) for p in parts], angles)
+
+    found = description(min(_STRETCHES, blocks // _SHORT), _DEGREE)
+    if blocks // _SHORT > _STRETCHES:
+        fine = description(blocks // _SHORT, _MANY)
+        if not found.allowed_by(fine, times):
+            found = fine
+    # where longer stretches do as well, they determine slower noise
+    while len(found.stretches) > 1:
+        pairs = list(zip(found.stretches[::2], found.stretches[1::2], strict=False))
+        longer: list[_Stretch] = []
+        for pair in pairs:
+            blocks_of = np.concatenate([p.blocks for p in pair])
+            one = (
+                _Description([stretch(blocks_of, _DEGREE)], angles)
+                if len(blocks_of) * k <= _LONGEST
+                else None
+            )
+            longer += one.stretches if one is not None and one.allowed_by(found, times) else pair
+        longer += found.stretches[2 * len(pairs) :]
+        if len(longer) == len(found.stretches):
+            break
+        found = _Description(longer, angles)
+    return _process_noise(found, times)
+
+
+class _Description:
+    """Stretches in which the motion is a polynomial, and their restricted likelihood of process noise."""
+
+    def __init__(self, stretches: Sequence[_Stretch], angles: Array | None) -> None:
+        self.stretches = list(stretches)
+        self._roots = [s.root(angles) for s in stretches]
+
+    def unit(self, time: float) -> float:
+        """Return the rms acceleration that is as large as the noise in half of the rows [rad/s2]."""
+        return float(np.median([s.torque(time)[1] for s in self.stretches]))
+
+    def likelihood(self, time: float, levels: Array) -> Array:
+        """Return the log-likelihood of each level [rad/s2] at a correlation time."""
+        total = np.zeros(len(levels))
+        for stretch, root in zip(self.stretches, self._roots, strict=True):
+            covariance, unit = stretch.torque(time)
+            values, vectors = np.linalg.eigh(root @ covariance @ root.T)
+            values, seen = np.maximum(values, 0.0), vectors.T @ (root @ stretch.seen)
+            found = _gaussian(seen, values, levels / unit)
+            if len(self.stretches) > _FEW:
+                own = _gaussian(seen, values, _PROCESS_LEVELS)
+                average = float(np.logaddexp.reduce(own)) - np.log(len(own))
+                found = np.logaddexp(np.log1p(-_OWN_LEVEL) + found, np.log(_OWN_LEVEL) + average)
+            total += found
+        return total
+
+    def allowed_by(self, other: _Description, times: Array) -> bool:
+        """Return whether the noise that these stretches need is one that a finer description allows.
+
+        Polynomials that do not follow the motion need more.
+        """
+        levels = [other.unit(t) * _PROCESS_LEVELS for t in times]
+        own = np.array([self.likelihood(t, x) for t, x in zip(times, levels, strict=True)])
+        finer = np.array([other.likelihood(t, x) for t, x in zip(times, levels, strict=True)])
+        allowed = 2 * (finer.max() - finer) < _ALLOWED
+        return bool(2 * (own.max() - own[allowed].max()) < _ALLOWED)
+
+
+def _gaussian(seen: Array, values: Array, levels: Array) -> Array:
+    """Return the log-likelihood of independent rows of variance 1 + level^2 value, for each level."""
+    variance = 1 + levels[:, None] ** 2 * values
+    return np.asarray(-0.5 * (np.log(variance) + seen**2 / variance).sum(axis=1))
+
+
+def _process_noise(description: _Description, times: Array) -> ProcessNoise:
+    """Return the posterior of level and correlation time on a grid of times, refined where its weight is."""
+    resolution = 2 * times[0] * description.unit(times[0]) ** 2
+    levels, density = _posterior(description, times, resolution)
+    total = density.sum(axis=1)
+    weighty = np.flatnonzero(total > _WEIGHTY * total.max())
+    if len(weighty) < len(times) // 2:
+        first, last = max(weighty[0] - 1, 0), min(weighty[-1] + 1, len(times) - 1)
+        times = np.geomspace(times[first], times[last], len(times))
+        levels, density = _posterior(description, times, resolution)
+    weight = density.sum(axis=1)
+    time = float(np.exp(weight @ np.log(times)))
+    level = float(np.sum(density * levels))
+    level_u = float(np.sqrt(np.sum(density * (levels - level) ** 2)))
+    flat, order = density.ravel(), np.argsort(levels.ravel())
+    least = float(levels.ravel()[order][np.searchsorted(np.cumsum(flat[order]), _LEAST)])
+    ratios, weights = _binned((levels**2 * times[:, None]).ravel() / (level**2 * time), flat)
+    return ProcessNoise(level, level_u, time, least, ratios, weights)
+
+
+def _posterior(description: _Description, times: Array, resolution: float) -> tuple[Array, Array]:
+    """Return levels [rad/s2] and their probabilities, (times, levels): equally spaced in both logarithms."""
+    from scipy.interpolate import CubicSpline
+
+    levels, found = [], []
+    for time in times:
+        own = description.unit(time) * _PROCESS_LEVELS
+        fine = np.geomspace(own[0], own[-1], _FINER * len(own))
+        likelihood = CubicSpline(np.log(own), description.likelihood(time, own))(np.log(fine))
+        scale = np.sqrt(resolution / (2 * time))
+        prior = -0.5 * (_FREEDOM + 1) * np.log1p((fine / scale) ** 2 / _FREEDOM) - np.log(scale)
+        levels.append(fine)
+        found.append(likelihood + prior + np.log(fine))
+    density = np.array(found)
+    density = np.exp(density - density.max())
+    return np.array(levels), density / density.sum()
+
+
+def _binned(values: Array, weights: Array) -> tuple[Array, Array]:
+    """Return the means and the weights of bins that are equally spaced in the logarithm of the values."""
+    kept = weights > _NEGLIGIBLE
+    values, weights = values[kept], weights[kept]
+    edges = np.geomspace(values.min(), values.max() * (1 + 1e-9), _BINNED + 1)
+    place = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, _BINNED - 1)
+    total = np.bincount(place, weights, _BINNED)
+    mean = np.bincount(place, weights * values, _BINNED)
+    return mean[total > 0] / total[total > 0], total[total > 0] / total.sum()
+
+
+class _Stretch:
+    """Rows of some neighbouring blocks, without what is free in them."""
+
+    def __init__(
+        self, run: Compressed, blocks: NDArray[np.intp], nuisance: Array, degree: int, *, angle: bool = True
+    ) -> None:
+        k = run.lift.shape[1]
+        self.blocks = blocks
+        self._angle = angle
+        self._torques: dict[float, tuple[Array, float]] = {}
+        self.rows = (blocks[:, None] * k + np.arange(k)).ravel()
+        self._nodes = run.node_times.reshape(-1, k)[blocks]
+        self._lift = run.lift[blocks]
+        x = 2 * (self._nodes - self._nodes.min()) / np.ptp(self._nodes) - 1
+        powers = np.polynomial.legendre.legvander(x.ravel(), degree).reshape(*x.shape, -1)
+        free = np.concatenate([self._seen(powers), nuisance[self.rows]], axis=1)
+        size = np.linalg.norm(free, axis=0)
+        u, s, _ = np.linalg.svd(free[:, size > 0] / size[size > 0], full_matrices=True)
+        self._outside = u[:, int((s > 1e-7 * s[0]).sum()) :]
+        self.seen = self._outside.T @ run.z[self.rows]
+
+    def _seen(self, values: Array) -> Array:
+        return np.asarray((self._lift @ values).reshape(len(self.rows), -1))
+
+    def torque(self, time: float) -> tuple[Array, float]:
+        """Return the covariance by a random acceleration, with a median variance of 1, and its rms [rad/s2]."""
+        if time not in self._torques:
+            self._torques[time] = self._torque(time)
+        return self._torques[time]
+
+    def _torque(self, time: float) -> tuple[Array, float]:
+        cells = np.linspace(self._nodes.min(), self._nodes.max(), int(_CELLS_PER_ROW * len(self.rows)))
+        width = float(cells[1] - cells[0])
+        since = np.maximum(self._nodes[..., None] - cells, 0.0)
+        if not self._angle:
+            # a speed, which grows while a cell lasts
+            since = np.minimum(since / width, 1.0)
+        answer = self._outside.T @ self._seen(since) * width
+        total = answer @ np.exp(-np.abs(cells[:, None] - cells) / time) @ answer.T
+        size = float(np.median(np.diag(total)))
+        return np.asarray(total / size), 1 / float(np.sqrt(size))
+
+    def root(self, angle: Array | None) -> Array:
+        """Return what whitens the rows if they have this covariance beside unit white noise."""
+        m = len(self.seen)
+        if angle is None:
+            return np.eye(m)
+        inner = self._outside.T @ angle[np.ix_(self.rows, self.rows)] @ self._outside
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(np.eye(m) + inner)))
+
+    def likelihood(self, angle: Array | None, torques: Sequence[tuple[Array, float]]) -> tuple[float, float]:
+        """Return the largest restricted log-likelihood over the levels of process noise, and that level [rad/s2]."""
+        if not len(self.seen):
+            return 0.0, 0.0
+        root = self.root(angle)
+        constant = float(np.log(np.diag(root)).sum())
+        white = root @ self.seen
+        best = (-0.5 * float(white @ white), 0.0)
+        for k, unit in torques:
+            values, vectors = np.linalg.eigh(root @ k @ root.T)
+            seen = vectors.T @ white
+            likelihood = _gaussian(seen, np.maximum(values, 0.0), _TORQUES)
+            i = int(np.argmax(likelihood))
+            best = max(best, (float(likelihood[i]), float(_TORQUES[i]) * unit))
+        return constant + best[0], best[1]
+
+
+def _stretches(run: Compressed, nuisance: Array) -> list[_Stretch]:
+    blocks = len(run.lift)
+    parts = np.array_split(np.arange(blocks), max(1, min(_STRETCHES, blocks // 4)))
+    return [_Stretch(run, part, nuisance, 3 if len(part) < 8 else len(part) + 1) for part in parts]

@@ -1,0 +1,111 @@
+"""Oscillators fitted from nothing given, against independent integration and the analytic damped oscillator."""
+
+import numpy as np
+import oscillators
+import pytest
+
+from fitting.dynamics._events import solve
+from fitting.dynamics._mesh import Mesh, Sampler
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
+from fitting.inference._fit import fit
+from fitting.inference._oscillation import find_oscillation, turning_points
+
+SPRING, DRAG = "casing.spring.linear", "casing.air.linear"
+
+
+def analytic(t, k, drag, angle):
+    """A damped oscillator of unit inertia, released at rest."""
+    decay = drag / 2
+    rate = np.sqrt(k - decay**2)
+    return angle * np.exp(-decay * t) * (np.cos(rate * t) + decay / rate * np.sin(rate * t))
+
+
+def within(result, truth, sigmas=4.0):
+    for name, value in truth.items():
+        found = result.estimates[name]
+        assert abs(found.value - value) < sigmas * found.stderr, (name, found, value)
+
+
+@pytest.mark.parametrize("quantity", ["angle", "omega"])
+def test_a_damped_oscillator_from_nothing_given(quantity):
+    t = np.arange(0, 30, 0.01)
+    angle = analytic(t, 12.0, 0.08, 1.2)
+    rate = np.sqrt(12.0 - 0.04**2)
+    value = angle if quantity == "angle" else -1.2 * 12.0 / rate * np.exp(-0.04 * t) * np.sin(rate * t)
+    found = fit(Model.of([SPRING, DRAG]), [oscillators.record(t, value, 2e-3, 0, quantity)])
+    within(found, {f"{SPRING}.k": 12.0, f"{DRAG}.b2": 0.08, "initial.deflection@body": 1.2})
+    # Cramer-Rao: sigma_k = 2 w sigma_w, with the phase of N samples spread over the record
+    assert found.estimates[f"{SPRING}.k"].stderr < 2e-3
+    assert found.estimates["initial.deflection@body"].unit == "rad"
+    assert found.verdict == "adequate"
+
+
+def test_a_pendulum_of_large_amplitude():
+    t, angle, _ = oscillators.motion(lambda t, a, w: -25 * np.sin(a) - 0.05 * w, (2.2, 0.0), 20.0)
+    found = fit(Model.of(["casing.gravity", DRAG]), [oscillators.record(t, angle + 0.4, 1e-3, 1)])
+    within(found, {"casing.gravity.k": 25.0, f"{DRAG}.b2": 0.05, "initial.deflection@body": 2.2})
+
+
+def test_dry_friction_through_reversals_until_the_body_stays_at_rest():
+    t, angle, _ = oscillators.motion(lambda t, a, w: -10 * a - 0.05 * w, (1.0, 0.0), 25.0, dry=0.15)
+    found = fit(Model.of([SPRING, DRAG, "touchpoint.constant"]), [oscillators.record(t, angle, 1e-3, 2)])
+    within(found, {f"{SPRING}.k": 10.0, f"{DRAG}.b2": 0.05, "touchpoint.constant.b1": 0.15})
+
+
+def test_reversals_solved_at_once_are_those_found_one_by_one():
+    dynamics = Dynamics(Model.of([SPRING, DRAG, "touchpoint.constant"]))
+    numbers = {f"{SPRING}.k": 10.0, f"{DRAG}.b2": 0.02, "touchpoint.constant.b1": 0.3}
+    numbers |= {INERTIA_ROTOR: 1.0, INERTIA_CASING: 1.0}
+    start, mesh = np.array([0.0, 1.0, -1.0]), Mesh.uniform(0.0, 30.0, 90)
+    near = solve(dynamics, numbers, start, mesh)
+    moved = numbers | {"touchpoint.constant.b1": 0.28, f"{SPRING}.k": 10.1}
+    together, alone = solve(dynamics, moved, start, mesh, near), solve(dynamics, moved, start, mesh)
+    t = np.linspace(0, 30, 400)
+    states = [Sampler(p.mesh, t).value(p.y) for p in (together, alone)]
+    np.testing.assert_allclose(states[0], states[1], atol=1e-10)
+    assert len(together.jumps) == len(alone.jumps) != len(near.jumps)
+
+
+def test_the_derivative_by_dry_friction_through_reversals():
+    from fitting.dynamics._sensitivities import sensitivities
+
+    dynamics = Dynamics(Model.of([SPRING, "touchpoint.constant"]))
+    numbers = {f"{SPRING}.k": 10.0, "touchpoint.constant.b1": 0.1, INERTIA_ROTOR: 1.0, INERTIA_CASING: 1.0}
+    start, mesh = np.array([0.0, 0.5, -1.0]), Mesh.uniform(0.0, 8.0, 30)
+    path = solve(dynamics, numbers, start, mesh)
+    slope = sensitivities(dynamics, numbers, path).edges[-1]
+    for column, key in enumerate(dynamics.parameters):
+        ends = [
+            solve(dynamics, numbers | {key: numbers[key] + step}, start, mesh).edges[-1]
+            for step in (1e-5, -1e-5)
+        ]
+        np.testing.assert_allclose(slope[:, column], (ends[0] - ends[1]) / 2e-5, atol=1e-6)
+    up, down = (solve(dynamics, numbers, start + np.array([0, 0, h]), mesh).edges[-1] for h in (1e-5, -1e-5))
+    np.testing.assert_allclose(slope[:, -1], (up - down) / 2e-5, atol=1e-6)
+
+
+def test_turning_points_need_more_than_the_noise():
+    t = np.linspace(0, 4 * np.pi, 400)
+    assert len(turning_points(np.sin(t), 0.1)) == 4
+    assert len(turning_points(0.04 * np.sin(t), 0.1)) == 0
+
+
+def test_a_body_that_turns_in_one_sense_does_not_oscillate():
+    t = np.arange(0, 20, 0.01)
+    assert find_oscillation(oscillators.record(t, 30 * t - 0.7 * t**2, 1e-3, 0)) is None
+    swing = find_oscillation(oscillators.record(t, 3.0 + analytic(t, 10.0, 0.1, 1.0), 1e-3, 0))
+    assert swing is not None
+    assert swing.period == pytest.approx(2 * np.pi / np.sqrt(10.0 - 0.05**2), rel=5e-3)
+    assert np.abs(swing.deflection - analytic(t, 10.0, 0.1, 1.0)).max() < 0.02
+
+
+def test_a_step_of_friction_between_reversals():
+    dynamics = Dynamics(Model.of([SPRING, "touchpoint.constant", "touchpoint.step"]))
+    numbers = {f"{SPRING}.k": 10.0, "touchpoint.constant.b1": 0.1, "touchpoint.step.k": 0.1}
+    numbers |= {"touchpoint.step.t0": 4.1, INERTIA_ROTOR: 1.0, INERTIA_CASING: 1.0}
+    start, mesh = np.array([0.0, 0.5, -1.0]), Mesh.uniform(0.0, 8.0, 30)
+    near = solve(dynamics, numbers, start, mesh)
+    for t0 in (4.2, 5.6):
+        moved = numbers | {"touchpoint.step.t0": t0}
+        ends = [solve(dynamics, moved, start, mesh, guess).edges[-1] for guess in (near, None)]
+        np.testing.assert_allclose(*ends, atol=1e-10)
