@@ -53,7 +53,8 @@ _PATHS = "clips contact_sheet csv effects film films folder latex ledger output 
 FOUND = frozenset(f"{_COMPUTE} {_PATHS}".split())
 # options that only the user may set: replacing or deleting files, addresses, certificates, ports, the desktop, the cores
 REFUSED = frozenset({
-    "force", "scheduler", "tls_ca", "tls_cert", "tls_key", "port", "browser", "answer", "delete", "save_law", "workers",
+    "force", "scheduler", "tls_ca", "tls_cert", "tls_key", "port", "browser", "answer", "delete", "note", "save_law",
+    "workers",
 })  # fmt: skip
 
 
