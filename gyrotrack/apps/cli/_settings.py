@@ -51,11 +51,10 @@ _COMPUTE = (
 # options whose values are files to read or to write; a found file may name those in its own folder
 _PATHS = "clips contact_sheet csv effects film films folder latex ledger output overlay picture plot report"
 FOUND = frozenset(f"{_COMPUTE} {_PATHS}".split())
-# options that only the user may set: replacing or deleting files, addresses, certificates, ports, the desktop, the cores
-REFUSED = frozenset({
-    "force", "scheduler", "tls_ca", "tls_cert", "tls_key", "port", "browser", "answer", "delete", "note", "save_law",
-    "workers",
-})  # fmt: skip
+# options that only the user may set: replacing or deleting results, addresses, certificates, ports, cores
+REFUSED = frozenset(
+    "answer browser delete force note port save_law scheduler tls_ca tls_cert tls_key workers".split()  # noqa: SIM905
+)
 
 
 @dataclass(frozen=True)
