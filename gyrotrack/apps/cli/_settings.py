@@ -53,7 +53,7 @@ _PATHS = "clips contact_sheet csv effects film films folder latex ledger output 
 FOUND = frozenset(f"{_COMPUTE} {_PATHS}".split())
 # options that only the user may set: replacing or deleting results, addresses, certificates, ports, cores
 REFUSED = frozenset(
-    "answer browser delete force note port save_law scheduler tls_ca tls_cert tls_key workers".split()  # noqa: SIM905
+    "answer browser delete force name note port save_law scheduler tls_ca tls_cert tls_key workers".split()  # noqa: SIM905
 )
 
 
