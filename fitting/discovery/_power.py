@@ -318,7 +318,7 @@ class ActiveBounds:
             b = self.inverse @ data - sign * limit * change
             if ((b >= self.room[0]) & (b <= self.room[1])).all():
                 return limit
-            r = np.linalg.qr(np.column_stack([self.free, sign * response, data]), mode="r")
+            r: Array = np.asarray(np.linalg.qr(np.column_stack([self.free, sign * response, data]), mode="r"))
             size = np.linalg.norm(r[:, :-2], axis=0)
             size[size == 0] = 1.0
             bounds = np.full((2, len(size)), np.inf) * [[-1], [1]]
@@ -635,7 +635,7 @@ def _profile_limit(free: Array, response: Array, data: Array, bounds: Array, lim
     from scipy.optimize import brentq, lsq_linear, minimize_scalar
 
     def profile(k: float) -> float:
-        return 2 * float(lsq_linear(free, data - k * response, bounds, method="bvls").cost)
+        return 2 * float(lsq_linear(free, data - k * response, (bounds[0], bounds[1]), method="bvls").cost)
 
     best = minimize_scalar(profile, bounds=(0.0, limit), method="bounded", options={"xatol": 1e-3 * limit})
     at, least = (0.0, profile(0.0)) if profile(0.0) <= best.fun else (float(best.x), float(best.fun))
