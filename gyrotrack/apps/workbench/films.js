@@ -209,8 +209,23 @@
       : "The motion is fitted and diagnosed already; the laboratory shows where the model fails and tests every candidate effect.")
       : "The reduced model of the paper is fitted; the laboratory then shows where it fails and tests every candidate effect.";
     clocks();
+    at("next").textContent = guide();
     const done = { sources: !project.missing.track.length, track: project.sources.length > 0 && project.sources.every((x) => x.is_current), match: project.is_matched, fit: project.can_open };
     for (const [name, value] of Object.entries(done)) at(`step-${name}`).classList.toggle("done", value);
+  }
+
+  /* what to do next, for somebody who is here for the first time */
+  function guide() {
+    const films = project.sources.filter((x) => x.kind === "film"), busy = Object.values(project.jobs).some(active) || films.some((x) => active(x.jobs.track));
+    if (busy) return "The program works; the page may be closed meanwhile.";
+    if (!project.sources.length) return project.samples ? "Begin with your own films, or with the sample clips: four films of one run, with the notes of the experimenter." : "Begin with your films.";
+    if (project.missing.track.length) return `Next: ${project.missing.track[0]}`;
+    if (films.some((x) => !x.is_current)) {
+      const seen = films.some((x) => x.jobs.preview?.state === "done");
+      return seen ? "Next: track the films." : "Next: choose a film, press \u201cFollow the markers\u201d and check that they are; then track the films.";
+    }
+    if (!project.is_matched) return project.missing.match.length ? `Next: ${project.missing.match[0]}` : "Next: match the clocks. The casing, which all cameras see, determines when each film starts.";
+    return project.can_open ? "Next: open the laboratory." : project.route === "single" ? "" : "Next: fit. The laboratory then shows where the model fails and names what could be missing.";
   }
 
   /* the clips on the clock of the casing's camera */
