@@ -210,7 +210,10 @@ def knockoff_names(base: Fit) -> list[LawForm]:
 
 
 def gplearn_answer(w: World, base: Fit, seed: int) -> tuple[str, float]:
-    """Return a formula of gplearn for the unmodelled torque on the casing, and its rms error over that of the law (less what the base absorbs)."""
+    """Return a formula of gplearn for the torque on the casing, and its rms error.
+
+    Both are less what the base absorbs; the error is relative to the rms of the law.
+    """
     from gplearn.genetic import SymbolicRegressor
 
     cases = series(base)

@@ -214,8 +214,8 @@ Torque error: rms of the net torques of the best law's fit minus the true ones, 
 the rms of the hidden torque. Third recording: rms error of the casing's angle over the noise; touch point, drag of the
 casing and start speeds free. Oracle: size of the law in sigma for one who knows it, its constants and the noise.
 
-The diagnosis that precedes the search in the command is left out here: these are figures of the search alone. Most forms
-of the hidden laws are in the grammar; their constants, bodies and mixtures with the base are drawn.
+The diagnosis that precedes the search in the command is left out here: these are figures of the search alone. Most
+forms of the hidden laws are in the grammar; their constants, bodies and mixtures with the base are drawn.
 """
 
 
