@@ -273,6 +273,7 @@ class NextRunDocument(Document):
     windows: list[Number]
     window_length: Number
     inertia_casing_ratio: Number
+    touchpoint_ratio: Number
     rivals: list[list[str]]
     separation_sigma: Number
     present_sigma: Number

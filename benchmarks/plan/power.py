@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import binom, norm
+from scipy.stats import binom
 
 from fitting import Experiment, Model, diagnose, fit, simulate
 from fitting.discovery._planned_recordings import PlannedRecordings
-from fitting.discovery._power import Search
+from fitting.discovery._power import Search, delta_of_power
 from fitting.effects._library import LIBRARY, REDUCED
 
 NUMBERS = {
@@ -60,15 +60,12 @@ def cells(path: Path) -> list[dict[str, Any]]:
         return found
     experiment = Experiment(torque_noise=1e-7)
     described = PlannedRecordings(Model.of(REDUCED), NUMBERS, INERTIAS, (experiment,), {}, "benchmark")
-    search = Search(described.fit())
+    search = Search(described.fit(), truth=described.numbers)
     found = []
     for name in EFFECTS:
         limits = search.limits(LIBRARY[name], planned=True)
-        rising = np.maximum.accumulate(limits.curve[:, 1])
         for power in POWERS:
-            delta = float(
-                np.interp(norm.ppf(power), norm.ppf(np.clip(rising, 1e-3, 1 - 1e-3)), limits.curve[:, 0])
-            )
+            delta = delta_of_power(limits.curve, power)
             predicted = float(np.interp(delta, limits.curve[:, 0], limits.curve[:, 1]))
             strength = delta * limits.stderr
             found.append({

@@ -57,6 +57,8 @@ class Run:
         Length of each window [s].
     ring : float
         Moment of inertia of the casing over the present one.
+    surface : float
+        Friction at the touch point over the present one.
     """
 
     omega_rotor: float
@@ -65,6 +67,7 @@ class Run:
     windows: tuple[float, ...]
     window_length: float
     ring: float = 1.0
+    surface: float = 1.0
 
 
 class Information:
@@ -166,6 +169,9 @@ def simulated(fit: Fit, run: Run) -> Fit:
     template = fit.problem.data[0].record
     layout = fit.problem.layout
     numbers = layout.numbers(fit.theta, 0) | {INERTIA_CASING: template.I_casing * run.ring}
+    for effect in fit.model.smooth.effects:
+        if effect.per_surface and effect.amplitude is not None:
+            numbers[f"{effect.name}.{effect.amplitude.symbol}"] *= run.surface
     experiment = Experiment(
         omega_rotor=run.omega_rotor,
         omega_casing=run.omega_casing,

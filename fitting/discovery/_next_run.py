@@ -6,9 +6,10 @@ of the shared parameters and of its own strengths is
     D_ab = g_a' [ I_aa - I_ao I_oo^-1 I_oa ] g_a,       o = parameters and candidates of b,
 
 the expected difference of deviance (twice the Kullback-Leibler divergence) between the two, with the information I of
-all recordings and the planned run (`fitting.discovery._information`). The criterion of a run is the smallest D over all
-ordered pairs of rivals (T-optimality: A. Atkinson, V. Fedorov, Biometrika 62, 57 (1975)). Without rivals it is the mean
-logarithm of the information about each candidate's strength: the mean gain in detection limits.
+all recordings and the planned run (`fitting.discovery._information`). The criterion of a run
+is the sum of two gains in natural units of information: the logarithm of 1 + the smallest D over all ordered pairs of
+rivals (T-optimality: A. Atkinson, V. Fedorov, Biometrika 62, 57 (1975)), which counts up to a clear separation, and the
+mean logarithm of the information about each candidate's strength: what lowers the detection limits.
 
 The search is quasi-random over the bounds, then local with shrinking steps.
 """
@@ -19,6 +20,7 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,11 +38,19 @@ Progress = Callable[[int, int | None], None]
 
 # moment of inertia of a casing with an inertia ring over the present one
 _RING = 1.5
-# a ring is proposed if it is worth as much as so many runs
+# friction of another surface over the present one
+_SURFACE = 3.0
+# a change of the apparatus is proposed if it gains as much as so many runs
 _WORTH = 1.5
+# separations count up to so many times the square of `Criteria.experiment_sigma`
+_AMPLE = 4.0
 # largest logarithm of a gain in information that counts
 _CAP = 50.0
 _RANDOM = 20
+# steps of the local search end at this share of the bounds
+_FINEST = 0.02
+# difference of deviance that some run must reach, or two rivals count as inseparable
+_SEPARABLE = 1.0
 _ELSE = "change what only one of them depends on (air pressure, surface, lubricant)."
 
 
@@ -58,6 +68,8 @@ class Bounds:
         Duration of the recording [s].
     inertia_casing : tuple of float
         Moment of inertia of the casing over the present one, with an inertia ring.
+    touchpoint : tuple of float
+        Friction at the touch point over the present one, on another surface.
     reversible : bool
         The rotor can be started in the other sense of rotation.
     """
@@ -66,6 +78,7 @@ class Bounds:
     omega_casing: tuple[float, float]
     duration: tuple[float, float]
     inertia_casing: tuple[float, float] = (1.0, _RING)
+    touchpoint: tuple[float, float] = (1 / _SURFACE, _SURFACE)
     reversible: bool = True
 
     @classmethod
@@ -133,10 +146,14 @@ class NextRun:
 
 
 class _Criterion:
-    """The value of information: larger is better."""
+    """The value of a run, in natural units of information: larger is better."""
 
     def __init__(
-        self, information: Information, rivals: Sequence[Rival], ignored: Sequence[tuple[int, int]] = ()
+        self,
+        information: Information,
+        rivals: Sequence[Rival],
+        criteria: Criteria,
+        ignored: Sequence[tuple[int, int]] = (),
     ) -> None:
         self._all = list(range(information.parameters))
         # what some explanation does without is no part of all of them
@@ -144,6 +161,10 @@ class _Criterion:
         self._base = [k for k in self._all if k not in questioned]
         self._rivals, self._ignored = rivals, set(ignored)
         self._candidates = [information.places(i) for i in range(len(information.candidates))]
+        self._present = information.present
+        self._before = np.maximum(self.limits(self._present), 1e-300)
+        # rivals so far apart need no more
+        self._enough = _AMPLE * criteria.experiment_sigma**2
 
     def pairs(self, total: Array) -> dict[tuple[int, int], float]:
         """Return the expected difference of deviance of each ordered pair of rivals."""
@@ -168,13 +189,13 @@ class _Criterion:
             [float(np.trace(schur(total, places, self._all))) / len(places) for places in self._candidates]
         )
 
-    def __call__(self, total: Array, present: Array) -> float:
-        if self._rivals:
-            pairs = [v for k, v in self.pairs(total).items() if k not in self._ignored]
-            # the worst pair decides; the others break ties
-            return min(pairs) + 1e-3 * float(np.mean(np.minimum(pairs, 1e6))) if pairs else 0.0
-        before, after = np.maximum(self.limits(present), 1e-300), np.maximum(self.limits(total), 1e-300)
-        return float(np.mean(np.minimum(np.log(after / before), _CAP)))
+    def __call__(self, total: Array) -> float:
+        after = np.maximum(self.limits(total), 1e-300)
+        value = float(np.mean(np.minimum(np.log(after / self._before), _CAP)))
+        if not self._rivals:
+            return value
+        now, then = (min(self.separation(x), self._enough) for x in (self._present, total))
+        return value + math.log((1 + then) / (1 + now)) if math.isfinite(then) else value
 
 
 def next_run(
@@ -208,13 +229,13 @@ def next_run(
     NextRun or None
         None if no run can be simulated.
     """
-    search = _RunSearch(information, rivals, bounds, evaluations, progress)
+    search = _RunSearch(information, rivals, criteria, bounds, evaluations, progress)
     search.explore()
     if not search.tried:
         return None
     search.refine()
     search.vary_apparatus()
-    return search.result(criteria)
+    return search.result()
 
 
 _FEW = 24
@@ -271,27 +292,44 @@ def _strengths(effect: Effect, values: Mapping[str, float]) -> list[float]:
     return [k * math.cos(values[role["phase"]]), k * math.sin(values[role["phase"]])]
 
 
+class _Tried(NamedTuple):
+    """A run that was simulated: its value, its point in the unit cube, sense of rotation, and information."""
+
+    value: float
+    x: Array
+    sense: float
+    run: Run
+    added: Array
+    planned: Fit
+
+
 class _RunSearch:
     def __init__(
         self,
         information: Information,
         rivals: Sequence[Rival],
+        criteria: Criteria,
         bounds: Bounds,
         evaluations: int,
         progress: Progress | None,
     ) -> None:
         self._information, self._rivals, self._bounds = information, rivals, bounds
-        self._evaluations, self._progress = evaluations, progress
-        record = information.fit.problem.data[0].record
-        self._windows = len(record.rotor)
-        self._length = (
-            float(np.median([w.time[-1] - w.time[0] for w in record.rotor])) if record.rotor else 0.0
-        )
-        self._criterion = _Criterion(information, rivals)
-        self.tried: list[tuple[float, Run, Array, Fit]] = []
+        self._criteria, self._evaluations, self._progress = criteria, evaluations, progress
+        data = information.fit.problem.data
+        windows = data[0].record.rotor
+        self._windows = len(windows)
+        self._length = float(np.median([w.time[-1] - w.time[0] for w in windows])) if windows else 0.0
+        self._start = float(data[0].initial_speeds[1][0, 1])
+        self._criterion = _Criterion(information, rivals, criteria)
+        self._inseparable: list[tuple[int, int]] = []
+        self.tried: list[_Tried] = []
         self._count = 0
 
-    def _run(self, x: Array, ring: float = 1.0, sense: float = 1.0) -> Run:
+    @property
+    def _best(self) -> _Tried:
+        return max(self.tried, key=lambda t: t.value)
+
+    def _run(self, x: Array, sense: float) -> Run:
         """Return the run of a point of the unit cube."""
         b = self._bounds
         rotor, casing, duration = (
@@ -301,100 +339,73 @@ class _RunSearch:
         length = min(self._length, duration / max(self._windows, 1))
         free = duration - self._windows * length
         starts = [float(s * free + i * length) for i, s in enumerate(np.sort(x[3:]))]
-        return Run(float(sense * rotor), float(casing), float(duration), tuple(starts), float(length), ring)
+        return Run(float(sense * rotor), float(casing), float(duration), tuple(starts), float(length))
 
-    def _try(self, run: Run) -> float:
+    def _try(self, x: Array, sense: float, run: Run) -> _Tried | None:
         self._count += 1
         if self._progress is not None:
             self._progress(min(self._count, self._evaluations), self._evaluations)
         try:
             added, planned = self._information.of_run(run)
         except (FittingError, np.linalg.LinAlgError):
-            return -math.inf
+            return None
         if not np.isfinite(added).all():
-            return -math.inf
-        value = self._criterion(self._information.present + added, self._information.present)
-        self.tried.append((value, run, added, planned))
-        return value
+            return None
+        return _Tried(self._criterion(self._information.present + added), x, sense, run, added, planned)
+
+    def _keep(self, x: Array, sense: float) -> None:
+        found = self._try(x, sense, self._run(x, sense))
+        if found is not None:
+            self.tried.append(found)
 
     def explore(self) -> None:
-        """Try quasi-random runs, and ignore pairs of rivals that none of them separates."""
+        """Try usual and quasi-random runs, and ignore pairs of rivals that none of them separates."""
         from scipy.stats import qmc
 
         b = self._bounds
-        points = qmc.Sobol(3, seed=1).random(32)[: max(8, min(_RANDOM, self._evaluations // 3))]
+        low, high = b.omega_casing
+        usual = float(np.clip((self._start - low) / max(high - low, 1e-300), 0.0, 1.0))
+        corners = [(1.0, usual), (0.5, usual), (1.0, 1.0), (1.0, 0.0)]
+        count = max(4, min(_RANDOM, self._evaluations // 3))
+        points = [*(np.array([*c, 0.5]) for c in corners), *qmc.Sobol(3, seed=1).random(32)[:count]]
         shares = np.linspace(0.03, 0.97, self._windows) if self._windows > 1 else np.full(self._windows, 0.03)
-        rest = (0.0 - b.omega_casing[0]) / max(b.omega_casing[1] - b.omega_casing[0], 1e-300)
-        usual = [
-            np.array([1.0, np.clip(rest, 0, 1), 0.5]),
-            np.array([0.5, np.clip(rest, 0, 1), 0.5]),
-            np.array([1.0, 1.0, 0.5]),
-            np.array([1.0, 0.0, 0.5]),
-        ]
-        self._points: list[tuple[float, Array, float]] = []
-        for i, p in enumerate([*usual, *points]):
-            # every third run reverses the rotor where it can
-            sense = -1.0 if b.reversible and i >= len(usual) and i % 3 == 2 else 1.0
-            x = np.concatenate([p, shares])
-            self._points.append((self._try(self._run(x, sense=sense)), x, sense))
+        for i, p in enumerate(points):
+            # every third of the quasi-random runs is reversed where the apparatus can
+            reversed_ = b.reversible and i >= len(corners) and i % 3 == 2
+            self._keep(np.concatenate([p, shares]), -1.0 if reversed_ else 1.0)
         if self._rivals and self.tried:
-            pairs = [
-                self._criterion.pairs(self._information.present + added) for _, _, added, _ in self.tried
-            ]
-            self._inseparable = [k for k in pairs[0] if max(p[k] for p in pairs) < 1.0]
-            self._criterion = _Criterion(self._information, self._rivals, self._inseparable)
-            self.tried = [
-                (
-                    self._criterion(self._information.present + added, self._information.present),
-                    run,
-                    added,
-                    planned,
-                )
-                for _, run, added, planned in self.tried
-            ]
-            kept = iter([v for v, _, _, _ in self.tried])
-            self._points = [(next(kept) if np.isfinite(v) else v, x, s) for v, x, s in self._points]
-        else:
-            self._inseparable = []
+            present = self._information.present
+            pairs = [self._criterion.pairs(present + t.added) for t in self.tried]
+            self._inseparable = [k for k in pairs[0] if max(p[k] for p in pairs) < _SEPARABLE]
+            self._criterion = _Criterion(self._information, self._rivals, self._criteria, self._inseparable)
+            self.tried = [t._replace(value=self._criterion(present + t.added)) for t in self.tried]
 
     def refine(self) -> None:
-        """Move the best run's settings one by one, with shrinking steps."""
-        value, x, sense = max(self._points, key=lambda p: p[0])
-        step = 0.25
+        """Move the settings of the best run one by one, with shrinking steps."""
+        best, step = self._best, 0.25
         random = np.random.default_rng(3)
-        while self._count < self._evaluations and step > 0.02:
-            better = False
-            for k in random.permutation(len(x)):
-                for sign in (1.0, -1.0):
-                    if self._count >= self._evaluations:
-                        break
-                    other = x.copy()
-                    other[k] = np.clip(other[k] + sign * step, 0.0, 1.0)
-                    if other[k] == x[k]:
-                        continue
-                    found = self._try(self._run(other, sense=sense))
-                    if found > value:
-                        value, x, better = found, other, True
-                        break
-            step *= 1.0 if better else 0.5
-        self._best, self._sense = x, sense
+        while self._count < self._evaluations and step > _FINEST:
+            for k, sign in itertools.product(random.permutation(len(best.x)), (1.0, -1.0)):
+                other = best.x.copy()
+                other[k] = np.clip(other[k] + sign * step, 0.0, 1.0)
+                if other[k] != best.x[k] and self._count < self._evaluations:
+                    self._keep(other, best.sense)
+            step *= 1.0 if self._best is not best else 0.5
+            best = self._best
 
     def vary_apparatus(self) -> None:
-        """Try the best run with an inertia ring on the casing; it is proposed only if it is worth the work."""
-        low, high = self._bounds.inertia_casing
-        best = max(v for v, *_ in self.tried)
-        for ring in dict.fromkeys((low, high)):
-            if ring == 1.0:
-                continue
-            value = self._try(self._run(self._best, ring=ring, sense=self._sense))
-            enough = value > _WORTH * best if self._rivals else value > best + math.log(_WORTH)
-            if np.isfinite(value) and not enough:
-                self.tried.pop()
+        """Try the best run with an inertia ring and on other surfaces, proposed only if worth the work."""
+        best = self._best
+        rings = [replace(best.run, ring=r) for r in self._bounds.inertia_casing if r != 1.0]
+        surfaces = [replace(best.run, surface=r) for r in self._bounds.touchpoint if r != 1.0]
+        for run in dict.fromkeys((*rings, *surfaces)):
+            found = self._try(best.x, best.sense, run)
+            if found is not None and found.value > best.value + math.log(_WORTH):
+                self.tried.append(found)
 
-    def result(self, criteria: Criteria) -> NextRun:
-        _, run, added, planned = max(self.tried, key=lambda t: t[0])
-        info = self._information
-        present, total = info.present, info.present + added
+    def result(self) -> NextRun:
+        best, info = self._best, self._information
+        run, present, total = best.run, info.present, info.present + best.added
         cases = len(info.fit.problem.cases)
         repeated = present * (cases + 1) / cases
         before, after = self._criterion.limits(present), self._criterion.limits(total)
@@ -402,20 +413,17 @@ class _RunSearch:
             e.name: float(math.sqrt(b / a)) if a > 0 else math.nan
             for (e, _), a, b in zip(info.candidates, after, before, strict=True)
         }
-        path = planned.predictions[0].path
+        path = best.planned.predictions[0].path
         times = np.linspace(0.0, run.duration, 400)
         y = Sampler(path.mesh, times).value(path.y)
         names = [r.names for r in self._rivals]
-        pairs = tuple(
-            (" + ".join(names[i]), " + ".join(names[j]))
-            for i, j in self._inseparable
-            if (j, i) not in self._inseparable or i < j
-        )
+        pairs = dict.fromkeys(tuple(sorted(pair)) for pair in self._inseparable)
         found = NextRun(
             run, self._bounds, tuple(names), self._criterion.separation(total), self._criterion.separation(present),
-            self._criterion.separation(repeated), gains, times, y[:, 0], y[:, 1], pairs,
+            self._criterion.separation(repeated), gains, times, y[:, 0], y[:, 1],
+            tuple((" + ".join(names[i]), " + ".join(names[j])) for i, j in pairs),
         )  # fmt: skip
-        return replace(found, sentence=_sentence(found, info.fit, criteria))
+        return replace(found, sentence=_sentence(found, info.fit, self._criteria))
 
 
 def _sentence(found: NextRun, fit: Fit, criteria: Criteria) -> str:
@@ -441,6 +449,8 @@ def _sentence(found: NextRun, fit: Fit, criteria: Criteria) -> str:
         parts.append(
             f"fix a ring to the casing that makes its moment of inertia {run.ring:.1f} times as large"
         )
+    if run.surface != 1.0:
+        parts.append(f"use a surface with {run.surface:.1f} times the friction at the touch point")
     plan = "; ".join(parts)
     what = f"{plan[0].upper()}{plan[1:]}."
     if not found.rivals:

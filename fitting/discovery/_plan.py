@@ -102,13 +102,14 @@ def plan(
     if size is not None and not 0 < size < np.inf:
         raise EstimationError(f"the size of the effect is {size:g} N m", "give a positive rms torque in N m")
     planned = not isinstance(recordings, Fit)
+    truth: dict[str, float] = {}
     if isinstance(recordings, Fit):
         fit = recordings
     else:
         described = read_planned(recordings)
-        fit, bounds = described.fit(), bounds or described.bounds
+        fit, bounds, truth = described.fit(), bounds or described.bounds, described.numbers
     report = progress or _ignore
-    search = Search(fit, extra, criteria)
+    search = Search(fit, extra, criteria, truth=truth)
     total = len(search.effects) + _EVALUATIONS
     found = []
     for i, effect in enumerate(search.effects):

@@ -90,6 +90,7 @@ class _BoundsTable(_Table):
     omega_casing: Pair | None = None
     duration: Pair | None = None
     inertia_casing: Pair | None = None
+    touchpoint: Pair | None = None
     reversible: bool | None = None
 
 
@@ -220,7 +221,7 @@ def read_planned(path: str | Path) -> PlannedRecordings:
             raise EstimationError(
                 f"{name}: bounds.{key}: {pair[0]:g} is larger than {pair[1]:g}", "give (smallest, largest)"
             )
-        if key in {"duration", "inertia_casing"} and pair[0] <= 0:
+        if key in {"duration", "inertia_casing", "touchpoint"} and pair[0] <= 0:
             raise EstimationError(f"{name}: bounds.{key} is not positive", "give (smallest, largest)")
     return PlannedRecordings(
         model,

@@ -21,7 +21,7 @@ Several runs of the same kind multiply delta^2 by their number.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -32,10 +32,12 @@ from fitting.discovery._criteria import DEFAULT, Criteria
 from fitting.discovery._score import (
     CaseColumns,
     FamilywiseNull,
+    Level,
     NullDistribution,
     Score,
     ScoreContext,
     Trial,
+    orthonormal,
 )
 from fitting.discovery._select import applicable_effects, fails
 from fitting.effects._effect import Effect
@@ -50,15 +52,16 @@ CONFIDENCE = 0.95
 _ONE_SIDED = 1.6448536
 _DRAWS = 1500
 _POWER_DRAWS = 600
-_DELTAS = np.linspace(0.0, 14.0, 29)
+# dense where a parameter reaches its bound
+_DELTAS = np.concatenate([np.linspace(0.0, 1.5, 11), np.linspace(2.0, 14.0, 25)])
 # share of the bearing's torque that is the size of an effect if none is given
 _SIZE = 0.01
 _MOST_RUNS = 10_000
 # effects in the sentence of an adequate fit
 _MOST_HIDDEN = 5
 _RANK = 1e-6
-# cosine below which a candidate answers to nothing of an effect
-_NOTHING = 0.02
+# share of the data sets, summed over the strengths, below which a parameter at its bound is left out of account
+_RARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -224,6 +227,74 @@ class _Test:
         return np.asarray(np.sum(each, axis=0))
 
 
+@dataclass(frozen=True)
+class _ActiveBounds:
+    """Which parameter of the base an effect drives to its bound.
+
+    A missing effect shifts the parameters of the base, and noise scatters them. One that would pass its bound is held
+    there by the fit, and what it can no longer absorb is seen by the search. Of several, the one furthest beyond its
+    bound, in standard errors, counts.
+
+    Attributes
+    ----------
+    free : ndarray, shape (rows, columns)
+        Whitened derivatives by the parameters, first, and nuisance columns.
+    inverse : ndarray, shape (parameters, rows)
+        From data to changes of the parameters.
+    noise : ndarray, shape (parameters, data sets)
+        Their changes in null data.
+    room : ndarray, shape (2, parameters)
+        Distance to the lower (negative) and to the upper bound.
+    """
+
+    free: Array
+    inverse: Array
+    noise: Array
+    room: Array
+
+    @classmethod
+    def of(
+        cls, fit: Fit, context: ScoreContext, level: Level, draws: int, truth: Mapping[str, float]
+    ) -> _ActiveBounds:
+        layout = fit.problem.layout
+        moving = ~layout.at_bound(fit.theta)
+        theta = np.array(
+            [truth.get(n.partition("@")[0], x) for n, x in zip(layout.names, fit.theta, strict=True)]
+        )
+        lower, upper = layout.bounds()
+        room = np.stack([lower - theta, upper - theta])[:, moving]
+        free = level.gain[:, None] * context.free
+        count = int(moving.sum())
+        size = np.linalg.norm(free, axis=0)
+        size[size == 0] = 1.0
+        inverse = (np.linalg.pinv(free / size, rcond=1e-10) / size[:, None])[:count]
+        return cls(free, inverse, inverse @ context.draws[:, :draws], room)
+
+    def held(self, response: Array, strengths: Array) -> NDArray[np.intp]:
+        """Return, by strength and data set, twice the place of the parameter at its bound (+ 1: upper), or -1."""
+        error = np.sqrt((self.inverse**2).sum(axis=1))[:, None]
+        shift = (self.inverse @ response)[:, None]
+        found = []
+        for k in strengths:
+            change = k * shift + self.noise
+            beyond = (
+                np.stack([self.room[0][:, None] - change, change - self.room[1][:, None]], axis=1)
+                / error[:, None]
+            )
+            flat = beyond.reshape(-1, change.shape[1])
+            found.append(np.where(flat.max(axis=0) > 0, flat.argmax(axis=0), -1))
+        return np.array(found)
+
+    def shift(self, which: int) -> Array:
+        """Return the change of the rows when a parameter moves to its bound."""
+        place, side = divmod(which, 2)
+        return np.asarray(self.free[:, place] * self.room[side, place])
+
+    def basis_without(self, parameter: int) -> Array:
+        """Return an orthonormal basis of the free columns without those of one parameter."""
+        return orthonormal(np.delete(self.free, parameter, axis=1))
+
+
 class SearchScore(NamedTuple):
     """Score of a candidate, its best shape constants, and the score from which it is significant."""
 
@@ -245,10 +316,17 @@ class Search:
         Thresholds.
     draws : int
         Number of null data sets.
+    truth : mapping of str to float, optional
+        Parameters by key where they are known, for simulated recordings.
     """
 
     def __init__(
-        self, fit: Fit, extra: Sequence[Effect] = (), criteria: Criteria = DEFAULT, draws: int = _DRAWS
+        self,
+        fit: Fit,
+        extra: Sequence[Effect] = (),
+        criteria: Criteria = DEFAULT,
+        draws: int = _DRAWS,
+        truth: Mapping[str, float] | None = None,
     ) -> None:
         self.fit, self.criteria = fit, criteria
         self.effects = applicable_effects(fit, extra)
@@ -257,8 +335,11 @@ class Search:
         # what a model fails to describe is no noise: a search that follows finds the data at the pure level
         self._level = self._context.levels[0 if fails(fit, criteria) else -1]
         self._trials = {e.name: self._all_trials(e) for e in self.effects}
-        self._common = {e.name: self._responses(e, self._stacked(e)) for e in self.effects}
-        self._tests = self._calibrated() if draws > 1 else {}
+        self._common = {e.name: self._responses(e, self._stacked(e), self._level.basis) for e in self.effects}
+        self._tests = self._calibrated(self._level.basis) if draws > 1 else {}
+        self._draws = min(draws, _POWER_DRAWS)
+        self._bounds = _ActiveBounds.of(fit, self._context, self._level, self._draws, truth or {})
+        self._holding: dict[int, dict[str, list[_Test]]] = {}
 
     def _all_trials(self, effect: Effect) -> list[list[Trial]]:
         first = self.cases[0].trials(effect)
@@ -269,21 +350,33 @@ class Search:
         trials = self._trials[effect.name]
         return [np.concatenate([t[i].columns for t in trials]) for i in range(len(trials[0]))]
 
-    def _responses(self, effect: Effect, groups: Sequence[Array]) -> _Responses:
+    def _whitened(self, groups: Sequence[Array]) -> Array:
+        return np.asarray(self._level.gain[:, None] * self._context.rotated(np.concatenate(groups, axis=1)))
+
+    @staticmethod
+    def _projected(columns: Array, basis: Array) -> Array:
+        return np.asarray(columns - basis @ (basis.T @ columns))
+
+    def _responses(self, effect: Effect, groups: Sequence[Array], basis: Array) -> _Responses:
         absorbed = self._context.absorbed_by_base(groups)
-        columns = self._level.gain[:, None] * self._context.rotated(np.concatenate(groups, axis=1))
-        columns = columns - self._level.basis @ (self._level.basis.T @ columns)
+        columns = self._projected(self._whitened(groups), basis)
         return _Responses.of(columns, groups[0].shape[1], absorbed, effect)
 
-    def _calibrated(self) -> dict[str, list[_Test]]:
-        """Return the tests that the search makes for each effect, with their thresholds."""
+    def _tests_holding(self, parameter: int) -> dict[str, list[_Test]]:
+        """Return the tests on a base with one parameter held at its bound."""
+        if parameter not in self._holding:
+            self._holding[parameter] = self._calibrated(self._bounds.basis_without(parameter))
+        return self._holding[parameter]
+
+    def _calibrated(self, free: Array) -> dict[str, list[_Test]]:
+        """Return the tests that the search makes for each effect beside some free columns, with their thresholds."""
         parts: list[tuple[Effect, tuple[_Responses, ...], Array, float, int]] = []
         for e in self.effects:
-            common = self._common[e.name]
+            common = self._responses(e, self._stacked(e), free)
             variants: list[tuple[tuple[_Responses, ...], float]] = [((common,), 1.0)]
             if len(self.cases) > 1 and e.per_case:
                 # each case has its own strength; the fit with one common value is tried too, hence twice the p-value
-                own = tuple(self._responses(e, self._of_case(e, i)) for i in range(len(self.cases)))
+                own = tuple(self._responses(e, self._of_case(e, i), free) for i in range(len(self.cases)))
                 variants = [(own, 1.0), ((common,), 2.0)]
             for responses, factor in variants:
                 basis = np.concatenate([r.basis for r in responses], axis=1)
@@ -316,16 +409,25 @@ class Search:
 
     def power(self, effect: Effect, group: int, deltas: Array) -> Array:
         """Return the probability that the search finds something, for some noncentralities of an effect."""
-        u = self._common[effect.name].direction(group)
-        found = np.zeros((len(deltas), _POWER_DRAWS), dtype=bool)
-        for test in (t for tests in self._tests.values() for t in tests):
-            signal, null = test.basis.T @ u, test.null[:, :_POWER_DRAWS]
-            if np.abs(signal).max(initial=0.0) < _NOTHING:
-                # nothing of the effect is in this candidate: it adds its false alarms at every strength alike
-                found |= (test.best(null) > test.threshold)[None]
-                continue
-            for i, delta in enumerate(deltas):
-                found[i] |= test.best(null + delta * signal[:, None]) > test.threshold
+        raw = self._whitened(self._stacked(effect)[group : group + 1])
+        raw = raw.sum(axis=1) / self._common[effect.name].width ** 0.5
+        strengths = deltas / max(float(np.linalg.norm(self._projected(raw, self._level.basis))), 1e-300)
+        held = self._bounds.held(raw, strengths)
+        often = [w for w in np.unique(held) if w >= 0 and (held == w).mean() >= _RARE / len(deltas)]
+        held[~np.isin(held, often)] = -1
+        found = np.zeros((len(deltas), self._draws), dtype=bool)
+        for which in np.unique(held):
+            tests, off = self._tests, np.zeros(len(raw))
+            if which >= 0:
+                tests, off = self._tests_holding(int(which) // 2), self._bounds.shift(int(which))
+            for test in (t for each in tests.values() for t in each):
+                signal, shift = test.basis.T @ raw, test.basis.T @ off
+                for k, chosen in enumerate(held == which):
+                    if chosen.any():
+                        seen = (
+                            test.null[:, : self._draws][:, chosen] + (strengths[k] * signal - shift)[:, None]
+                        )
+                        found[k, chosen] |= test.best(seen) > test.threshold
         return np.asarray(found.mean(axis=1))
 
     def scores(self) -> dict[str, SearchScore]:

@@ -13,12 +13,15 @@ with the mean over the record, the bodies and the cases. Laws of an angle enter 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting._errors import FittingError
 from fitting._numbers import rounded
 from fitting.discovery._criteria import Criteria
 from fitting.discovery._lack_of_fit import (
@@ -33,9 +36,10 @@ from fitting.discovery._residuals import ResidualTorque, micro_newton_metres, re
 from fitting.discovery._select import Selection
 from fitting.dynamics._mesh import Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
-from fitting.effects._effect import Effect
-from fitting.effects._expression import Tape
+from fitting.effects._effect import Effect, Joint, Parameter
+from fitting.effects._expression import Tape, symbols
 from fitting.inference._case_data import CAMERA_COLUMNS
+from fitting.inference._fit import fit
 from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
@@ -180,12 +184,90 @@ def _amplitudes(fit: Fit, case: int) -> dict[tuple[int, str], complex]:
 
 @dataclass(frozen=True)
 class Grade:
-    """The size of an answer: form, explained share, remainder, and the rivals that explain as much."""
+    """The size of an answer: form, explained share, remainder, and the rivals that explain as much.
+
+    `unknown` is the speed of which a law outside the library explains more than the named effect does.
+    """
 
     form: str | None
     explained: float | None
     remainder: Remainder | None
     rivals: tuple[str, ...] = ()
+    unknown: str = ""
+
+
+_INNER_KNOTS = 4
+# powers of a speed that no effect of the usual base has, by joint and speed
+_SMOOTH_LAWS: tuple[tuple[Joint, str, tuple[int, ...]], ...] = (
+    ("casing", "omega_c", (2, 3)),
+    ("rotor", "omega_r", (0, 1, 3)),
+    ("bearing", "delta", (0, 2, 3)),
+)
+
+
+def smooth_law(joint: Joint, speed: str, powers: Sequence[int], low: float, high: float) -> Effect:
+    """Return any smooth law of a speed: a cubic spline between two speeds [rad/s]."""
+    x = f"(({speed} - {low!r})/{high - low!r})"
+    knots = np.linspace(0, 1, _INNER_KNOTS + 2)[1:-1].tolist()
+    terms = [f"{x}**{p}" if p else "1.0" for p in powers] + [f"abs({x} - {k!r})**3" for k in knots]
+    parameters = tuple(Parameter(f"c{i}", "N m", lower=-np.inf) for i in range(len(terms)))
+    law = " + ".join(f"c{i}*{term}" for i, term in enumerate(terms))
+    return Effect(f"any law of {speed}", joint, law, parameters)
+
+
+def better_law(base: Fit, named: Fit, end: Fit, effect: Effect, criteria: Criteria) -> str:
+    """Return the speed of which some smooth law describes the data better than an effect that is no law of it.
+
+    Parameters
+    ----------
+    base, named, end : Fit
+        Without the effect, with it, and the most complete fit.
+    effect : Effect
+        The named effect.
+    criteria : Criteria
+        `evidence`, `equivalence_width`.
+
+    Returns
+    -------
+    str
+        Empty if there is none.
+    """
+    layout, found = base.problem.layout, []
+    for joint, speed, powers in _SMOOTH_LAWS:
+        own = symbols(effect.expression) - {p.symbol for p in effect.parameters}
+        if (joint == effect.joint and own == {speed}) or (
+            base.problem.data[0].record.single and joint != "casing"
+        ):
+            continue
+        law = smooth_law(joint, speed, powers, *_range(base, speed))
+        start = {k: e.value for k, e in base.estimates.items()} | {
+            f"{law.name}.{p.symbol}": 0.0 for p in law.parameters
+        }
+        with suppress(FittingError):
+            other = fit(
+                base.model.with_effect(law),
+                base.problem.data,
+                share=[k for k in base.model.free if k not in layout.per_case]
+                if len(layout.records) > 1
+                else (),
+                per_case=layout.per_case,
+                start=start,
+                noise=base.noise,
+                quick=True,
+            )
+            found.append((other.bic, speed))
+    bic, speed = min(found, default=(np.inf, ""))
+    better = bic < min(named.bic - criteria.evidence, end.bic + criteria.equivalence_width)
+    return speed if better else ""
+
+
+def _range(fit: Fit, speed: str) -> tuple[float, float]:
+    ends = []
+    for p in fit.predictions:
+        y = p.path.y[..., :2].reshape(-1, 2)
+        known = {"omega_r": y[:, 0], "omega_c": y[:, 1], "delta": y[:, 0] - y[:, 1]}[speed]
+        ends += [float(known.min()), float(known.max())]
+    return min(ends), max(ends)
 
 
 def grade(
@@ -245,6 +327,13 @@ def grade(
     remainder = Remainder(rms, share, p, words)
     if 1 - share < criteria.explained:
         return Grade(None, 1 - share, remainder)
+    unknown = (
+        ""
+        if chosen.effect.depends_on_angle
+        else better_law(base, selection.named, end, chosen.effect, criteria)
+    )
+    if unknown:
+        return Grade(None, 1 - share, remainder, unknown=unknown)
     # a rival does as well if it is worse by less than what the chosen effect itself leaves
     excess = max(selection.named.lack_of_fit.chi2 - selection.named.lack_of_fit.dof, 0.0)
     left = max(excess, selection.named.deviance - end.deviance)

@@ -91,10 +91,10 @@ class ScoreContext:
         residual = np.concatenate([d.z - p.rows for d, p in zip(data, fit.predictions, strict=True)])
         residual = residual if torque_rows is None else residual + torque_rows
         everything = np.concatenate([free, nuisance], axis=1)
-        self._free = self.rotated(everything)
+        self.free = self.rotated(everything)
         self._residual = self.rotated(residual)
-        self._plain = _orthonormal(free)
-        self.levels = [self._level(w, self._free) for w in self._whiteners]
+        self._plain = orthonormal(free)
+        self.levels = [self._level(w, self.free) for w in self._whiteners]
         self.draws = self.rotated(random.standard_normal((len(residual), draws)))
 
     def rotated(self, rows: Array) -> Array:
@@ -116,7 +116,7 @@ class ScoreContext:
             np.concatenate([1 / np.sqrt(1 + w.level**2 * w.values), np.ones(b - a - len(w.values))])
             for w, a, b in zip(whiteners, self.ends, self.ends[1:], strict=False)
         ])  # fmt: skip
-        q = _orthonormal(gain[:, None] * free)
+        q = orthonormal(gain[:, None] * free)
         r = gain * self._residual
         r = r - q @ (q.T @ r)
         return Level(gain, q, r, float(r @ r) + sum(w.log_determinant for w in whiteners))
@@ -135,7 +135,7 @@ class ScoreContext:
 
     def with_free(self, columns: Array) -> list[Level]:
         """Return the levels with further columns free."""
-        free = np.concatenate([self._free, self.rotated(columns)], axis=1)
+        free = np.concatenate([self.free, self.rotated(columns)], axis=1)
         return [self._level(w, free) for w in self._whiteners]
 
 
@@ -146,7 +146,7 @@ def _between(least: float, level: float, share: float) -> float:
     return float(floor * (level / floor) ** share)
 
 
-def _orthonormal(columns: Array) -> Array:
+def orthonormal(columns: Array) -> Array:
     size = np.linalg.norm(columns, axis=0)
     u, s, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
     return np.asarray(u[:, s > 1e-10 * s[0]])

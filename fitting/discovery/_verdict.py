@@ -302,6 +302,14 @@ def _unexplained(
             f"The residual torque{after} {doubt.words} (p = {doubt.p_value:.1g}).",
             f'No effect of the library explains it: add "{doubt.law}" as a hypothesis and diagnose again.',
         ]
+    if chosen is not None and size.explained is not None and size.remainder is not None and size.unknown:
+        share = f"{100 * max(size.explained, 0.0):.3g} % of the mean square unmodelled torque"
+        closest = f"the closest one, {chosen.effect.name} ({share})"
+        return [
+            f"No effect of the library explains it: a smooth law of {size.unknown} explains more than {closest}.",
+            "`gyrotrack laws` lists such laws.",
+            size.remainder.sentence,
+        ]
     if chosen is not None and size.explained is not None and size.remainder is not None:
         share = f"{100 * max(size.explained, 0.0):.0f} % of the mean square unmodelled torque"
         return [

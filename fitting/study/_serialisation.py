@@ -156,6 +156,7 @@ def _next_run(n: NextRun) -> NextRunDocument:
         windows=list(run.windows),
         window_length=run.window_length,
         inertia_casing_ratio=run.ring,
+        touchpoint_ratio=run.surface,
         rivals=[list(names) for names in n.rivals],
         separation_sigma=max(n.separation, 0.0) ** 0.5,
         present_sigma=max(n.present, 0.0) ** 0.5,

@@ -24,6 +24,35 @@ Integers = npt.NDArray[np.int64]
 Codes = npt.NDArray[np.int8]
 
 
+class _Tabular:
+    """Content that can be written as tables."""
+
+    def to_dataframe(self, table: str = "motion") -> Any:
+        """Return a table as a pandas DataFrame; ``attrs["units"]`` has the units of its columns.
+
+        Parameters
+        ----------
+        table : {"motion", "markers", "frames"}
+            Bodies, every marker, or every frame.
+
+        Raises
+        ------
+        UsageError
+            As for `columns`, or pandas is not installed.
+        """
+        try:
+            import pandas as pd
+        except ImportError:
+            raise UsageError(
+                "A DataFrame needs pandas, which is not installed.",
+                'Install it: pip install "gyrotrack[notebook]"',
+            ) from None
+        made = columns(self, table)  # type: ignore[arg-type] # a Recording or a Case
+        frame = pd.DataFrame({c.name: c.values for c in made})
+        frame.attrs["units"] = {c.name: c.unit for c in made if c.unit}
+        return frame
+
+
 @dataclass(frozen=True)
 class MarkerTrack:
     """One marker in all n frames of a clip; NaN where it was not detected.
@@ -98,7 +127,7 @@ class BodyTrack:
 
 
 @dataclass(frozen=True)
-class Recording:
+class Recording(_Tabular):
     """One clip: n decoded frames, the markers found in them, and the bodies' angles.
 
     Attributes
@@ -136,21 +165,6 @@ class Recording:
     bodies: dict[str, BodyTrack]
     warnings: tuple[str, ...] = ()
     extra: dict[str, Any] = field(default_factory=dict)
-
-    def to_dataframe(self, table: str = "motion") -> Any:
-        """Return a table as a pandas DataFrame; ``attrs["units"]`` has the units of its columns.
-
-        Parameters
-        ----------
-        table : {"motion", "markers", "frames"}
-            Bodies, every marker, or every frame.
-
-        Raises
-        ------
-        UsageError
-            As for `columns`, or pandas is not installed.
-        """
-        return _dataframe(columns(self, table))
 
 
 @dataclass(frozen=True)
@@ -211,7 +225,7 @@ class GeneratedCurve:
 
 
 @dataclass(frozen=True)
-class Case:
+class Case(_Tabular):
     """One experiment on one clock.
 
     Attributes
@@ -241,21 +255,6 @@ class Case:
     bodies: str = "two"
     I_rotor_u: float = math.nan
     I_casing_u: float = math.nan
-
-    def to_dataframe(self, table: str = "motion") -> Any:
-        """Return a table as a pandas DataFrame; ``attrs["units"]`` has the units of its columns.
-
-        Parameters
-        ----------
-        table : {"motion", "markers", "frames"}
-            Bodies, every marker, or every frame.
-
-        Raises
-        ------
-        UsageError
-            As for `columns`, or pandas is not installed.
-        """
-        return _dataframe(columns(self, table))
 
 
 _WORDS = np.array(list(STATUS), dtype=object)
@@ -312,19 +311,6 @@ def columns(content: Recording | Case, table: str = "motion") -> tuple[Column, .
         Column(c.name, c.unit, np.concatenate([part[i].values for part in parts]))
         for i, c in enumerate(parts[0])
     )
-
-
-def _dataframe(made: tuple[Column, ...]) -> Any:
-    try:
-        import pandas as pd
-    except ImportError:
-        raise UsageError(
-            "A DataFrame needs pandas, which is not installed.",
-            'Install it: pip install "gyrotrack[notebook]"',
-        ) from None
-    frame = pd.DataFrame({c.name: c.values for c in made})
-    frame.attrs["units"] = {c.name: c.unit for c in made if c.unit}
-    return frame
 
 
 def _motion(content: Recording | Case) -> list[list[Column]]:

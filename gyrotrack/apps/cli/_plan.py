@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from fitting.discovery._power import EffectLimits
 
 _WIDTH = 100
-_PAIRS = ("omega_rotor", "omega_casing", "duration", "inertia_casing")
+_PAIRS = ("omega_rotor", "omega_casing", "duration", "inertia_casing", "touchpoint")
 
 
 def plan_command(
@@ -48,7 +48,7 @@ def plan_command(
         typer.Option(
             "--bound",
             metavar="KEY=LOW,HIGH",
-            help="Possible runs: omega_rotor, omega_casing (rad/s), duration (s), inertia_casing (ratio), "
+            help="Possible runs: omega_rotor, omega_casing (rad/s), duration (s), inertia_casing, touchpoint (ratios), "
             "as --bound omega_casing=0,60.",
         ),
     ] = None,
@@ -126,7 +126,7 @@ def _bounds(given: Sequence[str]) -> dict[str, Any]:
             raise UsageError(
                 f"--bound {text[:40]!r} is no pair of numbers.", "Write --bound omega_casing=-60,60."
             )
-        if key in {"duration", "inertia_casing"} and low <= 0:
+        if key in {"duration", "inertia_casing", "touchpoint"} and low <= 0:
             raise UsageError(f"--bound {text[:40]!r} is not positive.", "Write --bound duration=100,400.")
         found[key] = (low, high)
     return found
@@ -202,4 +202,8 @@ def _possible(b: Bounds) -> str:
     parts.append(f"duration {b.duration[0]:.0f} to {b.duration[1]:.0f} s")
     if b.inertia_casing[1] > 1:
         parts.append(f"inertia of the casing up to {b.inertia_casing[1]:g} times the present one")
+    if b.touchpoint[0] != 1 or b.touchpoint[1] != 1:
+        parts.append(
+            f"friction at the touch point {b.touchpoint[0]:.2g} to {b.touchpoint[1]:.2g} times the present one"
+        )
     return f"Taken as possible: {', '.join(parts)} (change with --bound)."

@@ -3,13 +3,15 @@
 import math
 from functools import cache
 
+import numpy as np
 import pytest
 import twobody
 
-from fitting.discovery._remainder import nuisance_parameters
+from fitting.discovery._remainder import nuisance_parameters, smooth_law
 from fitting.discovery._select import improve
 from fitting.discovery._verdict import diagnose
 from fitting.dynamics._model import Model
+from fitting.effects._expression import Tape
 from fitting.effects._library import LIBRARY, REDUCED
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
@@ -26,6 +28,7 @@ HIDDEN = {
     "unbalance": twobody.Hidden(
         casing=lambda t, wr, wc, pr, pc: 6e-5 * math.sin(pc - 0.7) + 1.8e-6 * math.sin(3 * pc - 0.2)
     ),
+    "saturating": twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -TORQUE * math.tanh(wc / 40)),
     "resonance": twobody.Hidden(
         casing=lambda t, wr, wc, pr, pc: -TORQUE * math.exp(-(((wc - 110) / 12) ** 2))
     ),
@@ -147,3 +150,27 @@ def test_the_document_has_the_grades_and_is_restored():
     assert (again.form, again.explained, again.remainder, again.nuisance) == (
         found.form, found.explained, found.remainder, found.nuisance,
     )  # fmt: skip
+
+
+def test_a_smooth_law_is_any_cubic_of_a_speed():
+    """The spline without its constant and linear part, which the base has: fitted to a cube, it is the cube."""
+    law = smooth_law("casing", "omega_c", (2, 3), 5.0, 160.0)
+    w = np.linspace(5.0, 160.0, 200)
+    columns = [
+        np.asarray(
+            Tape([law.expression])({"omega_c": w} | {q.symbol: float(q is p) for q in law.parameters})[0]
+        )
+        for p in law.parameters
+    ]
+    design = np.stack([np.ones_like(w), w, *columns], axis=1)
+    for shape in (w**2, w**3, np.tanh(w / 40)):
+        rest = shape - design @ np.linalg.lstsq(design, shape, rcond=None)[0]
+        assert np.abs(rest).max() < 0.01 * np.abs(shape).max()
+
+
+@pytest.mark.slow
+def test_a_law_of_another_speed_is_not_close_to_an_effect_that_mimics_it():
+    """A saturating drag: the heating of the bearing, with the base adapted, explains 99.9 % of the net torque."""
+    found = answer("saturating")
+    assert (found.verdict, found.form) == ("unexplained", None)
+    assert "a smooth law of omega_c explains more" in found.sentence

@@ -10,7 +10,7 @@ import pytest
 import twobody
 from scipy.stats import norm
 
-from fitting import Model
+from fitting import Model, simulate
 from fitting._errors import EstimationError
 from fitting.discovery._criteria import DEFAULT
 from fitting.discovery._information import Information, Run, schur, simulated
@@ -41,6 +41,46 @@ def search():
 @lru_cache(maxsize=1)
 def drag():
     return search().limits(DRAG, 1e-6)
+
+
+PLAN = """
+model = "reduced"
+[inertia]
+rotor = 5.54e-5
+casing = 2.06e-5
+[parameters]
+"rotor.air.quadratic.a2" = 9.97e-11
+"touchpoint.constant.b1" = 2.88e-06
+"casing.air.linear.b2" = 8.28e-07
+"bearing.linear.d" = 1.57e-07
+"bearing.power.f" = 1.26e-08
+"bearing.power.g" = 1.32
+[noise]
+angle = 1e-3
+torque = 1e-7
+torque_time = 1.0
+[[run]]
+omega_rotor = 900.0
+omega_casing = 5.0
+duration = 60.0
+casing_fps = 260.0
+rotor_fps = 1000.0
+windows = [2.0, 30.0, 50.0]
+window_length = 3.0
+"""
+
+
+@pytest.fixture
+def described(tmp_path):
+    """Write a description with one change."""
+
+    def write(old="", new=""):
+        assert old in PLAN
+        path = tmp_path / "plan.toml"
+        path.write_text(PLAN.replace(old, new, 1) if old else PLAN)
+        return path
+
+    return write
 
 
 class TestUpperLimit:
@@ -119,16 +159,40 @@ class TestLimits:
 
 
 @pytest.mark.slow
+def test_an_effect_that_drives_a_parameter_to_its_bound_is_seen_earlier(described):
+    """Drift of the bearing shifts the exponent g; held at its bound of 1.4, g no longer absorbs the drift."""
+    recordings = read_planned(described())
+    found = recordings.fit()
+    looked = Search(found, truth=recordings.numbers)
+    drift = LIBRARY["bearing.drift"]
+    limit = looked.limits(drift)
+    assert limit.detection_limit < 3 * limit.stderr
+    strength = 1.5 * limit.detection_limit
+    record = simulate(
+        Model.of([*REDUCED, "bearing.drift"]),
+        recordings.numbers | {"bearing.drift.k": strength},
+        recordings.experiments[0],
+        inertia_rotor=5.54e-5,
+        inertia_casing=2.06e-5,
+        seed=11,
+    )
+    wrong = fit(Model.of(REDUCED), [record])
+    assert wrong.estimates["bearing.power.g"].at_bound
+    scored = Search(wrong).scores()["bearing.drift"]
+    assert scored.score > scored.threshold
+
+
+@pytest.mark.slow
 def test_upper_limits_cover_the_truth():
-    """An effect of twice its standard error is below its limit in 95 % of recordings: 12 of 12, 11 or at least 10."""
-    limit, n = [], 12
+    """An effect of twice its standard error is below its limit in 95 % of recordings: at least 7 of 8."""
+    limit, n = [], 8
     true = 2 * drag().stderr
     hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -true * wc**2)
     for seed in range(n):
         motion = twobody.simulate(seed=seed, ou=NOISE, hidden=hidden)
         found = fit(Model.of(REDUCED), [make_record(**twobody.film(motion, seed=seed))])
         limit.append(Search(found, draws=1).limits(DRAG).upper_limit)
-    assert sum(x >= true for x in limit) >= 10
+    assert sum(x >= true for x in limit) >= 7
 
 
 class TestHidden:
@@ -216,7 +280,7 @@ def rivals_of(info, a, b, strength):
 
 @pytest.mark.slow
 def test_rivals_are_the_effects_that_the_data_do_not_separate():
-    hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: 4e-12 * wr**2)
+    hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: 2e-11 * wr**2)
     motion = twobody.simulate(seed=1, ou=NOISE, hidden=hidden)
     found = fit(Model.of(REDUCED), [make_record(**twobody.film(motion, seed=1))])
     looked = Search(found)
@@ -229,46 +293,6 @@ def test_rivals_are_the_effects_that_the_data_do_not_separate():
 def test_nothing_hidden_has_no_rivals():
     thresholds = [s.threshold for s in search().scores().values()]
     assert rivals(information(), thresholds, DEFAULT) == []
-
-
-PLAN = """
-model = "reduced"
-[inertia]
-rotor = 5.54e-5
-casing = 2.06e-5
-[parameters]
-"rotor.air.quadratic.a2" = 9.97e-11
-"touchpoint.constant.b1" = 2.88e-06
-"casing.air.linear.b2" = 8.28e-07
-"bearing.linear.d" = 1.57e-07
-"bearing.power.f" = 1.26e-08
-"bearing.power.g" = 1.32
-[noise]
-angle = 1e-3
-torque = 1e-7
-torque_time = 1.0
-[[run]]
-omega_rotor = 900.0
-omega_casing = 5.0
-duration = 60.0
-casing_fps = 260.0
-rotor_fps = 1000.0
-windows = [2.0, 30.0, 50.0]
-window_length = 3.0
-"""
-
-
-@pytest.fixture
-def described(tmp_path):
-    """Write a description with one change."""
-
-    def write(old="", new=""):
-        assert old in PLAN
-        path = tmp_path / "plan.toml"
-        path.write_text(PLAN.replace(old, new, 1) if old else PLAN)
-        return path
-
-    return write
 
 
 class TestDescription:
