@@ -380,6 +380,8 @@ class EntryDocument(FitDocument):
 
     parent: str = ""
     added: str = ""
+    name: str = Field(default="", max_length=200)
+    note: str = Field(default="", max_length=2000)
     rung: StepDocument | None = None
     digests: list[str]
     sources: list[str] = []

@@ -96,6 +96,44 @@ class SpeedResidual:
     sigma: Array
 
 
+class SpeedMap:
+    """The linear map from the residual rows of a case to its residual speeds, nuisance columns projected out.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem of the fit.
+    noise : Noise
+        Noise of the case.
+    case : int
+        Index of the case.
+    """
+
+    def __init__(self, problem: Problem, noise: Noise, case: int) -> None:
+        data = problem.data[case]
+        self._plain, self._whitener = data.unwhitened, noise.whitener
+        size = np.linalg.norm(data.nuisance, axis=0)
+        self._nuisance = data.nuisance[:, size > 0] / size[size > 0]
+        self._strength = np.linalg.pinv(noise.whitener(self._nuisance), rcond=1e-10)
+        self.parts: list[tuple[slice, Array, Array, Array]] = []
+        first = 0
+        for body, run in (("casing", data.casing), *(("rotor", w) for w in data.rotor)):
+            rows = slice(first, first + len(run.z))
+            first = rows.stop
+            self.parts.append((rows, *_slopes(run, _PARTS[body], is_angle=data.is_angle)))
+
+    def __call__(self, rows: Array) -> list[Array]:
+        """Return the mean residual speed in each part of the casing, and of each rotor window [rad/s].
+
+        Parameters
+        ----------
+        rows : ndarray, shape (rows,) or (rows, k)
+            Measured minus modelled rows, or any columns of that space.
+        """
+        found = self._plain(rows - self._nuisance @ (self._strength @ self._whitener(rows)))
+        return [d @ found[where] for where, _, _, d in self.parts]
+
+
 def speed_residuals(fit: _Fitted, case: int) -> tuple[SpeedResidual, tuple[SpeedResidual, ...]]:
     """Return the residual speed of the casing, and of the rotor in each of its windows.
 
@@ -110,26 +148,14 @@ def speed_residuals(fit: _Fitted, case: int) -> tuple[SpeedResidual, tuple[Speed
     prediction = fit.predictions[case]
     moving = ~fit.problem.layout.at_bound(fit.theta)
     free = np.concatenate([prediction.jacobian[:, moving], data.nuisance], axis=1)
-    plain = data.unwhitened
-    residual = plain(_without(noise.whitener, data.nuisance, data.z - prediction.rows))
-    spread = plain(_spread(noise.whitener.at(noise.pure), free))
-    found, first = [], 0
-    for body, run in (("casing", data.casing), *(("rotor", w) for w in data.rotor)):
-        count = len(run.z)
-        rows = slice(first, first + count)
-        first += count
-        time, width, d = _slopes(run, _PARTS[body], is_angle=data.is_angle)
-        sigma = np.linalg.norm(d @ spread[rows], axis=1)
-        found.append(SpeedResidual(time, width, d @ residual[rows], sigma))
+    to_speeds = SpeedMap(fit.problem, noise, case)
+    values = to_speeds(data.z - prediction.rows)
+    spread = data.unwhitened(_spread(noise.whitener.at(noise.pure), free))
+    found = [
+        SpeedResidual(time, width, value, np.linalg.norm(d @ spread[rows], axis=1))
+        for value, (rows, time, width, d) in zip(values, to_speeds.parts, strict=True)
+    ]
     return found[0], tuple(found[1:])
-
-
-def _without(whitener: Whitener, columns: Array, rows: Array) -> Array:
-    """Return rows without their projection on nuisance columns."""
-    size = np.linalg.norm(columns, axis=0)
-    columns = columns[:, size > 0] / size[size > 0]
-    found = np.linalg.lstsq(whitener(columns), whitener(rows), rcond=1e-10)[0]
-    return np.asarray(rows - columns @ found)
 
 
 def _spread(whitener: Whitener, free: Array) -> Array:

@@ -266,6 +266,70 @@ class Ledger:
         with self._locked():
             self.find(fit_id).document["diagnosis"] = as_json(stored_diagnosis(found, extra))
 
+    def annotate(self, fit_id: str, *, name: str | None = None, note: str | None = None) -> None:
+        """Set the name or the note of a fit; None leaves what there is.
+
+        Parameters
+        ----------
+        fit_id : str
+            The fit.
+        name, note : str or None
+            Texts of at most 200 and 2000 characters; empty removes them.
+
+        Raises
+        ------
+        LedgerError
+            There is no such fit.
+        """
+        with self._locked():
+            document = self.find(fit_id).document
+            if name is not None:
+                document["name"] = name.strip()[:200]
+            if note is not None:
+                document["note"] = note.strip()[:2000]
+
+    def delete(self, fit_id: str) -> Entry:
+        """Remove a fit that no other was made from, and return it; `restore` takes it back.
+
+        Parameters
+        ----------
+        fit_id : str
+            The fit.
+
+        Raises
+        ------
+        LedgerError
+            There is no such fit, or others were made from it.
+        """
+        with self._locked():
+            entry = self.find(fit_id)
+            successors = [e.fit_id for e in self.entries if e.stored.parent == fit_id]
+            if successors:
+                raise LedgerError(
+                    f"{fit_id} has successors: {', '.join(successors)}", "delete those first, or keep it"
+                )
+            self.entries.remove(entry)
+            return entry
+
+    def restore(self, entry: Entry) -> None:
+        """Take back a fit that was deleted, if no other has its name by now.
+
+        Parameters
+        ----------
+        entry : Entry
+            What `delete` returned.
+
+        Raises
+        ------
+        LedgerError
+            Another fit has the same name.
+        """
+        with self._locked():
+            if any(e.fit_id == entry.fit_id for e in self.entries):
+                raise LedgerError(f"{self.path} has another fit {entry.fit_id}", "fit the model again")
+            self.entries.append(entry)
+            self.entries.sort(key=lambda e: int(e.fit_id[1:]))
+
     @contextmanager
     def _locked(self) -> Iterator[None]:
         """Read the file again, let the block change the entries, and write them, while no other process can."""

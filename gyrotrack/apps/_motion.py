@@ -1,21 +1,15 @@
-"""What the motion of one body is: a spin-down, an oscillation or a steady rotation, with honest uncertainties.
-
-Neighbouring frames share a part of their error. The residuals are described by white noise and a part that is
-correlated over a time tau, K = s^2 (diag(sigma^2) + q exp(-|t - t'| / tau)); q and tau are averaged over their
-posterior on a grid, s^2 is estimated by restricted maximum likelihood (D. A. Harville, J. Am. Stat. Assoc. 72, 1977).
-"""
+"""What the motion of one body is: a spin-down, an oscillation or a steady rotation, with honest uncertainties."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 
+from gyrotrack._correlated_noise import least_squares_of
 from gyrotrack._errors import DatasetError
 
 Floats = npt.NDArray[np.float64]
@@ -26,17 +20,6 @@ VIEW = (0.02, 0.02, 0.005)
 camera tilted by 0.28 rad, and perspective on it."""
 _FEWEST = 12
 _ORDERS = range(2, 7)
-_BINS = 150  # means of neighbouring samples that a fit uses at most
-_SHARES = (
-    0.0,
-    0.1,
-    0.3,
-    1.0,
-    3.0,
-    10.0,
-    100.0,
-)  # variance of the correlated part over that of a bin's white noise
-_TIMES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # its correlation time in bins
 
 
 @dataclass(frozen=True)
@@ -132,108 +115,6 @@ def _reverses(t: Floats, angle: Floats, period: float) -> bool:
     return bool(np.ptp(t) > 1.2 * period and net < 0.6 * path)
 
 
-@dataclass(frozen=True)
-class _Estimate:
-    """Coefficients of a linear model, their covariance, and the criterion (BIC) of the model."""
-
-    value: Floats
-    covariance: Floats
-    criterion: float
-
-    def of(self, combination: Floats) -> Value:
-        """Return a linear combination of the coefficients."""
-        variance = float(combination @ self.covariance @ combination)
-        return Value(float(combination @ self.value), math.sqrt(max(variance, 0.0)))
-
-
-def _least_squares(
-    t: Floats, design: Floats, y: Floats, sigma: Floats, models: Sequence[list[int]], prior: Floats
-) -> list[_Estimate]:
-    """Fit y by columns of a design, with white and correlated noise of unknown size.
-
-    Parameters
-    ----------
-    t, y, sigma : ndarray, shape (n,)
-        Time [s], values, and their relative standard uncertainties.
-    design : ndarray, shape (n, p)
-        Columns.
-    models : sequence of list of int
-        The columns of each model.
-    prior : ndarray, shape (p,)
-        Standard deviations of Gaussian priors about zero, infinite for free coefficients.
-
-    Returns
-    -------
-    list of _Estimate
-        One for each model.
-    """
-    edges = np.linspace(0, len(t), min(len(t), _BINS) + 1).astype(int)
-    weight = 1.0 / sigma**2
-    total = np.add.reduceat(weight, edges[:-1])
-    x = np.add.reduceat(design * weight[:, None], edges[:-1], axis=0) / total[:, None]
-    z, when = (np.add.reduceat(v * weight, edges[:-1]) / total for v in (y, t))
-    white = 1.0 / total
-    n = len(z)
-    apart = np.abs(when[:, None] - when[None, :]) / float(np.median(np.diff(when)))
-    scale = np.linalg.norm(x, axis=0) + 1e-300
-    both = np.column_stack([x / scale, z])
-    known = 1.0 / (prior * scale) ** 2
-    plain = (both[:, :-1] / white[:, None]).T
-    found: list[list[tuple[float, float, Floats, Floats]]] = [[] for _ in models]
-    for share, length in [(0.0, 1.0), *((q, c) for q in _SHARES[1:] for c in _TIMES)]:
-        noise = np.diag(white) + share * float(np.median(white)) * np.exp(-apart / length)
-        root = np.linalg.cholesky(noise)
-        solved = solve_triangular(root, both, lower=True)
-        log_noise = 2 * float(np.sum(np.log(np.diag(root))))
-        gram = solved.T @ solved
-        for model, kept in zip(models, found, strict=True):
-            normal, right, rest = gram[np.ix_(model, model)], gram[model, -1], gram[-1, -1]
-            size, ridge = 1.0, 1e-12 * np.trace(normal) * np.eye(len(model))
-            for _ in range(
-                3 if known[model].any() else 1
-            ):  # the prior is in units of y, the noise in units of its unknown size
-                precision = normal + np.diag(known[model] * size)
-                inverse = np.linalg.inv(precision + ridge)
-                c = inverse @ right
-                free = max(n - float(np.sum(inverse * normal)), 1.0)
-                size = max(float(rest - 2 * c @ right + c @ normal @ c), 1e-12 * float(rest)) / free
-            likelihood = -0.5 * (n * math.log(size * free / n) + log_noise)
-            log_normal = float(np.linalg.slogdet(precision)[1])
-            restricted = -0.5 * (free * math.log(size) + log_noise + log_normal)
-            # the coefficients are those of least squares, which do not depend on the form of the noise; their
-            # covariance is that of this noise
-            of_noise = plain[model] @ noise @ plain[model].T
-            plain_normal = plain[model] @ both[:, model]
-            weak = 1e-12 * np.trace(plain_normal) * np.eye(len(model))
-            inflation = float(np.trace(np.linalg.solve(plain_normal + weak, of_noise))) / len(model)
-            held = np.diag(known[model] * size * inflation)
-            inverse = np.linalg.inv(plain_normal + held + weak)
-            covariance = size * inverse @ (of_noise + held / inflation) @ inverse
-            units = scale[model]
-            kept.append(
-                (
-                    likelihood,
-                    restricted,
-                    inverse @ (plain[model] @ z) / units,
-                    covariance / np.outer(units, units),
-                )
-            )
-    estimates = []
-    for model, kept in zip(models, found, strict=True):
-        logs = np.array([k[1] for k in kept])
-        # white noise is as likely beforehand as all correlated ones together
-        weights = np.exp(logs - logs.max())
-        weights[1:] /= len(weights) - 1
-        weights /= weights.sum()
-        values = np.array([k[2] for k in kept])
-        value = weights @ values
-        spread = (weights[:, None] * (values - value)).T @ (values - value)
-        covariance = np.tensordot(weights, np.array([k[3] for k in kept]), axes=1) + spread
-        criterion = -2 * max(k[0] for k in kept) + len(model) * math.log(n)
-        estimates.append(_Estimate(value, covariance, criterion))
-    return estimates
-
-
 def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[dict[str, float], Value, Value]:
     half = max(abs(t[0]), abs(t[-1]))
     x = t / half
@@ -246,17 +127,15 @@ def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[dict[str, float]
     design = np.concatenate([harmonics, x[:, None] ** np.arange(most + 1)], axis=1)
     prior = np.concatenate([np.repeat(VIEW, 2), np.full(most + 1, np.inf)])
     models = [list(range(view + order + 1)) for order in range(_ORDERS[0], most + 1)]
-    fits = _least_squares(t, design, psi, sigma, models, prior)
+    fits = least_squares_of(t, design, psi, sigma, models, prior)
     order, fit = min(enumerate(fits, _ORDERS[0]), key=lambda pair: pair[1].criterion)
 
     def row(values: list[float]) -> Floats:
         return np.concatenate([np.zeros(view), values])
 
-    ends = [
-        fit.of(row([k * e ** max(k - 1, 0) / half for k in range(order + 1)])).value for e in (x[0], x[-1])
-    ]
-    mean = fit.of(row([(x[-1] ** k - x[0] ** k) / (t[-1] - t[0]) for k in range(order + 1)]))
-    alpha = fit.of(row([0.0, 0.0, 2 / half**2, *[0.0] * (order - 2)]))
+    ends = [fit.of(row([k * e ** max(k - 1, 0) / half for k in range(order + 1)]))[0] for e in (x[0], x[-1])]
+    mean = Value(*fit.of(row([(x[-1] ** k - x[0] ** k) / (t[-1] - t[0]) for k in range(order + 1)])))
+    alpha = Value(*fit.of(row([0.0, 0.0, 2 / half**2, *[0.0] * (order - 2)])))
     return {"first": ends[0], "last": ends[1]}, mean, alpha
 
 
@@ -292,12 +171,12 @@ def _oscillation(
     c, rest = found.x, angle - model(found.x, t)
     jacobian: Floats = np.asarray(found.jac, dtype=np.float64) * sigma[:, None]
     free = np.full(6, np.inf)
-    (fit,) = _least_squares(t, jacobian, rest, sigma, [list(range(6))], free)
+    (fit,) = least_squares_of(t, jacobian, rest, sigma, [list(range(6))], free)
     c = c + fit.value
     size = float(np.hypot(c[2], c[3]))
     one = np.eye(6)
-    frequency_error, decay = fit.of(one[0]).stderr, Value(float(c[1]), fit.of(one[1]).stderr)
-    amplitude = Value(size, fit.of((c[2] * one[2] + c[3] * one[3]) / max(size, 1e-300)).stderr)
+    frequency_error, decay = fit.of(one[0])[1], Value(float(c[1]), fit.of(one[1])[1])
+    amplitude = Value(size, fit.of((c[2] * one[2] + c[3] * one[3]) / max(size, 1e-300))[1])
     short = 1e-4 / float(c[0])
     first, last = ((model(c, e + short) - model(c, e - short)) / (2 * short) for e in (t[0], t[-1]))
     ends = {"first": float(first), "last": float(last)}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,9 @@ from gyrotrack.plotting._style import (
     style,
 )
 from gyrotrack.plotting._tracking import Tracks, centre_finding, sigma_finding
+
+if TYPE_CHECKING:
+    from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
 
@@ -246,6 +250,32 @@ def torque_speed_chart(view: CaseView, names: Sequence[str] = NAMES, *, alternat
         f"bands: ±2 σ. Dashed: while the {view.body} speeds up. A friction that depends on speed alone gives one "
         "curve for both. Dotted: the law that was added, after a refit of the other parameters.",
     )
+
+
+def torque_angle_charts(fits: Sequence[Fit], names: Sequence[str] = NAMES) -> list[Chart]:
+    """Return the harmonics of the unmodelled torque on the casing against its angle; none without angles."""
+    from fitting.discovery._residuals import ripples
+
+    found = [(name, ripples(fit)[:1]) for name, fit in zip(names, fits, strict=False)]
+    curves = [(name, r[0]) for name, r in found if r]
+    if not curves:
+        return []
+    factor, prefix = scaled(max(float(np.abs(r.torque).max()) for _, r in curves))
+    traces = [
+        Trace(name, r.angle, factor * r.torque, colour, factor * r.sigma)
+        for (name, r), (colour, _) in zip(curves, _MODEL_STYLES, strict=False)
+    ]
+    sizes = ", ".join(f"{n}: {r.size(1)[1]:.1f} and {r.size(2)[1]:.1f} σ" for n, r in curves)
+    return [
+        Chart(
+            "torque-angle",
+            "Unmodelled torque in the angle",
+            f"{prefix}N m",
+            tuple(traces),
+            f"First and second harmonic of the unmodelled torque in the angle of the casing, {sizes}.",
+            x_label="angle of the casing [rad]",
+        )
+    ]
 
 
 def _branches(speed: Array) -> list[NDArray[np.intp]]:

@@ -203,7 +203,7 @@ def case_view(
         casing=_measured(*speeds(record.casing, record.quantity)),
         rotor=tuple(_measured(*speeds(w, record.quantity)) for w in record.rotor),
         models=tuple(_case_model(f, t, index) for f, t in zip(fits, torques, strict=True)),
-        added=_added_torque("final model", base, final, index) if len(fits) > 1 else None,
+        added=added_torque("final model", base, final, index) if len(fits) > 1 else None,
         alternatives=_alternatives(base, final, diagnosis, index),
         energy=tuple(_energy(r.fit, index) for r in history),
         failures=tuple(f for f in (diagnosis.failures if diagnosis else ()) if f.label == record.label),
@@ -238,7 +238,7 @@ def _modelled(fit: Fit, index: int, body: int, time: Array) -> Curve:
 def _alternatives(base: Fit, final: Fit, diagnosis: Diagnosis | None, index: int) -> tuple[AddedTorque, ...]:
     """Return the torques of the best candidates that were refitted and are not in the final model."""
     found = [
-        _added_torque(c.effect.name, base, c.fit, index)
+        added_torque(c.effect.name, base, c.fit, index)
         for c in (diagnosis.candidates if diagnosis is not None else ())
         if c.fit is not None
         and c.physical
@@ -249,8 +249,8 @@ def _alternatives(base: Fit, final: Fit, diagnosis: Diagnosis | None, index: int
     return tuple(s for s in found if s is not None)[:_MOST_ALTERNATIVES]
 
 
-def _added_torque(name: str, base: Fit, other: Fit, index: int) -> AddedTorque | None:
-    """Return the torque that another model has and the base lacks, along the other's motion."""
+def added_torque(name: str, base: Fit, other: Fit, index: int) -> AddedTorque | None:
+    """Return the torque that another model has and the base lacks, along the other's motion; None if it adds none."""
     from fitting.dynamics._mesh import Sampler
 
     old, new = base.problem.cases[index], other.problem.cases[index]

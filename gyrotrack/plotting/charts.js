@@ -97,6 +97,7 @@ const Charts = (() => {
       this.plot = element("div", { class: "plot", role: "img" });
       this.root = element("figure", { class: "panel" }, this.head, this.plot);
       this.hidden = new Set();
+      this.extra = [];
       this.set(chart);
     }
 
@@ -175,11 +176,11 @@ const Charts = (() => {
         legend: { show: false },
         cursor: { drag: { x: true, y: false, setScale: false }, sync: own ? { key: this.board.key } : undefined, points: { size: 6 },
           bind: { dblclick: () => () => { this.board.show(...this.board.whole); if (!own) this.local = null; this.rescale(); return null; } } },
-        scales: { x: { time: false, range: () => this.xRange() }, y: { range: () => limits(this.traces, ...this.xRange()) } },
+        scales: { x: { time: false, range: () => this.xRange() }, y: { range: () => limits([...this.traces, ...this.extra], ...this.xRange()) } },
         axes: [axis({ size: 30, values: own ? (u, splits) => number(u, splits).map((v) => `${v} s`) : number }), axis({ size: 62, values: number })],
         hooks: {
           drawClear: [(u) => this.shadeIntervals(u, look)],
-          draw: [(u) => this.drawCursor(u, look)],
+          draw: [(u) => this.drawExtra(u), (u) => this.drawCursor(u, look)],
           setSelect: [(u) => this.selected(u)],
           setCursor: [(u) => this.read(u)],
         },
@@ -245,6 +246,29 @@ const Charts = (() => {
         const x = u.valToPos(t, "x", true);
         g.strokeStyle = look.ink; g.lineWidth = 2 * devicePixelRatio;
         if (x >= left && x <= left + width) line(x, top, x, top + height);
+      }
+      g.restore();
+    }
+
+    /* curves that are only looked at: dashed, over the others, and no part of an export as numbers */
+    drawExtra(u) {
+      const g = u.ctx, { left, top, width, height } = u.bbox;
+      g.save();
+      g.beginPath(); g.rect(left, top, width, height); g.clip();
+      g.lineWidth = 2.2 * devicePixelRatio;
+      g.setLineDash([6 * devicePixelRatio, 3 * devicePixelRatio]);
+      for (const t of this.extra) {
+        g.strokeStyle = shade(t.colour);
+        g.beginPath();
+        let pen = false;
+        t.x.forEach((x, i) => {
+          const v = t.value[i];
+          if (v === null) { pen = false; return; }
+          const a = u.valToPos(x, "x", true), b = u.valToPos(v, "y", true);
+          if (pen) g.lineTo(a, b); else g.moveTo(a, b);
+          pen = true;
+        });
+        g.stroke();
       }
       g.restore();
     }
@@ -395,6 +419,17 @@ const Charts = (() => {
         return out;
       }));
       this.show(...this.range);
+    }
+
+    /* show curves { chart: [{ x, value, colour }] } over the charts of these names, in SI units; nothing elsewhere */
+    overlay(curves) {
+      for (const p of this.panels) {
+        const wanted = curves[p.chart.name] || [];
+        if (!wanted.length && !p.extra.length) continue;
+        const unit = p.chart.unit, factor = { p: 1e12, n: 1e9, u: 1e6, "\u00b5": 1e6, "\u03bc": 1e6, m: 1e3 }[/^[pnu\u00b5\u03bcm](?=rad|N)/.exec(unit)?.[0]] || 1;
+        p.extra = wanted.map((c) => ({ ...c, shown: true, scale: "normal", kind: "line", value: c.value.map((v) => v === null ? null : v * factor) }));
+        p.rescale();
+      }
     }
 
     pressed(event) {

@@ -19,7 +19,7 @@ from scipy.interpolate import BSpline
 from scipy.linalg import cho_factor, cho_solve
 
 from gyrotrack._errors import SyncError
-from gyrotrack._smoothing import STANDS_OUT, median_smooth
+from gyrotrack._smoothing import median_smooth
 from gyrotrack.io._records import Floats, Recording
 
 TURN = 2 * np.pi
@@ -64,31 +64,11 @@ def inliers(residual: Floats) -> npt.NDArray[np.bool_]:
     return np.asarray(np.abs(residual) < OUTLIER * max(spread, 1e-300))
 
 
-def block_excess(residual: Floats, free: float) -> float:
-    """Return the variance of block means against that of independent residuals of unit sigma.
-
-    Parameters
-    ----------
-    residual : ndarray
-        In units of sigma.
-    free : float
-        Part of the block means that the fitted parameters leave free.
-
-    Returns
-    -------
-    float
-        At least 1; more only if it stands out.
-    """
-    means, length = block_means(residual)
-    excess = length * float(np.mean(means**2)) / free
-    return excess if excess > 1 + STANDS_OUT * np.sqrt(2 / len(means)) else 1.0
-
-
-def block_means(residual: Floats) -> tuple[Floats, int]:
-    """Return the means of about 60 blocks, and the length of a block."""
-    length = max(len(residual) // BLOCKS, 2)
-    blocks = len(residual) // length
-    return residual[: blocks * length].reshape(blocks, length).mean(axis=1), length
+def block_means(residual: Floats, blocks: int = BLOCKS) -> tuple[Floats, int]:
+    """Return the means of about so many blocks, and the length of a block."""
+    length = max(len(residual) // blocks, 2)
+    count = len(residual) // length
+    return residual[: count * length].reshape(count, length).mean(axis=1), length
 
 
 FEWEST = 60

@@ -12,14 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from gyrotrack._correlated_noise import slow_variance
 from gyrotrack._errors import SyncError
 from gyrotrack._smoothing import correlation_factor
 from gyrotrack.io._records import Floats
 from gyrotrack.synchronisation._curves import (
-    BLOCKS,
     Curve,
     Start,
-    block_excess,
     block_means,
     harmonics,
     inliers,
@@ -126,6 +125,7 @@ def _valleys(distance: Floats) -> list[int]:
 
 
 INTERVALS = (2, 4, 8, 16, 32)
+BIC_BLOCKS = 30
 PARAMETERS = 16  # beside the intervals: ends of the spline, harmonics, start, rate, direction
 ROUNDS = 2
 MISFIT = 0.015  # rad; two cameras that see the same motion agree better than this
@@ -228,25 +228,43 @@ def _tuned(pair: Pair, start: Start) -> tuple[Pair, int]:
     """Drop outliers, give both cameras their true sigma, and choose the spline's intervals.
 
     The noise is seen best under the most pliant spline. How pliant it need be, says the Bayesian information
-    criterion for the number of independent samples, and twice that is taken: a curve a little too stiff would
-    bias the start within its error. What is then left in averages over blocks raises sigma again.
+    criterion for block means, which are nearly independent where neighbouring frames are not (slow errors of tracking
+    would make the spline follow them), and twice that is taken: a curve a little too stiff would bias the start within
+    its error.
     """
-    pair, rejected, independent = _with_true_noise(replace(pair, intervals=2 * INTERVALS[-1]), start)
+    pair, rejected = _with_true_noise(replace(pair, intervals=2 * INTERVALS[-1]), start)
 
     def criterion(intervals: int) -> float:
         left = _residuals(replace(pair, intervals=intervals), start)
-        chi2 = np.sum(left.residual_clip**2) + np.sum(left.residual_casing**2)
-        return float(chi2 + intervals * np.log(independent))
+        means = [block_means(r, BIC_BLOCKS)[0] for r in (left.residual_clip, left.residual_casing)]
+        misfit = sum(len(m) * np.log(max(float(np.mean(m**2)), 1e-300)) for m in means)
+        return float(misfit + intervals * np.log(sum(map(len, means))))
 
     pair = replace(pair, intervals=2 * min(INTERVALS, key=criterion))
-    left = _residuals(pair, start)
-    free = max(1 - (pair.intervals + PARAMETERS) / (2 * BLOCKS), 0.3)
-    casing, clip = (np.sqrt(block_excess(r, free)) for r in (left.residual_casing, left.residual_clip))
-    return replace(pair, casing=pair.casing.scaled(casing), clip=pair.clip.scaled(clip)), rejected
+    return _with_slow_noise(pair, start), rejected
 
 
-def _with_true_noise(pair: Pair, start: Start) -> tuple[Pair, int, float]:
-    """Return the pair without outliers, with true sigmas, and the number of independent samples."""
+def _with_slow_noise(pair: Pair, start: Start) -> Pair:
+    """Return the pair with sigmas that hold for averages over long times, in which slow errors of tracking remain."""
+    left, casing = _residuals(pair, start), surroundings(pair, start)
+    seen = pair.casing.between(*window(*start.moments(pair.clip.time[[0, -1]])))
+    moment = start.moments(pair.clip.time)
+    speed = casing.speed(moment)
+    change = np.column_stack([speed, speed * pair.clip.time, np.ones_like(speed), harmonics(pair.clip.angle)])
+    rows = np.hstack([casing.design(moment), change]) / pair.clip.sigma[:, None]
+    return replace(
+        pair,
+        casing=pair.casing.scaled(
+            np.sqrt(slow_variance(seen.time, casing.rows, left.residual_casing, pair.clip.duration))
+        ),
+        clip=pair.clip.scaled(
+            np.sqrt(slow_variance(pair.clip.time, rows, left.residual_clip, pair.clip.duration))
+        ),
+    )
+
+
+def _with_true_noise(pair: Pair, start: Start) -> tuple[Pair, int]:
+    """Return the pair without outliers and with true sigmas, and how many outliers there were."""
     left = _residuals(pair, start)
     good_clip, good_seen = inliers(left.residual_clip), inliers(left.residual_casing)
     edges = window(*start.moments(pair.clip.time[[0, -1]]))
@@ -260,13 +278,12 @@ def _with_true_noise(pair: Pair, start: Start) -> tuple[Pair, int, float]:
         float(np.sqrt(np.mean(residual**2) / max(1 - used, 0.1) * factor))
         for residual, factor in zip(residuals, factors, strict=True)
     )
-    independent = sum(len(residual) / factor for residual, factor in zip(residuals, factors, strict=True))
     cleaned = replace(
         pair,
         casing=pair.casing.keep(good_casing).scaled(casing),
         clip=pair.clip.keep(good_clip).scaled(clip),
     )
-    return cleaned, int((~good_clip).sum() + (~good_seen).sum()), independent
+    return cleaned, int((~good_clip).sum() + (~good_seen).sum())
 
 
 def _residuals(pair: Pair, start: Start) -> Normal:

@@ -29,8 +29,9 @@ Mask = npt.NDArray[np.bool_]
 
 AROUND = 20
 """Frames to each side from which the step of a body is known."""
-CLEAR = 3.0
-"""Standard deviations by which a body must move in a frame for a repetition to be told."""
+CLEAR = 6.0
+"""Standard deviations of its steps by which a body must move in a frame for a repetition to be told: half a step, below
+which it counts as still, is then three of them."""
 FEWEST = 4
 
 

@@ -104,7 +104,7 @@ def _shown(page, frame):
 def test_opening_shows_the_case_and_its_name_as_text(visit, tmp_path):
     assert visit.locator("h1").inner_text() == HOSTILE
     assert visit.title() == f"gyrotrack: {HOSTILE}"
-    assert visit.locator("#board canvas").count() == 11
+    assert visit.locator("#board canvas").count() == 12
     assert visit.locator("#effects li").count() == 5
     assert "significant lack of fit" in visit.locator("#verdict").inner_text()
     picture = tmp_path / "page.png"
@@ -347,3 +347,41 @@ def test_a_signal_ends_it_while_it_searches(chromium, case, tmp_path, sign):
     found.context.close()
     os.kill(server.process.pid, sign)
     assert server.ended(children) == 0
+
+
+@pytest.mark.slow
+def test_sliders_move_the_residual_and_candidates_are_foreseen(visit):
+    visit.locator("#tuning summary").click()
+    slider = visit.get_by_label("move casing.air.linear.b2")
+    slider.wait_for()
+    assert visit.locator("#from-here").is_disabled()
+    before = visit.locator("#board canvas").nth(1).screenshot()
+    slider.focus()
+    visit.keyboard.press("ArrowRight")
+    took = visit.evaluate("""async () => {
+        const input = document.querySelector("[aria-label='move casing.air.linear.b2']"), took = [];
+        for (let k = 0; k < 15; k++) {
+            const began = performance.now();
+            input.value = String(Number(input.value) + 5);
+            input.dispatchEvent(new Event("input"));
+            const first = performance.now() - began;
+            const board = document.getElementById("board");
+            while (board.dataset.overlay !== "exact") await new Promise((f) => setTimeout(f, 1));
+            took.push([first, performance.now() - began]);
+        }
+        return took;
+    }""")
+    first, exact = (sorted(t[k] for t in took)[7] for k in (0, 1))
+    assert first < 50
+    assert exact < 200  # 50 on idle cores
+    assert "rms residual" in visit.locator("#moved").inner_text()
+    assert visit.locator("#board canvas").nth(1).screenshot() != before
+    visit.click("#reset")
+    assert visit.locator("#moved").inner_text() == ""
+    row = visit.locator("#ranking tr").first
+    row.wait_for(timeout=60_000)
+    row.hover()
+    visit.locator("#foreseen", has_text=f"{FOUND}: rms residual").wait_for()
+    assert visit.locator("#board").get_attribute("data-overlay") == FOUND
+    visit.hover("h1")
+    visit.locator("#board:not([data-overlay])").wait_for()

@@ -383,20 +383,47 @@ def ladder_command(
     *,
     data: DataKind = None,
     rotor: RotorKind = "windows",
+    name: Annotated[
+        str | None, typer.Option("--name", metavar="ID=TEXT", help="Name a fit: f2='quadratic drag'.")
+    ] = None,
+    note: Annotated[
+        str | None, typer.Option("--note", metavar="ID=TEXT", help="Write a note on a fit; empty removes it.")
+    ] = None,
+    delete: Annotated[
+        str | None, typer.Option("--delete", metavar="ID", help="Delete a fit that no other was made from.")
+    ] = None,
     ledger: LedgerFile = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """List the fits of these cases: one bar per fit.
+    """List the fits of these cases: one bar per fit, each below the fit that it was made from.
+
+    A branch is made with `gyrotrack fit --from ID --add EFFECT`.
 
     Example: gyrotrack ladder case1.h5
     """
     out = Output(as_json=as_json, quiet=quiet)
     study = open_study(cases, ledger, data=data, rotor=rotor)
-    entries = study.ledger.of(study.data)
-    if not entries:
+    if not study.ledger.of(study.data):
         raise DatasetError("There is no fit of these cases yet.", "Run `gyrotrack fit`.")
-    steps = [{**e.document["rung"], "parent": e.document.get("parent", "")} for e in entries]
+    for option, text in (("name", name), ("note", note)):
+        if text is not None:
+            fit_id, equals, content = text.partition("=")
+            if not equals:
+                raise UsageError(
+                    f"--{option} {text[:40]} names no fit.", f"Write it as --{option} f2='text'."
+                )
+            found = study.entry(fit_id.strip())
+            study.ledger.annotate(found.fit_id if found else fit_id, **{option: content})
+    if delete is not None:
+        found = study.entry(delete)
+        study.ledger.delete(found.fit_id if found else delete)
+        out.note(f"{delete} is deleted from {study.ledger.path}.")
+    keys = ("parent", "name", "note")
+    steps = [
+        {**e.document["rung"], **{k: e.document.get(k, "") for k in keys}}
+        for e in study.ledger.of(study.data)
+    ]
     out.result({"ladder": steps})
     out.show(*ladder_tables(steps, study.data[0].record.body))
 

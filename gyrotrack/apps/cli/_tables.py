@@ -146,9 +146,13 @@ def ladder_tables(steps: Sequence[dict[str, Any]], body: str = "casing") -> list
     """Return a history of fits as lines, one bar per fit; `body` is the body recorded throughout."""
     lines = [f"{'fit':<5}{'rmse':>9} {'chi2/n':>9} {'cv error':>9} {'dBIC':>9}  {'':<{_BAR}}", ""]
     sizes = [max(r["rmse_casing"], 1e-300) for r in steps]
+    previous = ""
     for r, size in zip(steps, sizes, strict=True):
         bar = "#" * max(1, round(_BAR * size / max(sizes)))
         added = r["added"] or "base"
+        if r.get("parent") and r["parent"] != previous:
+            added += f"  (from {r['parent']})"
+        previous = r["fit_id"]
         lines.append(
             f"{r['fit_id']:<5}{r['rmse_casing']:>9.4g} {r['reduced_chi2']:>9.3g}"
             f" {r['held_out']:>9.3g} {r['delta_bic']:>9.1f}  {bar}"
@@ -157,6 +161,8 @@ def ladder_tables(steps: Sequence[dict[str, Any]], body: str = "casing") -> list
             f"     {added}"
             + (f"  (remainder: {r['torque_left_Nm']:.2g} N m)" if r.get("torque_left_Nm") else "")
         )
+        if comment := ": ".join(filter(None, (r.get("name"), r.get("note")))):
+            lines += [f"     {line}" for line in _wrapped(comment)]
     lines += [
         "",
         f"rmse of the angular rate of the {body} [rad/s];",

@@ -137,11 +137,12 @@ class Project:
                 "fields": {k: getattr(s, k) for k in _FIELDS},
                 "inertias": {k: _inertia_text(getattr(s, k), k) for k in _FIELDS if k.startswith("inertia")},
                 "route": self._route(),
+                "can_open": self._can_open(),
                 "missing": {"track": self._missing_to_track(), "match": self._missing_to_match()},
                 "commands": {
                     "track": [_shown(self.track_words(x)) for x in s.sources if x.kind == "film" and x.body],
-                    "match": _shown(self._match_words()) if not self._missing_to_match() else "",
-                    "fit": _shown(["fit", s.case]) if s.case else "",
+                    "match": _shown(self._match_words()) if self._is_matchable() else "",
+                    "fit": _shown(["fit", s.case]) if s.case and self._route() != "single" else "",
                 },
                 "match": s.match,
                 "is_matched": self._is_matched(),
@@ -517,9 +518,13 @@ class Project:
             words += ["--report", f"{Path(x.output).stem}.html"]
             if x.hub is not None:
                 words += ["--hub", f"{x.hub[0]:.1f},{x.hub[1]:.1f}"]
-            return words + (["--inertia", self.state.inertia] if self.state.inertia else [])
+            return [*words, *self._single_options()]
         profile = ["--profile", _argument(x.profile)] if x.profile else []
         return ["extract", _argument(x.file), *rate, *profile, "-o", x.output]
+
+    def _single_options(self) -> list[str]:
+        s = self.state
+        return ([f"--inertia={s.inertia}"] if s.inertia else []) + ([f"--label={s.label}"] if s.label else [])
 
     def track(self, keys: Sequence[str] = ()) -> None:
         """Track these films; by default all that are not tracked with their current settings."""
@@ -543,11 +548,23 @@ class Project:
     def _is_current(self, x: Source) -> bool:
         return x.kind != "film" or (bool(x.result) and x.words == self.track_words(x))
 
+    def _is_matchable(self) -> bool:
+        """Whether a command makes the case of what there is; a film of a single body is one when it is tracked."""
+        single_film = self._route() == "single" and self.state.sources[0].kind == "film"
+        return not single_film and not self._missing_to_match()
+
     def _is_matched(self) -> bool:
         films = [x for x in self.state.sources if x.kind == "film"]
         if self._route() == "single" and films:
             return len(self.state.sources) == 1 and self._is_current(films[0])
         return not self._missing_to_match() and self.state.matched == self._match_words()
+
+    def _can_open(self) -> bool:
+        """Whether there is a fit that the laboratory can show."""
+        if self._route() != "single":
+            return self._is_fitted()
+        x = self.state.sources[0]
+        return self._is_matched() and bool((x.result if x.kind == "film" else self.state.match).get("fits"))
 
     def _is_fitted(self) -> bool:
         return self._is_matched() and bool(self.state.fit) and self.state.fitted == self.state.matched
@@ -585,7 +602,12 @@ class Project:
                 found.append(f"The capture rate of {name} is not given.")
         if not self.state.sources:
             found.append("No film and no table is chosen.")
+        if self._route() == "single":
+            found += self._wrong_inertia("inertia")
         return found
+
+    def _wrong_inertia(self, field: str) -> list[str]:
+        return list(filter(None, [_inertia_text(getattr(self.state, field), field)["error"]]))
 
     def _missing_to_match(self) -> list[str]:
         s, route = self.state, self._route()
@@ -595,7 +617,7 @@ class Project:
         if route == "single":
             if len(s.sources) > 1:
                 return ["A single body is one film or table; remove the others."]
-            return [] if s.sources[0].kind != "film" else ["A single body needs no matching of clocks."]
+            return [] if s.sources[0].kind != "film" else self._wrong_inertia("inertia")
         if not route:
             return ["Films and tables are not combined in one case."]
         if sum(x.body == "casing" for x in s.sources) != 1 or not any(x.body == "rotor" for x in s.sources):
@@ -621,7 +643,7 @@ class Project:
         if route == "single":
             x = s.sources[0]
             words = ["spindown", _argument(x.file), "-o", case, "--report", f"{Path(case).stem}.html"]
-            return words + ([f"--inertia={s.inertia}"] if s.inertia else [])
+            return [*words, *self._single_options()]
         assert casing is not None  # noqa: S101 - `_missing_to_match` has refused
         if route == "import":
             rotor = [w for x in rotors for w in ("--rotor", _argument(x.file))]
@@ -634,6 +656,8 @@ class Project:
         with self._lock:
             if missing := self._missing_to_match():
                 raise UsageError(missing[0], "Complete it first.")
+            if not self._is_matchable():
+                raise UsageError("The film of a single body becomes a case when it is tracked.", "Track it.")
             words = self._match_words()
             case = words[words.index("-o") + 1]
             again = ["--force"] if self.state.match else []
@@ -661,7 +685,8 @@ class Project:
             name = Path(x.file).name if x is not None else Path(c["source"]).name
             duration = _duration(x) if x is not None else None
             clips.append({"name": name, "duration_s": duration, **{k: c[k] for k in keys}})
-        return {"clips": clips, "warnings": document.get("warnings", []), "case": self.state.case}
+        own = _short_result(document) if "motion" in document else {"fits": 1}
+        return own | {"clips": clips, "warnings": document.get("warnings", []), "case": self.state.case}
 
     def fit(self) -> None:
         """Fit the reduced model to the case."""
@@ -752,6 +777,7 @@ def _short_result(document: dict[str, Any]) -> dict[str, Any]:
         diagnosis = document.get("diagnosis") or {}
         return {
             "motion": document["motion"],
+            "fits": len(document.get("ladder") or []),
             "sentence": diagnosis.get("sentence", ""),
             "warnings": document.get("warnings", []),
         }

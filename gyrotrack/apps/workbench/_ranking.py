@@ -90,17 +90,31 @@ class Ranker:
             self._end()
 
 
+_MOST = 12
+"""Candidates whose effect on the residual is predicted: those that the page lists."""
+
+
 def _answer(line: str, case: Path) -> dict[str, Any]:
     from fitting._errors import FittingError
+    from fitting.discovery._score import CaseColumns
     from fitting.discovery._verdict import diagnose
     from fitting.inference._case_data import CaseData
     from fitting.inference._case_file import read_record
     from fitting.study._history import Entry
     from fitting.study._serialisation import diagnosis_document
+    from gyrotrack.apps.workbench._prediction import Prediction
 
     try:
         fit = Entry(json.loads(line)).refit([CaseData.of(read_record(case))])
-        return {"diagnosis": diagnosis_document(diagnose(fit), "")}
+        found = diagnose(fit)
+        prediction, columns = Prediction(fit), CaseColumns(fit, 0)
+        shown = [c for c in found.candidates if c.score > 0][:_MOST]
+        predicted = {c.effect.name: prediction.with_candidate(c, columns) for c in shown}
+        return {
+            "diagnosis": diagnosis_document(found, ""),
+            "predicted": predicted,
+            "base_rms": prediction.rms,
+        }
     except FittingError as error:
         return {"error": {"code": error.code, "message": error.message, "hint": error.hint}}
 

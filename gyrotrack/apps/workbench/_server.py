@@ -200,6 +200,16 @@ def number(asked: dict[str, Any], name: str) -> float:
     return value
 
 
+def numbers(asked: dict[str, Any], name: str) -> dict[str, float]:
+    """Return numbers by name that are asked for; nothing, if there are none."""
+    found = asked.get(name)
+    if not isinstance(found, dict):
+        return {}
+    if not all(isinstance(v, int | float) for v in found.values()):
+        raise UsageError("A value is not a number.", "Reload the page.")
+    return {str(k): float(v) for k, v in found.items()}
+
+
 _ADDRESS = "127.0.0.1"
 
 
@@ -230,8 +240,11 @@ class Laboratory:
         """
         tracked = read_case(case)
         study = open_study([case], ledger)
-        base, fit_id = study.base(start)
+        entry = study.entry(start)
+        base, fit_id = study.base(None) if entry is None else (entry.shown(study.data), entry.fit_id)
         session = Session(study.data[0], base, fit_id, study.ledger, tracked)
+        # what the page asks for first is ready, or nearly so, when it does
+        Thread(target=session.state, kwargs={"whole": True}, daemon=True).start()
         return cls(session, Clips(tracked, list(films)), Ranker(case))
 
     def close(self) -> None:
@@ -300,12 +313,18 @@ class Workbench:
             return lab.session.remember(lab.ranker.rank(lab.session.model_document()))
 
         return {
-            "change": session(lambda s, a: s.change(add=text(a, "add"), drop=text(a, "drop"))),
+            "change": session(
+                lambda s, a: s.change(add=text(a, "add"), drop=text(a, "drop"), values=numbers(a, "values"))
+            ),
+            "sliders": session(lambda s, _: s.sliders()),
+            "moved": session(lambda s, a: s.moved(numbers(a, "values"))),
             "go": session(lambda s, a: s.go(whole(a, "place"))),
             "compare": session(lambda s, a: s.compare(whole(a, "place"))),
             "undo": session(lambda s, _: s.undo()),
             "delete": session(lambda s, a: s.delete(whole(a, "place"))),
-            "note": session(lambda s, a: s.annotate(whole(a, "place"), text(a, "note"))),
+            "note": session(
+                lambda s, a: s.annotate(whole(a, "place"), name=text(a, "name"), note=text(a, "note"))
+            ),
             "keep": session(lambda s, _: s.keep()),
             "rank": rank,
             "colour": lambda a: self.laboratory.clips.colour(

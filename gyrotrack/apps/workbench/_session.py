@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from threading import RLock
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from fitting.inference._case_data import CaseData
     from fitting.inference._result import Fit
     from fitting.study._history import Ledger
+    from gyrotrack.apps.workbench._prediction import Prediction
     from gyrotrack.io._records import Case
 
 
@@ -26,24 +28,40 @@ def library_document() -> list[dict[str, Any]]:
 
 
 _LONGEST = 500
+_LONGEST_NAME = 60
 
 
 @dataclass
 class Step:
-    """One fit of the history: its change, its parent, its name in the ledger, and the user's note."""
+    """One fit of the history: its change, its parent, its name in the ledger, and the user's name and note.
+
+    A fit of the ledger is restored when it is first shown.
+    """
 
     change: str
     parent: int
-    fit: Fit
+    found: Fit | None
     fit_id: str = ""
     sharp: bool = True
     torques: tuple[ResidualTorque, ...] | None = None
+    prediction: Prediction | None = None
+    name: str = ""
     note: str = ""
     is_deleted: bool = False
+    rung: dict[str, Any] | None = None
+    restore: Callable[[], Fit] | None = None
+
+    @property
+    def fit(self) -> Fit:
+        """The fit."""
+        if self.found is None and self.restore is not None:
+            self.found = self.restore()
+        assert self.found is not None  # noqa: S101 - one of both is given
+        return self.found
 
 
 class Session:
-    """One case on the workbench: a tree of fits of which one is shown.
+    """One case on the workbench: a tree of fits of which one is shown, those of the ledger and new ones.
 
     Steps keep their index for the whole session; a deleted one is hidden and comes back with `undo`.
 
@@ -66,8 +84,9 @@ class Session:
     ) -> None:
         self._lock = RLock()
         self._data, self._ledger, self._case = data, ledger, case
-        self.steps = [Step("base", -1, base, fit_id)]
-        self.current = 0
+        self.steps = _steps_of(data, ledger) or [Step("base", -1, base, fit_id)]
+        self.current = next(i for i, s in enumerate(self.steps) if s.fit_id == fit_id)
+        self.steps[self.current].found = base
         # the step with which the current one is compared; its parent if negative
         self.reference = -1
         self._undo: list[Callable[[], None]] = []
@@ -84,8 +103,10 @@ class Session:
         """The current fit."""
         return self.steps[self.current].fit
 
-    def change(self, *, add: str = "", drop: str = "") -> dict[str, Any]:
-        """Add an effect (by name or as ``body: law``) or drop one, fit, and return the new state.
+    def change(
+        self, *, add: str = "", drop: str = "", values: dict[str, float] | None = None
+    ) -> dict[str, Any]:
+        """Add an effect (by name or as ``body: law``), drop one, or begin at other values; fit; return the new state.
 
         Raises
         ------
@@ -115,6 +136,9 @@ class Session:
             if drop:
                 model = model.without(drop)
                 words.append(f"-{drop}")
+            if values:
+                start |= values
+                words.append("other initial values")
             if not words:
                 raise GyrotrackError("Nothing was asked for.", "Type the name of an effect, or a law.")
             noise = self.fit.noise
@@ -125,6 +149,24 @@ class Session:
             self.steps.append(Step(" ".join(words), self.current, found, sharp=False))
             self._show(len(self.steps) - 1)
             return self.state()
+
+    def _prediction(self) -> Prediction:
+        from gyrotrack.apps.workbench._prediction import Prediction
+
+        step = self.steps[self.current]
+        if step.prediction is None:
+            step.prediction = Prediction(step.fit)
+        return step.prediction
+
+    def sliders(self) -> dict[str, Any]:
+        """Return the parameters of the current fit with their ranges, and the slopes of its residual."""
+        with self._lock:
+            return _document(self._prediction().sliders()) | {"place": self.current}
+
+    def moved(self, values: dict[str, float]) -> dict[str, Any]:
+        """Return the exact residual of the current model at other values of its parameters."""
+        with self._lock:
+            return _document(self._prediction().moved(values))
 
     def go(self, place: int) -> dict[str, Any]:
         """Show another step."""
@@ -147,33 +189,44 @@ class Session:
             return self.state()
 
     def delete(self, place: int) -> dict[str, Any]:
-        """Remove a step that has no successors and is not in the ledger."""
+        """Remove a step that has no successors, also from the ledger if it is kept there."""
         with self._lock:
             step = self.steps[self._existing(place)]
-            if place == 0 or step.fit_id:
-                raise GyrotrackError("A fit that is kept in the ledger cannot be deleted here.")
-            if any(s.parent == place and not s.is_deleted for s in self.steps):
+            left = [i for i, s in enumerate(self.steps) if not s.is_deleted and i != place]
+            if not left:
+                raise GyrotrackError("The only fit cannot be deleted.")
+            if any(self.steps[i].parent == place for i in left):
                 raise GyrotrackError("This fit has successors.", "Delete those first.")
             before = self.current, self.reference
+            entry = self._ledger.delete(step.fit_id) if step.fit_id else None
             step.is_deleted = True
             if self.current == place:
-                self.current = step.parent
+                self.current = step.parent if step.parent >= 0 else left[0]
             if place == self.reference:
                 self.reference = -1
 
             def restore() -> None:
+                if entry is not None:
+                    self._ledger.restore(entry)
                 step.is_deleted = False
                 self.current, self.reference = before
 
             self._undo.append(restore)
             return self.state()
 
-    def annotate(self, place: int, note: str) -> dict[str, Any]:
-        """Set the note of a step (for this session)."""
+    def annotate(self, place: int, *, name: str, note: str) -> dict[str, Any]:
+        """Set name and note of a step; of a fit in the ledger they are stored at once, else when it is kept."""
         with self._lock:
-            step, old = self.steps[self._existing(place)], self.steps[place].note
-            step.note = note.strip()[:_LONGEST]
-            self._undo.append(lambda: setattr(step, "note", old))
+            step = self.steps[self._existing(place)]
+            old = step.name, step.note
+
+            def write(name: str, note: str) -> None:
+                step.name, step.note = name.strip()[:_LONGEST_NAME], note.strip()[:_LONGEST]
+                if step.fit_id:
+                    self._ledger.annotate(step.fit_id, name=step.name, note=step.note)
+
+            write(name, note)
+            self._undo.append(lambda: write(*old))
             return self.state()
 
     def _existing(self, place: int) -> int:
@@ -205,14 +258,17 @@ class Session:
         entry = self._ledger.add(
             step.fit, parent=parent, added=step.change, previous=self.steps[step.parent].fit
         )
-        step.fit_id = entry.fit_id
+        step.fit_id, step.rung = entry.fit_id, None
+        if step.name or step.note:
+            self._ledger.annotate(step.fit_id, name=step.name, note=step.note)
         return step.fit_id
 
     def _sharpen(self, step: Step) -> None:
         from fitting.discovery._refine import refined
 
         if not step.sharp:
-            step.fit, step.sharp, step.torques = refined(step.fit), True, None
+            step.found, step.sharp, step.torques = refined(step.fit), True, None
+            step.prediction = None
 
     def remember(self, answer: dict[str, Any]) -> dict[str, Any]:
         """Keep the parameters of the candidates of a search as initial values, and return its answer, typeset."""
@@ -283,8 +339,10 @@ class Session:
         from fitting.study._serialisation import step_document
 
         step = self.steps[place]
-        previous = self.steps[step.parent].fit if step.parent >= 0 else None
-        document = step_document(step.fit, step.fit_id, step.change, previous)
+        document = step.rung
+        if document is None:
+            previous = self.steps[step.parent].fit if step.parent >= 0 else None
+            document = step_document(step.fit, step.fit_id, step.change, previous)
         keys = ("added", "rmse_casing", "reduced_chi2", "held_out", "delta_bic", "torque_left_Nm", "verdict")
         depth, up = 0, step.parent
         while up >= 0:
@@ -294,9 +352,10 @@ class Session:
             "depth": depth,
             "fit_id": step.fit_id,
             "parent": step.parent,
+            "name": step.name,
             "note": step.note,
         }
-        return own | {k: document[k] for k in keys}
+        return own | {k: document.get(k) for k in keys}
 
     def _tree(self) -> list[tuple[int, Step]]:
         """Return the steps with their places, every one followed by its successors."""
@@ -308,7 +367,8 @@ class Session:
                 if s.parent == place:
                     visit(i)
 
-        visit(0)
+        for root in [i for i, s in enumerate(self.steps) if s.parent < 0]:
+            visit(root)
         return found
 
     def _compared(self, step: Step) -> int:
@@ -320,7 +380,7 @@ class Session:
     def _board(self, step: Step, *, whole: bool) -> dict[str, Any]:
         from fitting.discovery._residuals import find_failures
         from fitting.discovery._select import Step as FitStep
-        from gyrotrack.plotting._case_charts import case_dashboard
+        from gyrotrack.plotting._case_charts import case_dashboard, torque_angle_charts
         from gyrotrack.plotting._study_data import case_view, intervals_of
         from gyrotrack.plotting._tracking import tracks_of
 
@@ -331,7 +391,10 @@ class Session:
         view = case_view(history, None, [self._torques(s) for s in steps], 0)
         tracks = tracks_of(self._case) if whole and self._case is not None else None
         names = (f"fit {compared + 1}", f"fit {self.current + 1}") if before is not None else ("fit 1",)
-        board = dashboard_document(case_dashboard(view, tracks, [s.change for s in steps], names=names))
+        dashboard = case_dashboard(view, tracks, [s.change for s in steps], names=names)
+        charts = list(dashboard.charts)
+        charts[3:3] = torque_angle_charts([s.fit for s in steps], names)
+        board = dashboard_document(replace(dashboard, charts=tuple(charts)))
         failures = find_failures(step.fit, list(self._torques(step)))
         board["intervals"] = [interval_document(i) for i in intervals_of(failures)]
         return board
@@ -342,6 +405,28 @@ class Session:
         if step.torques is None:
             step.torques = tuple(residual_torques(step.fit))
         return step.torques
+
+
+def _steps_of(data: CaseData, ledger: Ledger | None) -> list[Step]:
+    """Return the fits of a case in the ledger as steps; they are restored when they are shown."""
+    entries = ledger.of([data]) if ledger is not None else []
+    places = {e.fit_id: i for i, e in enumerate(entries)}
+    steps = []
+    for e in entries:
+        d = e.document
+        steps.append(
+            Step(
+                change=str(d.get("added") or "base"),
+                parent=places.get(str(d.get("parent", "")), -1),
+                found=None,
+                fit_id=e.fit_id,
+                name=e.stored.name,
+                note=e.stored.note,
+                rung=d.get("rung"),
+                restore=partial(e.shown, (data,)),
+            )
+        )
+    return steps
 
 
 def _document(found: dict[str, Any]) -> dict[str, Any]:

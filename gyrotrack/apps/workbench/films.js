@@ -51,7 +51,7 @@
     if (busy) timer = setTimeout(refresh, 300);
     if (wantsLaboratory && !busy) {
       wantsLaboratory = false;
-      if (project.fit.fit_id || (project.route === "single" && project.is_matched)) open();
+      if (project.can_open) open();
     }
   }
 
@@ -140,7 +140,6 @@
     }
     at("track").disabled = project.missing.track.length > 0 || !films.some((x) => !x.is_current && !active(x.jobs.track));
     at("track").textContent = films.some((x) => x.can_continue && !x.is_current && !active(x.jobs.track)) ? "Continue tracking" : films.length > 1 ? "Track the films" : "Track the film";
-    at("command-track").textContent = project.commands.track.join("\n");
     at("step-track").hidden = films.length === 0 && project.sources.length > 0;
   }
 
@@ -150,11 +149,17 @@
       return job.total ? `${job.done} of ${job.total} frames, ${job.seconds.toFixed(0)} s` : `${job.label || "starting"} \u2026 ${job.seconds.toFixed(0)} s`;
     }
     if (job?.state === "failed") return sentence(job.message);
-    if (x.is_current && x.result.motion) return x.result.sentence || `${x.result.motion.kind}, ${x.result.motion.turns.toFixed(1)} turns`;
+    if (x.is_current && x.result.motion) return motion(x.result);
     if (x.is_current) return Object.entries(x.result.body).map(([name, b]) => `${name}: ${b.samples} angles of ${x.result.frames} frames, \u00b1${(1e3 * b.median_sigma).toPrecision(2)} mrad`).join("; ");
     if (x.can_continue) return "interrupted; its checkpoint is kept";
     if (job?.state === "cancelled") return "cancelled";
     return x.result.frames ? "settings have changed since it was tracked" : "not tracked yet";
+  }
+
+  function motion(result) {
+    const m = result.motion, value = (v, unit) => `${v.value.toPrecision(6)} \u00b1 ${v.stderr.toPrecision(2)} ${unit}`;
+    const facts = m.kind === "oscillation" ? `period ${value(m.period, "s")}` : `mean ${value(m.omega_mean, "rad/s")}, angular acceleration ${value(m.alpha, "rad/s\u00b2")}`;
+    return [`${m.kind}, ${m.turns.toFixed(2)} turns: ${facts}.`, result.sentence].filter(Boolean).join(" ");
   }
 
   function fields() {
@@ -169,12 +174,18 @@
     }
     const single = project.route === "single";
     for (const p of document.querySelectorAll("[data-route]")) p.hidden = (p.dataset.route === "single") !== single;
+    at("surface").parentElement.hidden = single;
+    // the inertia of a single film enters the command that tracks it
+    const order = single ? ["sources", "match", "track", "fit"] : ["sources", "track", "match", "fit"];
+    order.forEach((name, n) => { at(`step-${name}`).querySelector(".number").textContent = String(n + 1); });
+    if (single) at("step-sources").after(at("step-match")); else at("step-track").after(at("step-match"));
     at("match-title").textContent = single ? "Inertia" : project.route === "import" ? "Inertias" : "Clocks and inertias";
     at("match").textContent = single ? "Measure the motion" : project.route === "import" ? "Make the case" : "Match the clocks";
     at("match").hidden = single && project.sources.some((x) => x.kind === "film");
   }
 
   function steps() {
+    const single = project.route === "single";
     same(at("missing-track"), project.missing.track.join("\n"), () => project.sources.length ? project.missing.track.map((t) => element("li", {}, t)) : []);
     const why = project.missing.track.length ? [] : project.missing.match;
     same(at("missing-match"), why.join("\n"), () => why.map((t) => element("li", {}, t)));
@@ -186,13 +197,19 @@
       at(`busy-${step}`).className = job?.state === "failed" ? "fault" : "soft";
     }
     at("match").disabled = project.missing.match.length > 0 || active(project.jobs.match);
-    at("fit").disabled = !project.is_matched || active(project.jobs.fit) || active(project.jobs.match);
-    at("fit").textContent = project.fit.fit_id || project.route === "single" ? "Open the laboratory" : "Fit and open the laboratory";
-    at("tab-laboratory").disabled = !project.is_matched || !(project.fit.fit_id || project.route === "single");
-    at("command-match").textContent = project.commands.match;
-    at("command-fit").textContent = project.commands.fit;
+    at("fit").disabled = !project.is_matched || (single && !project.can_open) || active(project.jobs.fit) || active(project.jobs.match);
+    at("fit").textContent = project.can_open || single ? "Open the laboratory" : "Fit and open the laboratory";
+    at("tab-laboratory").disabled = !project.can_open;
+    for (const step of ["track", "match", "fit"]) {
+      const lines = [project.commands[step]].flat().join("\n");
+      at(`command-${step}`).textContent = lines;
+      at(`command-${step}`).parentElement.hidden = !lines;
+    }
+    at("fit-text").textContent = single ? (project.is_matched && !project.can_open ? "No torque law is fitted; the warnings above say why."
+      : "The motion is fitted and diagnosed already; the laboratory shows where the model fails and tests every candidate effect.")
+      : "The reduced model of the paper is fitted; the laboratory then shows where it fails and tests every candidate effect.";
     clocks();
-    const done = { sources: !project.missing.track.length, track: project.sources.length > 0 && project.sources.every((x) => x.is_current), match: project.is_matched, fit: Boolean(project.fit.fit_id) };
+    const done = { sources: !project.missing.track.length, track: project.sources.length > 0 && project.sources.every((x) => x.is_current), match: project.is_matched, fit: project.can_open };
     for (const [name, value] of Object.entries(done)) at(`step-${name}`).classList.toggle("done", value);
   }
 
@@ -431,7 +448,7 @@
   at("track").addEventListener("click", () => act("track", {}));
   at("match").addEventListener("click", () => act("match", {}));
   at("fit").addEventListener("click", () => {
-    if (project.fit.fit_id || project.route === "single") { open(); return; }
+    if (project.can_open) { open(); return; }
     wantsLaboratory = true;
     act("fit", {});
   });

@@ -25,6 +25,7 @@ const Laboratory = (() => {
       document.body.removeAttribute("aria-busy");
       for (const b of document.querySelectorAll(".side button")) b.disabled = false;
       at("undo").disabled = !undoable;
+      at("from-here").disabled = at("reset").disabled = !sliders?.parameters.some((p) => p.now !== p.value);
     }
   }
 
@@ -51,17 +52,22 @@ const Laboratory = (() => {
       element("strong", {}, e.name),
       element("span", { class: "law" }, e.name === `${e.joint}: ${e.law}` ? "" : `${e.joint}: ${e.law}`),
       button("drop", `drop ${e.name}`, () => change({ drop: e.name })))));
-    at("parameters").replaceChildren(...state.parameters.map((p) => element("tr", {},
-      element("th", { scope: "row" }, p.name), element("td", {}, p.value + (p.at_bound ? " (at a bound)" : "")))));
+    at("parameters").replaceChildren(...state.parameters.map((p) => element("tr", { "data-name": p.name },
+      element("th", { scope: "row" }, p.name), element("td", {}, p.value + (p.at_bound ? " (at a bound)" : "")), element("td", { class: "slide" }))));
+    sliders = null;
+    at("moved").textContent = "";
+    at("from-here").disabled = at("reset").disabled = true;
+    board.overlay({});
+    if (at("tuning").open) tune();
     const largest = Math.max(...state.ladder.map((r) => r.rmse_casing || 0));
     at("ladder").replaceChildren(...state.ladder.map((r) => {
       const bar = element("span", { class: "bar", "aria-hidden": "true" });
       bar.style.width = `${Math.max(1, 100 * r.rmse_casing / largest)}%`;
       const name = (r.parent >= 0 ? r.added : "start") + (r.fit_id ? ` (${r.fit_id})` : "");
       const head = element("th", { scope: "row" }, (r.depth ? "\u2514 " : "") + name, bar,
-        element("span", { class: "more" }, [`fit ${r.place + 1}`, r.note].filter(Boolean).join(": ")));
+        element("span", { class: "more" }, [`fit ${r.place + 1}`, r.name, r.note].filter(Boolean).join(": ")));
       head.style.paddingLeft = `${0.8 * Math.max(0, r.depth - 1)}rem`;
-      const now = r.place === state.current, leaf = !r.fit_id && r.place > 0 && !state.ladder.some((o) => o.parent === r.place);
+      const now = r.place === state.current, leaf = state.ladder.length > 1 && !state.ladder.some((o) => o.parent === r.place);
       const acts = element("td", {});
       if (now) acts.append("shown ");
       else acts.append(button("show", `show fit ${r.place + 1}`, () => go(r.place)));
@@ -72,8 +78,99 @@ const Laboratory = (() => {
         element("td", {}, format(r.reduced_chi2, 3)), element("td", {}, format(r.held_out, 3)),
         element("td", {}, r.parent >= 0 ? format(r.delta_bic, 3) : "\u2013"), acts);
     }));
-    at("note").value = state.ladder.find((r) => r.place === state.current)?.note || "";
+    for (const field of ["name", "note"]) at(field).value = state.ladder.find((r) => r.place === state.current)?.[field] || "";
   }
+
+  /* --- parameters moved by hand: the residual follows at once to first order, then exactly --- */
+
+  const MOVED = "#cc79a7";
+  let sliders = null, waiting = null, asking = false;
+
+  async function tune() {
+    let mine = null;
+    try { mine = await ask("/api/sliders", {}); } catch (error) { complain(error); }
+    if (!mine || mine.place !== shown) return;
+    sliders = mine;
+    const rows = new Map([...at("parameters").children].map((r) => [r.dataset.name, r.querySelector(".slide")]));
+    sliders.parameters.forEach((p, k) => {
+      p.now = p.value;
+      const cell = rows.get(p.name);
+      if (!cell || !(p.high > p.low)) return;
+      const input = element("input", { type: "range", min: "0", max: "1000", step: "1", "aria-label": `move ${p.name}`, "data-place": String(k) });
+      const text = element("span", { class: "soft" });
+      const middle = 1000 * (p.value - p.low) / (p.high - p.low);
+      input.value = String(middle);
+      input.setAttribute("aria-valuetext", format(p.value));
+      input.addEventListener("input", () => {
+        p.now = Math.abs(Number(input.value) - middle) < 1 ? p.value : p.low + Number(input.value) / 1000 * (p.high - p.low);
+        text.textContent = `${format(p.now)} ${p.unit === "1" ? "" : p.unit}`;
+        input.setAttribute("aria-valuetext", text.textContent);
+        move();
+      });
+      cell.replaceChildren(input, text);
+    });
+  }
+
+  function curves(values) {
+    const run = (k) => ({ x: sliders.time[k], value: values[k] });
+    const windows = values.slice(1).map((_, k) => run(k + 1));
+    const rotor = { x: windows.flatMap((w) => [...w.x, w.x[w.x.length - 1]]), value: windows.flatMap((w) => [...w.value, null]) };
+    const normal = values[0].map((v, i) => sliders.sigma[i] > 0 ? v / sliders.sigma[i] : null);
+    return { casing: run(0), rotor, normalised: { x: sliders.time[0], value: normal } };
+  }
+
+  function draw(values, more = {}) {
+    const c = curves(values), with_ = (o) => [{ ...o, colour: MOVED }];
+    board.overlay({ "residual-casing": with_(c.casing), "residual-rotor": with_(c.rotor), normalised: with_(c.normalised), ...more });
+  }
+
+  function move() {
+    const changed = sliders.parameters.map((p, k) => [p.now - p.value, k]).filter(([d]) => d !== 0);
+    at("from-here").disabled = at("reset").disabled = changed.length === 0;
+    if (!changed.length) { waiting = null; board.overlay({}); at("moved").textContent = ""; return; }
+    const linear = sliders.value.map((run, r) => run.map((v, i) => changed.reduce((sum, [d, k]) => sum + d * sliders.slope[r][k][i], v)));
+    draw(linear);
+    at("board").dataset.overlay = "linear";
+    waiting = Object.fromEntries(changed.map(([, k]) => [sliders.parameters[k].name, sliders.parameters[k].now]));
+    exact();
+  }
+
+  async function exact() {
+    if (asking || !waiting) return;
+    asking = true;
+    const mine = sliders, values = waiting;
+    waiting = null;
+    try {
+      const found = await ask("/api/moved", { values });
+      if (mine === sliders && !waiting) {
+        draw(found.value);
+        at("board").dataset.overlay = "exact";
+        at("moved").textContent = `moved: rms residual ${format(found.rms, 3)} \u03c3, \u03c7\u00b2/n ${format(found.reduced_chi2, 3)}`;
+      }
+    } catch (error) { complain(error); }
+    asking = false;
+    exact();
+  }
+
+  /* what a candidate would do, before it is fitted */
+  async function foresee(name) {
+    const p = predicted[name];
+    if (!p) return;
+    if (!sliders) await tune();
+    if (!sliders) return;
+    const t = p.torque, line = (x, value) => [{ x, value, colour: MOVED }];
+    draw(p.value, t ? { "torque-casing": line(t.time, t.casing), "torque-rotor": line(t.time, t.rotor), "torque-speed": line(t.omega_c, t.casing) } : {});
+    at("board").dataset.overlay = name;
+    at("foreseen").textContent = `${name}: rms residual ${format(predictedBase, 3)} \u03c3 \u2192 ${format(p.rms, 3)} \u03c3${t ? "" : " (to first order)"}, dashed in the charts`;
+  }
+
+  function forget() {
+    at("foreseen").textContent = "";
+    delete at("board").dataset.overlay;
+    if (sliders && sliders.parameters.some((p) => p.now !== p.value)) move(); else board.overlay({});
+  }
+
+  let predicted = {}, predictedBase = NaN;
 
   /* ask for a change of the tree or of the view; search again if another fit is shown */
   async function apply(path, body) {
@@ -98,6 +195,8 @@ const Laboratory = (() => {
     at("searching").textContent = "Testing candidate effects \u2026";
     at("ranking").replaceChildren();
     at("sentence").textContent = "";
+    at("foreseen").textContent = "";
+    predicted = {};
     let found = null, trouble = null;
     try { found = await ask("/api/rank", {}); } catch (error) { trouble = error; }
     if (mine !== searches) return;
@@ -108,7 +207,13 @@ const Laboratory = (() => {
     const shown = found.diagnosis.candidates.filter((c) => c.score > 0).slice(0, 12);
     at("searching").textContent = shown.length ? "" : "No candidate effect has a positive score.";
     at("sentence").textContent = found.diagnosis.sentence;
-    at("ranking").replaceChildren(...shown.map((c) => element("tr", c.significant ? {} : { class: "pale" },
+    predicted = found.predicted || {};
+    predictedBase = found.base_rms ?? NaN;
+    const row = (c, tr) => {
+      for (const [name, work] of [["mouseenter", () => foresee(c.effect)], ["focusin", () => foresee(c.effect)], ["mouseleave", forget], ["focusout", forget]]) tr.addEventListener(name, work);
+      return tr;
+    };
+    at("ranking").replaceChildren(...shown.map((c) => row(c, element("tr", c.significant ? {} : { class: "pale" },
       element("th", { scope: "row" }, c.effect, element("span", { class: "more" }, [
         ...(c.kind === "measurement" ? ["artefact"] : []),
         ...(c.indistinguishable_from.length ? [`indistinguishable from ${c.indistinguishable_from.join(", ")}`] : []),
@@ -116,7 +221,7 @@ const Laboratory = (() => {
       element("td", {}, format(c.score, 3)), element("td", {}, c.delta_bic === null ? "\u2013" : format(c.delta_bic, 3)),
       element("td", {}, c.p_value < 1e-30 ? "< 10\u207b\u00b3\u2070" : format(c.p_value, 1)),
       element("td", {}, free.has(c.effect) ? "always fitted"
-        : button("add", `add ${c.effect}`, () => change({ add: c.effect }))))));
+        : button("add", `add ${c.effect}`, () => change({ add: c.effect })))))));
   }
 
   /* frames */
@@ -252,7 +357,10 @@ const Laboratory = (() => {
   });
   at("keep").addEventListener("click", () => apply("/api/keep", {}));
   at("undo").addEventListener("click", () => apply("/api/undo", {}));
-  at("note").addEventListener("change", () => apply("/api/note", { place: shown, note: at("note").value }));
+  at("tuning").addEventListener("toggle", () => { if (at("tuning").open && !sliders) tune(); });
+  at("reset").addEventListener("click", () => { for (const input of document.querySelectorAll("#parameters input")) { const p = sliders.parameters[Number(input.dataset.place)]; input.value = String(1000 * (p.value - p.low) / (p.high - p.low)); input.nextSibling.textContent = ""; p.now = p.value; } move(); });
+  at("from-here").addEventListener("click", () => change({ values: Object.fromEntries(sliders.parameters.filter((p) => p.now !== p.value).map((p) => [p.name, p.now])) }));
+  for (const field of ["name", "note"]) at(field).addEventListener("change", () => apply("/api/note", { place: shown, name: at("name").value, note: at("note").value }));
   document.addEventListener("keydown", (event) => {
     if (document.body.dataset.part !== "laboratory") return;
     const typing = event.target.closest("input:not([type=range]):not([type=checkbox]), select, textarea");

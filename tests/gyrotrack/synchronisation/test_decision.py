@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from gyrotrack._errors import SyncError
 from gyrotrack.synchronisation._curves import Curve
@@ -186,3 +187,25 @@ def test_claimed_error_is_the_real_one(motion, make_run, fixed):
     assert not any(lost)
     within = np.mean(np.abs(pull) < 1)
     assert 0.58 < within < 0.78  # 201 pulls, three of a run share a clock: +- 0.04
+
+
+@pytest.mark.slow
+def test_claimed_error_holds_for_short_records_with_slow_errors_of_tracking(motion, make_run):
+    """Errors that last some tenths of a second are no white noise: starts and rates are uncertain by what they do."""
+    starts, rates = [], []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        run = make_run(motion, rng, duration=20.0)
+        true = np.sort(rng.uniform(0.5, 16, 3))
+        curves = [run.casing(), *run.clips(true, rate=1.0)]
+        slow = []
+        for curve in curves:
+            share = np.exp(-np.median(np.diff(curve.time)) / 0.15)
+            steps = rng.normal(0, 0.5e-3 * np.sqrt(1 - share**2), len(curve.time))
+            error = lfilter([1], [1, -share], steps)
+            slow.append(Curve(curve.time, curve.angle + error, curve.sigma))
+        found = match_clips(slow[0], slow[1:], ["a", "b", "c"], [0] * 3)
+        starts += [(m.start.offset - s) / m.offset_sigma for m, s in zip(found, true, strict=True)]
+        rates.append(found[0].start.eps / found[0].rate_sigma)
+    assert 0.4 < np.sqrt(np.mean(np.square(starts))) < 1.6
+    assert 0.3 < np.sqrt(np.mean(np.square(rates))) < 1.7

@@ -4,7 +4,10 @@ from types import SimpleNamespace
 
 import pytest
 
+from fitting.study._history import Ledger
 from gyrotrack._errors import GyrotrackError
+from gyrotrack.apps._study import open_study
+from gyrotrack.apps.cli._app import run
 from gyrotrack.apps.workbench._session import Session, Step
 
 
@@ -50,20 +53,61 @@ def test_what_is_deleted_comes_back_with_undo(session):
         session.undo()
 
 
-def test_predecessors_and_kept_fits_are_not_deleted(session):
+def test_predecessors_and_the_only_fit_are_not_deleted(session):
     with pytest.raises(GyrotrackError, match="has successors"):
         session.delete(1)
-    with pytest.raises(GyrotrackError, match="kept in the ledger"):
-        session.delete(0)
-    session.steps[2].fit_id = "f2"
-    with pytest.raises(GyrotrackError, match="kept in the ledger"):
-        session.delete(2)
     with pytest.raises(GyrotrackError, match="no such fit"):
         session.delete(-1)
+    for place in (3, 2, 1):
+        session.delete(place)
+    with pytest.raises(GyrotrackError, match="only fit"):
+        session.delete(0)
 
 
 def test_a_note_is_short_and_undone(session):
-    session.annotate(1, "  x" * 1000)
+    session.annotate(1, name="n" * 100, note="  x" * 1000)
     assert 0 < len(session.steps[1].note) <= 500
+    assert len(session.steps[1].name) == 60
     session.undo()
-    assert session.steps[1].note == ""
+    assert (session.steps[1].name, session.steps[1].note) == ("", "")
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory):
+    """A case whose ledger has a fit and two that were made from it."""
+    folder = tmp_path_factory.mktemp("kept")
+    case = folder / "case.h5"
+    words = "--duration 12 --casing-fps 30 --rotor-fps 200 --window 2 --window-length 1 --seed 1 --json -q"
+    assert run(["simulate", "-o", str(case), *words.split()]) == 0
+    assert run(["fit", str(case), "-q"]) == 0
+    for effect in ("casing.air.quadratic", "casing.air.laminar"):
+        run(["fit", str(case), "--from", "f1", "--add", effect, "-q"])
+    return case
+
+
+def test_the_ledger_is_the_tree_and_keeps_names_notes_and_deletions(kept):
+    study = open_study([kept], None)
+    base, fit_id = study.base("f1")
+    session = Session(study.data[0], base, fit_id, study.ledger)
+    assert [(s.fit_id, s.parent) for s in session.steps] == [("f1", -1), ("f2", 0), ("f3", 0)]
+    assert [r["place"] for r in session.state()["ladder"]] == [0, 1, 2]
+    assert session.steps[2].found is None  # restored only when it is shown
+    session.annotate(1, name="drag", note="by hand")
+    session.delete(2)
+    stored = {e.fit_id: e.stored for e in Ledger.beside(kept).entries}
+    assert set(stored) == {"f1", "f2"}
+    assert (stored["f2"].name, stored["f2"].note) == ("drag", "by hand")
+    session.undo()
+    assert [e.fit_id for e in Ledger.beside(kept).entries] == ["f1", "f2", "f3"]
+    assert session.go(2)["effects"][-1]["name"] == "casing.air.laminar"
+
+
+def test_the_command_names_annotates_and_deletes(kept, capsys):
+    assert run(["ladder", str(kept), "--name", "f3=laminar", "--note", "f3=a = b", "-q"]) == 0
+    assert "laminar: a = b" in capsys.readouterr().out
+    for words in (["--delete", "f1"], ["--delete", "f9"], ["--note", "f9=x"], ["--name", "f3"]):
+        before = kept.with_suffix(".fits.json").read_text()
+        assert run(["ladder", str(kept), *words]) in (1, 2)
+        assert kept.with_suffix(".fits.json").read_text() == before
+    assert run(["ladder", str(kept), "--delete", "f3"]) == 0
+    assert [e.fit_id for e in Ledger.beside(kept).entries] == ["f1", "f2"]
