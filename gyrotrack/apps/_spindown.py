@@ -355,7 +355,7 @@ def spindown(
 
 
 def _check_law(motion: BodyMotion, fit: Fit) -> None:
-    """Refuse to explain an oscillation by friction alone, or a rotation without any acceleration."""
+    """Refuse to explain an oscillation too short to fit a restoring torque, or a rotation without acceleration."""
     from fitting._errors import FittingError
 
     if motion.kind == "steady" and abs(motion.alpha.value) < 3 * motion.alpha.stderr:
@@ -363,9 +363,10 @@ def _check_law(motion: BodyMotion, fit: Fit) -> None:
             f"the angular acceleration, {motion.alpha.value:.2g} +- {motion.alpha.stderr:.1g} rad/s2, is consistent "
             "with zero."
         )
-    restoring = any(getattr(effect, "restoring", False) for effect in fit.model.effects)
-    if motion.kind == "oscillation" and not restoring:
-        raise FittingError("the motion is an oscillation, and the model has no restoring torque.")
+    if motion.kind == "oscillation" and fit.problem.data[0].oscillation is None:
+        raise FittingError(
+            "the motion is an oscillation of too few turning points to fit a restoring torque."
+        )
 
 
 def _with_view(motion: BodyMotion, series: Series, recording: Recording, tracked: Tracked) -> BodyMotion:
