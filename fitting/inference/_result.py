@@ -145,10 +145,12 @@ def summary_lines(fit: FitSummary) -> list[str]:
     noises = getattr(fit, "noise", ())
     if noises:
         pure = ", ".join(rounded(n.pure, n.pure_u, "N m") for n in noises)
-        lines.append(f"process noise {pure} rms; with this model {_levels(noises)} N m")
+        text = f"process noise {pure} rms; with this model {_levels(noises)} N m"
+        lines += wrap(text, 79, subsequent_indent="  ")
     for label, noise in _angle_noises(fit):
         level = rounded(1e3 * noise.sigma, 1e3 * noise.sigma_u, "mrad")
-        lines.append(f"correlated angle noise{label}: {level}, correlation time {noise.time:.2g} s")
+        text = f"correlated angle noise{label}: {level}, correlation time {noise.time:.2g} s"
+        lines += wrap(text, 79, subsequent_indent="  ")
     lines.append("")
     held = fit.model.constants
     for name, e in fit.estimates.items():
