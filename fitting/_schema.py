@@ -70,6 +70,14 @@ class MetricsDocument(Document):
     misfit: Number
 
 
+class AngleNoiseDocument(Document):
+    """Correlated angle noise: standard deviation and its standard uncertainty [rad], correlation time [s]."""
+
+    sigma_rad: Number = Field(validation_alias=AliasChoices("sigma_rad", "sigma"))
+    sigma_u_rad: Number = Field(validation_alias=AliasChoices("sigma_u_rad", "sigma_u"))
+    time_s: Number = Field(validation_alias=AliasChoices("time_s", "time"))
+
+
 class CaseDocument(MetricsDocument):
     """The same with the process noise, of the recording and of this fit [N m], and the scale of the angle noise."""
 
@@ -79,6 +87,9 @@ class CaseDocument(MetricsDocument):
     )
     torque_left_Nm: Number = Field(validation_alias=AliasChoices("torque_left_Nm", "level"))  # noqa: N815
     noise_scale: Number = Field(validation_alias=AliasChoices("noise_scale", "scale"))
+    angle_noise: AngleNoiseDocument | None = None
+    rotor_angle_noise: AngleNoiseDocument | None = None
+    n_eff: Number = math.nan
 
 
 class FitDocument(Document):

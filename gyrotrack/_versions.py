@@ -15,7 +15,6 @@ LIBRARIES = (
     "h5py",
     "av",
     "opencv-contrib-python-headless",
-    "scikit-image",
     "matplotlib",
     "pydantic",
     "typer",

@@ -26,10 +26,13 @@ from worlds import LAWS, World, world
 from fitting._workers import WorkerPool
 from fitting.discovery._criteria import DEFAULT
 from fitting.discovery._laws import Laws, _Search, _Steps, _with_class, laws
+from fitting.discovery._score import CaseColumns
+from fitting.dynamics._mesh import Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
 from fitting.effects._library import REDUCED
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
+from fitting.inference._noise import TorqueNoise
 from fitting.inference._record import make_record
 from fitting.inference._result import Fit
 
@@ -64,8 +67,40 @@ def hidden(index: int, noise: float, seed: int, *, diagnosed: bool) -> dict[str,
     best = found.laws[0].fit if found.laws else (found.library.fit if found.library is not None else None)
     if best is None:
         best = base
+    line |= {"oracle": oracle(w, base, noise)}
     line |= {"torque_error": torque_error(w, best), "third": third(best, data[2])}
     return line
+
+
+def oracle(w: World, base: Fit, noise: float) -> float:
+    """Return by how many sigma the hidden law stands out for one who knows it, its constants and the noise."""
+    rows, whiteners = [], []
+    (law,) = w.hidden.casing + w.hidden.bearing + w.hidden.rotor
+    for i, data in enumerate(base.problem.data):
+        response, path = CaseColumns(base, i).response, base.predictions[i].path
+        t = response.centres
+        y = Sampler(path.mesh, t).value(path.y)
+        torque = np.array([law(float(s), float(v[0]), float(v[1]), 0.0) for s, v in zip(t, y, strict=True)])
+        acting = {"casing": response.casing, "rotor": response.rotor}.get(
+            w.body, response.casing - response.rotor
+        )
+        seen = acting @ torque
+        rows.append(np.concatenate([seen, np.zeros(len(data.z) - len(seen))]))
+        whiteners.append(response.whitener(TorqueNoise(noise, 1.0)))
+    ends = np.cumsum([0, *(len(d.z) for d in base.problem.data)])
+    nuisance = np.zeros((ends[-1], sum(d.nuisance.shape[1] for d in base.problem.data)))
+    place = 0
+    for d, a in zip(base.problem.data, ends, strict=False):
+        nuisance[a : a + len(d.z), place : place + d.nuisance.shape[1]] = d.nuisance
+        place += d.nuisance.shape[1]
+    free = np.concatenate([np.concatenate([p.jacobian for p in base.predictions]), nuisance], axis=1)
+    both = np.concatenate(
+        [free / np.maximum(np.linalg.norm(free, axis=0), 1e-300), np.concatenate(rows)[:, None]], axis=1
+    )
+    white = np.concatenate([f(both[a:b]) for f, a, b in zip(whiteners, ends, ends[1:], strict=False)])
+    u, s, _ = np.linalg.svd(white[:, :-1], full_matrices=False)
+    u = u[:, s > 1e-9 * s[0]]
+    return float(np.linalg.norm(white[:, -1] - u @ (u.T @ white[:, -1])))
 
 
 def _is_true(w: World, law: Any) -> bool:
@@ -91,8 +126,6 @@ def torque_error(w: World, found: Fit) -> float:
         numbers = found.problem.layout.numbers(found.theta, case)
         own = found.predictions[case].path
         if own.y.shape[-1] > 2:
-            from fitting.dynamics._mesh import Sampler
-
             y = np.concatenate([y, Sampler(own.mesh, t).value(own.y)[:, 2:]], axis=1)
         rates = found.problem.cases[case].dynamics.rates(t, y, numbers)
         for body, key in ((0, INERTIA_ROTOR), (1, INERTIA_CASING)):

@@ -19,6 +19,7 @@ import numpy as np
 from scipy.stats import binom
 
 from fitting import Experiment, Model, diagnose, fit, simulate
+from fitting.discovery._plan import _SIMULATIONS
 from fitting.discovery._planned_recordings import PlannedRecordings
 from fitting.discovery._power import Search, delta_of_power
 from fitting.effects._library import LIBRARY, REDUCED
@@ -44,10 +45,11 @@ def main() -> None:
     parser.add_argument("what", choices=("run", "table"))
     parser.add_argument("results", type=Path)
     parser.add_argument("--runs", type=int, default=24, help="recordings of each cell")
+    parser.add_argument("--first", type=int, default=0, help="first recording of each cell")
     parser.add_argument("--most", type=int, default=10_000, help="recordings of this call at most")
     args = parser.parse_args()
     if args.what == "run":
-        run(args.results, args.runs, args.most)
+        run(args.results, args.first, args.runs, args.most)
     else:
         print("\n".join(table(args.results)))
 
@@ -60,10 +62,10 @@ def cells(path: Path) -> list[dict[str, Any]]:
         return found
     experiment = Experiment(torque_noise=1e-7)
     described = PlannedRecordings(Model.of(REDUCED), NUMBERS, INERTIAS, (experiment,), {}, "benchmark")
-    search = Search(described.fit(), truth=described.numbers)
+    search, *others = (Search(described.fit(i), truth=described.numbers) for i in range(_SIMULATIONS))
     found = []
     for name in EFFECTS:
-        limits = search.limits(LIBRARY[name], planned=True)
+        limits = search.limits(LIBRARY[name], planned=True, others=others)
         for power in POWERS:
             delta = delta_of_power(limits.curve, power)
             predicted = float(np.interp(delta, limits.curve[:, 0], limits.curve[:, 1]))
@@ -76,11 +78,13 @@ def cells(path: Path) -> list[dict[str, Any]]:
     return found
 
 
-def run(path: Path, runs: int, most: int) -> None:
+def run(path: Path, first: int, runs: int, most: int) -> None:
     """Add runs until every cell has enough."""
     done = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
     known = {(r["cell"], r["seed"]) for r in done}
-    wanted = [(c, s) for s in range(runs) for c in range(len(EFFECTS) * len(POWERS)) if (c, s) not in known]
+    wanted = [
+        (c, s) for s in range(first, runs) for c in range(len(EFFECTS) * len(POWERS)) if (c, s) not in known
+    ]
     all_cells = cells(path)
     for number, seed in wanted[:most]:
         cell = all_cells[number]

@@ -102,7 +102,12 @@ class Dependence:
 
 
 def context_without(
-    about: Fit, effects: Sequence[Effect], cases: Sequence[CaseColumns], *, draws: int = 1
+    about: Fit,
+    effects: Sequence[Effect],
+    cases: Sequence[CaseColumns],
+    *,
+    draws: int = 1,
+    release: bool = False,
 ) -> ScoreContext:
     """Return the data linearised about a fit, the torque of some of its effects taken out of the model."""
     rows = [np.zeros(len(d.z)) for d in about.problem.data]
@@ -115,7 +120,13 @@ def context_without(
             phase = own.get("phase", 0.0)
             waves = np.array([np.cos(phase), np.sin(phase)])[: columns.shape[1]]
             rows[i] = rows[i] + columns @ (own["amplitude"] * waves)
-    return ScoreContext(about, draws, without=[e.name for e in effects], torque_rows=np.concatenate(rows))
+    return ScoreContext(
+        about,
+        draws,
+        without=[e.name for e in effects],
+        torque_rows=np.concatenate(rows),
+        release=release,
+    )
 
 
 class _Test(NamedTuple):
@@ -129,7 +140,7 @@ class _Test(NamedTuple):
 def dependence(
     about: Fit, *, without: Sequence[str] = (), context: ScoreContext | None = None
 ) -> list[Dependence]:
-    """Return on what the unmodelled torque of a fit depends, the largest score first.
+    """Return on what the unmodelled torque of a fit depends, the smallest BIC first: one variable if that is enough.
 
     Parameters
     ----------
@@ -152,7 +163,7 @@ def dependence(
             found.append(result)
             smallest = np.minimum(smallest, null)
     calibrated = [replace(d, p_value=over_many_tests(d.p_value, smallest)) for d in found]
-    return sorted(calibrated, key=lambda d: (d.p_value, -d.score))
+    return sorted(calibrated, key=lambda d: d.columns * np.log(about.n_eff) - d.score)
 
 
 def _tests(about: Fit, cases: Sequence[CaseColumns]) -> Iterator[_Test]:

@@ -53,6 +53,7 @@ from fitting.effects._effect import Effect
 from fitting.effects._expression import Tape
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
+from fitting.inference._lack_of_fit import block_diagonal
 from fitting.inference._noise import Noise
 from fitting.inference._result import Estimate, Fit
 
@@ -64,6 +65,8 @@ _DRAWS = 1000
 _FIRST, _LATER, _KEPT = 5, 9, 48
 _SEARCHES = 3
 _POINTS = 1000
+# share of the best law's fall of the deviance from which an effect of the library is fitted at the same noise
+_AS_GOOD = 0.8
 # steps of the refinement of two shape constants, and points of each
 _ROUNDS, _GRID = 4, 5
 _STEPS = 7
@@ -286,12 +289,46 @@ class _Steps:
 
 
 class _Trial(NamedTuple):
-    """A law to refit: its form, its score about some fit, and the values of all other parameters to start from."""
+    """A law to refit: its form, its score about some fit, and initial values of all other parameters."""
 
     law: LawForm
     score: Score
     start: Mapping[str, float]
     model: Model
+
+
+class _Scored(NamedTuple):
+    """Scores of all laws, and the linearised data that they were computed on."""
+
+    scores: list[Score]
+    context: ScoreContext
+    cases: list[CaseColumns]
+
+    def start(self, about: Fit, s: Score) -> dict[str, float]:
+        """Return the values of a fit after the change that a law, at its score's strength, makes to first order."""
+        if len(self.cases) > 1 and (s.effect.per_case or s.own_phase):
+            columns = block_diagonal(
+                [
+                    c.trials(s.effect, [shape])[0].columns
+                    for c, shape in zip(self.cases, s.shape, strict=False)
+                ]
+            )
+        else:
+            columns = np.concatenate([c.trials(s.effect, [s.shape[0]])[0].columns for c in self.cases])
+        layout = about.problem.layout
+        theta = about.theta
+        if columns.shape[1] == len(s.gamma):
+            theta = theta + self.context.base_change(columns @ s.gamma)
+        lower, upper = layout.bounds()
+        return dict(zip(layout.names, np.clip(theta, lower, upper).tolist(), strict=True))
+
+
+class _Chosen(NamedTuple):
+    """A law to refit, its score, and the data that this was computed on."""
+
+    law: LawForm
+    score: Score
+    scored: _Scored
 
 
 class _Refitted(NamedTuple):
@@ -338,23 +375,30 @@ class _Search:
 
     def best_set(self) -> list[Law]:
         """Return the laws, best first; none if no law is significant."""
-        scores = self._scored(self.base, ())
-        nulls = {s.effect.name: NullDistribution(s) for s in scores}
+        scored = self._scored(self.base, ())
+        nulls = {s.effect.name: NullDistribution(s) for s in scored.scores}
         self._nulls, self._family = nulls, FamilywiseNull(list(nulls.values()))
         self.steps.next()
-        if min(self._p(s) for s in scores) >= self.criteria.significance:
+        if min(self._p(s) for s in scored.scores) >= self.criteria.significance:
             return []
-        self.forms = [law for law, _ in self._promising(scores, _KEPT)]
-        scores = [s for law in self.forms for s in scores if s.effect.name == law.effect.name]
-        refits = self._refits(self._promising(scores, _FIRST), self.base, self.base.noise)
+        chosen = self._promising(scored, _FIRST)
+        kept = self._promising(scored, _KEPT)
+        if _at_bound(self.base):
+            released = self._scored(self.base, (), release=True)
+            chosen = _united(chosen, self._promising(released, _FIRST))
+            kept = _united(kept, self._promising(released, _KEPT))
+        self.forms = [c.law for c in kept]
+        refits = self._refits(chosen, self.base, self.base.noise)
         self.steps.next()
         if not refits:
             return []
         best = min(refits, key=lambda r: r.penalised)
         for _ in range(_SEARCHES - 1):
             best = best._replace(fit=refined(best.fit, self.criteria))
-            scores = self._scored(best.fit, best.terms)
-            chosen = self._promising(scores, _LATER, about=best)
+            chosen = self._promising(self._scored(best.fit, best.terms), _LATER, about=best)
+            if _at_bound(best.fit):
+                released = self._scored(best.fit, best.terms, release=True)
+                chosen = _united(chosen, self._promising(released, _FIRST, about=best))
             refits = self._refits(chosen, best.fit, best.fit.noise, best.terms)
             self.steps.next()
             refits = _merged([*refits, best])
@@ -367,7 +411,9 @@ class _Search:
         if not refits:
             return []
         if fails(best.fit, self.criteria):
-            refits = _merged([*refits, *self._with_second_term(best)])
+            # a second term that BIC does not ask for is a worse way to write the first one
+            limit = best.penalised - self.criteria.evidence
+            refits = [*refits, *(r for r in self._with_second_term(best) if r.penalised < limit)]
         self.steps.next()
         found = sorted((self._law(r) for r in refits), key=lambda x: x.penalised)
         return [x for x in found if x.p_value < self.criteria.significance]
@@ -375,39 +421,45 @@ class _Search:
     def _p(self, s: Score) -> float:
         return self._family(self._nulls[s.effect.name](s.score))
 
-    def _scored(self, about: Fit, taken_out: Sequence[LawForm]) -> list[Score]:
-        """Return the scores of all laws about a fit, some of its effects taken out."""
+    def _scored(self, about: Fit, taken_out: Sequence[LawForm], *, release: bool = False) -> _Scored:
+        """Return the scores of all laws about a fit, some of its effects taken out.
+
+        A law may need a friction that the fit has at its bound, or may need less than none. The first kind is seen with
+        the bounds released, the second with parameters at a bound held.
+        """
         cases = [CaseColumns(about, i) for i in range(len(about.problem.cases))]
         effects = [f.effect for f in self.forms]
-        if not taken_out:
-            scores = score(about, effects, cases, self.criteria, draws=_DRAWS)
-            self.trials = sum(s.trials for s in scores)
-            return scores
-        context = context_without(about, [t.effect for t in taken_out], cases)
+        if not taken_out and not release:
+            context = ScoreContext(about, _DRAWS)
+            scores = score(about, effects, cases, self.criteria, context=context)
+            self.trials = max(self.trials, sum(s.trials for s in scores))
+            return _Scored(scores, context, cases)
+        context = context_without(about, [t.effect for t in taken_out], cases, release=release)
         scores = score(about, effects, cases, self.criteria, context=context)
-        return [_refined_shapes(context, s, cases) for s in scores]
+        return _Scored([_refined_shapes(context, s, cases) for s in scores], context, cases)
 
     def _promising(
-        self, scores: Sequence[Score], most: int, *, about: _Refitted | None = None, terms: int = 0
-    ) -> list[tuple[LawForm, Score]]:
+        self, scored: _Scored, most: int, *, about: _Refitted | None = None, stateless: bool = False
+    ) -> list[_Chosen]:
         """Return the laws to refit: the best by score less the cost of their constants and their length."""
         n_eff = self.base.n_eff
         known = set() if about is None else {t.effect.name for t in about.terms}
 
-        def worth(pair: tuple[LawForm, Score]) -> float:
-            law, s = pair
-            constants = s.columns + len(s.shape[0])
-            return s.score - constants * float(np.log(n_eff)) - law.description_length
+        def worth(c: _Chosen) -> float:
+            constants = c.score.columns + len(c.score.shape[0])
+            return c.score.score - constants * float(np.log(n_eff)) - c.law.description_length
 
-        pairs = [p for p in zip(self.forms, scores, strict=True) if not p[1].absorbed and p[1].score > 0]
-        pairs = [p for p in pairs if p[0].effect.name not in known]
-        if terms:
-            pairs = [p for p in pairs if p[0].effect.state is None]
-        return sorted(pairs, key=worth, reverse=True)[:most]
+        found = [
+            _Chosen(law, s, scored)
+            for law, s in zip(self.forms, scored.scores, strict=True)
+            if not s.absorbed and s.score > 0 and law.effect.name not in known
+            if law.effect.state is None or not stateless
+        ]
+        return sorted(found, key=worth, reverse=True)[:most]
 
     def _refits(
         self,
-        chosen: Sequence[tuple[LawForm, Score]],
+        chosen: Sequence[_Chosen],
         about: Fit,
         noise: Sequence[Noise],
         replaced: Sequence[LawForm] = (),
@@ -416,20 +468,18 @@ class _Search:
         model = about.model
         for t in replaced:
             model = model.without(t.effect.name)
-        values = {k: e.value for k, e in about.estimates.items()}
-        trials = [_Trial(law, s, values, model) for law, s in chosen]
+        trials = [_Trial(c.law, c.score, c.scored.start(about, c.score), model) for c in chosen]
         found = self.workers.map(_refit, _Common(self.base, tuple(noise)), trials, _measured)
-        return [_Refitted((law,), f) for (law, _), f in zip(chosen, found, strict=True) if f is not None]
+        return [_Refitted((c.law,), f) for c, f in zip(chosen, found, strict=True) if f is not None]
 
     def _with_second_term(self, best: _Refitted) -> list[_Refitted]:
         """Return fits with a second law besides the best one."""
         if len(best.terms) > 1:
             return []
-        cases = [CaseColumns(best.fit, i) for i in range(len(best.fit.problem.cases))]
-        context = ScoreContext(best.fit, 1)
-        scores = score(best.fit, [f.effect for f in self.forms], cases, self.criteria, context=context)
-        terms = 1 if best.terms[0].effect.state is not None else 0
-        chosen = self._promising(scores, _FIRST, about=best, terms=terms)
+        # there is one state variable, of one of the terms
+        stateless = best.terms[0].effect.state is not None
+        scored = self._scored(best.fit, ())
+        chosen = self._promising(scored, _FIRST, about=best, stateless=stateless)
         found = self._refits(chosen, best.fit, best.fit.noise)
         return [_Refitted((*best.terms, *r.terms), r.fit) for r in found]
 
@@ -458,6 +508,16 @@ class _Search:
             (),
             r.fit,
         )
+
+
+def _at_bound(found: Fit) -> bool:
+    return bool(found.problem.layout.at_bound(found.theta).any())
+
+
+def _united(chosen: Sequence[_Chosen], more: Sequence[_Chosen]) -> list[_Chosen]:
+    """Return both, each law once, as it was chosen first."""
+    names = {c.law.effect.name for c in chosen}
+    return [*chosen, *(c for c in more if c.law.effect.name not in names)]
 
 
 def ranges_of(base: Fit) -> dict[str, tuple[float, float]]:
@@ -624,10 +684,10 @@ def _difference(one: Law, other: Law) -> Difference | None:
 def _as_good(candidates: Sequence[Candidate], best: Law, criteria: Criteria) -> Candidate | None:
     """Return the effect of the library that describes the data as well as the best law; None if there is none."""
     for c in candidates:
-        if c.fit is None or not c.physical or not c.significant:
+        if c.fit is None or not c.physical or not c.significant or c.score < _AS_GOOD * best.score:
             continue
         with suppress(FittingError):
-            refitted = fit_at(c.fit, [n.at(n.pure) for n in best.fit.noise])
+            refitted = fit_at(c.fit, best.fit.noise)
             if refitted.bic < best.penalised + criteria.equivalence_width:
                 return replace(c, fit=refitted)
     return None

@@ -29,6 +29,8 @@ from fitting.inference._result import Fit
 Progress = Callable[[int, int | None], None]
 
 _EVALUATIONS = 60
+# simulations of described recordings over which the power is averaged: each has its own estimate of the noise
+_SIMULATIONS = 3
 
 
 @dataclass(frozen=True)
@@ -104,17 +106,18 @@ def plan(
     planned = not isinstance(recordings, Fit)
     truth: dict[str, float] = {}
     if isinstance(recordings, Fit):
-        fit = recordings
+        fit, fits = recordings, [recordings]
     else:
         described = read_planned(recordings)
-        fit, bounds, truth = described.fit(), bounds or described.bounds, described.numbers
+        fits = [described.fit(i) for i in range(_SIMULATIONS)]
+        fit, bounds, truth = fits[0], bounds or described.bounds, described.numbers
     report = progress or _ignore
-    search = Search(fit, extra, criteria, truth=truth)
+    search, *others = (Search(f, extra, criteria, truth=truth) for f in fits)
     total = len(search.effects) + _EVALUATIONS
     found = []
     for i, effect in enumerate(search.effects):
         report(i, total)
-        found.append(search.limits(effect, size, planned=planned))
+        found.append(search.limits(effect, size, planned=planned, others=others))
     found.sort(key=lambda e: (not np.isfinite(e.detection_limit), np.isnan(e.torque), e.detection_torque))
     limits = {e.effect.name: e for e in found}
     scores = search.scores()

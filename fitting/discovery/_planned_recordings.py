@@ -128,8 +128,8 @@ class PlannedRecordings:
     given: dict[str, Any]
     source: str
 
-    def fit(self) -> Fit:
-        """Simulate the recordings and fit the model to them, as one fits real ones."""
+    def fit(self, simulation: int = 0) -> Fit:
+        """Simulate the recordings, with the noise of one simulation of many, and fit the model to them."""
         records = [
             simulate(
                 self.model,
@@ -137,7 +137,7 @@ class PlannedRecordings:
                 e,
                 inertia_rotor=self.inertias[0],
                 inertia_casing=self.inertias[1],
-                seed=_SEED + i,
+                seed=_SEED + i + 1000 * simulation,
                 label=f"run {i + 1}",
             )
             for i, e in enumerate(self.experiments)

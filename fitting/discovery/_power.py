@@ -57,6 +57,8 @@ _DELTAS = np.concatenate([np.linspace(0.0, 1.5, 11), np.linspace(2.0, 14.0, 25)]
 # share of the bearing's torque that is the size of an effect if none is given
 _SIZE = 0.01
 _MOST_RUNS = 10_000
+# thresholds are sought below this score
+_LARGEST_SCORE = 2000.0
 # effects in the sentence of an adequate fit
 _MOST_HIDDEN = 5
 _RANK = 1e-6
@@ -382,7 +384,7 @@ class Search:
                 basis = np.concatenate([r.basis for r in responses], axis=1)
                 parts.append((e, responses, basis.T @ self._context.draws, factor, len(responses)))
         raw = [(e, _Test(r, null, np.inf), factor, n) for e, r, null, factor, n in parts]
-        nulls = [_null(e, t, n * t.parts[0].width) for e, t, _, n in raw]
+        nulls = [self._null(e, t, n * t.parts[0].width) for e, t, _, n in raw]
         family = FamilywiseNull([n for n, (*_, factor, _) in zip(nulls, raw, strict=True) if factor == 1.0])
         tests: dict[str, list[_Test]] = {e.name: [] for e in self.effects}
         for null, (e, test, factor, n) in zip(nulls, raw, strict=True):
@@ -398,6 +400,25 @@ class Search:
             tests[e.name].append(_Test(test.parts, test.null, max(significant, bic)))
         return tests
 
+    def _null(self, effect: Effect, test: _Test, columns: int) -> NullDistribution:
+        """Return the null distribution of a test, with the uncertain process noise in its tail."""
+        directions = np.sum([p.direction(len(p.root) // 2) for p in test.parts], axis=0)
+        direction = directions / max(float(np.linalg.norm(directions)), 1e-300)
+        score = Score(
+            effect,
+            score=0.0,
+            gamma=np.zeros(0),
+            shape=({},),
+            columns=columns,
+            trials=1,
+            absorbed=False,
+            direction=direction,
+            null=test.best(test.null),
+            shares=self._context.shares(direction),
+            noise=self.fit.noise,
+        )
+        return NullDistribution(score)
+
     def _of_case(self, effect: Effect, case: int) -> list[Array]:
         ends = self._context.ends
         groups = []
@@ -407,15 +428,16 @@ class Search:
             groups.append(rows)
         return groups
 
-    def power(self, effect: Effect, group: int, deltas: Array) -> Array:
-        """Return the probability that the search finds something, for some noncentralities of an effect."""
-        raw = self._whitened(self._stacked(effect)[group : group + 1])
+    def power(self, effect: Effect, group: int, strengths: Array) -> Array:
+        """Return the probability that the search finds something, for some strengths of an effect."""
+        stacked = self._stacked(effect)
+        group = min(group, len(stacked) - 1)
+        raw = self._whitened(stacked[group : group + 1])
         raw = raw.sum(axis=1) / self._common[effect.name].width ** 0.5
-        strengths = deltas / max(float(np.linalg.norm(self._projected(raw, self._level.basis))), 1e-300)
         held = self._bounds.held(raw, strengths)
-        often = [w for w in np.unique(held) if w >= 0 and (held == w).mean() >= _RARE / len(deltas)]
+        often = [w for w in np.unique(held) if w >= 0 and (held == w).mean() >= _RARE / len(strengths)]
         held[~np.isin(held, often)] = -1
-        found = np.zeros((len(deltas), self._draws), dtype=bool)
+        found = np.zeros((len(strengths), self._draws), dtype=bool)
         for which in np.unique(held):
             tests, off = self._tests, np.zeros(len(raw))
             if which >= 0:
@@ -441,7 +463,14 @@ class Search:
             found[e.name] = SearchScore(float(each[best]), self._trials[e.name][0][best].shape, threshold)
         return found
 
-    def limits(self, effect: Effect, size: float | None = None, *, planned: bool = False) -> EffectLimits:
+    def limits(
+        self,
+        effect: Effect,
+        size: float | None = None,
+        *,
+        planned: bool = False,
+        others: Sequence[Search] = (),
+    ) -> EffectLimits:
         """Return what the recordings can show of an effect.
 
         Parameters
@@ -453,6 +482,8 @@ class Search:
             bearing (for a single body, of the net torque).
         planned : bool
             The data are simulated: upper limits are expected ones.
+        others : sequence of Search
+            In other simulations of the same recordings, whose noise is estimated anew: the power is their mean.
         """
         common = self._common[effect.name]
         unit_torque = self._unit_torques(effect)
@@ -466,11 +497,10 @@ class Search:
                 effect, strength.symbol, strength.unit, shape, np.inf, torque, np.inf, (np.inf, np.inf), np.inf,
                 float("nan"), self._size(torque, size), np.inf, (), nothing,
             )  # fmt: skip
-        curve = (
-            np.stack([_DELTAS, self.power(effect, group, _DELTAS)], axis=1)
-            if self._tests
-            else np.zeros((0, 2))
-        )
+        curve = np.zeros((0, 2))
+        if self._tests:
+            powers = [x.power(effect, group, _DELTAS / root) for x in (self, *others)]
+            curve = np.stack([_DELTAS, np.mean(powers, axis=0)], axis=1)
         needed = delta_of_power(curve) if self._tests else np.nan
         wanted = self._size(torque, size)
         delta = wanted * root
@@ -589,17 +619,12 @@ def largest_hidden(
     )
 
 
-def _null(effect: Effect, test: _Test, columns: int) -> NullDistribution:
-    empty = np.zeros(0)
-    return NullDistribution(Score(effect, 0.0, empty, ({},), columns, 1, False, empty, test.best(test.null)))  # noqa: FBT003
-
-
 def _smallest_score(
     null: NullDistribution, family: FamilywiseNull, factor: float, significance: float
 ) -> float:
     """Return the smallest score that is significant in the whole list."""
-    low, high = 0.0, 500.0
-    for _ in range(50):
+    low, high = 0.0, _LARGEST_SCORE
+    for _ in range(30):
         middle = 0.5 * (low + high)
         if family(min(1.0, factor * null(middle))) < significance:
             high = middle

@@ -71,10 +71,18 @@ class ScoreContext:
         Effects of the fit whose parameters are not free: their torque is part of the residual.
     torque_rows : ndarray, shape (rows,), optional
         Response of the rows to the torque of these effects.
+    release : bool
+        Parameters at a bound are free as well.
     """
 
     def __init__(
-        self, fit: Fit, draws: int, *, without: Sequence[str] = (), torque_rows: Array | None = None
+        self,
+        fit: Fit,
+        draws: int,
+        *,
+        without: Sequence[str] = (),
+        torque_rows: Array | None = None,
+        release: bool = False,
     ) -> None:
         self.fit = fit
         data = fit.problem.data
@@ -83,13 +91,15 @@ class ScoreContext:
         shares = np.linspace(0, 1, _LEVELS) if any(n.raised for n in fit.noise) else np.array([1.0])
         self._axes = [n.whitener.vectors for n in fit.noise]
         self._whiteners = [[n.whitener.at(_between(n.least, n.level, x)) for n in fit.noise] for x in shares]
-        # a parameter at its bound is held; only the refit can release it
-        moving = ~fit.problem.layout.at_bound(fit.theta)
-        moving &= [n.partition("@")[0].rpartition(".")[0] not in without for n in fit.problem.layout.names]
+        # a parameter at its bound is held, unless it is to be released; only the refit respects the bound
+        moving = np.ones(len(fit.theta), dtype=bool) if release else ~fit.problem.layout.at_bound(fit.theta)
+        names = fit.problem.layout.names
+        moving &= np.array([n.partition("@")[0].rpartition(".")[0] not in without for n in names], dtype=bool)
         free = np.concatenate([p.jacobian[:, moving] for p in fit.predictions])
         nuisance = block_diagonal([d.nuisance for d in data])
         residual = np.concatenate([d.z - p.rows for d, p in zip(data, fit.predictions, strict=True)])
         residual = residual if torque_rows is None else residual + torque_rows
+        self._moving = moving
         everything = np.concatenate([free, nuisance], axis=1)
         self.free = self.rotated(everything)
         self._residual = self.rotated(residual)
@@ -103,6 +113,20 @@ class ScoreContext:
         for v, a, b in zip(self._axes, self.ends, self.ends[1:], strict=False):
             parts += [v.T @ rows[a : a + len(v)], rows[a + len(v) : b]]
         return np.concatenate(parts)
+
+    def base_change(self, rows: Array) -> Array:
+        """Return how the variables of the fit change when rows are added to its prediction, to first order.
+
+        Generalised least squares at the level of the fit; zero for a variable that is not free.
+        """
+        gain = self.levels[-1].gain
+        columns, seen = gain[:, None] * self.free, gain * (self._residual - self.rotated(rows))
+        size = np.linalg.norm(columns, axis=0)
+        size[size == 0] = np.inf
+        found = np.linalg.lstsq(columns / size, seen, rcond=1e-10)[0] / size
+        change = np.zeros(len(self._moving))
+        change[self._moving] = found[: int(self._moving.sum())]
+        return change
 
     def absorbed_by_base(self, groups: Sequence[Array]) -> NDArray[np.bool_]:
         """Return which groups of columns the free columns of the base absorb."""

@@ -42,6 +42,7 @@ from fitting.inference._recording_noise import (
     ProcessNoise,
     estimate_angle_noise,
     estimate_process_noise,
+    estimate_window_noise,
 )
 from fitting.inference._velocity import WIDTH, initial_speeds, speeds
 
@@ -106,6 +107,8 @@ def acceleration(samples: Samples, *, angle: bool) -> float:
 Array = NDArray[np.float64]
 
 _GENERATED_BLOCKS = 20
+# rows of a rotor window that are needed to see correlated noise
+_WINDOW_ROWS = 8
 # of an oscillation: fewest samples of a block, rough speeds in each period
 _PERIOD_SAMPLES = 24
 _POINTS_PER_PERIOD = 24
@@ -217,6 +220,21 @@ class CaseData:
         return estimate_angle_noise(self.casing, self._camera_rows)
 
     @cached_property
+    def rotor_angle_noise(self) -> AngleNoise:
+        """Correlated angle noise of the rotor's windows; white if none is significant."""
+        record = self.record
+        if (
+            not self.is_angle
+            or not self.rotor
+            or record.generated
+            or min(len(w.z) for w in self.rotor) < _WINDOW_ROWS
+        ):
+            return AngleNoise()
+        # of two equal random torques on the casing and between the bodies, one acts on the rotor
+        share = record.I_casing / record.I_rotor / math.sqrt(2)
+        return estimate_window_noise(self.rotor, share * self.process_noise.level, self.process_noise.time)
+
+    @cached_property
     def process_noise(self) -> ProcessNoise:
         """Random acceleration of the casing; no model and no moment of inertia enters."""
         free = self._camera_rows
@@ -236,14 +254,21 @@ class CaseData:
 
     def whitened(self, rows: Array) -> Array:
         """Return rows with unit white measurement noise, from rows in units of the white noise of the frames."""
-        return self._casing_transformed(self.start_time_noise.whitened(rows), self.angle_noise.inverse)
+        rows = self.start_time_noise.whitened(rows)
+        return self._transformed(rows, self.angle_noise.inverse, self.rotor_angle_noise.inverse)
 
     def unwhitened(self, rows: Array) -> Array:
         """Return the rows before `whitened`."""
-        return self._casing_transformed(self.start_time_noise.unwhitened(rows), self.angle_noise.root)
+        rows = self._transformed(rows, self.angle_noise.root, self.rotor_angle_noise.root)
+        return self.start_time_noise.unwhitened(rows)
 
-    def _casing_transformed(self, rows: Array, root: Array) -> Array:
-        return np.concatenate([root @ rows[: len(root)], rows[len(root) :]]) if len(root) else rows
+    def _transformed(self, rows: Array, casing: Array, rotor: Array) -> Array:
+        first, last = self.slices["rotor"].start, self.slices["rotor"].stop
+        parts = [
+            casing @ rows[:first] if len(casing) else rows[:first],
+            rotor @ rows[first:last] if len(rotor) else rows[first:last],
+        ]
+        return np.concatenate([*parts, rows[last:]]) if len(casing) or len(rotor) else rows
 
     @cached_property
     def start_time_noise(self) -> StartTimeNoise:
@@ -290,8 +315,9 @@ class CaseData:
 
     @property
     def n_effective(self) -> float:
-        """Number of samples, reduced by their correlation."""
-        return self.casing.n_effective + sum(w.n_effective for w in self.rotor)
+        """Number of samples, reduced by their correlation: N / (1 + 2 a^2 T / (sigma^2 dt)) of a slow function."""
+        casing = self.casing.n_effective / _correlation(self.casing, self.angle_noise)
+        return casing + sum(w.n_effective / _correlation(w, self.rotor_angle_noise) for w in self.rotor)
 
     @property
     def rest(self) -> tuple[float, int]:
@@ -383,6 +409,13 @@ class CaseData:
                     rows[first + i * k : first + (i + 1) * k] = operator[:k] @ seen
             first += len(run.z)
         return rows
+
+
+def _correlation(run: Compressed, noise: AngleNoise) -> float:
+    """Return the spectral density of all angle noise at low frequencies over that of the white noise alone."""
+    samples = run.samples
+    white = (run.scale * float(np.median(samples.sigma))) ** 2 * float(np.median(np.diff(samples.time)))
+    return 1 + 2 * noise.sigma**2 * noise.time / white
 
 
 def _gradients(speeds: Samples) -> Array:

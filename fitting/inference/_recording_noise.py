@@ -22,6 +22,8 @@ In a short record the two may fit equally well. Then process noise is accepted a
 mean torque on the body; a random torque larger than the one that slows the body is not credible, and the deviations are
 angle noise.
 
+The windows of the rotor are estimated together, (a, T) of one camera, with the process noise of the casing beside it.
+
 Process noise. A random acceleration of the casing, an Ornstein-Uhlenbeck process of rms s [rad/s2] and correlation time
 T. Level and time are the posterior means of s and ln T; no test decides whether there is process noise. The prior of s
 at a given T is the positive half of a Student distribution with three degrees of freedom; its scale is the camera's
@@ -50,6 +52,7 @@ _STRETCHES = 6
 _BINS = 128
 # correlation times in lengths of a block, levels in units of the white noise of the rows
 _TIMES = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0)
+_WINDOW_TIMES = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2)
 _LEVELS = np.geomspace(0.3, 300.0, 13)
 _SCREENED = (2, 5, 8)
 _TORQUES = np.concatenate([[0.0], np.geomspace(0.1, 1e5, 31)])
@@ -78,7 +81,7 @@ _BINNED = 60
 
 @dataclass(frozen=True)
 class AngleNoise:
-    """Correlated angle noise of the casing.
+    """Correlated angle noise of the casing, or of the rotor's windows.
 
     Attributes
     ----------
@@ -146,6 +149,68 @@ def estimate_angle_noise(run: Compressed, nuisance: Array) -> AngleNoise:
     root = (vectors * np.sqrt(values)) @ vectors.T
     inverse = (vectors / np.sqrt(values)) @ vectors.T
     return AngleNoise(sigma, relative_u * sigma, block * _TIMES[i], best, root, inverse)
+
+
+def estimate_window_noise(windows: Sequence[Compressed], level: float, time: float) -> AngleNoise:
+    """Estimate the correlated angle noise that all windows of the rotor have in common.
+
+    A window is too short to separate it from process noise, whose level is that of the casing.
+
+    Parameters
+    ----------
+    windows : sequence of Compressed
+        Projected angles of each window.
+    level : float
+        Rms of the random acceleration of the rotor [rad/s2].
+    time : float
+        Its correlation time [s].
+
+    Returns
+    -------
+    AngleNoise
+        Of the rows of all windows; white (`sigma` = 0) if no correlated noise is significant.
+    """
+    nothing = [np.zeros((len(w.z), 0)) for w in windows]
+    stretches = [
+        _Stretch(w, np.arange(len(w.lift)), n, 1 + 2 * len(w.lift))
+        for w, n in zip(windows, nothing, strict=True)
+    ]
+    process = []
+    for s in stretches:
+        covariance, unit = s.torque(time)
+        process.append((level / unit) ** 2 * covariance)
+    block = float(np.median([np.ptp(w.samples.time) / len(w.lift) for w in windows]))
+    times = block * np.array(_WINDOW_TIMES)
+    covariances = [[_covariance(w, t) for w in windows] for t in times]
+    units = [
+        1 / np.sqrt(np.median(np.concatenate([np.diag(k) for k in own])) + 1e-300) for own in covariances
+    ]
+
+    def likelihood(own: Sequence[Array], sigma: float) -> float:
+        return sum(s.log_density(p, sigma**2 * k) for s, p, k in zip(stretches, process, own, strict=True))
+
+    white = likelihood(covariances[0], 0.0)
+    gains = np.array(
+        [
+            [2 * (likelihood(own, u * x) - white) for x in _LEVELS]
+            for own, u in zip(covariances, units, strict=True)
+        ]
+    )
+    i, j = np.unravel_index(int(np.argmax(gains)), gains.shape)
+    best = float(gains[i, j])
+    if best < _SIGNIFICANT:
+        return AngleNoise(gain=best)
+    x, relative_u = _level(gains[i], int(j))
+    sigma = x * float(units[i])
+    root, inverse = (np.zeros((sum(len(w.z) for w in windows),) * 2) for _ in range(2))
+    first = 0
+    for k in covariances[i]:
+        values, vectors = np.linalg.eigh(np.eye(len(k)) + sigma**2 * k)
+        own = slice(first, first + len(k))
+        root[own, own] = (vectors * np.sqrt(values)) @ vectors.T
+        inverse[own, own] = (vectors / np.sqrt(values)) @ vectors.T
+        first += len(k)
+    return AngleNoise(sigma, relative_u * sigma, float(times[i]), best, root, inverse)
 
 
 def _mean_acceleration(run: Compressed) -> float:
@@ -444,6 +509,13 @@ class _Stretch:
             return np.eye(m)
         inner = self._outside.T @ angle[np.ix_(self.rows, self.rows)] @ self._outside
         return np.asarray(np.linalg.inv(np.linalg.cholesky(np.eye(m) + inner)))
+
+    def log_density(self, process: Array, angle: Array) -> float:
+        """Return the restricted log-likelihood for covariances of the seen rows and of all rows beside white noise."""
+        inner = self._outside.T @ angle[np.ix_(self.rows, self.rows)] @ self._outside
+        lower = np.linalg.cholesky(np.eye(len(self.seen)) + process + inner)
+        white = np.linalg.solve(lower, self.seen)
+        return float(-0.5 * white @ white - np.log(np.diag(lower)).sum())
 
     def likelihood(self, angle: Array | None, torques: Sequence[tuple[Array, float]]) -> tuple[float, float]:
         """Return the largest restricted log-likelihood over the levels of process noise, and that level [rad/s2]."""

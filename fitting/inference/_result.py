@@ -171,7 +171,10 @@ def _levels(noises: Sequence[Noise]) -> str:
 
 def _angle_noises(fit: FitSummary) -> list[tuple[str, AngleNoise]]:
     data = fit.problem.data if isinstance(fit, Fit) else ()
-    found = [(f" of {d.record.label}" if len(data) > 1 else "", d.angle_noise) for d in data]
+    found = []
+    for d in data:
+        case = f" of {d.record.label}" if len(data) > 1 else ""
+        found += [(case, d.angle_noise), (f"{case} in the rotor's windows", d.rotor_angle_noise)]
     return [(label, noise) for label, noise in found if noise.sigma]
 
 

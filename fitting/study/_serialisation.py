@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from fitting._errors import FittingError, LedgerError
 from fitting._schema import (
+    AngleNoiseDocument,
     BudgetDocument,
     CandidateDocument,
     CaseDocument,
@@ -68,6 +69,7 @@ from fitting.inference._parameters import ParameterLayout
 from fitting.inference._problem import Problem, degenerate_directions
 from fitting.inference._profile import LEVEL, Interval
 from fitting.inference._record import Record
+from fitting.inference._recording_noise import AngleNoise
 from fitting.inference._result import Estimate, Fit, FitSummary, Origin, not_determined, outcome
 from fitting.study._paper import CurveBias
 
@@ -78,13 +80,22 @@ _CURVE_POINTS = 200
 _FITS = 4
 
 
+def _angle_noise(noise: AngleNoise) -> AngleNoiseDocument | None:
+    return AngleNoiseDocument.model_validate(vars(noise)) if noise.sigma else None
+
+
 def fit_document(fit: Fit, fit_id: str) -> dict[str, Any]:
     """Return a fit under the keys of `fit --json`."""
     cases = [
         CaseDocument.model_validate(
             {**vars(c), **{k: getattr(n, k) for k in ("pure", "pure_u", "level", "scale")}}
+            | {
+                "angle_noise": _angle_noise(d.angle_noise),
+                "rotor_angle_noise": _angle_noise(d.rotor_angle_noise),
+            }
+            | {"n_eff": d.n_effective}
         )
-        for c, n in zip(fit.cases, fit.noise, strict=True)
+        for c, n, d in zip(fit.cases, fit.noise, fit.problem.data, strict=True)
     ]
     document = FitDocument(
         fit_id=fit_id,

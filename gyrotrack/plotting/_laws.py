@@ -176,7 +176,7 @@ def _draw_ranking(ax: Axes, found: Laws) -> None:
     width = np.log10(1 + worse)
     ax.barh(np.arange(len(shown)), np.maximum(width, 0.03), color=colours, height=0.66)
     for i, x in enumerate(shown):
-        text = ("best: " if i == 0 else f"+{worse[i]:.0f}  ") + plain(x.formula, 42)
+        text = ("best: " if i == 0 else f"+{worse[i]:.0f}  ") + plain(x.formula, 36)
         ax.annotate(
             text,
             (max(width[i], 0.03), i),

@@ -40,7 +40,7 @@ def python(code, *blocked):
 def test_the_package_needs_neither_films_nor_terminals():
     done = python(
         "from fitting import *\nimport fitting\nassert all(hasattr(fitting, n) for n in fitting.__all__)",
-        "cv2", "av", "typer", "rich", "gyrotrack", "skimage", "matplotlib", "pandas",
+        "cv2", "av", "typer", "rich", "gyrotrack", "matplotlib", "pandas",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
 
@@ -63,7 +63,7 @@ def test_a_fit_never_waits_for_scipy(tmp_path):
     code = (
         "import sys\nfrom gyrotrack.apps.cli._app import run\n"
         f"assert run(['fit', {str(path)!r}, '--json', '-q']) == 0\n"
-        "slow = {'scipy', 'pandas', 'matplotlib', 'rich', 'cv2', 'av', 'skimage'} & set(sys.modules)\n"
+        "slow = {'scipy', 'pandas', 'matplotlib', 'rich', 'cv2', 'av'} & set(sys.modules)\n"
         "assert not slow, slow"
     )
     done = python(code)

@@ -147,7 +147,7 @@ def plan_table(found: Plan) -> str:
     )
     lines += [
         "",
-        f"  {'effect':<24}{'detection limit':>18}{'N m rms':>10}{'upper limit':>13}{'power':>8}{'runs':>8}",
+        f"  {'effect':<28}{'detection limit':>18}{'N m rms':>10}{'upper limit':>13}{'power':>8}{'runs':>8}",
     ]
     lines += [_row(e) for e in found.effects]
     if any(not e.effect.mechanical for e in found.effects):
@@ -175,7 +175,7 @@ def plan_table(found: Plan) -> str:
 def _row(e: EffectLimits) -> str:
     star = "" if e.effect.mechanical else " *"
     if e.absorbed:
-        return f"  {e.effect.name + star:<24}{'-':>18}{'-':>10}{'-':>13}{'-':>8}{'-':>8}"
+        return f"  {e.effect.name + star:<28}{'-':>18}{'-':>10}{'-':>13}{'-':>8}{'-':>8}"
     limit = f"{e.strength} = {e.detection_limit:.2g}"
     torque = f"{e.detection_torque:.1e}" if math.isfinite(e.detection_torque) else "-"
     upper = "found" if math.isnan(e.upper_limit) else f"{e.upper_torque:.1e}" if e.effect.mechanical else "-"
@@ -187,7 +187,7 @@ def _row(e: EffectLimits) -> str:
         if math.isinf(e.runs_needed)
         else f"{e.runs_needed:.0f}"
     )
-    return f"  {e.effect.name + star:<24}{limit:>18}{torque:>10}{upper:>13}{power:>8}{runs:>8}"
+    return f"  {e.effect.name + star:<28}{limit:>18}{torque:>10}{upper:>13}{power:>8}{runs:>8}"
 
 
 def _possible(b: Bounds) -> str:

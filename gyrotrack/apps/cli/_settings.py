@@ -42,19 +42,19 @@ NONE = "none"  # as a name of a file: no settings
 
 # options that a file found in the working folder may set: they affect computation and display only
 _COMPUTE = (
-    "add all body capture_fps casing casing_fps centre centre_offset clock_rate column cut data drop duration dry_run "
-    "fix format from hide hold_out hub improve inertia inertia_casing inertia_rotor joint json keep_all "
-    "label likelihood loss marker model omega_casing omega_rotor per_case profile pulses_per_turn quiet resume "
-    "rotor rotor_fps rotor_start seed set share sigma strength surface table timeout times to "
+    "add all beyond_library body bound capture_fps casing casing_fps centre centre_offset clock_rate column cut data "
+    "drop duration dry_run fix format from hide hold_out hub improve inertia inertia_casing inertia_rotor joint json "
+    "keep_all label law likelihood loss marker model omega_casing omega_rotor per_case profile pulses_per_turn quiet "
+    "resume rotor rotor_fps rotor_start seed set share sigma size strength surface table timeout times to "
     "torque_noise torque_time until verbose verify window window_length"
 )
 # options whose values are files to read or to write; a found file may name those in its own folder
-_PATHS = "clips contact_sheet csv effects film films latex ledger output overlay picture report"
+_PATHS = "clips contact_sheet csv effects film films folder latex ledger output overlay picture plot report"
 FOUND = frozenset(f"{_COMPUTE} {_PATHS}".split())
-# options that only the user may set: replacing files, addresses, certificates, ports, the desktop, the cores
-REFUSED = frozenset({
-    "force", "scheduler", "tls_ca", "tls_cert", "tls_key", "port", "browser", "answer", "workers",
-})  # fmt: skip
+# options that only the user may set: replacing or deleting results, addresses, certificates, ports, cores
+REFUSED = frozenset(
+    "answer browser delete force name note port save_law scheduler tls_ca tls_cert tls_key workers".split()  # noqa: SIM905
+)
 
 
 @dataclass(frozen=True)

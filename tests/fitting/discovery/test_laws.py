@@ -16,6 +16,7 @@ from fitting.dynamics._model import Model
 from fitting.effects._library import REDUCED
 from fitting.effects._user import read_effects, resolve
 from fitting.inference._fit import fit
+from fitting.inference._record import make_record
 from fitting.study._law_documents import check_name, laws_document, save_law
 
 K, W = 3e-6, 40.0
@@ -114,3 +115,26 @@ def test_taking_a_law_out_gives_the_residual_of_a_fit_without_it():
 def test_no_dependence_is_significant_in_null_data():
     for seed in (1, 2):
         assert min(d.p_value for d in dependence(fitted(seed))) > 0.005
+
+
+@pytest.mark.slow
+def test_a_body_with_a_saturating_drag_beside_dry_and_viscous_friction():
+    """A law that replaces another moves the base's own friction by as much as itself: its refit starts from there."""
+    from scipy.integrate import solve_ivp
+
+    t = np.arange(0, 120, 0.01)
+    motion = solve_ivp(
+        lambda _, y: [y[1], -0.02 - 0.012 * y[1] - 0.15 * math.tanh(y[1] / 5)],
+        (0, 120), [0.0, 40.0], t_eval=t, rtol=1e-10, atol=1e-10,
+    )  # fmt: skip
+    angle = motion.y[0] + 1e-3 * np.random.default_rng(0).standard_normal(len(t))
+    sigma = np.full(len(t), 1e-3)
+    record = make_record(casing=(t, angle, sigma), rotor=[], I_rotor=1.0, I_casing=1.0, single=True)
+    base = fit(Model.of(REDUCED).alone, [record])
+    best = laws(base).laws[0]
+    assert best.formula == "casing: -k*tanh(omega_c/w)"
+    for name, true in {"touchpoint.constant.b1": 0.02, "casing.air.linear.b2": 0.012}.items():
+        assert best.fit.estimates[name].value == pytest.approx(true, rel=0.01)
+    assert {k.rpartition(".")[2]: e.value for k, e in best.estimates.items()} == pytest.approx(
+        {"k": 0.15, "w": 5.0}, rel=0.01
+    )

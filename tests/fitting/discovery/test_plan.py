@@ -127,8 +127,7 @@ class TestLimits:
         assert drag().detection_torque == pytest.approx(drag().detection_limit * drag().torque)
 
     def test_the_detection_limit_has_90_percent_power_and_the_false_alarm_rate_is_the_significance(self):
-        delta = drag().detection_limit / drag().stderr
-        power = search().power(DRAG, 0, np.array([0.0, delta]))
+        power = search().power(DRAG, 0, np.array([0.0, drag().detection_limit]))
         assert power[1] == pytest.approx(0.9, abs=0.03)
         assert power[0] <= DEFAULT.significance + 3 * math.sqrt(0.03 / 600)
 

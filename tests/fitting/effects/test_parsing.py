@@ -174,8 +174,8 @@ def watch():
     seen, active = [], [False]
 
     def hook(event, arguments):
-        # the grammar itself is asked for by `compile`; that event has no code to run
-        if active[0] and event != "compile":
+        # `compile` only parses here, and a frame that is read runs nothing
+        if active[0] and event not in {"compile", "sys._getframe"}:
             seen.append(event)
 
     sys.addaudithook(hook)

@@ -64,6 +64,25 @@ def test_neither_white_nor_process_noise_is_correlated_angle_noise(torque_noise)
     assert all(case(seed=seed, torque_noise=torque_noise).angle_noise.sigma == 0 for seed in range(1, 3))
 
 
+def test_noise_of_the_rotors_camera_is_found_in_its_windows():
+    """Three windows of one camera: 2 mrad over 0.3 s, told within what 24 rows allow; white noise is told as white."""
+    plain = case()
+    assert plain.rotor_angle_noise.sigma == 0
+    noisy = [
+        Samples(w.time, w.value + wandering(w.time, 2e-3, 0.3, i), w.sigma)
+        for i, w in enumerate(plain.record.rotor)
+    ]
+    data = CaseData.of(replace(plain.record, rotor=tuple(noisy), digest=""))
+    found = data.rotor_angle_noise
+    assert data.angle_noise.sigma == 0
+    assert abs(found.sigma - 2e-3) < 4 * found.sigma_u
+    assert 0.05 * found.sigma < found.sigma_u < 0.6 * found.sigma
+    assert 0.05 < found.time < 2.0
+    assert data.n_effective < plain.n_effective - 0.9 * sum(w.n_effective for w in plain.rotor)
+    rows = np.random.default_rng(0).standard_normal((len(data.z), 2))
+    np.testing.assert_allclose(data.unwhitened(data.whitened(rows)), rows, atol=1e-9)
+
+
 def test_covariance_of_the_rows_is_that_of_many_draws():
     run, time = case().casing, 0.5
     k = run.lift.shape[1]
