@@ -357,7 +357,7 @@ def spindown(
 
 
 def _check_law(motion: BodyMotion, fit: Fit) -> None:
-    """Refuse to explain an oscillation by friction alone, or a rotation without any acceleration."""
+    """Refuse to explain a rotation without any acceleration, or a short oscillation by friction alone."""
     from fitting._errors import FittingError
 
     if motion.kind == "steady" and abs(motion.alpha.value) < 3 * motion.alpha.stderr:
@@ -365,9 +365,8 @@ def _check_law(motion: BodyMotion, fit: Fit) -> None:
             f"the angular acceleration, {motion.alpha.value:.2g} +- {motion.alpha.stderr:.1g} rad/s2, is consistent "
             "with zero."
         )
-    restoring = any(getattr(effect, "restoring", False) for effect in fit.model.effects)
-    if motion.kind == "oscillation" and not restoring:
-        raise FittingError("the motion is an oscillation, and the model has no restoring torque.")
+    if motion.kind == "oscillation" and fit.problem.data[0].oscillation is None:
+        raise FittingError("the motion is an oscillation of too few periods for a restoring torque.")
 
 
 def _with_view(motion: BodyMotion, series: Series, recording: Recording, tracked: Tracked) -> BodyMotion:
