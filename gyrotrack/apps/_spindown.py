@@ -33,7 +33,7 @@ from gyrotrack.video._time_base import Timing
 from gyrotrack.video._timestamps import SLOWEST_PLAIN_RATE
 
 if TYPE_CHECKING:
-    from fitting.inference._result import Fit
+    from fitting.dynamics._model import Model
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
@@ -323,8 +323,9 @@ def spindown(
         study = open_study([target], None)
         with WorkerPool() as workers:
             base, parent = study.base(None)
-            _check_law(motion, base)
+            _check_law(motion)
             rungs = improve(base, [], workers=workers)
+            _check_law(motion, rungs[-1].fit.model)
             steps = [entry.document["rung"] for entry in study.keep(rungs, parent)]
             found = diagnose(base, [], candidates=rungs[0].candidates, workers=workers)
             study.keep_diagnosis(parent, found, [])
@@ -356,8 +357,8 @@ def spindown(
     }
 
 
-def _check_law(motion: BodyMotion, fit: Fit) -> None:
-    """Refuse to explain a rotation without any acceleration, or a short oscillation by friction alone."""
+def _check_law(motion: BodyMotion, last: Model | None = None) -> None:
+    """Refuse to explain a rotation without any acceleration, and an oscillation by friction alone."""
     from fitting._errors import FittingError
 
     if motion.kind == "steady" and abs(motion.alpha.value) < 3 * motion.alpha.stderr:
@@ -365,8 +366,8 @@ def _check_law(motion: BodyMotion, fit: Fit) -> None:
             f"the angular acceleration, {motion.alpha.value:.2g} +- {motion.alpha.stderr:.1g} rad/s2, is consistent "
             "with zero."
         )
-    if motion.kind == "oscillation" and fit.problem.data[0].oscillation is None:
-        raise FittingError("the motion is an oscillation of too few periods for a restoring torque.")
+    if last is not None and motion.kind == "oscillation" and not last.restoring:
+        raise FittingError("the motion is an oscillation, and no restoring torque describes it.")
 
 
 def _with_view(motion: BodyMotion, series: Series, recording: Recording, tracked: Tracked) -> BodyMotion:
