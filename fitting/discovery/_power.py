@@ -230,7 +230,7 @@ class _Test:
 
 
 @dataclass(frozen=True)
-class _ActiveBounds:
+class ActiveBounds:
     """Which parameter of the base an effect drives to its bound.
 
     A missing effect shifts the parameters of the base, and noise scatters them. One that would pass its bound is held
@@ -257,7 +257,7 @@ class _ActiveBounds:
     @classmethod
     def of(
         cls, fit: Fit, context: ScoreContext, level: Level, draws: int, truth: Mapping[str, float]
-    ) -> _ActiveBounds:
+    ) -> ActiveBounds:
         layout = fit.problem.layout
         moving = ~layout.at_bound(fit.theta)
         theta = np.array(
@@ -291,6 +291,42 @@ class _ActiveBounds:
         """Return the change of the rows when a parameter moves to its bound."""
         place, side = divmod(which, 2)
         return np.asarray(self.free[:, place] * self.room[side, place])
+
+    def largest_strength(self, response: Array, data: Array, limit: float, *, one_sided: bool) -> float:
+        """Return an upper limit of a strength that respects the bounds of the base.
+
+        An effect that the base could absorb hides in the data only as far as the parameters that make room for it
+        stay within their bounds: with r the data, F the free columns and s the response, the limit is where
+
+            min_b |r - F b - k s|^2,   b within the bounds,
+
+        exceeds its minimum over k by 1.64^2. The search ends at the limit without bounds.
+
+        Parameters
+        ----------
+        response : ndarray, shape (rows,)
+            Whitened response of a unit strength.
+        data : ndarray, shape (rows,)
+            Whitened residuals of the fit.
+        limit : float
+            The limit without bounds.
+        one_sided : bool
+            The strength is not negative.
+        """
+        count = self.room.shape[1]
+        change = self.inverse @ response
+        largest = 0.0
+        for sign in (1.0,) if one_sided else (1.0, -1.0):
+            b = self.inverse @ data - sign * limit * change
+            if ((b >= self.room[0]) & (b <= self.room[1])).all():
+                return limit
+            r: Array = np.asarray(np.linalg.qr(np.column_stack([self.free, sign * response, data]), mode="r"))
+            size = np.linalg.norm(r[:, :-2], axis=0)
+            size[size == 0] = 1.0
+            bounds = np.full((2, len(size)), np.inf) * [[-1], [1]]
+            bounds[:, :count] = self.room * size[:count]
+            largest = max(largest, _profile_limit(r[:, :-2] / size, r[:, -2], r[:, -1], bounds, limit))
+        return largest
 
     def basis_without(self, parameter: int) -> Array:
         """Return an orthonormal basis of the free columns without those of one parameter."""
@@ -340,7 +376,7 @@ class Search:
         self._common = {e.name: self._responses(e, self._stacked(e), self._level.basis) for e in self.effects}
         self._tests = self._calibrated(self._level.basis) if draws > 1 else {}
         self._draws = min(draws, _POWER_DRAWS)
-        self._bounds = _ActiveBounds.of(fit, self._context, self._level, self._draws, truth or {})
+        self._bounds = ActiveBounds.of(fit, self._context, self._level, self._draws, truth or {})
         self._holding: dict[int, dict[str, list[_Test]]] = {}
 
     def _all_trials(self, effect: Effect) -> list[list[Trial]]:
@@ -556,7 +592,12 @@ class Search:
         ):
             return float("nan")
         p = seen[group * common.width : (group + 1) * common.width]
-        return upper_limit(p, one_sided=common.one_sided)
+        limit = upper_limit(p, one_sided=common.one_sided)
+        if common.width > 1:
+            return limit
+        response = self._whitened(self._stacked(effect)[group : group + 1])[:, 0] / common.root[group]
+        data = np.zeros_like(self._level.residual) if planned else self._level.residual
+        return self._bounds.largest_strength(response, data, limit, one_sided=common.one_sided)
 
     def _runs(self, effect: Effect, delta: float, needed: float) -> float:
         """Return how many runs find an effect of this noncentrality in all present runs."""
@@ -617,6 +658,20 @@ def largest_hidden(
     return tuple(
         UpperLimit(e.effect.name, e.strength, e.upper_limit, e.unit, e.upper_torque) for e in finite[:most]
     )
+
+
+def _profile_limit(free: Array, response: Array, data: Array, bounds: Array, limit: float) -> float:
+    """Return the strength in (0, limit) at which the profile with bounds exceeds its minimum by 1.64 squared."""
+    from scipy.optimize import brentq, lsq_linear, minimize_scalar
+
+    def profile(k: float) -> float:
+        return 2 * float(lsq_linear(free, data - k * response, (bounds[0], bounds[1]), method="bvls").cost)
+
+    best = minimize_scalar(profile, bounds=(0.0, limit), method="bounded", options={"xatol": 1e-3 * limit})
+    at, least = (0.0, profile(0.0)) if profile(0.0) <= best.fun else (float(best.x), float(best.fun))
+    if profile(limit) - least <= _ONE_SIDED**2:
+        return limit
+    return float(brentq(lambda k: profile(k) - least - _ONE_SIDED**2, at, limit, rtol=1e-3))
 
 
 def _smallest_score(

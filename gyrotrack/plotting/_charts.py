@@ -351,6 +351,7 @@ def dashboard_document(board: Dashboard) -> dict[str, Any]:
                 "title": c.title,
                 "unit": c.unit,
                 "finding": c.finding,
+                "caption": c.caption,
                 "x_label": c.x_label,
                 "is_time": c.x_label == TIME,
                 "traces": [_trace(t) for t in c.traces],

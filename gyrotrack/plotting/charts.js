@@ -121,7 +121,7 @@ const Charts = (() => {
       });
       this.keys = keys;
       const title = chart.title.charAt(0).toUpperCase() + chart.title.slice(1);
-      this.head.replaceChildren(element("b", {}, `${title} [${chart.unit}]${chart.is_time ? "" : `, against ${chart.x_label}`}`), ...keys, this.saving());
+      this.head.replaceChildren(element("b", { title: chart.caption || chart.finding }, `${title} [${chart.unit}]${chart.is_time ? "" : `, against ${chart.x_label}`}`), ...keys, this.saving());
       this.build();
     }
 

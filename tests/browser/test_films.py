@@ -6,6 +6,7 @@ from time import perf_counter
 
 import pytest
 
+from gyrotrack.io._hdf5 import read_recording
 from gyrotrack.tracking._profile import load
 
 from .conftest import Visit, accessibility
@@ -148,3 +149,16 @@ def test_a_cancelled_film_is_continued_from_its_checkpoint(open_page, tmp_path):
     page.click("#track:enabled")
     page.locator("#tracking .fine", has_text="7670 angles").wait_for(timeout=120_000)
     assert not (tmp_path / "casing_260fps.h5.unfinished").exists()
+    # a marker is corrected by hand in one frame, and the recording keeps it
+    page.get_by_label("correction of red").check()
+    page.locator("#place").fill("40")
+    page.locator("#still[data-shown='1:40']").wait_for()
+    box = page.locator("#still").bounding_box()
+    page.locator("#still").click(position={"x": 0.6 * box["width"], "y": 0.7 * box["height"]})
+    page.locator("#corrected", has_text="Frame 40: red corrected. 1 corrected in all").wait_for(
+        timeout=20_000
+    )
+    (note,) = read_recording(tmp_path / "casing_260fps.h5").extra["corrections"]
+    assert (note["marker"], note["frame"], note["by"]) == ("red", 40, "hand")
+    assert note["place_px"] == pytest.approx([0.6 * 480, 0.7 * 360], abs=2)
+    assert accessibility(page) == []

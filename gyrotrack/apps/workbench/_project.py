@@ -19,16 +19,20 @@ from pathlib import Path
 from threading import RLock
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from gyrotrack._errors import ConfigurationError, GyrotrackError, OutputError, UsageError
 from gyrotrack._inertia import Inertia
 from gyrotrack.apps.batch._experiments import FILMS, Experiment, read_study
 from gyrotrack.apps.batch._workers import cores
+from gyrotrack.apps.workbench._corrections import corrected
 from gyrotrack.apps.workbench._jobs import Job, Jobs
 from gyrotrack.io._atomic import new_file
-from gyrotrack.io._hdf5 import read_kind
-from gyrotrack.tracking._profile import load, parse, to_toml
+from gyrotrack.io._hdf5 import read_kind, read_recording, read_settings, write_recording
+from gyrotrack.io._records import Recording
+from gyrotrack.io._schema import STATUS
+from gyrotrack.tracking._profile import parse, to_toml
 from gyrotrack.video._container import probe
 
 STATE_FILE = "workbench.json"
@@ -119,6 +123,7 @@ class Project:
             )
         self._lock = RLock()
         self._infos: dict[str, dict[str, Any]] = {}
+        self._read: tuple[tuple[str, int], Recording] | None = None
         self.state = _read_state(self.folder / STATE_FILE)
         self.jobs = Jobs(self.folder, cores())
 
@@ -500,13 +505,59 @@ class Project:
 
             self.jobs.start(f"profile:{key}", ["profile", _argument(x.file), "-o", name], finished)
 
-    def marker_list(self, key: str) -> list[dict[str, str]]:
-        """Return names, colours and bodies of the markers with which a film is tracked."""
-        from gyrotrack.tracking._profile import PAPER
+    def tracked(self, key: str, index: int) -> dict[str, Any]:
+        """Return where centre and markers of a tracked film are in one frame [px]; an empty object if it is not."""
+        recording = self._recording(key)
+        if recording is None or not 0 <= index < len(recording.time):
+            return {}
+        centre = recording.centre[index]
+        markers = []
+        for m in recording.markers.values():
+            known = m.rho[np.isfinite(m.rho)]
+            radius = 1.15 * float(np.median(known)) if len(known) else math.nan
+            angle = recording.sense * m.angle_fine[index]
+            place = centre + radius * np.array([np.cos(angle), -np.sin(angle)])
+            found = np.isfinite(place).all()
+            whole = int(m.status[index]) == STATUS["ok"]
+            markers.append({"name": m.name, "place": place.tolist() if found else None, "whole": whole})
+        own = [c for c in recording.extra.get("corrections", []) if c["frame"] == index]
+        return {
+            "centre": centre.tolist() if np.isfinite(centre).all() else None,
+            "markers": markers,
+            "corrected": [c["marker"] for c in own],
+            "corrections": len(recording.extra.get("corrections", [])),
+        }
 
-        x = self.source(key)
-        chosen = load(self.folder / x.profile) if x.profile else PAPER
-        return [{"name": m.name, "colour": m.colour, "body": m.body} for m in chosen.marker]
+    def _recording(self, key: str) -> Recording | None:
+        """Return the recording of a tracked film with markers; the last one is kept in memory."""
+        with self._lock:
+            x = self.source(key)
+            path = self.folder / x.output
+            if x.kind != "film" or x.body == "single" or not self._is_current(x) or not path.is_file():
+                return None
+            stamp = (key, path.stat().st_mtime_ns)
+            if self._read is None or self._read[0] != stamp:
+                self._read = (stamp, read_recording(path))
+            return self._read[1]
+
+    def correct(self, key: str, marker: str, frame: int, place: Any) -> None:
+        """Correct a marker in one frame of a tracked film, or mark it as lost, and write the recording again."""
+        with self._lock:
+            recording = self._recording(key)
+            if recording is None:
+                raise UsageError("This film is not tracked yet.", "Track it first.")
+            if place is not None and not (
+                isinstance(place, list) and len(place) == 2 and all(isinstance(v, int | float) for v in place)
+            ):
+                raise UsageError("This place is not on the frame.", "Click it again.")
+            x = self.source(key)
+            path = self.folder / x.output
+            changed = corrected(recording, marker, frame, place)
+            command = shlex.join(["gyrotrack", "view"])
+            write_recording(path, changed, command=command, settings=read_settings(path), force=True)
+            x.result = {**x.result, "warnings": list(changed.warnings)}
+            self.state.matched = []
+            self._save()
 
     # the steps
 

@@ -298,6 +298,9 @@ class Workbench:
             routes += [
                 Route("/api/project", self._get(lambda _: p.document())),
                 Route("/api/project/preview", self._get(lambda a: p.previewed(text(a, "key")))),
+                Route(
+                    "/api/project/tracked", self._get(lambda a: p.tracked(text(a, "key"), whole(a, "index")))
+                ),
                 Route("/api/project/frame", self._source_frame),
                 Route("/api/project/upload", self._upload, methods=["POST"]),
                 *(Route(f"/api/project/{k}", self._post(f), methods=["POST"]) for k, f in calls.items()),
@@ -349,6 +352,9 @@ class Workbench:
             "mark": then(lambda a: p.mark(text(a, "key"), a.get("hub"), a.get("picks"), text(a, "disc"))),
             "follow": then(lambda a: p.preview(text(a, "key"))),
             "find": then(lambda a: p.find_markers(text(a, "key"))),
+            "correct": then(
+                lambda a: p.correct(text(a, "key"), text(a, "marker"), whole(a, "index"), a.get("place"))
+            ),
             "track": then(lambda a: p.track([text(a, "key")] if text(a, "key") else [])),
             "match": then(lambda _: p.match()),
             "fit": then(lambda _: p.fit()),

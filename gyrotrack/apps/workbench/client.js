@@ -37,6 +37,42 @@ const Page = (() => {
     at("error").hidden = !error;
   }
 
+  const GLOSSARY = [
+    ["residual", "Measured minus modelled value."],
+    ["lack of fit", "The model differs from the data by more than noise explains."],
+    ["unmodelled torque", "Torque that the data need beyond the model [N m], inferred from the residual without assuming a law."],
+    ["candidate effect", "A law of the library that could be missing from the model."],
+    ["nuisance parameter", "A parameter of the measurement (camera centre, tilt, shutter) that is fitted with every model."],
+    ["\u03c3", "Standard uncertainty; of a residual: what noise alone gives."],
+    ["rms", "Root mean square; of the residual in units of its noise, 1 is the noise limit."],
+    ["\u03c7\u00b2/n", "Reduced chi-square: mean square of the residual in units of the noise; 1 is the noise limit."],
+    ["score", "Decrease of the deviance if the effect is added; its root is about the significance in \u03c3."],
+    ["\u0394BIC", "Change of the Bayesian information criterion; negative favours the added effect."],
+    ["p", "Probability of such a score anywhere in the list if no effect is missing (family-wise)."],
+    ["cross-validation error", "Error on data that were left out of the fit, in units of the noise."],
+    ["indistinguishable", "Effects that these data cannot separate."],
+    ["omega_r, omega_c", "Angular rates of rotor and casing [rad/s]."],
+    ["psi_r, psi_c", "Angles of rotor and casing [rad]."],
+    ["delta", "Angular rate of the rotor relative to the casing, omega_r \u2212 omega_c [rad/s]."],
+    ["rotor, casing, bearing", "Where a torque acts; a torque of the bearing acts on both bodies with opposite signs."],
+    ["rolling shutter", "The rows of a frame are exposed one after another; the delay across the picture is a nuisance parameter."],
+  ];
+
+  /* a text whose known terms explain themselves under the pointer */
+  function explained(text) {
+    const out = document.createDocumentFragment(), terms = GLOSSARY.filter(([t]) => t.length > 4 && !t.includes(","));
+    const pattern = new RegExp(`(${terms.map(([t]) => t).join("|")})`, "i");
+    for (const part of text.split(pattern)) {
+      const known = terms.find(([t]) => t.toLowerCase() === part.toLowerCase());
+      if (!known) { out.append(part); continue; }
+      const word = document.createElement("abbr");
+      word.title = known[1];
+      word.textContent = part;
+      out.append(word);
+    }
+    return out;
+  }
+
   /* show a part of the page: "films" or "laboratory" */
   function turn(part) {
     for (const name of ["films", "laboratory"]) {
@@ -49,5 +85,5 @@ const Page = (() => {
     window.dispatchEvent(new Event("resize"));
   }
 
-  return { ask, at, complain, sentence, turn };
+  return { ask, at, complain, explained, sentence, turn, GLOSSARY };
 })();

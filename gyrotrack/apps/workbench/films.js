@@ -8,7 +8,7 @@
   const RATES = [30, 60, 120, 240, 480, 960, 1000];
   const SHOWN = { casing: "casing", rotor: "rotor", single: "one body alone" };
   let project = null, chosen = null, size = [1, 1], index = 0, picture = null, mode = "hub", hub = null, disc = "", picks = [],
-    tracks = null, running = false, timer = null, wantsLaboratory = false, cross = null, asked = 0, sending = 0, ended = false;
+    tracks = null, measured = null, running = false, timer = null, wantsLaboratory = false, cross = null, asked = 0, sending = 0, ended = false;
 
   const source = () => project?.sources.find((x) => x.key === chosen) || null;
   const active = (job) => Boolean(job) && (job.state === "waiting" || job.state === "running");
@@ -209,8 +209,23 @@
       : "The motion is fitted and diagnosed already; the laboratory shows where the model fails and tests every candidate effect.")
       : "The reduced model of the paper is fitted; the laboratory then shows where it fails and tests every candidate effect.";
     clocks();
+    at("next").textContent = guide();
     const done = { sources: !project.missing.track.length, track: project.sources.length > 0 && project.sources.every((x) => x.is_current), match: project.is_matched, fit: project.can_open };
     for (const [name, value] of Object.entries(done)) at(`step-${name}`).classList.toggle("done", value);
+  }
+
+  /* what to do next, for somebody who is here for the first time */
+  function guide() {
+    const films = project.sources.filter((x) => x.kind === "film"), busy = Object.values(project.jobs).some(active) || films.some((x) => active(x.jobs.track));
+    if (busy) return "The program works; the page may be closed meanwhile.";
+    if (!project.sources.length) return project.samples ? "Begin with your own films, or with the sample clips: four films of one run, with the notes of the experimenter." : "Begin with your films.";
+    if (project.missing.track.length) return `Next: ${project.missing.track[0]}`;
+    if (films.some((x) => !x.is_current)) {
+      const seen = films.some((x) => x.jobs.preview?.state === "done");
+      return seen ? "Next: track the films." : "Next: choose a film, press \u201cFollow the markers\u201d and check that they are; then track the films.";
+    }
+    if (!project.is_matched) return project.missing.match.length ? `Next: ${project.missing.match[0]}` : "Next: match the clocks. The casing, which all cameras see, determines when each film starts.";
+    return project.can_open ? "Next: open the laboratory." : project.route === "single" ? "" : "Next: fit. The laboratory then shows where the model fails and names what could be missing.";
   }
 
   /* the clips on the clock of the casing's camera */
@@ -246,6 +261,7 @@
     hub = x.hub; picks = x.picks.map((p) => ({ ...p })); disc = "";
     mode = hub ? "casing" : "hub";
     modes();
+    corrections();
     rows();
     film(null);
     show(0);
@@ -256,7 +272,7 @@
     const x = source();
     if (!x || x.kind !== "film") return;
     const job = x.jobs.preview, was = before?.sources.find((o) => o.key === x.key);
-    if (was && was.body !== x.body) modes();
+    if (was && (was.body !== x.body || was.is_current !== x.is_current)) modes();
     if (was && x.profile !== was.profile && !x.picks.length && picks.length) { picks = []; rows(); draw(); }
     const names = ["", ...new Set([...(project.profiles || []), x.profile].filter(Boolean))];
     same(at("profile-of"), names.join("\n"), () => names.map((n) => element("option", { value: n }, n || "those of the paper (red disc; red, blue, white, green)")));
@@ -284,15 +300,29 @@
   }
 
   function modes() {
-    const single = source().body === "single";
-    const options = single ? [["hub", "hub"], ["casing", "a point to follow"]] : [["hub", "hub"], ["casing", "marker on the casing"], ["rotor", "marker on the rotor"]];
+    const single = source().body === "single", result = source().is_current && source().result.markers;
+    const correct = !single && result ? Object.keys(result).map((m) => [`correct:${m}`, `correction of ${m}`]) : [];
+    const options = single ? [["hub", "hub"], ["casing", "a point to follow"]] : [["hub", "hub"], ["casing", "marker on the casing"], ["rotor", "marker on the rotor"], ...correct];
     if (!options.some(([v]) => v === mode)) mode = "hub";
     at("modes").replaceChildren(element("legend", {}, "A click sets"), ...options.map(([value, text]) => {
       const radio = element("input", { type: "radio", name: "mode", value, id: `mode-${value}` });
       radio.checked = value === mode;
-      radio.addEventListener("change", () => { mode = value; });
+      radio.addEventListener("change", () => { mode = value; if (correcting()) { stop(); tracks = null; show(index); } corrections(); });
       return element("span", {}, radio, element("label", { for: `mode-${value}` }, text));
     }));
+  }
+
+  const correcting = () => mode.startsWith("correct:") ? mode.slice(8) : "";
+
+  function corrections() {
+    at("correcting").hidden = !correcting();
+    at("lost").textContent = `${correcting()} is not visible in this frame`;
+  }
+
+  /* a marker of one frame, as a person sees it; the recording keeps what was changed */
+  async function correct(place) {
+    const found = await act("correct", { key: chosen, marker: correcting(), index, place });
+    if (found) { await show(index); at("corrected").textContent = `Frame ${index}: ${correcting()} ${place ? "corrected" : "marked as lost"}. ${measured?.corrections || 0} corrected in all; match the clocks again when you have finished.`; }
   }
 
   function rows() {
@@ -314,6 +344,7 @@
   }
 
   async function set(x, y) {
+    if (correcting()) { correct([x * size[0], y * size[1]]); return; }
     const found = await act("colour", { key: chosen, index, x, y });
     if (!found) return;
     const place = [x * size[0], y * size[1]];
@@ -358,8 +389,10 @@
     try {
       const blob = await ask(`/api/project/frame?key=${encodeURIComponent(key)}&index=${wanted}`);
       const image = await createImageBitmap(blob);
+      const marks = !tracks && x.is_current && x.body !== "single" ? await ask(`/api/project/tracked?key=${encodeURIComponent(key)}&index=${wanted}`) : null;
       if (key !== chosen || wanted !== index) return;
       picture = image;
+      measured = marks && marks.markers ? marks : null;
       size = blob.size2;
       at("still").dataset.shown = `${key}:${wanted}`;
       draw();
@@ -379,14 +412,15 @@
     const plus = (x, y, r) => { const p = new Path2D(); p.moveTo(x - r, y); p.lineTo(x + r, y); p.moveTo(x, y - r); p.lineTo(x, y + r); return p; };
     const ring = (x, y, r) => { const p = new Path2D(); p.arc(x, y, r, 0, 7); return p; };
     const word = (text, x, y) => { g.font = "13px system-ui, sans-serif"; g.lineWidth = 3; g.strokeStyle = "#000"; g.fillStyle = "#fff"; g.strokeText(text, x, y); g.fillText(text, x, y); };
-    if (tracks && index < tracks.frames) {
-      const centre = tracks.centre[index];
+    const shown = measured || (tracks && index < tracks.frames ? { centre: tracks.centre[index], markers: tracks.markers.map((m) => ({ name: m.name, place: m.place[index], whole: m.whole[index] })) } : null);
+    if (shown && (tracks || correcting() || index > 0)) {
+      const centre = shown.centre;
       if (centre) stroke(plus(centre[0] * scale, centre[1] * scale, 8), "#fff");
-      for (const m of tracks.markers) {
-        const p = m.place[index];
+      for (const m of shown.markers) {
+        const p = m.place;
         if (!p) continue;
-        if (centre) { const ray = new Path2D(); ray.moveTo(centre[0] * scale, centre[1] * scale); ray.lineTo(p[0] * scale, p[1] * scale); stroke(ray, m.whole[index] ? "#3cff3c" : "#ffb000"); }
-        stroke(ring(p[0] * scale, p[1] * scale, 7), m.whole[index] ? "#3cff3c" : "#ffb000");
+        if (centre) { const ray = new Path2D(); ray.moveTo(centre[0] * scale, centre[1] * scale); ray.lineTo(p[0] * scale, p[1] * scale); stroke(ray, m.whole ? "#3cff3c" : "#ffb000"); }
+        stroke(ring(p[0] * scale, p[1] * scale, 7), m.whole ? "#3cff3c" : "#ffb000");
         word(m.name, p[0] * scale + 10, p[1] * scale - 6);
       }
     } else if (index === 0) {
@@ -458,11 +492,12 @@
   at("find").addEventListener("click", () => act("find", { key: chosen }));
   at("clear").addEventListener("click", () => { picks = []; hub = null; disc = ""; mode = "hub"; modes(); rows(); mark(); });
   at("profile-of").addEventListener("change", async () => { await act("set", { key: chosen, name: "profile", value: at("profile-of").value }); tracks = null; act("follow", { key: chosen }); });
+  at("lost").addEventListener("click", () => correct(null));
   at("run").addEventListener("click", () => { if (running) stop(); else play(); });
   at("place").addEventListener("input", () => { stop(); show(Number(at("place").value)); });
   at("still").addEventListener("click", (event) => {
     const box = at("still").getBoundingClientRect();
-    if (running || index !== 0) { stop(); tracks = null; show(0); return; }
+    if (correcting() ? running : running || index !== 0) { stop(); if (correcting()) return; tracks = null; show(0); return; }
     set((event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height);
   });
   at("still").addEventListener("keydown", (event) => {

@@ -2,11 +2,11 @@
 /* The laboratory: one case, its fits, its films. Every text from the server becomes a text node, never markup. */
 const Laboratory = (() => {
   const { Board, element, button, format } = Charts;
-  const { ask, at, complain, sentence } = Page;
+  const { ask, at, complain, explained, sentence, GLOSSARY } = Page;
   const BODIES = ["rotor", "casing"];
   const COLOURS = ["red", "orange", "yellow", "green", "cyan", "blue", "magenta", "white"];
   let board = null, fixed = [], clips = [], clip = null, index = 0, playing = false, until = null, searches = 0,
-    free = new Set(), undoable = false, shown = 0;
+    free = new Set(), laws = new Map(), undoable = false, shown = 0;
 
   async function act(work) {
     complain(null);
@@ -206,7 +206,7 @@ const Laboratory = (() => {
     }
     const shown = found.diagnosis.candidates.filter((c) => c.score > 0).slice(0, 12);
     at("searching").textContent = shown.length ? "" : "No candidate effect has a positive score.";
-    at("sentence").textContent = found.diagnosis.sentence;
+    at("sentence").replaceChildren(explained(found.diagnosis.sentence));
     predicted = found.predicted || {};
     predictedBase = found.base_rms ?? NaN;
     const row = (c, tr) => {
@@ -214,7 +214,7 @@ const Laboratory = (() => {
       return tr;
     };
     at("ranking").replaceChildren(...shown.map((c) => row(c, element("tr", c.significant ? {} : { class: "pale" },
-      element("th", { scope: "row" }, c.effect, element("span", { class: "more" }, [
+      element("th", { scope: "row", title: laws.get(c.effect) || c.effect }, c.effect, element("span", { class: "more" }, [
         ...(c.kind === "measurement" ? ["artefact"] : []),
         ...(c.indistinguishable_from.length ? [`indistinguishable from ${c.indistinguishable_from.join(", ")}`] : []),
       ].join("; "))),
@@ -340,6 +340,7 @@ const Laboratory = (() => {
     at("title").textContent = state.label;
     document.title = `gyrotrack: ${state.label}`;
     at("library").replaceChildren(...state.library.map((e) => element("option", { value: e.name }, `${e.joint}: ${e.law}`)));
+    laws = new Map(state.library.map((e) => [e.name, `${e.joint}: ${e.law}`]));
     free = new Set(state.library.filter((e) => e.free).map((e) => e.name));
     clips = state.clips;
     render(state);
@@ -351,6 +352,7 @@ const Laboratory = (() => {
     search();
   }
 
+  at("glossary").replaceChildren(...GLOSSARY.flatMap(([term, text]) => [element("dt", {}, term), element("dd", {}, text)]));
   at("form").addEventListener("submit", async (event) => {
     event.preventDefault();
     if (await change({ add: at("wish").value })) at("wish").value = "";

@@ -1,0 +1,72 @@
+"""A marker that a person corrects in one frame."""
+
+import numpy as np
+import pytest
+
+from gyrotrack._errors import UsageError
+from gyrotrack.apps.workbench._corrections import CLICK_SIGMA, corrected
+from gyrotrack.apps.workbench._preview import copy_excerpt
+from gyrotrack.io._hdf5 import read_recording, write_recording
+from gyrotrack.io._schema import STATUS
+from gyrotrack.tracking._extract import extract
+
+from .test_project import CLIPS
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    film = tmp_path_factory.mktemp("film") / "rotor.mp4"
+    copy_excerpt(CLIPS / "rotor_1.mp4", film, 200)
+    return extract(film, capture_fps=1000.0)
+
+
+def _place(recording, marker, frame):
+    """Return a place [px] in the direction in which tracking saw the marker."""
+    angle = recording.sense * recording.markers[marker].angle_fine[frame]
+    return recording.centre[frame] + 60 * np.array([np.cos(angle), -np.sin(angle)])
+
+
+@pytest.mark.parametrize("marker", ["red", "blue"])
+def test_a_click_on_the_marker_gives_the_angle_that_tracking_gives(recording, marker):
+    body = recording.markers[marker].body
+    before = recording.bodies[body]
+    k = 100
+    found = corrected(recording, marker, k, _place(recording, marker, k))
+    after = found.bodies[body]
+    assert len(after.time) == len(before.time)
+    # the body's angle is that of all its markers; the clicked one agrees within its own errors
+    assert after.angle[k] == pytest.approx(before.angle[k], abs=0.02)
+    assert after.sigma[k] == pytest.approx(CLICK_SIGMA / 60)
+    assert np.array_equal(np.delete(after.angle, k), np.delete(before.angle, k))
+
+
+def test_a_wrong_click_moves_the_angle_with_its_sign_and_is_kept_with_its_origin(recording, tmp_path):
+    k = int(np.flatnonzero(np.isfinite(recording.markers["blue"].angle_fine))[40])
+    x, y = _place(recording, "blue", k) - recording.centre[k]
+    turn = 0.3  # counter-clockwise as seen
+    moved = recording.centre[k] + [x * np.cos(turn) + y * np.sin(turn), -x * np.sin(turn) + y * np.cos(turn)]
+    found = corrected(recording, "blue", k, moved)
+    change = (
+        found.bodies["rotor"].angle[k]
+        - corrected(recording, "blue", k, _place(recording, "blue", k)).bodies["rotor"].angle[k]
+    )
+    assert change == pytest.approx(0.3 * recording.sense, abs=1e-9)
+    write_recording(tmp_path / "r.h5", found, command="test", settings={})
+    again = read_recording(tmp_path / "r.h5")
+    (note,) = again.extra["corrections"]
+    assert (note["marker"], note["frame"], note["by"]) == ("blue", k, "hand")
+    assert note["previous_angle_rad"] == pytest.approx(recording.markers["blue"].angle_fine[k])
+    assert "1 frame is corrected by hand." in again.warnings
+    assert np.isnan(again.markers["blue"].corner[k]).all()
+
+
+def test_a_marker_that_is_not_visible_leaves_the_body_without_an_angle(recording):
+    found = corrected(recording, "red", 7, None)
+    assert found.markers["red"].status[7] == STATUS["lost"]
+    assert len(found.bodies["casing"].time) == len(recording.bodies["casing"].time) - 1
+    back = corrected(found, "red", 7, _place(recording, "red", 7))
+    assert back.bodies["casing"].time[7] == recording.time[7]
+    assert len(back.extra["corrections"]) == 1
+    for frame, marker, place in ((999, "red", None), (7, "pink", None), (7, "red", recording.centre[7])):
+        with pytest.raises(UsageError):
+            corrected(recording, marker, frame, place)
