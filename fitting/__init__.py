@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from fitting.inference._record import Record, make_record
     from fitting.inference._result import Estimate, Fit
     from fitting.inference._simulation import Experiment, simulate
+    from fitting.study._comparison import compare
     from fitting.study._history import Ledger
     from fitting.study._scan import Scan, scan
     from fitting.study._scan_tables import scan_lines
@@ -69,6 +70,7 @@ _MODULES = {
     "fitting.inference._record": ("Record", "make_record"),
     "fitting.inference._result": ("Estimate", "Fit"),
     "fitting.inference._simulation": ("Experiment", "simulate"),
+    "fitting.study._comparison": ("compare",),
     "fitting.study._history": ("Ledger",),
     "fitting.study._scan": ("Scan", "scan"),
     "fitting.study._scan_tables": ("scan_lines",),
@@ -102,6 +104,7 @@ __all__ = [
     "Scan",
     "SimulationError",
     "budget",
+    "compare",
     "diagnose",
     "effect",
     "fit",

@@ -56,7 +56,8 @@ def search_with_noise(
     problem = problem.with_noise(first_noise(problem, theta))
     problem, theta, held = with_initial_shapes(problem, theta, given)
     active = None
-    if _comes_to_rest(problem, theta):
+    oscillates = any(d.oscillation is not None for d in problem.data)
+    if not oscillates and _comes_to_rest(problem, theta):
         problem, theta, active = _past_stops(problem, theta)
     if held:
         found = search_with_held(problem, theta, held, active=active)
@@ -64,7 +65,9 @@ def search_with_noise(
         problem = problem.with_noise(measure_noise(problem, theta))
     others = _other_starts(problem, theta, given)
     found = search_widely(problem, theta, others, quick=quick, active=active)
-    return _with_less_noise(problem, found, measure_noise(problem, found.theta))
+    noise = measure_noise(problem, found.theta)
+    # an oscillation was fitted period by period: its path is the right one if the model has any
+    return (found, noise) if oscillates else _with_less_noise(problem, found, noise)
 
 
 def with_initial_shapes(

@@ -201,13 +201,28 @@ def _equations(
     # while friction holds the casing its torque is what it has to be, and says nothing
     everywhere = np.ones(len(times), dtype=bool)
     seen = [everywhere, everywhere if dynamics.free_starts > 2 else _turning(speeds[:, 1])]
+    # the integral of a deflection from a wrong equilibrium drifts: the speed is free in each period
+    free = _periods(deflection) if dynamics.free_starts > 2 else None
     blocks, targets = [], []
     for i in (0, 1):
         columns = np.column_stack([integrals[:, i], speeds[:, i] - held[:, i]])[seen[i]] * weight[i]
-        columns = columns - columns.mean(axis=0)
+        columns = columns - (columns.mean(axis=0) if free is None else _means(free[seen[i]], columns))
         blocks.append(columns[:, :-1])
         targets.append(columns[:, -1])
     return linear, np.concatenate(blocks), np.concatenate(targets)
+
+
+def _periods(deflection: Array) -> NDArray[np.intp]:
+    """Return the period to which each value belongs: from one passage upwards through the equilibrium to the next."""
+    upwards = (deflection[1:] > 0) & (deflection[:-1] <= 0)
+    return np.concatenate([[0], np.cumsum(upwards)])
+
+
+def _means(groups: NDArray[np.intp], columns: Array) -> Array:
+    """Return the mean of columns over the group to which each row belongs."""
+    count = np.bincount(groups)
+    sums = np.stack([np.bincount(groups, c) for c in columns.T], axis=1)
+    return np.asarray((sums / count[:, None])[groups])
 
 
 def _strengths(layout: ParameterLayout, parameters: Sequence[str]) -> list[str]:

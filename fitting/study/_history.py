@@ -23,6 +23,7 @@ from fitting._errors import FittingError, LedgerError
 from fitting._numbers import to_json
 from fitting._schema import (
     EntryDocument,
+    EstimateDocument,
     LedgerDocument,
     StoredDiagnosis,
     StoredFit,
@@ -95,6 +96,11 @@ class Entry:
     def model(self) -> Model:
         """The model that was fitted."""
         return Model(effects_of(self.stored.model, self.stored.own_effects))
+
+    @property
+    def estimates(self) -> dict[str, EstimateDocument]:
+        """The parameters with their standard uncertainties."""
+        return self.stored.parameters
 
     def shown(self, data: Sequence[CaseData]) -> Fit:
         """Return the fit for display: restored if the same code made it, otherwise fitted again."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -48,6 +48,8 @@ class BodyMotion:
         Angular acceleration at the middle of the record [rad/s2].
     period, amplitude, decay : Value or None
         Of an oscillation: period [s], amplitude at the middle of the record [rad], rate of decay [1/s].
+    quality_factor : Value or None
+        Of an oscillation that decays: pi / (decay period), 2 pi times the energy over its loss in a period [1].
     """
 
     kind: str
@@ -58,6 +60,15 @@ class BodyMotion:
     period: Value | None = None
     amplitude: Value | None = None
     decay: Value | None = None
+    quality_factor: Value | None = field(init=False, default=None)
+
+    def __post_init__(self) -> None:
+        period, decay = self.period, self.decay
+        if period is None or decay is None or decay.value <= decay.stderr:
+            return
+        quality = math.pi / (decay.value * period.value)
+        relative = math.hypot(decay.stderr / decay.value, period.stderr / period.value)
+        object.__setattr__(self, "quality_factor", Value(quality, quality * relative))
 
 
 def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:

@@ -33,7 +33,7 @@ from gyrotrack.video._time_base import Timing
 from gyrotrack.video._timestamps import SLOWEST_PLAIN_RATE
 
 if TYPE_CHECKING:
-    from fitting.dynamics._model import Model
+    from fitting.inference._result import Fit
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
@@ -323,9 +323,9 @@ def spindown(
         study = open_study([target], None)
         with WorkerPool() as workers:
             base, parent = study.base(None)
-            _check_law(motion)
+            _check_law(motion, base)
             rungs = improve(base, [], workers=workers)
-            _check_law(motion, rungs[-1].fit.model)
+            _check_law(motion, rungs[-1].fit, final=True)
             steps = [entry.document["rung"] for entry in study.keep(rungs, parent)]
             found = diagnose(base, [], candidates=rungs[0].candidates, workers=workers)
             study.keep_diagnosis(parent, found, [])
@@ -357,8 +357,8 @@ def spindown(
     }
 
 
-def _check_law(motion: BodyMotion, last: Model | None = None) -> None:
-    """Refuse to explain a rotation without any acceleration, and an oscillation by friction alone."""
+def _check_law(motion: BodyMotion, fit: Fit, *, final: bool = False) -> None:
+    """Refuse to explain a rotation without acceleration, or an oscillation without a restoring torque."""
     from fitting._errors import FittingError
 
     if motion.kind == "steady" and abs(motion.alpha.value) < 3 * motion.alpha.stderr:
@@ -366,8 +366,16 @@ def _check_law(motion: BodyMotion, last: Model | None = None) -> None:
             f"the angular acceleration, {motion.alpha.value:.2g} +- {motion.alpha.stderr:.1g} rad/s2, is consistent "
             "with zero."
         )
-    if last is not None and motion.kind == "oscillation" and not last.restoring:
-        raise FittingError("the motion is an oscillation, and no restoring torque describes it.")
+    if motion.kind != "oscillation":
+        return
+    if fit.problem.data[0].oscillation is None:
+        raise FittingError(
+            "the motion is an oscillation of too few turning points to fit a restoring torque."
+        )
+    if final and not fit.model.restoring:
+        raise FittingError(
+            "the motion is an oscillation, and no restoring torque of the library describes it."
+        )
 
 
 def _with_view(motion: BodyMotion, series: Series, recording: Recording, tracked: Tracked) -> BodyMotion:

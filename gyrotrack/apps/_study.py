@@ -12,7 +12,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gyrotrack._errors import UsageError
+from gyrotrack._errors import DatasetError, UsageError
 
 if TYPE_CHECKING:
     from fitting._workers import WorkerPool
@@ -214,6 +214,45 @@ def read_cases(
 
         records = [prepared(r, data, rotor) for r in records]
     return tuple(CaseData.of(r) for r in records)
+
+
+def latest_fits(runs: Sequence[Path]) -> dict[str, Entry]:
+    """Return the latest fit of each run by the run's name.
+
+    Parameters
+    ----------
+    runs : sequence of Path
+        Cases, whose ledger is beside them, or ledgers.
+
+    Raises
+    ------
+    UsageError
+        A run is named twice, or has no fit.
+    """
+    from fitting.study._history import Ledger
+
+    found: dict[str, Entry] = {}
+    seen: set[Path] = set()
+    for path in runs:
+        if not path.is_file():
+            raise DatasetError(f"There is no file {path}.", "Check the path.")
+        name = path.name.removesuffix(".fits.json").removesuffix(".h5")
+        whole = path.resolve().with_name(name)
+        if whole in seen:
+            raise UsageError(f"{path} is named twice.", "Name each run once.")
+        seen.add(whole)
+        name = str(whole) if name in found else name
+        if path.suffix == ".json":
+            entries = Ledger(path).entries
+        else:
+            from fitting.inference._case_file import read_record
+
+            digest = read_record(path).digest
+            entries = [e for e in Ledger.beside(path).entries if e.digests == [digest]]
+        if not entries:
+            raise DatasetError(f"{path} has no fit.", f"Run `gyrotrack improve {path}` first.")
+        found[name] = entries[-1]
+    return found
 
 
 def _known(option: str, word: str, words: tuple[str, ...]) -> None:

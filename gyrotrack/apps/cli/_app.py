@@ -47,6 +47,7 @@ COMMANDS = (
     Entry("laws", "_laws", _PHYSICS, "Find the law of an unmodelled torque, as a set of formulas."),
     Entry("plan", "_plan", _PHYSICS, "Compute detection limits, upper limits and the best next run."),
     Entry("budget", "_fitting", _PHYSICS, "Uncertainty budget of every parameter (GUM)."),
+    Entry("compare", "_comparison", _PHYSICS, "Compare fits of several runs: differences and spread."),
     Entry("ladder", "_fitting", _PHYSICS, "List the fits of a case: one bar per fit."),
     Entry("report", "_presentation", _PHYSICS, "Write a report: one HTML page or a PDF."),
     Entry("figures", "_presentation", _PHYSICS, "Draw the paper's figures and tables of a study."),

@@ -127,6 +127,10 @@ def _lines(document: dict[str, Any]) -> list[str]:
         lines.append(f"period     {motion.period.value:.6g} +- {motion.period.stderr:.2g} s")
         lines.append(f"amplitude  {motion.amplitude.value:.6g} +- {motion.amplitude.stderr:.2g} rad")
         lines.append(f"decay      {motion.decay.value:.4g} +- {motion.decay.stderr:.2g} 1/s")
+        if motion.quality_factor is not None:
+            lines.append(
+                f"Q          {motion.quality_factor.value:.4g} +- {motion.quality_factor.stderr:.2g}"
+            )
     else:
         lines.append(f"omega      {motion.omega['first']:.6g} to {motion.omega['last']:.6g} rad/s")
         lines.append(f"mean       {motion.omega_mean.value:.6g} +- {motion.omega_mean.stderr:.2g} rad/s")

@@ -109,3 +109,24 @@ def test_a_step_of_friction_between_reversals():
         moved = numbers | {"touchpoint.step.t0": t0}
         ends = [solve(dynamics, moved, start, mesh, guess).edges[-1] for guess in (near, None)]
         np.testing.assert_allclose(*ends, atol=1e-10)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "law"),
+    [
+        (SPRING, lambda t, a, w: -12 * a - 0.1 * w),
+        ("casing.gravity", lambda t, a, w: -12 * np.sin(a) - 0.1 * w),
+        ("casing.spring.cubic", lambda t, a, w: -12 * a**3 - 0.1 * w),
+    ],
+)
+def test_the_restoring_torque_is_found_without_being_named(name, law):
+    """From dry friction and drag, the model with which every study of a single body begins."""
+    from fitting.discovery._select import improve
+
+    t, angle, _ = oscillators.motion(law, (1.3, 0.0), 15.0, rate=50.0)
+    base = fit(Model.of(["touchpoint.constant", DRAG]), [oscillators.record(t, angle, 2e-3, 4)])
+    steps = improve(base, max_steps=1)
+    assert steps[-1].change == f"+{name}"
+    within(steps[-1].fit, {f"{name}.k": 12.0})
+    assert steps[-1].fit.verdict == "adequate"

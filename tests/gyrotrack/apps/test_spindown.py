@@ -48,6 +48,9 @@ def test_oscillation():
     assert found.period.value == pytest.approx(1.47, abs=4 * found.period.stderr)
     assert found.amplitude.value == pytest.approx(0.1 * np.exp(-0.1), rel=0.01)
     assert found.decay.value == pytest.approx(0.01, abs=4 * found.decay.stderr)
+    quality = found.quality_factor
+    assert quality.value == pytest.approx(np.pi / (0.01 * 1.47), abs=4 * quality.stderr)
+    assert quality.stderr / quality.value == pytest.approx(found.decay.stderr / found.decay.value, rel=0.01)
 
 
 @pytest.mark.slow

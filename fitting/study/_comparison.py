@@ -1,0 +1,245 @@
+"""Comparison of studies: which parameters and effects differ between runs, and how far parameters scatter over repeats.
+
+Two values x_1 and x_2 with standard uncertainties u_1 and u_2 differ by (x_2 - x_1) / sqrt(u_1^2 + u_2^2) standard
+uncertainties. Of k repeats the random-effects model
+
+    x_i = mu + b_i + e_i,   b_i of standard deviation tau between the runs,   e_i of standard uncertainty u_i
+
+has weights w_i = 1 / (u_i^2 + tau^2); tau follows from Q(tau) = sum w_i (x_i - mu)^2 = k - 1 (R. Paule, J. Mandel, J.
+Res. Natl. Bur. Stand. 87, 377 (1982)), 0 where Q(0) < k - 1. With tau estimated from the same few runs, the standard
+uncertainty of mu is the larger of sqrt(Q / (k - 1) / sum w_i) and 1 / sqrt(sum w_i), with k - 1 degrees of freedom
+(J. Hartung, G. Knapp, Stat. Med. 20, 1771 (2001)). The interval of tau is that of all values whose Q lies between
+quantiles of the chi-square distribution of k - 1 degrees of freedom (W. Viechtbauer, Stat. Med. 26, 37 (2007)); the
+p-value of equal parameters is that of Q(0).
+
+Runs are taken as independent. What they share, above all an inertia and its uncertainty, cancels in a difference.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting._errors import EstimationError
+from fitting._numbers import probability, rounded
+from fitting.dynamics._model import Model
+
+Array = NDArray[np.float64]
+
+# probability within one standard deviation of a normal distribution
+_ONE_SIGMA = 0.6827
+_BISECTIONS = 200
+
+
+class Fitted(Protocol):
+    """A fit, a saved fit, or an entry of a ledger."""
+
+    @property
+    def model(self) -> Model: ...
+
+    @property
+    def estimates(self) -> Mapping[str, Any]: ...
+
+
+@dataclass(frozen=True)
+class Repeat:
+    """The value of a parameter in one run: name of the run, value and standard uncertainty [unit]."""
+
+    run: str
+    value: float
+    stderr: float
+
+
+@dataclass(frozen=True)
+class ParameterComparison:
+    """One parameter over several runs.
+
+    Attributes
+    ----------
+    name, unit : str
+        Key of the parameter, and its SI unit.
+    repeats : tuple of Repeat
+        Its value in each run that determines it.
+    difference_sigma : float or None
+        Of two runs: second minus first, over its standard uncertainty.
+    p_value : float
+        Of equal values in all runs.
+    mean, mean_u : float
+        Mean of the random-effects model and its standard uncertainty [unit].
+    spread : float
+        Standard deviation between the runs, beyond the uncertainties [unit].
+    spread_interval : tuple of float
+        Its 68 % interval [unit].
+    """
+
+    name: str
+    unit: str
+    repeats: tuple[Repeat, ...]
+    difference_sigma: float | None
+    p_value: float
+    mean: float
+    mean_u: float
+    spread: float
+    spread_interval: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What several runs have in common.
+
+    Attributes
+    ----------
+    runs : tuple of str
+        Their names.
+    parameters : tuple of ParameterComparison
+        The parameters that at least two runs determine, the most significant difference first.
+    effects : dict of str to tuple of str
+        The runs that have each effect which not all of them have.
+    bounds : dict of str to tuple of str
+        For each parameter that is at its bound in some runs, these.
+    """
+
+    runs: tuple[str, ...]
+    parameters: tuple[ParameterComparison, ...]
+    effects: dict[str, tuple[str, ...]]
+    bounds: dict[str, tuple[str, ...]]
+
+    @property
+    def sentences(self) -> list[str]:
+        """The result in words."""
+        count = max(len(self.parameters), 1)
+        # of many parameters one differs by chance: Bonferroni
+        differing = [p for p in self.parameters if p.p_value * count < 0.01]
+        lines = []
+        for p in differing:
+            size = (
+                f" by {abs(p.difference_sigma):.1f} standard uncertainties"
+                if p.difference_sigma is not None
+                else ""
+            )
+            lines.append(
+                f"{p.name} differs between the runs{size} (p {probability(p.p_value)}); "
+                f"mean {rounded(p.mean, p.mean_u, p.unit)}, spread {p.spread:.2g} {p.unit}."
+            )
+        if not differing:
+            lines.append(f"No significant difference in {len(self.parameters)} parameters.")
+        for name, runs in self.effects.items():
+            lines.append(f"{name} is only in {', '.join(runs)}.")
+        for name, runs in self.bounds.items():
+            lines.append(f"{name} is at its bound in {', '.join(runs)}.")
+        return lines
+
+    def document(self) -> dict[str, Any]:
+        """Return the comparison as the JSON document of `gyrotrack compare`."""
+        return {
+            "runs": list(self.runs),
+            "parameters": {
+                p.name: {
+                    "unit": p.unit,
+                    "values": [{"run": r.run, "value": r.value, "stderr": r.stderr} for r in p.repeats],
+                    "difference_sigma": p.difference_sigma,
+                    "p_value": p.p_value,
+                    "mean": {"value": p.mean, "stderr": p.mean_u},
+                    "spread": {"value": p.spread, "interval_68": list(p.spread_interval)},
+                }
+                for p in self.parameters
+            },
+            "effects": {name: list(runs) for name, runs in self.effects.items()},
+            "at_bound": {name: list(runs) for name, runs in self.bounds.items()},
+            "sentences": self.sentences,
+        }
+
+
+def compare(fits: Mapping[str, Fitted]) -> Comparison:
+    """Compare the parameters and effects of several fits.
+
+    Parameters
+    ----------
+    fits : mapping of str to Fit
+        Fits by the names of the runs. In a joint fit, the parameters that each case has of its own are repeats, named
+        ``run:case``.
+
+    Returns
+    -------
+    Comparison
+
+    Raises
+    ------
+    EstimationError
+        If there are fewer than two fits.
+    """
+    if len(fits) < 2:
+        raise EstimationError("A comparison needs two fits at least.", "Give two cases, each with a fit.")
+    repeats: dict[str, list[Repeat]] = {}
+    units: dict[str, str] = {}
+    bounds: dict[str, list[str]] = {}
+    for run, found in fits.items():
+        held = found.model.constants
+        for name, e in found.estimates.items():
+            key, at, case = name.partition("@")
+            if key.startswith("initial.") or key in held:
+                continue
+            own = f"{run}:{case}" if at else run
+            if e.at_bound or not (math.isfinite(e.stderr) and e.stderr > 0):
+                bounds.setdefault(key, []).append(own)
+                continue
+            units[key] = e.unit
+            repeats.setdefault(key, []).append(Repeat(own, float(e.value), float(e.stderr)))
+    compared = [_compared(key, units[key], found) for key, found in repeats.items() if len(found) > 1]
+    names = {n for found in fits.values() for n in found.model.names}
+    having = {n: tuple(run for run, found in fits.items() if n in found.model.names) for n in sorted(names)}
+    return Comparison(
+        tuple(fits),
+        tuple(sorted(compared, key=lambda p: p.p_value)),
+        {n: runs for n, runs in having.items() if len(runs) < len(fits)},
+        {n: tuple(runs) for n, runs in bounds.items()},
+    )
+
+
+def _compared(name: str, unit: str, repeats: Sequence[Repeat]) -> ParameterComparison:
+    from scipy.special import chdtrc, chdtri
+
+    x = np.array([r.value for r in repeats])
+    u = np.array([r.stderr for r in repeats])
+    dof = len(x) - 1
+    tail = 0.5 * (1 - _ONE_SIGMA)
+    spread = _spread(x, u, dof)
+    low, high = (_spread(x, u, float(chdtri(dof, p))) for p in (tail, 1 - tail))
+    weights = 1 / (u**2 + spread**2)
+    mean = float(weights @ x / weights.sum())
+    scatter = float(weights @ (x - mean) ** 2) / dof
+    difference = float((x[1] - x[0]) / math.hypot(u[0], u[1])) if len(x) == 2 else None
+    return ParameterComparison(
+        name,
+        unit,
+        tuple(repeats),
+        difference,
+        float(chdtrc(dof, _q(x, u, 0.0))),
+        mean,
+        math.sqrt(max(scatter, 1.0) / float(weights.sum())),
+        spread,
+        (low, high),
+    )
+
+
+def _q(x: Array, u: Array, spread: float) -> float:
+    weights = 1 / (u**2 + spread**2)
+    return float(weights @ (x - weights @ x / weights.sum()) ** 2)
+
+
+def _spread(x: Array, u: Array, target: float) -> float:
+    """Return the spread at which Q, which falls with it, is `target`; 0 if Q is smaller without any."""
+    if _q(x, u, 0.0) <= target:
+        return 0.0
+    low, high = 0.0, float(np.ptp(x))
+    while _q(x, u, high) > target:
+        high *= 2
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if _q(x, u, middle) > target else (low, middle)
+    return 0.5 * (low + high)
