@@ -40,6 +40,8 @@ _EXPONENTS = (-1.0, -0.5, 0.25, 0.5, 0.75, 1.25, 1.5, 1.75, 2.25, 2.5, 3.0, 4.0)
 _SCALES = tuple(float(v) for v in np.geomspace(0.03, 3.0, 13))
 _THRESHOLDS = tuple(round(0.05 + 0.05 * i, 2) for i in range(18))
 _TIMES = tuple(float(v) for v in np.geomspace(0.02, 2.0, 10))
+# share of the largest speed below which a speed counts as coming near zero
+_NEAR_ZERO = 0.01
 _COARSE_MOMENTS = MOMENTS[::3]
 # least number of periods within a record; below it the law is a trend
 _FEWEST_PERIODS = 0.5
@@ -232,7 +234,10 @@ def _of_speed(form: _Form, body: Joint, x: str, range_: tuple[float, float], spa
     own = x == _OWN[body]
     text = form.text.replace("{s}", f"*sign({x})" if own else "").replace("{x}", x)
     largest = max(abs(v) for v in range_)
-    shapes = tuple(_shape(symbol, kind, largest, span) for symbol, kind in form.shapes)
+    # a negative power of a speed that comes near zero is singular
+    singular = min(abs(v) for v in range_) < _NEAR_ZERO * largest or range_[0] * range_[1] < 0
+    kinds = [(s, "positive exponent" if k == "exponent" and singular else k) for s, k in form.shapes]
+    shapes = tuple(_shape(symbol, kind, largest, span) for symbol, kind in kinds)
     state = State("lag", f"({x} - lag)/T") if form.name == "relaxation" else None
     return _law(form, body, text, shapes, (x,), state=state)
 

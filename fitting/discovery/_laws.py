@@ -379,7 +379,9 @@ class _Search:
         nulls = {s.effect.name: NullDistribution(s) for s in scored.scores}
         self._nulls, self._family = nulls, FamilywiseNull(list(nulls.values()))
         self.steps.next()
-        if min(self._p(s) for s in scored.scores) >= self.criteria.significance:
+        significant = min(self._p(s) for s in scored.scores) < self.criteria.significance
+        if not significant and not fails(self.base, self.criteria):
+            # about a base that fails by much, scores to first order say little
             return []
         chosen = self._promising(scored, _FIRST)
         kept = self._promising(scored, _KEPT)

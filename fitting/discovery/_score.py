@@ -288,11 +288,14 @@ class CaseColumns:
         values |= {symbol: np.array([c[symbol] for c in choices]) for symbol in choices[0]}
         tape, phase = Tape([effect.expression]), _phase_symbol(effect)
         shape = (len(self.response.centres), len(choices))
-        waves = [
-            np.broadcast_to(np.asarray(tape(values | ({phase: phi} if phase else {}))[0]), shape)
-            for phi in ((0.0, np.pi / 2) if phase else (0.0,))
-        ]
-        return np.stack(waves, axis=2).reshape(shape[0], -1)
+        with np.errstate(all="ignore"):
+            waves = [
+                np.broadcast_to(np.asarray(tape(values | ({phase: phi} if phase else {}))[0]), shape)
+                for phi in ((0.0, np.pi / 2) if phase else (0.0,))
+            ]
+        unit = np.stack(waves, axis=2).reshape(shape[0], -1)
+        # a choice with which the law is singular along the motion is no torque
+        return np.where(np.isfinite(unit).all(axis=0), unit, 0.0)
 
     def _unit(self, effect: Effect, shape: dict[str, float]) -> Array:
         """Return the torque of a law at strength 1 in each cell, for one choice of its shape constants."""
