@@ -7,6 +7,7 @@ Each stage takes what the one before returns; nothing goes back.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
@@ -209,6 +210,10 @@ def diagnose(
     doubt = None if misfit else contradiction(selection.chosen, selection.end, criteria)
     size = grade(fit, selection, doubt, criteria, misfit=misfit)
     verdict = _verdict(selection, size, significant=misfit or doubt is not None)
+    allowed = inertia_within_uncertainty(fit, _class_of(selection), criteria) if size.form == "exact" else ""
+    if allowed:
+        # nothing is larger than what the uncertainty of the moments of inertia allows
+        verdict, size = "adequate", Grade(None, None, None)
     if verdict == "missing_effect":
         rivals = size.rivals or nonparametric_rivals(fit, selection.chosen, criteria)
         selection = _with_rivals(selection, rivals)
@@ -219,7 +224,7 @@ def diagnose(
     return Diagnosis(
         fit,
         verdict,
-        _sentence(fit, verdict, selection, failures, doubt, size, nuisance, criteria, hidden),
+        allowed or _sentence(fit, verdict, selection, failures, doubt, size, nuisance, criteria, hidden),
         tuple(failures),
         tuple(selection.candidates),
         size.form,
@@ -245,6 +250,39 @@ def _verdict(selection: Selection, size: Grade, *, significant: bool) -> str:
     # a second effect of the library completes it; a law of another shape is none of the library's
     completed = set(selection.end.model.names) > set(selection.named.model.names)
     return "missing_effect" if completed and not significant else "unexplained"
+
+
+def inertia_within_uncertainty(fit: Fit, named: Sequence[Candidate], criteria: Criteria) -> str:
+    """Return a sentence if errors of the moments of inertia within their uncertainties explain a lack of fit, else "".
+
+    The data determine the ratio of the moments of inertia, so the relative uncertainties add in quadrature; one that is
+    not given counts as none.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit with the lack of fit.
+    named : sequence of Candidate
+        The effects that explain it, which the data cannot separate.
+    criteria : Criteria
+        `inertia_sigma`.
+    """
+    found = [e for c in named if c.effect.joint == "inertia" for e in c.estimates.values()]
+    relative = []
+    for d in fit.problem.data:
+        r = d.record
+        own = (r.I_casing_u / r.I_casing, r.I_rotor_u / r.I_rotor)
+        relative.append(math.hypot(*(u for u in own if math.isfinite(u))))
+    if not found or min(relative) <= 0:
+        return ""
+    (share, *_), u = found, min(relative)
+    if abs(share.value) > criteria.inertia_sigma * math.hypot(u, share.stderr):
+        return ""
+    return (
+        f"The model is adequate within the uncertainty of the moments of inertia: I_casing/I_rotor larger by "
+        f"{rounded(100 * share.value, 100 * share.stderr, '%')} than given (standard uncertainty {100 * u:.2g} %) "
+        "explains the lack of fit."
+    )
 
 
 def _with_rivals(selection: Selection, rivals: tuple[str, ...]) -> Selection:
