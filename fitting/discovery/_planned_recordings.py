@@ -57,7 +57,7 @@ Pair = tuple[Finite, Finite]
 
 _SEED = 1
 _LARGEST = 1_000_000
-_EXAMPLE = "docs/how-to/plan-an-experiment.md has a complete example"
+_EXAMPLE = "The guide docs/how-to/plan-an-experiment.md has a complete example."
 
 
 class _Table(BaseModel):
@@ -175,15 +175,15 @@ def read_planned(path: str | Path) -> PlannedRecordings:
     try:
         text = Path(path).read_bytes()
         if len(text) > _LARGEST:
-            raise EstimationError(f"{name} has more than 1 MB and is no plan", _EXAMPLE)
+            raise EstimationError(f"{name} has more than 1 MB and is no plan.", _EXAMPLE)
         table = _PlanTable.model_validate(tomllib.loads(text.decode("utf-8")))
     except (OSError, UnicodeDecodeError) as fault:
         reason = fault.strerror if isinstance(fault, OSError) else "it is no UTF-8 text"
-        raise EstimationError(f"{name} cannot be read: {reason}", "give a plan in TOML") from None
+        raise EstimationError(f"{name} cannot be read: {reason}.", "Give a plan in TOML.") from None
     except tomllib.TOMLDecodeError as fault:
-        raise EstimationError(f"{name} is no valid TOML: {fault}", _EXAMPLE) from None
+        raise EstimationError(f"{name} is no valid TOML: {fault}.", _EXAMPLE) from None
     except ValidationError as fault:
-        raise EstimationError(f"{name}: {_first_error(fault)}", _EXAMPLE) from None
+        raise EstimationError(f"{name}: {_first_error(fault)}.", _EXAMPLE) from None
     model = _model(table.model, name)
     _check_parameters(model, table.parameters, name)
     experiments = []
@@ -192,20 +192,20 @@ def read_planned(path: str | Path) -> PlannedRecordings:
         if late:
             raise EstimationError(
                 f"{name}: run {i}: the window from {late[0]:g} s to {late[0] + run.window_length:g} s ends after the "
-                f"recording ({run.duration:g} s)",
-                "move the window or record for longer",
+                f"recording ({run.duration:g} s).",
+                "Move the window or record for longer.",
             )
         if run.duration * run.casing_fps < 60 or run.window_length * run.rotor_fps < 8:
             raise EstimationError(
-                f"{name}: run {i} has too few frames",
-                "a recording needs 60 frames of the casing and 8 of the rotor in each window",
+                f"{name}: run {i} has too few frames.",
+                "A recording needs 60 frames of the casing and 8 of the rotor in each window.",
             )
         if run.duration * max(run.casing_fps, run.rotor_fps) > 1e7:
             raise EstimationError(
-                f"{name}: run {i} has more than 10 million frames", "check duration and frame rates"
+                f"{name}: run {i} has more than 10 million frames.", "Check duration and frame rates."
             )
         if run.omega_rotor == 0 and run.omega_casing == 0:
-            raise EstimationError(f"{name}: in run {i} nothing turns", "give omega_rotor or omega_casing")
+            raise EstimationError(f"{name}: in run {i} nothing turns.", "Give omega_rotor or omega_casing.")
         experiments.append(
             Experiment(
                 **run.model_dump(exclude={"windows"}),
@@ -219,10 +219,10 @@ def read_planned(path: str | Path) -> PlannedRecordings:
     for key, pair in given.items():
         if isinstance(pair, tuple) and pair[0] > pair[1]:
             raise EstimationError(
-                f"{name}: bounds.{key}: {pair[0]:g} is larger than {pair[1]:g}", "give (smallest, largest)"
+                f"{name}: bounds.{key}: {pair[0]:g} is larger than {pair[1]:g}.", "Give (smallest, largest)."
             )
         if key in {"duration", "inertia_casing", "touchpoint"} and pair[0] <= 0:
-            raise EstimationError(f"{name}: bounds.{key} is not positive", "give (smallest, largest)")
+            raise EstimationError(f"{name}: bounds.{key} is not positive.", "Give (smallest, largest).")
     return PlannedRecordings(
         model,
         dict(table.parameters),
@@ -240,8 +240,8 @@ def _model(names: str | list[str], file: str) -> Model:
         raise EstimationError(f"{file}: model: {fault.message}", fault.hint) from None
     if model.measurement:
         raise EstimationError(
-            f"{file}: {model.measurement[0].name} is an effect of the measurement",
-            "a planned model is mechanical",
+            f"{file}: {model.measurement[0].name} is an effect of the measurement.",
+            "A planned model is mechanical.",
         )
     return model
 
@@ -250,20 +250,20 @@ def _check_parameters(model: Model, given: Mapping[str, float], file: str) -> No
     missing = [k for k in model.free if k not in given]
     if missing:
         raise EstimationError(
-            f"{file}: parameters: no value of {', '.join(missing)}",
-            "give every parameter of the model, in SI units",
+            f"{file}: parameters: no value of {', '.join(missing)}.",
+            "Give every parameter of the model, in SI units.",
         )
     unknown = [k for k in given if k not in model.free]
     if unknown:
         raise EstimationError(
-            f"{file}: parameters: {unknown[0]!r} is no parameter of the model",
-            "it has: " + ", ".join(model.free),
+            f"{file}: parameters: {unknown[0]!r} is no parameter of the model.",
+            f"It has: {', '.join(model.free)}.",
         )
     for key, value in given.items():
         p = model.parameters[key]
         if not p.lower <= value <= p.upper or math.isnan(value):
             raise EstimationError(
-                f"{file}: parameters: {key} = {value:g} is outside {p.lower:g} to {p.upper:g}", ""
+                f"{file}: parameters: {key} = {value:g} is outside {p.lower:g} to {p.upper:g}.", ""
             )
 
 

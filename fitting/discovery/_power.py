@@ -15,6 +15,9 @@ se for a friction, which is not negative); for an amplitude with a phase, the am
 gives a smaller score than the observed one with a probability of 5 % (J. Neyman, Phil. Trans. R. Soc. A 236, 333
 (1937)). For recordings that are only planned, the estimate is taken as zero: the expected limit.
 
+Where the search would find a smaller strength than that with a probability of 95 %, because the effect drives a
+parameter of the model to its bound, finding nothing excludes this strength already.
+
 Several runs of the same kind multiply delta^2 by their number.
 """
 
@@ -50,6 +53,8 @@ POWER = 0.9
 CONFIDENCE = 0.95
 # standard errors of a one-sided limit at this confidence
 _ONE_SIDED = 1.6448536
+# standard errors above a threshold at which it is exceeded with 90 % probability
+_POWER_SIGMA = 1.2815516
 _DRAWS = 1500
 _POWER_DRAWS = 600
 # dense where a parameter reaches its bound
@@ -540,7 +545,17 @@ class Search:
         needed = delta_of_power(curve) if self._tests else np.nan
         wanted = self._size(torque, size)
         delta = wanted * root
-        at = max(delta if math.isfinite(delta) else 0.0, needed if math.isfinite(needed) else 0.0)
+        # the score that is seen with 90 % probability, also where a parameter at its bound makes the effect visible
+        seen = (
+            math.sqrt(min((t.threshold for t in self._tests.get(effect.name, ())), default=0.0))
+            + _POWER_SIGMA
+        )
+        at = max(seen, *(x for x in (delta, needed) if math.isfinite(x)), 0.0)
+        upper = self._upper(effect, group, planned=planned)
+        surely = delta_of_power(curve, CONFIDENCE) if self._tests else np.inf
+        if surely < _ONE_SIDED and not math.isnan(upper):
+            # a parameter driven to its bound shows the effect before its estimate excludes it
+            upper = surely
         return EffectLimits(
             effect,
             strength.symbol,
@@ -550,7 +565,7 @@ class Search:
             torque,
             needed / root,
             (needed * ranged[0], needed * ranged[1]),
-            self._upper(effect, group, planned=planned) / root,
+            upper / root,
             float(np.interp(delta, *curve.T)) if self._tests and math.isfinite(delta) else float("nan"),
             wanted,
             self._runs(effect, delta, needed) if self._tests and math.isfinite(delta) else float("nan"),

@@ -77,6 +77,10 @@ def plan_command(
     described = [p for p in recordings if p.suffix.lower() == ".toml"]
     if described and len(recordings) > 1:
         raise UsageError("A description stands alone.", "Give one PLAN.toml, or case files.")
+    if described and (start is not None or ledger is not None):
+        raise UsageError(
+            "--from and --ledger belong to case files; a description has no fits.", "Leave them out."
+        )
     if size is not None and not (0 < size < math.inf):
         raise UsageError(f"--size {size:g} is no torque.", "Give a positive rms torque in N m: --size 1e-6.")
     changes = _bounds(bound or ())

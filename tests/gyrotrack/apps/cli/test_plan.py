@@ -53,6 +53,7 @@ def test_the_guides_description_gives_limits_a_run_and_a_picture(gyrotrack, desc
         (["--bound", "duration=0,2"], "is not positive"),
         (["--bound", "omega_casing=5"], "no pair of numbers"),
         (["--bound", "omega_casing=9,5"], "no pair of numbers"),
+        (["--from", "f1"], "a description has no fits"),
         (["--plot", "plan.gif"], "Unknown picture format"),
     ],
 )
