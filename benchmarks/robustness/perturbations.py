@@ -14,7 +14,7 @@ import os
 import time
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
@@ -67,6 +67,7 @@ def simulated(law, strength):
     return fitting.simulate(model, BASE | {f"{effect.name}.k": strength}, experiment, seed=1, **INERTIA)
 
 
+@cache
 def of_name(name):
     """Return the recording of a name: a file, or a simulated one."""
     return simulated(*HIDDEN[name]()) if name in HIDDEN else fitting.load(name)
@@ -156,18 +157,26 @@ def changes(name):
             yield f"the hidden step takes {w:g} s", lambda _, w=w: simulated(*step(w)), None
 
 
-def answer(name, words):
-    """Fit and diagnose a recording with one thing changed."""
+def answer(name, words, ask):
+    """Fit a recording with one thing changed and, if asked, diagnose it."""
     record = of_name(name)
     change, blocks = next((c, b) for w, c, b in changes(name) if w == words)
     if blocks:
         _case_data.BLOCKS = blocks
     began = time.process_time()
     base = fitting.fit("reduced", CaseData.of(change(record)))
-    found = fitting.diagnose(base)
-    _case_data.BLOCKS = 60
-    chosen = found.candidates[0] if found.verdict != "adequate" and found.candidates else None
     (case,), (noise,) = base.cases, base.noise
+    said = {"verdict": None, "form": None, "named": [], "explained": None}
+    if ask:
+        found = fitting.diagnose(base)
+        chosen = found.candidates[0] if found.verdict != "adequate" and found.candidates else None
+        said = {
+            "verdict": found.verdict,
+            "form": found.form,
+            "named": [chosen.effect.name, *chosen.indistinguishable_from] if chosen else [],
+            "explained": found.explained,
+        }
+    _case_data.BLOCKS = 60
     return {
         "case": name,
         "change": words,
@@ -176,10 +185,7 @@ def answer(name, words):
         "held_out": case.casing.held_out,
         "noise": noise.pure,
         "noise_u": noise.pure_u,
-        "verdict": found.verdict,
-        "form": found.form,
-        "named": [chosen.effect.name, *chosen.indistinguishable_from] if chosen else [],
-        "explained": found.explained,
+        **said,
         "seconds": time.process_time() - began,
     }
 
@@ -201,11 +207,11 @@ def table(lines):
             x = own[words]
             ratios = [x[k] / plain[k] if plain else float("nan") for k in ("chi2", "held_out")]
             share = "-" if x["explained"] is None else f"{x['explained']:.3f}"
-            said = x["verdict"] if not x["named"] else f"{x['verdict']}: {', '.join(x['named'][:3])}"
+            said = (x["verdict"] or "-") if not x["named"] else f"{x['verdict']}: {', '.join(x['named'][:3])}"
             level = f"{1e9 * x['noise']:.2g} +- {1e9 * x['noise_u']:.1g}"
             parts.append(
                 f"| {words} | {x['chi2']:.4g} | {ratios[0]:.3f} | {x['misfit']:.4g} | {x['held_out']:.4g} "
-                f"| {ratios[1]:.3f} | {level} | {said} | {x['form']} | {share} |"
+                f"| {ratios[1]:.3f} | {level} | {said} | {x['form'] or '-'} | {share} |"
             )
         near = [own[w] for w in order if w.startswith("I_")]
         if plain and near:
@@ -224,10 +230,12 @@ def main():
     parser.add_argument("--case", action="append", default=[], help="a case file; may be repeated")
     parser.add_argument("--jobs", type=int, default=1, help="processes (1)")
     parser.add_argument("--only", default="", help="part of the name of a change")
+    parser.add_argument("--fits-only", action="store_true", help="do not ask for the missing effect")
     parser.add_argument("--again", action="store_true", help="compute also what has its line")
     options = parser.parse_args()
     lines = [json.loads(x) for x in LINES.read_text().splitlines()] if LINES.exists() else []
-    done = set() if options.again else {(x["case"], x["change"]) for x in lines}
+    enough = [x for x in lines if x["verdict"] or options.fits_only]
+    done = set() if options.again else {(x["case"], x["change"]) for x in enough}
     plan = [
         (name, words)
         for name in (*HIDDEN, *options.case)
@@ -235,7 +243,7 @@ def main():
         if (name, words) not in done and options.only in words
     ]
     with ProcessPoolExecutor(options.jobs) as pool:
-        for waiting in as_completed([pool.submit(answer, *p) for p in plan]):
+        for waiting in as_completed([pool.submit(answer, *p, not options.fits_only) for p in plan]):
             line = waiting.result()
             lines = [x for x in lines if (x["case"], x["change"]) != (line["case"], line["change"])] + [line]
             LINES.write_text("".join(json.dumps(x) + "\n" for x in lines))

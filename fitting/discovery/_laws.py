@@ -33,6 +33,7 @@ from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._criteria import DEFAULT, Criteria
 from fitting.discovery._dependence import Dependence, context_without, dependence
 from fitting.discovery._grammar import LawForm, grammar
+from fitting.discovery._lack_of_fit import UNKNOWN_LAW
 from fitting.discovery._next_run import separating_run
 from fitting.discovery._refine import fit_at, refined, start_of
 from fitting.discovery._residuals import micro_newton_metres
@@ -240,8 +241,8 @@ def laws(
     workers = workers or WorkerPool(0)
     known = diagnosis or diagnose(base, criteria=criteria, workers=workers)
     steps.next()
-    named = known.candidates[0] if known.verdict == "missing_effect" and known.candidates else None
-    if named is not None and known.form == "exact" and not beyond_library:
+    named = None if beyond_library else library_answer(known)
+    if named is not None:
         depends_on = tuple(dependence(base))
         steps.done()
         sentence = (
@@ -270,6 +271,17 @@ def laws(
         separating_run(base, [(x.formula, x.effects, x.estimates) for x in answer], criteria),
         search.trials,
     )
+
+
+def library_answer(known: Diagnosis) -> Candidate | None:
+    """Return the effect of the library that makes other laws unnecessary, if there is one.
+
+    A class of indistinguishable effects that has an unknown law in it is no answer yet.
+    """
+    if known.verdict != "missing_effect" or known.form != "exact" or not known.candidates:
+        return None
+    best = known.candidates[0]
+    return None if UNKNOWN_LAW in best.indistinguishable_from else best
 
 
 class _Steps:

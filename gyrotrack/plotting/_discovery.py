@@ -184,8 +184,8 @@ def history_picture(view: StudyView) -> Picture:
         )
         if noise > 0:
             caption += (
-                f" The data contain a random torque of {short(noise, 2)} N m rms. A fit counts unmodelled torque as "
-                "process noise, so that its χ² and cross-validation error are near 1 even where it fails."
+                f" Process noise of the recordings {short(noise, 2)} N m rms, estimated without a model: χ² and "
+                "cross-validation error of every fit use it."
             )
         return Picture("history", markup(figure, "history", finding), caption, finding)
 
