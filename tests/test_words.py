@@ -71,7 +71,16 @@ def test_pages_use_the_terms_of_the_glossary(path):
 
 
 def test_pages_name_options_that_exist():
-    known = {"--group", "--extra-index-url", "--rm", "--tls-ca-file", "--protocol", "--check", "--cov"}
+    known = {
+        "--group",
+        "--extra-index-url",
+        "--rm",
+        "--tls-ca-file",
+        "--protocol",
+        "--check",
+        "--cov",
+        "--resolution",
+    }
     known |= {o for entry in COMMANDS for p in load(entry).params for o in (*p.opts, *p.secondary_opts)}
     known |= {o for p in __import__("typer").main.get_command(app).params for o in p.opts} | {"--help"}
     for path in PAGES:
