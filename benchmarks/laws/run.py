@@ -233,7 +233,7 @@ def table() -> str:
         first = {x["key"]: f"`{x['set'][0]}`" if x["set"] else "none" for x in own}
         text += [
             f"| {x['name']} | {'yes' if x['form'] else 'no'} | {x['set_size']} | {100 * x['torque_error']:.2g} % | "
-            f"{x['third']:.3g} | {x['oracle']:.0f} | {first[x['key']]} |"
+            f"{x['third']:.3g} | {'-' if x.get('oracle') is None else round(x['oracle'])} | {first[x['key']]} |"
             for x in own
         ]
         counts = [sum(x["form"] for x in own), sum(x["torque_error"] < 0.03 for x in own)]
@@ -244,8 +244,32 @@ def table() -> str:
     text += [
         f"## Nothing hidden\n\nA law was claimed in {sum(bool(x['claimed']) for x in empty)} of {len(empty)}."
     ]
+    text += _rivals()
     failed = [x for x in lines().values() if "error" in x]
     return "\n".join([*text, *(f"\n{x['key']}: {x['error']}" for x in failed), ""])
+
+
+def _rivals() -> list[str]:
+    """Return what other methods answer on the same recordings, as far as they were run."""
+    file = Path(__file__).parent / "rivals.jsonl"
+    if not file.is_file():
+        return []
+    every = [json.loads(x) for x in file.read_text(encoding="utf-8").splitlines()]
+    hidden_, empty_ = [x for x in every if x["name"]], [x for x in every if not x["name"]]
+    rows = [
+        "",
+        "## Other methods",
+        "",
+        "| method | right | claims where nothing is hidden |",
+        "|---|---|---|",
+    ]
+    for method in dict.fromkeys(
+        k for x in every for k, v in x.items() if isinstance(v, dict) and "claims" in v
+    ):
+        right = sum(x[method]["right"] for x in hidden_)
+        claims = sum(x[method]["claims"] > 0 for x in empty_)
+        rows.append(f"| {method} | {right} of {len(hidden_)} | {claims} of {len(empty_)} |")
+    return rows
 
 
 def _kept(key: str, work: Any) -> None:

@@ -33,6 +33,7 @@ from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._criteria import DEFAULT, Criteria
 from fitting.discovery._dependence import Dependence, context_without, dependence
 from fitting.discovery._grammar import LawForm, grammar
+from fitting.discovery._lack_of_fit import UNKNOWN_LAW
 from fitting.discovery._next_run import separating_run
 from fitting.discovery._refine import fit_at, refined, start_of
 from fitting.discovery._residuals import micro_newton_metres
@@ -50,7 +51,7 @@ from fitting.discovery._verdict import Diagnosis, diagnose
 from fitting.dynamics._mesh import Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
 from fitting.effects._effect import Effect
-from fitting.effects._expression import Tape
+from fitting.effects._expression import Tape, symbols
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 from fitting.inference._lack_of_fit import block_diagonal
@@ -67,6 +68,8 @@ _SEARCHES = 3
 _POINTS = 1000
 # share of the best law's fall of the deviance from which an effect of the library is fitted at the same noise
 _AS_GOOD = 0.8
+# difference of explained shares below which two variables explain as much
+_AS_MUCH = 0.01
 # steps of the refinement of two shape constants, and points of each
 _ROUNDS, _GRID = 4, 5
 _STEPS = 7
@@ -238,8 +241,8 @@ def laws(
     workers = workers or WorkerPool(0)
     known = diagnosis or diagnose(base, criteria=criteria, workers=workers)
     steps.next()
-    named = known.candidates[0] if known.verdict == "missing_effect" and known.candidates else None
-    if named is not None and known.form == "exact" and not beyond_library:
+    named = None if beyond_library else library_answer(known)
+    if named is not None:
         depends_on = tuple(dependence(base))
         steps.done()
         sentence = (
@@ -261,13 +264,24 @@ def laws(
     return Laws(
         base,
         "law" if library is None else "library",
-        _sentence(found[0], answer, library, depends_on),
+        _sentence(found[0], answer, library, depends_on, criteria),
         tuple(found),
         library,
         depends_on,
         separating_run(base, [(x.formula, x.effects, x.estimates) for x in answer], criteria),
         search.trials,
     )
+
+
+def library_answer(known: Diagnosis) -> Candidate | None:
+    """Return the effect of the library that makes other laws unnecessary, if there is one.
+
+    A class of indistinguishable effects that has an unknown law in it is no answer yet.
+    """
+    if known.verdict != "missing_effect" or known.form != "exact" or not known.candidates:
+        return None
+    best = known.candidates[0]
+    return None if UNKNOWN_LAW in best.indistinguishable_from else best
 
 
 class _Steps:
@@ -696,15 +710,25 @@ def _as_good(candidates: Sequence[Candidate], best: Law, criteria: Criteria) -> 
 
 
 def _sentence(
-    best: Law, answer: Sequence[Law], library: Candidate | None, depends_on: Sequence[Dependence]
+    best: Law,
+    answer: Sequence[Law],
+    library: Candidate | None,
+    depends_on: Sequence[Dependence],
+    criteria: Criteria,
 ) -> str:
     parts = []
     if library is not None:
         parts.append(
             f"{library.effect.name} of the library describes the data as well as any law found: it comes first."
         )
-    first = next(iter(depends_on), None)
-    if first is not None and first.p_value < 0.05:
+    # where two variables explain as much, as in a single run in which one follows the other, the law decides
+    own = {
+        (e.joint, v) for e in best.effects for v in symbols(e.expression) - {p.symbol for p in e.parameters}
+    }
+    least = depends_on[0].explained - _AS_MUCH if depends_on else 0.0
+    alike = [d for d in depends_on if (d.body, d.variable) in own and d.explained > least]
+    first = next(iter([*alike, *depends_on]), None)
+    if first is not None and first.p_value < criteria.significance:
         parts.append(
             f"The unmodelled torque depends most clearly on {first.words}: a smooth function of it explains "
             f"{100 * first.explained:.0f} % of the lack of fit."

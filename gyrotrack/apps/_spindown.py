@@ -29,7 +29,8 @@ from gyrotrack.tracking._any_body import Film, Tracked, track_body
 from gyrotrack.tracking._extract import extract
 from gyrotrack.tracking._profile import load
 from gyrotrack.video._container import file_sha256
-from gyrotrack.video._timestamps import SLOWEST_PLAIN_RATE, gap_warnings
+from gyrotrack.video._time_base import Timing
+from gyrotrack.video._timestamps import SLOWEST_PLAIN_RATE
 
 if TYPE_CHECKING:
     from fitting.inference._result import Fit
@@ -162,7 +163,8 @@ def film_recording(film: Film, wish: Wish, progress: Progress | None = None) -> 
     source = film.path
     fps, origin, warnings = _rate(film, wish.capture_fps)
     tracked = track_body(film, wish.hub, progress)
-    time_all = film.numbers / fps
+    times = Timing("auto", fps).of(film.stamps, float(film.info.time_base))
+    time_all = times.seconds(fps)
     time = time_all[tracked.frame]
     sense = 1 if tracked.angle[-1] >= tracked.angle[0] else -1
     angle = sense * tracked.angle
@@ -192,16 +194,16 @@ def film_recording(film: Film, wish: Wish, progress: Progress | None = None) -> 
         frames_decoded=len(film),
         sense=sense,
         body="casing",
-        frame_index=np.asarray(film.numbers, dtype=np.int64),
+        frame_index=times.number,
         time=time_all,
         pts_time=film.stamps,
         centre=centre,
         centre_sigma=np.full(len(film), np.nan),
         markers={},
         bodies={"casing": body},
-        warnings=(*warnings, *tracked.warnings, *gap_warnings(film.numbers)),
+        warnings=(*warnings, *tracked.warnings, *times.told),
         extra={
-            "times_from": "frames",
+            "times_from": "frames" if times.place is None else "stamps",
             "capture_rate_from": origin,
             "centre_from": tracked.way,
             "tracking": {
@@ -323,6 +325,7 @@ def spindown(
             base, parent = study.base(None)
             _check_law(motion, base)
             rungs = improve(base, [], workers=workers)
+            _check_law(motion, rungs[-1].fit, final=True)
             steps = [entry.document["rung"] for entry in study.keep(rungs, parent)]
             found = diagnose(base, [], candidates=rungs[0].candidates, workers=workers)
             study.keep_diagnosis(parent, found, [])
@@ -354,8 +357,8 @@ def spindown(
     }
 
 
-def _check_law(motion: BodyMotion, fit: Fit) -> None:
-    """Refuse to explain an oscillation too short to fit a restoring torque, or a rotation without acceleration."""
+def _check_law(motion: BodyMotion, fit: Fit, *, final: bool = False) -> None:
+    """Refuse to explain a rotation without acceleration, or an oscillation without a restoring torque."""
     from fitting._errors import FittingError
 
     if motion.kind == "steady" and abs(motion.alpha.value) < 3 * motion.alpha.stderr:
@@ -363,9 +366,15 @@ def _check_law(motion: BodyMotion, fit: Fit) -> None:
             f"the angular acceleration, {motion.alpha.value:.2g} +- {motion.alpha.stderr:.1g} rad/s2, is consistent "
             "with zero."
         )
-    if motion.kind == "oscillation" and fit.problem.data[0].oscillation is None:
+    if motion.kind != "oscillation":
+        return
+    if fit.problem.data[0].oscillation is None:
         raise FittingError(
             "the motion is an oscillation of too few turning points to fit a restoring torque."
+        )
+    if final and not fit.model.restoring:
+        raise FittingError(
+            "the motion is an oscillation, and no restoring torque of the library describes it."
         )
 
 

@@ -80,7 +80,6 @@ class Film:
                     seen.append(plane.copy())
             self.info = reader.info
             self.stamps = reader.pts_seconds()
-            self.numbers = reader.frame_numbers()
             self.warnings = reader.warnings
             self.count = reader.decoded
         self._kept = seen if held <= _HELD else None

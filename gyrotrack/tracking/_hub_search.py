@@ -22,6 +22,7 @@ Plane = npt.NDArray[np.uint8]
 _PAIRS = 40
 _FEATURES = 400
 _STRAY = 8.0  # px from the similarity at which a feature is given up
+_NEAR = 640.0  # width of the picture over the distance from a similarity within which features agree with it
 _FEWEST = 12  # features that a similarity needs
 _UNIFORM = 1.5  # grey levels by which a bar at the side of a picture may vary
 _FARTHEST = 6.0  # picture sizes; a hub farther off than that has no curvature that could be measured
@@ -281,8 +282,10 @@ def follow_features(
     start: Any = None
     now: Any = None
     base_a, base_b = 1.0 + 0.0j, 0.0 + 0.0j
+    near = 1.5
     for frame in frames:
         if before is None:
+            near = max(frame.shape[1] / _NEAR, 1.5)
             start = now = cv2.goodFeaturesToTrack(frame, _FEATURES, 0.01, 7, mask=mask)
             if start is None or len(start) < _FEWEST:
                 return None
@@ -299,7 +302,7 @@ def follow_features(
         if len(start) < _FEWEST:
             return None
         found, inside = cv2.estimateAffinePartial2D(
-            start[:, 0], now[:, 0], method=cv2.RANSAC, ransacReprojThreshold=1.5, maxIters=500
+            start[:, 0], now[:, 0], method=cv2.RANSAC, ransacReprojThreshold=near, maxIters=2000
         )
         use = inside[:, 0] == 1 if found is not None else np.zeros(len(start), dtype=bool)
         if use.sum() < max(_FEWEST, 0.2 * len(start)):

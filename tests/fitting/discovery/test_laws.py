@@ -2,6 +2,7 @@
 
 import math
 from functools import lru_cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,8 @@ from cases import case, fitted
 
 from fitting._errors import EffectError
 from fitting.discovery._dependence import context_without, dependence
-from fitting.discovery._laws import laws, ranges_of
+from fitting.discovery._lack_of_fit import UNKNOWN_LAW
+from fitting.discovery._laws import laws, library_answer, ranges_of
 from fitting.discovery._score import CaseColumns, ScoreContext
 from fitting.dynamics._model import Model
 from fitting.effects._library import REDUCED
@@ -28,6 +30,21 @@ def saturating():
     data = [case({}, 0, "a", hidden=SATURATING), case({"b1": 2e-5}, 1, "b", (740.0, 12.0), SATURATING)]
     base = fit(Model.of(REDUCED), data)
     return base, laws(base)
+
+
+@pytest.mark.parametrize(
+    ("form", "others", "stops"),
+    [
+        ("exact", (), True),
+        ("exact", ("a.b",), True),
+        ("exact", (UNKNOWN_LAW,), False),
+        ("approximate", (), False),
+    ],
+)
+def test_the_library_is_the_answer_only_if_no_unknown_law_explains_the_data_as_well(form, others, stops):
+    candidate = SimpleNamespace(indistinguishable_from=others)
+    known = SimpleNamespace(verdict="missing_effect", form=form, candidates=(candidate,))
+    assert (library_answer(known) is candidate) is stops
 
 
 @pytest.mark.slow

@@ -130,3 +130,26 @@ def test_the_restoring_torque_is_found_without_being_named(name, law):
     assert steps[-1].change == f"+{name}"
     within(steps[-1].fit, {f"{name}.k": 12.0})
     assert steps[-1].fit.verdict == "adequate"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("model", "law", "dry"),
+    [
+        ([SPRING, DRAG], lambda t, a, w: -12 * a - 0.1 * w, 0.0),
+        (["casing.gravity", DRAG], lambda t, a, w: -12 * np.sin(a) - 0.1 * w, 0.0),
+        ([SPRING, "touchpoint.constant"], lambda t, a, w: -12 * a, 0.1),
+    ],
+)
+def test_95_percent_intervals_cover_the_truth(model, law, dry):
+    t, angle, _ = oscillators.motion(law, (1.0, 0.0), 10.0, rate=40.0, dry=dry)
+    truth = {f"{model[0]}.k": 12.0, "initial.deflection@body": 1.0}
+    truth |= {"touchpoint.constant.b1": 0.1} if dry else {f"{DRAG}.b2": 0.1}
+    inside = []
+    for seed in range(30):
+        found = fit(Model.of(model), [oscillators.record(t, angle, 2e-3, seed)]).estimates
+        inside += [abs(found[k].value - v) < 1.96 * found[k].stderr for k, v in truth.items()]
+    # 90 intervals, three of each fit correlated: 0.95 within 2 and at most 3 standard deviations
+    assert np.mean(inside) > 0.88
+    scatter = [abs(found[k].value - v) / found[k].stderr for k, v in truth.items()]
+    assert max(scatter) < 5
