@@ -435,7 +435,8 @@ class _Search:
         return [x for x in found if x.p_value < self.criteria.significance]
 
     def _p(self, s: Score) -> float:
-        return self._family(self._nulls[s.effect.name](s.score))
+        null = self._nulls[s.effect.name]
+        return self._family(null(s.score), null.weights)
 
     def _scored(self, about: Fit, taken_out: Sequence[LawForm], *, release: bool = False) -> _Scored:
         """Return the scores of all laws about a fit, some of its effects taken out.
@@ -517,7 +518,7 @@ class _Search:
             fall,
             r.fit.bic - self.base.bic,
             r.length,
-            self._family(single(fall)),
+            self._family(single(fall), single.weights),
             _torque_rms(r.fit, [t.effect for t in r.terms]),
             estimates,
             (),

@@ -696,7 +696,7 @@ def _smallest_score(
     low, high = 0.0, _LARGEST_SCORE
     for _ in range(30):
         middle = 0.5 * (low + high)
-        if family(min(1.0, factor * null(middle))) < significance:
+        if family(np.minimum(1.0, factor * null(middle)), null.weights) < significance:
             high = middle
         else:
             low = middle

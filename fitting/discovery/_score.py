@@ -38,7 +38,7 @@ from fitting.effects._effect import Effect, Parameter
 from fitting.effects._expression import Tape, derivative
 from fitting.inference._case_model import CaseModel, Prediction
 from fitting.inference._lack_of_fit import block_diagonal
-from fitting.inference._noise import Noise, TorqueResponse, Whitener, tail_probability
+from fitting.inference._noise import Noise, TorqueResponse, Whitener, possible_scales
 from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
@@ -513,11 +513,20 @@ def _bounds(effect: Effect) -> tuple[float, float]:
 
 
 class NullDistribution:
-    """Null distribution of one candidate's score, from simulated null data."""
+    """Null distribution of one candidate's score, from simulated null data, for each possible process noise.
+
+    An error of the noise level scales the scores of all trials, and of all candidates, together. The number of trials
+    therefore enters for each level on its own, and only the family-wise p-value is averaged over the levels.
+
+    Attributes
+    ----------
+    weights : ndarray, shape (levels,)
+        Probability of each level.
+    """
 
     def __init__(self, score: Score) -> None:
         self._columns = score.columns
-        self._noise, self._shares = score.noise, score.shares
+        self._scales, self.weights = possible_scales(score.noise, score.shares)
         self.draws = score.null
         middle = float(np.median(self.draws))
         tail = float(np.quantile(self.draws, 0.9))
@@ -526,14 +535,14 @@ class NullDistribution:
             _trials(float(_tail(tail, score.columns)), 0.1),
         )
 
-    def __call__(self, score: float) -> float:
-        """Return the p-value of a score."""
+    def __call__(self, score: float) -> Array:
+        """Return the p-value of a score at each level (levels,)."""
         return self.of(score, self._columns)
 
-    def of(self, score: float, columns: int) -> float:
-        """Return the p-value of a score with fewer strengths, searched over as many shapes."""
-        single = float(tail_probability(max(score, 0.0), max(columns, 1), self._noise, self._shares))
-        return float(-np.expm1(self._trials * np.log1p(-min(single, 1 - 1e-12))))
+    def of(self, score: float, columns: int) -> Array:
+        """Return the p-values of a score with fewer strengths, searched over as many shapes."""
+        single = np.minimum(_tail(max(score, 0.0) / self._scales, max(columns, 1)), 1 - 1e-12)
+        return np.asarray(-np.expm1(self._trials * np.log1p(-single)))
 
     def of_draws(self) -> Array:
         """Return the p-value of each null data set."""
@@ -573,9 +582,9 @@ class FamilywiseNull:
     def __init__(self, chances: Sequence[NullDistribution]) -> None:
         self._smallest = np.min([c.of_draws() for c in chances], axis=0)
 
-    def __call__(self, p: float) -> float:
-        """Return the family-wise p-value of a single one."""
-        return over_many_tests(p, self._smallest)
+    def __call__(self, p: Array, weights: Array) -> float:
+        """Return the family-wise p-value from the p-values at each level, averaged over the levels."""
+        return float(np.dot([over_many_tests(x, self._smallest) for x in p], weights))
 
 
 _ROUNDS = 3

@@ -126,7 +126,8 @@ def rank(
     family = FamilywiseNull(list(nulls.values()))
     found = []
     for s in scores:
-        p = family(nulls[s.effect.name](s.score))
+        null = nulls[s.effect.name]
+        p = family(null(s.score), null.weights)
         found.append(Candidate(s.effect, s.score, np.nan, p, np.nan, (), {}, p < criteria.significance, s))
     found.sort(key=lambda c: -c.score)
     if refitting:
@@ -218,14 +219,14 @@ def _refitted(base: Fit, promising: _Promising) -> Candidate:
             delta_bic, p = found.bic - base.bic, null(base.deviance - found.deviance)
         delta_bic = min(delta_bic, common.bic - base.bic)
         width = screened.columns // len(base.problem.layout.records)
-        p = min(p, min(1.0, 2 * null.of(base.deviance - common.deviance, width)))
-    p = family(p)
+        p = np.minimum(p, np.minimum(1.0, 2 * null.of(base.deviance - common.deviance, width)))
+    chance = family(p, null.weights)
     return replace(
         candidate,
         score=base.deviance - found.deviance,
         delta_bic=delta_bic,
-        p_value=p,
-        significant=p < criteria.significance,
+        p_value=chance,
+        significant=chance < criteria.significance,
         held_out_gain=base.cases[0].casing.held_out - found.cases[0].casing.held_out,
         estimates=_own_estimates(found, candidate.effect),
         fit=found,

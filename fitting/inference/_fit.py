@@ -125,6 +125,15 @@ def _with_less_noise(
     return min(ends, key=lambda end: _deviance(problem, end[0].theta, end[1]))
 
 
+def _ends_at_a_bound_with_more_noise(
+    problem: Problem, first: Array, last: Array, given: Sequence[Noise], noise: Sequence[Noise]
+) -> bool:
+    """Return whether a search reached a bound where it did not begin, and needs more process noise than was given."""
+    reached = problem.layout.at_bound(last) & ~problem.layout.at_bound(first)
+    raised = any(n.raised and not g.raised for n, g in zip(noise, given, strict=True))
+    return bool(reached.any()) and raised
+
+
 def _lower_levels(problem: Problem, theta: Array, noise: Sequence[Noise]) -> Iterator[tuple[float, ...]]:
     """Yield levels of the process noise of each case with which a search may end elsewhere."""
     raised = [n for n in noise if n.raised]
@@ -204,7 +213,8 @@ def fit(
     data = [c if isinstance(c, CaseData) else CaseData.of(c) for c in cases]
     _check(model, data)
     problem = Problem.of(ParameterLayout.of(model, [d.record for d in data], share, per_case, ranges), data)
-    theta = initial_values(problem, start)
+    theta = first = initial_values(problem, start)
+    given = noise
     active: ActiveBounds | None = None
     if noise is None:
         found, noise = search_with_noise(problem, theta, start, quick=quick)
@@ -230,6 +240,10 @@ def fit(
     found = search(problem, found.theta, quick=quick, active=found.active)
     if found.minimum.cost > _REFINED_ABOVE * problem.rows:
         noise = refine_level(problem, found.theta, noise, settled=True)
+        problem = problem.with_noise(noise)
+        found = search(problem, found.theta, quick=quick, active=found.active)
+    if given is not None and _ends_at_a_bound_with_more_noise(problem, first, found.theta, given, noise):
+        found, noise = _with_less_noise(problem, found, noise)
         problem = problem.with_noise(noise)
         found = search(problem, found.theta, quick=quick, active=found.active)
     return outcome(problem, found.theta, noise, converged=found.minimum.converged)

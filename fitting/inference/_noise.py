@@ -146,12 +146,35 @@ def tail_probability(chi2: float | Array, dof: int, noise: Sequence[Noise], shar
     shares : sequence of float
         Share of the process noise of each case in the variance of what was summed.
     """
-    if not noise:
-        from scipy.special import chdtrc
+    from scipy.special import chdtrc
 
-        return np.asarray(chdtrc(dof, chi2))
-    each = [n.process.p_value(chi2, dof, share) for n, share in zip(noise, shares, strict=True)]
-    return np.asarray(np.mean(each, axis=0))
+    scales, weights = possible_scales(noise, shares)
+    x = np.maximum(np.asarray(chi2, dtype=float), 0.0)
+    return np.asarray(chdtrc(dof, x[..., None] / scales) @ weights)
+
+
+def possible_scales(noise: Sequence[Noise], shares: Sequence[float]) -> tuple[Array, Array]:
+    """Return by which factors the variance of a sum of squares may be wrong, and how probable each is.
+
+    The process noise of each case is known with an uncertainty; several cases are mixed with equal weights.
+
+    Parameters
+    ----------
+    noise : sequence of Noise
+        Of each case; empty for white noise alone.
+    shares : sequence of float
+        Share of the process noise of each case in the variance of what was summed.
+
+    Returns
+    -------
+    scales, weights : ndarray, shape (factors,)
+        The weights add up to 1.
+    """
+    if not noise:
+        return np.ones(1), np.ones(1)
+    scales = [1 - share + share * n.process.ratios for n, share in zip(noise, shares, strict=True)]
+    weights = np.concatenate([n.process.weights for n in noise])
+    return np.concatenate(scales), weights / weights.sum()
 
 
 LEVELS = np.concatenate([[0.0], np.geomspace(0.03, 3e5, 57)])

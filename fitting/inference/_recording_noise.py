@@ -289,24 +289,6 @@ class ProcessNoise:
     ratios: Array = field(repr=False)
     weights: Array = field(repr=False)
 
-    def p_value(self, chi2: float | Array, dof: int, share: float) -> Array:
-        """Return the probability of a larger chi-square, with the level's distribution integrated out.
-
-        Parameters
-        ----------
-        chi2 : float or ndarray
-            Sum of squares of residuals whitened at `level`.
-        dof : int
-            Its degrees of freedom.
-        share : float
-            Share of the process noise in the variance of what was summed.
-        """
-        from scipy.special import chdtrc
-
-        x = np.maximum(np.asarray(chi2, dtype=float), 0.0)
-        scale = 1 - share + share * self.ratios
-        return np.asarray(chdtrc(dof, x[..., None] / scale) @ self.weights)
-
 
 def estimate_process_noise(
     run: Compressed, nuisance: Array, angle_noise: AngleNoise, *, angle: bool

@@ -224,7 +224,7 @@ def test_windows_that_do_not_match_the_samples_are_refused(case):
 
 
 def test_too_few_samples(tmp_path):
-    assert "the casing has 59 usable samples" in refusal(write_case(tmp_path / "short.h5", n=59))
+    assert "the casing has 23 usable samples" in refusal(write_case(tmp_path / "short.h5", n=23))
     path = write_case(tmp_path / "case.h5")
     with h5py.File(path, "r+") as file:
         file["rotor/angle"][:] = np.nan
