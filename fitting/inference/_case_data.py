@@ -414,7 +414,7 @@ class CaseData:
 def _correlation(run: Compressed, noise: AngleNoise) -> float:
     """Return the spectral density of all angle noise at low frequencies over that of the white noise alone."""
     samples = run.samples
-    if noise.sigma == 0 or len(samples.time) < 2:  # noqa: PLR2004 - one sample has no spacing
+    if noise.sigma == 0 or len(samples.time) < 2:
         return 1.0
     white = (run.scale * float(np.median(samples.sigma))) ** 2 * float(np.median(np.diff(samples.time)))
     return 1 + 2 * noise.sigma**2 * noise.time / white

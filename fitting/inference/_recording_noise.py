@@ -60,6 +60,8 @@ _TORQUE_TIMES = (0.1, 1.0)
 _CELLS_PER_ROW = 2.5
 
 _DEGREE = 11
+# of a window of one block; what a smooth torque adds falls by an order of magnitude or two with each degree
+_DEGREE_OF_WINDOW = 5
 # blocks of a stretch, and degree, where a stretch holds several periods of an oscillation
 _SHORT, _MANY = 4, 14
 # rows of the longest stretch
@@ -172,7 +174,7 @@ def estimate_window_noise(windows: Sequence[Compressed], level: float, time: flo
     """
     nothing = [np.zeros((len(w.z), 0)) for w in windows]
     stretches = [
-        _Stretch(w, np.arange(len(w.lift)), n, 1 + 2 * len(w.lift))
+        _Stretch(w, np.arange(len(w.lift)), n, _DEGREE_OF_WINDOW + 2 * (len(w.lift) - 1))
         for w, n in zip(windows, nothing, strict=True)
     ]
     process = []

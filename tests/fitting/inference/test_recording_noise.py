@@ -83,6 +83,17 @@ def test_noise_of_the_rotors_camera_is_found_in_its_windows():
     np.testing.assert_allclose(data.unwhitened(data.whitened(rows)), rows, atol=1e-9)
 
 
+def test_a_torque_that_changes_within_the_windows_is_no_angle_noise():
+    """0.2 rad/s2 that decay with 1.5 s, as in the rise: its quartic part is fifty times the noise of its row."""
+    plain = case()
+    moved = tuple(
+        Samples(w.time, w.value + 0.5 * np.exp(-(w.time - w.time[0]) / 1.5), w.sigma)
+        for w in plain.record.rotor
+    )
+    found = CaseData.of(replace(plain.record, rotor=moved, digest="")).rotor_angle_noise
+    assert found.sigma == 0
+
+
 def test_covariance_of_the_rows_is_that_of_many_draws():
     run, time = case().casing, 0.5
     k = run.lift.shape[1]
