@@ -2,9 +2,9 @@
 
     python benchmarks/tracking/skimage_parts.py
 
-Three parts: the centre of a circle from points on an arc of which one in nine is off by 60 px (`CircleModel`, alone
-and in `ransac`, against `fit_circle`); the polar picture of a ring (`warp_polar` against `Ring.unwrap`); the rotation
-between two polar pictures with noise (`phase_cross_correlation`, 100 times upsampled, against `register`).
+Two parts: the polar picture of a ring (`warp_polar` against `Ring.unwrap`); the rotation between two polar pictures
+with noise (`phase_cross_correlation`, 100 times upsampled, against `register`). Circles are fitted by
+scikit-image (`ransac`).
 """
 
 from __future__ import annotations
@@ -16,11 +16,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from skimage.measure import CircleModel, ransac
 from skimage.registration import phase_cross_correlation
 from skimage.transform import warp_polar
 
-from gyrotrack.tracking._hub_search import fit_circle
 from gyrotrack.tracking._registration import Ring, learn, register
 
 
@@ -32,37 +30,6 @@ def timed(call: Callable[[], Any], times: int = 5) -> tuple[Any, float]:
         found = call()
         best = min(best, 1e3 * (time.perf_counter() - start))
     return found, best
-
-
-def circles() -> None:
-    """Compare centres of circles through arcs."""
-    errors: dict[str, list[float]] = {"CircleModel": [], "ransac(CircleModel)": [], "fit_circle": []}
-    duration: dict[str, float] = {}
-    for seed in range(20):
-        rng = np.random.default_rng(seed)
-        angle = rng.uniform(0.2, 1.4, 90)
-        points = np.stack([500 + 400 * np.cos(angle), -80 + 400 * np.sin(angle)], axis=1)
-        points += rng.normal(0, 0.2, points.shape)
-        points[::9, 0] += 60
-
-        def plain(points: Any = points) -> Any:
-            model = CircleModel()
-            model.estimate(points)
-            return model.params[:2]
-
-        def robust(points: Any = points, seed: int = seed) -> Any:
-            return ransac(points, CircleModel, 3, 1.5, max_trials=200, rng=seed)[0].params[:2]
-
-        def ours(points: Any = points) -> Any:
-            return fit_circle(points[:, 0], points[:, 1])
-
-        for name, call in (("CircleModel", plain), ("ransac(CircleModel)", robust), ("fit_circle", ours)):
-            found, duration[name] = timed(call, 2)
-            errors[name].append(float(np.hypot(found[0] - 500, found[1] + 80)))
-    for name, error in errors.items():
-        print(
-            f"circle    {name:26} {np.sqrt(np.mean(np.square(error))):9.3f} px rms {duration[name]:8.2f} ms"
-        )
 
 
 def scene(theta: float, rng: np.random.Generator, texture: Any) -> Any:
@@ -112,5 +79,4 @@ def rotations() -> None:
 
 if __name__ == "__main__":
     warnings.simplefilter("ignore", FutureWarning)
-    circles()
     rotations()

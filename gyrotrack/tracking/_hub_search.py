@@ -8,6 +8,7 @@ body); the centre of the orbit of a compact spot. Which of them is right is deci
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -169,36 +170,17 @@ def orbit_hub(frames: Sequence[Plane], motion: Motion) -> tuple[float, float] | 
 
 
 def fit_circle(x: Floats, y: Floats) -> tuple[float, float] | None:
-    """Return the centre of the circle through points, robust against strays; None if they do not make one."""
+    """Return the centre of the circle through points, robust against outliers; None if they do not make one."""
+    from skimage.measure import CircleModel, ransac
+
     if len(x) < 8 or np.hypot(np.ptp(x), np.ptp(y)) < 4:
         return None
-    rng = np.random.default_rng(0)
-    best, most = None, 0
-    for _ in range(200):
-        i = rng.choice(len(x), 3, replace=False)
-        found = _solve_circle(x[i], y[i])
-        if found is None:
-            continue
-        off = np.abs(np.hypot(x - found[0], y - found[1]) - found[2])
-        inside = off < 1.5
-        if inside.sum() > most:
-            best, most = inside, int(inside.sum())
-    if best is None or most < max(8, 0.4 * len(x)):
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "No inliers found", UserWarning)
+        found, inside = ransac(np.column_stack([x, y]), CircleModel, 3, 1.5, max_trials=200, rng=0)
+    if found is None or inside.sum() < max(8, 0.4 * len(x)):
         return None
-    found = _solve_circle(x[best], y[best])
-    return None if found is None else (found[0], found[1])
-
-
-def _solve_circle(x: Floats, y: Floats) -> tuple[float, float, float] | None:
-    left = np.stack([x, y, np.ones_like(x)], axis=1)
-    middle = left[:, :2].mean(axis=0)
-    left[:, :2] -= middle
-    solved, _, rank, _ = np.linalg.lstsq(left, (left[:, :2] ** 2).sum(axis=1), rcond=None)
-    if rank < 3:
-        return None
-    centre = solved[:2] / 2
-    radius = float(np.sqrt(max(solved[2] + centre @ centre, 0.0)))
-    return float(centre[0] + middle[0]), float(centre[1] + middle[1]), radius
+    return float(found.center[0]), float(found.center[1])
 
 
 def similarity_hub(frames: Sequence[Plane], motion: Motion) -> tuple[float, float] | None:

@@ -52,9 +52,9 @@ def plan_command(
             "as --bound omega_casing=0,60.",
         ),
     ] = None,
-    plot: Annotated[
+    picture: Annotated[
         Path | None,
-        typer.Option("--plot", metavar="FILE", help="Also draw limits, power and the run (.png, .svg)."),
+        typer.Option("--picture", metavar="FILE", help="Also draw limits, power and the run (.png, .svg)."),
     ] = None,
     effects: EffectsFile = None,
     start: From = None,
@@ -67,7 +67,7 @@ def plan_command(
 
     A description of recordings is a TOML file; the guide plan-an-experiment has one.
 
-    Example: gyrotrack plan case1.h5 case2.h5 --plot plan.png
+    Example: gyrotrack plan case1.h5 case2.h5 --picture plan.png
     """
     from fitting.discovery._next_run import Bounds
     from fitting.discovery._plan import plan
@@ -84,10 +84,10 @@ def plan_command(
     if size is not None and not (0 < size < math.inf):
         raise UsageError(f"--size {size:g} is no torque.", "Give a positive rms torque in N m: --size 1e-6.")
     changes = _bounds(bound or ())
-    if plot is not None:
-        if plot.suffix.lower() not in {".png", ".svg"}:
-            raise UsageError(f"Unknown picture format: {plot}.", "Use a name that ends in .png or .svg.")
-        refuse_existing(plot, force=force)
+    if picture is not None:
+        if picture.suffix.lower() not in {".png", ".svg"}:
+            raise UsageError(f"Unknown picture format: {picture}.", "Use a name that ends in .png or .svg.")
+        refuse_existing(picture, force=force)
     out = Output(as_json=as_json, quiet=quiet)
     own = own_effects(effects)
     with out.progress("planning") as progress:
@@ -103,12 +103,12 @@ def plan_command(
             usual, subject = (Bounds.of(fit) if changes else None), fit
         bounds = replace(usual, **changes) if usual is not None else None
         found = plan(subject, own, size=size, bounds=bounds, progress=progress)
-    if plot is not None:
+    if picture is not None:
         from gyrotrack.plotting._plan import write_plan_picture
 
-        write_plan_picture(found, plot, force=force)
-    out.result(plan_document(found) | ({"picture": plot} if plot is not None else {}))
-    out.show(plan_table(found), *([f"written: {plot}"] if plot is not None else []))
+        write_plan_picture(found, picture, force=force)
+    out.result(plan_document(found) | ({"picture": picture} if picture is not None else {}))
+    out.show(plan_table(found), *([f"written: {picture}"] if picture is not None else []))
     return DONE if found.fit.converged else NOT_TRUSTED
 
 

@@ -25,7 +25,7 @@ def described(tmp_path):
 def test_the_guides_description_gives_limits_a_run_and_a_picture(gyrotrack, described, tmp_path):
     picture = tmp_path / "plan.png"
     said = gyrotrack(
-        "plan", described, "--size", "2e-6", "--bound", "inertia_casing=1,1", "--plot", picture, "--json"
+        "plan", described, "--size", "2e-6", "--bound", "inertia_casing=1,1", "--picture", picture, "--json"
     )
     assert said.code == 0
     assert said.err == ""
@@ -54,7 +54,7 @@ def test_the_guides_description_gives_limits_a_run_and_a_picture(gyrotrack, desc
         (["--bound", "omega_casing=5"], "no pair of numbers"),
         (["--bound", "omega_casing=9,5"], "no pair of numbers"),
         (["--from", "f1"], "a description has no fits"),
-        (["--plot", "plan.gif"], "Unknown picture format"),
+        (["--picture", "plan.gif"], "Unknown picture format"),
     ],
 )
 def test_wrong_usage(gyrotrack, described, words, message):
