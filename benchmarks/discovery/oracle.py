@@ -91,7 +91,12 @@ class Oracle:
         same = frozenset({effect.name}).union(*(t for t in TWINS if effect.name in t))
         best = ("", float(np.linalg.norm(left)))
         for rival in LIBRARY.values():
-            if rival.name in same or rival.name in self._base.model.names or rival.name in _NEVER:
+            if (
+                rival.name in same
+                or rival.name in self._base.model.names
+                or rival.name in _NEVER
+                or rival.restoring
+            ):
                 continue
             groups = self._rows(rival)
             every = self._left(self._white(np.concatenate(groups, axis=1)))

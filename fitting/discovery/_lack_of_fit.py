@@ -386,6 +386,11 @@ def harmonic_test(fit: Fit) -> HarmonicTest:
     orthogonal to the free columns.
     """
     found = HarmonicTest(0, 0.0, 1.0)
+    known = [np.abs(CaseColumns(fit, i).typical_torque).max() for i in range(len(fit.problem.cases))]
+    for e in fit.model.effects:
+        if e.depends_on_angle and e.amplitude is not None:
+            key = f"{e.name}.{e.amplitude.symbol}"
+            known += [abs(x.value) for name, x in fit.estimates.items() if name.partition("@")[0] == key]
     for order in _ORDERS:
         law = Effect("harmonic", "casing", f"k*sin({order}*psi_c - phi)", _WAVE)
         chi2, torque, count, shares = 0.0, 0.0, 0, []
@@ -407,7 +412,8 @@ def harmonic_test(fit: Fit) -> HarmonicTest:
         p_value = (
             min(1.0, len(_ORDERS) * float(tail_probability(chi2, count, fit.noise, shares))) if count else 1.0
         )
-        if p_value < found.p_value:
+        # a high order hardly moves the body: an error of the path would need a torque beyond all others
+        if p_value < found.p_value and torque <= max(known):
             found = HarmonicTest(order, torque, p_value)
     return found
 

@@ -251,7 +251,7 @@ class TestNextRun:
         found = rivals_of(info, "casing.windage", "bearing.load", 3e-12)
         chosen = next_run(info, found, DEFAULT, Bounds.of(base()), evaluations=24)
         assert chosen.separation > 1.5 * chosen.repeated
-        assert chosen.repeated >= chosen.present
+        assert chosen.repeated >= chosen.present - 1e-3
         low, high = chosen.bounds.omega_rotor
         assert low <= abs(chosen.run.omega_rotor) <= high * (1 + 1e-9)
         for a, b in zip(chosen.run.windows, chosen.run.windows[1:], strict=False):

@@ -57,7 +57,7 @@ def test_added_by_its_name_it_starts_where_the_screen_finds_it(base):
     start = {k: e.value for k, e in base.estimates.items()} | found_starts(base, [effect])
     found = fit(base.model.with_effect(effect), base.problem.data, start=start)
     assert found.verdict == "adequate"
-    assert found.torque_noise == pytest.approx(NOISE, rel=0.4)
+    assert found.torque_noise == pytest.approx(NOISE, rel=0.6)
     m = found.estimates["casing.precession.m"]
     assert abs(m.value - RATE) < 4 * m.stderr
     assert m.stderr < 1.0
@@ -68,7 +68,7 @@ def test_what_it_hid_comes_to_light():
     fitted = fit(Model.of(REDUCED), [make_record(**twobody.film(motion(swing, unbalance)))])
     rungs = improve(fitted)
     assert {r.change for r in rungs[1:]} == {"+casing.precession", "+casing.unbalance"}
-    assert rungs[-1].fit.torque_noise == pytest.approx(NOISE, rel=0.4)
+    assert rungs[-1].fit.torque_noise == pytest.approx(NOISE, rel=0.6)
     answer = diagnose(fitted)
     assert answer.verdict == "missing_effect"
     assert "second effect casing.unbalance" in answer.sentence

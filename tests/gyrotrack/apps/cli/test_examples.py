@@ -38,7 +38,7 @@ def lab(tmp_path_factory, simulated):
     from gyrotrack.apps.cli import _app as app
 
     folder = tmp_path_factory.mktemp("lab")
-    for name, kind in (("case1", "drag"), ("case2", "other")):
+    for name, kind in (("case1", "drag"), ("case2", "other"), ("left", "drag"), ("right", "other")):
         shutil.copy(simulated / f"{kind}.h5", folder / f"{name}.h5")
         assert app.run(["fit", str(folder / f"{name}.h5"), "-q"]) == 0
     words = ["simulate", "-o", str(folder / "case.h5"), "--hide", "--duration", "30", "--window-length", "1"]

@@ -26,10 +26,11 @@ def test_a_law_needs_a_name_of_its_own(gyrotrack, simulated, tmp_path, name):
 def test_a_search_of_one_case(gyrotrack, tmp_path):
     case, picture, file = tmp_path / "case.h5", tmp_path / "laws.svg", tmp_path / "lab.toml"
     inertias = ["--inertia-rotor", "5.54e-5", "--inertia-casing", "2.06e-5"]
-    hidden = ["--add", "casing: -k*tanh(omega_c/30)", "--set", "casing.k=4e-6"]
+    hidden = ["--add", "casing: -k*tanh(omega_c/30)", "--set", "casing: -k*tanh(omega_c/30).k=4e-6"]
     windows = ["--duration", "100", "--window", "10", "--window", "50", "--window", "90"]
     assert gyrotrack("simulate", "-o", case, *hidden, *windows, *inertias).code == 0
-    said = gyrotrack("laws", case, "--picture", picture, "--save-law", "lab.found", file, "--json", "-q")
+    words = ["--beyond-library", "--save-law", "lab.found", file]
+    said = gyrotrack("laws", case, "--picture", picture, *words, "--json", "-q")
     assert said.code == 0
     document = said.json
     assert document["verdict"] in {"law", "library"}
