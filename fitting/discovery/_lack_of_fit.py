@@ -35,7 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.discovery._criteria import Criteria
-from fitting.discovery._residuals import micro_newton_metres
+from fitting.discovery._residuals import format_torque
 from fitting.discovery._score import CaseColumns, ScoreContext, over_many_tests, score_of_columns
 from fitting.discovery._select import Candidate
 from fitting.dynamics._mesh import Sampler
@@ -235,7 +235,7 @@ class PeriodogramPeak:
         """What the residual torque depends on."""
         return (
             f"is sinusoidal with a period of {2 * math.pi / self.rate:.4g} s in {self.label}: a torque of "
-            f"{micro_newton_metres(self.torque)} on the {self.body}, or {1e3 * self.angle:.2g} mrad of its angle"
+            f"{format_torque(self.torque)} on the {self.body}, or {1e3 * self.angle:.2g} mrad of its angle"
         )
 
     @property
@@ -376,7 +376,7 @@ class HarmonicTest:
     @property
     def words(self) -> str:
         """What the residual torque depends on."""
-        return f"contains harmonic {self.order} of psi_c, amplitude {micro_newton_metres(self.torque)}"
+        return f"contains harmonic {self.order} of psi_c, amplitude {format_torque(self.torque)}"
 
 
 def harmonic_test(fit: Fit) -> HarmonicTest:

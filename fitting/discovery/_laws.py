@@ -36,7 +36,7 @@ from fitting.discovery._grammar import LawForm, grammar
 from fitting.discovery._lack_of_fit import UNKNOWN_LAW
 from fitting.discovery._next_run import separating_run
 from fitting.discovery._refine import fit_at, refined, start_of
-from fitting.discovery._residuals import micro_newton_metres
+from fitting.discovery._residuals import format_torque
 from fitting.discovery._score import (
     CaseColumns,
     FamilywiseNull,
@@ -735,7 +735,7 @@ def _sentence(
             f"{100 * first.explained:.0f} % of the lack of fit."
         )
     parts.append(
-        f"Best law: {best.formula} ({best.form}), {micro_newton_metres(best.torque_rms_Nm)} rms, "
+        f"Best law: {best.formula} ({best.form}), {format_torque(best.torque_rms_Nm)} rms, "
         f"dBIC {best.delta_bic:.0f}."
     )
     if len(answer) > 1:

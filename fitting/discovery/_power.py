@@ -519,8 +519,8 @@ class Search:
         effect : Effect
             One of `effects`.
         size : float, optional
-            Rms torque of the effect [N m] of which power and runs are told; by default 1 % of the rms torque of the
-            bearing (for a single body, of the net torque).
+            Rms torque of the effect [N m] for which power and runs are computed; by default 1 % of the rms torque of
+            the bearing (for a single body, of the net torque).
         planned : bool
             The data are simulated: upper limits are expected ones.
         others : sequence of Search

@@ -32,7 +32,7 @@ from fitting.discovery._lack_of_fit import (
     smooth_test,
 )
 from fitting.discovery._refine import with_shape_parameter
-from fitting.discovery._residuals import ResidualTorque, micro_newton_metres, residual_torques
+from fitting.discovery._residuals import ResidualTorque, format_torque, residual_torques
 from fitting.discovery._select import Selection
 from fitting.dynamics._mesh import Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
@@ -321,7 +321,7 @@ def grade(
             f"it {test.words}" if test.p_value < criteria.doubt_named else "a lack of fit of unknown form"
         )
     words = (
-        f"Remainder {micro_newton_metres(rms)} rms, {100 * share:.2g} % of the mean square unmodelled torque: "
+        f"Remainder {format_torque(rms)} rms, {100 * share:.2g} % of the mean square unmodelled torque: "
         f"{'; '.join(parts)}."
     )
     remainder = Remainder(rms, share, p, words)

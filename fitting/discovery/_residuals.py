@@ -285,7 +285,7 @@ class Failure:
     torque_sigma_Nm: float = float("nan")  # noqa: N815
 
     def __str__(self) -> str:
-        torque = micro_newton_metres(self.residual_torque_Nm, self.torque_sigma_Nm)
+        torque = format_torque(self.residual_torque_Nm, self.torque_sigma_Nm)
         if self.kind == "ripple":
             return (
                 f"unmodelled torque on the {self.called} {self.where}, amplitude {torque} "
@@ -298,11 +298,16 @@ class Failure:
         )
 
 
-def micro_newton_metres(value: float, sigma: float = float("nan")) -> str:
-    """Return a torque in uN m (nN m below 0.01 uN m), rounded to its standard uncertainty where that is known."""
-    scale, unit = (
-        (1e6, "uN m") if max(abs(value), abs(sigma) if sigma == sigma else 0.0) >= 1e-8 else (1e9, "nN m")
-    )
+_TORQUE_UNITS = ((0.1, (1.0, "N m")), (1e-3, (1e3, "mN m")), (1e-8, (1e6, "uN m")), (0.0, (1e9, "nN m")))
+
+
+def format_torque(value: float, sigma: float = float("nan")) -> str:
+    """Return a torque with a prefix that suits its size, rounded to its standard uncertainty where that is known.
+
+    nN m below 0.01 uN m, uN m below 1 mN m, mN m below 0.1 N m, N m.
+    """
+    size = max(abs(value), abs(sigma) if sigma == sigma else 0.0)
+    scale, unit = next((u for least, u in _TORQUE_UNITS if size >= least), _TORQUE_UNITS[-1][1])
     if not np.isfinite(sigma) or sigma <= 0:
         return f"{value * scale:.3g} {unit}"
     digits = max(0, -int(np.floor(np.log10(sigma * scale))))

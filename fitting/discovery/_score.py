@@ -215,9 +215,9 @@ class CaseColumns:
         y = Sampler(path.mesh, self.response.centres).value(path.y)
         self._known: dict[str, Any] = {name: y[:, i] for i, name in enumerate(path.states)}
         self._known |= {"t": self.response.centres, "delta": y[:, 0] - y[:, 1]}
-        swing = self.case.data.oscillation
-        if swing is not None:
-            measured = np.interp(self.response.centres, swing.time, swing.deflection)
+        oscillation = self.case.data.oscillation
+        if oscillation is not None:
+            measured = np.interp(self.response.centres, oscillation.time, oscillation.deflection)
             self._known = {"deflection": measured} | self._known
         tau = Tape([self.case.dynamics.bearing_torque])(
             self._known | self.case.dynamics.constants | self.numbers

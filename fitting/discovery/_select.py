@@ -132,8 +132,8 @@ def rank(
     found.sort(key=lambda c: -c.score)
     if refitting:
         worth = _worth_refitting(found, criteria)
-        swing = base.problem.data[0].oscillation
-        if swing is not None and not base.model.restoring:
+        oscillation = base.problem.data[0].oscillation
+        if oscillation is not None and not base.model.restoring:
             # only a restoring torque makes a body oscillate, and scores about a motion that does not say little
             data = base.problem.data
             error = {

@@ -35,7 +35,7 @@ from fitting.discovery._residuals import (
     Ripple,
     Whiteness,
     find_failures,
-    micro_newton_metres,
+    format_torque,
     residual_torques,
     ripples,
     whiteness,
@@ -317,7 +317,7 @@ def _sentence(
     if verdict == "adequate":
         parts = ["The residuals are consistent with noise; the model is adequate."]
         if hidden:
-            limits = ", ".join(f"{u.effect} {micro_newton_metres(u.torque_Nm)}" for u in hidden)
+            limits = ", ".join(f"{u.effect} {format_torque(u.torque_Nm)}" for u in hidden)
             parts.append(
                 f"Effects that could still be hidden, with 95 % upper limits of the rms torque: {limits}."
             )
@@ -362,7 +362,7 @@ def _unexplained(
         ]
     level = max((n.level for n in selection.end.noise), default=0.0)
     return [
-        f"An unexplained torque of {micro_newton_metres(level)} rms remains; no effect of the library explains it."
+        f"An unexplained torque of {format_torque(level)} rms remains; no effect of the library explains it."
     ]
 
 

@@ -157,8 +157,8 @@ class CaseData:
     def of(cls, record: Record) -> CaseData:
         """Project a record."""
         angle = record.quantity == "angle"
-        swing = find_oscillation(record)
-        if swing is None:
+        oscillation = find_oscillation(record)
+        if oscillation is None:
             casing = compress(
                 record.casing,
                 degree=CASING_DEGREE,
@@ -166,8 +166,10 @@ class CaseData:
                 blocks=BLOCKS if angle else SPEED_BLOCKS,
             )
         else:
-            width, degree, quiet = next(b for b in _OSCILLATION_BLOCKS if swing.periods <= b.periods).block
-            blocks = max(1, round(swing.periods / width))
+            width, degree, quiet = next(
+                b for b in _OSCILLATION_BLOCKS if oscillation.periods <= b.periods
+            ).block
+            blocks = max(1, round(oscillation.periods / width))
             most = len(record.casing) // (2 * blocks)
             casing = compress(
                 record.casing,
@@ -190,7 +192,7 @@ class CaseData:
             )
             for w in record.rotor
         )
-        return cls(record, casing, rotor, swing)
+        return cls(record, casing, rotor, oscillation)
 
     @property
     def is_angle(self) -> bool:
@@ -213,7 +215,7 @@ class CaseData:
     def angle_noise(self) -> AngleNoise:
         """Correlated angle noise of the casing; white if none is significant, or if speeds were measured.
 
-        It is told from the motion by being faster; an oscillation is as fast, so there the noise is taken as white.
+        It differs from the motion by being faster; an oscillation is as fast, so there the noise is taken as white.
         """
         if not self.is_angle or self.oscillation is not None:
             return AngleNoise()
@@ -308,10 +310,10 @@ class CaseData:
     @property
     def smoothing_width(self) -> int:
         """Points of the running median of `speeds`: the paper's 51, and at most a sixteenth of a period."""
-        swing = self.oscillation
-        if swing is None:
+        oscillation = self.oscillation
+        if oscillation is None:
             return WIDTH
-        return min(WIDTH, max(1, int(len(self.record.casing) / (16 * swing.periods))) | 1)
+        return min(WIDTH, max(1, int(len(self.record.casing) / (16 * oscillation.periods))) | 1)
 
     @property
     def n_effective(self) -> float:
@@ -391,14 +393,14 @@ class CaseData:
 
     def _mend_kinks(self, path: Path, nodes: Array | None, rows: Array) -> Array:
         # a block with a kink inside is no polynomial, nor is a period with many harmonics: project them by samples
-        swings = self.oscillation is not None
-        if not path.kinks and not swings:
+        oscillates = self.oscillation is not None
+        if not path.kinks and not oscillates:
             return rows
         first = 0
         for state, run in ((1, self.casing), *((0, w) for w in self.rotor)):
             k = run.lift.shape[1]
             everywhere = (
-                self._seen(Sampler(path.mesh, run.samples.time), path, state, nodes) if swings else None
+                self._seen(Sampler(path.mesh, run.samples.time), path, state, nodes) if oscillates else None
             )
             for i, (where, operator) in enumerate(run.operators):
                 t = run.samples.time[where]

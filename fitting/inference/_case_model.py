@@ -221,8 +221,8 @@ class CaseModel:
 
     @cached_property
     def _mesh(self) -> Mesh:
-        swing = self.data.oscillation
-        needed = _INTERVALS if swing is None else math.ceil(_PER_PERIOD * swing.periods)
+        oscillation = self.data.oscillation
+        needed = _INTERVALS if oscillation is None else math.ceil(_PER_PERIOD * oscillation.periods)
         return Mesh.uniform(*self.data.record.span, max(_INTERVALS, needed))
 
     def _measured(self, first: Array) -> Path:
@@ -232,9 +232,9 @@ class CaseModel:
         mesh, jumps, sense = self._reversals(mesh, first)
         y, edges = (np.tile(first, (*t.shape, 1)) for t in (mesh.times, mesh.edges))
         measured = [(times, speeds[:, i]) for i in range(2)]
-        swing = self.data.oscillation
-        if swing is not None and self.dynamics.free_starts > 2:
-            measured.append((swing.time, swing.deflection))
+        oscillation = self.data.oscillation
+        if oscillation is not None and self.dynamics.free_starts > 2:
+            measured.append((oscillation.time, oscillation.deflection))
         for i, (t, value) in enumerate(measured):
             y[..., i] = np.interp(mesh.times, t, value)
             edges[:, i] = np.interp(mesh.edges, t, value)
@@ -242,8 +242,8 @@ class CaseModel:
 
     def _reversals(self, mesh: Mesh, first: Array) -> tuple[Mesh, dict[int, Array], Array]:
         """Return the mesh with an edge at each measured reversal, which these are, and the sense of each interval."""
-        swing = self.data.oscillation
-        times = () if swing is None or self.dynamics.free_starts < 3 else tuple(swing.reversals)
+        oscillation = self.data.oscillation
+        times = () if oscillation is None or self.dynamics.free_starts < 3 else tuple(oscillation.reversals)
         mesh = mesh.with_breakpoints(times)
         at = np.searchsorted(mesh.edges, times)
         turned = np.searchsorted(at, np.arange(len(mesh.edges) - 1), side="right")

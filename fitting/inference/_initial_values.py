@@ -91,8 +91,12 @@ def equation_error(model: Model, data: Sequence[CaseData]) -> float:
 
 def _deflection(data: CaseData, times: Array) -> Array:
     """Return the measured angle from the equilibrium at some times [rad]; zero for a body that turns in one sense."""
-    swing = data.oscillation
-    return np.zeros(len(times)) if swing is None else np.interp(times, swing.time, swing.deflection)
+    oscillation = data.oscillation
+    return (
+        np.zeros(len(times))
+        if oscillation is None
+        else np.interp(times, oscillation.time, oscillation.deflection)
+    )
 
 
 def _period_by_period(problem: Problem, theta: Array) -> Array:
@@ -114,11 +118,11 @@ def _period_by_period(problem: Problem, theta: Array) -> Array:
 
 
 def _first_periods(data: CaseData, count: float) -> Record:
-    record, swing = data.record, data.oscillation
-    if swing is None or swing.periods <= count:
+    record, oscillation = data.record, data.oscillation
+    if oscillation is None or oscillation.periods <= count:
         return record
     runs = record.casing
-    size = max(_FEWEST_SAMPLES, int(np.searchsorted(runs.time, runs.time[0] + count * swing.period)))
+    size = max(_FEWEST_SAMPLES, int(np.searchsorted(runs.time, runs.time[0] + count * oscillation.period)))
     casing = Samples(runs.time[:size], runs.value[:size], runs.sigma[:size])
     return replace(record, casing=casing, digest="")
 

@@ -99,9 +99,9 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
     t = time - 0.5 * (time[0] + time[-1])
     turns = float(np.ptp(angle)) / TURN
     omega, mean, alpha = _rotation(t, angle, sigma)
-    swing = _oscillation(t, angle, sigma)
-    if swing is not None:
-        period, amplitude, decay, ends, rest = swing
+    oscillation = _oscillation(t, angle, sigma)
+    if oscillation is not None:
+        period, amplitude, decay, ends, rest = oscillation
         if _reverses(t, angle, period.value) and rest < 0.2 * np.var(angle):
             return BodyMotion("oscillation", turns, ends, mean, alpha, period, amplitude, decay)
     change = abs(omega["last"] - omega["first"])
