@@ -586,14 +586,15 @@ def typical_values(
         **speeds,
         "delta": speeds["omega_r"] - speeds["omega_c"],
         "t": duration,
-        "temperature": 1.0,
-        "chirp": 0.0,
+        "deflection": 1.0,
         "psi_c": 1.0,
         "psi_r": 1.0,
         "psi": 1.0,
         "omega": speeds["omega_c"],
         "tau": _BUDGET,
     }
+    if effect.state is not None:
+        at[effect.state.symbol] = 1.0
     if effect.joint == "inertia":
         values[amplitude] = share
         return {f"{effect.name}.{k}": v for k, v in values.items()}

@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 
 # intervals per turn that a law following the casing's angle needs at least
 _PER_TURN = 0.5
+# numbers of intervals to begin with, tried in turn
+_INTERVALS = (12, 200, 4000)
 _NOISE_STEP = 0.02
 
 
@@ -75,17 +77,36 @@ def simulate_path(
     """
     angles = bool(model.angle_dependent)
     dynamics = Dynamics(model, angles=angles)
-    first = np.array(
-        [experiment.omega_rotor, experiment.omega_casing, *dynamics.start, *((0.0, 0.0) if angles else ())]
-    )
     smooth = Dynamics(model.smooth)
-    path = solve(smooth, numbers, first[: len(smooth.states)], Mesh.uniform(0.0, experiment.duration, 12))
+    # a casing with a restoring torque starts at its equilibrium
+    deflection = (0.0,) * (dynamics.free_starts - 2)
+    first = np.array(
+        [
+            experiment.omega_rotor,
+            experiment.omega_casing,
+            *deflection,
+            *dynamics.start,
+            *((0.0, 0.0) if angles else ()),
+        ]
+    )
+    path = _smooth_path(smooth, numbers, first[: len(smooth.states)], experiment.duration)
     if angles:
         turns = float(np.ptp(path.angle("omega_c")[0])) / (2 * np.pi)
         path = solve(
             dynamics, numbers, first, Mesh.uniform(0.0, experiment.duration, int(20 + turns / _PER_TURN))
         )
     return dynamics, path
+
+
+def _smooth_path(dynamics: Dynamics, numbers: Mapping[str, float], first: Array, duration: float) -> Path:
+    # a state that relaxes fast at the beginning, such as a contact that yields, needs a fine mesh to begin with
+    *coarse, finest = (Mesh.uniform(0.0, duration, n) for n in _INTERVALS)
+    for mesh in coarse:
+        try:
+            return solve(dynamics, numbers, first, mesh)
+        except SimulationError:
+            continue
+    return solve(dynamics, numbers, first, finest)
 
 
 def simulate(

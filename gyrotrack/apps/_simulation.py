@@ -285,6 +285,7 @@ OUTSIDE = (
     "rotor: -k*omega_r**3",
 )
 _FROM_OUTSIDE = 0.2
+_NOT_DRAWN = {"external.constant", "bearing.power", "casing.friction.presliding"}
 
 
 @dataclass(frozen=True)
@@ -321,13 +322,20 @@ class Score:
 
 
 def draw_effect(present: Sequence[str], random: Any) -> Effect:
-    """Draw an effect from the library (without those present) or, with probability 0.2, from outside."""
+    """Draw an effect from the library (without those present) or, with probability 0.2, from outside.
+
+    Effects that a casing which keeps its sense of rotation cannot show are not drawn: restoring torques, and those
+    that are dry friction while nothing reverses.
+    """
     if random.random() < _FROM_OUTSIDE:
         return resolve(OUTSIDE[int(random.integers(len(OUTSIDE)))])
     names = [
         n
         for n, e in LIBRARY.items()
-        if e.kind == "physical" and n not in present and n not in {"external.constant", "bearing.power"}
+        if e.kind == "physical"
+        and not e.restoring
+        and n not in present
+        and n not in _NOT_DRAWN
     ]
     return LIBRARY[names[int(random.integers(len(names)))]]
 
