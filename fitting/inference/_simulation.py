@@ -23,8 +23,8 @@ Array = NDArray[np.float64]
 
 # intervals per turn that a law following the casing's angle needs at least
 _PER_TURN = 0.5
-# numbers of intervals to begin with, tried in turn
-_INTERVALS = (12, 200, 4000)
+# a mesh for a boundary layer at the start: its first interval over the duration, and its number of intervals
+_FIRST_INTERVAL, _GRADED = 1e-6, 60
 _NOISE_STEP = 0.02
 
 
@@ -99,14 +99,12 @@ def simulate_path(
 
 
 def _smooth_path(dynamics: Dynamics, numbers: Mapping[str, float], first: Array, duration: float) -> Path:
-    # a state that relaxes fast at the beginning, such as a contact that yields, needs a fine mesh to begin with
-    *coarse, finest = (Mesh.uniform(0.0, duration, n) for n in _INTERVALS)
-    for mesh in coarse:
-        try:
-            return solve(dynamics, numbers, first, mesh)
-        except SimulationError:
-            continue
-    return solve(dynamics, numbers, first, finest)
+    try:
+        return solve(dynamics, numbers, first, Mesh.uniform(0.0, duration, 12))
+    except SimulationError:
+        # a state that relaxes fast at the beginning, such as a contact that yields, has a boundary layer there
+        graded = duration * np.geomspace(_FIRST_INTERVAL, 1.0, _GRADED)
+        return solve(dynamics, numbers, first, Mesh(np.concatenate([[0.0], graded])))
 
 
 def simulate(
