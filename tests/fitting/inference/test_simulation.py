@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
 from fitting.effects._library import LIBRARY, REDUCED, typical_of_model
 from fitting.inference._simulation import Experiment, simulate_path
 
