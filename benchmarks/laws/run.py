@@ -21,18 +21,17 @@ for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
 
 import numpy as np
+from oracle import oracle
 from worlds import LAWS, World, world
 
 from fitting._workers import WorkerPool
 from fitting.discovery._criteria import DEFAULT
-from fitting.discovery._laws import Laws, _Search, _Steps, _with_class, laws
-from fitting.discovery._score import CaseColumns
+from fitting.discovery._laws import Law, Laws, _Search, _Steps, laws, with_classes
 from fitting.dynamics._mesh import Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
 from fitting.effects._library import REDUCED
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
-from fitting.inference._noise import TorqueNoise
 from fitting.inference._record import make_record
 from fitting.inference._result import Fit
 
@@ -51,15 +50,16 @@ def hidden(index: int, noise: float, seed: int, *, diagnosed: bool) -> dict[str,
         found = laws(base)
     else:
         set_ = _Search(base, DEFAULT, WorkerPool(0), _Steps(None)).best_set()
-        answer = [x for x in set_ if x.penalised - set_[0].penalised < DEFAULT.equivalence_width]
         found = Laws(
-            base, "law" if set_ else "none", "", tuple(_with_class(x, answer) for x in set_), None, (), "", 0
+            base, "law" if set_ else "none", "", with_classes(set_, DEFAULT) if set_ else (), None, (), "", 0
         )
     line: dict[str, Any] = {
         "key": f"hidden|{index}|{noise:g}|{seed}", "name": w.name, "noise": noise, "verdict": found.verdict,
         "library": found.library.effect.name if found.library else None,
         "set": [x.formula for x in found.answer], "all": [x.formula for x in found.laws],
         "form": any(_is_true(w, x) for x in found.answer[:5]), "set_size": len(found.answer),
+        "form_of_torques": any(_is_true(w, x) for group in found.torques[:5] for x in group),
+        "torques": len(found.torques),
         "first": bool(found.laws) and _is_true(w, found.laws[0]),
         "diagnosed": diagnosed, "p": found.laws[0].p_value if found.laws else None,
         "seconds": time.process_time() - began,
@@ -67,43 +67,15 @@ def hidden(index: int, noise: float, seed: int, *, diagnosed: bool) -> dict[str,
     best = found.laws[0].fit if found.laws else (found.library.fit if found.library is not None else None)
     if best is None:
         best = base
-    line |= {"oracle": oracle(w, base, noise)}
     line |= {"torque_error": torque_error(w, best), "third": third(best, data[2])}
+    limit = oracle(w, base, noise)
+    line |= {"oracle": limit.size, "oracle_set": limit.set_size, "oracle_rank": limit.rank}
+    if limit.fit is not None:
+        line |= {"oracle_torque_error": torque_error(w, limit.fit), "oracle_third": third(limit.fit, data[2])}
     return line
 
 
-def oracle(w: World, base: Fit, noise: float) -> float:
-    """Return by how many sigma the hidden law stands out for one who knows it, its constants and the noise."""
-    rows, whiteners = [], []
-    (law,) = w.hidden.casing + w.hidden.bearing + w.hidden.rotor
-    for i, data in enumerate(base.problem.data):
-        response, path = CaseColumns(base, i).response, base.predictions[i].path
-        t = response.centres
-        y = Sampler(path.mesh, t).value(path.y)
-        torque = np.array([law(float(s), float(v[0]), float(v[1]), 0.0) for s, v in zip(t, y, strict=True)])
-        acting = {"casing": response.casing, "rotor": response.rotor}.get(
-            w.body, response.casing - response.rotor
-        )
-        seen = acting @ torque
-        rows.append(np.concatenate([seen, np.zeros(len(data.z) - len(seen))]))
-        whiteners.append(response.whitener(TorqueNoise(noise, 1.0)))
-    ends = np.cumsum([0, *(len(d.z) for d in base.problem.data)])
-    nuisance = np.zeros((ends[-1], sum(d.nuisance.shape[1] for d in base.problem.data)))
-    place = 0
-    for d, a in zip(base.problem.data, ends, strict=False):
-        nuisance[a : a + len(d.z), place : place + d.nuisance.shape[1]] = d.nuisance
-        place += d.nuisance.shape[1]
-    free = np.concatenate([np.concatenate([p.jacobian for p in base.predictions]), nuisance], axis=1)
-    both = np.concatenate(
-        [free / np.maximum(np.linalg.norm(free, axis=0), 1e-300), np.concatenate(rows)[:, None]], axis=1
-    )
-    white = np.concatenate([f(both[a:b]) for f, a, b in zip(whiteners, ends, ends[1:], strict=False)])
-    u, s, _ = np.linalg.svd(white[:, :-1], full_matrices=False)
-    u = u[:, s > 1e-9 * s[0]]
-    return float(np.linalg.norm(white[:, -1] - u @ (u.T @ white[:, -1])))
-
-
-def _is_true(w: World, law: Any) -> bool:
+def _is_true(w: World, law: Law) -> bool:
     terms = law.form.split(" + ")
     variables = law.fit.model.names[-len(terms) :]
     own = [
@@ -149,15 +121,15 @@ def third(found: Fit, data: CaseData) -> float:
     return float(_prediction_error(alone.cases[0].casing))
 
 
-def empty(seed: int) -> dict[str, Any]:
+def empty(seed: int, noise: float) -> dict[str, Any]:
     """Search where nothing is hidden; the diagnosis, which could only stop the search, is left out."""
     w = world(None, seed)
-    data = [CaseData.of(make_record(**r)) for r in w.records(0.0 if seed % 2 else 1e-7, seed)[:2]]
+    data = [CaseData.of(make_record(**r)) for r in w.records(noise, seed, count=2)]
     base = fit(Model.of(REDUCED), data)
     search = _Search(base, DEFAULT, WorkerPool(0), _Steps(None))
     found = search.best_set()
     return {
-        "key": f"empty|{seed}", "noise": 0.0 if seed % 2 else 1e-7, "claimed": [x.formula for x in found[:3]],
+        "key": f"empty|{seed}|{noise:g}", "noise": noise, "claimed": [x.formula for x in found[:3]],
         "p": found[0].p_value if found else None, "delta_bic": found[0].delta_bic if found else None,
         "base": base.verdict,
     }  # fmt: skip
@@ -182,6 +154,7 @@ def main() -> None:
     parser.add_argument("--only", type=int, nargs="+", default=list(range(len(LAWS))))
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=60)
+    parser.add_argument("--first", type=int, default=0, help="seed of the first of the empty recordings")
     parser.add_argument("--diagnosed", action="store_true", help="the whole command, the diagnosis included")
     parser.add_argument("--again", action="store_true", help="run what is in the results already")
     options = parser.parse_args()
@@ -199,9 +172,10 @@ def main() -> None:
     elif options.what == "table":
         TABLE.write_text(table(), encoding="utf-8")
     else:
-        for seed in range(options.count):
-            if f"empty|{seed}" not in done:
-                _kept(f"empty|{seed}", lambda seed=seed: empty(seed))
+        for seed in range(options.first, options.first + options.count):
+            key = f"empty|{seed}|{options.noise:g}"
+            if key not in done:
+                _kept(key, lambda seed=seed: empty(seed, options.noise))
 
 
 _HEAD = """# Laws outside the library

@@ -52,8 +52,8 @@ class World:
     runs: tuple[dict[str, Any], ...]
     hidden: Hidden
 
-    def records(self, noise: float, seed: int) -> list[dict[str, Any]]:
-        """Return what `make_record` takes, one for each run."""
+    def records(self, noise: float, seed: int, count: int = 3) -> list[dict[str, Any]]:
+        """Return what `make_record` takes, one for each of the first runs."""
         return [
             film(
                 run,
@@ -62,7 +62,7 @@ class World:
                 rng=np.random.default_rng([seed, i]),
                 label=f"case{i + 1}",
             )
-            for i, run in enumerate(self.runs)
+            for i, run in enumerate(self.runs[:count])
         ]
 
     def motion(self, index: int) -> Motion:

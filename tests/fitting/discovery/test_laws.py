@@ -10,14 +10,17 @@ import twobody
 from cases import case, fitted
 
 from fitting._errors import EffectError
+from fitting.discovery import _laws
+from fitting.discovery._criteria import DEFAULT
 from fitting.discovery._dependence import context_without, dependence
 from fitting.discovery._lack_of_fit import UNKNOWN_LAW
-from fitting.discovery._laws import laws, library_answer, ranges_of
+from fitting.discovery._laws import Law, Laws, laws, library_answer, ranges_of, with_classes
 from fitting.discovery._score import CaseColumns, ScoreContext
 from fitting.dynamics._model import Model
 from fitting.effects._library import REDUCED
 from fitting.effects._user import read_effects, resolve
 from fitting.inference._fit import fit
+from fitting.inference._noise import WHITE
 from fitting.inference._record import make_record
 from fitting.study._law_documents import check_name, laws_document, save_law
 
@@ -45,6 +48,46 @@ def test_the_library_is_the_answer_only_if_no_unknown_law_explains_the_data_as_w
     candidate = SimpleNamespace(indistinguishable_from=others)
     known = SimpleNamespace(verdict="missing_effect", form=form, candidates=(candidate,))
     assert (library_answer(known) is candidate) is stops
+
+
+def predicting(*rows, bic=0.0):
+    """Return what the grouping of laws knows of a fit: predicted rows in units of white noise, and one nuisance."""
+    nuisance = np.eye(4)[:, :1]
+    return SimpleNamespace(
+        problem=SimpleNamespace(data=[SimpleNamespace(nuisance=nuisance) for _ in rows]),
+        noise=[SimpleNamespace(whitener=WHITE) for _ in rows],
+        predictions=[SimpleNamespace(rows=np.array(r)) for r in rows],
+        bic=bic,
+    )
+
+
+def test_the_separation_of_two_fits_is_their_distance_in_sigma_squared_without_nuisance_parameters():
+    one = predicting([0.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 2.0])
+    other = predicting([500.0, 3.0, 0.0, 0.0], [0.0, 0.0, 4.0, 2.0])
+    assert _laws._separation(one, one) == 0
+    assert _laws._separation(one, other) == pytest.approx(3.0**2 + 4.0**2)
+
+
+def test_formulas_with_the_same_torque_along_the_motion_are_grouped(monkeypatch):
+    monkeypatch.setattr(_laws, "_difference", lambda one, other: None)
+
+    def law(formula, row, bic):
+        fit_ = predicting([0.0, row, 0.0, 0.0], bic=bic)
+        return Law(formula, "", (), 0.0, 0.0, 0.0, 0.0, 0.0, {}, (), (), (), fit_)
+
+    # the equivalence width is 10: the last one is outside; two deviances of less than 2 make the same torque
+    found = [
+        law("a", 0.0, 0.0),
+        law("b", 5.0, 1.0),
+        law("c", 1.3, 2.0),
+        law("d", 1.5, 3.0),
+        law("e", 0.0, 11.0),
+    ]
+    answer = Laws(None, "law", "", with_classes(found, DEFAULT), None, (), "", 0)
+    assert [x.formula for x in answer.answer] == ["a", "b", "c", "d"]
+    assert [[x.formula for x in group] for group in answer.torques] == [["a", "c"], ["b"], ["d"]]
+    assert answer.laws[2].same_torque_as == ("a",)
+    assert answer.laws[4].indistinguishable_from == ()
 
 
 @pytest.mark.slow
