@@ -1,7 +1,8 @@
 """How well `laws` finds laws outside the library, on recordings made elsewhere.
 
     python benchmarks/laws/run.py hidden [--noise 1e-7] [--only NUMBER ...] [--seed N]
-    python benchmarks/laws/run.py empty --count 60
+    python benchmarks/laws/run.py empty --count 60 [--noise 1e-7]
+    python benchmarks/laws/run.py library [--noise 1e-7] [--seed N]     # short recordings, effects of the library
     python benchmarks/laws/run.py table
 
 Each run appends a line of JSON to results.jsonl; `table` writes RESULTS.md.
@@ -22,11 +23,12 @@ for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
 
 import numpy as np
 from oracle import oracle
-from worlds import LAWS, World, world
+from worlds import EFFECTS, LAWS, World, of_library, world
 
 from fitting._workers import WorkerPool
 from fitting.discovery._criteria import DEFAULT
 from fitting.discovery._laws import Law, Laws, _Search, _Steps, laws, with_classes
+from fitting.discovery._verdict import diagnose
 from fitting.dynamics._mesh import Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
 from fitting.effects._library import REDUCED
@@ -135,6 +137,27 @@ def empty(seed: int, noise: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def library(name: str, noise: float, seed: int) -> dict[str, Any]:
+    """Hide an effect of the library, ask for laws: it must stay the answer wherever the diagnosis names it."""
+    began = time.process_time()
+    base = fit(
+        Model.of([n for n in REDUCED if n != name]),
+        [make_record(**r) for r in of_library(name, noise, seed)],
+    )
+    known = diagnose(base)
+    best = known.candidates[0] if known.verdict == "missing_effect" and known.candidates else None
+    found = laws(base, diagnosis=known)
+    answer = found.library
+    return {
+        "key": f"library|{name}|{noise:g}|{seed}", "hidden": name, "noise": noise, "diagnosis": known.verdict,
+        "form": known.form,
+        "diagnosed": [] if best is None else [best.effect.name, *best.indistinguishable_from],
+        "verdict": found.verdict,
+        "named": [] if answer is None else [answer.effect.name, *answer.indistinguishable_from],
+        "laws": [x.formula for x in found.answer[:5]], "seconds": time.process_time() - began,
+    }  # fmt: skip
+
+
 def append(line: dict[str, Any]) -> None:
     with RESULTS.open("a", encoding="utf-8") as stream:
         stream.write(json.dumps(line) + "\n")
@@ -149,9 +172,9 @@ def lines() -> dict[str, dict[str, Any]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("what", choices=["hidden", "empty", "table"])
+    parser.add_argument("what", choices=["hidden", "empty", "library", "table"])
     parser.add_argument("--noise", type=float, default=0.0)
-    parser.add_argument("--only", type=int, nargs="+", default=list(range(len(LAWS))))
+    parser.add_argument("--only", type=int, nargs="+", help="numbers of laws, or of effects of the library")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=60)
     parser.add_argument("--first", type=int, default=0, help="seed of the first of the empty recordings")
@@ -160,7 +183,7 @@ def main() -> None:
     options = parser.parse_args()
     done = {} if options.again else lines()
     if options.what == "hidden":
-        for index in options.only:
+        for index in options.only or range(len(LAWS)):
             key = f"hidden|{index}|{options.noise:g}|{options.seed}"
             if key not in done:
                 _kept(
@@ -169,6 +192,11 @@ def main() -> None:
                         index, options.noise, options.seed, diagnosed=options.diagnosed
                     ),
                 )
+    elif options.what == "library":
+        for name in [EFFECTS[i] for i in options.only or range(len(EFFECTS))]:
+            key = f"library|{name}|{options.noise:g}|{options.seed}"
+            if key not in done:
+                _kept(key, lambda name=name: library(name, options.noise, options.seed))
     elif options.what == "table":
         TABLE.write_text(table(), encoding="utf-8")
     else:

@@ -249,9 +249,13 @@ class CaseColumns:
         for share, response in zip(acting, (self.response.rotor, self.response.casing), strict=True):
             if share:
                 rows += share * (response @ unit)
-        rows = np.concatenate([rows, np.zeros((len(self.case.data.z) - len(rows), rows.shape[1]))])
+        rows = self.padded(rows)
         width = unit.shape[1] // len(choices)
         return [Trial(c, rows[:, i * width : (i + 1) * width]) for i, c in enumerate(choices)]
+
+    def padded(self, smooth: Array) -> Array:
+        """Return smooth rows with zeros for the rows that respond to no slow torque."""
+        return np.concatenate([smooth, np.zeros((len(self.case.data.z) - len(smooth), smooth.shape[1]))])
 
     def _grid(self, effect: Effect, p: Parameter) -> Array:
         first, last = self.case.data.record.span

@@ -10,7 +10,7 @@ import twobody
 from cases import case, fitted
 
 from fitting._errors import EffectError
-from fitting.discovery import _laws
+from fitting.discovery import _dependence, _laws
 from fitting.discovery._criteria import DEFAULT
 from fitting.discovery._dependence import context_without, dependence
 from fitting.discovery._lack_of_fit import UNKNOWN_LAW
@@ -119,6 +119,53 @@ def test_the_torque_depends_on_the_speed_of_the_casing():
     assert np.all(np.abs(own.torque - true) < 4 * own.sigma + 0.03 * np.abs(true).max())
     assert np.median(own.sigma) < 0.2 * np.abs(true).max()
     assert all(d.explained < own.explained + 1e-3 for d in found.depends_on)
+
+
+@pytest.mark.slow
+def test_the_curve_follows_a_narrow_resonance():
+    """A peak of a twentieth of the range of speeds, in process noise: the band covers it and is not too wide."""
+
+    def peak(speed):
+        return -4e-6 / (1 + ((speed - 90.0) / 6.0) ** 2)
+
+    hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: peak(wc))
+    data = case({}, 3, "a", hidden=hidden, ou=3e-8)
+    law = resolve("casing: -k/(1 + ((omega_c - w)/u)**2)")
+    start = {f"{law.name}.k": 4e-6, f"{law.name}.w": 90.0, f"{law.name}.u": 6.0}
+    about = fit(Model.of(REDUCED).with_effect(law), [data], start=start)
+    (own,) = (
+        d for d in dependence(about, without=[law.name]) if (d.variable, d.body) == ("omega_c", "casing")
+    )
+    error = own.torque - own.comparable(peak(own.value))
+    top = np.abs(own.torque).max()
+    assert top > 2.5e-6
+    assert abs(own.value[np.argmin(own.torque)] - 90.0) < 3.0
+    assert np.sqrt(np.mean((error / own.sigma) ** 2)) < 2.0
+    assert np.abs(error).max() < 0.15 * top
+
+
+def test_the_prior_of_the_curve_is_a_covariance_whose_length_is_that_of_the_axis():
+    axis = _dependence._Axis(np.array([0.0, 50.0]), 36)
+    values = axis(np.linspace(0, 50, 9))
+    assert values.shape == (9, 36)
+    assert values.sum(axis=1) == pytest.approx(1.0)
+    for prior in axis.priors():
+        assert np.diag(prior) == pytest.approx(1.0)
+        assert np.linalg.eigvalsh(prior)[0] > -1e-9
+    # Matern 3/2 between two neighbours in the middle, 50/33 apart
+    q = math.sqrt(3) / 33 / _dependence._LENGTHS[0]
+    assert axis.priors()[0][17, 18] == pytest.approx((1 + q) * math.exp(-q))
+
+
+def test_the_angle_of_a_fast_rotor_is_not_tested():
+    """At 900 rad/s it turns by 3.5 rad between two frames of 260 Hz."""
+    assert _dependence._orders(fitted(), "psi_c") == (1, 2, 3, 4)
+    assert _dependence._orders(fitted(), "psi_r") == ()
+    slow = SimpleNamespace(
+        problem=fitted().problem,
+        predictions=[SimpleNamespace(path=SimpleNamespace(y=0.2 * p.path.y)) for p in fitted().predictions],
+    )
+    assert _dependence._orders(slow, "psi_r") == (1, 2)
 
 
 @pytest.mark.slow
