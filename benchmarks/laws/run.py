@@ -3,9 +3,8 @@
     python benchmarks/laws/run.py hidden [--noise 1e-7] [--only NUMBER ...] [--seed N]
     python benchmarks/laws/run.py empty --count 60 [--noise 1e-7]
     python benchmarks/laws/run.py library [--noise 1e-7] [--seed N]     # short recordings, effects of the library
-    python benchmarks/laws/run.py table
 
-Each run appends a line of JSON to results.jsonl; `table` writes RESULTS.md.
+Each run appends a line of JSON to results.jsonl; `table.py` writes RESULTS.md and success.png.
 """
 
 from __future__ import annotations
@@ -38,7 +37,6 @@ from fitting.inference._record import make_record
 from fitting.inference._result import Fit
 
 RESULTS = Path(__file__).parent / "results.jsonl"
-TABLE = Path(__file__).parent / "RESULTS.md"
 _POINTS = 1500
 
 
@@ -172,7 +170,7 @@ def lines() -> dict[str, dict[str, Any]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("what", choices=["hidden", "empty", "library", "table"])
+    parser.add_argument("what", choices=["hidden", "empty", "library"])
     parser.add_argument("--noise", type=float, default=0.0)
     parser.add_argument("--only", type=int, nargs="+", help="numbers of laws, or of effects of the library")
     parser.add_argument("--seed", type=int, default=1)
@@ -197,81 +195,11 @@ def main() -> None:
             key = f"library|{name}|{options.noise:g}|{options.seed}"
             if key not in done:
                 _kept(key, lambda name=name: library(name, options.noise, options.seed))
-    elif options.what == "table":
-        TABLE.write_text(table(), encoding="utf-8")
     else:
         for seed in range(options.first, options.first + options.count):
             key = f"empty|{seed}|{options.noise:g}"
             if key not in done:
                 _kept(key, lambda seed=seed: empty(seed, options.noise))
-
-
-_HEAD = """# Laws outside the library
-
-Made by `python benchmarks/laws/run.py table` from results.jsonl. Gyroscopes, laws, constants and cameras are drawn by
-lot and integrated in plain Python (benchmarks/discovery); two recordings are searched, a third one at 60-80 % of the
-speed is predicted. The largest torque of a law is 1-5 % of the bearing's.
-
-Torque error: rms of the net torques of the best law's fit minus the true ones, both bodies, along the true motion, over
-the rms of the hidden torque. Third recording: rms error of the casing's angle over the noise; touch point, drag of the
-casing and start speeds free. Oracle: size of the law in sigma for one who knows it, its constants and the noise.
-
-The diagnosis that precedes the search in the command is left out here: these are figures of the search alone. Most
-forms of the hidden laws are in the grammar; their constants, bodies and mixtures with the base are drawn.
-"""
-
-
-def table() -> str:
-    """Return the results as Markdown."""
-    every = [x for x in lines().values() if "error" not in x]
-    text = [_HEAD]
-    for noise in sorted({x["noise"] for x in every if x["key"].startswith("hidden")}):
-        own = [x for x in every if x["key"].startswith("hidden") and x["noise"] == noise]
-        text += [f"## Hidden laws, process noise {noise:g} N m", ""]
-        text += [
-            "| hidden | true form in first five | size of set | torque error | third | oracle | first of the set |"
-        ]
-        text += ["|---|---|---|---|---|---|---|"]
-        first = {x["key"]: f"`{x['set'][0]}`" if x["set"] else "none" for x in own}
-        text += [
-            f"| {x['name']} | {'yes' if x['form'] else 'no'} | {x['set_size']} | {100 * x['torque_error']:.2g} % | "
-            f"{x['third']:.3g} | {'-' if x.get('oracle') is None else round(x['oracle'])} | {first[x['key']]} |"
-            for x in own
-        ]
-        counts = [sum(x["form"] for x in own), sum(x["torque_error"] < 0.03 for x in own)]
-        counts += [sum(x["third"] < 1.5 for x in own)]
-        shares = ", ".join(f"{c} of {len(own)}" for c in counts)
-        text += ["", f"True form in the set, torque within 3 %, third recording below 1.5: {shares}.", ""]
-    empty = [x for x in every if x["key"].startswith("empty")]
-    text += [
-        f"## Nothing hidden\n\nA law was claimed in {sum(bool(x['claimed']) for x in empty)} of {len(empty)}."
-    ]
-    text += _rivals()
-    failed = [x for x in lines().values() if "error" in x]
-    return "\n".join([*text, *(f"\n{x['key']}: {x['error']}" for x in failed), ""])
-
-
-def _rivals() -> list[str]:
-    """Return what other methods answer on the same recordings, as far as they were run."""
-    file = Path(__file__).parent / "rivals.jsonl"
-    if not file.is_file():
-        return []
-    every = [json.loads(x) for x in file.read_text(encoding="utf-8").splitlines()]
-    hidden_, empty_ = [x for x in every if x["name"]], [x for x in every if not x["name"]]
-    rows = [
-        "",
-        "## Other methods",
-        "",
-        "| method | right | claims where nothing is hidden |",
-        "|---|---|---|",
-    ]
-    for method in dict.fromkeys(
-        k for x in every for k, v in x.items() if isinstance(v, dict) and "claims" in v
-    ):
-        right = sum(x[method]["right"] for x in hidden_)
-        claims = sum(x[method]["claims"] > 0 for x in empty_)
-        rows.append(f"| {method} | {right} of {len(hidden_)} | {claims} of {len(empty_)} |")
-    return rows
 
 
 def _kept(key: str, work: Any) -> None:
