@@ -46,6 +46,7 @@ from fitting.inference._lack_of_fit import block_diagonal, orthonormal
 from fitting.inference._noise import Noise, TorqueResponse, tail_probability
 from fitting.inference._problem import Projection, r_factor
 from fitting.inference._result import Fit
+from fitting.inference._spectral_lines import false_alarm_probability
 
 Array = NDArray[np.float64]
 
@@ -281,23 +282,6 @@ def _peaks(fit: Fit) -> Iterator[PeriodogramPeak | None]:
         chance = len(cases) * float(np.dot(chances, noise.process.weights))
         p_value = min(chance, 1.0) if shown else 1.0
         yield PeriodogramPeak(rate, k, angle, data.record.label, data.record.body, p_value)
-
-
-def false_alarm_probability(chi2: float, band: float, span: float) -> float:
-    """Return the probability that noise reaches a chi-square of two degrees of freedom anywhere in a band.
-
-    Parameters
-    ----------
-    chi2 : float
-        The largest one.
-    band : float
-        Width of the band [Hz].
-    span : float
-        Length of the record [s], evenly covered.
-    """
-    z = 0.5 * chi2
-    independent = band * span * math.sqrt(4 * math.pi / 12)
-    return min(1.0, math.exp(-z) * (1 + independent * math.sqrt(z)))
 
 
 class _Periodogram:
