@@ -44,7 +44,7 @@ from fitting.inference._recording_noise import (
     estimate_process_noise,
     estimate_window_noise,
 )
-from fitting.inference._spectral_lines import line_rows, spectral_lines
+from fitting.inference._spectral_lines import SpectralLine, line_rows, spectral_lines
 from fitting.inference._velocity import WIDTH, initial_speeds, speeds
 
 
@@ -247,14 +247,21 @@ class CaseData:
         return estimate_process_noise(self.casing, free, self.angle_noise, angle=self.is_angle)
 
     @cached_property
-    def spectral_lines(self) -> tuple[float, ...]:
-        """Angular frequencies of sinusoidal torques that are no noise [rad/s]; none is sought in an oscillation."""
-        return () if self.oscillation is not None else spectral_lines(self.casing, self._camera_rows)
+    def spectral_lines(self) -> tuple[SpectralLine, ...]:
+        """Sinusoidal torques that are no noise; none is sought in an oscillation.
+
+        A camera errs at frequencies of its own, by less than the noise of one angle: on film, such lines are noise.
+        """
+        if self.oscillation is not None:
+            return ()
+        least = float(np.median(self.record.casing.sigma)) if self.record.tracked else 0.0
+        found = spectral_lines(self.casing, self._camera_rows)
+        return tuple(line for line in found if line.amplitude > least)
 
     @cached_property
     def _nuisance_rows(self) -> Array:
         """Polynomial rows of what is no noise: the camera's nuisance functions and spectral lines."""
-        return np.concatenate([self._camera_rows, line_rows(self.casing, self.spectral_lines)], axis=1)
+        return np.concatenate([self._camera_rows, line_rows(self.casing, [line.rate for line in self.spectral_lines])], axis=1)
 
     @cached_property
     def _camera_rows(self) -> Array:

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,8 +64,15 @@ def false_alarm_probability(chi2: float, band: float, span: float) -> float:
     return min(1.0, math.exp(-z) * (1 + independent * math.sqrt(z)))
 
 
-def spectral_lines(run: Compressed, nuisance: Array) -> tuple[float, ...]:
-    """Return the angular frequencies of the lines of a run [rad/s], the strongest first.
+class SpectralLine(NamedTuple):
+    """Angular frequency [rad/s] and amplitude of a line, in units of the samples (rad, or rad/s)."""
+
+    rate: float
+    amplitude: float
+
+
+def spectral_lines(run: Compressed, nuisance: Array) -> tuple[SpectralLine, ...]:
+    """Return the lines of a run, the strongest first.
 
     Parameters
     ----------
@@ -73,13 +81,13 @@ def spectral_lines(run: Compressed, nuisance: Array) -> tuple[float, ...]:
     nuisance : ndarray, shape (rows, columns)
         Polynomial rows of the functions that are free in every fit.
     """
-    found: list[float] = []
+    found: list[SpectralLine] = []
     while len(found) < _MOST:
-        free = np.concatenate([nuisance, line_rows(run, found)], axis=1)
-        rate = _strongest(run, stretches_of(run, free))
-        if rate is None:
+        free = np.concatenate([nuisance, line_rows(run, [line.rate for line in found])], axis=1)
+        line = _strongest(run, stretches_of(run, free))
+        if line is None:
             break
-        found.append(rate)
+        found.append(line)
     return tuple(found)
 
 
@@ -95,8 +103,8 @@ def line_rows(run: Compressed, rates: Sequence[float] | Array) -> Array:
     return np.concatenate(parts)
 
 
-def _strongest(run: Compressed, stretches: Sequence[Stretch]) -> float | None:
-    """Return the angular frequency of the most significant line [rad/s]; None if there is none."""
+def _strongest(run: Compressed, stretches: Sequence[Stretch]) -> SpectralLine | None:
+    """Return the most significant line; None if there is none."""
     span = float(np.ptp(run.samples.time))
     lowest, highest = 2 * np.pi * _FEWEST_PERIODS / span, _FASTEST * len(run.z) / span
     step = 2 * np.pi / span / _PER_PEAK
@@ -139,4 +147,9 @@ def _strongest(run: Compressed, stretches: Sequence[Stretch]) -> float | None:
     least = gain(fine)
     top = int(np.argmax(least))
     p_value = false_alarm_probability(float(least[top]), (highest - lowest) / (2 * np.pi), span)
-    return float(fine[top]) if p_value < _SIGNIFICANT else None
+    if p_value >= _SIGNIFICANT:
+        return None
+    rows = line_rows(run, fine[[top]])
+    white = np.concatenate([n[0][0] @ s.beyond(rows[s.rows]) for s, n in zip(stretches, noises, strict=True)])
+    seen = np.concatenate([n[0][0] @ s.seen for s, n in zip(stretches, noises, strict=True)])
+    return SpectralLine(float(fine[top]), float(np.hypot(*np.linalg.lstsq(white, seen, rcond=None)[0])))

@@ -33,9 +33,9 @@ def shaken():
     return found(SHAKEN, 3)
 
 
-def test_a_swing_that_passes_for_a_random_torque_is_found(shaken):
-    assert shaken.verdict == "adequate"  # by a random torque several times as strong as the true one
-    assert shaken.noise[0].pure > 3 * NOISE
+def test_a_sinusoidal_torque_is_found_and_is_no_process_noise(shaken):
+    assert shaken.verdict == "misfit"
+    assert shaken.noise[0].pure == pytest.approx(NOISE, rel=0.5)
     line = periodogram_peak(shaken)
     assert line.p_value < 1e-6
     span = shaken.problem.data[0].record.span
