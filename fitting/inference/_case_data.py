@@ -261,7 +261,9 @@ class CaseData:
     @cached_property
     def _nuisance_rows(self) -> Array:
         """Polynomial rows of what is no noise: the camera's nuisance functions and spectral lines."""
-        return np.concatenate([self._camera_rows, line_rows(self.casing, [line.rate for line in self.spectral_lines])], axis=1)
+        return np.concatenate(
+            [self._camera_rows, line_rows(self.casing, [line.rate for line in self.spectral_lines])], axis=1
+        )
 
     @cached_property
     def _camera_rows(self) -> Array:

@@ -15,8 +15,8 @@ an Ornstein-Uhlenbeck process of standard deviation a and correlation time T. Pr
     C = 1 + a^2 (P R P' - f 1) + s^2 K,
 
 P the projection, f the mean of P R P' in the band in which the white noise is measured (it is not counted twice), K the
-response to a random acceleration of rms s. a maximises the likelihood beside a process noise with a level and a
-correlation time of its own; angle noise is included if twice the log-likelihood ratio exceeds 8. T is the posterior
+response to a random acceleration of rms s. a maximises the likelihood with process noise of any level and
+correlation time integrated out; angle noise is included if twice the log-likelihood ratio exceeds 8. T is the posterior
 mean of ln T, with a uniform prior: rows that are slower than T see only a^2 T, faster ones only a^2 / T, so that T is
 known much less well than the noise of either.
 
@@ -62,7 +62,7 @@ _LEVELS = np.geomspace(0.3, 300.0, 13)
 _NEAR = 0.3
 _SCREENED = (2, 5, 8)
 _TORQUES = np.concatenate([[0.0], np.geomspace(0.1, 1e5, 31)])
-_TORQUE_TIMES = (0.1, 1.0)
+_TORQUE_TIMES = (0.1, 0.3, 1.0)
 _CELLS_PER_ROW = 2.5
 
 _DEGREE = 11
@@ -129,17 +129,17 @@ def estimate_angle_noise(run: Compressed, nuisance: Array) -> AngleNoise:
     """
     stretches = stretches_of(run, nuisance)
     block = float(np.ptp(run.samples.time)) / len(run.lift)
-    torques = [[s.torque(block * t) for t in _TORQUE_TIMES] for s in stretches]
+    torque_times = [block * t for t in _TORQUE_TIMES]
     white = sum(s.likelihood(None, ())[0] for s in stretches)
-    alone = [s.likelihood(None, t) for s, t in zip(stretches, torques, strict=True)]
-    process = sum(found for found, _ in alone)
-    credible = max(level for _, level in alone) < _mean_acceleration(run)
+    process = _with_process_noise(stretches, None, torque_times)
+    largest = max(s.likelihood(None, [s.torque(t) for t in torque_times])[1] for s in stretches)
+    credible = largest < _mean_acceleration(run)
     reference = process if credible else white
 
     def gain(covariance: Array) -> float:
-        both = zip(stretches, torques, strict=True)
-        found = sum(s.likelihood(covariance, t if credible else ())[0] for s, t in both)
-        return 2 * (found - reference)
+        if credible:
+            return 2 * (_with_process_noise(stretches, covariance, torque_times) - reference)
+        return 2 * (sum(s.likelihood(covariance, ())[0] for s in stretches) - reference)
 
     times = block * np.array(_TIMES)
     covariances = [_covariance(run, t) for t in times]
@@ -269,6 +269,30 @@ def estimate_window_noise(windows: Sequence[Compressed], level: float, time: flo
         first += len(k)
     sigma_u = math.hypot(found.relative_u, spread) * sigma
     return AngleNoise(sigma, sigma_u, correlation, correlation_u, best, root, inverse)
+
+
+def _with_process_noise(stretches: Sequence[Stretch], angle: Array | None, times: Sequence[float]) -> float:
+    """Return the log-likelihood of an angle covariance, with process noise of any level and these times integrated out.
+
+    A level of its own in each stretch, at its most likely value, would stand for the slow part of angle noise.
+    """
+    description = _Description(stretches, angle)
+    resolution = 2 * times[0] * description.unit(times[0]) ** 2
+    found, total = -np.inf, -np.inf
+    for time in times:
+        levels = description.unit(time) * _PROCESS_LEVELS
+        prior = _log_prior(levels, time, resolution)
+        found = np.logaddexp(found, np.logaddexp.reduce(description.likelihood(time, levels) + prior))
+        total = np.logaddexp(total, np.logaddexp.reduce(prior))
+    return float(found - total) + description.log_determinant
+
+
+def _log_prior(levels: Array, time: float, resolution: float) -> Array:
+    """Return the logarithm of the prior density of process noise in the logarithm of its level."""
+    scale = np.sqrt(resolution / (2 * time))
+    return np.asarray(
+        np.log(levels) - np.log(scale) - 0.5 * (_FREEDOM + 1) * np.log1p((levels / scale) ** 2 / _FREEDOM)
+    )
 
 
 def _mean_acceleration(run: Compressed) -> float:
@@ -411,6 +435,11 @@ class _Description:
         self.stretches = list(stretches)
         self._roots = [s.root(angles) for s in stretches]
 
+    @property
+    def log_determinant(self) -> float:
+        """Logarithm of the determinant of what whitens the angle noise."""
+        return float(sum(np.log(np.diag(root)).sum() for root in self._roots))
+
     def unit(self, time: float) -> float:
         """Return the rms acceleration that is as large as the noise in half of the rows [rad/s2]."""
         return float(np.median([s.torque(time)[1] for s in self.stretches]))
@@ -477,10 +506,8 @@ def _posterior(description: _Description, times: Array, resolution: float) -> tu
         own = description.unit(time) * _PROCESS_LEVELS
         fine = np.geomspace(own[0], own[-1], _FINER * len(own))
         likelihood = CubicSpline(np.log(own), description.likelihood(time, own))(np.log(fine))
-        scale = np.sqrt(resolution / (2 * time))
-        prior = -0.5 * (_FREEDOM + 1) * np.log1p((fine / scale) ** 2 / _FREEDOM) - np.log(scale)
         levels.append(fine)
-        found.append(likelihood + prior + np.log(fine))
+        found.append(likelihood + _log_prior(fine, time, resolution))
     density = np.array(found)
     density = np.exp(density - density.max())
     return np.array(levels), density / density.sum()
