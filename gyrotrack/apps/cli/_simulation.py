@@ -285,8 +285,8 @@ def demo_command(
 def _study(out: Output, case: Path, output: Path, film: Path) -> dict[str, Any]:
     """Fit, diagnose, improve and report; return the documents."""
     from gyrotrack.apps.report._page import write_report
-    from gyrotrack.apps.report._story import story_picture
     from gyrotrack.io._hdf5 import read_case
+    from gyrotrack.plotting._discovery import story_picture
 
     steps_of_history, diagnosis, document = _found(out, case)
     out.show(f"\n6. The report\n\n$ gyrotrack report {case} -o {output / 'report.html'}")
