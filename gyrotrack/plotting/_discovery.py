@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._numbers import POWERS, scaled, short
+from fitting.discovery._select import equivalence_classes
 from gyrotrack._errors import OutputError
 from gyrotrack.io._atomic import new_file, refuse_existing
 from gyrotrack.plotting._case_charts import residual_chart, speed_chart
@@ -46,17 +47,6 @@ _CLASSES = (GREEN, ORANGE, PURPLE, SKY)
 # from this ratio on, the figures of merit of a history need a logarithmic axis
 _WIDE = 20.0
 _CLEARLY = 0.05
-
-
-def equivalence_classes(candidates: list[Candidate]) -> dict[str, str]:
-    """Return the letter of the equivalence class of each candidate that has indistinguishable ones."""
-    letters: dict[str, str] = {}
-    for c in candidates:
-        if c.indistinguishable_from and c.effect.name not in letters:
-            letter = chr(ord("A") + len(set(letters.values())))
-            for name in (c.effect.name, *c.indistinguishable_from):
-                letters.setdefault(name, letter)
-    return letters
 
 
 def candidates_picture(candidates: tuple[Candidate, ...], name: str = "candidates") -> Picture | None:

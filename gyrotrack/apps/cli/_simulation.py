@@ -19,6 +19,7 @@ from gyrotrack.apps.cli._options import (
     InertiaCasing,
     InertiaRotor,
     Json,
+    Label,
     LedgerFile,
     OutputFile,
     Quiet,
@@ -98,10 +99,7 @@ def simulate_command(
     hide: Annotated[
         bool, typer.Option("--hide", help="Add a random effect and store its name in a sealed file.")
     ] = False,
-    label: Annotated[
-        str | None,
-        typer.Option("--label", metavar="L", help="Name of the case; by default that of the file."),
-    ] = None,
+    label: Label = None,
     surface: Surface = "",
     inertia_rotor: InertiaRotor = None,
     inertia_casing: InertiaCasing = None,
