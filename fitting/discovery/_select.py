@@ -97,6 +97,17 @@ class Candidate:
         return self.effect.kind == "physical"
 
 
+def equivalence_classes(candidates: Sequence[Candidate]) -> dict[str, str]:
+    """Return the letter of the equivalence class of each candidate that has indistinguishable ones."""
+    letters: dict[str, str] = {}
+    for c in candidates:
+        if c.indistinguishable_from and c.effect.name not in letters:
+            letter = chr(ord("A") + len(set(letters.values())))
+            for name in (c.effect.name, *c.indistinguishable_from):
+                letters.setdefault(name, letter)
+    return letters
+
+
 def rank(
     base: Fit,
     extra: Sequence[Effect] = (),

@@ -1,13 +1,18 @@
-"""The answer of `laws`: the unmodelled torque against its variable with the laws on it, shares, ranking."""
+"""The pictures of `laws`, `plan` and `compare`.
+
+`laws`: the unmodelled torque against its variable with the laws, shares, ranking. `plan`: detection limits, upper
+limits, power curves, the proposed run. `compare`: each parameter in each run, as a difference from the mean.
+"""
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fitting._numbers import scaled
+from fitting._numbers import probability, scaled
 from gyrotrack.io._atomic import new_file
 from gyrotrack.plotting._style import (
     BLUE,
@@ -33,6 +38,10 @@ if TYPE_CHECKING:
 
     from fitting.discovery._dependence import Dependence
     from fitting.discovery._laws import Law, Laws
+    from fitting.discovery._next_run import NextRun
+    from fitting.discovery._plan import Plan
+    from fitting.discovery._power import EffectLimits
+    from fitting.study._comparison import Comparison
 
 _COLOURS = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE)
 _DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (2, 1.5)), (0, (5, 1.5, 1, 1.5)), (0, (1, 1)))
@@ -195,3 +204,179 @@ def _draw_ranking(ax: Axes, found: Laws) -> None:
     ax.invert_yaxis()
     ax.grid(visible=False, axis="y")
     ax.set_xlabel("BIC + description length above the best")
+
+
+_DPI = 150
+_CURVES = (*_COLOURS, SKY)
+
+
+def write_plan_picture(found: Plan, path: Path, *, force: bool = False) -> Path:
+    """Write the picture of a plan.
+
+    Parameters
+    ----------
+    found : Plan
+        From `fitting.plan`.
+    path : Path
+        A ``.png`` or ``.svg`` file.
+    force : bool
+        Replace an existing file.
+    """
+    stream = io.BytesIO()
+    with style():
+        figure = plan_figure(found)
+        kind = path.suffix.lower().removeprefix(".")
+        metadata = {"Date": None} if kind == "svg" else None
+        figure.savefig(stream, format=kind, dpi=_DPI, metadata=metadata)
+    with new_file(path, force=force) as file:
+        file.write(stream.getvalue())
+    return path
+
+
+def plan_figure(found: Plan) -> Figure:
+    """Return limits of the physical effects, power against torque, and the motion of the proposed run."""
+    shown = [e for e in found.effects if e.effect.mechanical and np.isfinite(e.detection_torque)]
+    figure = canvas(1.25 * WIDTH, 3.6 + 0.27 * max(len(shown), 10))
+    parts: Any = figure.subfigures(2, 1, height_ratios=(0.27 * max(len(shown), 10), 3.4))
+    top, bottom = parts
+    left, right = top.subplots(1, 2, width_ratios=(1.25, 1.0))
+    _limits(left, shown, found.size)
+    _power(right, shown, found.size)
+    if found.next_run is not None:
+        _run(bottom.subplots(), found.next_run)
+    return figure
+
+
+def _limits(ax: Axes, shown: list[EffectLimits], size: float) -> None:
+    rows = np.arange(len(shown))
+    low = np.array([e.detection_range[0] for e in shown])
+    high = np.array([e.detection_range[1] for e in shown])
+    ax.hlines(rows, low, np.where(np.isfinite(high), high, low), color=SKY, linewidth=4, alpha=0.5)
+    ax.plot([e.detection_torque for e in shown], rows, "o", color=BLUE, label="detection limit, power 90 %")
+    upper = np.array([e.upper_torque for e in shown])
+    ax.plot(upper, rows, "<", color=VERMILLION, label="upper limit, 95 %")
+    for i in rows[np.isnan(upper)]:
+        ax.annotate(
+            "found",
+            (shown[i].detection_torque, i),
+            xytext=(8, 0),
+            textcoords="offset points",
+            va="center",
+            color=GREEN,
+        )
+    ax.axvline(size, color=GREY, linestyle="--", linewidth=1, label=f"effect of {size:.1e} N m")
+    ax.set_xscale("log")
+    ax.set_yticks(rows, [plain(e.effect.name) for e in shown])
+    ax.grid(visible=False, axis="y")
+    ax.invert_yaxis()
+    ax.set_xlabel("rms torque along the motion [N m]")
+    ax.legend(
+        loc="lower left",
+        bbox_to_anchor=(-0.3, 1.0),
+        ncols=3,
+        fontsize=8.5,
+        handletextpad=0.3,
+        columnspacing=0.9,
+    )
+
+
+def _power(ax: Axes, shown: list[EffectLimits], size: float) -> None:
+    # some across the whole range of limits
+    chosen = (
+        [shown[i] for i in sorted({round(x) for x in np.linspace(0, len(shown) - 1, len(_CURVES))})]
+        if shown
+        else []
+    )
+    for e, colour in zip(chosen, _CURVES, strict=False):
+        torque = e.curve[1:, 0] * e.stderr * e.torque
+        ax.plot(torque, 100 * e.curve[1:, 1], color=colour, label=plain(e.effect.name))
+    ax.axhline(90, color=GREY, linewidth=1)
+    ax.axvline(size, color=GREY, linestyle="--", linewidth=1)
+    ax.set_xscale("log")
+    ax.set_ylim(0, 102)
+    ax.set_xlabel("rms torque of the effect [N m]")
+    ax.set_ylabel("probability of detection [%]")
+    ax.legend(loc="lower right", fontsize=8)
+
+
+def _run(ax: Axes, found: NextRun) -> None:
+    run = found.run
+    if run.windows:
+        ax.plot(found.times, found.omega_rotor, color=VERMILLION, label="rotor")
+        for i, w in enumerate(run.windows):
+            ax.axvspan(
+                w,
+                w + run.window_length,
+                color=ORANGE,
+                alpha=0.35,
+                label="film of the rotor" if i == 0 else None,
+            )
+        other = ax.twinx()
+        other.grid(visible=False)
+        other.spines["right"].set_visible(True)
+        other.plot(found.times, found.omega_casing, color=BLUE, label="casing")
+        other.set_ylabel("casing [rad/s]", color=BLUE)
+        ax.set_ylabel("rotor [rad/s]", color=VERMILLION)
+    else:
+        ax.plot(found.times, found.omega_casing, color=BLUE, label="body")
+        ax.set_ylabel("angular rate [rad/s]")
+    ax.set_xlabel("time [s]")
+    ring = f", casing with {run.ring:.1f} times its moment of inertia" if run.ring != 1 else ""
+    ax.set_title(f"Proposed next run, predicted motion{ring}")
+
+
+_MOST_PARAMETERS = 14
+
+
+def write_comparison_picture(found: Comparison, path: Path, *, force: bool = False) -> None:
+    """Write the picture as a file: PNG, SVG or PDF, by its suffix.
+
+    Parameters
+    ----------
+    found : Comparison
+        From `fitting.compare`.
+    path : Path
+        A ``.png``, ``.svg`` or ``.pdf`` file.
+    force : bool
+        Replace an existing file.
+    """
+    kind = path.suffix.lower().lstrip(".")
+    with style(), new_file(path, force=force) as stream:
+        metadata: dict[str, Any] = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
+        comparison_figure(found).savefig(stream, format=kind, dpi=150, metadata=metadata)
+
+
+def comparison_figure(found: Comparison) -> Figure:
+    """Return one row per parameter: the runs with bars of 2 sigma, the mean and the spread between runs behind them."""
+    shown = found.parameters[:_MOST_PARAMETERS]
+    names = list(dict.fromkeys(r.run for p in shown for r in p.repeats))
+    figure = canvas(WIDTH, 1.3 + 0.55 * max(len(shown), 1))
+    ax = figure.subplots()
+    for row, p in enumerate(shown):
+        scale = abs(p.mean) or 1.0
+        band = np.array([-1, 1]) * p.spread / scale * 100
+        ax.fill_betweenx([row - 0.38, row + 0.38], *band, color="#d9d9d9", linewidth=0, zorder=0)
+        for i, r in enumerate(p.repeats):
+            place = names.index(r.run)
+            ax.errorbar(
+                (r.value - p.mean) / scale * 100,
+                row + 0.5 * ((i + 1) / (len(p.repeats) + 1) - 0.5),
+                xerr=200 * r.stderr / scale,
+                fmt="o",
+                markersize=5,
+                color=_COLOURS[place % len(_COLOURS)],
+                label=plain(r.run, 24) if r.run not in {q.run for q in _before(shown, row)} else None,
+            )
+    labels = [f"{plain(p.name)}\np {probability(p.p_value)}" for p in shown]
+    ax.set_yticks(range(len(shown)), labels)
+    ax.set_ylim(len(shown) - 0.5, -0.5)
+    ax.axvline(0, color="#444444", linewidth=0.8)
+    ax.set_xlabel("difference from the mean of the runs [%]; bars ±2σ, grey: spread between the runs")
+    if shown:
+        legend(ax)
+    return figure
+
+
+def _before(shown: Any, row: int) -> list[Any]:
+    """Return the repeats of the rows above one."""
+    return [r for p in shown[:row] for r in p.repeats]
