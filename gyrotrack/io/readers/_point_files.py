@@ -1,7 +1,7 @@
 """Files of points of other programs: HDF5 of SLEAP, DeepLabCut and movement, projects of OSP Tracker; and own cases.
 
-A project (.trk) is XML with the points of each track in every frame, scale, axes and frame rate. In HDF5 files,
-pandas stores the names of columns as a pickle, which is a program. It is never executed: opcodes that make lists and
+A project (.trk) is XML with the points of each track in every frame, scale, axes and frame rate. In HDF5 files, pandas
+stores the names of columns as a pickle, which is a program. It is never executed: opcodes that make lists and
 tuples of words are interpreted, any other ends the reading.
 """
 
