@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from fitting._display import block, draw_speed, draw_speed_residual, figure, headline, printable, table
 from fitting._errors import EstimationError
-from fitting._numbers import rounded, short, with_uncertainty
+from fitting._numbers import PER_INERTIA, TORQUE, rounded, short, with_uncertainty
 from fitting.dynamics._model import Model
 from fitting.inference._case_model import Prediction
 from fitting.inference._lack_of_fit import LackOfFit, lack_of_fit
@@ -65,6 +65,11 @@ class FitSummary:
     estimates: Mapping[str, Estimate]
     n_eff: float
     bic: float
+
+    @property
+    def torque_unit(self) -> str:
+        """Unit of torques: "N m", or "rad/s2" where they are per unit of inertia."""
+        return TORQUE if any(e.unit.startswith(TORQUE) for e in self.estimates.values()) else PER_INERTIA
 
     def _origin(self) -> Origin:
         """Return the names of the variables, their covariance, and sources and digests of the data."""
@@ -144,8 +149,9 @@ def summary_lines(fit: FitSummary) -> list[str]:
     )
     noises = getattr(fit, "noise", ())
     if noises:
-        pure = ", ".join(rounded(n.pure, n.pure_u, "N m") for n in noises)
-        text = f"process noise {pure} rms; with this model {_levels(noises)} N m"
+        unit = fit.torque_unit
+        pure = ", ".join(rounded(n.pure, n.pure_u, unit) for n in noises)
+        text = f"process noise {pure} rms; with this model {_levels(noises)} {unit}"
         lines += wrap(text, 79, subsequent_indent="  ")
     for label, noise in _angle_noises(fit):
         level = rounded(1e3 * noise.sigma, 1e3 * noise.sigma_u, "mrad")
@@ -342,6 +348,11 @@ class Fit(FitSummary):
         """
         return modelled_speed(self, case, body, time)
 
+    @property
+    def torque_unit(self) -> str:
+        """Unit of torques: "N m", or "rad/s2" where they are per unit of inertia."""
+        return self.problem.layout.torque_unit
+
     def speed_residuals(self, case: int) -> tuple[SpeedResidual, tuple[SpeedResidual, ...]]:
         """Return the residual speed of a case's casing, and of its rotor in each window.
 
@@ -463,12 +474,12 @@ def outcome(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, converg
 def _estimates(
     layout: ParameterLayout, theta: Array, errors: Array, at_bound: NDArray[np.bool_]
 ) -> dict[str, Estimate]:
-    units = [layout.parameter(name).unit for name in layout.names]
+    units = [layout.unit(name) for name in layout.names]
     estimates = {
         name: Estimate(float(x), float("nan") if bound else float(error), unit, bool(bound))
         for name, x, error, unit, bound in zip(layout.names, theta, errors, units, at_bound, strict=True)
         if not (layout.records[0].single and name.startswith(START_ROTOR))
     }
     for key, value in layout.model.constants.items():
-        estimates[key] = Estimate(value, float("nan"), layout.parameter(key).unit, at_bound=False)
+        estimates[key] = Estimate(value, float("nan"), layout.unit(key), at_bound=False)
     return estimates

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fitting._numbers import scaled
+from fitting._numbers import scaled, unit_text
 from gyrotrack.io._atomic import new_file
 from gyrotrack.plotting._style import (
     BLUE,
@@ -121,7 +121,7 @@ def _draw_curve(ax: Axes, found: Laws, d: Dependence) -> None:
     ax.axhline(0.0, color="#444444", linewidth=0.7)
     ax.set_xlabel(_AXES[d.variable])
     where = {"casing": "on the casing", "rotor": "on the rotor", "bearing": "in the bearing"}[d.body]
-    ax.set_ylabel(f"torque {where} [{prefix}N m]")
+    ax.set_ylabel(f"torque {where} [{prefix}{unit_text(found.fit.torque_unit)}]")
     ax.set_xlim(float(d.value[0]), float(d.value[-1]))
     legend(ax, ncols=2)
 

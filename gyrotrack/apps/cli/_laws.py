@@ -134,6 +134,7 @@ def laws_table(found: Laws, fit_id: str) -> str:
     lines = [*textwrap.wrap(found.sentence, 79), "", f"fit {fit_id}, verdict: {found.verdict}"]
     lines += _dependences(found.depends_on)
     answer = found.answer
+    unit, body = found.fit.torque_unit, found.fit.problem.data[0].record.body
     if found.laws:
         lines += ["", f"laws ({found.trials} columns tried), * = the data cannot separate them:"]
         lines.append(f"   {'':<3}{'dBIC':>10}{'rank':>8}{'p':>9}{'torque':>12}")
@@ -144,7 +145,7 @@ def laws_table(found: Laws, fit_id: str) -> str:
         for d in answer[0].differences:
             lines.append(f"  {d.formula}")
             lines.append(
-                f"      at most {d.torque_Nm:.1g} N m in {d.label}, {d.t_start:.0f} s to {d.t_stop:.0f} s, casing "
+                f"      at most {d.torque_Nm:.1g} {unit} in {d.label}, {d.t_start:.0f} s to {d.t_stop:.0f} s, {body} "
                 f"{d.omega_c[0]:.0f} to {d.omega_c[1]:.0f} rad/s"
             )
     if found.next_experiment:
@@ -169,7 +170,7 @@ def _law(number: int, x: Law, best: Law, *, in_answer: bool) -> list[str]:
     lines = [f"{mark} {number:>2} {x.formula}  ({x.form})"]
     lines.append(
         f"   {'':<3}{x.delta_bic:>10.1f}{'best' if worse == 0 else f'+{worse:.1f}':>8}{_p(x.p_value):>9}"
-        f"{x.torque_rms_Nm:>8.2g} N m"
+        f"{x.torque_rms_Nm:>8.2g} {x.fit.torque_unit}"
     )
     values = [
         f"{k.rpartition('.')[2]} = {rounded(e.value, e.stderr, e.unit)}" for k, e in x.estimates.items()

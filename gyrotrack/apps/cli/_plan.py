@@ -138,7 +138,7 @@ def _bounds(given: Sequence[str]) -> dict[str, Any]:
 
 def plan_table(found: Plan) -> str:
     """Return a plan as lines: limits of every effect, classes, the next run."""
-    runs = len(found.fit.labels)
+    runs, unit = len(found.fit.labels), found.fit.torque_unit
     of = "the planned recording" if found.planned else "the recording"
     lines = []
     if found.warning:
@@ -146,12 +146,12 @@ def plan_table(found: Plan) -> str:
     lines += textwrap.wrap(
         f"What {of}{'s' if runs > 1 else ''} ({', '.join(found.fit.labels)}) can show: detection limit (power 90 % at "
         f"the false-alarm rate of the search) and upper limit (95 %{', expected' if found.planned else ''}), as rms "
-        f"torques along the motion; power and number of runs for an effect of {found.size:.2g} N m.",
+        f"torques along the motion; power and number of runs for an effect of {found.size:.2g} {unit}.",
         _WIDTH,
     )
     lines += [
         "",
-        f"  {'effect':<28}{'detection limit':>18}{'N m rms':>10}{'upper limit':>13}{'power':>8}{'runs':>8}",
+        f"  {'effect':<28}{'detection limit':>18}{f'{unit} rms':>12}{'upper limit':>13}{'power':>8}{'runs':>8}",
     ]
     lines += [_row(e) for e in found.effects]
     if any(not e.effect.mechanical for e in found.effects):
@@ -179,7 +179,7 @@ def plan_table(found: Plan) -> str:
 def _row(e: EffectLimits) -> str:
     star = "" if e.effect.mechanical else " *"
     if e.absorbed:
-        return f"  {e.effect.name + star:<28}{'-':>18}{'-':>10}{'-':>13}{'-':>8}{'-':>8}"
+        return f"  {e.effect.name + star:<28}{'-':>18}{'-':>12}{'-':>13}{'-':>8}{'-':>8}"
     limit = f"{e.strength} = {e.detection_limit:.2g}"
     torque = f"{e.detection_torque:.1e}" if math.isfinite(e.detection_torque) else "-"
     upper = "found" if math.isnan(e.upper_limit) else f"{e.upper_torque:.1e}" if e.effect.mechanical else "-"
@@ -191,7 +191,7 @@ def _row(e: EffectLimits) -> str:
         if math.isinf(e.runs_needed)
         else f"{e.runs_needed:.0f}"
     )
-    return f"  {e.effect.name + star:<28}{limit:>18}{torque:>10}{upper:>13}{power:>8}{runs:>8}"
+    return f"  {e.effect.name + star:<28}{limit:>18}{torque:>12}{upper:>13}{power:>8}{runs:>8}"
 
 
 def _possible(b: Bounds) -> str:
