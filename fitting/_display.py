@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting._errors import EstimationError
 from fitting._numbers import TORQUE, nonbreaking
 
 if TYPE_CHECKING:
@@ -79,6 +80,14 @@ def figure(width: float, height: float) -> Figure:
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")
+
+
+def figure_of(ax: Axes) -> Figure:
+    """Return the figure to which axes belong."""
+    found = ax.get_figure(root=True)
+    if found is None:
+        raise EstimationError("these axes belong to no figure", "make them with matplotlib.pyplot.subplots()")
+    return found
 
 
 def draw_speed(

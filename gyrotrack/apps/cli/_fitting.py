@@ -453,7 +453,7 @@ def effects_command(
 
 
 def _effect_document(e: Effect) -> dict[str, Any]:
-    from fitting.effects._latex import latex
+    from fitting.effects._expression import latex
 
     return {
         "name": e.name,

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from fitting.discovery._verdict import Diagnosis
     from fitting.inference._cross_validation import Predicted
     from fitting.inference._profile import Interval
-    from fitting.inference._record import Record
     from fitting.inference._result import Fit
     from fitting.study._paper import CurveBias
 
@@ -97,7 +96,9 @@ def diagnosis_tables(d: Diagnosis, fit_id: str) -> list[str]:
     if shown:
         head = "tested, not significant:" if d.verdict == "adequate" else "candidate effects:"
         lines += ["", head, f"  {'effect':<28}{'score':>9}{'dBIC':>9}{'p':>9}  class"]
-        classes = _classes(shown)
+        from fitting.discovery._select import equivalence_classes
+
+        classes = equivalence_classes(shown)
         for c in shown:
             name = c.effect.name[:25] + (" *" if c.effect.kind == "measurement" else "")
             bic = f"{c.delta_bic:.1f}" if math.isfinite(c.delta_bic) else "-"
@@ -133,16 +134,6 @@ def _curves(d: Diagnosis) -> list[str]:
 
 def _range(t: ResidualTorque) -> str:
     return f"{t.torque.min():.2g} to {t.torque.max():.2g}"
-
-
-def _classes(candidates: Sequence[Any]) -> dict[str, str]:
-    letters: dict[str, str] = {}
-    for c in candidates:
-        if c.indistinguishable_from and c.effect.name not in letters:
-            letter = chr(ord("A") + len(set(letters.values())))
-            for name in (c.effect.name, *c.indistinguishable_from):
-                letters.setdefault(name, letter)
-    return letters
 
 
 def ladder_tables(steps: Sequence[dict[str, Any]], record: Record) -> list[str]:
