@@ -25,7 +25,7 @@ from gyrotrack.apps.cli._options import (
 from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output, command_line
 
 if TYPE_CHECKING:
-    from gyrotrack.io._inspection import Inspection
+    from gyrotrack.io._contents import Inspection
 
 
 _TABLE = "Angles, angular rates, pulses or points of the casing (CSV, Tracker, phyphox, Excel, MATLAB ...)"
@@ -222,7 +222,7 @@ def export_command(
 
     Example: gyrotrack export case1.h5 -o case1.csv
     """
-    from gyrotrack.io._export import export_file
+    from gyrotrack.io._contents import export_file
 
     out = Output(as_json=as_json, quiet=quiet)
     with out.progress(f"writing {output.name}") as progress:
@@ -245,7 +245,7 @@ def info_command(
 
     Example: gyrotrack info case1.h5 --verify
     """
-    from gyrotrack.io._inspection import inspect_file
+    from gyrotrack.io._contents import inspect_file
 
     found = inspect_file(file, verify=verify)
     out = Output(as_json=as_json)

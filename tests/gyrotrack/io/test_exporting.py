@@ -10,7 +10,7 @@ import pytest
 
 from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack.apps.cli import _app as app
-from gyrotrack.io._export import columns, export_file, plain_cell
+from gyrotrack.io._contents import columns, export_file, plain_cell
 from gyrotrack.io._hdf5 import read_case, read_recording, write_case, write_recording
 
 pd = pytest.importorskip("pandas")
