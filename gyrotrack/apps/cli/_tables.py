@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from fitting.discovery._verdict import Diagnosis
     from fitting.inference._cross_validation import Predicted
     from fitting.inference._profile import Interval
+    from fitting.inference._record import Record
     from fitting.inference._result import Fit
     from fitting.study._paper import CurveBias
 
