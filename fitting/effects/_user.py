@@ -14,8 +14,20 @@ from typing import Any, cast
 import numpy as np
 
 from fitting._errors import EffectError, ExpressionError, FittingError
-from fitting.effects._dimension import NONE, Dimension, dimension, format_unit, parse_unit
-from fitting.effects._effect import MOMENTS, VARIABLES, Effect, Joint, Parameter, Role, State
+from fitting.effects._effect import (
+    MOMENTS,
+    NONE,
+    VARIABLES,
+    Dimension,
+    Effect,
+    Joint,
+    Parameter,
+    Role,
+    State,
+    dimension,
+    format_unit,
+    parse_unit,
+)
 from fitting.effects._expression import (
     ZERO,
     Expr,
