@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import RecordError
+from fitting._numbers import PER_INERTIA, TORQUE
 
 Array = NDArray[np.float64]
 Quantity = Literal["angle", "omega"]
@@ -72,6 +73,8 @@ class Record:
         Where it is, what was measured of it.
     start_sigma : tuple of float
         Uncertainty of the start of each rotor window on the casing's clock [s]; empty if it is known.
+    per_inertia : bool
+        No moment of inertia is known: it is 1, and torques are per unit of inertia [rad/s2].
     digest : str
         SHA-256 of the numbers.
     """
@@ -91,6 +94,7 @@ class Record:
     start_sigma: tuple[float, ...] = ()
     I_rotor_u: float = math.nan
     I_casing_u: float = math.nan
+    per_inertia: bool = False
     digest: str = field(default="")
 
     def __post_init__(self) -> None:
@@ -106,6 +110,11 @@ class Record:
     def body(self) -> str:
         """What people call the body in the casing's place: "casing", or "body" where only one was recorded."""
         return "body" if self.single else "casing"
+
+    @property
+    def torque_unit(self) -> str:
+        """Unit of its torques: "N m", or "rad/s2" per unit of inertia."""
+        return PER_INERTIA if self.per_inertia else TORQUE
 
     @property
     def span(self) -> tuple[float, float]:
@@ -129,6 +138,7 @@ def make_record(
     start_sigma: Sequence[float] = (),
     I_rotor_u: float = math.nan,
     I_casing_u: float = math.nan,
+    per_inertia: bool = False,
 ) -> Record:
     """Make a record from arrays of (time, value, sigma); samples that are not finite are left out.
 
@@ -152,6 +162,8 @@ def make_record(
         Standard uncertainty of the start of each film of the rotor on the casing's clock [s]; empty if exact.
     I_rotor_u, I_casing_u : float
         Standard uncertainties of the moments of inertia [kg m2]; NaN if unknown.
+    per_inertia : bool
+        No moment of inertia is known: it is 1, and torques are per unit of inertia [rad/s2].
 
     Raises
     ------
@@ -174,6 +186,7 @@ def make_record(
     return Record(
         label, I_rotor, I_casing, runs[0], windows, quantity, surface=surface, source=source, tracked=tracked,
         start_sigma=tuple(compress(map(float, start_sigma), kept)), I_rotor_u=I_rotor_u, I_casing_u=I_casing_u,
+        per_inertia=per_inertia,
     )  # fmt: skip
 
 

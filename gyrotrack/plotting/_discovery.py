@@ -135,7 +135,7 @@ _KINDS = (
     ("rms error, {body}", "rad/s", "rmse", True),
     ("reduced χ²", "", "reduced_chi2", False),
     ("cross-validation error", "noise", "held_out", False),
-    ("unmodelled torque, rms", "N m", "torque_left", True),
+    ("unmodelled torque, rms", "{torque}", "torque_left", True),
     ("energy drift", "", "energy_drift", True),
     ("change of BIC", "", "delta_bic", False),
 )
@@ -143,7 +143,7 @@ _WORDS = (
     ("rmse", "rms error of the {body}", " rad/s"),
     ("reduced_chi2", "reduced χ²", ""),
     ("held_out", "cross-validation error", " times the noise"),
-    ("torque_left", "unmodelled torque", " N m rms"),
+    ("torque_left", "unmodelled torque", " {torque} rms"),
 )
 
 
@@ -171,7 +171,7 @@ def history_picture(view: StudyView) -> Picture:
             factor, prefix = scaled(size) if takes_prefix else (1.0, "")
             limit = limits.get(name)
             figures_of_merit(ax, factor * values, None if limit is None else factor * limit, texts)
-            measure = f"{prefix}{unit}" if unit else POWERS[prefix]
+            measure = f"{prefix}{unit}".replace("{torque}", view.torque_unit) if unit else POWERS[prefix]
             heading = title.replace("{body}", view.body)
             ax.set_title(f"{heading} [{measure}]" if measure else heading, fontweight="normal")
         for ax in axes[:, 0]:
@@ -184,8 +184,8 @@ def history_picture(view: StudyView) -> Picture:
         )
         if noise > 0:
             caption += (
-                f" Process noise of the recordings {short(noise, 2)} N m rms, estimated without a model: χ² and "
-                "cross-validation error of every fit use it."
+                f" Process noise of the recordings {short(noise, 2)} {view.torque_unit} rms, estimated without a "
+                "model: χ² and cross-validation error of every fit use it."
             )
         return Picture("history", markup(figure, "history", finding), caption, finding)
 
@@ -246,7 +246,8 @@ def history_finding(view: StudyView) -> str:
             f"cross-validation error {short(first.held_out)} times the noise."
         )
     said = []
-    for name, words, unit in _WORDS:
+    for name, words, measure in _WORDS:
+        unit = measure.replace("{torque}", view.torque_unit)
         before, after = getattr(first, name), getattr(last, name)
         if abs(before - after) > _CLEARLY * abs(before):
             end = "not resolved" if after == 0 else f"{short(after)}{unit}"
