@@ -356,11 +356,11 @@ def _series(parts: list[BodyTrack]) -> Series:
 def _placement(name: str, match: Match) -> Placement:
     return Placement(
         id=name,
-        clock_offset=match.start.offset,
-        clock_offset_sigma=match.offset_sigma,
-        clock_rate=1 + match.start.eps,
-        clock_rate_sigma=match.rate_sigma,
-        angle_offset=match.start.angle % TURN,
+        clock_offset=float(match.start.offset),
+        clock_offset_sigma=float(match.offset_sigma),
+        clock_rate=float(1 + match.start.eps),
+        clock_rate_sigma=float(match.rate_sigma),
+        angle_offset=float(match.start.angle % TURN),
         ambiguous=match.ambiguous,
         method=match.method,
     )
