@@ -35,7 +35,7 @@ from fitting.discovery._criteria import Criteria
 from fitting.discovery._score import CaseColumns
 from fitting.effects._effect import Effect
 from fitting.effects._expression import symbols
-from fitting.inference._lack_of_fit import block_diagonal, orthonormal
+from fitting.inference._metrics import block_diagonal, orthonormal
 from fitting.inference._problem import Projection, r_factor
 from fitting.inference._result import Fit
 
