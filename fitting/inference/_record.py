@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import RecordError
+from fitting.inference._prior import Prior
 
 Array = NDArray[np.float64]
 Quantity = Literal["angle", "omega"]
@@ -71,6 +72,8 @@ class Record:
         Uncertainty of the start of each rotor window on the casing's clock [s]; empty if it is known.
     digest : str
         SHA-256 of the numbers.
+    prior : Prior, optional
+        What another study has found about the parameters.
     """
 
     label: str
@@ -89,6 +92,7 @@ class Record:
     I_rotor_u: float = math.nan
     I_casing_u: float = math.nan
     digest: str = field(default="")
+    prior: Prior | None = None
 
     def __post_init__(self) -> None:
         if not self.digest:
