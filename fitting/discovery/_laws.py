@@ -735,7 +735,7 @@ def _sentence(
             f"{100 * first.explained:.0f} % of the lack of fit."
         )
     parts.append(
-        f"Best law: {best.formula} ({best.form}), {format_torque(best.torque_rms_Nm)} rms, "
+        f"Best law: {best.formula} ({best.form}), {format_torque(best.torque_rms_Nm, unit=best.fit.torque_unit)} rms, "
         f"dBIC {best.delta_bic:.0f}."
     )
     if len(answer) > 1:

@@ -31,6 +31,7 @@ from fitting.effects._expression import (
     call,
     derivative,
     div,
+    latex,
     mul,
     neg,
     sub,
@@ -39,7 +40,6 @@ from fitting.effects._expression import (
     symbols,
     total,
 )
-from fitting.effects._latex import latex
 from fitting.effects._library import GENERAL, LINEAR, REDUCED, find
 from fitting.effects._user import read_effects, resolve
 

@@ -412,3 +412,85 @@ class Tape:
         for slot, operation, arguments in self._steps:
             registers[slot] = operation(*(registers[a] for a in arguments))
         return [registers[slot] for slot in self._outputs]
+
+
+_LATEX_NAMES = {
+    "omega_r": r"\omega_r",
+    "omega_c": r"\omega_c",
+    "psi_r": r"\psi_r",
+    "psi_c": r"\psi_c",
+    "delta": "D",
+    "temperature": "T",
+    "phi": r"\varphi",
+    "eps": r"\varepsilon",
+    "omega": r"\omega",
+    "psi": r"\psi",
+    "tau_T": r"\tau_T",
+    "chirp": r"\chi",
+}
+_SUM, _PRODUCT, _ATOM = 0, 1, 2
+
+
+def latex(e: Expr) -> str:
+    """Return an expression as LaTeX source (mathematics mode, no dollar signs)."""
+    return _typeset(e, _SUM)
+
+
+def _symbol(name: str) -> str:
+    if name in _LATEX_NAMES:
+        return _LATEX_NAMES[name]
+    head = name.rstrip("0123456789")
+    if head and head != name:
+        return f"{head}_{{{name[len(head) :]}}}"
+    head, _, tail = name.partition("_")
+    return f"{head}_{{\\mathrm{{{tail}}}}}" if tail else name
+
+
+def _decimal(value: float) -> str:
+    text = f"{value:g}"
+    mantissa, _, exponent = text.partition("e")
+    return f"{mantissa} \\times 10^{{{int(exponent)}}}" if exponent else text
+
+
+def _typeset(e: Expr, level: int) -> str:
+    if e.op == "num":
+        return _decimal(e.value) if e.value >= 0 or level == _SUM else f"({_decimal(e.value)})"
+    if e.op == "sym":
+        return _symbol(e.name)
+    if e.op == "add":
+        left, right = _typeset(e.args[0], _SUM), _typeset(e.args[1], _SUM)
+        text = left + (" " if right.startswith("-") else " + ") + right
+        return text if level == _SUM else rf"\left({text}\right)"
+    if e.op == "mul":
+        return _product(e, level)
+    if e.op == "pow":
+        base, exponent = e.args
+        if exponent == MINUS_ONE:
+            return rf"\frac{{1}}{{{_typeset(base, _SUM)}}}"
+        return f"{_typeset(base, _ATOM)}^{{{_typeset(exponent, _SUM)}}}"
+    return _function(e)
+
+
+def _product(e: Expr, level: int) -> str:
+    a, b = e.args
+    if a == MINUS_ONE:
+        text = "-" + _typeset(b, _PRODUCT)
+        return text if level == _SUM else rf"\left({text}\right)"
+    if b.op == "pow" and b.args[1] == MINUS_ONE:
+        return rf"\frac{{{_typeset(a, _SUM)}}}{{{_typeset(b.args[0], _SUM)}}}"
+    text = f"{_typeset(a, _PRODUCT)} {_typeset(b, _PRODUCT)}"
+    return text if level != _ATOM else rf"\left({text}\right)"
+
+
+def _function(e: Expr) -> str:
+    inner = _typeset(e.args[0], _SUM)
+    if e.op == "abs":
+        return rf"\left|{inner}\right|"
+    if e.op == "sqrt":
+        return rf"\sqrt{{{inner}}}"
+    if e.op == "sign":
+        return rf"\operatorname{{sgn}}\left({inner}\right)"
+    if e.op == "heaviside":
+        return rf"H\left({inner}\right)"
+    name = {"atan": "arctan"}.get(e.op, e.op)
+    return rf"\{name}\left({inner}\right)"

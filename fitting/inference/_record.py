@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import RecordError
+from fitting._numbers import PER_INERTIA, TORQUE
 from fitting.inference._prior import Prior
 
 Array = NDArray[np.float64]
@@ -70,6 +71,8 @@ class Record:
         Where it is, what was measured of it.
     start_sigma : tuple of float
         Uncertainty of the start of each rotor window on the casing's clock [s]; empty if it is known.
+    per_inertia : bool
+        No moment of inertia is known: it is 1, and torques are per unit of inertia [rad/s2].
     digest : str
         SHA-256 of the numbers.
     prior : Prior, optional
@@ -91,6 +94,7 @@ class Record:
     start_sigma: tuple[float, ...] = ()
     I_rotor_u: float = math.nan
     I_casing_u: float = math.nan
+    per_inertia: bool = False
     digest: str = field(default="")
     prior: Prior | None = None
 
@@ -107,6 +111,11 @@ class Record:
     def body(self) -> str:
         """What people call the body in the casing's place: "casing", or "body" where only one was recorded."""
         return "body" if self.single else "casing"
+
+    @property
+    def torque_unit(self) -> str:
+        """Unit of its torques: "N m", or "rad/s2" per unit of inertia."""
+        return PER_INERTIA if self.per_inertia else TORQUE
 
     @property
     def span(self) -> tuple[float, float]:
@@ -130,6 +139,7 @@ def make_record(
     start_sigma: Sequence[float] = (),
     I_rotor_u: float = math.nan,
     I_casing_u: float = math.nan,
+    per_inertia: bool = False,
 ) -> Record:
     """Make a record from arrays of (time, value, sigma); samples that are not finite are left out.
 
@@ -153,6 +163,8 @@ def make_record(
         Standard uncertainty of the start of each film of the rotor on the casing's clock [s]; empty if exact.
     I_rotor_u, I_casing_u : float
         Standard uncertainties of the moments of inertia [kg m2]; NaN if unknown.
+    per_inertia : bool
+        No moment of inertia is known: it is 1, and torques are per unit of inertia [rad/s2].
 
     Raises
     ------
@@ -175,6 +187,7 @@ def make_record(
     return Record(
         label, I_rotor, I_casing, runs[0], windows, quantity, surface=surface, source=source, tracked=tracked,
         start_sigma=tuple(compress(map(float, start_sigma), kept)), I_rotor_u=I_rotor_u, I_casing_u=I_casing_u,
+        per_inertia=per_inertia,
     )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ from gyrotrack._inertia import Inertia
 from gyrotrack.io._atomic import refuse_existing
 from gyrotrack.io._hdf5 import read_case, read_kind, read_recording, write_case
 from gyrotrack.io._records import Case, Recording
-from gyrotrack.synchronisation._assembly import Synchronised, synchronise
+from gyrotrack.synchronisation._decision import Synchronised, synchronise
 from gyrotrack.tracking._extract import ExtractionJob
 from gyrotrack.tracking._extract import extract as track
 from gyrotrack.tracking._profile import PAPER, Profile, load

@@ -96,7 +96,7 @@ def read_source(source: Path, wish: Wish, progress: Progress | None = None) -> t
     else:
         options = ReadOptions(pulses_per_turn=wish.pulses_per_turn, fps=wish.capture_fps)
         case = import_body(source, moment.value, options=options, limits=Limits(keep_all=wish.keep_all))
-    case = replace(case, I_casing_u=moment.u)
+    case = replace(case, I_casing_u=moment.u, per_inertia=int(wish.inertia is None))
     warnings = list(case.warnings)
     if wish.inertia is None:
         warnings.append("No inertia is given: torques are per unit of inertia, in rad/s2 (inertia 1).")

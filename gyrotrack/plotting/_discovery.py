@@ -1,13 +1,22 @@
-"""Candidate effects and the history of fits."""
+"""Candidate effects, the history of fits, and the answer of a study in one picture (``gyrotrack demo``)."""
 
 from __future__ import annotations
 
+import io
+from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fitting._numbers import POWERS, scaled, short
-from gyrotrack.plotting._study_data import StudyView
+from fitting.discovery._select import equivalence_classes
+from gyrotrack._errors import OutputError
+from gyrotrack.io._atomic import new_file, refuse_existing
+from gyrotrack.plotting._case_charts import residual_chart, speed_chart
+from gyrotrack.plotting._charts import draw
+from gyrotrack.plotting._study_data import StudyView, gather
 from gyrotrack.plotting._style import (
     AFTER,
     BEFORE,
@@ -29,7 +38,8 @@ from gyrotrack.plotting._style import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from fitting.discovery._select import Candidate
+    from fitting.discovery._select import Candidate, Step
+    from fitting.discovery._verdict import Diagnosis
 
 
 _MOST = 12
@@ -37,17 +47,6 @@ _CLASSES = (GREEN, ORANGE, PURPLE, SKY)
 # from this ratio on, the figures of merit of a history need a logarithmic axis
 _WIDE = 20.0
 _CLEARLY = 0.05
-
-
-def equivalence_classes(candidates: list[Candidate]) -> dict[str, str]:
-    """Return the letter of the equivalence class of each candidate that has indistinguishable ones."""
-    letters: dict[str, str] = {}
-    for c in candidates:
-        if c.indistinguishable_from and c.effect.name not in letters:
-            letter = chr(ord("A") + len(set(letters.values())))
-            for name in (c.effect.name, *c.indistinguishable_from):
-                letters.setdefault(name, letter)
-    return letters
 
 
 def candidates_picture(candidates: tuple[Candidate, ...], name: str = "candidates") -> Picture | None:
@@ -135,7 +134,7 @@ _KINDS = (
     ("rms error, {body}", "rad/s", "rmse", True),
     ("reduced χ²", "", "reduced_chi2", False),
     ("cross-validation error", "noise", "held_out", False),
-    ("unmodelled torque, rms", "N m", "torque_left", True),
+    ("unmodelled torque, rms", "{torque}", "torque_left", True),
     ("energy drift", "", "energy_drift", True),
     ("change of BIC", "", "delta_bic", False),
 )
@@ -143,7 +142,7 @@ _WORDS = (
     ("rmse", "rms error of the {body}", " rad/s"),
     ("reduced_chi2", "reduced χ²", ""),
     ("held_out", "cross-validation error", " times the noise"),
-    ("torque_left", "unmodelled torque", " N m rms"),
+    ("torque_left", "unmodelled torque", " {torque} rms"),
 )
 
 
@@ -171,7 +170,7 @@ def history_picture(view: StudyView) -> Picture:
             factor, prefix = scaled(size) if takes_prefix else (1.0, "")
             limit = limits.get(name)
             figures_of_merit(ax, factor * values, None if limit is None else factor * limit, texts)
-            measure = f"{prefix}{unit}" if unit else POWERS[prefix]
+            measure = f"{prefix}{unit}".replace("{torque}", view.torque_unit) if unit else POWERS[prefix]
             heading = title.replace("{body}", view.body)
             ax.set_title(f"{heading} [{measure}]" if measure else heading, fontweight="normal")
         for ax in axes[:, 0]:
@@ -184,8 +183,8 @@ def history_picture(view: StudyView) -> Picture:
         )
         if noise > 0:
             caption += (
-                f" Process noise of the recordings {short(noise, 2)} N m rms, estimated without a model: χ² and "
-                "cross-validation error of every fit use it."
+                f" Process noise of the recordings {short(noise, 2)} {view.torque_unit} rms, estimated without a "
+                "model: χ² and cross-validation error of every fit use it."
             )
         return Picture("history", markup(figure, "history", finding), caption, finding)
 
@@ -246,7 +245,8 @@ def history_finding(view: StudyView) -> str:
             f"cross-validation error {short(first.held_out)} times the noise."
         )
     said = []
-    for name, words, unit in _WORDS:
+    for name, words, measure in _WORDS:
+        unit = measure.replace("{torque}", view.torque_unit)
         before, after = getattr(first, name), getattr(last, name)
         if abs(before - after) > _CLEARLY * abs(before):
             end = "not resolved" if after == 0 else f"{short(after)}{unit}"
@@ -263,3 +263,79 @@ def _changes(view: StudyView) -> str:
         added, _, dropped = step.change.removeprefix("+").partition(" -")
         said.append(added + (f" (without {dropped})" if dropped else ""))
     return " and ".join([", ".join(said[:-1]), said[-1]] if len(said) > 1 else said)
+
+
+_DPI = 150
+
+
+def story_picture(
+    history: Sequence[Step],
+    diagnosis: Diagnosis | None,
+    path: Path,
+    *,
+    frame: NDArray[np.uint8] | None = None,
+    force: bool = False,
+) -> Path:
+    """Draw the first case: speed, residual before and after, and the figure of merit that fell most.
+
+    Parameters
+    ----------
+    history, diagnosis
+        As for `write_report`.
+    path : Path
+        A ``.png`` or ``.svg`` file.
+    frame : ndarray of uint8, shape (height, width, 3), optional
+        A frame of the film (red, green, blue), shown in a corner of the first panel.
+    force : bool
+        Replace an existing file.
+
+    Raises
+    ------
+    OutputError
+        The suffix is another, the file exists and `force` is not set, or it cannot be written.
+    """
+    path = Path(path)
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in {"png", "svg"}:
+        raise OutputError(f"Unknown picture format: {path}.", "Use a name that ends in .png or .svg.")
+    refuse_existing(path, force=force)
+    view = gather(history, diagnosis)
+    case = view.cases[0]
+    with style():
+        figure = canvas(15.0, 4.4)
+        left, middle, right = figure.subplots(1, 3, width_ratios=[1, 1.15, 0.85])
+        draw(left, speed_chart(case, "casing"))
+        left.legend(loc="lower right" if frame is not None else "best")
+        left.set_title("1  measured and modelled")
+        if frame is not None:
+            inset = left.inset_axes((0.19, 0.12, 0.42, 0.48))
+            inset.imshow(frame)
+            inset.set_xticks([])
+            inset.set_yticks([])
+            inset.grid(visible=False)
+        draw(middle, residual_chart(case, "casing"), [i for i in case.intervals if i.body == "casing"])
+        middle.legend(loc="best")
+        middle.set_title("2  residual")
+        _merit(right, view)
+        stream = io.BytesIO()
+        metadata: dict[str, Any] = {"Date": None, "Creator": None} if kind == "svg" else {"Software": None}
+        figure.savefig(stream, format=kind, dpi=_DPI, metadata=metadata)
+    with new_file(path, force=force) as out:
+        out.write(stream.getvalue())
+    return path
+
+
+def _merit(ax: Any, view: StudyView) -> None:
+    """Draw the figure of merit that fell by the largest factor."""
+    steps = view.steps
+    kinds = {
+        "cross-validation error [noise]": (np.array([s.held_out for s in steps]), 1.0),
+        f"rms error of the {view.body} [rad/s]": (np.array([s.rmse for s in steps]), view.rmse_floor),
+    }
+    title = max(kinds, key=lambda k: kinds[k][0][0] / max(kinds[k][0][-1], 1e-300))
+    values, limit = kinds[title]
+    figures_of_merit(ax, values, limit, [""] * len(steps))
+    ax.invert_yaxis()
+    ax.set_yticks(range(len(steps)), [plain(s.change, 60).replace(".", ".\n", 1) for s in steps])
+    ax.set_xlabel(title)
+    ax.set_title("3  figure of merit (dashed: noise limit)")

@@ -45,8 +45,7 @@ def formula(latex: str, name: str, *, size: float = 15.0, colour: str = "black")
 
 def symbol(name: str, labels: Sequence[str]) -> str:
     """Return the symbol of a parameter in mathtext, with (A), (B) for the case that it belongs to."""
-    from fitting.effects._expression import sym
-    from fitting.effects._latex import latex
+    from fitting.effects._expression import latex, sym
 
     key, at, label = name.partition("@")
     text = latex(sym(key.rpartition(".")[2]))

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting._numbers import unit_text
+from fitting.discovery._criteria import DEFAULT
 from fitting.inference._speed_residuals import SpeedResidual, speed_residuals
 from gyrotrack.plotting._charts import Interval
 
@@ -24,6 +27,7 @@ Array = NDArray[np.float64]
 Residual = SpeedResidual
 
 _SEED = 1
+_BAND = 2.0  # sigma; as drawn
 _NORMAL = 0.6745  # median of the absolute value of a standard normal variable
 _THIRD_DIFFERENCE = 20.0  # 1 + 9 + 9 + 1: its variance for white noise of variance 1
 _MODEL_POINTS = 800
@@ -129,6 +133,8 @@ class CaseView:
     ----------
     body : str
         Name of the filmed body: "casing", or "body" where only one was recorded.
+    torque_unit : str
+        "N m", or "rad/s²" where torques are per unit of inertia.
     casing, rotor : Curve, tuple of Curve
         Measured speed, smoothed as in the paper [rad/s].
     models : tuple of CaseModel
@@ -147,6 +153,7 @@ class CaseView:
     surface: str
     quantity: str
     body: str
+    torque_unit: str
     casing: Curve
     rotor: tuple[Curve, ...]
     models: tuple[CaseModel, ...]
@@ -158,17 +165,63 @@ class CaseView:
     @property
     def intervals(self) -> tuple[Interval, ...]:
         """Intervals in which the base fails, for the charts."""
-        return intervals_of(self.failures)
+        return self.failing(self.failures, self.models[0])
+
+    def failing(self, failures: Sequence[Failure], model: CaseModel) -> tuple[Interval, ...]:
+        """Return the intervals in which a model fails, for the charts.
+
+        They are those of a significant unmodelled torque, and the parts outside them in which the residual of the
+        speed leaves its band: a torque that is missing at one time leaves an error of the speed until later.
+
+        Parameters
+        ----------
+        failures : sequence of Failure
+            Intervals of unmodelled torque.
+        model : CaseModel
+            One of `models`.
+        """
+        found = [
+            Interval(
+                f.t_start,
+                f.t_stop,
+                f"{f.t_start:.1f}–{f.t_stop:.1f} s, {f.called}, {f.size_sigma:.0f} σ",
+                f.body,
+            )
+            for f in failures
+        ]
+        noise = self.models[-1]
+        bodies = [("casing", self.body, model.casing_residual, noise.casing_residual)] + [
+            ("rotor", "rotor", *both) for both in zip(model.rotor_residual, noise.rotor_residual, strict=True)
+        ]
+        for key, called, residual, band in bodies:
+            covered = [(i.start, i.stop) for i in found if i.body == key]
+            found += [
+                Interval(a, b, f"{a:.1f}–{b:.1f} s, speed of the {called}, {size:.0f} σ", key)
+                for a, b, size in _outside(residual, band.sigma, covered)
+            ]
+        return tuple(found)
 
 
-def intervals_of(failures: Sequence[Failure]) -> tuple[Interval, ...]:
-    """Return the intervals in which a model fails, for the charts."""
-    return tuple(
-        Interval(
-            f.t_start, f.t_stop, f"{f.t_start:.1f}–{f.t_stop:.1f} s, {f.called}, {f.size_sigma:.0f} σ", f.body
-        )
-        for f in failures
-    )
+def _outside(
+    residual: Residual, sigma: Array, covered: Sequence[tuple[float, float]]
+) -> list[tuple[float, float, float]]:
+    """Return start, stop and largest |z| of the parts in which a residual stays outside of its band on one side."""
+    ratio = residual.value / np.where(sigma > 0, sigma, np.inf)
+    side = np.sign(ratio) * (np.abs(ratio) > _BAND)
+    uncovered = np.ones(len(ratio), dtype=bool)
+    for a, b in covered:
+        uncovered &= (residual.time < a) | (residual.time > b)
+    parts = []
+    for first, last in pairwise([0, *(np.flatnonzero(np.diff(side)) + 1), len(side)]):
+        if not side[first] or np.abs(ratio[first:last]).max() < DEFAULT.failure_sigma:
+            continue
+        places = first + np.flatnonzero(uncovered[first:last])
+        for run in np.split(places, np.flatnonzero(np.diff(places) > 1) + 1):
+            if len(run):
+                start = residual.time[run[0]] - 0.5 * residual.width[run[0]]
+                stop = residual.time[run[-1]] + 0.5 * residual.width[run[-1]]
+                parts.append((float(start), float(stop), float(np.abs(ratio[run]).max())))
+    return parts
 
 
 def case_view(
@@ -200,6 +253,7 @@ def case_view(
         surface=record.surface,
         quantity=record.quantity,
         body=record.body,
+        torque_unit=unit_text(record.torque_unit),
         casing=_measured(*speeds(record.casing, record.quantity)),
         rotor=tuple(_measured(*speeds(w, record.quantity)) for w in record.rotor),
         models=tuple(_case_model(f, t, index) for f, t in zip(fits, torques, strict=True)),
@@ -315,6 +369,11 @@ class StudyView:
     def body(self) -> str:
         """Name of the filmed body: "casing", or "body" where only one was recorded."""
         return self.cases[0].body
+
+    @property
+    def torque_unit(self) -> str:
+        """Unit of torques: "N m", or "rad/s²" where they are per unit of inertia."""
+        return unit_text(self.final.torque_unit)
 
     @property
     def residual_rms(self) -> tuple[float, ...]:

@@ -526,28 +526,6 @@ def _placed(ring: Ring, place: Floats) -> Ring:
     return replace(ring, hub=(x, y), stretch=(p, q))
 
 
-def hub_error(angle: Floats, poses: Sequence[Pose]) -> Floats:
-    """Return by how much a hub is wrong (x, y) [px], from the displacements that registration found.
-
-    About a centre that is wrong by -delta a body seems displaced by delta + m exp(i theta), m the constant that the
-    learnt picture has taken over.
-    """
-    moved = np.array([complex(*p.shift) for p in poses])
-    basis = np.stack([1.0 - np.exp(1j * (angle - angle.mean())), np.ones(len(angle))], axis=1)
-    weight = np.ones(len(moved))
-    solved = np.zeros(2, dtype=complex)
-    for _ in range(6):
-        root = np.sqrt(weight)[:, None]
-        # a ridge of one frame's worth keeps the hub where the motion is too small to tell
-        gram = (np.conj(basis * root).T @ (basis * root)) + np.diag([1e-3, 0.0])
-        solved = np.linalg.solve(gram, np.conj(basis * root).T @ (moved * root[:, 0]))
-        miss = np.abs(moved - basis @ solved)
-        scale = max(1.4826 * float(np.median(miss)), 1e-3)
-        weight = 1.0 / (1.0 + (miss / (2 * scale)) ** 2)
-    found = complex(solved.sum())
-    return np.array([found.real, found.imag])
-
-
 def white_noise(value: Floats) -> float:
     """Return the standard deviation of the white part of a series, the least of its differences of order 2 to 6."""
     found = [

@@ -34,7 +34,7 @@ from gyrotrack.tracking._polar import Ring
 from gyrotrack.tracking._scene import Samples, Scene
 from gyrotrack.video._container import Frame, read_packets
 from gyrotrack.video._decoder import Mark, Reader
-from gyrotrack.video._repeated_frames import RepeatDetector
+from gyrotrack.video._frames import RepeatDetector
 from gyrotrack.video._time_base import FrameTimes, Timing
 
 

@@ -372,7 +372,7 @@ def improve_command(
     steps = [entry.document["rung"] for entry in kept]
     verdict = history_verdict(history)
     out.result({"ladder": steps, "final": fit_document(history[-1].fit, kept[-1].fit_id), "verdict": verdict})
-    out.show(*ladder_tables(steps, study.data[0].record.body), f"verdict: {_WORDS[verdict]}")
+    out.show(*ladder_tables(steps, study.data[0].record), f"verdict: {_WORDS[verdict]}")
 
 
 _WORDS = {
@@ -429,7 +429,7 @@ def ladder_command(
         for e in study.ledger.of(study.data)
     ]
     out.result({"ladder": steps})
-    out.show(*ladder_tables(steps, study.data[0].record.body))
+    out.show(*ladder_tables(steps, study.data[0].record))
 
 
 def effects_command(
@@ -457,7 +457,7 @@ def effects_command(
 
 
 def _effect_document(e: Effect) -> dict[str, Any]:
-    from fitting.effects._latex import latex
+    from fitting.effects._expression import latex
 
     return {
         "name": e.name,

@@ -26,7 +26,7 @@ def failing(monkeypatch):
         def raise_it(*args, **kwargs):
             raise error
 
-        monkeypatch.setattr("gyrotrack.io._inspection.inspect_file", raise_it)
+        monkeypatch.setattr("gyrotrack.io._contents.inspect_file", raise_it)
 
     return make
 
