@@ -1,4 +1,4 @@
-"""Parameters of another study as a Gaussian prior: against the analytic posterior of a linear model, and a joint fit."""
+"""Parameters of another study as a Gaussian prior: against the analytic posterior, and a joint fit."""
 
 import numpy as np
 import pytest
