@@ -17,7 +17,7 @@ from pydantic import AliasChoices, BaseModel, BeforeValidator, ConfigDict, Field
 
 from fitting._atomic import refuse_special, write_text
 from fitting._errors import LedgerError
-from fitting._numbers import to_json
+from fitting._numbers import TORQUE, to_json
 from fitting.effects._effect import Effect
 from fitting.effects._library import LIBRARY
 
@@ -128,6 +128,7 @@ class StoredFailure(FailureDocument):
 
     called: str
     torque_sigma_Nm: Number = math.nan  # noqa: N815 - the unit's own capitals
+    unit: str = TORQUE
 
 
 class CandidateDocument(Document):

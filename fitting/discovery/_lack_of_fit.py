@@ -34,6 +34,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting._numbers import TORQUE
 from fitting.discovery._criteria import Criteria
 from fitting.discovery._residuals import format_torque
 from fitting.discovery._score import CaseColumns, ScoreContext, over_many_tests, score_of_columns
@@ -42,7 +43,7 @@ from fitting.dynamics._mesh import Sampler
 from fitting.effects._effect import Effect, Parameter
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import Prediction
-from fitting.inference._lack_of_fit import block_diagonal, orthonormal
+from fitting.inference._metrics import block_diagonal, orthonormal
 from fitting.inference._noise import Noise, TorqueResponse, tail_probability
 from fitting.inference._problem import Projection, r_factor
 from fitting.inference._result import Fit
@@ -221,6 +222,8 @@ class PeriodogramPeak:
         "casing", or "body" where only one was recorded.
     p_value : float
         Probability that noise has as high a peak (an upper bound).
+    unit : str
+        Unit of the torque: "N m", or "rad/s2" per unit of inertia.
     """
 
     rate: float
@@ -229,13 +232,15 @@ class PeriodogramPeak:
     label: str
     body: str
     p_value: float
+    unit: str = TORQUE
 
     @property
     def words(self) -> str:
         """What the residual torque depends on."""
         return (
             f"is sinusoidal with a period of {2 * math.pi / self.rate:.4g} s in {self.label}: a torque of "
-            f"{format_torque(self.torque)} on the {self.body}, or {1e3 * self.angle:.2g} mrad of its angle"
+            f"{format_torque(self.torque, unit=self.unit)} on the {self.body}, "
+            f"or {1e3 * self.angle:.2g} mrad of its angle"
         )
 
     @property
@@ -280,7 +285,8 @@ def _peaks(fit: Fit) -> Iterator[PeriodogramPeak | None]:
         ]
         chance = len(cases) * float(np.dot(chances, noise.process.weights))
         p_value = min(chance, 1.0) if shown else 1.0
-        yield PeriodogramPeak(rate, k, angle, data.record.label, data.record.body, p_value)
+        record = data.record
+        yield PeriodogramPeak(rate, k, angle, record.label, record.body, p_value, record.torque_unit)
 
 
 def false_alarm_probability(chi2: float, band: float, span: float) -> float:
@@ -367,16 +373,21 @@ class HarmonicTest:
         Its amplitude in the case where it is largest [N m].
     p_value : float
         Probability that noise has as clear a harmonic (Bonferroni bound over the orders).
+    unit : str
+        Unit of the torque: "N m", or "rad/s2" per unit of inertia.
     """
 
     order: int
     torque: float
     p_value: float
+    unit: str = TORQUE
 
     @property
     def words(self) -> str:
         """What the residual torque depends on."""
-        return f"contains harmonic {self.order} of psi_c, amplitude {format_torque(self.torque)}"
+        return (
+            f"contains harmonic {self.order} of psi_c, amplitude {format_torque(self.torque, unit=self.unit)}"
+        )
 
 
 def harmonic_test(fit: Fit) -> HarmonicTest:
@@ -414,7 +425,7 @@ def harmonic_test(fit: Fit) -> HarmonicTest:
         )
         # a high order hardly moves the body: an error of the path would need a torque beyond all others
         if p_value < found.p_value and torque <= max(known):
-            found = HarmonicTest(order, torque, p_value)
+            found = HarmonicTest(order, torque, p_value, fit.torque_unit)
     return found
 
 

@@ -54,7 +54,7 @@ from fitting.effects._effect import Effect
 from fitting.effects._expression import Tape, symbols
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
-from fitting.inference._lack_of_fit import block_diagonal
+from fitting.inference._metrics import block_diagonal
 from fitting.inference._noise import Noise
 from fitting.inference._result import Estimate, Fit
 
@@ -735,7 +735,7 @@ def _sentence(
             f"{100 * first.explained:.0f} % of the lack of fit."
         )
     parts.append(
-        f"Best law: {best.formula} ({best.form}), {format_torque(best.torque_rms_Nm)} rms, "
+        f"Best law: {best.formula} ({best.form}), {format_torque(best.torque_rms_Nm, unit=best.fit.torque_unit)} rms, "
         f"dBIC {best.delta_bic:.0f}."
     )
     if len(answer) > 1:

@@ -321,8 +321,8 @@ def grade(
             f"it {test.words}" if test.p_value < criteria.doubt_named else "a lack of fit of unknown form"
         )
     words = (
-        f"Remainder {format_torque(rms)} rms, {100 * share:.2g} % of the mean square unmodelled torque: "
-        f"{'; '.join(parts)}."
+        f"Remainder {format_torque(rms, unit=base.torque_unit)} rms, {100 * share:.2g} % of the mean square "
+        f"unmodelled torque: {'; '.join(parts)}."
     )
     remainder = Remainder(rms, share, p, words)
     if 1 - share < criteria.explained:

@@ -18,7 +18,7 @@ import numpy as np
 
 from fitting._display import BLUE, block, draw_history, figure, figure_of, markup_table
 from fitting._errors import FittingError
-from fitting._numbers import short
+from fitting._numbers import short, unit_text
 from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._criteria import DEFAULT, Criteria
 from fitting.discovery._refine import (
@@ -405,7 +405,7 @@ class History(list[Step]):
             "χ²/n",
             "cross-validation error [noise]",
             "ΔBIC",
-            "remaining torque [N m]",
+            f"remaining torque [{unit_text(self[0].fit.torque_unit)}]",
             "",
         )
         return block(markup_table("history of fits", columns, rows))

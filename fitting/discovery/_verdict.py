@@ -23,7 +23,7 @@ from fitting._display import (
     printable,
     table,
 )
-from fitting._numbers import probability, rounded, short, typeset
+from fitting._numbers import probability, rounded, short, typeset, unit_text
 from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._criteria import DEFAULT, Criteria
 from fitting.discovery._lack_of_fit import (
@@ -158,6 +158,7 @@ class Diagnosis:
                 if t.label == label
             ],
             [(f.t_start, f.t_stop) for f in self.failures if f.label == label],
+            unit=unit_text(self.fit.torque_unit),
         )
         ax.set_title(printable(label) + ": unmodelled torque; yellow: significant lack of fit")
         ax.legend(fontsize="small", frameon=False)
@@ -187,7 +188,14 @@ class Diagnosis:
         ]
         parts = [headline(self.verdict, typeset(self.sentence))]
         if failures:
-            where = ("case", "body", "time [s]", "torque [N m]", "speed [rad/s]", "σ")
+            where = (
+                "case",
+                "body",
+                "time [s]",
+                f"torque [{unit_text(self.fit.torque_unit)}]",
+                "speed [rad/s]",
+                "σ",
+            )
             parts.append(table("significant lack of fit", where, failures))
         if candidates:
             columns = ("effect", "score", "ΔBIC", "p", "indistinguishable from")
@@ -346,9 +354,14 @@ def _sentence(
     if verdict == "adequate":
         parts = ["The residuals are consistent with noise; the model is adequate."]
         if hidden:
-            limits = ", ".join(f"{u.effect} {format_torque(u.torque_Nm)}" for u in hidden)
+            unit = fit.torque_unit
+            limits = ", ".join(f"{u.effect} {format_torque(u.torque_Nm, unit=unit)}" for u in hidden)
             parts.append(
                 f"Effects that could still be hidden, with 95 % upper limits of the rms torque: {limits}."
+            )
+        else:
+            parts.append(
+                "The recording is too short or too noisy to limit another effect to less than the torque that it shows."
             )
     else:
         parts = [f"Significant lack of fit{f': {failures[0]}' if failures else ''}."]
@@ -390,8 +403,9 @@ def _unexplained(
             "No effect of the library explains it.",
         ]
     level = max((n.level for n in selection.end.noise), default=0.0)
+    unit = selection.end.torque_unit
     return [
-        f"An unexplained torque of {format_torque(level)} rms remains; no effect of the library explains it."
+        f"An unexplained torque of {format_torque(level, unit=unit)} rms remains; no effect of the library explains it."
     ]
 
 

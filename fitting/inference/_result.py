@@ -28,17 +28,23 @@ from fitting._display import (
     table,
 )
 from fitting._errors import EstimationError
-from fitting._numbers import rounded, short, with_uncertainty
+from fitting._numbers import PER_INERTIA, TORQUE, rounded, short, with_uncertainty
 from fitting.dynamics._model import Model
 from fitting.inference._case_model import Prediction
-from fitting.inference._lack_of_fit import LackOfFit, lack_of_fit
-from fitting.inference._metrics import CaseMetrics, EnergyBalance, case_metrics, energy_balance
+from fitting.inference._metrics import (
+    CaseMetrics,
+    EnergyBalance,
+    LackOfFit,
+    case_metrics,
+    energy_balance,
+    lack_of_fit,
+)
 from fitting.inference._noise import Noise
 from fitting.inference._parameters import START_ROTOR, ParameterLayout
 from fitting.inference._problem import Problem, Projection, covariance_of, surely_at_bound
+from fitting.inference._record import speeds
 from fitting.inference._recording_noise import AngleNoise
 from fitting.inference._speed_residuals import SpeedResidual, modelled_speed, speed_residuals
-from fitting.inference._velocity import speeds
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -78,6 +84,11 @@ class FitSummary:
     estimates: Mapping[str, Estimate]
     n_eff: float
     bic: float
+
+    @property
+    def torque_unit(self) -> str:
+        """Unit of torques: "N m", or "rad/s2" where they are per unit of inertia."""
+        return TORQUE if any(e.unit.startswith(TORQUE) for e in self.estimates.values()) else PER_INERTIA
 
     def _origin(self) -> Origin:
         """Return the names of the variables, their covariance, and sources and digests of the data."""
@@ -157,8 +168,9 @@ def summary_lines(fit: FitSummary) -> list[str]:
     )
     noises = getattr(fit, "noise", ())
     if noises:
-        pure = ", ".join(rounded(n.pure, n.pure_u, "N m") for n in noises)
-        text = f"process noise {pure} rms; with this model {_levels(noises)} N m"
+        unit = fit.torque_unit
+        pure = ", ".join(rounded(n.pure, n.pure_u, unit) for n in noises)
+        text = f"process noise {pure} rms; with this model {_levels(noises)} {unit}"
         lines += wrap(text, 79, subsequent_indent="  ")
     for label, noise in _angle_noises(fit):
         level = rounded(1e3 * noise.sigma, 1e3 * noise.sigma_u, "mrad")
@@ -362,6 +374,11 @@ class Fit(FitSummary):
         """
         return modelled_speed(self, case, body, time)
 
+    @property
+    def torque_unit(self) -> str:
+        """Unit of torques: "N m", or "rad/s2" where they are per unit of inertia."""
+        return self.problem.layout.torque_unit
+
     def speed_residuals(self, case: int) -> tuple[SpeedResidual, tuple[SpeedResidual, ...]]:
         """Return the residual speed of a case's casing, and of its rotor in each window.
 
@@ -543,8 +560,8 @@ def _estimates(
             continue
         bound = bool(at_bound[i])
         error = math.nan if bound else float(errors[i])
-        unit = layout.parameter(name).unit
+        unit = layout.unit(name)
         estimates[name] = Estimate(float(theta[i]), error, unit, bound, min=limits[i][0], max=limits[i][1])
     for key, value in layout.model.constants.items():
-        estimates[key] = Estimate(value, math.nan, layout.parameter(key).unit, at_bound=False, vary=False)
+        estimates[key] = Estimate(value, math.nan, layout.unit(key), at_bound=False, vary=False)
     return estimates

@@ -119,7 +119,7 @@ def describe_case(case: Case) -> dict[str, Any]:
     """Return the label, inertias, series, windows and clips of a case in numbers."""
     out: dict[str, Any] = {
         name: getattr(case, name)
-        for name in ("label", "surface", "I_rotor", "I_casing", "quantity", "bodies")
+        for name in ("label", "surface", "I_rotor", "I_casing", "quantity", "bodies", "per_inertia")
     }
     key = "omega_sigma" if case.quantity == "omega" else "sigma"
     out["casing"] = {**describe_motion(case.casing, key=key), "sigma_source": case.casing.sigma_source}

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fitting._numbers import probability, scaled
+from fitting._numbers import probability, scaled, unit_text
 from gyrotrack.io._atomic import new_file
 from gyrotrack.plotting._style import (
     BLUE,
@@ -130,7 +130,7 @@ def _draw_curve(ax: Axes, found: Laws, d: Dependence) -> None:
     ax.axhline(0.0, color="#444444", linewidth=0.7)
     ax.set_xlabel(_AXES[d.variable])
     where = {"casing": "on the casing", "rotor": "on the rotor", "bearing": "in the bearing"}[d.body]
-    ax.set_ylabel(f"torque {where} [{prefix}N m]")
+    ax.set_ylabel(f"torque {where} [{prefix}{unit_text(found.fit.torque_unit)}]")
     ax.set_xlim(float(d.value[0]), float(d.value[-1]))
     legend(ax, ncols=2)
 
@@ -240,14 +240,15 @@ def plan_figure(found: Plan) -> Figure:
     parts: Any = figure.subfigures(2, 1, height_ratios=(0.27 * max(len(shown), 10), 3.4))
     top, bottom = parts
     left, right = top.subplots(1, 2, width_ratios=(1.25, 1.0))
-    _limits(left, shown, found.size)
-    _power(right, shown, found.size)
+    unit = unit_text(found.fit.torque_unit)
+    _limits(left, shown, found.size, unit)
+    _power(right, shown, found.size, unit)
     if found.next_run is not None:
         _run(bottom.subplots(), found.next_run)
     return figure
 
 
-def _limits(ax: Axes, shown: list[EffectLimits], size: float) -> None:
+def _limits(ax: Axes, shown: list[EffectLimits], size: float, unit: str) -> None:
     rows = np.arange(len(shown))
     low = np.array([e.detection_range[0] for e in shown])
     high = np.array([e.detection_range[1] for e in shown])
@@ -264,12 +265,12 @@ def _limits(ax: Axes, shown: list[EffectLimits], size: float) -> None:
             va="center",
             color=GREEN,
         )
-    ax.axvline(size, color=GREY, linestyle="--", linewidth=1, label=f"effect of {size:.1e} N m")
+    ax.axvline(size, color=GREY, linestyle="--", linewidth=1, label=f"effect of {size:.1e} {unit}")
     ax.set_xscale("log")
     ax.set_yticks(rows, [plain(e.effect.name) for e in shown])
     ax.grid(visible=False, axis="y")
     ax.invert_yaxis()
-    ax.set_xlabel("rms torque along the motion [N m]")
+    ax.set_xlabel(f"rms torque along the motion [{unit}]")
     ax.legend(
         loc="lower left",
         bbox_to_anchor=(-0.3, 1.0),
@@ -280,7 +281,7 @@ def _limits(ax: Axes, shown: list[EffectLimits], size: float) -> None:
     )
 
 
-def _power(ax: Axes, shown: list[EffectLimits], size: float) -> None:
+def _power(ax: Axes, shown: list[EffectLimits], size: float, unit: str) -> None:
     # some across the whole range of limits
     chosen = (
         [shown[i] for i in sorted({round(x) for x in np.linspace(0, len(shown) - 1, len(_CURVES))})]
@@ -294,7 +295,7 @@ def _power(ax: Axes, shown: list[EffectLimits], size: float) -> None:
     ax.axvline(size, color=GREY, linestyle="--", linewidth=1)
     ax.set_xscale("log")
     ax.set_ylim(0, 102)
-    ax.set_xlabel("rms torque of the effect [N m]")
+    ax.set_xlabel(f"rms torque of the effect [{unit}]")
     ax.set_ylabel("probability of detection [%]")
     ax.legend(loc="lower right", fontsize=8)
 

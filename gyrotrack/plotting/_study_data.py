@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting._numbers import unit_text
 from fitting.discovery._criteria import DEFAULT
 from fitting.inference._speed_residuals import SpeedResidual, speed_residuals
 from gyrotrack.plotting._charts import Interval
@@ -47,8 +48,7 @@ def smoothing_floor(fit: Fit) -> float:
 
 def _floor(fit: Fit, case: int) -> float:
     from fitting.dynamics._mesh import Sampler
-    from fitting.inference._record import Samples
-    from fitting.inference._velocity import speeds
+    from fitting.inference._record import Samples, speeds
 
     record, path = fit.problem.data[case].record, fit.predictions[case].path
     measured = record.casing
@@ -132,6 +132,8 @@ class CaseView:
     ----------
     body : str
         Name of the filmed body: "casing", or "body" where only one was recorded.
+    torque_unit : str
+        "N m", or "rad/s²" where torques are per unit of inertia.
     casing, rotor : Curve, tuple of Curve
         Measured speed, smoothed as in the paper [rad/s].
     models : tuple of CaseModel
@@ -150,6 +152,7 @@ class CaseView:
     surface: str
     quantity: str
     body: str
+    torque_unit: str
     casing: Curve
     rotor: tuple[Curve, ...]
     models: tuple[CaseModel, ...]
@@ -239,7 +242,7 @@ def case_view(
     index : int
         Index of the case.
     """
-    from fitting.inference._velocity import speeds
+    from fitting.inference._record import speeds
 
     base, final = history[0].fit, history[-1].fit
     record = base.problem.data[index].record
@@ -249,6 +252,7 @@ def case_view(
         surface=record.surface,
         quantity=record.quantity,
         body=record.body,
+        torque_unit=unit_text(record.torque_unit),
         casing=_measured(*speeds(record.casing, record.quantity)),
         rotor=tuple(_measured(*speeds(w, record.quantity)) for w in record.rotor),
         models=tuple(_case_model(f, t, index) for f, t in zip(fits, torques, strict=True)),
@@ -364,6 +368,11 @@ class StudyView:
     def body(self) -> str:
         """Name of the filmed body: "casing", or "body" where only one was recorded."""
         return self.cases[0].body
+
+    @property
+    def torque_unit(self) -> str:
+        """Unit of torques: "N m", or "rad/s²" where they are per unit of inertia."""
+        return unit_text(self.final.torque_unit)
 
     @property
     def residual_rms(self) -> tuple[float, ...]:

@@ -18,8 +18,7 @@ from scipy.stats import chi2 as chi2_distribution
 
 from gyrotrack._errors import SyncError, UsageError
 from gyrotrack.io._records import BodyTrack, Case, Floats, Placement, Recording, Series
-from gyrotrack.synchronisation._curves import TURN, Curve, Start, casing_curve
-from gyrotrack.synchronisation._matching import Pair, Solution, solve
+from gyrotrack.synchronisation._matching import TURN, Curve, Pair, Solution, Start, casing_curve, solve
 from gyrotrack.synchronisation._search import NEAR, RATE_SIGMA, RIVAL, Prepared, half_length, prepare, survey
 
 EXCLUDED = 25.0  # a rival this much worse in chi2 is out

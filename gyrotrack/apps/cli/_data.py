@@ -293,7 +293,7 @@ def _case_lines(holds: dict[str, Any]) -> list[str]:
     surface = f", on {holds['surface']}" if holds["surface"] else ""
     lines = [
         f"label    {holds['label'] or '-'}{surface}",
-        f"inertia  {_inertia(holds)} kg m2",
+        f"inertia  {_inertia(holds)}",
         f"measured {'angles' if holds['quantity'] == 'angle' else 'angular velocities'}",
         "",
         _HEADER if holds["quantity"] == "angle" else _HEADER.replace("  sigma [mrad]", "sigma [mrad/s]"),
@@ -310,8 +310,12 @@ def _case_lines(holds: dict[str, Any]) -> list[str]:
 
 def _inertia(holds: dict[str, Any]) -> str:
     if holds["bodies"] == "one":
-        return f"{holds['I_casing']:.4g}"
-    return f"rotor {holds['I_rotor']:.4g}, casing {holds['I_casing']:.4g}"
+        return (
+            "unknown; torques are per unit of inertia"
+            if holds["per_inertia"]
+            else f"{holds['I_casing']:.4g} kg m2"
+        )
+    return f"rotor {holds['I_rotor']:.4g}, casing {holds['I_casing']:.4g} kg m2"
 
 
 def _placement_line(p: dict[str, Any]) -> str:

@@ -141,6 +141,7 @@ def laws_comparison_table(found: Laws, fit_id: str) -> str:
     lines = [*textwrap.wrap(found.sentence, 79), "", f"fit {fit_id}, verdict: {found.verdict}"]
     lines += _dependences(found.depends_on)
     answer = found.answer
+    unit, body = found.fit.torque_unit, found.fit.problem.data[0].record.body
     if found.laws:
         lines += ["", f"laws ({found.trials} columns tried), * = the data cannot separate them:"]
         lines.append(f"   {'':<3}{'dBIC':>10}{'rank':>8}{'p':>9}{'torque':>12}")
@@ -151,7 +152,7 @@ def laws_comparison_table(found: Laws, fit_id: str) -> str:
         for d in answer[0].differences:
             lines.append(f"  {d.formula}")
             lines.append(
-                f"      at most {d.torque_Nm:.1g} N m in {d.label}, {d.t_start:.0f} s to {d.t_stop:.0f} s, casing "
+                f"      at most {d.torque_Nm:.1g} {unit} in {d.label}, {d.t_start:.0f} s to {d.t_stop:.0f} s, {body} "
                 f"{d.omega_c[0]:.0f} to {d.omega_c[1]:.0f} rad/s"
             )
     if found.next_experiment:
@@ -176,7 +177,7 @@ def _law(number: int, x: Law, best: Law, *, in_answer: bool) -> list[str]:
     lines = [f"{mark} {number:>2} {x.formula}  ({x.form})"]
     lines.append(
         f"   {'':<3}{x.delta_bic:>10.1f}{'best' if worse == 0 else f'+{worse:.1f}':>8}{_p(x.p_value):>9}"
-        f"{x.torque_rms_Nm:>8.2g} N m"
+        f"{x.torque_rms_Nm:>8.2g} {x.fit.torque_unit}"
     )
     values = [
         f"{k.rpartition('.')[2]} = {rounded(e.value, e.stderr, e.unit)}" for k, e in x.estimates.items()
@@ -305,7 +306,7 @@ def _bounds(given: Sequence[str]) -> dict[str, Any]:
 
 def plan_comparison_table(found: Plan) -> str:
     """Return a plan as lines: limits of every effect, classes, the next run."""
-    runs = len(found.fit.labels)
+    runs, unit = len(found.fit.labels), found.fit.torque_unit
     of = "the planned recording" if found.planned else "the recording"
     lines = []
     if found.warning:
@@ -313,12 +314,12 @@ def plan_comparison_table(found: Plan) -> str:
     lines += textwrap.wrap(
         f"What {of}{'s' if runs > 1 else ''} ({', '.join(found.fit.labels)}) can show: detection limit (power 90 % at "
         f"the false-alarm rate of the search) and upper limit (95 %{', expected' if found.planned else ''}), as rms "
-        f"torques along the motion; power and number of runs for an effect of {found.size:.2g} N m.",
+        f"torques along the motion; power and number of runs for an effect of {found.size:.2g} {unit}.",
         _WIDTH,
     )
     lines += [
         "",
-        f"  {'effect':<28}{'detection limit':>18}{'N m rms':>10}{'upper limit':>13}{'power':>8}{'runs':>8}",
+        f"  {'effect':<28}{'detection limit':>18}{f'{unit} rms':>12}{'upper limit':>13}{'power':>8}{'runs':>8}",
     ]
     lines += [_row(e) for e in found.effects]
     if any(not e.effect.mechanical for e in found.effects):
@@ -346,7 +347,7 @@ def plan_comparison_table(found: Plan) -> str:
 def _row(e: EffectLimits) -> str:
     star = "" if e.effect.mechanical else " *"
     if e.absorbed:
-        return f"  {e.effect.name + star:<28}{'-':>18}{'-':>10}{'-':>13}{'-':>8}{'-':>8}"
+        return f"  {e.effect.name + star:<28}{'-':>18}{'-':>12}{'-':>13}{'-':>8}{'-':>8}"
     limit = f"{e.strength} = {e.detection_limit:.2g}"
     torque = f"{e.detection_torque:.1e}" if math.isfinite(e.detection_torque) else "-"
     upper = "found" if math.isnan(e.upper_limit) else f"{e.upper_torque:.1e}" if e.effect.mechanical else "-"
@@ -358,7 +359,7 @@ def _row(e: EffectLimits) -> str:
         if math.isinf(e.runs_needed)
         else f"{e.runs_needed:.0f}"
     )
-    return f"  {e.effect.name + star:<28}{limit:>18}{torque:>10}{upper:>13}{power:>8}{runs:>8}"
+    return f"  {e.effect.name + star:<28}{limit:>18}{torque:>12}{upper:>13}{power:>8}{runs:>8}"
 
 
 def _possible(b: Bounds) -> str:

@@ -368,7 +368,7 @@ def improve_command(
     steps = [entry.document["rung"] for entry in kept]
     verdict = history_verdict(history)
     out.result({"ladder": steps, "final": fit_document(history[-1].fit, kept[-1].fit_id), "verdict": verdict})
-    out.show(*ladder_tables(steps, study.data[0].record.body), f"verdict: {_WORDS[verdict]}")
+    out.show(*ladder_tables(steps, study.data[0].record), f"verdict: {_WORDS[verdict]}")
 
 
 _WORDS = {
@@ -425,7 +425,7 @@ def ladder_command(
         for e in study.ledger.of(study.data)
     ]
     out.result({"ladder": steps})
-    out.show(*ladder_tables(steps, study.data[0].record.body))
+    out.show(*ladder_tables(steps, study.data[0].record))
 
 
 def effects_command(

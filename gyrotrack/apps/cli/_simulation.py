@@ -325,7 +325,7 @@ def _found(out: Output, case: Path) -> tuple[list[Step], Diagnosis, dict[str, An
     steps_of_history = improve(base, first=diagnosis.candidates)
     kept = study.keep(steps_of_history, first.fit_id)
     steps = [entry.document["rung"] for entry in kept]
-    out.show(*ladder_tables(steps, study.data[0].record.body))
+    out.show(*ladder_tables(steps, study.data[0].record))
     return (
         steps_of_history,
         diagnosis,

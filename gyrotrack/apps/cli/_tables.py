@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from fitting.discovery._verdict import Diagnosis
     from fitting.inference._cross_validation import Predicted
     from fitting.inference._profile import Interval
+    from fitting.inference._record import Record
     from fitting.inference._result import Fit
     from fitting.study._paper import CurveBias
 
@@ -77,18 +78,19 @@ def prediction_tables(predicted: Sequence[Predicted]) -> list[str]:
 
 def diagnosis_tables(d: Diagnosis, fit_id: str) -> list[str]:
     """Return a diagnosis as lines: sentence, lack of fit, candidate effects."""
+    torque = f"torque [{d.fit.torque_unit}]"
     lines = [*_wrapped(d.sentence), "", f"fit {fit_id}, verdict: {d.verdict.replace('_', ' ')}"]
     if d.failures:
         lines += [
             "",
             "significant lack of fit:",
-            f"  {'case':<10}{'body':<8}{'time [s]':>16}{'torque [N m]':>14}{'speed [rad/s]':>15}{'sigma':>7}",
+            f"  {'case':<10}{'body':<8}{'time [s]':>16}{torque:>16}{'speed [rad/s]':>15}{'sigma':>7}",
         ]
         for f in d.failures:
             time = f"{f.t_start:.1f} - {f.t_stop:.1f}"
             lines.append(
                 f"  {f.label[:9]:<10}{f.called:<8}{time:>16}"
-                f"{f.residual_torque_Nm:>14.2g}{f.residual_rad_s:>15.2g}{f.size_sigma:>7.0f}"
+                f"{f.residual_torque_Nm:>16.2g}{f.residual_rad_s:>15.2g}{f.size_sigma:>7.0f}"
             )
         lines += _curves(d)
     shown = [c for c in d.candidates if c.score > 0][:_CANDIDATES]
@@ -120,10 +122,11 @@ def _curves(d: Diagnosis) -> list[str]:
         if t.body != "casing" or not intervals:
             continue
         start, stop = float(t.time[0]), float(t.time[-1])
+        torque = f"{_range(t)} {d.fit.torque_unit}"
         label = f", {t.label[:12]}" if len({x.label for x in d.torques}) > 1 else ""
         lines += [
             "",
-            f"unmodelled torque on the {body}{label}, {_range(t)}, from {start:.0f} s to {stop:.0f} s:",
+            f"unmodelled torque on the {body}{label}, {torque}, from {start:.0f} s to {stop:.0f} s:",
             f"  {sparkline(t.torque)}",
             f"  {marks(intervals, start, stop)}".rstrip() + "  lack of fit",
         ]
@@ -131,11 +134,11 @@ def _curves(d: Diagnosis) -> list[str]:
 
 
 def _range(t: ResidualTorque) -> str:
-    return f"{t.torque.min():.2g} to {t.torque.max():.2g} N m"
+    return f"{t.torque.min():.2g} to {t.torque.max():.2g}"
 
 
-def ladder_tables(steps: Sequence[dict[str, Any]], body: str = "casing") -> list[str]:
-    """Return a history of fits as lines, one bar per fit; `body` is the body recorded throughout."""
+def ladder_tables(steps: Sequence[dict[str, Any]], record: Record) -> list[str]:
+    """Return a history of fits as lines, one bar per fit; `record` is that of any of the cases."""
     lines = [f"{'fit':<5}{'rmse':>9} {'chi2/n':>9} {'cv error':>9} {'dBIC':>9}  {'':<{_BAR}}", ""]
     sizes = [max(r["rmse_casing"], 1e-300) for r in steps]
     previous = ""
@@ -151,13 +154,17 @@ def ladder_tables(steps: Sequence[dict[str, Any]], body: str = "casing") -> list
         )
         lines.append(
             f"     {added}"
-            + (f"  (remainder: {r['torque_left_Nm']:.2g} N m)" if r.get("torque_left_Nm") else "")
+            + (
+                f"  (remainder: {r['torque_left_Nm']:.2g} {record.torque_unit})"
+                if r.get("torque_left_Nm")
+                else ""
+            )
         )
         if comment := ": ".join(filter(None, (r.get("name"), r.get("note")))):
             lines += [f"     {line}" for line in _wrapped(comment)]
     lines += [
         "",
-        f"rmse of the angular rate of the {body} [rad/s];",
+        f"rmse of the angular rate of the {record.body} [rad/s];",
         "cross-validation error in units of the noise (1 = noise limit)",
     ]
     return ["\n".join(lines)]

@@ -10,7 +10,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fitting._numbers import nonbreaking, probability, scaled, short, typeset
+from fitting._numbers import nonbreaking, probability, scaled, short, typeset, unit_text
 from gyrotrack._errors import OutputError
 from gyrotrack.apps.report import _tables as tables
 from gyrotrack.apps.report._frames import Tile, contact_sheets
@@ -18,8 +18,13 @@ from gyrotrack.io._atomic import new_file, refusal, refuse_existing
 from gyrotrack.plotting import _case_charts as charts
 from gyrotrack.plotting import _charts as widgets
 from gyrotrack.plotting._charts import Dashboard, chart_picture
-from gyrotrack.plotting._discovery import candidates_picture, history_finding, history_picture
-from gyrotrack.plotting._parameters import correlation_picture, formula
+from gyrotrack.plotting._discovery import (
+    candidates_picture,
+    correlation_picture,
+    formula,
+    history_finding,
+    history_picture,
+)
 from gyrotrack.plotting._study_data import CaseView, StudyView, gather
 from gyrotrack.plotting._style import AFTER, Picture, themed
 from gyrotrack.plotting._tracking import Tracks, sync_picture, tracks_of
@@ -235,7 +240,7 @@ def _facts(view: StudyView) -> list[tuple[str, str]]:
 def _interval(f: Failure, *, named: bool) -> str:
     factor, prefix = scaled(abs(f.residual_torque_Nm))
     sign = "" if f.kind == "ripple" else "+" if f.residual_torque_Nm > 0 else "−"
-    size = f"{sign}{short(factor * abs(f.residual_torque_Nm), 2)} {prefix}N m"
+    size = f"{sign}{short(factor * abs(f.residual_torque_Nm), 2)} {prefix}{unit_text(f.unit)}"
     of = f" of {f.label}" if named else ""
     return f"{size} on the {f.called}{of} from {f.t_start:.1f} s to {f.t_stop:.1f} s ({f.size_sigma:.0f} σ)"
 

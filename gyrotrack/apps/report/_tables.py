@@ -146,7 +146,7 @@ def _note(e: Estimate, before: Estimate | None, *, undetermined: bool, fixed: bo
 def candidate_rows(view: StudyView) -> list[CandidateRow]:
     """Return the candidate effects, best first."""
     from fitting.effects._expression import latex
-    from gyrotrack.plotting._parameters import formula
+    from gyrotrack.plotting._discovery import formula
 
     return [
         CandidateRow(
@@ -363,8 +363,10 @@ def origin_rows(fit: Fit, given: Mapping[str, str]) -> list[tuple[str, str]]:
 def _samples(data: CaseData) -> str:
     r = data.record
     if r.single:
-        facts = f"one body {len(r.casing)}; {data.n_effective:.0f} effective; I {short(r.I_casing, 4)} kg m²"
-        return f"{facts}; measured: {r.quantity}"
+        inertia = "no moment of inertia" if r.per_inertia else f"I {short(r.I_casing, 4)} kg m²"
+        return (
+            f"one body {len(r.casing)}; {data.n_effective:.0f} effective; {inertia}; measured: {r.quantity}"
+        )
     rotor = f"rotor {sum(len(w) for w in r.rotor)} in {len(r.rotor)} windows"
     inertia = f"I_rotor {short(r.I_rotor, 4)}, I_casing {short(r.I_casing, 4)} kg m²"
     seen = f"casing {len(r.casing)}, {rotor}; {data.n_effective:.0f} effective"
