@@ -262,18 +262,22 @@ class Laboratory:
 
     def write_report(self) -> dict[str, Any]:
         """Keep the shown fit in the ledger and write the report of its history, in a process."""
-        words = ["report", self.case.name, "-o", self.report.name, "--force", "--from", self.session.kept()]
-        words += ["--films", str(self.clips.folder)] if self.clips.folder is not None else []
-        words += ["--ledger", str(self.ledger.resolve())] if self.ledger is not None else []
-        self.jobs.start("report", words, lambda _: None)
+        self.jobs.start("report", self._report_words(self.session.kept()), lambda _: None)
         return self.report_state()
 
     def report_state(self) -> dict[str, Any]:
         """Return how far the report is, its name, and the command line that writes it."""
         job = self.jobs.get("report")
-        if job is None:
-            return {"state": "none", "name": self.report.name}
-        return job.summary() | {"name": self.report.name, "command": shlex.join(("gyrotrack", *job.words))}
+        words = self._report_words() if job is None else job.words
+        state = {"state": "none"} if job is None else job.summary()
+        return state | {"name": self.report.name, "command": shlex.join(("gyrotrack", *words))}
+
+    def _report_words(self, fit_id: str = "") -> tuple[str, ...]:
+        words = ["report", self.case.name, "-o", self.report.name, "--force"]
+        words += ["--from", fit_id] if fit_id else []
+        words += ["--films", str(self.clips.folder)] if self.clips.folder is not None else []
+        words += ["--ledger", str(self.ledger.resolve())] if self.ledger is not None else []
+        return tuple(words)
 
     def close(self) -> None:
         """End all processes and close the films."""

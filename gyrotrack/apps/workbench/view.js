@@ -350,6 +350,7 @@ const Laboratory = (() => {
     at("clip").replaceChildren(...found.map((c) => element("option", { value: c.key }, `${c.source} (${c.body})`)));
     if (found.length) choose(found[0].key);
     search();
+    at("command-report").textContent = (await ask("/api/report")).command;
   }
 
   at("glossary").replaceChildren(...GLOSSARY.flatMap(([term, text]) => [element("dt", {}, term), element("dd", {}, text)]));
@@ -366,7 +367,6 @@ const Laboratory = (() => {
     try {
       let found = await ask("/api/write_report", {});
       at("command-report").textContent = found.command;
-      at("report-same").hidden = false;
       at("open-report").hidden = true;
       while (found.state === "waiting" || found.state === "running") {
         begin.disabled = true;
