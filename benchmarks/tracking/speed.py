@@ -175,8 +175,8 @@ def table(results: dict) -> str:
     lines = [
         "# Speed and memory of tracking",
         "",
-        f"Commit {results['commit']}; {results['machine']}. CPU time (of the calling process), the fastest of several turns; with two threads or workers",
-        "also the time on the clock, beside that of decoding in one thread.",
+        f"Commit {results['commit']}; {results['machine']}. CPU time of the calling process, the fastest of several",
+        "turns; with two threads or workers also the time on the clock, beside that of decoding in one thread.",
     ]
     lines += ["", *results["notes"]] if results.get("notes") else []
     for clip, found in results.get("clips", {}).items():

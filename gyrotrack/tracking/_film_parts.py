@@ -296,17 +296,15 @@ class PartWorkers:
                     break
                 index = waiting.pop()
             yield index, track_part(film, self.parts[index], 1 if futures else threads, count)
-            for ready in [i for i, f in list(futures.items()) if f.done()]:
-                yield ready, self._result(film, ready, futures.pop(ready), count)
         while futures:
-            ready = next((i for i, f in list(futures.items()) if f.done()), None)
-            if ready is None:
+            ready = [i for i, f in list(futures.items()) if f.done()]
+            for index in ready:
+                yield index, self._result(film, index, futures.pop(index), count)
+            if not ready:
                 try:
                     next(iter(futures.values())).exception(timeout=0.1)
                 except TimeoutError:
                     tell()
-                continue
-            yield ready, self._result(film, ready, futures.pop(ready), count)
 
     def _result(self, film: Film, index: int, future: Future[PartRows], count: Any) -> PartRows:
         try:
