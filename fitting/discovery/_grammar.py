@@ -23,8 +23,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fitting.effects._dimension import dimension, format_unit, parse_unit
-from fitting.effects._effect import MOMENTS, VARIABLES, Effect, Joint, Parameter, State
+from fitting.effects._effect import (
+    MOMENTS,
+    VARIABLES,
+    Effect,
+    Joint,
+    Parameter,
+    State,
+    dimension,
+    format_unit,
+    parse_unit,
+)
 from fitting.effects._expression import parse
 
 # bits for each symbol of a formula

@@ -43,7 +43,7 @@ from fitting.dynamics._mesh import Sampler
 from fitting.effects._effect import Effect, Parameter
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import Prediction
-from fitting.inference._lack_of_fit import block_diagonal, orthonormal
+from fitting.inference._metrics import block_diagonal, orthonormal
 from fitting.inference._noise import Noise, TorqueResponse, tail_probability
 from fitting.inference._problem import Projection, r_factor
 from fitting.inference._result import Fit

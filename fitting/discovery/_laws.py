@@ -54,7 +54,7 @@ from fitting.effects._effect import Effect
 from fitting.effects._expression import Tape, symbols
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
-from fitting.inference._lack_of_fit import block_diagonal
+from fitting.inference._metrics import block_diagonal
 from fitting.inference._noise import Noise
 from fitting.inference._result import Estimate, Fit
 

@@ -26,7 +26,7 @@ from fitting.discovery._score import CaseColumns, Score, ScoreContext, score_in_
 from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect, Parameter
 from fitting.inference._fit import fit
-from fitting.inference._lack_of_fit import orthonormal
+from fitting.inference._metrics import orthonormal
 from fitting.inference._noise import Noise
 from fitting.inference._result import Fit
 

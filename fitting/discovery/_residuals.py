@@ -26,11 +26,11 @@ from fitting.discovery._criteria import DEFAULT, Criteria
 from fitting.dynamics._mesh import Sampler
 from fitting.effects._library import LIBRARY
 from fitting.inference._case_data import CaseData
-from fitting.inference._lack_of_fit import orthonormal, slow_responses
+from fitting.inference._metrics import orthonormal, slow_responses
 from fitting.inference._noise import TorqueNoise, TorqueResponse, decaying_sums, remaining_level
 from fitting.inference._problem import Projection
+from fitting.inference._record import speeds
 from fitting.inference._result import Fit
-from fitting.inference._velocity import speeds
 
 Array = NDArray[np.float64]
 

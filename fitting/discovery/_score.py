@@ -37,7 +37,7 @@ from fitting.dynamics._model import INERTIA_CASING
 from fitting.effects._effect import Effect, Parameter
 from fitting.effects._expression import Tape, derivative
 from fitting.inference._case_model import CaseModel, Prediction
-from fitting.inference._lack_of_fit import block_diagonal
+from fitting.inference._metrics import block_diagonal
 from fitting.inference._noise import Noise, TorqueResponse, Whitener, possible_scales
 from fitting.inference._result import Fit
 

@@ -347,9 +347,20 @@ class Step:
     fit: Fit
     candidates: tuple[Candidate, ...]
 
+    def __repr__(self) -> str:
+        return f"Step({self.change or 'base'}: {self.fit.verdict}, {len(self.candidates)} candidates)"
+
 
 class History(list[Step]):
     """The steps of `improve`, the base first; a notebook shows them as a table."""
+
+    def __repr__(self) -> str:
+        width = max((len(s.change) for s in self), default=0) + 2
+        lines = [f"{'change':<{width}}{'rms [rad/s]':>12}{'chi2/n':>11}{'cv error':>10}  verdict"]
+        for s in self:
+            numbers = f"{s.fit.rmse_casing:>12.4g}{s.fit.reduced_chi2:>11.4g}{s.fit.held_out:>10.4g}"
+            lines.append(f"{s.change or 'base':<{width}}{numbers}  {s.fit.verdict}")
+        return "\n".join(lines)
 
     def plot(self, ax: Axes | None = None) -> Figure:
         """Draw how the error falls from step to step (matplotlib).

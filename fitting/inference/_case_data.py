@@ -36,7 +36,7 @@ from fitting.inference._compression import (
     compress,
 )
 from fitting.inference._oscillation import Oscillation, find_oscillation
-from fitting.inference._record import Record, Samples
+from fitting.inference._record import WIDTH, Record, Samples, initial_speeds, speeds
 from fitting.inference._recording_noise import (
     AngleNoise,
     ProcessNoise,
@@ -44,7 +44,6 @@ from fitting.inference._recording_noise import (
     estimate_process_noise,
     estimate_window_noise,
 )
-from fitting.inference._velocity import WIDTH, initial_speeds, speeds
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from fitting.effects._expression import Tape
 from fitting.inference._case_data import CaseData
 from fitting.inference._compression import Compressed
 from fitting.inference._parameters import ParameterLayout
-from fitting.inference._velocity import hermite
+from fitting.inference._record import hermite
 
 _GAUSS = 3
 _PIECES = (480, 240, 120, 60, 30, 15)

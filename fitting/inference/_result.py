@@ -31,14 +31,20 @@ from fitting._errors import EstimationError
 from fitting._numbers import PER_INERTIA, TORQUE, rounded, short, with_uncertainty
 from fitting.dynamics._model import Model
 from fitting.inference._case_model import Prediction
-from fitting.inference._lack_of_fit import LackOfFit, lack_of_fit
-from fitting.inference._metrics import CaseMetrics, EnergyBalance, case_metrics, energy_balance
+from fitting.inference._metrics import (
+    CaseMetrics,
+    EnergyBalance,
+    LackOfFit,
+    case_metrics,
+    energy_balance,
+    lack_of_fit,
+)
 from fitting.inference._noise import Noise
 from fitting.inference._parameters import START_ROTOR, ParameterLayout
 from fitting.inference._problem import Problem, Projection, covariance_of, surely_at_bound
+from fitting.inference._record import speeds
 from fitting.inference._recording_noise import AngleNoise
 from fitting.inference._speed_residuals import SpeedResidual, modelled_speed, speed_residuals
-from fitting.inference._velocity import speeds
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

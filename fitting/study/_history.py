@@ -38,8 +38,8 @@ from fitting.discovery._verdict import Diagnosis
 from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect
 from fitting.inference._case_data import CaseData
+from fitting.inference._fit import robust_fit
 from fitting.inference._result import Fit
-from fitting.inference._robust import robust_fit
 from fitting.study._serialisation import (
     fit_document,
     restored_diagnosis,

@@ -29,8 +29,7 @@ from gyrotrack.tracking._any_body import Film, Tracked, track_body
 from gyrotrack.tracking._extract import extract
 from gyrotrack.tracking._profile import load
 from gyrotrack.video._container import file_sha256
-from gyrotrack.video._time_base import Timing
-from gyrotrack.video._timestamps import SLOWEST_PLAIN_RATE
+from gyrotrack.video._time_base import SLOWEST_PLAIN_RATE, Timing
 
 if TYPE_CHECKING:
     from fitting.inference._result import Fit

@@ -341,7 +341,7 @@ class FitRequest:
         options: dict[str, Any],
     ) -> Fit:
         from fitting._errors import FittingError
-        from fitting.inference._robust import robust_fit
+        from fitting.inference._fit import robust_fit
 
         try:
             return robust_fit(wanted, study.data, self.loss, start=start, **options)

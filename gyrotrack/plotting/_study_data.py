@@ -48,8 +48,7 @@ def smoothing_floor(fit: Fit) -> float:
 
 def _floor(fit: Fit, case: int) -> float:
     from fitting.dynamics._mesh import Sampler
-    from fitting.inference._record import Samples
-    from fitting.inference._velocity import speeds
+    from fitting.inference._record import Samples, speeds
 
     record, path = fit.problem.data[case].record, fit.predictions[case].path
     measured = record.casing
@@ -243,7 +242,7 @@ def case_view(
     index : int
         Index of the case.
     """
-    from fitting.inference._velocity import speeds
+    from fitting.inference._record import speeds
 
     base, final = history[0].fit, history[-1].fit
     record = base.problem.data[index].record

@@ -18,8 +18,7 @@ from scipy.stats import chi2 as chi2_distribution
 
 from gyrotrack._errors import SyncError, UsageError
 from gyrotrack.io._records import BodyTrack, Case, Floats, Placement, Recording, Series
-from gyrotrack.synchronisation._curves import TURN, Curve, Start, casing_curve
-from gyrotrack.synchronisation._matching import Pair, Solution, solve
+from gyrotrack.synchronisation._matching import TURN, Curve, Pair, Solution, Start, casing_curve, solve
 from gyrotrack.synchronisation._search import NEAR, RATE_SIGMA, RIVAL, Prepared, half_length, prepare, survey
 
 EXCLUDED = 25.0  # a rival this much worse in chi2 is out
@@ -357,11 +356,11 @@ def _series(parts: list[BodyTrack]) -> Series:
 def _placement(name: str, match: Match) -> Placement:
     return Placement(
         id=name,
-        clock_offset=match.start.offset,
-        clock_offset_sigma=match.offset_sigma,
-        clock_rate=1 + match.start.eps,
-        clock_rate_sigma=match.rate_sigma,
-        angle_offset=match.start.angle % TURN,
+        clock_offset=float(match.start.offset),
+        clock_offset_sigma=float(match.offset_sigma),
+        clock_rate=float(1 + match.start.eps),
+        clock_rate_sigma=float(match.rate_sigma),
+        angle_offset=float(match.start.angle % TURN),
         ambiguous=match.ambiguous,
         method=match.method,
     )

@@ -22,7 +22,6 @@ from gyrotrack.io._records import BodyTrack, MarkerTrack, Recording
 from gyrotrack.io._schema import STATUS
 from gyrotrack.tracking._acquisition import acquire
 from gyrotrack.tracking._body_angles import TrackedBodies, join_bodies, trusted_times
-from gyrotrack.tracking._colour import single_threaded
 from gyrotrack.tracking._corners import paper_angle
 from gyrotrack.tracking._film_parts import PartWorkers, frames_done, track_film
 from gyrotrack.tracking._film_tracker import (
@@ -34,12 +33,11 @@ from gyrotrack.tracking._film_tracker import (
 from gyrotrack.tracking._frame_repeats import judge_repeats, left_out, without_repeats
 from gyrotrack.tracking._fusion import BodyAngles
 from gyrotrack.tracking._observations import MarkerObservations
-from gyrotrack.tracking._profile import PAPER, Profile
+from gyrotrack.tracking._profile import PAPER, Profile, single_threaded
 from gyrotrack.tracking._residuals import wrapped
 from gyrotrack.tracking._scene import FEWEST, Marker, Scene, take_samples
 from gyrotrack.video._container import ClipInfo, file_sha256, probe
-from gyrotrack.video._time_base import FrameTimes, Timing
-from gyrotrack.video._timestamps import CaptureRate, capture_rate
+from gyrotrack.video._time_base import CaptureRate, FrameTimes, Timing, capture_rate
 
 Floats = npt.NDArray[np.float64]
 Codes = npt.NDArray[np.int8]

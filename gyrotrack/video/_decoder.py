@@ -27,7 +27,7 @@ from gyrotrack.video._container import (
     planes_of,
     probe,
 )
-from gyrotrack.video._timestamps import stamp_warnings
+from gyrotrack.video._time_base import stamp_warnings
 
 T = TypeVar("T")
 

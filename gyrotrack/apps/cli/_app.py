@@ -22,9 +22,8 @@ from typing import Annotated, Any
 import typer
 from typer.main import get_command
 
-from gyrotrack.apps.cli._lazy import Entry, lazy_group
 from gyrotrack.apps.cli._output import DONE, FAULT, INTERRUPTED, TERMINATED, USAGE, report_error, running
-from gyrotrack.apps.cli._settings import Settings, find, read
+from gyrotrack.apps.cli._settings import Entry, Settings, find, lazy_group, read
 
 _DATA = "From films to data"
 _PHYSICS = "From data to physics"

@@ -364,7 +364,7 @@ def sync_command(
 
 
 def _clip(path: Path, match: Match) -> dict[str, Any]:
-    from gyrotrack.synchronisation._curves import TURN
+    from gyrotrack.synchronisation._matching import TURN
 
     return {
         "source": path,

@@ -18,8 +18,13 @@ from gyrotrack.io._atomic import new_file, refusal, refuse_existing
 from gyrotrack.plotting import _case_charts as charts
 from gyrotrack.plotting import _charts as widgets
 from gyrotrack.plotting._charts import Dashboard, chart_picture
-from gyrotrack.plotting._discovery import candidates_picture, history_finding, history_picture
-from gyrotrack.plotting._parameters import correlation_picture, formula
+from gyrotrack.plotting._discovery import (
+    candidates_picture,
+    correlation_picture,
+    formula,
+    history_finding,
+    history_picture,
+)
 from gyrotrack.plotting._study_data import CaseView, StudyView, gather
 from gyrotrack.plotting._style import AFTER, Picture, themed
 from gyrotrack.plotting._tracking import Tracks, sync_picture, tracks_of

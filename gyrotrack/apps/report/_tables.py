@@ -146,7 +146,7 @@ def _note(e: Estimate, before: Estimate | None, *, undetermined: bool, fixed: bo
 def candidate_rows(view: StudyView) -> list[CandidateRow]:
     """Return the candidate effects, best first."""
     from fitting.effects._expression import latex
-    from gyrotrack.plotting._parameters import formula
+    from gyrotrack.plotting._discovery import formula
 
     return [
         CandidateRow(

@@ -24,8 +24,7 @@ from gyrotrack.io._records import BodyTrack, MarkerTrack, Recording
 from gyrotrack.io._schema import STATUS
 from gyrotrack.plotting._frames import Film, Picture, find_film
 from gyrotrack.plotting._tracking import on_clock
-from gyrotrack.tracking._colour import colour_name
-from gyrotrack.tracking._profile import parse, to_toml
+from gyrotrack.tracking._profile import colour_name, parse, to_toml
 
 if TYPE_CHECKING:
     from gyrotrack.io._records import Case

@@ -14,7 +14,7 @@ import pytest
 import gyrotrack
 from gyrotrack._errors import DatasetError
 from gyrotrack.apps.cli import _app as app
-from gyrotrack.apps.cli import _lazy as lazy
+from gyrotrack.apps.cli import _settings as lazy
 from gyrotrack.apps.cli._output import Output
 
 
