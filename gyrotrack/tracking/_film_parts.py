@@ -31,7 +31,6 @@ from gyrotrack._column_store import new_columns, set_down
 from gyrotrack._errors import VideoError
 from gyrotrack.io._checkpoint import CheckpointFile
 from gyrotrack.tracking import _film_tracker
-from gyrotrack.tracking._colour import single_threaded
 from gyrotrack.tracking._film_tracker import (
     BodyObservations,
     FilmObservations,
@@ -40,6 +39,7 @@ from gyrotrack.tracking._film_tracker import (
     Rows,
 )
 from gyrotrack.tracking._observations import MarkerObservations
+from gyrotrack.tracking._profile import single_threaded
 from gyrotrack.tracking._scene import Scene
 from gyrotrack.video._container import Frame, Packets, probe, read_packets
 from gyrotrack.video._decoder import Part, Reader, film_warnings, pts_seconds
