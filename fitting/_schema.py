@@ -215,6 +215,7 @@ class DiagnosisDocument(Document):
     candidates: list[CandidateDocument]
     form: str | None = None
     explained: float | None = None
+    form_limit: float | None = None
     remainder: RemainderDocument | None = None
     nuisance: list[NuisanceDocument] = []
     next_experiment: str
@@ -377,6 +378,7 @@ class StoredDiagnosis(Document):
     candidates: list[StoredCandidate]
     form: str | None = None
     explained: float | None = None
+    form_limit: float | None = None
     remainder: RemainderDocument | None = None
     nuisance: list[NuisanceDocument] = []
     next_experiment: str

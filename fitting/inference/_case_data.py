@@ -44,6 +44,7 @@ from fitting.inference._recording_noise import (
     estimate_process_noise,
     estimate_window_noise,
 )
+from fitting.inference._spectral_lines import SpectralLine, line_rows, spectral_lines
 
 
 @dataclass(frozen=True)
@@ -218,7 +219,7 @@ class CaseData:
         """
         if not self.is_angle or self.oscillation is not None:
             return AngleNoise()
-        return estimate_angle_noise(self.casing, self._camera_rows)
+        return estimate_angle_noise(self.casing, self._nuisance_rows)
 
     @cached_property
     def rotor_angle_noise(self) -> AngleNoise:
@@ -238,11 +239,30 @@ class CaseData:
     @cached_property
     def process_noise(self) -> ProcessNoise:
         """Random acceleration of the casing; no model and no moment of inertia enters."""
-        free = self._camera_rows
+        free = self._nuisance_rows
         if self.oscillation is not None:
             waves = self.casing.at_samples(self.oscillation.waves())[0]
             free = np.concatenate([free, waves], axis=1) if self.record.tracked else waves
         return estimate_process_noise(self.casing, free, self.angle_noise, angle=self.is_angle)
+
+    @cached_property
+    def spectral_lines(self) -> tuple[SpectralLine, ...]:
+        """Sinusoidal torques that are no noise; none is sought in an oscillation.
+
+        A camera errs at frequencies of its own, by less than the noise of one angle: on film, such lines are noise.
+        """
+        if self.oscillation is not None:
+            return ()
+        least = float(np.median(self.record.casing.sigma)) if self.record.tracked else 0.0
+        found = spectral_lines(self.casing, self._camera_rows)
+        return tuple(line for line in found if line.amplitude > least)
+
+    @cached_property
+    def _nuisance_rows(self) -> Array:
+        """Polynomial rows of what is no noise: the camera's nuisance functions and spectral lines."""
+        return np.concatenate(
+            [self._camera_rows, line_rows(self.casing, [line.rate for line in self.spectral_lines])], axis=1
+        )
 
     @cached_property
     def _camera_rows(self) -> Array:

@@ -201,6 +201,7 @@ def diagnosis_document(d: Diagnosis, fit_id: str) -> dict[str, Any]:
         candidates=[_candidate(c) for c in d.candidates],
         form=d.form,
         explained=d.explained,
+        form_limit=d.form_limit,
         remainder=RemainderDocument.model_validate(d.remainder) if d.remainder is not None else None,
         nuisance=[NuisanceDocument.model_validate(n) for n in d.nuisance],
         next_experiment=d.next_experiment,
@@ -464,6 +465,7 @@ def stored_diagnosis(found: Diagnosis, extra: Sequence[Effect] = ()) -> StoredDi
         ],
         form=found.form,
         explained=found.explained,
+        form_limit=found.form_limit,
         remainder=RemainderDocument.model_validate(found.remainder) if found.remainder is not None else None,
         nuisance=[NuisanceDocument.model_validate(n) for n in found.nuisance],
         next_experiment=found.next_experiment,
@@ -502,6 +504,7 @@ def restored_diagnosis(stored: StoredDiagnosis, fit: Fit, extra: Sequence[Effect
         tuple(ripples(fit)),
         tuple(whiteness(fit)),
         tuple(UpperLimit(**u.model_dump()) for u in stored.upper_limits),
+        stored.form_limit,
     )
 
 
