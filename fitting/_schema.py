@@ -92,6 +92,15 @@ class CaseDocument(MetricsDocument):
     n_eff: Number = math.nan
 
 
+class PriorDocument(Document):
+    """A Gaussian prior: parameters of another study with their covariance [SI]."""
+
+    source: str
+    names: list[str]
+    mean: list[Number]
+    covariance: list[list[Number]]
+
+
 class FitDocument(Document):
     """What `fit --json` prints."""
 
@@ -105,6 +114,7 @@ class FitDocument(Document):
     equations: list[str] = []
     not_determined: list[str] = []
     not_determined_together: list[dict[str, Number]] = []
+    prior: PriorDocument | None = None
 
 
 class FailureDocument(Document):
@@ -413,6 +423,8 @@ class EntryDocument(FitDocument):
     rotor: str = "windows"
     created: str = ""
     software_version: str = ""
+    variables: list[str] = []
+    covariance: list[list[Number]] = []
     restored_from: Any = None
     diagnosis: Any = None
 
