@@ -92,6 +92,15 @@ class CaseDocument(MetricsDocument):
     n_eff: Number = math.nan
 
 
+class PriorDocument(Document):
+    """A Gaussian prior: parameters of another study with their covariance [SI]."""
+
+    source: str
+    names: list[str]
+    mean: list[Number]
+    covariance: list[list[Number]]
+
+
 class FitDocument(Document):
     """What `fit --json` prints."""
 
@@ -105,6 +114,7 @@ class FitDocument(Document):
     equations: list[str] = []
     not_determined: list[str] = []
     not_determined_together: list[dict[str, Number]] = []
+    prior: PriorDocument | None = None
 
 
 class FailureDocument(Document):
@@ -215,6 +225,7 @@ class DiagnosisDocument(Document):
     candidates: list[CandidateDocument]
     form: str | None = None
     explained: float | None = None
+    form_limit: float | None = None
     remainder: RemainderDocument | None = None
     nuisance: list[NuisanceDocument] = []
     next_experiment: str
@@ -377,6 +388,7 @@ class StoredDiagnosis(Document):
     candidates: list[StoredCandidate]
     form: str | None = None
     explained: float | None = None
+    form_limit: float | None = None
     remainder: RemainderDocument | None = None
     nuisance: list[NuisanceDocument] = []
     next_experiment: str
@@ -406,6 +418,8 @@ class EntryDocument(FitDocument):
     rotor: str = "windows"
     created: str = ""
     software_version: str = ""
+    variables: list[str] = []
+    covariance: list[list[Number]] = []
     restored_from: Any = None
     diagnosis: Any = None
 

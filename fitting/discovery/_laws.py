@@ -278,7 +278,7 @@ def library_answer(known: Diagnosis) -> Candidate | None:
 
     A class of indistinguishable effects that has an unknown law in it is no answer yet.
     """
-    if known.verdict != "missing_effect" or known.form != "exact" or not known.candidates:
+    if known.verdict != "missing_effect" or known.remainder is not None or not known.candidates:
         return None
     best = known.candidates[0]
     return None if UNKNOWN_LAW in best.indistinguishable_from else best

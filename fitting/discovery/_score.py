@@ -280,6 +280,15 @@ class CaseColumns:
         rotor, casing = _ACTING.get(effect.joint, (-1.0, 1.0))
         return rotor * unit, casing * unit
 
+    def along_motion(self, variable: str) -> Array:
+        """Return "t" [s] or a speed [rad/s] in each cell."""
+        return np.asarray(self._known[variable])
+
+    def torque_rows(self, rotor: Array, casing: Array) -> Array:
+        """Return the response of the rows to torques on rotor and casing, each (cells, columns) [N m]."""
+        smooth = self.response.rotor @ rotor + self.response.casing @ casing
+        return np.concatenate([smooth, np.zeros((len(self.case.data.z) - len(smooth), smooth.shape[1]))])
+
     def _units(self, effect: Effect, choices: Sequence[dict[str, float]]) -> Array:
         """Return the torque of a law at strength 1 in each cell, for all choices of its shape constants at once."""
         amplitude = next(p.symbol for p in effect.parameters if p.role == "amplitude")

@@ -26,6 +26,7 @@ from fitting._display import (
 from fitting._numbers import probability, rounded, short, typeset, unit_text
 from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._criteria import DEFAULT, Criteria
+from fitting.discovery._form import FormTest
 from fitting.discovery._lack_of_fit import (
     UNKNOWN_IN_TIME,
     UNKNOWN_LAW,
@@ -78,8 +79,9 @@ class Diagnosis:
     candidates : tuple of Candidate
         Candidate effects, best first.
     form : {"exact", "approximate", None}
-        Whether the named effect leaves nothing significant, or explains at least `Criteria.explained` of the unmodelled
-        torque while something significant remains; None where no effect explains that much by itself.
+        "exact": the named effect, or class, leaves nothing significant, and of a single name the data would show a
+        deviation larger than an approximate answer may have. "approximate": it explains at least `Criteria.explained`
+        of the unmodelled torque. None where no effect explains that much by itself.
     explained : float or None
         Share of the mean square unmodelled torque that the best effect explains (0-1); None without one.
     remainder : Remainder or None
@@ -96,6 +98,9 @@ class Diagnosis:
         Whether the residuals are independent.
     upper_limits : tuple of UpperLimit
         Of an adequate fit: the physical effects that could still be hidden, with the largest torques.
+    form_limit : float or None
+        Rms deviation from the named law that would be detected with 90 % probability, as a share of its torque; None
+        where the form was not tested.
     """
 
     fit: Fit
@@ -112,6 +117,7 @@ class Diagnosis:
     ripples: tuple[Ripple, ...] = field(repr=False)
     whiteness: tuple[Whiteness, ...] = field(repr=False)
     upper_limits: tuple[UpperLimit, ...] = ()
+    form_limit: float | None = None
 
     def plot(self, ax: Axes | None = None, *, case: int = 0) -> Figure:
         """Draw the unmodelled torque with its band, where the model fails, and the candidates (matplotlib).
@@ -252,7 +258,7 @@ def diagnose(
         # nothing is larger than what the uncertainty of the moments of inertia allows
         verdict, size = "adequate", Grade(None, None, None)
     if verdict == "missing_effect":
-        rivals = size.rivals or nonparametric_rivals(fit, selection.chosen, criteria)
+        rivals = size.rivals or nonparametric_rivals(fit, selection.chosen, size.test, criteria)
         selection = _with_rivals(selection, rivals)
     nuisance = nuisance_parameters(selection.end)
     torques, waves = curves.result(), harmonics.result()
@@ -275,6 +281,7 @@ def diagnose(
         tuple(waves),
         tuple(whiteness(fit)),
         hidden,
+        size.test.limit if size.test is not None and math.isfinite(size.test.limit) else None,
     )
 
 
@@ -366,7 +373,9 @@ def _sentence(
     else:
         parts = [f"Significant lack of fit{f': {failures[0]}' if failures else ''}."]
         parts += (
-            _unexplained(selection, doubt, size) if verdict == "unexplained" else _missing(selection, size)
+            _unexplained(selection, doubt, size)
+            if verdict == "unexplained"
+            else _missing(selection, size, criteria)
         )
         parts += _active_bounds(fit)
     return " ".join([*parts, *_nuisance(selection.chosen, nuisance, criteria)])
@@ -409,7 +418,7 @@ def _unexplained(
     ]
 
 
-def _missing(selection: Selection, size: Grade) -> list[str]:
+def _missing(selection: Selection, size: Grade, criteria: Criteria) -> list[str]:
     chosen = selection.chosen
     if chosen is None:
         return []
@@ -434,7 +443,22 @@ def _missing(selection: Selection, size: Grade) -> list[str]:
         )
     if size.remainder is not None:
         parts.append(size.remainder.sentence)
+    elif size.form == "approximate" and size.test is not None:
+        parts.append(_untested(size.test, criteria))
     return parts
+
+
+def _untested(test: FormTest, criteria: Criteria) -> str:
+    """Return why a law that leaves nothing significant is not called exact."""
+    if test.bounds_p <= criteria.doubt_named:
+        return (
+            f"The form is not established: the residuals pull {', '.join(test.bounds)} beyond its bound "
+            f"(p = {probability(test.bounds_p)})."
+        )
+    if not math.isfinite(test.limit):
+        return "The form is not established: the other parameters absorb every deviation from it."
+    limit = f"{100 * test.limit:.2g} % of its torque"
+    return f"The form is not established: only a deviation above {limit} would be detected."
 
 
 def _active_bounds(fit: Fit) -> list[str]:

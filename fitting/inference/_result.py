@@ -176,6 +176,18 @@ def summary_lines(fit: FitSummary) -> list[str]:
         level = rounded(1e3 * noise.sigma, 1e3 * noise.sigma_u, "mrad")
         text = f"correlated angle noise{label}: {level}, correlation time {noise.time:.2g} s"
         lines += wrap(text, 79, subsequent_indent="  ")
+    prior = (
+        next((d.record.prior for d in fit.problem.data if d.record.prior), None)
+        if isinstance(fit, Fit)
+        else None
+    )
+    if prior is not None:
+        used = [n for n in prior.names if n in fit.estimates]
+        lines += wrap(
+            f"prior from {prior.source}: {', '.join(used) or 'none of its parameters is in the model'}",
+            79,
+            subsequent_indent="  ",
+        )
     lines.append("")
     held = fit.model.constants
     for name, e in fit.estimates.items():
