@@ -101,7 +101,7 @@ class Shake:
 def features_of(frame: Plane) -> npt.NDArray[np.float32]:
     """Return the corners of a frame that can be tracked, shape (n, 2) [px]."""
     found = cv2.goodFeaturesToTrack(frame, _MOST, 0.01, 8, blockSize=7)
-    return np.zeros((0, 2), dtype=np.float32) if found is None else found.reshape(-1, 2)
+    return np.zeros((0, 2), dtype=np.float32) if found is None else found.reshape(-1, 2).astype(np.float32)
 
 
 def tracked(reference: Plane, places: npt.NDArray[np.float32], frame: Plane) -> Floats:
@@ -115,7 +115,7 @@ def tracked(reference: Plane, places: npt.NDArray[np.float32], frame: Plane) -> 
         maxLevel=3,
         criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.003),
     )
-    moved = (found[:, 0] - places).astype(np.float64)
+    moved: Floats = np.asarray(found[:, 0] - places, dtype=np.float64)
     moved[(status.ravel() == 0) | (error.ravel() > 20.0)] = np.nan
     return moved
 
@@ -144,7 +144,7 @@ def background(
         # a hand or the body may hide a feature now and then
         still = (np.hypot(*np.moveaxis(moved, 2, 0)) < _STILL).mean(axis=0) > _OFTEN
     if _wide(places[still], shape):
-        return still
+        return np.asarray(still)
     rng = np.random.default_rng(0)
     place = places[:, 0].astype(np.complex128) + 1j * places[:, 1]
     motion = moved[..., 0] + 1j * moved[..., 1]
