@@ -9,7 +9,7 @@ from unittest import mock
 from typer.main import get_command
 
 from gyrotrack.apps.cli._app import COMMANDS, app
-from gyrotrack.apps.cli._lazy import load
+from gyrotrack.apps.cli._settings import load
 
 TARGET = Path(__file__).parent / "reference" / "command-line.md"
 

@@ -11,9 +11,9 @@ from fitting._workers import single_blas_thread
 from fitting.dynamics._model import Model
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_file import read_record
+from fitting.inference._fit import robust_fit
 from fitting.inference._record import Record
 from fitting.inference._result import Fit
-from fitting.inference._robust import robust_fit
 
 
 def load(path: str | Path, *, data: str | None = None, rotor: str = "windows") -> Record:

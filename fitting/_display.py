@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting._numbers import nonbreaking
+from fitting._errors import EstimationError
+from fitting._numbers import TORQUE, nonbreaking
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -81,6 +82,14 @@ def figure(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
+def figure_of(ax: Axes) -> Figure:
+    """Return the figure to which axes belong."""
+    found = ax.get_figure(root=True)
+    if found is None:
+        raise EstimationError("these axes belong to no figure", "make them with matplotlib.pyplot.subplots()")
+    return found
+
+
 def draw_speed(
     ax: Axes, measured: Sequence[tuple[Array, Array]], modelled: Sequence[tuple[Array, Array, Array]]
 ) -> None:
@@ -123,6 +132,7 @@ def draw_torque(
     ax: Axes,
     curves: Sequence[tuple[str, Array, Array, Array]],
     intervals: Sequence[tuple[float, float]] = (),
+    unit: str = TORQUE,
 ) -> None:
     """Draw unmodelled torques with bands of 2 sigma, and shade intervals of significant lack of fit.
 
@@ -131,9 +141,11 @@ def draw_torque(
     ax : matplotlib.axes.Axes
         Where to draw.
     curves : sequence of (body, time, torque, sigma)
-        Name of the body, [s], [N m], [N m]; where sigma exceeds three times its minimum the curve is not drawn.
+        Name of the body, [s], [unit], [unit]; where sigma exceeds three times its minimum the curve is not drawn.
     intervals : sequence of (start, stop)
         What to shade [s].
+    unit : str
+        Unit of the torque.
     """
     for (body, time, torque, sigma), colour in zip(curves, (VERMILLION, BLUE), strict=False):
         known = np.where(sigma <= 3 * sigma.min(), torque, np.nan)
@@ -144,7 +156,7 @@ def draw_torque(
         ax.axvspan(start, stop, color=YELLOW, alpha=0.25, linewidth=0, zorder=0)
     ax.axhline(0, color="#777777", linewidth=0.8)
     ax.set_xlabel("time [s]")
-    ax.set_ylabel("torque [N m]")
+    ax.set_ylabel(f"torque [{unit}]")
 
 
 def draw_candidates(

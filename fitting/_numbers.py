@@ -12,11 +12,15 @@ _RAISED = str.maketrans("0123456789+-g.", "⁰¹²³⁴⁵⁶⁷⁸⁹⁺⁻ᵍ�
 _UNIT = re.compile(r"(?<![\w.])(kg m|N m s|N m|rad s|s|K|m)\^?(-?\d(?:\.\d+)?|g)(?!\w|\.\d)")
 _POWER = re.compile(r"x 10\^(-?\d+)")
 # a number in a sentence, followed by its uncertainty, its unit or a bracket; not a number in a formula
-_SCIENTIFIC = re.compile(r"(?<![\w.*])(\d+(?:\.\d+)?)e([+-]\d+)(?=\)| \+-| N m| rad| s\b)")
+_SCIENTIFIC = re.compile(r"(?<![\w.*])(\d+(?:\.\d+)?)e([+-]\d+)(?=\)| \+-| N m| m?rad| urad| s\b)")
 # spaces within a number: before its uncertainty, its power of ten, and inside a unit
 _JOINED = re.compile(r"(?<=\d) [±×] (?=\d)|(?<=\)) × (?=10)|\bN m(?: s[⁻⁰-⁹¹²³]*)?(?![\w])")
 _AFTER_NUMBER = re.compile(r"(?<=[\d)⁰-⁹¹²³]) (?=(?:m?rad|N|kg|J|K|s|ms|px|%|σ|sigma|times)(?![\w.]))")
 POWERS = {"": "", "m": "$10^{-3}$", "µ": "$10^{-6}$", "n": "$10^{-9}$", "p": "$10^{-12}$"}
+TORQUE = "N m"
+PER_INERTIA = "rad/s2"
+"""Unit of a torque per unit of inertia, where no moment of inertia is known."""
+_STRENGTH = re.compile(r"N m(?: s(?:\^?(.+))?)?")
 _PREFIXES = ((1.0, ""), (1e3, "m"), (1e6, "µ"), (1e9, "n"), (1e12, "p"))
 
 
@@ -98,6 +102,21 @@ def rounded(value: float, error: float, unit: str = "") -> str:
     places = max(0, digits + exponent)
     scale = 10.0**exponent
     return f"({value / scale:.{places}f} +- {error / scale:.{places}f}) x 10^{exponent}{tail}"
+
+
+def per_inertia(unit: str) -> str:
+    """Return the unit of a torque's parameter divided by kg m2, the radian counted as 1: ``N m s`` becomes s-1."""
+    found = _STRENGTH.fullmatch(unit)
+    if found is None:
+        return unit
+    power = (found[1] or "1") if " s" in unit else "0"
+    try:
+        exponent = float(power) - 2
+    except ValueError:
+        return f"s^({power}-2)"
+    if power in {"0", "-1"}:
+        return f"rad/s{-exponent:g}"
+    return f"s{exponent:g}" if exponent not in {0, 1} else "s" if exponent else "1"
 
 
 def to_json(value: Any) -> Any:

@@ -17,7 +17,7 @@ from pydantic import AliasChoices, BaseModel, BeforeValidator, ConfigDict, Field
 
 from fitting._atomic import refuse_special, write_text
 from fitting._errors import LedgerError
-from fitting._numbers import to_json
+from fitting._numbers import TORQUE, to_json
 from fitting.effects._effect import Effect
 from fitting.effects._library import LIBRARY
 
@@ -92,6 +92,15 @@ class CaseDocument(MetricsDocument):
     n_eff: Number = math.nan
 
 
+class PriorDocument(Document):
+    """A Gaussian prior: parameters of another study with their covariance [SI]."""
+
+    source: str
+    names: list[str]
+    mean: list[Number]
+    covariance: list[list[Number]]
+
+
 class FitDocument(Document):
     """What `fit --json` prints."""
 
@@ -105,6 +114,7 @@ class FitDocument(Document):
     equations: list[str] = []
     not_determined: list[str] = []
     not_determined_together: list[dict[str, Number]] = []
+    prior: PriorDocument | None = None
 
 
 class FailureDocument(Document):
@@ -128,6 +138,7 @@ class StoredFailure(FailureDocument):
 
     called: str
     torque_sigma_Nm: Number = math.nan  # noqa: N815 - the unit's own capitals
+    unit: str = TORQUE
 
 
 class CandidateDocument(Document):
@@ -214,6 +225,7 @@ class DiagnosisDocument(Document):
     candidates: list[CandidateDocument]
     form: str | None = None
     explained: float | None = None
+    form_limit: float | None = None
     remainder: RemainderDocument | None = None
     nuisance: list[NuisanceDocument] = []
     next_experiment: str
@@ -308,14 +320,19 @@ class PlanDocument(Document):
 
 
 class StepDocument(Document):
-    """One fit of a history: what was changed, and what the errors did."""
+    """One fit of a history: what was changed, and what the errors did; `_noise` is what noise alone would give."""
 
     fit_id: str
     added: str
     model: list[str]
+    samples: int = 0
+    n_eff: Number = math.nan
     rmse_casing: Number
+    rmse_noise: Number = math.nan
     reduced_chi2: Number
     held_out: Number
+    bic: Number = math.nan
+    bic_noise: Number = math.nan
     delta_bic: Number
     energy_drift: Number
     torque_left_Nm: Number  # noqa: N815
@@ -376,6 +393,7 @@ class StoredDiagnosis(Document):
     candidates: list[StoredCandidate]
     form: str | None = None
     explained: float | None = None
+    form_limit: float | None = None
     remainder: RemainderDocument | None = None
     nuisance: list[NuisanceDocument] = []
     next_experiment: str
@@ -405,6 +423,8 @@ class EntryDocument(FitDocument):
     rotor: str = "windows"
     created: str = ""
     software_version: str = ""
+    variables: list[str] = []
+    covariance: list[list[Number]] = []
     restored_from: Any = None
     diagnosis: Any = None
 

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from gyrotrack.apps._simulation import SimulatedRun
     from gyrotrack.apps._study import FitRequest, Study, open_study
     from gyrotrack.apps.report._page import write_report
-    from gyrotrack.io._export import export_file
+    from gyrotrack.io._contents import export_file
     from gyrotrack.io._hdf5 import read_case, read_recording, write_case, write_recording
     from gyrotrack.io._records import BodyTrack, Case, MarkerTrack, Recording, Series
     from gyrotrack.io.readers._import_case import import_body, import_case
@@ -60,7 +60,7 @@ _MODULES = {
     "gyrotrack.apps._simulation": ("SimulatedRun",),
     "gyrotrack.apps._study": ("FitRequest", "Study", "open_study"),
     "gyrotrack.apps.report._page": ("write_report",),
-    "gyrotrack.io._export": ("export_file",),
+    "gyrotrack.io._contents": ("export_file",),
     "gyrotrack.io._hdf5": ("read_case", "read_recording", "write_case", "write_recording"),
     "gyrotrack.io._records": ("BodyTrack", "Case", "MarkerTrack", "Recording", "Series"),
     "gyrotrack.io.readers._import_case": ("import_body", "import_case"),

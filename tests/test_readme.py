@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from gyrotrack.apps.cli._app import COMMANDS
-from gyrotrack.apps.cli._lazy import load
+from gyrotrack.apps.cli._settings import load
 
 ROOT = Path(__file__).parents[1]
 PAGES = [

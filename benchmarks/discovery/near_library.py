@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
+import sys
 import time
 import zlib
 from collections.abc import Iterator
@@ -20,26 +20,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
-    os.environ.setdefault(variable, "1")
-
+sys.path.insert(0, str(Path(__file__).parents[1]))
 import numpy as np
 from judge import Share
+from reduced import INERTIA, REDUCED
 
 import fitting
 from fitting.inference._fit import fit
 
 HERE = Path(__file__).parent
 LINES, TABLE = HERE / "near_library.jsonl", HERE / "NEAR_LIBRARY.md"
-BASE = {
-    "rotor.air.quadratic.a2": 1.0e-10,
-    "touchpoint.constant.b1": 2.9e-6,
-    "casing.air.linear.b2": 8.3e-7,
-    "bearing.linear.d": 1.6e-7,
-    "bearing.power.f": 1.26e-8,
-    "bearing.power.g": 1.32,
-}
-INERTIA = {"inertia_rotor": 5.54e-5, "inertia_casing": 2.06e-5}
 _TWINS = {"casing.windage", "bearing.load"}
 
 
@@ -119,7 +109,9 @@ def answer(world: World, seed: int) -> dict[str, Any]:
     if world.second:
         hidden.append((fitting.effect(world.second[0]), "q", world.second[1]))
     model = fitting.Model.of("reduced")
-    numbers = {k: v * float(random.uniform(0.9, 1.1)) if not k.endswith("g") else v for k, v in BASE.items()}
+    numbers = {
+        k: v * float(random.uniform(0.9, 1.1)) if not k.endswith("g") else v for k, v in REDUCED.items()
+    }
     for effect, symbol, value in hidden:
         model = model.with_effect(effect)
         numbers[f"{effect.name}.{symbol}"] = value

@@ -21,7 +21,7 @@ from fitting.discovery._score import CaseColumns, Trial
 from fitting.effects._effect import Effect
 from fitting.effects._library import LIBRARY
 from fitting.effects._user import resolve
-from fitting.inference._lack_of_fit import block_diagonal
+from fitting.inference._metrics import block_diagonal
 from fitting.inference._noise import TorqueNoise
 from fitting.inference._result import Fit
 

@@ -11,17 +11,16 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
+import sys
 import time
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
-    os.environ.setdefault(variable, "1")
-
+sys.path.insert(0, str(Path(__file__).parents[1]))
 import numpy as np
+from reduced import INERTIA, REDUCED
 from scipy.signal import lfilter
 from scipy.stats import beta
 
@@ -30,15 +29,6 @@ from fitting.inference._record import Samples
 
 HERE = Path(__file__).parent
 LINES, TABLE = HERE / "angle_noise.jsonl", HERE / "angle_noise.md"
-TRUTH = {
-    "rotor.air.quadratic.a2": 1.0e-10,
-    "touchpoint.constant.b1": 2.9e-6,
-    "casing.air.linear.b2": 8.3e-7,
-    "bearing.linear.d": 1.6e-7,
-    "bearing.power.f": 1.26e-8,
-    "bearing.power.g": 1.32,
-}
-INERTIA = {"inertia_rotor": 5.54e-5, "inertia_casing": 2.06e-5}
 
 
 def wandering(samples: Samples, sigma: float, correlation: float, random: np.random.Generator) -> Samples:
@@ -54,14 +44,14 @@ def run(seed: int) -> dict[str, Any]:
     random = np.random.default_rng(seed)
     levels, times = 10 ** random.uniform(-3.52, -2.52, 2), 10 ** random.uniform(-1, 0, 2)
     experiment = fitting.Experiment(duration=100.0, windows=(8.0, 50.0, 90.0))
-    record = fitting.simulate(fitting.Model.of("reduced"), TRUTH, experiment, seed=seed, **INERTIA)
+    record = fitting.simulate(fitting.Model.of("reduced"), REDUCED, experiment, seed=seed, **INERTIA)
     casing = wandering(record.casing, levels[0], times[0], random)
     rotor = tuple(wandering(w, levels[1], times[1], random) for w in record.rotor)
     began = time.process_time()
     found = fitting.fit("reduced", replace(record, casing=casing, rotor=rotor, digest=""))
     pulls = {
         k: (found.estimates[k].value - v) / found.estimates[k].stderr
-        for k, v in TRUTH.items()
+        for k, v in REDUCED.items()
         if not found.estimates[k].at_bound
     }
     answer = fitting.diagnose(found)
@@ -89,7 +79,7 @@ def share(hits: int, n: int) -> str:
 
 def table(lines: list[dict[str, Any]]) -> str:
     """Return coverage, rms pull and false alarms."""
-    z = {k: np.array([x["pulls"][k] for x in lines if k in x["pulls"]]) for k in TRUTH}
+    z = {k: np.array([x["pulls"][k] for x in lines if k in x["pulls"]]) for k in REDUCED}
     rows = ["| parameter | 95 % intervals that cover | rms of (value - truth) / u |", "|---|---|---|"]
     rows += [
         f"| `{k}` | {share(int(np.sum(np.abs(v) < 1.96)), len(v))} | {np.sqrt(np.mean(v**2)):.2f} |"

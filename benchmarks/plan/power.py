@@ -26,17 +26,10 @@ from fitting import Experiment, Model, diagnose, fit, simulate
 from fitting.discovery._plan import _ESTIMATES, _SIMULATIONS
 from fitting.discovery._planned_recordings import PlannedRecordings
 from fitting.discovery._power import Search, delta_of_power
-from fitting.effects._library import LIBRARY, REDUCED
+from fitting.effects._library import INERTIA_CASING, INERTIA_ROTOR, LIBRARY, PAPER, REDUCED
 
-NUMBERS = {
-    "rotor.air.quadratic.a2": 9.97e-11,
-    "touchpoint.constant.b1": 2.88e-6,
-    "casing.air.linear.b2": 8.28e-7,
-    "bearing.linear.d": 1.57e-7,
-    "bearing.power.f": 1.26e-8,
-    "bearing.power.g": 1.32,
-}
-INERTIAS = (5.54e-5, 2.06e-5)
+NUMBERS = {name: value for name, value in PAPER.items() if name.rpartition(".")[0] in REDUCED}
+INERTIAS = (INERTIA_ROTOR, INERTIA_CASING)
 EFFECTS = ("casing.air.quadratic", "casing.windage", "bearing.drift", "touchpoint.step", "casing.unbalance")
 POWERS = (0.2, 0.5, 0.8, 0.95)
 # null data of the thresholds of a short recording

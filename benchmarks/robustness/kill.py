@@ -23,7 +23,7 @@ from pathlib import Path
 
 from common import ROOT, commit, ensure, films, gyrotrack, report
 
-from gyrotrack.io._inspection import inspect_file
+from gyrotrack.io._contents import inspect_file
 
 VERBS = ("extract", "sync", "fit", "batch")
 

@@ -15,7 +15,7 @@ from common import ROOT, report
 from mutations import mutate
 
 from gyrotrack.apps.batch._workers import Child
-from gyrotrack.io._inspection import inspect_file
+from gyrotrack.io._contents import inspect_file
 
 LIMIT_S = 30.0
 LIMIT_MB = 1000.0

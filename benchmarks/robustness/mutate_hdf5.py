@@ -29,8 +29,8 @@ def readings(path, kind):
     from fitting._errors import FittingError
     from fitting.inference._case_file import read_record
     from gyrotrack._errors import GyrotrackError
+    from gyrotrack.io._contents import inspect_file
     from gyrotrack.io._hdf5 import read_case, read_recording
-    from gyrotrack.io._inspection import inspect_file
 
     def verified(path):
         return inspect_file(path, verify=True).holds

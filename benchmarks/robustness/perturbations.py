@@ -10,17 +10,16 @@ go to ``perturbations.jsonl`` (one that is there is not computed again), the tab
 
 import argparse
 import json
-import os
+import sys
 import time
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 
-for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
-    os.environ.setdefault(variable, "1")
-
+sys.path.insert(0, str(Path(__file__).parents[1]))
 import numpy as np
+from reduced import INERTIA, REDUCED
 
 import fitting
 from fitting.inference import _case_data
@@ -29,19 +28,10 @@ from fitting.inference._record import Samples
 
 HERE = Path(__file__).parent
 LINES, TABLE = HERE / "perturbations.jsonl", HERE / "perturbations.md"
-BASE = {
-    "rotor.air.quadratic.a2": 1.0e-10,
-    "touchpoint.constant.b1": 2.9e-6,
-    "casing.air.linear.b2": 8.3e-7,
-    "bearing.linear.d": 1.6e-7,
-    "bearing.power.f": 1.26e-8,
-    "bearing.power.g": 1.32,
-}
 COLUMNS = (
     "| changed | chi2 / n | ratio | chi2 per fitted row | cross-validation error | ratio "
     "| process noise [nN m] | answer | form | explained |"
 )
-INERTIA = {"inertia_rotor": 5.54e-5, "inertia_casing": 2.06e-5}
 STRENGTH, FASTEST = 2e-6, 160.0  # N m at rad/s
 
 
@@ -64,7 +54,7 @@ def simulated(law, strength):
     effect = fitting.effect(law)
     model = fitting.Model.of("reduced").with_effect(effect)
     experiment = fitting.Experiment(duration=100.0, windows=(8.0, 50.0, 90.0))
-    return fitting.simulate(model, BASE | {f"{effect.name}.k": strength}, experiment, seed=1, **INERTIA)
+    return fitting.simulate(model, REDUCED | {f"{effect.name}.k": strength}, experiment, seed=1, **INERTIA)
 
 
 @cache

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from fitting.discovery._score import CaseColumns, Level, ScoreContext, orthonormal, over_many_tests
 from fitting.dynamics._mesh import Sampler
 from fitting.effects._effect import Effect, Joint, Parameter
-from fitting.inference._lack_of_fit import block_diagonal
+from fitting.inference._metrics import block_diagonal
 from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]

@@ -20,12 +20,20 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 
-from fitting.effects._dimension import dimension, format_unit, parse_unit
-from fitting.effects._effect import MOMENTS, VARIABLES, Effect, Joint, Parameter, State
+from fitting.effects._effect import (
+    MOMENTS,
+    VARIABLES,
+    Effect,
+    Joint,
+    Parameter,
+    State,
+    dimension,
+    format_unit,
+    parse_unit,
+)
 from fitting.effects._expression import parse
 
 # bits for each symbol of a formula
@@ -350,10 +358,3 @@ def _shape(symbol: str, kind: str, largest: float, span: float) -> Parameter:
     highest = _HIGHEST if kind == "frequency" else min(_HIGHEST, 40 * lowest)
     count = int(min(_MOST_FREQUENCIES, 1 + (highest - lowest) * span / _PHASE_STEP))
     return made("s-1", np.linspace(lowest, highest, count).tolist(), 0.5 * lowest, 2 * highest)
-
-
-def count_of_trials(laws: Sequence[LawForm]) -> int:
-    """Return how many columns the laws have, one for each choice of their shape constants."""
-    return sum(
-        len(list(product(*(p.grid for p in law.effect.parameters if p.role == "shape")))) for law in laws
-    )

@@ -27,14 +27,16 @@ the subject of the test against slow torques.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting._numbers import TORQUE
 from fitting.discovery._criteria import Criteria
+from fitting.discovery._form import FormTest
 from fitting.discovery._residuals import format_torque
 from fitting.discovery._score import CaseColumns, ScoreContext, over_many_tests, score_of_columns
 from fitting.discovery._select import Candidate
@@ -42,10 +44,11 @@ from fitting.dynamics._mesh import Sampler
 from fitting.effects._effect import Effect, Parameter
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import Prediction
-from fitting.inference._lack_of_fit import block_diagonal, orthonormal
+from fitting.inference._metrics import orthonormal
 from fitting.inference._noise import Noise, TorqueResponse, tail_probability
 from fitting.inference._problem import Projection, r_factor
 from fitting.inference._result import Fit
+from fitting.inference._spectral_lines import false_alarm_probability
 
 Array = NDArray[np.float64]
 
@@ -68,29 +71,15 @@ def nonparametric_casing_law(fit: Fit) -> float:
 
     The law is the same in all cases. It is scored like a candidate, without a refit.
     """
-    return _fall(fit, lambda case, p: speeds(case.response.centres, p)[0])
-
-
-def nonparametric_slow_torque(fit: Fit, *, own_phase: bool = False) -> float:
-    """Return the fall of the deviance by a slow torque in time on the casing, scored in the same way.
-
-    It is the same in all cases, or each case has its own (`own_phase`).
-    """
-    return _fall(fit, lambda case, _: case.response.centres, own_phase=own_phase)
-
-
-def _fall(
-    fit: Fit, followed: Callable[[CaseColumns, Prediction], Array], *, own_phase: bool = False
-) -> float:
     cases = [CaseColumns(fit, i) for i in range(len(fit.predictions))]
     context = ScoreContext(fit, 1)
-    own = [followed(c, p) for c, p in zip(cases, fit.predictions, strict=True)]
+    own = [c.along_motion("omega_c") for c in cases]
     least, most = min(float(x.min()) for x in own), max(float(x.max()) for x in own)
     found = []
     for count in KNOTS:
         knots = np.linspace(least, most, count)
         rows = [_rows(c, c.response.casing @ hats(x, knots)) for c, x in zip(cases, own, strict=True)]
-        found.append(score_of_columns(context, block_diagonal(rows) if own_phase else np.concatenate(rows)))
+        found.append(score_of_columns(context, np.concatenate(rows)))
     return max(found)
 
 
@@ -221,6 +210,8 @@ class PeriodogramPeak:
         "casing", or "body" where only one was recorded.
     p_value : float
         Probability that noise has as high a peak (an upper bound).
+    unit : str
+        Unit of the torque: "N m", or "rad/s2" per unit of inertia.
     """
 
     rate: float
@@ -229,13 +220,15 @@ class PeriodogramPeak:
     label: str
     body: str
     p_value: float
+    unit: str = TORQUE
 
     @property
     def words(self) -> str:
         """What the residual torque depends on."""
         return (
             f"is sinusoidal with a period of {2 * math.pi / self.rate:.4g} s in {self.label}: a torque of "
-            f"{format_torque(self.torque)} on the {self.body}, or {1e3 * self.angle:.2g} mrad of its angle"
+            f"{format_torque(self.torque, unit=self.unit)} on the {self.body}, "
+            f"or {1e3 * self.angle:.2g} mrad of its angle"
         )
 
     @property
@@ -280,24 +273,8 @@ def _peaks(fit: Fit) -> Iterator[PeriodogramPeak | None]:
         ]
         chance = len(cases) * float(np.dot(chances, noise.process.weights))
         p_value = min(chance, 1.0) if shown else 1.0
-        yield PeriodogramPeak(rate, k, angle, data.record.label, data.record.body, p_value)
-
-
-def false_alarm_probability(chi2: float, band: float, span: float) -> float:
-    """Return the probability that noise reaches a chi-square of two degrees of freedom anywhere in a band.
-
-    Parameters
-    ----------
-    chi2 : float
-        The largest one.
-    band : float
-        Width of the band [Hz].
-    span : float
-        Length of the record [s], evenly covered.
-    """
-    z = 0.5 * chi2
-    independent = band * span * math.sqrt(4 * math.pi / 12)
-    return min(1.0, math.exp(-z) * (1 + independent * math.sqrt(z)))
+        record = data.record
+        yield PeriodogramPeak(rate, k, angle, record.label, record.body, p_value, record.torque_unit)
 
 
 class _Periodogram:
@@ -367,16 +344,21 @@ class HarmonicTest:
         Its amplitude in the case where it is largest [N m].
     p_value : float
         Probability that noise has as clear a harmonic (Bonferroni bound over the orders).
+    unit : str
+        Unit of the torque: "N m", or "rad/s2" per unit of inertia.
     """
 
     order: int
     torque: float
     p_value: float
+    unit: str = TORQUE
 
     @property
     def words(self) -> str:
         """What the residual torque depends on."""
-        return f"contains harmonic {self.order} of psi_c, amplitude {format_torque(self.torque)}"
+        return (
+            f"contains harmonic {self.order} of psi_c, amplitude {format_torque(self.torque, unit=self.unit)}"
+        )
 
 
 def harmonic_test(fit: Fit) -> HarmonicTest:
@@ -414,7 +396,7 @@ def harmonic_test(fit: Fit) -> HarmonicTest:
         )
         # a high order hardly moves the body: an error of the path would need a torque beyond all others
         if p_value < found.p_value and torque <= max(known):
-            found = HarmonicTest(order, torque, p_value)
+            found = HarmonicTest(order, torque, p_value, fit.torque_unit)
     return found
 
 
@@ -453,11 +435,24 @@ def contradiction(
     )
 
 
-def nonparametric_rivals(fit: Fit, chosen: Candidate | None, criteria: Criteria) -> tuple[str, ...]:
+def nonparametric_rivals(
+    fit: Fit, chosen: Candidate | None, test: FormTest | None, criteria: Criteria
+) -> tuple[str, ...]:
     """Return the nonparametric torques that explain as much as a single named effect does.
 
-    A periodic law, or one with a changepoint, can resemble a law of the casing's speed; one with a period of the
-    record's length resembles any slow torque in time.
+    A periodic law, or one with a changepoint, can resemble a law of the casing's speed; one with a time constant or a
+    frequency of its own resembles any slow torque in time.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit without it.
+    chosen : Candidate or None
+        The named effect.
+    test : FormTest or None
+        The test of its form.
+    criteria : Criteria
+        `equivalence_width`.
     """
     if chosen is None or chosen.indistinguishable_from or not chosen.physical:
         return ()
@@ -465,6 +460,6 @@ def nonparametric_rivals(fit: Fit, chosen: Candidate | None, criteria: Criteria)
     found = []
     if not chosen.effect.of_casing_speed and nonparametric_casing_law(fit) > least:
         found.append(UNKNOWN_LAW)
-    if chosen.effect.periodic and nonparametric_slow_torque(fit, own_phase=chosen.own_phase) > least:
+    if test is not None and test.any_in_time:
         found.append(UNKNOWN_IN_TIME)
     return tuple(found)

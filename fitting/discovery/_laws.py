@@ -61,7 +61,7 @@ from fitting.effects._effect import Effect
 from fitting.effects._expression import Tape, symbols
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
-from fitting.inference._lack_of_fit import block_diagonal, orthonormal
+from fitting.inference._metrics import block_diagonal, orthonormal
 from fitting.inference._noise import Noise
 from fitting.inference._result import Estimate, Fit
 
@@ -300,7 +300,7 @@ def library_answer(known: Diagnosis) -> Candidate | None:
 
     A class of indistinguishable effects that has an unknown law in it is no answer yet.
     """
-    if known.verdict != "missing_effect" or known.form != "exact" or not known.candidates:
+    if known.verdict != "missing_effect" or known.remainder is not None or not known.candidates:
         return None
     best = known.candidates[0]
     return None if UNKNOWN_LAW in best.indistinguishable_from else best
@@ -798,7 +798,7 @@ def _sentence(found: Laws, criteria: Criteria) -> str:
             f"{100 * first.explained:.0f} % of the lack of fit."
         )
     parts.append(
-        f"Best law: {best.formula} ({best.form}), {format_torque(best.torque_rms_Nm)} rms, "
+        f"Best law: {best.formula} ({best.form}), {format_torque(best.torque_rms_Nm, unit=best.fit.torque_unit)} rms, "
         f"dBIC {best.delta_bic:.0f}."
     )
     same, others = len(found.torques[0]) - 1, len(found.torques) - 1

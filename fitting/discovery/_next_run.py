@@ -27,8 +27,7 @@ from numpy.typing import NDArray
 
 from fitting._errors import FittingError
 from fitting.discovery._criteria import Criteria
-from fitting.discovery._information import Information, Run, schur
-from fitting.discovery._rivals import MOST_RIVALS, Rival
+from fitting.discovery._information import MOST_RIVALS, Information, Rival, Run, schur
 from fitting.dynamics._mesh import Sampler
 from fitting.effects._effect import Effect
 from fitting.inference._result import Estimate, Fit

@@ -17,11 +17,10 @@ import numpy as np
 from fitting._errors import EstimationError
 from fitting._workers import single_blas_thread
 from fitting.discovery._criteria import DEFAULT, Criteria
-from fitting.discovery._information import Information
+from fitting.discovery._information import Information, rivals
 from fitting.discovery._next_run import Bounds, NextRun, next_run
 from fitting.discovery._planned_recordings import read_planned
 from fitting.discovery._power import EffectLimits, Search
-from fitting.discovery._rivals import rivals
 from fitting.discovery._select import fails
 from fitting.effects._effect import Effect
 from fitting.inference._recording_noise import ProcessNoise

@@ -36,6 +36,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting._numbers import PER_INERTIA, per_inertia
 from fitting.discovery._criteria import DEFAULT, Criteria
 from fitting.discovery._score import (
     CaseColumns,
@@ -555,10 +556,11 @@ class Search:
         root, torque = float(common.root[group]), float(unit_torque[group])
         shape = self._trials[effect.name][0][group].shape
         strength = next(p for p in effect.parameters if p.role == "amplitude")
+        unit = per_inertia(strength.unit) if self.fit.torque_unit == PER_INERTIA else strength.unit
         if root == 0:
             nothing = np.zeros((0, 2))
             return EffectLimits(
-                effect, strength.symbol, strength.unit, shape, np.inf, torque, np.inf, (np.inf, np.inf), np.inf,
+                effect, strength.symbol, unit, shape, np.inf, torque, np.inf, (np.inf, np.inf), np.inf,
                 float("nan"), self._size(torque, size), np.inf, (), nothing,
             )  # fmt: skip
         curve = np.zeros((0, 2))
@@ -582,7 +584,7 @@ class Search:
         return EffectLimits(
             effect,
             strength.symbol,
-            strength.unit,
+            unit,
             shape,
             1 / root,
             torque,
@@ -616,8 +618,13 @@ class Search:
 
     @property
     def default_size(self) -> float:
-        """1 % of the rms torque of the bearing along the motion; of a single body, of the net torque [N m]."""
-        return _SIZE * float(np.sqrt(np.mean([np.mean(c.typical_torque**2) for c in self.cases])))
+        """1 % of the typical torque [N m]."""
+        return _SIZE * self.typical_torque
+
+    @property
+    def typical_torque(self) -> float:
+        """Rms torque of the bearing along the motion; of a single body the net torque [N m]."""
+        return float(np.sqrt(np.mean([np.mean(c.typical_torque**2) for c in self.cases])))
 
     def _upper(self, effect: Effect, group: int, *, planned: bool) -> float:
         """Return the upper limit of the noncentrality; NaN if the effect is significant."""
@@ -679,6 +686,9 @@ def largest_hidden(
 ) -> tuple[UpperLimit, ...]:
     """Return the physical effects with the largest upper limits of the rms torque; absorbed ones have none.
 
+    A limit beyond the torque that the recording itself shows (in the bearing, or on a single body) limits nothing and
+    is left out.
+
     Parameters
     ----------
     fit : Fit
@@ -692,7 +702,8 @@ def largest_hidden(
     """
     search = Search(fit, extra, criteria, draws=1)
     found = [search.limits(e) for e in search.effects if e.kind == "physical"]
-    finite = sorted((e for e in found if np.isfinite(e.upper_torque)), key=lambda e: -e.upper_torque)
+    limited = [e for e in found if e.upper_torque < search.typical_torque]
+    finite = sorted(limited, key=lambda e: -e.upper_torque)
     return tuple(
         UpperLimit(e.effect.name, e.strength, e.upper_limit, e.unit, e.upper_torque) for e in finite[:most]
     )

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from fitting._errors import FittingError
 from fitting._numbers import rounded
 from fitting.discovery._criteria import Criteria
+from fitting.discovery._form import FormTest, form_test
 from fitting.discovery._lack_of_fit import (
     HarmonicTest,
     PeriodogramPeak,
@@ -186,7 +187,8 @@ def _amplitudes(fit: Fit, case: int) -> dict[tuple[int, str], complex]:
 class Grade:
     """The size of an answer: form, explained share, remainder, and the rivals that explain as much.
 
-    `unknown` is the speed of which a law outside the library explains more than the named effect does.
+    `unknown` is the speed of which a law outside the library explains more than the named effect does; `test` is how
+    well the data test the form, of a single name.
     """
 
     form: str | None
@@ -194,6 +196,7 @@ class Grade:
     remainder: Remainder | None
     rivals: tuple[str, ...] = ()
     unknown: str = ""
+    test: FormTest | None = None
 
 
 _INNER_KNOTS = 4
@@ -304,8 +307,13 @@ def grade(
             # what is periodic in the angle is no second effect of the speeds
             doubt, end, others = harmonic, selection.named, []
     free = [e for e in end.model.effects if _is_freed(e.name, selection)]
+    tested = None
+    if chosen.physical and chosen.effect.mechanical and not chosen.effect.depends_on_angle:
+        tested = form_test(selection.named, chosen.effect, criteria)
     if not significant and not others and not free:
-        return Grade("exact", 1.0, None)
+        alone = not chosen.indistinguishable_from and tested is not None
+        proven = not alone or tested is None or tested.is_strong(criteria)
+        return Grade("exact" if proven else "approximate", 1.0, None, test=tested)
     torques = Torques(base, end, residual=significant)
     share, rms = torques.remaining(selection.named)
     for e in free if not others else []:
@@ -321,19 +329,19 @@ def grade(
             f"it {test.words}" if test.p_value < criteria.doubt_named else "a lack of fit of unknown form"
         )
     words = (
-        f"Remainder {format_torque(rms)} rms, {100 * share:.2g} % of the mean square unmodelled torque: "
-        f"{'; '.join(parts)}."
+        f"Remainder {format_torque(rms, unit=base.torque_unit)} rms, {100 * share:.2g} % of the mean square "
+        f"unmodelled torque: {'; '.join(parts)}."
     )
     remainder = Remainder(rms, share, p, words)
     if 1 - share < criteria.explained:
-        return Grade(None, 1 - share, remainder)
+        return Grade(None, 1 - share, remainder, test=tested)
     unknown = (
         ""
         if chosen.effect.depends_on_angle
         else better_law(base, selection.named, end, chosen.effect, criteria)
     )
     if unknown:
-        return Grade(None, 1 - share, remainder, unknown=unknown)
+        return Grade(None, 1 - share, remainder, unknown=unknown, test=tested)
     # a rival does as well if it is worse by less than what the chosen effect itself leaves
     excess = max(selection.named.lack_of_fit.chi2 - selection.named.lack_of_fit.dof, 0.0)
     left = max(excess, selection.named.deviance - end.deviance)
@@ -343,7 +351,7 @@ def grade(
         if c is not chosen and c.physical == chosen.physical and c.significant and c.fit is not None
         if c.score > chosen.score - left and torques.remaining(c.fit)[0] < 2 * share
     )
-    return Grade("approximate", 1 - share, remainder, rivals)
+    return Grade("approximate", 1 - share, remainder, rivals, test=tested)
 
 
 def _likelihood_ratio(smaller: Fit, larger: Fit) -> float:

@@ -21,15 +21,16 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting._numbers import PER_INERTIA, TORQUE
 from fitting.discovery._criteria import DEFAULT, Criteria
 from fitting.dynamics._mesh import Sampler
 from fitting.effects._library import LIBRARY
 from fitting.inference._case_data import CaseData
-from fitting.inference._lack_of_fit import orthonormal, slow_responses
+from fitting.inference._metrics import orthonormal, slow_responses
 from fitting.inference._noise import TorqueNoise, TorqueResponse, decaying_sums, remaining_level
 from fitting.inference._problem import Projection
+from fitting.inference._record import speeds
 from fitting.inference._result import Fit
-from fitting.inference._velocity import speeds
 
 Array = NDArray[np.float64]
 
@@ -269,6 +270,8 @@ class Failure:
         "body" for the casing where only one body was recorded.
     torque_sigma_Nm : float
         Standard uncertainty of the torque; of the mean over an interval an upper bound (full correlation).
+    unit : str
+        Unit of the torque: "N m", or "rad/s2" per unit of inertia.
     """
 
     label: str
@@ -283,9 +286,10 @@ class Failure:
     omega_c: tuple[float, float]
     called: str
     torque_sigma_Nm: float = float("nan")  # noqa: N815
+    unit: str = TORQUE
 
     def __str__(self) -> str:
-        torque = format_torque(self.residual_torque_Nm, self.torque_sigma_Nm)
+        torque = format_torque(self.residual_torque_Nm, self.torque_sigma_Nm, self.unit)
         if self.kind == "ripple":
             return (
                 f"unmodelled torque on the {self.called} {self.where}, amplitude {torque} "
@@ -299,15 +303,17 @@ class Failure:
 
 
 _TORQUE_UNITS = ((0.1, (1.0, "N m")), (1e-3, (1e3, "mN m")), (1e-8, (1e6, "uN m")), (0.0, (1e9, "nN m")))
+_PER_INERTIA_UNITS = ((0.1, (1.0, "rad/s2")), (1e-4, (1e3, "mrad/s2")), (0.0, (1e6, "urad/s2")))
 
 
-def format_torque(value: float, sigma: float = float("nan")) -> str:
+def format_torque(value: float, sigma: float = float("nan"), unit: str = TORQUE) -> str:
     """Return a torque with a prefix that suits its size, rounded to its standard uncertainty where that is known.
 
-    nN m below 0.01 uN m, uN m below 1 mN m, mN m below 0.1 N m, N m.
+    nN m below 0.01 uN m, uN m below 1 mN m, mN m below 0.1 N m, N m; with `unit` "rad/s2" urad/s2, mrad/s2, rad/s2.
     """
     size = max(abs(value), abs(sigma) if sigma == sigma else 0.0)
-    scale, unit = next((u for least, u in _TORQUE_UNITS if size >= least), _TORQUE_UNITS[-1][1])
+    units = _PER_INERTIA_UNITS if unit == PER_INERTIA else _TORQUE_UNITS
+    scale, unit = next((u for least, u in units if size >= least), units[-1][1])
     if not np.isfinite(sigma) or sigma <= 0:
         return f"{value * scale:.3g} {unit}"
     digits = max(0, -int(np.floor(np.log10(sigma * scale))))
@@ -363,6 +369,7 @@ def _harmonic(fit: Fit, wave: Ripple, n: int, least: float) -> list[Failure]:
         Failure(
             wave.label, "casing", *span, "ripple", _TURNS[n], size, oscillation, amplitude,
             (float(speed.min()), float(speed.max())), record.body, amplitude / size,
+            record.torque_unit,
         )
     ]  # fmt: skip
 
@@ -397,6 +404,7 @@ def _intervals(fit: Fit, curve: ResidualTorque, least: float) -> list[Failure]:
                 (float(curve.omega_c[a:b].min()), float(curve.omega_c[a:b].max())),
                 called,
                 float(curve.sigma[a:b].mean()),
+                record.torque_unit,
             )
         )
     return failures

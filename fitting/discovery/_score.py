@@ -37,7 +37,7 @@ from fitting.dynamics._model import INERTIA_CASING
 from fitting.effects._effect import Effect, Parameter
 from fitting.effects._expression import Tape, derivative
 from fitting.inference._case_model import CaseModel, Prediction
-from fitting.inference._lack_of_fit import block_diagonal
+from fitting.inference._metrics import block_diagonal
 from fitting.inference._noise import Noise, TorqueResponse, Whitener, possible_scales
 from fitting.inference._result import Fit
 
@@ -283,6 +283,15 @@ class CaseColumns:
         unit = self._unit(effect, shape)
         rotor, casing = _ACTING.get(effect.joint, (-1.0, 1.0))
         return rotor * unit, casing * unit
+
+    def along_motion(self, variable: str) -> Array:
+        """Return "t" [s] or a speed [rad/s] in each cell."""
+        return np.asarray(self._known[variable])
+
+    def torque_rows(self, rotor: Array, casing: Array) -> Array:
+        """Return the response of the rows to torques on rotor and casing, each (cells, columns) [N m]."""
+        smooth = self.response.rotor @ rotor + self.response.casing @ casing
+        return np.concatenate([smooth, np.zeros((len(self.case.data.z) - len(smooth), smooth.shape[1]))])
 
     def _units(self, effect: Effect, choices: Sequence[dict[str, float]]) -> Array:
         """Return the torque of a law at strength 1 in each cell, for all choices of its shape constants at once."""

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from fitting._display import BLUE, block, draw_history, figure, markup_table
+from fitting._display import BLUE, block, draw_history, figure, figure_of, markup_table
 from fitting._errors import FittingError
-from fitting._numbers import short
+from fitting._numbers import short, unit_text
 from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._criteria import DEFAULT, Criteria
 from fitting.discovery._refine import (
@@ -43,6 +43,7 @@ from fitting.inference._noise import Noise
 from fitting.inference._result import Estimate, Fit
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -94,6 +95,17 @@ class Candidate:
     def physical(self) -> bool:
         """Whether it is physics and not an artefact of the measurement."""
         return self.effect.kind == "physical"
+
+
+def equivalence_classes(candidates: Sequence[Candidate]) -> dict[str, str]:
+    """Return the letter of the equivalence class of each candidate that has indistinguishable ones."""
+    letters: dict[str, str] = {}
+    for c in candidates:
+        if c.indistinguishable_from and c.effect.name not in letters:
+            letter = chr(ord("A") + len(set(letters.values())))
+            for name in (c.effect.name, *c.indistinguishable_from):
+                letters.setdefault(name, letter)
+    return letters
 
 
 def rank(
@@ -335,17 +347,43 @@ class Step:
     fit: Fit
     candidates: tuple[Candidate, ...]
 
+    def __repr__(self) -> str:
+        return f"Step({self.change or 'base'}: {self.fit.verdict}, {len(self.candidates)} candidates)"
+
 
 class History(list[Step]):
     """The steps of `improve`, the base first; a notebook shows them as a table."""
 
-    def plot(self) -> Figure:
-        """Draw how the error falls from step to step (matplotlib)."""
-        drawn = figure(8.0, 1.6 + 0.4 * len(self))
-        left, right = drawn.subplots(1, 2, sharey=True)
+    def __repr__(self) -> str:
+        width = max((len(s.change) for s in self), default=0) + 2
+        lines = [f"{'change':<{width}}{'rms [rad/s]':>12}{'chi2/n':>11}{'cv error':>10}  verdict"]
+        for s in self:
+            numbers = f"{s.fit.rmse_casing:>12.4g}{s.fit.reduced_chi2:>11.4g}{s.fit.held_out:>10.4g}"
+            lines.append(f"{s.change or 'base':<{width}}{numbers}  {s.fit.verdict}")
+        return "\n".join(lines)
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw how the error falls from step to step (matplotlib).
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Where to draw the rms residual alone; by default a new figure shows the cross-validation error, too.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            The new figure, or that of `ax`.
+        """
         changes = [s.change or "base" for s in self]
         body = self[0].fit.problem.data[0].record.body
-        draw_history(left, changes, [s.fit.rmse_casing for s in self], f"rms residual of the {body} [rad/s]")
+        rms, name = [s.fit.rmse_casing for s in self], f"rms residual of the {body} [rad/s]"
+        if ax is not None:
+            draw_history(ax, changes, rms, name)
+            return figure_of(ax)
+        drawn = figure(8.0, 1.6 + 0.4 * len(self))
+        left, right = drawn.subplots(1, 2, sharey=True)
+        draw_history(left, changes, rms, name)
         draw_history(
             right, changes, [s.fit.held_out for s in self], "cross-validation error [noise]", limit=1.0
         )
@@ -367,7 +405,7 @@ class History(list[Step]):
             "χ²/n",
             "cross-validation error [noise]",
             "ΔBIC",
-            "remaining torque [N m]",
+            f"remaining torque [{unit_text(self[0].fit.torque_unit)}]",
             "",
         )
         return block(markup_table("history of fits", columns, rows))

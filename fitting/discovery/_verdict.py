@@ -13,10 +13,20 @@ from dataclasses import dataclass, field, replace
 from html import escape
 from typing import TYPE_CHECKING
 
-from fitting._display import block, draw_candidates, draw_torque, figure, headline, printable, table
-from fitting._numbers import probability, rounded, short, typeset
+from fitting._display import (
+    block,
+    draw_candidates,
+    draw_torque,
+    figure,
+    figure_of,
+    headline,
+    printable,
+    table,
+)
+from fitting._numbers import probability, rounded, short, typeset, unit_text
 from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._criteria import DEFAULT, Criteria
+from fitting.discovery._form import FormTest
 from fitting.discovery._lack_of_fit import (
     UNKNOWN_IN_TIME,
     UNKNOWN_LAW,
@@ -45,6 +55,7 @@ from fitting.effects._effect import Effect
 from fitting.inference._result import Fit
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 # candidates that a notebook shows
@@ -68,8 +79,9 @@ class Diagnosis:
     candidates : tuple of Candidate
         Candidate effects, best first.
     form : {"exact", "approximate", None}
-        Whether the named effect leaves nothing significant, or explains at least `Criteria.explained` of the unmodelled
-        torque while something significant remains; None where no effect explains that much by itself.
+        "exact": the named effect, or class, leaves nothing significant, and of a single name the data would show a
+        deviation larger than an approximate answer may have. "approximate": it explains at least `Criteria.explained`
+        of the unmodelled torque. None where no effect explains that much by itself.
     explained : float or None
         Share of the mean square unmodelled torque that the best effect explains (0-1); None without one.
     remainder : Remainder or None
@@ -86,6 +98,9 @@ class Diagnosis:
         Whether the residuals are independent.
     upper_limits : tuple of UpperLimit
         Of an adequate fit: the physical effects that could still be hidden, with the largest torques.
+    form_limit : float or None
+        Rms deviation from the named law that would be detected with 90 % probability, as a share of its torque; None
+        where the form was not tested.
     """
 
     fit: Fit
@@ -102,27 +117,33 @@ class Diagnosis:
     ripples: tuple[Ripple, ...] = field(repr=False)
     whiteness: tuple[Whiteness, ...] = field(repr=False)
     upper_limits: tuple[UpperLimit, ...] = ()
+    form_limit: float | None = None
 
-    def plot(self) -> Figure:
-        """Draw the unmodelled torque with its band, where the model fails, and the candidates (matplotlib)."""
+    def plot(self, ax: Axes | None = None, *, case: int = 0) -> Figure:
+        """Draw the unmodelled torque with its band, where the model fails, and the candidates (matplotlib).
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Where to draw the unmodelled torque of one case alone; by default a new figure shows all.
+        case : int
+            Index of the case that is drawn into `ax`.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            The new figure, or that of `ax`.
+        """
         labels = list(dict.fromkeys(t.label for t in self.torques))
+        if ax is not None:
+            self._draw_torque(ax, labels[case])
+            return figure_of(ax)
         shown = [c for c in self.candidates if c.score > 0][:_MOST_CANDIDATES]
         drawn = figure(9.0, 2.6 * len(labels) + 0.35 * len(shown) + 1.2)
         heights = [2.6] * len(labels) + ([0.35 * len(shown) + 0.7] if shown else [])
         axes = drawn.subplots(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
-        bodies = {c.record.label: c.record.body for c in self.fit.problem.data}
-        for ax, label in zip(axes, labels, strict=False):
-            draw_torque(
-                ax,
-                [
-                    (bodies[label] if t.body == "casing" else t.body, t.time, t.torque, t.sigma)
-                    for t in self.torques
-                    if t.label == label
-                ],
-                [(f.t_start, f.t_stop) for f in self.failures if f.label == label],
-            )
-            ax.set_title(printable(label) + ": unmodelled torque; yellow: significant lack of fit")
-            ax.legend(fontsize="small", frameon=False)
+        for panel, label in zip(axes, labels, strict=False):
+            self._draw_torque(panel, label)
         if shown:
             draw_candidates(
                 axes[-1],
@@ -132,6 +153,21 @@ class Diagnosis:
                 physical=[c.physical for c in shown],
             )
         return drawn
+
+    def _draw_torque(self, ax: Axes, label: str) -> None:
+        body = next(d.record.body for d in self.fit.problem.data if d.record.label == label)
+        draw_torque(
+            ax,
+            [
+                (body if t.body == "casing" else t.body, t.time, t.torque, t.sigma)
+                for t in self.torques
+                if t.label == label
+            ],
+            [(f.t_start, f.t_stop) for f in self.failures if f.label == label],
+            unit=unit_text(self.fit.torque_unit),
+        )
+        ax.set_title(printable(label) + ": unmodelled torque; yellow: significant lack of fit")
+        ax.legend(fontsize="small", frameon=False)
 
     def _repr_html_(self) -> str:
         failures = [
@@ -158,7 +194,14 @@ class Diagnosis:
         ]
         parts = [headline(self.verdict, typeset(self.sentence))]
         if failures:
-            where = ("case", "body", "time [s]", "torque [N m]", "speed [rad/s]", "σ")
+            where = (
+                "case",
+                "body",
+                "time [s]",
+                f"torque [{unit_text(self.fit.torque_unit)}]",
+                "speed [rad/s]",
+                "σ",
+            )
             parts.append(table("significant lack of fit", where, failures))
         if candidates:
             columns = ("effect", "score", "ΔBIC", "p", "indistinguishable from")
@@ -215,7 +258,7 @@ def diagnose(
         # nothing is larger than what the uncertainty of the moments of inertia allows
         verdict, size = "adequate", Grade(None, None, None)
     if verdict == "missing_effect":
-        rivals = size.rivals or nonparametric_rivals(fit, selection.chosen, criteria)
+        rivals = size.rivals or nonparametric_rivals(fit, selection.chosen, size.test, criteria)
         selection = _with_rivals(selection, rivals)
     nuisance = nuisance_parameters(selection.end)
     torques, waves = curves.result(), harmonics.result()
@@ -238,6 +281,7 @@ def diagnose(
         tuple(waves),
         tuple(whiteness(fit)),
         hidden,
+        size.test.limit if size.test is not None and math.isfinite(size.test.limit) else None,
     )
 
 
@@ -317,14 +361,21 @@ def _sentence(
     if verdict == "adequate":
         parts = ["The residuals are consistent with noise; the model is adequate."]
         if hidden:
-            limits = ", ".join(f"{u.effect} {format_torque(u.torque_Nm)}" for u in hidden)
+            unit = fit.torque_unit
+            limits = ", ".join(f"{u.effect} {format_torque(u.torque_Nm, unit=unit)}" for u in hidden)
             parts.append(
                 f"Effects that could still be hidden, with 95 % upper limits of the rms torque: {limits}."
+            )
+        else:
+            parts.append(
+                "The recording is too short or too noisy to limit another effect to less than the torque that it shows."
             )
     else:
         parts = [f"Significant lack of fit{f': {failures[0]}' if failures else ''}."]
         parts += (
-            _unexplained(selection, doubt, size) if verdict == "unexplained" else _missing(selection, size)
+            _unexplained(selection, doubt, size)
+            if verdict == "unexplained"
+            else _missing(selection, size, criteria)
         )
         parts += _active_bounds(fit)
     return " ".join([*parts, *_nuisance(selection.chosen, nuisance, criteria)])
@@ -361,12 +412,13 @@ def _unexplained(
             "No effect of the library explains it.",
         ]
     level = max((n.level for n in selection.end.noise), default=0.0)
+    unit = selection.end.torque_unit
     return [
-        f"An unexplained torque of {format_torque(level)} rms remains; no effect of the library explains it."
+        f"An unexplained torque of {format_torque(level, unit=unit)} rms remains; no effect of the library explains it."
     ]
 
 
-def _missing(selection: Selection, size: Grade) -> list[str]:
+def _missing(selection: Selection, size: Grade, criteria: Criteria) -> list[str]:
     chosen = selection.chosen
     if chosen is None:
         return []
@@ -391,7 +443,22 @@ def _missing(selection: Selection, size: Grade) -> list[str]:
         )
     if size.remainder is not None:
         parts.append(size.remainder.sentence)
+    elif size.form == "approximate" and size.test is not None:
+        parts.append(_untested(size.test, criteria))
     return parts
+
+
+def _untested(test: FormTest, criteria: Criteria) -> str:
+    """Return why a law that leaves nothing significant is not called exact."""
+    if test.bounds_p <= criteria.doubt_named:
+        return (
+            f"The form is not established: the residuals pull {', '.join(test.bounds)} beyond its bound "
+            f"(p = {probability(test.bounds_p)})."
+        )
+    if not math.isfinite(test.limit):
+        return "The form is not established: the other parameters absorb every deviation from it."
+    limit = f"{100 * test.limit:.2g} % of its torque"
+    return f"The form is not established: only a deviation above {limit} would be detected."
 
 
 def _active_bounds(fit: Fit) -> list[str]:

@@ -31,15 +31,16 @@ from fitting.effects._expression import (
     call,
     derivative,
     div,
+    latex,
     mul,
     neg,
+    nodes,
     sub,
     substitute,
     sym,
     symbols,
     total,
 )
-from fitting.effects._latex import latex
 from fitting.effects._library import GENERAL, LINEAR, REDUCED, find
 from fitting.effects._user import read_effects, resolve
 
@@ -436,8 +437,9 @@ class Dynamics:
 
 def _in_one_sense(rate: Expr) -> Expr:
     """Return a rate with sign(omega_c) as a number given beside the state, so that it is smooth through rest."""
-    if rate == call("sign", sym("omega_c")):
-        return sym(SENSE)
-    if rate.op in {"num", "sym"}:
-        return rate
-    return Expr(rate.op, tuple(_in_one_sense(a) for a in rate.args))
+    sign = call("sign", sym("omega_c"))
+    new: dict[int, Expr] = {}
+    for node in nodes(rate):
+        args = tuple(new[id(a)] for a in node.args)
+        new[id(node)] = sym(SENSE) if node == sign else Expr(node.op, args) if args else node
+    return new[id(rate)]

@@ -161,16 +161,17 @@ class Propagator:
 
 def _fill(out: Array, step: Array, gain: Array) -> None:
     """Fill out[i + 1] = step[i] out[i] + gain[i]: two steps at a time as one of twice the length."""
-    if len(step) < _FEW:
-        for i in range(len(step)):
-            out[i + 1] = step[i] @ out[i] + gain[i]
-        return
-    pairs = len(step) // 2 * 2
-    second = step[1:pairs:2]
-    double = out[: pairs + 1 : 2]
-    _fill(double, second @ step[0:pairs:2], second @ gain[0:pairs:2] + gain[1:pairs:2])
-    alone = out[0 : len(step) : 2]
-    out[1::2] = step[0::2] @ alone + gain[0::2]
+    levels = []
+    while len(step) >= _FEW:
+        levels.append((out, step, gain))
+        pairs = len(step) // 2 * 2
+        second = step[1:pairs:2]
+        out = out[: pairs + 1 : 2]
+        step, gain = second @ step[0:pairs:2], second @ gain[0:pairs:2] + gain[1:pairs:2]
+    for i in range(len(step)):
+        out[i + 1] = step[i] @ out[i] + gain[i]
+    for out, step, gain in reversed(levels):  # from the coarsest level to the finest
+        out[1::2] = step[0::2] @ out[0 : len(step) : 2] + gain[0::2]
 
 
 Array = NDArray[np.float64]

@@ -1,7 +1,7 @@
 """Formulas: safe parsing, exact derivatives, and evaluation with NumPy.
 
 The text is parsed by Python's own grammar (`ast`), and every node is held against a short allow-list:
-numbers, known names, ``+ - * / **``, unary minus, and the functions of `nodes.FUNCTIONS`. ASCII only, at most
+numbers, known names, ``+ - * / **``, unary minus, and the functions of `FUNCTIONS`. ASCII only, at most
 500 characters, nested at most 40 deep, numbers as floats (so that ``9**9**9`` costs nothing).
 """
 
@@ -118,40 +118,49 @@ def total(terms: list[Expr]) -> Expr:
     return result
 
 
+def nodes(e: Expr) -> list[Expr]:
+    """Return the parts of an expression, each object once and after its own parts; the expression is the last."""
+    found: dict[int, Expr] = {}
+    path = [e]
+    while path:
+        node = path[-1]
+        for part in node.args:
+            if id(part) not in found:
+                path.append(part)
+                break
+        else:
+            found[id(node)] = path.pop()
+    return list(found.values())
+
+
 def substitute(e: Expr, values: dict[str, Expr]) -> Expr:
     """Return the expression with symbols replaced."""
-    if e.op == "sym":
-        return values.get(e.name, e)
-    if e.op == "num":
-        return e
-    args = tuple(substitute(a, values) for a in e.args)
-    build = {"add": add, "mul": mul, "pow": power}.get(e.op)
-    return build(args[0], args[1]) if build else call(e.op, args[0])
+    new: dict[int, Expr] = {}
+    build = {"add": add, "mul": mul, "pow": power}
+    for node in nodes(e):
+        args = [new[id(a)] for a in node.args]
+        if not args:
+            new[id(node)] = values.get(node.name, node) if node.op == "sym" else node
+        else:
+            new[id(node)] = build[node.op](*args) if node.op in build else call(node.op, args[0])
+    return new[id(e)]
 
 
 def divisors(e: Expr) -> list[Expr]:
-    """Return what an expression divides by: the bases of powers with a negative number as exponent.
+    """Return the divisors in an expression: the bases of powers with a negative number as exponent.
 
     Examples
     --------
     >>> [sorted(symbols(d)) for d in divisors(parse("k/(omega_c-5)"))]
     [['omega_c']]
     """
-    found = [d for a in e.args for d in divisors(a)]
-    if e.op == "pow" and e.args[1].op == "num" and e.args[1].value < 0:
-        base = e.args[0]
-        found.append(base.args[0] if base.op == "abs" else base)
-    return found
+    bases = [n.args[0] for n in nodes(e) if n.op == "pow" and n.args[1].op == "num" and n.args[1].value < 0]
+    return [base.args[0] if base.op == "abs" else base for base in bases]
 
 
 def symbols(e: Expr) -> set[str]:
     """Return the names of all symbols in an expression."""
-    if e.op == "sym":
-        return {e.name}
-    names: set[str] = set()
-    for a in e.args:
-        names |= symbols(a)
-    return names
+    return {node.name for node in nodes(e) if node.op == "sym"}
 
 
 MAX_LENGTH = 500
@@ -290,24 +299,27 @@ def derivative(e: Expr, name: str) -> Expr:
     Expr
         d e / d name; zero where the symbol does not occur.
     """
-    if e.op == "num":
-        return ZERO
-    if e.op == "sym":
-        return ONE if e.name == name else ZERO
+    slopes: dict[int, Expr] = {}
+    for node in nodes(e):
+        slopes[id(node)] = _slope(node, name, [slopes[id(a)] for a in node.args])
+    return slopes[id(e)]
+
+
+def _slope(e: Expr, name: str, inner: list[Expr]) -> Expr:
+    """Return the derivative of a node, from those of its parts."""
+    if not inner:
+        return ONE if e.op == "sym" and e.name == name else ZERO
     if e.op == "add":
-        return add(derivative(e.args[0], name), derivative(e.args[1], name))
+        return add(*inner)
     if e.op == "mul":
-        u, v = e.args
-        return add(mul(derivative(u, name), v), mul(u, derivative(v, name)))
+        return add(mul(inner[0], e.args[1]), mul(e.args[0], inner[1]))
     if e.op == "pow":
-        return _power_rule(e, name)
-    inner = derivative(e.args[0], name)
-    return ZERO if inner == ZERO else mul(_OUTER[e.op](e.args[0]), inner)
+        return _power_rule(e, *inner)
+    return ZERO if inner[0] == ZERO else mul(_OUTER[e.op](e.args[0]), inner[0])
 
 
-def _power_rule(e: Expr, name: str) -> Expr:
+def _power_rule(e: Expr, du: Expr, dv: Expr) -> Expr:
     u, v = e.args
-    du, dv = derivative(u, name), derivative(v, name)
     result = ZERO
     if du != ZERO:
         result = mul(mul(v, power(u, sub(v, ONE))), du)
@@ -369,13 +381,14 @@ class Tape:
         self._inputs: list[tuple[int, str]] = []
         self._constants: list[tuple[int, float]] = []
         self._steps: list[tuple[int, Callable[..., Any], tuple[int, ...]]] = []
-        self._outputs = [self._place(e) for e in outputs]
+        for e in outputs:
+            for node in nodes(e):
+                self._place(node)
+        self._outputs = [self._slots[e] for e in outputs]
 
-    def _place(self, e: Expr) -> int:
-        slot = self._slots.get(e)
-        if slot is not None:
-            return slot
-        arguments = tuple(self._place(a) for a in e.args)
+    def _place(self, e: Expr) -> None:
+        if e in self._slots:
+            return
         slot = len(self._slots)
         self._slots[e] = slot
         if e.op == "num":
@@ -383,8 +396,7 @@ class Tape:
         elif e.op == "sym":
             self._inputs.append((slot, e.name))
         else:
-            self._steps.append((slot, _OPERATIONS[e.op], arguments))
-        return slot
+            self._steps.append((slot, _OPERATIONS[e.op], tuple(self._slots[a] for a in e.args)))
 
     @property
     def names(self) -> set[str]:
@@ -412,3 +424,85 @@ class Tape:
         for slot, operation, arguments in self._steps:
             registers[slot] = operation(*(registers[a] for a in arguments))
         return [registers[slot] for slot in self._outputs]
+
+
+_LATEX_NAMES = {
+    "omega_r": r"\omega_r",
+    "omega_c": r"\omega_c",
+    "psi_r": r"\psi_r",
+    "psi_c": r"\psi_c",
+    "delta": "D",
+    "temperature": "T",
+    "phi": r"\varphi",
+    "eps": r"\varepsilon",
+    "omega": r"\omega",
+    "psi": r"\psi",
+    "tau_T": r"\tau_T",
+    "chirp": r"\chi",
+}
+_SUM, _PRODUCT, _ATOM = 0, 1, 2
+
+
+def latex(e: Expr) -> str:
+    """Return an expression as LaTeX source (mathematics mode, no dollar signs)."""
+    return _typeset(e, _SUM)
+
+
+def _symbol(name: str) -> str:
+    if name in _LATEX_NAMES:
+        return _LATEX_NAMES[name]
+    head = name.rstrip("0123456789")
+    if head and head != name:
+        return f"{head}_{{{name[len(head) :]}}}"
+    head, _, tail = name.partition("_")
+    return f"{head}_{{\\mathrm{{{tail}}}}}" if tail else name
+
+
+def _decimal(value: float) -> str:
+    text = f"{value:g}"
+    mantissa, _, exponent = text.partition("e")
+    return f"{mantissa} \\times 10^{{{int(exponent)}}}" if exponent else text
+
+
+def _typeset(e: Expr, level: int) -> str:
+    if e.op == "num":
+        return _decimal(e.value) if e.value >= 0 or level == _SUM else f"({_decimal(e.value)})"
+    if e.op == "sym":
+        return _symbol(e.name)
+    if e.op == "add":
+        left, right = _typeset(e.args[0], _SUM), _typeset(e.args[1], _SUM)
+        text = left + (" " if right.startswith("-") else " + ") + right
+        return text if level == _SUM else rf"\left({text}\right)"
+    if e.op == "mul":
+        return _product(e, level)
+    if e.op == "pow":
+        base, exponent = e.args
+        if exponent == MINUS_ONE:
+            return rf"\frac{{1}}{{{_typeset(base, _SUM)}}}"
+        return f"{_typeset(base, _ATOM)}^{{{_typeset(exponent, _SUM)}}}"
+    return _function(e)
+
+
+def _product(e: Expr, level: int) -> str:
+    a, b = e.args
+    if a == MINUS_ONE:
+        text = "-" + _typeset(b, _PRODUCT)
+        return text if level == _SUM else rf"\left({text}\right)"
+    if b.op == "pow" and b.args[1] == MINUS_ONE:
+        return rf"\frac{{{_typeset(a, _SUM)}}}{{{_typeset(b.args[0], _SUM)}}}"
+    text = f"{_typeset(a, _PRODUCT)} {_typeset(b, _PRODUCT)}"
+    return text if level != _ATOM else rf"\left({text}\right)"
+
+
+def _function(e: Expr) -> str:
+    inner = _typeset(e.args[0], _SUM)
+    if e.op == "abs":
+        return rf"\left|{inner}\right|"
+    if e.op == "sqrt":
+        return rf"\sqrt{{{inner}}}"
+    if e.op == "sign":
+        return rf"\operatorname{{sgn}}\left({inner}\right)"
+    if e.op == "heaviside":
+        return rf"H\left({inner}\right)"
+    name = {"atan": "arctan"}.get(e.op, e.op)
+    return rf"\{name}\left({inner}\right)"

@@ -6,7 +6,7 @@ import math
 import re
 import string
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
@@ -14,9 +14,32 @@ from typing import Any, cast
 import numpy as np
 
 from fitting._errors import EffectError, ExpressionError, FittingError
-from fitting.effects._dimension import NONE, Dimension, dimension, format_unit, parse_unit
-from fitting.effects._effect import MOMENTS, VARIABLES, Effect, Joint, Parameter, Role, State
-from fitting.effects._expression import ZERO, Expr, Tape, derivative, parse, sub, substitute, sym, symbols
+from fitting.effects._effect import (
+    MOMENTS,
+    NONE,
+    VARIABLES,
+    Dimension,
+    Effect,
+    Joint,
+    Parameter,
+    Role,
+    State,
+    dimension,
+    format_unit,
+    parse_unit,
+)
+from fitting.effects._expression import (
+    ZERO,
+    Expr,
+    Tape,
+    derivative,
+    nodes,
+    parse,
+    sub,
+    substitute,
+    sym,
+    symbols,
+)
 from fitting.effects._library import LIBRARY, find
 
 # the unit of a strength that cannot be worked out because other units were not given
@@ -146,24 +169,18 @@ def _timed(parameters: Sequence[Parameter], expression: Expr) -> tuple[tuple[Par
 
     A moment stands in t - t0; the law jumps there if that is in heaviside(t - t0), and t0 in no other jump.
     """
-    nodes = list(_nodes(expression))
+    parts = nodes(expression)
     alone = [p.role for p in parameters].count("shape") == 1
     jump, found = "", []
     for p in parameters:
         since = sub(sym("t"), sym(p.symbol))
-        own = [n for n in nodes if n.op == "heaviside" and p.symbol in symbols(n)]
+        own = [n for n in parts if n.op == "heaviside" and p.symbol in symbols(n)]
         jumps = bool(own) and all(n.args[0] == since for n in own)
         jump = jump or (p.symbol if jumps else "")
-        if p.role == "shape" and since in nodes:
+        if p.role == "shape" and since in parts:
             p = replace(p, grid=MOMENTS if jumps or alone else MOMENTS[::_COARSE], relative=True)
         found.append(p)
     return tuple(found), jump
-
-
-def _nodes(expression: Expr) -> Iterator[Expr]:
-    yield expression
-    for argument in expression.args:
-        yield from _nodes(argument)
 
 
 def _parameter(symbol: str, keys: Mapping[str, Any], role: Role) -> Parameter:

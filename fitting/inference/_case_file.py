@@ -187,6 +187,7 @@ def _read(path: Path, file: Any) -> Record:
         I_casing=inertias[1],
         I_rotor_u=float(np.asarray(attributes.get("I_rotor_u", np.nan))),
         I_casing_u=float(np.asarray(attributes.get("I_casing_u", np.nan))),
+        per_inertia=bool(attributes.get("per_inertia", False)),
         casing=casing,
         rotor=rotor,
         single=single,

@@ -140,7 +140,7 @@ def start_values(
     layout : ParameterLayout
         The variables.
     rough : sequence of (times, speeds)
-        Of each case, as `fitting.inference._velocity` gives them.
+        Of each case, as `fitting.inference._record` gives them.
     reference : float
         Speed difference [rad/s] at which a power law starts with a tenth of the linear law's torque.
     deflections : sequence of ndarray

@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import EffectError
+from fitting._numbers import PER_INERTIA, TORQUE, per_inertia
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
 from fitting.effects._effect import Effect, Parameter
 from fitting.effects._expression import Tape
@@ -143,6 +144,16 @@ class ParameterLayout:
         """Return the declaration behind a name."""
         key = name.partition("@")[0]
         return self.model.parameters.get(key, _DEFLECTION if key == START_DEFLECTION else _START)
+
+    @property
+    def torque_unit(self) -> str:
+        """Unit of all torques: "N m", or "rad/s2" where no case has a moment of inertia."""
+        return PER_INERTIA if all(r.per_inertia for r in self.records) else TORQUE
+
+    def unit(self, name: str) -> str:
+        """Return the unit of a variable."""
+        unit = self.parameter(name).unit
+        return per_inertia(unit) if self.torque_unit == PER_INERTIA else unit
 
     def bounds(self) -> tuple[Array, Array]:
         """Return lower and upper bounds of all variables."""

@@ -1,28 +1,30 @@
 """Profile likelihood intervals.
 
-The deviance with one parameter held and all others fitted anew rises by q = 3.84 (95 %) at the ends of the interval
-(S. S. Wilks, Ann. Math. Statist. 9, 60 (1938)); the noise is that of the fit. Its square root is nearly straight, so a
-few fits find each end. A side on which the deviance never rises so far is open: the data set no limit there.
+The deviance with one parameter held and all others fitted anew rises by the quantile of chi-square with one degree of
+freedom at the ends of the interval, 3.84 for 95 % (S. S. Wilks, Ann. Math. Statist. 9, 60 (1938)); the noise is that of
+the fit. Its square root is nearly straight, so a few fits find each end. A side on which the deviance never rises so
+far is open: the data set no limit there.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import EffectError, EstimationError, SimulationError
+from fitting.inference._noise import Noise
 from fitting.inference._optimisation import ActiveBounds, search
 from fitting.inference._parameters import ParameterLayout
 from fitting.inference._problem import Problem
-from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
 
 LEVEL = 0.95
-_QUANTILE = 3.841459
 _NEAR = 0.02
 _STEPS = 20
 _PATIENCE = 300
@@ -32,7 +34,7 @@ _WEAK = 0.3
 
 @dataclass(frozen=True)
 class Interval:
-    """A 95 % interval; an open end is where the range of the parameter ends, or where the search gave up.
+    """A confidence interval; an open end is where the range of the parameter ends, or where the search gave up.
 
     Attributes
     ----------
@@ -48,8 +50,36 @@ class Interval:
     upper_open: bool
 
 
-def profile(fit: Fit, name: str) -> Interval:
-    """Return the 95 % interval of one parameter of a fit by its profile likelihood.
+class _Estimate(Protocol):
+    @property
+    def value(self) -> float: ...
+    @property
+    def stderr(self) -> float: ...
+    @property
+    def at_bound(self) -> bool: ...
+
+
+class _Fitted(Protocol):
+    """What a profile needs of a `Fit`."""
+
+    @property
+    def problem(self) -> Problem: ...
+    @property
+    def estimates(self) -> Mapping[str, _Estimate]: ...
+    @property
+    def theta(self) -> Array: ...
+    @property
+    def covariance(self) -> Array: ...
+    @property
+    def noise(self) -> tuple[Noise, ...]: ...
+    @property
+    def chi2(self) -> float: ...
+    @property
+    def rows(self) -> int: ...
+
+
+def profile(fit: _Fitted, name: str, level: float = LEVEL) -> Interval:
+    """Return the confidence interval of one parameter of a fit by its profile likelihood.
 
     Parameters
     ----------
@@ -57,6 +87,8 @@ def profile(fit: Fit, name: str) -> Interval:
         The fit; its noise is kept.
     name : str
         A key of `fit.estimates` that was fitted.
+    level : float
+        Probability that the interval contains the value.
 
     Returns
     -------
@@ -66,16 +98,24 @@ def profile(fit: Fit, name: str) -> Interval:
     ------
     EffectError
         If the fit has no such free parameter.
+    EstimationError
+        If the level is not between 0 and 1.
     """
+    from scipy.special import ndtri
+
+    if not 0 < level < 1:
+        raise EstimationError(
+            f"a confidence level of {level} is not between 0 and 1", "for example level=0.95"
+        )
     names = fit.problem.layout.names
     if name not in names:
         raise EffectError(f"{name[:80]!r} is no free parameter of this fit", "it has: " + ", ".join(names))
-    held = _Held(fit, name)
+    held = _Held(fit, name, float(ndtri(0.5 + 0.5 * level)))
     ends = [held.end(sign) for sign in (-1.0, 1.0)]
     return Interval(ends[0][0], ends[1][0], ends[0][1], ends[1][1])
 
 
-def weakly_determined(fit: Fit) -> list[str]:
+def weakly_determined(fit: _Fitted) -> list[str]:
     """Return the parameters that need a profile: an error that is no small share of the value, or a bound nearby."""
     weak = []
     for name, e in fit.estimates.items():
@@ -89,7 +129,8 @@ def weakly_determined(fit: Fit) -> list[str]:
 class _Held:
     """The deviance of a fit with one parameter held."""
 
-    def __init__(self, fit: Fit, name: str) -> None:
+    def __init__(self, fit: _Fitted, name: str, target: float) -> None:
+        self._target = target
         old = fit.problem.layout
         layout = ParameterLayout(old.model, old.records, old.per_case, dict(old.ranges))
         self._name, self._place = name, layout.index[name]
@@ -105,7 +146,7 @@ class _Held:
         self._scale = max(1.0, fit.chi2 / max(1, fit.rows - len(fit.theta)))
         error = math.sqrt(max(float(fit.covariance[self._place, self._place]), 0.0))
         usable = math.isfinite(error) and error > 0
-        self._step = 1.96 * error if usable else 0.05 * max(abs(self._value), 1e-12)
+        self._step = target * error if usable else 0.05 * max(abs(self._value), 1e-12)
 
     def _root(self, value: float, begin: Array) -> tuple[float, Array]:
         """Return the square root of the rise of the deviance, and the variables there."""
@@ -122,7 +163,7 @@ class _Held:
 
     def end(self, sign: float) -> tuple[float, bool]:
         """Return one end of the interval, and whether it is open."""
-        target = math.sqrt(_QUANTILE)
+        target = self._target
         limit = self._range[1] if sign > 0 else self._range[0]
         inside, z_inside, theta = self._value, 0.0, self._theta
         outside, z_outside = math.nan, math.nan

@@ -15,8 +15,10 @@ an Ornstein-Uhlenbeck process of standard deviation a and correlation time T. Pr
     C = 1 + a^2 (P R P' - f 1) + s^2 K,
 
 P the projection, f the mean of P R P' in the band in which the white noise is measured (it is not counted twice), K the
-response to a random acceleration of rms s. (a, T) maximise the likelihood beside a process noise with a level and a
-correlation time of its own; angle noise is included if twice the log-likelihood ratio exceeds 8.
+response to a random acceleration of rms s. a maximises the likelihood with process noise of any level and
+correlation time integrated out; angle noise is included if twice the log-likelihood ratio exceeds 8. T is the posterior
+mean of ln T, with a uniform prior: rows that are slower than T see only a^2 T, faster ones only a^2 / T, so that T is
+known much less well than the noise of either.
 
 In a short record the two may fit equally well. Then process noise is accepted as long as its torque is smaller than the
 mean torque on the body; a random torque larger than the one that slows the body is not credible, and the deviations are
@@ -36,8 +38,10 @@ the likelihood of a stretch is a mixture, with a share of a twentieth for a leve
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,12 +55,14 @@ _SIGNIFICANT = 8.0
 _STRETCHES = 6
 _BINS = 128
 # correlation times in lengths of a block, levels in units of the white noise of the rows
-_TIMES = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0)
+_TIMES = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0)
 _WINDOW_TIMES = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2)
 _LEVELS = np.geomspace(0.3, 300.0, 13)
+# half width of the parabola at the most likely level, in its logarithm
+_NEAR = 0.3
 _SCREENED = (2, 5, 8)
 _TORQUES = np.concatenate([[0.0], np.geomspace(0.1, 1e5, 31)])
-_TORQUE_TIMES = (0.1, 1.0)
+_TORQUE_TIMES = (0.1, 0.3, 1.0)
 _CELLS_PER_ROW = 2.5
 
 _DEGREE = 11
@@ -89,8 +95,8 @@ class AngleNoise:
     ----------
     sigma, sigma_u : float
         Standard deviation a and its standard uncertainty [rad]; 0 if it is not significant.
-    time : float
-        Correlation time T [s].
+    time, time_u : float
+        Correlation time T and its standard uncertainty [s].
     gain : float
         Twice the logarithm of the likelihood ratio of this noise against white noise.
     root, inverse : ndarray, shape (rows, rows)
@@ -100,6 +106,7 @@ class AngleNoise:
     sigma: float = 0.0
     sigma_u: float = 0.0
     time: float = 0.0
+    time_u: float = 0.0
     gain: float = 0.0
     root: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
     inverse: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
@@ -120,37 +127,87 @@ def estimate_angle_noise(run: Compressed, nuisance: Array) -> AngleNoise:
     AngleNoise
         White (`sigma` = 0) if no correlated noise is significant.
     """
-    stretches = _stretches(run, nuisance)
+    stretches = stretches_of(run, nuisance)
     block = float(np.ptp(run.samples.time)) / len(run.lift)
-    torques = [[s.torque(block * t) for t in _TORQUE_TIMES] for s in stretches]
+    torque_times = [block * t for t in _TORQUE_TIMES]
     white = sum(s.likelihood(None, ())[0] for s in stretches)
-    alone = [s.likelihood(None, t) for s, t in zip(stretches, torques, strict=True)]
-    process = sum(found for found, _ in alone)
-    credible = max(level for _, level in alone) < _mean_acceleration(run)
+    process = _with_process_noise(stretches, None, torque_times)
+    largest = max(s.likelihood(None, [s.torque(t) for t in torque_times])[1] for s in stretches)
+    credible = largest < _mean_acceleration(run)
     reference = process if credible else white
 
     def gain(covariance: Array) -> float:
-        both = zip(stretches, torques, strict=True)
-        found = sum(s.likelihood(covariance, t if credible else ())[0] for s, t in both)
-        return 2 * (found - reference)
+        if credible:
+            return 2 * (_with_process_noise(stretches, covariance, torque_times) - reference)
+        return 2 * (sum(s.likelihood(covariance, ())[0] for s in stretches) - reference)
 
-    covariances = [_covariance(run, block * share) for share in _TIMES]
+    times = block * np.array(_TIMES)
+    covariances = [_covariance(run, t) for t in times]
     units = [1 / np.sqrt(np.median(np.diag(k)) + 1e-300) for k in covariances]
-    grid = [(u * _LEVELS[:, None, None]) ** 2 for u in units]
-    screened = [[gain(g[j] * k) for j in _SCREENED] for g, k in zip(grid, covariances, strict=True)]
+    screened = [
+        [gain((u * _LEVELS[j]) ** 2 * k) for j in _SCREENED] for u, k in zip(units, covariances, strict=True)
+    ]
     if np.max(screened) < 0.25 * _SIGNIFICANT:
         return AngleNoise(gain=float(np.max(screened)))
-    gains = np.array([[gain(level * k) for level in g] for g, k in zip(grid, covariances, strict=True)])
-    i, j = np.unravel_index(int(np.argmax(gains)), gains.shape)
-    best = float(gains[i, j])
+    peaks = [
+        _peak(lambda x, u=u, k=k: gain((u * x) ** 2 * k))  # type: ignore[misc]
+        for u, k in zip(units, covariances, strict=True)
+    ]
+    best = max(p.gain for p in peaks)
     if best < _SIGNIFICANT or (not credible and best < 2 * (process - white) - _SIGNIFICANT):
         return AngleNoise(gain=best)
-    level, relative_u = _level(gains[i], int(j))
-    sigma = level * float(units[i])
-    values, vectors = np.linalg.eigh(np.eye(len(covariances[i])) + sigma**2 * covariances[i])
-    root = (vectors * np.sqrt(values)) @ vectors.T
-    inverse = (vectors / np.sqrt(values)) @ vectors.T
-    return AngleNoise(sigma, relative_u * sigma, block * _TIMES[i], best, root, inverse)
+    time, time_u, spread = _time(times, units, peaks)
+    covariance = _covariance(run, time)
+    unit = 1 / float(np.sqrt(np.median(np.diag(covariance)) + 1e-300))
+    found = _peak(lambda x: gain((unit * x) ** 2 * covariance))
+    sigma = found.level * unit
+    root, inverse = _roots(np.eye(len(covariance)) + sigma**2 * covariance)
+    return AngleNoise(sigma, math.hypot(found.relative_u, spread) * sigma, time, time_u, best, root, inverse)
+
+
+class _Peak(NamedTuple):
+    """The most likely level of a noise of one correlation time: level, relative standard uncertainty, gain there."""
+
+    level: float
+    relative_u: float
+    gain: float
+
+
+def _peak(gain: Callable[[float], float]) -> _Peak:
+    """Return the level of the largest gain, from a grid and from parabolas in the logarithm of the level."""
+    x = np.log(_LEVELS[::2])
+    y = [gain(float(np.exp(v))) for v in x]
+    top = int(np.clip(np.argmax(y), 1, len(x) - 2))
+    at, value, bend = x[top], y[top], 0.0
+    for half in (x[1] - x[0], _NEAR, _NEAR):
+        low, high = gain(float(np.exp(at - half))), gain(float(np.exp(at + half)))
+        bend = (low - 2 * value + high) / half**2
+        slope = (high - low) / (2 * half)
+        step = -slope / bend if bend < 0 else math.copysign(half, slope)
+        at += float(np.clip(step, -half, half))
+        value = gain(float(np.exp(at)))
+    return _Peak(float(np.exp(at)), math.sqrt(-2 / bend) if bend < 0 else 1.0, float(value))
+
+
+def _time(times: Array, units: Sequence[float], peaks: Sequence[_Peak]) -> tuple[float, float, float]:
+    """Return the posterior mean of the correlation time [s], its standard uncertainty, and what it does to the level.
+
+    The prior is uniform in the logarithm of the time; the level has its most likely value at each time.
+    """
+    weight = np.exp(0.5 * (np.array([p.gain for p in peaks]) - max(p.gain for p in peaks)))
+    weight /= weight.sum()
+    time, level = np.log(times), np.log([p.level * u for p, u in zip(peaks, units, strict=True)])
+    middle = float(weight @ time)
+    # a grid as coarse as a factor of two does not resolve a narrower distribution
+    spread = max(float(np.sqrt(weight @ (time - middle) ** 2)), 0.5 * float(time[1] - time[0]) / math.sqrt(3))
+    change = float(np.sqrt(weight @ (level - weight @ level) ** 2))
+    return math.exp(middle), math.exp(middle) * spread, change
+
+
+def _roots(covariance: Array) -> tuple[Array, Array]:
+    """Return C^(1/2) and C^(-1/2)."""
+    values, vectors = np.linalg.eigh(covariance)
+    return (vectors * np.sqrt(values)) @ vectors.T, (vectors / np.sqrt(values)) @ vectors.T
 
 
 def estimate_window_noise(windows: Sequence[Compressed], level: float, time: float) -> AngleNoise:
@@ -174,7 +231,7 @@ def estimate_window_noise(windows: Sequence[Compressed], level: float, time: flo
     """
     nothing = [np.zeros((len(w.z), 0)) for w in windows]
     stretches = [
-        _Stretch(w, np.arange(len(w.lift)), n, _DEGREE_OF_WINDOW + 2 * (len(w.lift) - 1))
+        Stretch(w, np.arange(len(w.lift)), n, _DEGREE_OF_WINDOW + 2 * (len(w.lift) - 1))
         for w, n in zip(windows, nothing, strict=True)
     ]
     process = []
@@ -192,27 +249,50 @@ def estimate_window_noise(windows: Sequence[Compressed], level: float, time: flo
         return sum(s.log_density(p, sigma**2 * k) for s, p, k in zip(stretches, process, own, strict=True))
 
     white = likelihood(covariances[0], 0.0)
-    gains = np.array(
-        [
-            [2 * (likelihood(own, u * x) - white) for x in _LEVELS]
-            for own, u in zip(covariances, units, strict=True)
-        ]
-    )
-    i, j = np.unravel_index(int(np.argmax(gains)), gains.shape)
-    best = float(gains[i, j])
+    peaks = [
+        _peak(lambda x, u=u, own=own: 2 * (likelihood(own, u * x) - white))  # type: ignore[misc]
+        for u, own in zip(units, covariances, strict=True)
+    ]
+    best = max(p.gain for p in peaks)
     if best < _SIGNIFICANT:
         return AngleNoise(gain=best)
-    x, relative_u = _level(gains[i], int(j))
-    sigma = x * float(units[i])
+    correlation, correlation_u, spread = _time(times, units, peaks)
+    final = [_covariance(w, correlation) for w in windows]
+    unit = 1 / float(np.sqrt(np.median(np.concatenate([np.diag(k) for k in final])) + 1e-300))
+    found = _peak(lambda x: 2 * (likelihood(final, unit * x) - white))
+    sigma = found.level * unit
     root, inverse = (np.zeros((sum(len(w.z) for w in windows),) * 2) for _ in range(2))
     first = 0
-    for k in covariances[i]:
-        values, vectors = np.linalg.eigh(np.eye(len(k)) + sigma**2 * k)
+    for k in final:
         own = slice(first, first + len(k))
-        root[own, own] = (vectors * np.sqrt(values)) @ vectors.T
-        inverse[own, own] = (vectors / np.sqrt(values)) @ vectors.T
+        root[own, own], inverse[own, own] = _roots(np.eye(len(k)) + sigma**2 * k)
         first += len(k)
-    return AngleNoise(sigma, relative_u * sigma, float(times[i]), best, root, inverse)
+    sigma_u = math.hypot(found.relative_u, spread) * sigma
+    return AngleNoise(sigma, sigma_u, correlation, correlation_u, best, root, inverse)
+
+
+def _with_process_noise(stretches: Sequence[Stretch], angle: Array | None, times: Sequence[float]) -> float:
+    """Return the log-likelihood of an angle covariance, with process noise of any level and these times integrated out.
+
+    A level of its own in each stretch, at its most likely value, would stand for the slow part of angle noise.
+    """
+    description = _Description(stretches, angle)
+    resolution = 2 * times[0] * description.unit(times[0]) ** 2
+    found, total = -np.inf, -np.inf
+    for time in times:
+        levels = description.unit(time) * _PROCESS_LEVELS
+        prior = _log_prior(levels, time, resolution)
+        found = np.logaddexp(found, np.logaddexp.reduce(description.likelihood(time, levels) + prior))
+        total = np.logaddexp(total, np.logaddexp.reduce(prior))
+    return float(found - total) + description.log_determinant
+
+
+def _log_prior(levels: Array, time: float, resolution: float) -> Array:
+    """Return the logarithm of the prior density of process noise in the logarithm of its level."""
+    scale = np.sqrt(resolution / (2 * time))
+    return np.asarray(
+        np.log(levels) - np.log(scale) - 0.5 * (_FREEDOM + 1) * np.log1p((levels / scale) ** 2 / _FREEDOM)
+    )
 
 
 def _mean_acceleration(run: Compressed) -> float:
@@ -223,26 +303,23 @@ def _mean_acceleration(run: Compressed) -> float:
     return float(np.abs(np.diff(speed)).sum() / np.ptp(t))
 
 
-def _level(gains: Array, j: int) -> tuple[float, float]:
-    """Return the level at the top of a parabola in its logarithm, and its relative standard uncertainty."""
-    x = np.log(_LEVELS)
-    j = int(np.clip(j, 1, len(x) - 2))
-    bend, slope, _ = np.polyfit(x[j - 1 : j + 2] - x[j], gains[j - 1 : j + 2], 2)
-    if bend >= 0:
-        return float(_LEVELS[j]), 1.0
-    step = float(np.clip(-slope / (2 * bend), x[0] - x[1], x[1] - x[0]))
-    return float(np.exp(x[j] + step)), float(np.sqrt(-1 / bend))
+def binned_operators(run: Compressed) -> list[tuple[Array, Array]]:
+    """Return for each block the mean times of groups of samples, and the polynomial rows of a constant in each."""
+    k, found = run.lift.shape[1], []
+    for where, operator in run.operators:
+        t = run.samples.time[where]
+        edges = np.unique(np.linspace(0, len(t), _BINS + 1).astype(int))[:-1]
+        middle = np.add.reduceat(t, edges) / np.diff(np.append(edges, len(t)))
+        found.append((middle, np.add.reduceat(operator[:k], edges, axis=1)))
+    return found
 
 
 def _covariance(run: Compressed, time: float) -> Array:
     """Return P R P' - f 1 of a run, without negative eigenvalues."""
     blocks, k, _ = run.lift.shape
     forward, backward, first, last, diagonal = [], [], [], [], []
-    for where, operator in run.operators:
+    for (where, _), (middle, p) in zip(run.operators, binned_operators(run), strict=True):
         t = run.samples.time[where]
-        edges = np.unique(np.linspace(0, len(t), _BINS + 1).astype(int))[:-1]
-        p = np.add.reduceat(operator[:k], edges, axis=1)
-        middle = np.add.reduceat(t, edges) / np.diff(np.append(edges, len(t)))
         diagonal.append(p @ np.exp(-np.abs(middle[:, None] - middle) / time) @ p.T)
         forward.append(p @ np.exp((middle - t[-1]) / time))
         backward.append(p @ np.exp((t[0] - middle) / time))
@@ -318,10 +395,10 @@ def estimate_process_noise(
     if len(angle_noise.root):
         angles = angle_noise.root @ angle_noise.root - np.eye(len(angle_noise.root))
 
-    def stretch(part: NDArray[np.intp], degree: int) -> _Stretch:
+    def stretch(part: NDArray[np.intp], degree: int) -> Stretch:
         degree = min(degree - (not angle), len(part) * k // 3)
-        found = _Stretch(run, part, nuisance, degree, angle=angle)
-        return found if len(found.seen) else _Stretch(run, part, nuisance[:, :0], 2, angle=angle)
+        found = Stretch(run, part, nuisance, degree, angle=angle)
+        return found if len(found.seen) else Stretch(run, part, nuisance[:, :0], 2, angle=angle)
 
     def description(count: int, degree: int) -> _Description:
         parts = np.array_split(np.arange(blocks), max(1, count))
@@ -335,7 +412,7 @@ def estimate_process_noise(
     # where longer stretches do as well, they determine slower noise
     while len(found.stretches) > 1:
         pairs = list(zip(found.stretches[::2], found.stretches[1::2], strict=False))
-        longer: list[_Stretch] = []
+        longer: list[Stretch] = []
         for pair in pairs:
             blocks_of = np.concatenate([p.blocks for p in pair])
             one = (
@@ -354,9 +431,14 @@ def estimate_process_noise(
 class _Description:
     """Stretches in which the motion is a polynomial, and their restricted likelihood of process noise."""
 
-    def __init__(self, stretches: Sequence[_Stretch], angles: Array | None) -> None:
+    def __init__(self, stretches: Sequence[Stretch], angles: Array | None) -> None:
         self.stretches = list(stretches)
         self._roots = [s.root(angles) for s in stretches]
+
+    @property
+    def log_determinant(self) -> float:
+        """Logarithm of the determinant of what whitens the angle noise."""
+        return float(sum(np.log(np.diag(root)).sum() for root in self._roots))
 
     def unit(self, time: float) -> float:
         """Return the rms acceleration that is as large as the noise in half of the rows [rad/s2]."""
@@ -424,10 +506,8 @@ def _posterior(description: _Description, times: Array, resolution: float) -> tu
         own = description.unit(time) * _PROCESS_LEVELS
         fine = np.geomspace(own[0], own[-1], _FINER * len(own))
         likelihood = CubicSpline(np.log(own), description.likelihood(time, own))(np.log(fine))
-        scale = np.sqrt(resolution / (2 * time))
-        prior = -0.5 * (_FREEDOM + 1) * np.log1p((fine / scale) ** 2 / _FREEDOM) - np.log(scale)
         levels.append(fine)
-        found.append(likelihood + prior + np.log(fine))
+        found.append(likelihood + _log_prior(fine, time, resolution))
     density = np.array(found)
     density = np.exp(density - density.max())
     return np.array(levels), density / density.sum()
@@ -444,7 +524,7 @@ def _binned(values: Array, weights: Array) -> tuple[Array, Array]:
     return mean[total > 0] / total[total > 0], total[total > 0] / total.sum()
 
 
-class _Stretch:
+class Stretch:
     """Rows of some neighbouring blocks, without what is free in them."""
 
     def __init__(
@@ -463,7 +543,26 @@ class _Stretch:
         size = np.linalg.norm(free, axis=0)
         u, s, _ = np.linalg.svd(free[:, size > 0] / size[size > 0], full_matrices=True)
         self._outside = u[:, int((s > 1e-7 * s[0]).sum()) :]
-        self.seen = self._outside.T @ run.z[self.rows]
+        self.seen = self.beyond(run.z[self.rows])
+
+    def beyond(self, rows: Array) -> Array:
+        """Return what rows of this stretch have orthogonal to all that is free."""
+        return np.asarray(self._outside.T @ rows)
+
+    def own_whiteners(self, times: Sequence[float], shares: Sequence[float]) -> list[tuple[Array, float]]:
+        """Return what whitens `seen` at shares of the process noise most likely in this stretch, and deviances."""
+        best, found = -np.inf, (np.eye(len(self.seen)), np.zeros(len(self.seen)), 0.0)
+        for covariance in (self.torque(t)[0] for t in times):
+            values, vectors = np.linalg.eigh(covariance)
+            values = np.maximum(values, 0.0)
+            likelihood = _gaussian(vectors.T @ self.seen, values, _TORQUES)
+            i = int(np.argmax(likelihood))
+            if likelihood[i] > best:
+                best, found = float(likelihood[i]), (vectors.T, values, float(_TORQUES[i]))
+        vectors, values, level = found
+        variances = [1 + (share * level) ** 2 * values for share in shares]
+        seen = vectors @ self.seen
+        return [(vectors / np.sqrt(v)[:, None], float(np.sum(np.log(v) + seen**2 / v))) for v in variances]
 
     def _seen(self, values: Array) -> Array:
         return np.asarray((self._lift @ values).reshape(len(self.rows), -1))
@@ -518,7 +617,8 @@ class _Stretch:
         return constant + best[0], best[1]
 
 
-def _stretches(run: Compressed, nuisance: Array) -> list[_Stretch]:
+def stretches_of(run: Compressed, nuisance: Array) -> list[Stretch]:
+    """Return stretches of a run, with a polynomial and the nuisance functions free in each."""
     blocks = len(run.lift)
     parts = np.array_split(np.arange(blocks), max(1, min(_STRETCHES, blocks // 4)))
-    return [_Stretch(run, part, nuisance, 3 if len(part) < 8 else len(part) + 1) for part in parts]
+    return [Stretch(run, part, nuisance, 3 if len(part) < 8 else len(part) + 1) for part in parts]

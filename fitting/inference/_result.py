@@ -17,22 +17,41 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting._display import block, draw_speed, draw_speed_residual, figure, headline, printable, table
+from fitting._display import (
+    block,
+    draw_speed,
+    draw_speed_residual,
+    figure,
+    figure_of,
+    headline,
+    printable,
+    table,
+)
 from fitting._errors import EstimationError
-from fitting._numbers import rounded, short, with_uncertainty
+from fitting._numbers import PER_INERTIA, TORQUE, rounded, short, with_uncertainty
 from fitting.dynamics._model import Model
 from fitting.inference._case_model import Prediction
-from fitting.inference._lack_of_fit import LackOfFit, lack_of_fit
-from fitting.inference._metrics import CaseMetrics, EnergyBalance, case_metrics, energy_balance
+from fitting.inference._metrics import (
+    CaseMetrics,
+    EnergyBalance,
+    LackOfFit,
+    case_metrics,
+    energy_balance,
+    lack_of_fit,
+    smoothing_noise,
+)
 from fitting.inference._noise import Noise
 from fitting.inference._parameters import START_ROTOR, ParameterLayout
 from fitting.inference._problem import Problem, Projection, covariance_of, surely_at_bound
+from fitting.inference._record import speeds
 from fitting.inference._recording_noise import AngleNoise
 from fitting.inference._speed_residuals import SpeedResidual, modelled_speed, speed_residuals
-from fitting.inference._velocity import speeds
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from fitting.inference._profile import Interval
 
 
 VERDICT_TEXT = {
@@ -47,6 +66,7 @@ VERDICT_TEXT = {
 _SCREEN = 40
 # points of a drawn curve
 _POINTS = 600
+_ROTOR, _CASING = 0, 1
 # printed with a fit to a generated curve
 GENERATED = (
     "the rotor curve is generated, not measured: the uncertainties do not include its systematic error, which is often "
@@ -65,6 +85,11 @@ class FitSummary:
     estimates: Mapping[str, Estimate]
     n_eff: float
     bic: float
+
+    @property
+    def torque_unit(self) -> str:
+        """Unit of torques: "N m", or "rad/s2" where they are per unit of inertia."""
+        return TORQUE if any(e.unit.startswith(TORQUE) for e in self.estimates.values()) else PER_INERTIA
 
     def _origin(self) -> Origin:
         """Return the names of the variables, their covariance, and sources and digests of the data."""
@@ -144,13 +169,26 @@ def summary_lines(fit: FitSummary) -> list[str]:
     )
     noises = getattr(fit, "noise", ())
     if noises:
-        pure = ", ".join(rounded(n.pure, n.pure_u, "N m") for n in noises)
-        text = f"process noise {pure} rms; with this model {_levels(noises)} N m"
+        unit = fit.torque_unit
+        pure = ", ".join(rounded(n.pure, n.pure_u, unit) for n in noises)
+        text = f"process noise {pure} rms; with this model {_levels(noises)} {unit}"
         lines += wrap(text, 79, subsequent_indent="  ")
     for label, noise in _angle_noises(fit):
         level = rounded(1e3 * noise.sigma, 1e3 * noise.sigma_u, "mrad")
         text = f"correlated angle noise{label}: {level}, correlation time {noise.time:.2g} s"
         lines += wrap(text, 79, subsequent_indent="  ")
+    prior = (
+        next((d.record.prior for d in fit.problem.data if d.record.prior), None)
+        if isinstance(fit, Fit)
+        else None
+    )
+    if prior is not None:
+        used = [n for n in prior.names if n in fit.estimates]
+        lines += wrap(
+            f"prior from {prior.source}: {', '.join(used) or 'none of its parameters is in the model'}",
+            79,
+            subsequent_indent="  ",
+        )
     lines.append("")
     held = fit.model.constants
     for name, e in fit.estimates.items():
@@ -209,12 +247,19 @@ class Estimate:
         SI unit.
     at_bound : bool
         Whether a bound is active.
+    vary : bool
+        Whether it was fitted, and not held.
+    min, max : float
+        Bounds of the fit, in `unit`.
     """
 
     value: float
     stderr: float
     unit: str
     at_bound: bool
+    vary: bool = True
+    min: float = -math.inf
+    max: float = math.inf
 
 
 @dataclass(frozen=True, repr=False)
@@ -310,6 +355,25 @@ class Fit(FitSummary):
         return math.sqrt(sum(c.casing.held_out**2 for c in self.cases) / len(self.cases))
 
     @property
+    def samples(self) -> int:
+        """Number of samples of all runs."""
+        runs = [(d.record.casing, *d.record.rotor) for d in self.problem.data]
+        return sum(len(r) for several in runs for r in several)
+
+    @cached_property
+    def rmse_noise(self) -> float:
+        """Rms residual speed of the casings that noise alone would give, after the same smoothing [rad/s]."""
+        both = zip(self.problem.data, self.predictions, strict=True)
+        return math.sqrt(float(np.mean([smoothing_noise(d, p.path) ** 2 for d, p in both])))
+
+    @property
+    def bic_noise(self) -> float:
+        """BIC that a model with as many parameters would have if nothing but noise were left."""
+        logs = sum(n.whitener.at(min(n.pure, n.level)).log_determinant for n in self.noise)
+        free = len(self.theta)
+        return logs + self.rows - free + free * float(np.log(self.rows))
+
+    @property
     def generated(self) -> bool:
         """Whether a rotor curve was generated instead of measured (see `fitting.study._paper`)."""
         return any(d.record.generated for d in self.problem.data)
@@ -342,6 +406,11 @@ class Fit(FitSummary):
         """
         return modelled_speed(self, case, body, time)
 
+    @property
+    def torque_unit(self) -> str:
+        """Unit of torques: "N m", or "rad/s2" where they are per unit of inertia."""
+        return self.problem.layout.torque_unit
+
     def speed_residuals(self, case: int) -> tuple[SpeedResidual, tuple[SpeedResidual, ...]]:
         """Return the residual speed of a case's casing, and of its rotor in each window.
 
@@ -352,31 +421,84 @@ class Fit(FitSummary):
         """
         return speed_residuals(self, case)
 
-    def plot(self) -> Figure:
-        """Return a figure of speeds and residuals with bands of 2 sigma (matplotlib)."""
+    def plot(self, ax: Axes | None = None, *, case: int = 0, residual: bool = False) -> Figure:
+        """Draw measured and modelled speeds, and their residuals, with bands of 2 sigma (matplotlib).
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Where to draw one chart, that of the casing or the single body; by default a new figure shows all.
+        case : int
+            Index of the case that is drawn into `ax`.
+        residual : bool
+            Draw the residual of the speed into `ax`, in place of the speed.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            The new figure, or that of `ax`.
+        """
+        if ax is not None:
+            self._draw(ax, case, _CASING, residual=residual)
+            return figure_of(ax)
         cases = len(self.labels)
-        names = ("c",) if all(d.record.single for d in self.problem.data) else ("c", "r")
-        drawn = figure(4.2 * cases + 3.0, 4.0 * len(names))
-        axes = drawn.subplots(2 * len(names), cases, squeeze=False, height_ratios=[1.3, 1] * len(names))
+        bodies = (_CASING,) if all(d.record.single for d in self.problem.data) else (_CASING, _ROTOR)
+        drawn = figure(4.2 * cases + 3.0, 4.0 * len(bodies))
+        axes = drawn.subplots(2 * len(bodies), cases, squeeze=False, height_ratios=[1.3, 1] * len(bodies))
         for i, label in enumerate(self.labels):
-            residuals = self.speed_residuals(i)
-            for k, name in enumerate(names):
-                over, under = axes[2 * k, i], axes[2 * k + 1, i]
-                body = 1 - k  # the casing above the rotor
-                runs = self.measured_speeds(i, body)
-                points = _POINTS if len(runs) == 1 else _POINTS // 10
-                times = [np.linspace(time[0], time[-1], points) for time, _ in runs]
-                draw_speed(over, runs, [(t, *self.modelled_speed(i, body, t)) for t in times])
-                draw_speed_residual(under, residuals[1] if k else [residuals[0]])
-                over.set_ylabel(rf"$\omega_{name}$ [rad/s]")
-                under.set_ylabel(rf"$\omega_{name}$: residual [rad/s]")
-                for ax in (over, under):
-                    ax.set_xlabel("time [s]")
-                    # above the axes, where it covers nothing
-                    above = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.1}
-                    ax.legend(fontsize="small", frameon=False, ncols=2, **above)
+            for k, body in enumerate(bodies):
+                self._draw(axes[2 * k, i], i, body, residual=False)
+                self._draw(axes[2 * k + 1, i], i, body, residual=True)
             axes[0, i].set_title(printable(label), loc="left")
         return drawn
+
+    def _draw(self, ax: Axes, case: int, body: int, *, residual: bool) -> None:
+        symbol = r"$\omega_c$" if body == _CASING else r"$\omega_r$"
+        if residual:
+            casing, rotor = self.speed_residuals(case)
+            draw_speed_residual(ax, [casing] if body == _CASING else rotor)
+            ax.set_ylabel(f"{symbol}: residual [rad/s]")
+        else:
+            runs = self.measured_speeds(case, body)
+            points = _POINTS if len(runs) == 1 else _POINTS // 10
+            times = [np.linspace(time[0], time[-1], points) for time, _ in runs]
+            draw_speed(ax, runs, [(t, *self.modelled_speed(case, body, t)) for t in times])
+            ax.set_ylabel(f"{symbol} [rad/s]")
+        ax.set_xlabel("time [s]")
+        # above the axes, where it covers nothing
+        above: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.1}
+        ax.legend(fontsize="small", frameon=False, ncols=2, **above)
+
+    def conf_interval(self, *names: str, level: float = 0.95) -> dict[str, Interval]:
+        """Return confidence intervals of parameters by their profile likelihood.
+
+        The deviance with the parameter held and all others fitted anew rises at the ends of the interval by the
+        quantile of chi-square with one degree of freedom; the interval need not be symmetric. It takes some ten fits
+        for each parameter.
+
+        Parameters
+        ----------
+        *names : str
+            Names of fitted parameters; by default all but the initial speeds.
+        level : float
+            Probability that the interval contains the value.
+
+        Returns
+        -------
+        dict of str to Interval
+            `lower` and `upper` in the unit of the parameter, and whether each end is open.
+
+        Raises
+        ------
+        EffectError
+            If a name is none of a fitted parameter.
+        EstimationError
+            If the level is not between 0 and 1.
+        """
+        from fitting.inference._profile import profile
+
+        free = [n for n in self.problem.layout.names if not n.startswith("initial.")]
+        return {name: profile(self, name, level) for name in names or free}
 
     def _repr_html_(self) -> str:
         merits = [
@@ -463,12 +585,15 @@ def outcome(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, converg
 def _estimates(
     layout: ParameterLayout, theta: Array, errors: Array, at_bound: NDArray[np.bool_]
 ) -> dict[str, Estimate]:
-    units = [layout.parameter(name).unit for name in layout.names]
-    estimates = {
-        name: Estimate(float(x), float("nan") if bound else float(error), unit, bool(bound))
-        for name, x, error, unit, bound in zip(layout.names, theta, errors, units, at_bound, strict=True)
-        if not (layout.records[0].single and name.startswith(START_ROTOR))
-    }
+    limits = np.transpose(layout.bounds()).tolist()
+    estimates = {}
+    for i, name in enumerate(layout.names):
+        if layout.records[0].single and name.startswith(START_ROTOR):
+            continue
+        bound = bool(at_bound[i])
+        error = math.nan if bound else float(errors[i])
+        unit = layout.unit(name)
+        estimates[name] = Estimate(float(theta[i]), error, unit, bound, min=limits[i][0], max=limits[i][1])
     for key, value in layout.model.constants.items():
-        estimates[key] = Estimate(value, float("nan"), layout.parameter(key).unit, at_bound=False)
+        estimates[key] = Estimate(value, math.nan, layout.unit(key), at_bound=False, vary=False)
     return estimates

@@ -16,9 +16,8 @@ from fitting.inference._compression import ROTOR_DEGREE, Compressed, compress
 from fitting.inference._fit import fit
 from fitting.inference._metrics import as_velocities
 from fitting.inference._optimisation import minimise
-from fitting.inference._record import Record, Samples
+from fitting.inference._record import Record, Samples, hermite
 from fitting.inference._result import Fit
-from fitting.inference._velocity import hermite
 
 Array = NDArray[np.float64]
 

@@ -29,8 +29,7 @@ from gyrotrack.tracking._any_body import Film, Tracked, track_body
 from gyrotrack.tracking._extract import extract
 from gyrotrack.tracking._profile import load
 from gyrotrack.video._container import file_sha256
-from gyrotrack.video._time_base import Timing
-from gyrotrack.video._timestamps import SLOWEST_PLAIN_RATE
+from gyrotrack.video._time_base import SLOWEST_PLAIN_RATE, Timing
 
 if TYPE_CHECKING:
     from fitting.inference._result import Fit
@@ -96,7 +95,7 @@ def read_source(source: Path, wish: Wish, progress: Progress | None = None) -> t
     else:
         options = ReadOptions(pulses_per_turn=wish.pulses_per_turn, fps=wish.capture_fps)
         case = import_body(source, moment.value, options=options, limits=Limits(keep_all=wish.keep_all))
-    case = replace(case, I_casing_u=moment.u)
+    case = replace(case, I_casing_u=moment.u, per_inertia=int(wish.inertia is None))
     warnings = list(case.warnings)
     if wish.inertia is None:
         warnings.append("No inertia is given: torques are per unit of inertia, in rad/s2 (inertia 1).")

@@ -238,6 +238,8 @@ class Case(_Tabular):
         What was measured; with "omega" the angle is its integral.
     bodies : {"two", "one"}
         With "one" the series `casing` is that of the single body, and `rotor` is empty.
+    per_inertia : int
+        1 if no moment of inertia is known: `I_casing` is 1, and torques are per unit of inertia [rad/s2].
     """
 
     I_rotor: float
@@ -253,6 +255,7 @@ class Case(_Tabular):
     warnings: tuple[str, ...] = ()
     extra: dict[str, Any] = field(default_factory=dict)
     bodies: str = "two"
+    per_inertia: int = 0
     I_rotor_u: float = math.nan
     I_casing_u: float = math.nan
 

@@ -180,6 +180,13 @@ CASE_ATTRIBUTES = (
     Attribute("label", str, "", "name of the case"),
     Attribute("surface", str, "", "surface on which the casing turned"),
     Attribute("quantity", str, "", "what was measured: angle or omega", "angle"),
+    Attribute(
+        "per_inertia",
+        int,
+        "",
+        "1 if no moment of inertia is known: I_casing is 1 and torques are in rad/s2",
+        0,
+    ),
     Attribute("bodies", str, "", "two, or one (a single body, stored as the casing)", "two"),
 )
 

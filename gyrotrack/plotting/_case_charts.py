@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting._numbers import scaled, short
+from fitting._numbers import scaled, short, unit_text
 from gyrotrack.plotting._charts import Chart, Dashboard, Trace, concatenated, draw
 from gyrotrack.plotting._study_data import CaseView, Residual, residual_rms
 from gyrotrack.plotting._style import (
@@ -192,7 +192,7 @@ def torque_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> Cha
     return Chart(
         f"torque-{body}",
         f"Unmodelled torque, {called}",
-        f"{prefix}N m",
+        f"{prefix}{view.torque_unit}",
         tuple(traces),
         _torque_finding(view, body),
         caption="Torque that the model lacks, inferred from the residual without assuming a law; bands: ±2 σ. "
@@ -242,7 +242,7 @@ def torque_speed_chart(view: CaseView, names: Sequence[str] = NAMES, *, alternat
     return Chart(
         "torque-speed",
         f"Unmodelled torque, {view.body}",
-        f"{prefix}N m",
+        f"{prefix}{view.torque_unit}",
         tuple(traces),
         _torque_finding(view, "casing"),
         x_label=f"speed of the {view.body} [rad/s]",
@@ -265,15 +265,16 @@ def torque_angle_charts(fits: Sequence[Fit], names: Sequence[str] = NAMES) -> li
         Trace(name, r.angle, factor * r.torque, colour, factor * r.sigma)
         for (name, r), (colour, _) in zip(curves, _MODEL_STYLES, strict=False)
     ]
+    called = fits[0].problem.data[0].record.body
     sizes = ", ".join(f"{n}: {r.size(1)[1]:.1f} and {r.size(2)[1]:.1f} σ" for n, r in curves)
     return [
         Chart(
             "torque-angle",
             "Unmodelled torque in the angle",
-            f"{prefix}N m",
+            f"{prefix}{unit_text(fits[0].torque_unit)}",
             tuple(traces),
-            f"First and second harmonic of the unmodelled torque in the angle of the casing, {sizes}.",
-            x_label="angle of the casing [rad]",
+            f"First and second harmonic of the unmodelled torque in the angle of the {called}, {sizes}.",
+            x_label=f"angle of the {called} [rad]",
         )
     ]
 
@@ -303,8 +304,8 @@ def _torque_finding(view: CaseView, body: str) -> str:
         factor, prefix = scaled(abs(float(curve.torque[largest])))
         parts.append(
             f"Unmodelled torque on the {_called(view, body)} with the {label}: up to "
-            f"{short(factor * abs(float(curve.torque[largest])))} {prefix}N m, outside ±2 σ for {100 * outside:.0f} % "
-            "of the time."
+            f"{short(factor * abs(float(curve.torque[largest])))} {prefix}{view.torque_unit}, outside ±2 σ "
+            f"for {100 * outside:.0f} % of the time."
         )
     return " ".join(parts)
 

@@ -1,13 +1,23 @@
-"""Candidate effects and the history of fits."""
+"""Candidate effects, history of fits, correlation of parameters, and the answer of a study in one picture."""
 
 from __future__ import annotations
 
+import io
+import re
+from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fitting._numbers import POWERS, scaled, short
-from gyrotrack.plotting._study_data import StudyView
+from fitting.discovery._select import equivalence_classes
+from gyrotrack._errors import OutputError
+from gyrotrack.io._atomic import new_file, refuse_existing
+from gyrotrack.plotting._case_charts import residual_chart, speed_chart
+from gyrotrack.plotting._charts import draw
+from gyrotrack.plotting._study_data import StudyView, gather
 from gyrotrack.plotting._style import (
     AFTER,
     BEFORE,
@@ -29,7 +39,8 @@ from gyrotrack.plotting._style import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from fitting.discovery._select import Candidate
+    from fitting.discovery._select import Candidate, Step
+    from fitting.discovery._verdict import Diagnosis
 
 
 _MOST = 12
@@ -37,17 +48,6 @@ _CLASSES = (GREEN, ORANGE, PURPLE, SKY)
 # from this ratio on, the figures of merit of a history need a logarithmic axis
 _WIDE = 20.0
 _CLEARLY = 0.05
-
-
-def equivalence_classes(candidates: list[Candidate]) -> dict[str, str]:
-    """Return the letter of the equivalence class of each candidate that has indistinguishable ones."""
-    letters: dict[str, str] = {}
-    for c in candidates:
-        if c.indistinguishable_from and c.effect.name not in letters:
-            letter = chr(ord("A") + len(set(letters.values())))
-            for name in (c.effect.name, *c.indistinguishable_from):
-                letters.setdefault(name, letter)
-    return letters
 
 
 def candidates_picture(candidates: tuple[Candidate, ...], name: str = "candidates") -> Picture | None:
@@ -135,7 +135,7 @@ _KINDS = (
     ("rms error, {body}", "rad/s", "rmse", True),
     ("reduced χ²", "", "reduced_chi2", False),
     ("cross-validation error", "noise", "held_out", False),
-    ("unmodelled torque, rms", "N m", "torque_left", True),
+    ("unmodelled torque, rms", "{torque}", "torque_left", True),
     ("energy drift", "", "energy_drift", True),
     ("change of BIC", "", "delta_bic", False),
 )
@@ -143,7 +143,7 @@ _WORDS = (
     ("rmse", "rms error of the {body}", " rad/s"),
     ("reduced_chi2", "reduced χ²", ""),
     ("held_out", "cross-validation error", " times the noise"),
-    ("torque_left", "unmodelled torque", " N m rms"),
+    ("torque_left", "unmodelled torque", " {torque} rms"),
 )
 
 
@@ -171,7 +171,7 @@ def history_picture(view: StudyView) -> Picture:
             factor, prefix = scaled(size) if takes_prefix else (1.0, "")
             limit = limits.get(name)
             figures_of_merit(ax, factor * values, None if limit is None else factor * limit, texts)
-            measure = f"{prefix}{unit}" if unit else POWERS[prefix]
+            measure = f"{prefix}{unit}".replace("{torque}", view.torque_unit) if unit else POWERS[prefix]
             heading = title.replace("{body}", view.body)
             ax.set_title(f"{heading} [{measure}]" if measure else heading, fontweight="normal")
         for ax in axes[:, 0]:
@@ -184,8 +184,8 @@ def history_picture(view: StudyView) -> Picture:
         )
         if noise > 0:
             caption += (
-                f" Process noise of the recordings {short(noise, 2)} N m rms, estimated without a model: χ² and "
-                "cross-validation error of every fit use it."
+                f" Process noise of the recordings {short(noise, 2)} {view.torque_unit} rms, estimated without a "
+                "model: χ² and cross-validation error of every fit use it."
             )
         return Picture("history", markup(figure, "history", finding), caption, finding)
 
@@ -246,7 +246,8 @@ def history_finding(view: StudyView) -> str:
             f"cross-validation error {short(first.held_out)} times the noise."
         )
     said = []
-    for name, words, unit in _WORDS:
+    for name, words, measure in _WORDS:
+        unit = measure.replace("{torque}", view.torque_unit)
         before, after = getattr(first, name), getattr(last, name)
         if abs(before - after) > _CLEARLY * abs(before):
             end = "not resolved" if after == 0 else f"{short(after)}{unit}"
@@ -263,3 +264,188 @@ def _changes(view: StudyView) -> str:
         added, _, dropped = step.change.removeprefix("+").partition(" -")
         said.append(added + (f" (without {dropped})" if dropped else ""))
     return " and ".join([", ".join(said[:-1]), said[-1]] if len(said) > 1 else said)
+
+
+_DPI = 150
+
+
+def story_picture(
+    history: Sequence[Step],
+    diagnosis: Diagnosis | None,
+    path: Path,
+    *,
+    frame: NDArray[np.uint8] | None = None,
+    force: bool = False,
+) -> Path:
+    """Draw the first case: speed, residual before and after, and the figure of merit that fell most.
+
+    Parameters
+    ----------
+    history, diagnosis
+        As for `write_report`.
+    path : Path
+        A ``.png`` or ``.svg`` file.
+    frame : ndarray of uint8, shape (height, width, 3), optional
+        A frame of the film (red, green, blue), shown in a corner of the first panel.
+    force : bool
+        Replace an existing file.
+
+    Raises
+    ------
+    OutputError
+        The suffix is another, the file exists and `force` is not set, or it cannot be written.
+    """
+    path = Path(path)
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in {"png", "svg"}:
+        raise OutputError(f"Unknown picture format: {path}.", "Use a name that ends in .png or .svg.")
+    refuse_existing(path, force=force)
+    view = gather(history, diagnosis)
+    case = view.cases[0]
+    with style():
+        figure = canvas(15.0, 4.4)
+        left, middle, right = figure.subplots(1, 3, width_ratios=[1, 1.15, 0.85])
+        draw(left, speed_chart(case, "casing"))
+        left.legend(loc="lower right" if frame is not None else "best")
+        left.set_title("1  measured and modelled")
+        if frame is not None:
+            inset = left.inset_axes((0.19, 0.12, 0.42, 0.48))
+            inset.imshow(frame)
+            inset.set_xticks([])
+            inset.set_yticks([])
+            inset.grid(visible=False)
+        draw(middle, residual_chart(case, "casing"), [i for i in case.intervals if i.body == "casing"])
+        middle.legend(loc="best")
+        middle.set_title("2  residual")
+        _merit(right, view)
+        stream = io.BytesIO()
+        metadata: dict[str, Any] = {"Date": None, "Creator": None} if kind == "svg" else {"Software": None}
+        figure.savefig(stream, format=kind, dpi=_DPI, metadata=metadata)
+    with new_file(path, force=force) as out:
+        out.write(stream.getvalue())
+    return path
+
+
+def _merit(ax: Any, view: StudyView) -> None:
+    """Draw the figure of merit that fell by the largest factor."""
+    steps = view.steps
+    kinds = {
+        "cross-validation error [noise]": (np.array([s.held_out for s in steps]), 1.0),
+        f"rms error of the {view.body} [rad/s]": (np.array([s.rmse for s in steps]), view.rmse_floor),
+    }
+    title = max(kinds, key=lambda k: kinds[k][0][0] / max(kinds[k][0][-1], 1e-300))
+    values, limit = kinds[title]
+    figures_of_merit(ax, values, limit, [""] * len(steps))
+    ax.invert_yaxis()
+    ax.set_yticks(range(len(steps)), [plain(s.change, 60).replace(".", ".\n", 1) for s in steps])
+    ax.set_xlabel(title)
+    ax.set_title("3  figure of merit (dashed: noise limit)")
+
+
+Array = NDArray[np.float64]
+_STRONG = 0.95
+_MOST_NUMBERED = 14
+_FUNCTION = re.compile(r"([\w})|]) ?(\\(?:operatorname|exp|log|sqrt|sin|cos|tan|tanh|arctan|left\())")
+
+
+def formula(latex: str, name: str, *, size: float = 15.0, colour: str = "black") -> str:
+    """Return a formula as an ``svg`` element whose text alternative is its LaTeX; empty if it cannot be typeset.
+
+    Parameters
+    ----------
+    latex : str
+        Mathematics, without dollar signs.
+    name : str
+        Prefix of its ids.
+    size : float
+        Size of the letters [pt].
+    colour : str
+        Colour of the letters.
+    """
+    changes = {"figure.constrained_layout.use": False, "figure.facecolor": "none", "mathtext.fontset": "stix"}
+    # mathtext sets no space before functions and makes growing bars too small
+    text = _FUNCTION.sub(r"\1\\,\2", latex.replace(r"\left|", "|").replace(r"\right|", "|"))
+    with style(changes):
+        figure = canvas(1, 0.3)
+        figure.text(0, 0, f"${text}$", fontsize=size, color=colour)
+        try:
+            return markup(figure, name, latex, tight=True)
+        except ValueError:  # mathtext does not know a command; the page prints the source
+            return ""
+
+
+def symbol(name: str, labels: Sequence[str]) -> str:
+    """Return the symbol of a parameter in mathtext, with (A), (B) for the case that it belongs to."""
+    from fitting.effects._expression import latex, sym
+
+    key, at, label = name.partition("@")
+    text = latex(sym(key.rpartition(".")[2]))
+    if key.startswith("initial."):
+        text = rf"\omega_{{{key[-1]}0}}"
+    case = f" ({chr(ord('A') + labels.index(label))})" if at and len(labels) > 1 and label in labels else ""
+    return f"${text}${case}"
+
+
+def correlations(view: StudyView) -> tuple[list[str], Array]:
+    """Return the names of the final model's parameters with a finite standard error, and their correlation matrix."""
+    fit = view.final
+    variance = np.diag(fit.covariance)
+    keep = np.flatnonzero(np.isfinite(variance) & (variance > 0))
+    root = np.sqrt(variance[keep])
+    matrix = fit.covariance[np.ix_(keep, keep)] / np.outer(root, root)
+    return [fit.problem.layout.names[i] for i in keep], np.clip(matrix, -1, 1)
+
+
+def correlation_picture(view: StudyView, name: str = "correlation") -> Picture | None:
+    """Draw the correlation matrix of the final model's parameters; None for fewer than two."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    names, matrix = correlations(view)
+    if len(names) < 2:
+        return None
+    cases = [v.label for v in view.cases]
+    symbols = [symbol(n, cases) for n in names]
+    labels = [  # equal symbols get the name of their effect
+        f"{s} {plain(n.partition('@')[0].rpartition('.')[0].rpartition('.')[2], 12)}"
+        if symbols.count(s) > 1
+        else s
+        for n, s in zip(names, symbols, strict=True)
+    ]
+    with style({"axes.grid": False}):
+        size = min(7.5, 1.6 + 0.5 * len(names))
+        figure = canvas(size + 0.9, size)
+        ax = figure.subplots()
+        colours = LinearSegmentedColormap.from_list("blue-white-vermillion", [AFTER, "#fefefe", BEFORE], N=41)
+        image = ax.pcolormesh(matrix, cmap=colours, vmin=-1, vmax=1)
+        ax.set_aspect("equal")
+        ax.invert_yaxis()
+        turned = 45 if any(" " in text for text in labels) else 0
+        ax.set_xticks(np.arange(len(names)) + 0.5, labels, rotation=turned)
+        ax.set_yticks(np.arange(len(names)) + 0.5, labels)
+        ax.tick_params(length=0, labelsize=12 if len(names) < _MOST_NUMBERED else 8)
+        ax.spines[:].set_visible(False)
+        if len(names) <= _MOST_NUMBERED:
+            for i, j in np.ndindex(*matrix.shape):
+                if i != j:
+                    colour = "#fefefe" if abs(matrix[i, j]) > 0.75 else "#010101"
+                    text = f"{round(float(matrix[i, j]), 2) + 0.0:.2f}".replace("-", "−")
+                    ax.text(j + 0.5, i + 0.5, text, ha="center", va="center", color=colour, fontsize=8.5)
+        bar = figure.colorbar(image, ax=ax, shrink=0.8)
+        bar.set_label("correlation [1]")
+        if bar.solids is not None:
+            bar.solids.set_rasterized(False)
+        bar.outline.set_visible(False)
+        off = np.abs(matrix - np.eye(len(names)))
+        i, j = np.unravel_index(int(np.argmax(off)), off.shape)
+        strong = int((np.triu(off, 1) > _STRONG).sum())
+        finding = (
+            f"Strongest correlation {matrix[i, j]:.4f}".replace("-", "−")
+            + f", between {names[i]} and {names[j]}; {strong} pairs exceed {_STRONG}."
+        )
+        letters = ", ".join(f"({chr(ord('A') + i)}) {label}" for i, label in enumerate(cases))
+        caption = (
+            "Correlation of the final model's parameters. Pairs near ±1 are degenerate: only a combination of them is "
+            "determined. Parameters at a bound are omitted."
+            + (f" Cases: {letters}." if len(cases) > 1 else "")
+        )
+        return Picture(name, markup(figure, name, finding), caption, finding)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting._numbers import unit_text
+from fitting.discovery._criteria import DEFAULT
 from fitting.inference._speed_residuals import SpeedResidual, speed_residuals
 from gyrotrack.plotting._charts import Interval
 
@@ -24,40 +27,11 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Residual = SpeedResidual
 
-_SEED = 1
-_NORMAL = 0.6745  # median of the absolute value of a standard normal variable
-_THIRD_DIFFERENCE = 20.0  # 1 + 9 + 9 + 1: its variance for white noise of variance 1
+_BAND = 2.0  # sigma; as drawn
 _MODEL_POINTS = 800
 _WINDOW_POINTS = 60
 _ENERGY_PIECES = 50
 _MOST_ALTERNATIVES = 3
-
-
-def smoothing_floor(fit: Fit) -> float:
-    """Return the rms error of the casing's smoothed speed that noise alone makes, over all cases [rad/s].
-
-    The smoothing of the paper has an error of its own, which no model lowers. It is found by putting the modelled
-    angle with added noise through the same smoothing. The noise level is that of third differences of the data,
-    whose rms is sqrt(20) times that of white noise.
-    """
-    return float(np.sqrt(np.mean([_floor(fit, i) ** 2 for i in range(len(fit.problem.data))])))
-
-
-def _floor(fit: Fit, case: int) -> float:
-    from fitting.dynamics._mesh import Sampler
-    from fitting.inference._record import Samples
-    from fitting.inference._velocity import speeds
-
-    record, path = fit.problem.data[case].record, fit.predictions[case].path
-    measured = record.casing
-    noise = float(np.median(np.abs(np.diff(measured.value, 3)))) / _NORMAL / np.sqrt(_THIRD_DIFFERENCE)
-    sampler = Sampler(path.mesh, measured.time)
-    omega = sampler.value(path.y[..., 1])
-    exact = sampler.integral(*path.angle(path.states[1])) if record.quantity == "angle" else omega
-    # a fixed seed, so that a report is the same in every run
-    noisy = exact + noise * np.random.default_rng(_SEED).standard_normal(len(exact))
-    time, smoothed = speeds(Samples(measured.time, noisy, measured.sigma), record.quantity)
-    return float(np.sqrt(np.mean((smoothed - np.interp(time, measured.time, omega)) ** 2)))
 
 
 def residual_rms(residuals: Sequence[Residual], noise: Sequence[Residual]) -> float:
@@ -130,6 +104,8 @@ class CaseView:
     ----------
     body : str
         Name of the filmed body: "casing", or "body" where only one was recorded.
+    torque_unit : str
+        "N m", or "rad/s²" where torques are per unit of inertia.
     casing, rotor : Curve, tuple of Curve
         Measured speed, smoothed as in the paper [rad/s].
     models : tuple of CaseModel
@@ -148,6 +124,7 @@ class CaseView:
     surface: str
     quantity: str
     body: str
+    torque_unit: str
     casing: Curve
     rotor: tuple[Curve, ...]
     models: tuple[CaseModel, ...]
@@ -159,17 +136,63 @@ class CaseView:
     @property
     def intervals(self) -> tuple[Interval, ...]:
         """Intervals in which the base fails, for the charts."""
-        return intervals_of(self.failures)
+        return self.failing(self.failures, self.models[0])
+
+    def failing(self, failures: Sequence[Failure], model: CaseModel) -> tuple[Interval, ...]:
+        """Return the intervals in which a model fails, for the charts.
+
+        They are those of a significant unmodelled torque, and the parts outside them in which the residual of the
+        speed leaves its band: a torque that is missing at one time leaves an error of the speed until later.
+
+        Parameters
+        ----------
+        failures : sequence of Failure
+            Intervals of unmodelled torque.
+        model : CaseModel
+            One of `models`.
+        """
+        found = [
+            Interval(
+                f.t_start,
+                f.t_stop,
+                f"{f.t_start:.1f}–{f.t_stop:.1f} s, {f.called}, {f.size_sigma:.0f} σ",
+                f.body,
+            )
+            for f in failures
+        ]
+        noise = self.models[-1]
+        bodies = [("casing", self.body, model.casing_residual, noise.casing_residual)] + [
+            ("rotor", "rotor", *both) for both in zip(model.rotor_residual, noise.rotor_residual, strict=True)
+        ]
+        for key, called, residual, band in bodies:
+            covered = [(i.start, i.stop) for i in found if i.body == key]
+            found += [
+                Interval(a, b, f"{a:.1f}–{b:.1f} s, speed of the {called}, {size:.0f} σ", key)
+                for a, b, size in _outside(residual, band.sigma, covered)
+            ]
+        return tuple(found)
 
 
-def intervals_of(failures: Sequence[Failure]) -> tuple[Interval, ...]:
-    """Return the intervals in which a model fails, for the charts."""
-    return tuple(
-        Interval(
-            f.t_start, f.t_stop, f"{f.t_start:.1f}–{f.t_stop:.1f} s, {f.called}, {f.size_sigma:.0f} σ", f.body
-        )
-        for f in failures
-    )
+def _outside(
+    residual: Residual, sigma: Array, covered: Sequence[tuple[float, float]]
+) -> list[tuple[float, float, float]]:
+    """Return start, stop and largest |z| of the parts in which a residual stays outside of its band on one side."""
+    ratio = residual.value / np.where(sigma > 0, sigma, np.inf)
+    side = np.sign(ratio) * (np.abs(ratio) > _BAND)
+    uncovered = np.ones(len(ratio), dtype=bool)
+    for a, b in covered:
+        uncovered &= (residual.time < a) | (residual.time > b)
+    parts = []
+    for first, last in pairwise([0, *(np.flatnonzero(np.diff(side)) + 1), len(side)]):
+        if not side[first] or np.abs(ratio[first:last]).max() < DEFAULT.failure_sigma:
+            continue
+        places = first + np.flatnonzero(uncovered[first:last])
+        for run in np.split(places, np.flatnonzero(np.diff(places) > 1) + 1):
+            if len(run):
+                start = residual.time[run[0]] - 0.5 * residual.width[run[0]]
+                stop = residual.time[run[-1]] + 0.5 * residual.width[run[-1]]
+                parts.append((float(start), float(stop), float(np.abs(ratio[run]).max())))
+    return parts
 
 
 def case_view(
@@ -191,7 +214,7 @@ def case_view(
     index : int
         Index of the case.
     """
-    from fitting.inference._velocity import speeds
+    from fitting.inference._record import speeds
 
     base, final = history[0].fit, history[-1].fit
     record = base.problem.data[index].record
@@ -201,6 +224,7 @@ def case_view(
         surface=record.surface,
         quantity=record.quantity,
         body=record.body,
+        torque_unit=unit_text(record.torque_unit),
         casing=_measured(*speeds(record.casing, record.quantity)),
         rotor=tuple(_measured(*speeds(w, record.quantity)) for w in record.rotor),
         models=tuple(_case_model(f, t, index) for f, t in zip(fits, torques, strict=True)),
@@ -323,6 +347,11 @@ class StudyView:
         return self.cases[0].body
 
     @property
+    def torque_unit(self) -> str:
+        """Unit of torques: "N m", or "rad/s²" where they are per unit of inertia."""
+        return unit_text(self.final.torque_unit)
+
+    @property
     def residual_rms(self) -> tuple[float, ...]:
         """The rms residual of the casing for the base and the final model, in units of the final model's noise."""
         noise = [v.models[-1].casing_residual for v in self.cases]
@@ -359,7 +388,7 @@ def gather(history: Sequence[FitStep], diagnosis: Diagnosis | None) -> StudyView
         verdict = diagnosis.verdict
     return StudyView(
         steps=_steps(history),
-        rmse_floor=smoothing_floor(final),
+        rmse_floor=final.rmse_noise,
         base=base,
         final=final,
         added=tuple(n for n in final.model.names if n not in base.model.names),

@@ -16,15 +16,20 @@ from gyrotrack._correlated_noise import slow_variance
 from gyrotrack._errors import SyncError
 from gyrotrack._smoothing import correlation_factor
 from gyrotrack.io._records import Floats
-from gyrotrack.synchronisation._curves import (
+from gyrotrack.synchronisation._matching import (
     Curve,
+    Normal,
+    Pair,
+    Solution,
     Start,
     block_means,
     harmonics,
     inliers,
+    normal,
+    solve,
+    surroundings,
     window,
 )
-from gyrotrack.synchronisation._matching import Normal, Pair, Solution, normal, solve, surroundings
 
 RATE_SIGMA = 1e-3
 LONGEST = 3.0

@@ -21,11 +21,10 @@ import numpy.typing as npt
 from gyrotrack._column_store import new_columns, stretches
 from gyrotrack._errors import TrackingError
 from gyrotrack._smoothing import spread
-from gyrotrack.tracking._colour import Blob, chroma_direction, find_blobs, hue_score
 from gyrotrack.tracking._hub import LEAST_SIGMA, CentrePath
 from gyrotrack.tracking._orbit import Orbit, common_centre, covered_angle
 from gyrotrack.tracking._polar import Ring, boxed
-from gyrotrack.tracking._profile import MarkerProfile, Profile
+from gyrotrack.tracking._profile import Blob, MarkerProfile, Profile, chroma_direction, find_blobs, hue_score
 from gyrotrack.tracking._scene import Disc, Marker, Samples, Scene
 
 Floats = npt.NDArray[np.float64]

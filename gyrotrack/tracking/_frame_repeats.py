@@ -21,8 +21,7 @@ from gyrotrack.tracking._observations import plausible, spread_out
 from gyrotrack.tracking._residuals import wrapped
 from gyrotrack.tracking._scene import Scene
 from gyrotrack.video._container import ClipInfo
-from gyrotrack.video._time_base import LIVE, FrameTimes
-from gyrotrack.video._timestamps import CaptureRate
+from gyrotrack.video._time_base import LIVE, CaptureRate, FrameTimes
 
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]

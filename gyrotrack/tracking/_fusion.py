@@ -3,6 +3,21 @@
 The coarse path that followed the body counts the turns; each marker adds its fine angle as a small residual
 from it. Markers are brought together by where they sit on the body, weighted by how much each one scatters
 about the smooth motion; one that departs from the others is flagged and left out.
+
+Systematic errors repeatable with angle are removed first. Lamps that mirror in the metal pull a marker the same way
+whenever it passes the same place; the edge of the bar and its shadow do so whenever it passes the bar. Such errors are
+curves over an angle, and are learnt from the distance of the marker from the smooth motion of its body, as a smooth
+closed curve: the c that minimises
+
+    sum w (r - B c)^2 / s^2  +  |D2 c|^2 / bend^2  +  |c|^2 / size^2
+
+with B hat functions on evenly spaced knots, s the scatter, D2 second differences round the circle.
+
+Real motion of a body must not be taken for an error. An unbalance or a tilted table changes the motion once or twice
+per turn of the body, for all its markers together. A body that turns fast does not follow such torques: an amplitude A
+of its acceleration appears as A / omega^2 in its angle. Where there are fast frames, curves are learnt from them and
+hold for all; where there are none, that part (orders 1 and 2 over the body's angle) is not removed
+(`without_common_motion`).
 """
 
 from __future__ import annotations
@@ -12,21 +27,172 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._column_store import put_away
+from gyrotrack._column_store import put_away, stretches
 from gyrotrack._smoothing import (
     HALF_WINDOW,
     TimeBase,
     correlation_factor,
     excess,
     learning_window,
+    local_fit,
     share_of_floor,
+    spread,
     tail_factor,
 )
 from gyrotrack.tracking._observations import Candidate, spread_out
-from gyrotrack.tracking._residuals import Residuals, wrapped
-from gyrotrack.tracking._systematic_errors import learn_neighbours, learn_places, place_error, places_passed
+from gyrotrack.tracking._orbit import CELL
+from gyrotrack.tracking._residuals import FAST, TURN, Residuals, wrapped
 
 Floats = npt.NDArray[np.float64]
+
+KNOTS = 72
+_BEND, _SIZE = 4e-3, 3e-2
+
+
+def closed_curve(angle: Floats, residual: Floats, weight: Floats) -> Floats:
+    """Fit a smooth closed curve to residuals over an angle; return its values at the knots, (KNOTS,).
+
+    Parameters
+    ----------
+    angle, residual : ndarray, shape (n,)
+        In rad.
+    weight : ndarray, shape (n,)
+        1 / variance of each residual, 0 for those not to be used.
+    """
+    low_low, high_high, both = np.zeros((3, KNOTS))
+    right = np.zeros(KNOTS)
+    for some in stretches(len(angle)):
+        use = (weight[some] > 0) & np.isfinite(residual[some])
+        place = np.mod(angle[some][use], 2.0 * np.pi) * KNOTS / (2.0 * np.pi)
+        low = np.floor(place).astype(np.int64) % KNOTS
+        part = place - np.floor(place)
+        high = (low + 1) % KNOTS
+        w, r = weight[some][use], residual[some][use]
+        low_low += np.bincount(low, w * (1 - part) ** 2, KNOTS)
+        high_high += np.bincount(high, w * part**2, KNOTS)
+        both += np.bincount(low, w * part * (1 - part), KNOTS)
+        right += np.bincount(low, w * (1 - part) * r, KNOTS) + np.bincount(high, w * part * r, KNOTS)
+    beside = np.roll(np.diag(both), 1, axis=1)
+    normal = np.diag(low_low + high_high) + beside + beside.T
+    eye = np.eye(KNOTS)
+    second = np.roll(eye, 1, axis=1) + np.roll(eye, -1, axis=1) - 2.0 * eye
+    normal += second.T @ second / _BEND**2 + eye / _SIZE**2
+    return np.asarray(np.linalg.solve(normal, right))
+
+
+def curve_at(curve: Floats, angle: Floats) -> Floats:
+    """Evaluate a closed curve given at the knots."""
+    place = np.mod(angle, 2.0 * np.pi) * KNOTS / (2.0 * np.pi)
+    return np.asarray(np.interp(place, np.arange(KNOTS + 1), np.append(curve, curve[0])))
+
+
+def without_common_motion(curves: dict[str, Floats], mounts: dict[str, float]) -> dict[str, Floats]:
+    """Take out of the curves what all markers do together once or twice a turn of their body."""
+    knots = np.arange(KNOTS) * 2.0 * np.pi / KNOTS
+    together = np.mean([curve_at(curve, knots + mounts[name]) for name, curve in curves.items()], axis=0)
+    spectrum = np.fft.rfft(together)
+    spectrum[3:] = 0.0
+    common = np.fft.irfft(spectrum, KNOTS)
+    return {name: curve - curve_at(common, knots - mounts[name]) for name, curve in curves.items()}
+
+
+def once_a_turn(curve: Floats) -> complex:
+    """Return by how far the axis would have to lie beside the assumed one to make a curve: x + i y over the radius.
+
+    A marker at v = e + r (cos a, sin a), y up, is seen about the axis assumed at 0 at the angle
+    a + (e_y cos a - e_x sin a) / r.
+    """
+    first = complex(np.fft.rfft(curve)[1]) * 2.0 / KNOTS
+    return complex(first.imag, first.real)
+
+
+MOSTLY = 0.5
+"""Share of the frames in which a body must turn round for its errors by place to be known."""
+ENOUGH = 0.2
+"""Share of the frames that must be fast for curves to be learnt from these alone."""
+
+
+def learn_places(state: Residuals, smooth: Floats) -> None:
+    """Learn each marker's error by its place in the picture (see the module docstring)."""
+    fast = state.turning & state.fast
+    geometry_only = fast.sum() > ENOUGH * state.turning.sum()
+    when = fast if geometry_only else state.turning
+    curves = {}
+    for name, c in state.candidates.items():
+        fit = state.use[name] & c.open & when
+        curves[name] = _curve(state, name, c.angle, state.by_neighbour[name], smooth, fit)
+    if geometry_only:
+        state.axis_off = {name: once_a_turn(curve) for name, curve in curves.items()}
+    else:
+        curves = without_common_motion(curves, state.mounts)
+    for name, curve in curves.items():
+        for part in stretches(len(state.path)):
+            place = np.nan_to_num(state.candidates[name].angle[part])
+            state.by_place[name][part] = curve_at(curve - curve.mean(), place)
+
+
+def learn_neighbours(
+    state: Residuals, smooth: Floats, other: Floats, window: tuple[int, int], *, above: bool
+) -> None:
+    """Learn each marker's error by its angle to the other body (see the module docstring).
+
+    Markers below it err where it hides a part of them. Markers above it (`above`) err wherever the other body's
+    own markers pass beside them; that is learnt where these pass so fast that no motion follows them. Where they
+    pass nearly in step with the frames, a curve over their angle may creep as slowly as a motion: what of it a
+    local polynomial (`window`: half width and degree) can follow is taken for motion, and left in.
+    """
+    with np.errstate(invalid="ignore"):
+        passing = state.turning & (state.speed(other - state.path) > FAST)
+    if above and passing.sum() <= ENOUGH * state.turning.sum():
+        return
+    for name, c in state.candidates.items():
+        beside = np.nan_to_num(c.angle - other)
+        near = state.use[name] & np.isfinite(other)
+        when = near & (passing if above else state.turning)
+        curve = _curve(state, name, beside, state.by_place[name], smooth, when)
+        for part in stretches(len(near)):
+            shown = near[part] & (above | ~c.open[part])
+            state.by_neighbour[name][part] = np.where(shown, curve_at(curve, beside[part]), 0.0)
+        if above:
+            slow, _ = local_fit(state.by_neighbour[name], near.astype(np.float64), *window)
+            state.by_neighbour[name] -= np.where(near, np.nan_to_num(slow), 0.0)
+
+
+def places_passed(state: Residuals) -> float:
+    """Return how many places with errors of their own the body passes, where it does not turn round."""
+    path = state.path[~state.turning & np.isfinite(state.path)]
+    return float(np.ptp(path)) / CELL if len(path) else 0.0
+
+
+def place_error(state: Residuals) -> float:
+    """Return the usual size of the errors by place that were learnt, of the marker that errs least [rad].
+
+    A marker that is faint or smeared errs more than the place makes it, and so does one beside a bar that stands
+    nearly still, in some places only: then the core's standard deviation is taken. NaN if none could be learnt,
+    or if the markers come back to the same few places.
+    """
+    if state.turning.mean() < MOSTLY:
+        return float("nan")
+    learnt = []
+    for name, c in state.candidates.items():
+        seen = state.use[name] & c.open & state.turning
+        if len(np.unique(np.rint(c.angle[seen] * KNOTS / TURN))) >= KNOTS / 2:
+            error = state.by_place[name][seen]
+            learnt.append(min(float(np.sqrt(np.mean(error**2))), spread(error)))
+    return min(learnt, default=float("nan"))
+
+
+def _curve(
+    state: Residuals, name: str, over: Floats, known: Floats, smooth: Floats, use: npt.NDArray[np.bool_]
+) -> Floats:
+    """Learn a closed curve over an angle from what a marker departs from the smooth motion."""
+    off, weight = np.empty((2, len(over)))
+    for part in stretches(len(over)):
+        ahead = state.candidates[name].angle[part] - state.path[part] - state.mounts[name] - known[part]
+        off[part] = wrapped(ahead) - smooth[part]
+        weight[part] = np.where(use[part], 1.0 / state.sigma(name, part) ** 2, 0.0)
+    return closed_curve(over, off, weight)
+
 
 ROUNDS = 5
 

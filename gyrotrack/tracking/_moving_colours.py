@@ -16,10 +16,9 @@ from gyrotrack.tracking._acquisition import (
     is_marker_sized,
     search_ring,
 )
-from gyrotrack.tracking._colour import Blob, Hue, find_blobs, hue_score, nearest_colour
 from gyrotrack.tracking._orbit import Orbit, common_centre
 from gyrotrack.tracking._polar import Ring
-from gyrotrack.tracking._profile import MarkerProfile
+from gyrotrack.tracking._profile import Blob, Hue, MarkerProfile, find_blobs, hue_score, nearest_colour
 from gyrotrack.tracking._scene import Disc, Samples
 
 Floats = npt.NDArray[np.float64]

@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 from gyrotrack._errors import TrackingError
 from gyrotrack.tracking._acquisition import acquire, find_white, is_marker_sized, placed
-from gyrotrack.tracking._colour import nearest_colour
 from gyrotrack.tracking._moving_colours import (
     Candidate,
     Circle,
@@ -22,7 +21,7 @@ from gyrotrack.tracking._moving_colours import (
     moving_colour,
 )
 from gyrotrack.tracking._polar import Ring
-from gyrotrack.tracking._profile import Body, MarkerProfile, Profile
+from gyrotrack.tracking._profile import Body, MarkerProfile, Profile, nearest_colour
 from gyrotrack.tracking._scene import Disc, Marker, Samples, Scene, take_samples
 from gyrotrack.video._container import Frame, read_raw_stamps
 from gyrotrack.video._frames import frames_at

@@ -1,4 +1,9 @@
-"""Single frames of a film by their number."""
+"""Single frames of a film: by their number, and those that repeat the picture of the frame before.
+
+For repetitions some rows of each frame are compared with those of the one before. An encoder has little to add to a
+picture that it has just sent; sensor noise is repeated with it, so that the difference is much smaller than between
+any other two frames.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +12,19 @@ from pathlib import Path
 from typing import Any
 
 import av
+import cv2
+import numpy as np
+import numpy.typing as npt
 
-from gyrotrack.video._container import Frame, Orientation, opened, orientation_of, packets_of, planes_of
+from gyrotrack.video._container import (
+    Frame,
+    Orientation,
+    Packets,
+    opened,
+    orientation_of,
+    packets_of,
+    planes_of,
+)
 
 
 def frames_at(path: Path, stamps: Iterable[int]) -> dict[int, Frame]:
@@ -65,3 +81,106 @@ def _decoded(packets: Iterator[tuple[int, Any]], first: int, stop: int, stream: 
         yield from stream.codec_context.decode(None)
     except av.error.FFmpegError:
         return
+
+
+SAME = 0.3
+"""Share of the usual difference between frames of late that a repeated frame may show."""
+SMALL = 0.35
+"""Share of the usual packet around it below which one has little to tell."""
+_AROUND = 31
+_LARGE = 80
+_ROWS = 12
+_MOST = 0.8
+_FEWEST = 5
+
+Rows = npt.NDArray[np.uint8]
+
+
+class RepeatDetector:
+    """Tells of each frame of a film in turn whether it repeats the one before it.
+
+    Parameters
+    ----------
+    packets : Packets
+        Of the whole film.
+
+    Attributes
+    ----------
+    regular : bool
+        A run of repeated frames comes every so many frames, as after a conversion to another rate: by the packets, or
+        by the frames so far.
+    """
+
+    def __init__(self, packets: Packets) -> None:
+        self.regular = _regular(_starts(_uninformative(packets)))
+        self._last: Rows | None = None
+        self._late: tuple[float, ...] = ()
+        self._begun: tuple[int, ...] = ()
+        self._run = False
+
+    def same(self, frame: Frame) -> bool:
+        """Tell whether a frame, the next one of the film, repeats the one before it."""
+        rows, last, again = _rows(frame), self._last, False
+        if last is not None:
+            apart = _difference(rows, last)
+            again = len(self._late) > 1 and apart < SAME * _usual(self._late)
+            self._late = (*self._late[1 - _AROUND :], apart)
+        if again and not self._run:
+            self._begun = (*self._begun[-_FEWEST:], frame.index)
+            self.regular = self.regular or _regular(np.array(self._begun))
+        self._run, self._last = again, rows
+        return again
+
+    def settle(self) -> None:
+        """Let go of the last frame, and keep what is needed of it."""
+        if self._last is not None:
+            self._last = self._last.copy()
+
+
+def _difference(rows: Rows, last: Rows) -> float:
+    """Return how much two pictures differ, whatever their brightness: lamps flicker from frame to frame.
+
+    The sum of |a - g b|, with the gain g that makes their means equal. Without it, two frames of equal brightness
+    differ so much less than their neighbours that one is taken for a repetition of the other.
+    """
+    a, b = rows.astype(np.float32), last.astype(np.float32)
+    gain = float(a.sum() / max(float(b.sum()), 1.0))
+    return float(cv2.norm(a, b * np.float32(gain), cv2.NORM_L1))
+
+
+def _usual(late: tuple[float, ...]) -> float:
+    """Return the difference between frames that do not repeat: one of the larger ones, where up to three in four do.
+
+    The largest of few may be a cut, as from a still at the beginning.
+    """
+    return sorted(late)[min(len(late) - 2, int(_MOST * len(late)))]
+
+
+def _rows(frame: Frame) -> Rows:
+    """Return some rows of the luma from the middle of a picture, as they lie in memory."""
+    height = len(frame.y)
+    return frame.y[height // 8 : height - height // 8 : max(height // _ROWS, 1)]
+
+
+def _uninformative(packets: Packets) -> npt.NDArray[np.int64]:
+    """Return which packets tell nothing new: much smaller than those around them, or no other than the last picture."""
+    from scipy.ndimage import percentile_filter
+
+    if len(packets.size) < _AROUND:
+        return np.zeros(0, dtype=np.int64)
+    if packets.key.all():
+        return 1 + np.flatnonzero(np.diff(packets.size) == 0)
+    size = np.where(packets.key, 0, packets.size)
+    usual = percentile_filter(size, _LARGE, size=_AROUND, mode="nearest")
+    return np.flatnonzero(~packets.key & (size < SMALL * usual))
+
+
+def _starts(place: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """Return where runs of neighbours begin."""
+    return place[np.diff(place, prepend=-2) > 1]
+
+
+def _regular(start: npt.NDArray[np.int64]) -> bool:
+    """Tell whether runs begin at even distances, as those of a conversion do but for one frame of rounding."""
+    apart = np.diff(start)
+    return len(start) >= _FEWEST and bool((np.abs(apart - np.median(apart)) <= 1.0).mean() > 0.8)

@@ -9,7 +9,7 @@ from scipy.ndimage import map_coordinates
 from gyrotrack import _smoothing as smoothing
 from gyrotrack._native import _kernels as kernels
 from gyrotrack.tracking import _corners as corners
-from gyrotrack.tracking import _matching as matching
+from gyrotrack.tracking import _marker_tracker as matching
 from gyrotrack.tracking._hub import DiscWindow
 from gyrotrack.tracking._marker_window import MarkerStrip
 from gyrotrack.tracking._polar import CHROMA_SHIFT, Grid, Ring, Score, Windows

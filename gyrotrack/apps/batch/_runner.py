@@ -27,7 +27,7 @@ from gyrotrack.apps.batch._steps import (
 )
 from gyrotrack.apps.batch._workers import Certificates, ClusterWorkers, LocalWorkers, Workers, cores
 from gyrotrack.io._atomic import new_file
-from gyrotrack.io._export import plain_cell
+from gyrotrack.io._contents import plain_cell
 
 Progress = Callable[[int, int | None], None]
 Report = Callable[[Step, Outcome], None]

@@ -69,7 +69,7 @@ class Child:
 
                 def stop() -> None:
                     late.set()
-                    _end(running)
+                    end_process(running)
 
                 timer = threading.Timer(timeout, stop)
                 timer.daemon = True
@@ -99,7 +99,7 @@ class Child:
         """End the process; it removes unfinished outputs."""
         process, self._process = self._process, None
         if process is not None:
-            _end(process)
+            end_process(process)
             for stream in (process.stdin, process.stdout):
                 if stream is not None:
                     with suppress(OSError):
@@ -131,7 +131,7 @@ def _start() -> subprocess.Popen[str]:
     )
 
 
-def _end(process: subprocess.Popen[str]) -> None:
+def end_process(process: subprocess.Popen[str]) -> None:
     """Ask a process to end, and kill it if it does not."""
     if process.poll() is None:
         with suppress(OSError):
@@ -140,6 +140,7 @@ def _end(process: subprocess.Popen[str]) -> None:
             process.wait(_GRACE)
         except subprocess.TimeoutExpired:
             process.kill()
+            process.wait()
 
 
 def _asked(process: subprocess.Popen[str], words: Sequence[str]) -> str:

@@ -22,9 +22,8 @@ from typing import Annotated, Any
 import typer
 from typer.main import get_command
 
-from gyrotrack.apps.cli._lazy import Entry, lazy_group
 from gyrotrack.apps.cli._output import DONE, FAULT, INTERRUPTED, TERMINATED, USAGE, report_error, running
-from gyrotrack.apps.cli._settings import Settings, find, read
+from gyrotrack.apps.cli._settings import Entry, Settings, find, lazy_group, read
 
 _DATA = "From films to data"
 _PHYSICS = "From data to physics"
@@ -34,7 +33,7 @@ COMMANDS = (
     Entry("profile", "_tracking", _DATA, "Find the markers of a film and write a profile."),
     Entry("extract", "_tracking", _DATA, "Track the markers in a film: angles with uncertainties."),
     Entry("import", "_data", _DATA, "Make a case from tables of angles or rates, or points."),
-    Entry("spindown", "_spindown", _DATA, "Measure one rotating body: film or table to report."),
+    Entry("spindown", "_tracking", _DATA, "Measure one rotating body: film or table to report."),
     Entry("sync", "_tracking", _DATA, "Put the clips of one experiment on one clock."),
     Entry("batch", "_batch", _DATA, "Track, fit and report many cases, unattended."),
     Entry("config", "_batch", _DATA, "Show the settings in use and their origin."),
@@ -44,10 +43,10 @@ COMMANDS = (
     Entry("scan", "_fitting", _PHYSICS, "Fit every combination of the paper's terms: its tables."),
     Entry("diagnose", "_fitting", _PHYSICS, "Locate the lack of fit and rank the missing effects."),
     Entry("improve", "_fitting", _PHYSICS, "Add effects until the residuals are consistent with noise."),
-    Entry("laws", "_laws", _PHYSICS, "Find the law of an unmodelled torque, as a set of formulas."),
-    Entry("plan", "_plan", _PHYSICS, "Compute detection limits, upper limits and the best next run."),
+    Entry("laws", "_discovery", _PHYSICS, "Find the law of an unmodelled torque, as a set of formulas."),
+    Entry("plan", "_discovery", _PHYSICS, "Compute detection limits, upper limits and the best next run."),
     Entry("budget", "_fitting", _PHYSICS, "Uncertainty budget of every parameter (GUM)."),
-    Entry("compare", "_comparison", _PHYSICS, "Compare fits of several runs: differences and spread."),
+    Entry("compare", "_discovery", _PHYSICS, "Compare fits of several runs: differences and spread."),
     Entry("ladder", "_fitting", _PHYSICS, "List the fits of a case: one bar per fit."),
     Entry("report", "_presentation", _PHYSICS, "Write a report: one HTML page or a PDF."),
     Entry("figures", "_presentation", _PHYSICS, "Draw the paper's figures and tables of a study."),

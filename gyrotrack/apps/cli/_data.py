@@ -25,7 +25,7 @@ from gyrotrack.apps.cli._options import (
 from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output, command_line
 
 if TYPE_CHECKING:
-    from gyrotrack.io._inspection import Inspection
+    from gyrotrack.io._contents import Inspection
 
 
 _TABLE = "Angles, angular rates, pulses or points of the casing (CSV, Tracker, phyphox, Excel, MATLAB ...)"
@@ -222,7 +222,7 @@ def export_command(
 
     Example: gyrotrack export case1.h5 -o case1.csv
     """
-    from gyrotrack.io._export import export_file
+    from gyrotrack.io._contents import export_file
 
     out = Output(as_json=as_json, quiet=quiet)
     with out.progress(f"writing {output.name}") as progress:
@@ -245,7 +245,7 @@ def info_command(
 
     Example: gyrotrack info case1.h5 --verify
     """
-    from gyrotrack.io._inspection import inspect_file
+    from gyrotrack.io._contents import inspect_file
 
     found = inspect_file(file, verify=verify)
     out = Output(as_json=as_json)
@@ -293,7 +293,7 @@ def _case_lines(holds: dict[str, Any]) -> list[str]:
     surface = f", on {holds['surface']}" if holds["surface"] else ""
     lines = [
         f"label    {holds['label'] or '-'}{surface}",
-        f"inertia  {_inertia(holds)} kg m2",
+        f"inertia  {_inertia(holds)}",
         f"measured {'angles' if holds['quantity'] == 'angle' else 'angular velocities'}",
         "",
         _HEADER if holds["quantity"] == "angle" else _HEADER.replace("  sigma [mrad]", "sigma [mrad/s]"),
@@ -310,8 +310,12 @@ def _case_lines(holds: dict[str, Any]) -> list[str]:
 
 def _inertia(holds: dict[str, Any]) -> str:
     if holds["bodies"] == "one":
-        return f"{holds['I_casing']:.4g}"
-    return f"rotor {holds['I_rotor']:.4g}, casing {holds['I_casing']:.4g}"
+        return (
+            "unknown; torques are per unit of inertia"
+            if holds["per_inertia"]
+            else f"{holds['I_casing']:.4g} kg m2"
+        )
+    return f"rotor {holds['I_rotor']:.4g}, casing {holds['I_casing']:.4g} kg m2"
 
 
 def _placement_line(p: dict[str, Any]) -> str:

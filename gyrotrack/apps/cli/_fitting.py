@@ -19,6 +19,7 @@ from gyrotrack.apps.cli._options import (
     From,
     Json,
     LedgerFile,
+    PriorStudy,
     Quiet,
     RotorKind,
     own_effects,
@@ -89,6 +90,7 @@ def fit_command(
     hold_out: Annotated[
         bool, typer.Option("--hold-out", help="Also predict each case from a fit of the others.")
     ] = False,
+    prior: PriorStudy = None,
     start: From = None,
     ledger: LedgerFile = None,
     as_json: Json = False,
@@ -118,7 +120,7 @@ def fit_command(
     )
     documents = []
     for group in groups:
-        study = open_study(group, ledger, data=data, rotor=rotor)
+        study = open_study(group, ledger, data=data, rotor=rotor, prior=prior)
         with out.progress("fitting") as progress:
             progress(0, None)
             found, fit_id = request.fit(study, start)
@@ -309,6 +311,7 @@ def diagnose_command(
     cases: CaseFiles,
     *,
     effects: EffectsFile = None,
+    prior: PriorStudy = None,
     start: From = None,
     ledger: LedgerFile = None,
     as_json: Json = False,
@@ -325,7 +328,7 @@ def diagnose_command(
     from fitting.study._serialisation import diagnosis_document
 
     out = Output(as_json=as_json, quiet=quiet)
-    study = open_study(cases, ledger)
+    study = open_study(cases, ledger, prior=prior)
     with WorkerPool() as workers, out.progress("scoring effects") as progress:
         progress(0, None)
         fit, fit_id = study.base(start)
@@ -340,6 +343,7 @@ def improve_command(
     cases: CaseFiles,
     *,
     effects: EffectsFile = None,
+    prior: PriorStudy = None,
     start: From = None,
     ledger: LedgerFile = None,
     as_json: Json = False,
@@ -355,7 +359,7 @@ def improve_command(
     from fitting.study._serialisation import fit_document, history_verdict
 
     out = Output(as_json=as_json, quiet=quiet)
-    study = open_study(cases, ledger)
+    study = open_study(cases, ledger, prior=prior)
     with WorkerPool() as workers, out.progress("adding effects") as progress:
         progress(0, None)
         base, parent = study.base(start)
@@ -368,7 +372,7 @@ def improve_command(
     steps = [entry.document["rung"] for entry in kept]
     verdict = history_verdict(history)
     out.result({"ladder": steps, "final": fit_document(history[-1].fit, kept[-1].fit_id), "verdict": verdict})
-    out.show(*ladder_tables(steps, study.data[0].record.body), f"verdict: {_WORDS[verdict]}")
+    out.show(*ladder_tables(steps, study.data[0].record), f"verdict: {_WORDS[verdict]}")
 
 
 _WORDS = {
@@ -425,7 +429,7 @@ def ladder_command(
         for e in study.ledger.of(study.data)
     ]
     out.result({"ladder": steps})
-    out.show(*ladder_tables(steps, study.data[0].record.body))
+    out.show(*ladder_tables(steps, study.data[0].record))
 
 
 def effects_command(
@@ -453,7 +457,7 @@ def effects_command(
 
 
 def _effect_document(e: Effect) -> dict[str, Any]:
-    from fitting.effects._latex import latex
+    from fitting.effects._expression import latex
 
     return {
         "name": e.name,

@@ -1,4 +1,4 @@
-"""Settings: defaults of the options, read from a TOML file and handed to click as its `default_map`.
+"""Settings files: `gyrotrack.toml` and the user's own; and the commands whose options they set.
 
 ::
 
@@ -14,6 +14,9 @@ The sections are the commands and the keys their options, written with ``_`` for
 A file given by the user (``--config``, ``$GYROTRACK_CONFIG``) and the user's own file may set every option. A
 ``gyrotrack.toml`` found in the working folder comes with the data and may be hostile: it may set only the options in
 `FOUND`, and paths only within its own folder.
+
+A command is imported when it runs, or when its options are needed to check a settings file: `gyrotrack --help` needs
+only the names and one line each, and imports no numerical library.
 """
 
 from __future__ import annotations
@@ -21,19 +24,21 @@ from __future__ import annotations
 import os
 import tomllib
 import typing
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
+from typer.core import TyperCommand, TyperGroup
+from typer.main import get_command
 
 from gyrotrack._errors import ConfigurationError
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
-
-    from gyrotrack.apps.cli._lazy import Entry
 
 
 NAME = "gyrotrack.toml"
@@ -49,7 +54,7 @@ _COMPUTE = (
     "torque_noise torque_time until verbose verify window window_length"
 )
 # options whose values are files to read or to write; a found file may name those in its own folder
-_PATHS = "clips contact_sheet csv effects film films folder latex ledger output overlay picture report"
+_PATHS = "clips contact_sheet csv effects film films folder latex ledger output overlay picture prior report"
 FOUND = frozenset(f"{_COMPUTE} {_PATHS}".split())
 # options that only the user may set: replacing or deleting results, addresses, certificates, ports, cores
 REFUSED = frozenset(
@@ -179,7 +184,6 @@ def options_of(entry: Entry) -> dict[str, str]:
 
 
 def _options(entry: Entry) -> dict[str, tuple[str, Any]]:
-    from gyrotrack.apps.cli._lazy import function_of
 
     command = function_of(entry)
     hints = typing.get_type_hints(command, include_extras=True)
@@ -218,3 +222,59 @@ def _plain(value: Any, folder: Path) -> Any:
     if isinstance(value, list):
         return [_plain(v, folder) for v in value]
     return value
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One command: its name, the module here whose `<name>_command` runs it, its section in the help, and one line."""
+
+    name: str
+    module: str
+    section: str
+    help: str
+
+
+def function_of(entry: Entry) -> Callable[..., Any]:
+    """Import the module of a command and return its function `<name>_command`."""
+    return getattr(import_module(f"gyrotrack.apps.cli.{entry.module}"), f"{entry.name}_command")  # type: ignore[no-any-return]
+
+
+def load(entry: Entry) -> Any:
+    """Build a command from the signature of its function."""
+    single = typer.Typer(add_completion=False, rich_markup_mode=None)
+    single.command(name=entry.name)(function_of(entry))
+    return get_command(single)
+
+
+def lazy_group(entries: tuple[Entry, ...]) -> type[TyperGroup]:
+    """Return a class of group that knows `entries` by name and loads them when they are asked to run."""
+    table = {entry.name: entry for entry in entries}
+
+    class LazyGroup(TyperGroup):
+        """The commands of one table."""
+
+        def list_commands(self, ctx: Any) -> list[str]:
+            """Return the names in the order of the table."""
+            del ctx
+            return list(table)
+
+        def get_command(self, ctx: Any, cmd_name: str) -> Any:
+            """Return a placeholder with name and help line, without an import."""
+            del ctx
+            entry = table.get(cmd_name)
+            return entry and TyperCommand(name=entry.name, help=entry.help, rich_markup_mode=None)
+
+        def resolve_command(self, ctx: Any, args: list[str]) -> tuple[Any, Any, list[str]]:
+            """Return the command that is to run, imported."""
+            self.commands = {name: self.get_command(ctx, name) for name in table}  # for "did you mean"
+            name, _, rest = super().resolve_command(ctx, args)
+            return name, load(table[name]) if name in table else None, rest
+
+        def format_commands(self, ctx: Any, formatter: Any) -> None:
+            """List the commands section by section."""
+            del ctx
+            for section in dict.fromkeys(entry.section for entry in entries):
+                with formatter.section(section):
+                    formatter.write_dl([(e.name, e.help) for e in entries if e.section == section])
+
+    return LazyGroup

@@ -19,6 +19,7 @@ from gyrotrack.apps.cli._options import (
     InertiaCasing,
     InertiaRotor,
     Json,
+    Label,
     LedgerFile,
     OutputFile,
     Quiet,
@@ -98,10 +99,7 @@ def simulate_command(
     hide: Annotated[
         bool, typer.Option("--hide", help="Add a random effect and store its name in a sealed file.")
     ] = False,
-    label: Annotated[
-        str | None,
-        typer.Option("--label", metavar="L", help="Name of the case; by default that of the file."),
-    ] = None,
+    label: Label = None,
     surface: Surface = "",
     inertia_rotor: InertiaRotor = None,
     inertia_casing: InertiaCasing = None,
@@ -285,8 +283,8 @@ def demo_command(
 def _study(out: Output, case: Path, output: Path, film: Path) -> dict[str, Any]:
     """Fit, diagnose, improve and report; return the documents."""
     from gyrotrack.apps.report._page import write_report
-    from gyrotrack.apps.report._story import story_picture
     from gyrotrack.io._hdf5 import read_case
+    from gyrotrack.plotting._discovery import story_picture
 
     steps_of_history, diagnosis, document = _found(out, case)
     out.show(f"\n6. The report\n\n$ gyrotrack report {case} -o {output / 'report.html'}")
@@ -327,7 +325,7 @@ def _found(out: Output, case: Path) -> tuple[list[Step], Diagnosis, dict[str, An
     steps_of_history = improve(base, first=diagnosis.candidates)
     kept = study.keep(steps_of_history, first.fit_id)
     steps = [entry.document["rung"] for entry in kept]
-    out.show(*ladder_tables(steps, study.data[0].record.body))
+    out.show(*ladder_tables(steps, study.data[0].record))
     return (
         steps_of_history,
         diagnosis,

@@ -16,11 +16,12 @@ if TYPE_CHECKING:
     from fitting.discovery._verdict import Diagnosis
     from fitting.inference._cross_validation import Predicted
     from fitting.inference._profile import Interval
+    from fitting.inference._record import Record
     from fitting.inference._result import Fit
     from fitting.study._paper import CurveBias
 
 
-_BAR = 24
+_BAR = 20
 _CANDIDATES = 8
 
 
@@ -77,25 +78,28 @@ def prediction_tables(predicted: Sequence[Predicted]) -> list[str]:
 
 def diagnosis_tables(d: Diagnosis, fit_id: str) -> list[str]:
     """Return a diagnosis as lines: sentence, lack of fit, candidate effects."""
+    torque = f"torque [{d.fit.torque_unit}]"
     lines = [*_wrapped(d.sentence), "", f"fit {fit_id}, verdict: {d.verdict.replace('_', ' ')}"]
     if d.failures:
         lines += [
             "",
             "significant lack of fit:",
-            f"  {'case':<10}{'body':<8}{'time [s]':>16}{'torque [N m]':>14}{'speed [rad/s]':>15}{'sigma':>7}",
+            f"  {'case':<10}{'body':<8}{'time [s]':>16}{torque:>16}{'speed [rad/s]':>15}{'sigma':>7}",
         ]
         for f in d.failures:
             time = f"{f.t_start:.1f} - {f.t_stop:.1f}"
             lines.append(
                 f"  {f.label[:9]:<10}{f.called:<8}{time:>16}"
-                f"{f.residual_torque_Nm:>14.2g}{f.residual_rad_s:>15.2g}{f.size_sigma:>7.0f}"
+                f"{f.residual_torque_Nm:>16.2g}{f.residual_rad_s:>15.2g}{f.size_sigma:>7.0f}"
             )
         lines += _curves(d)
     shown = [c for c in d.candidates if c.score > 0][:_CANDIDATES]
     if shown:
         head = "tested, not significant:" if d.verdict == "adequate" else "candidate effects:"
         lines += ["", head, f"  {'effect':<28}{'score':>9}{'dBIC':>9}{'p':>9}  class"]
-        classes = _classes(shown)
+        from fitting.discovery._select import equivalence_classes
+
+        classes = equivalence_classes(shown)
         for c in shown:
             name = c.effect.name[:25] + (" *" if c.effect.kind == "measurement" else "")
             bic = f"{c.delta_bic:.1f}" if math.isfinite(c.delta_bic) else "-"
@@ -118,10 +122,11 @@ def _curves(d: Diagnosis) -> list[str]:
         if t.body != "casing" or not intervals:
             continue
         start, stop = float(t.time[0]), float(t.time[-1])
+        torque = f"{_range(t)} {d.fit.torque_unit}"
         label = f", {t.label[:12]}" if len({x.label for x in d.torques}) > 1 else ""
         lines += [
             "",
-            f"unmodelled torque on the {body}{label}, {_range(t)}, from {start:.0f} s to {stop:.0f} s:",
+            f"unmodelled torque on the {body}{label}, {torque}, from {start:.0f} s to {stop:.0f} s:",
             f"  {sparkline(t.torque)}",
             f"  {marks(intervals, start, stop)}".rstrip() + "  lack of fit",
         ]
@@ -129,22 +134,15 @@ def _curves(d: Diagnosis) -> list[str]:
 
 
 def _range(t: ResidualTorque) -> str:
-    return f"{t.torque.min():.2g} to {t.torque.max():.2g} N m"
+    return f"{t.torque.min():.2g} to {t.torque.max():.2g}"
 
 
-def _classes(candidates: Sequence[Any]) -> dict[str, str]:
-    letters: dict[str, str] = {}
-    for c in candidates:
-        if c.indistinguishable_from and c.effect.name not in letters:
-            letter = chr(ord("A") + len(set(letters.values())))
-            for name in (c.effect.name, *c.indistinguishable_from):
-                letters.setdefault(name, letter)
-    return letters
-
-
-def ladder_tables(steps: Sequence[dict[str, Any]], body: str = "casing") -> list[str]:
-    """Return a history of fits as lines, one bar per fit; `body` is the body recorded throughout."""
-    lines = [f"{'fit':<5}{'rmse':>9} {'chi2/n':>9} {'cv error':>9} {'dBIC':>9}  {'':<{_BAR}}", ""]
+def ladder_tables(steps: Sequence[dict[str, Any]], record: Record) -> list[str]:
+    """Return a history of fits as lines, one bar per fit; `record` is that of any of the cases."""
+    lines = [
+        f"{'fit':<6}{'rmse':>9} {'chi2/n':>9} {'cv error':>9} {'BIC':>10} {'dBIC':>9}  {'':<{_BAR}}".rstrip(),
+        "",
+    ]
     sizes = [max(r["rmse_casing"], 1e-300) for r in steps]
     previous = ""
     for r, size in zip(steps, sizes, strict=True):
@@ -154,21 +152,37 @@ def ladder_tables(steps: Sequence[dict[str, Any]], body: str = "casing") -> list
             added += f"  (from {r['parent']})"
         previous = r["fit_id"]
         lines.append(
-            f"{r['fit_id']:<5}{r['rmse_casing']:>9.4g} {r['reduced_chi2']:>9.3g}"
-            f" {r['held_out']:>9.3g} {r['delta_bic']:>9.1f}  {bar}"
+            f"{r['fit_id']:<6}{r['rmse_casing']:>9.4g} {r['reduced_chi2']:>9.3g} {r['held_out']:>9.3g} "
+            f"{_known(r.get('bic'), '.1f'):>10} {r['delta_bic']:>9.1f}  {bar}"
         )
         lines.append(
-            f"     {added}"
-            + (f"  (remainder: {r['torque_left_Nm']:.2g} N m)" if r.get("torque_left_Nm") else "")
+            f"      {added}"
+            + (
+                f"  (remainder: {r['torque_left_Nm']:.2g} {record.torque_unit})"
+                if r.get("torque_left_Nm")
+                else ""
+            )
         )
         if comment := ": ".join(filter(None, (r.get("name"), r.get("note")))):
-            lines += [f"     {line}" for line in _wrapped(comment)]
+            lines += [f"      {line}" for line in _wrapped(comment)]
+    last = steps[-1]
+    counted = bool(last.get("samples"))
     lines += [
+        " ".join(
+            (
+                f"{'noise':<6}{_known(last.get('rmse_noise'), '.4g'):>9} {1:>9} {1:>9}",
+                f"{_known(last.get('bic_noise'), '.1f'):>10}  what noise alone would give",
+            )
+        ),
         "",
-        f"rmse of the angular rate of the {body} [rad/s];",
-        "cross-validation error in units of the noise (1 = noise limit)",
+        f"rmse of the angular rate of the {record.body} [rad/s]; cross-validation error in units",
+        "of the noise" + (f"; {last['samples']} samples, effectively {last['n_eff']:.0f}" if counted else ""),
     ]
     return ["\n".join(lines)]
+
+
+def _known(value: float | None, how: str) -> str:
+    return "-" if value is None or math.isnan(value) else format(value, how)
 
 
 def _wrapped(text: str) -> list[str]:

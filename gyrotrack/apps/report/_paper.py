@@ -180,7 +180,7 @@ def _chart(title: str, unit: str, traces: Sequence[Trace]) -> Chart:
 def _angles(case: PaperCase) -> Chart:
     from scipy.ndimage import median_filter
 
-    from fitting.inference._velocity import WIDTH
+    from fitting.inference._record import WIDTH
 
     casing = case.data.record.casing
     if case.data.is_angle:
@@ -192,8 +192,8 @@ def _angles(case: PaperCase) -> Chart:
 
 
 def _rotor_data(case: PaperCase) -> Chart:
+    from fitting.inference._record import speeds
     from fitting.inference._speed_residuals import ROTOR
-    from fitting.inference._velocity import speeds
 
     generated = case.case.rotor_generated if case.case is not None else None
     if generated is not None:
@@ -232,8 +232,8 @@ def _fits(case: PaperCase, body: int) -> list[Trace]:
 
 
 def _rotor_fits(case: PaperCase) -> Chart:
+    from fitting.inference._record import speeds
     from fitting.inference._speed_residuals import ROTOR
-    from fitting.inference._velocity import speeds
 
     parts = [(*speeds(w, case.data.record.quantity), None) for w in case.data.record.rotor]
     measured = concatenated("measured", parts, "#c9c9c9", width=6.0, scale="reference")
@@ -241,8 +241,8 @@ def _rotor_fits(case: PaperCase) -> Chart:
 
 
 def _casing_fits(case: PaperCase) -> Chart:
+    from fitting.inference._record import speeds
     from fitting.inference._speed_residuals import CASING
-    from fitting.inference._velocity import speeds
 
     time, omega = speeds(case.data.record.casing, case.data.record.quantity)
     sigma = None

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting._numbers import probability, scaled, short, unit_text, with_uncertainty
+from fitting._numbers import TORQUE, probability, scaled, short, unit_text, with_uncertainty
 from gyrotrack.plotting._study_data import StudyView
 
 if TYPE_CHECKING:
@@ -155,8 +155,8 @@ def _note(e: Estimate, before: Estimate | None, *, undetermined: bool, fixed: bo
 
 def candidate_rows(view: StudyView) -> list[CandidateRow]:
     """Return the candidate effects, best first."""
-    from fitting.effects._latex import latex
-    from gyrotrack.plotting._parameters import formula
+    from fitting.effects._expression import latex
+    from gyrotrack.plotting._discovery import formula
 
     return [
         CandidateRow(
@@ -181,16 +181,17 @@ def limit_rows(view: StudyView) -> list[LimitRow]:
     """Return the largest effects that the final model could still lack, the largest torque first."""
     from fitting.effects._library import LIBRARY
 
-    joints = JOINTS | {"casing": view.body}
+    joints, unit = JOINTS | {"casing": view.body}, view.final.torque_unit
     rows = []
     for u in view.upper_limits:
         joint = LIBRARY[u.effect].joint if u.effect in LIBRARY else "–"
-        factor, prefix = scaled(u.torque_Nm)
+        # per unit of inertia torques are angular accelerations, which take no prefix
+        factor, prefix = scaled(u.torque_Nm) if unit == TORQUE else (1.0, "")
         rows.append(
             LimitRow(
                 effect=u.effect,
                 joint=joints.get(joint, joint),
-                torque=f"< {short(factor * u.torque_Nm, 2)} {prefix}N m",
+                torque=f"< {short(factor * u.torque_Nm, 2 if prefix else 3)} {prefix}{unit_text(unit)}",
                 strength=f"{u.symbol} < {short(u.upper_limit, 3)} {unit_text(u.unit)}".rstrip(),
             )
         )
@@ -393,8 +394,10 @@ def origin_rows(fit: Fit, given: Mapping[str, str]) -> list[tuple[str, str]]:
 def _samples(data: CaseData) -> str:
     r = data.record
     if r.single:
-        facts = f"one body {len(r.casing)}; {data.n_effective:.0f} effective; I {short(r.I_casing, 4)} kg m²"
-        return f"{facts}; measured: {r.quantity}"
+        inertia = "no moment of inertia" if r.per_inertia else f"I {short(r.I_casing, 4)} kg m²"
+        return (
+            f"one body {len(r.casing)}; {data.n_effective:.0f} effective; {inertia}; measured: {r.quantity}"
+        )
     rotor = f"rotor {sum(len(w) for w in r.rotor)} in {len(r.rotor)} windows"
     inertia = f"I_rotor {short(r.I_rotor, 4)}, I_casing {short(r.I_casing, 4)} kg m²"
     seen = f"casing {len(r.casing)}, {rotor}; {data.n_effective:.0f} effective"

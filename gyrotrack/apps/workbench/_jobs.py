@@ -19,6 +19,7 @@ from time import monotonic
 from typing import Any, Literal
 
 from gyrotrack._errors import UsageError
+from gyrotrack.apps.batch._workers import end_process
 
 State = Literal["waiting", "running", "done", "failed", "cancelled"]
 
@@ -138,7 +139,7 @@ class Jobs:
             job.state = "cancelled"
             process = job.process
         if process is not None:
-            _end(process)
+            end_process(process)
 
     def _run(self, job: Job, finished: Callable[[Job], None]) -> None:
         try:
@@ -207,7 +208,7 @@ class Jobs:
                         job.process.terminate()
         for job in active:
             if job.process is not None:
-                _end(job.process)
+                end_process(job.process)
         for thread in list(self._threads):
             thread.join(_GRACE)
 
@@ -219,18 +220,6 @@ def _listen(job: Job, stream: Any) -> None:
                 with suppress(ValueError, KeyError, TypeError):
                     found = json.loads(line)["progress"]
                     job.label, job.done, job.total = found["label"], found["done"], found["total"]
-
-
-def _end(process: subprocess.Popen[str]) -> None:
-    """Ask a process to end, and kill it if it does not."""
-    if process.poll() is None:
-        with suppress(OSError):
-            process.terminate()
-        try:
-            process.wait(_GRACE)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
 
 
 def _error(message: str, hint: str) -> dict[str, Any]:

@@ -26,7 +26,7 @@ from gyrotrack._errors import ConfigurationError, GyrotrackError, OutputError, U
 from gyrotrack._inertia import Inertia
 from gyrotrack.apps.batch._experiments import FILMS, Experiment, read_study
 from gyrotrack.apps.batch._workers import cores
-from gyrotrack.apps.workbench._corrections import corrected
+from gyrotrack.apps.workbench._films import corrected
 from gyrotrack.apps.workbench._jobs import Job, Jobs
 from gyrotrack.io._atomic import new_file
 from gyrotrack.io._hdf5 import read_kind, read_recording, read_settings, write_recording

@@ -1,7 +1,7 @@
-"""Ranking of candidate effects in a process of its own.
+"""Ranking of candidate effects in a process of its own, and the residual predicted while parameters are moved.
 
-It reads one JSON document a line (a model with its parameters, as a ledger keeps them), answers one line, and ends
-when its input ends.
+The process reads one JSON document a line (a model with its parameters, as a ledger keeps them), answers one line,
+and ends when its input ends.
 """
 
 from __future__ import annotations
@@ -11,12 +11,24 @@ import os
 import subprocess
 import sys
 import warnings
+from collections.abc import Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from threading import Lock
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from fitting._numbers import to_json
-from gyrotrack._errors import GyrotrackError
+from gyrotrack._errors import GyrotrackError, UsageError
+
+if TYPE_CHECKING:
+    from fitting.discovery._score import CaseColumns
+    from fitting.discovery._select import Candidate
+    from fitting.inference._result import Fit
+
+Array = NDArray[np.float64]
 
 
 class Ranker:
@@ -102,7 +114,6 @@ def _answer(line: str, case: Path) -> dict[str, Any]:
     from fitting.inference._case_file import read_record
     from fitting.study._history import Entry
     from fitting.study._serialisation import diagnosis_document
-    from gyrotrack.apps.workbench._prediction import Prediction
 
     try:
         fit = Entry(json.loads(line)).refit([CaseData.of(read_record(case))])
@@ -128,6 +139,150 @@ def main() -> None:
     for line in sys.stdin:
         sys.stdout.write(json.dumps(to_json(_answer(line, case))) + "\n")
         sys.stdout.flush()
+
+
+_RANGE = 20.0  # standard errors on either side of a slider's middle; without one, sigmas of the residual
+_DRAWN = 200  # points of a torque
+
+
+class Prediction:
+    """The residual speeds of a fit as its parameters are moved.
+
+    Parameters
+    ----------
+    fit : Fit
+        A fit of one case.
+    """
+
+    def __init__(self, fit: Fit) -> None:
+        self._fit = fit
+        from fitting.inference._speed_residuals import SpeedMap
+
+        self._map = SpeedMap(fit.problem, fit.noise[0], 0)
+
+    def sliders(self) -> dict[str, Any]:
+        """Return the parameters with their ranges, and the derivatives of the residual speeds by them.
+
+        Returns
+        -------
+        dict
+            ``parameters``: name, value, low, high, unit; ``time`` and ``value`` of each run, the casing first;
+            ``sigma`` of the casing's; ``slope``: the residual speeds of a run change by
+            ``slope[run][parameter][part]`` [rad/s] per unit of a parameter.
+        """
+        fit, layout = self._fit, self._fit.problem.layout
+        lower, upper = layout.bounds()
+        slope = self._map(-fit.predictions[0].jacobian)
+        noise = float(np.sqrt(np.mean(self._sigma**2)))
+        rows, places = [], []
+        for k, name in enumerate(layout.names):
+            value, estimate = float(fit.theta[k]), fit.estimates.get(name)
+            if estimate is None:  # the rotor of a record of one body
+                continue
+            known = np.isfinite(estimate.stderr) and estimate.stderr > 0
+            size = max(float(np.sqrt(np.mean(slope[0][:, k] ** 2))), 1e-300)
+            half = _RANGE * (estimate.stderr if known else noise / size)
+            low, high = float(max(value - half, lower[k])), float(min(value + half, upper[k]))
+            rows.append({"name": name, "value": value, "low": low, "high": high, "unit": estimate.unit})
+            places.append(k)
+        return {
+            "parameters": rows,
+            "time": [time.tolist() for _, time, _, _ in self._map.parts],
+            "value": [v.tolist() for v in self._residuals(fit.predictions[0].rows)],
+            "slope": [s[:, places].T.tolist() for s in slope],
+            "sigma": self._sigma.tolist(),
+        }
+
+    def moved(self, values: Mapping[str, float]) -> dict[str, Any]:
+        """Return the exact residual speeds with other values of some parameters.
+
+        Parameters
+        ----------
+        values : mapping of str to float
+            Values by name.
+
+        Raises
+        ------
+        UsageError
+            A name is unknown, or a value is not a number within its bounds.
+        """
+        fit, layout = self._fit, self._fit.problem.layout
+        theta = fit.theta.copy()
+        lower, upper = layout.bounds()
+        for name, value in values.items():
+            k = layout.index.get(name, -1)
+            if k < 0:
+                raise UsageError(f"There is no parameter {name[:60]}.", "Reload the page.")
+            if not (np.isfinite(value) and lower[k] <= value <= upper[k]):
+                raise UsageError(f"{name} is outside its bounds.", f"They are {lower[k]:g} and {upper[k]:g}.")
+            theta[k] = value
+        predictions = fit.problem.predict(theta)
+        r, _ = fit.problem.residuals(predictions)
+        found = self._residuals(predictions[0].rows)
+        return {
+            "value": [v.tolist() for v in found],
+            "reduced_chi2": float(r @ r) / max(1, fit.problem.rows - len(theta)),
+            "rms": self._rms(found),
+        }
+
+    def _residuals(self, rows: Array) -> list[Array]:
+        return self._map(self._fit.problem.data[0].z - rows)
+
+    @cached_property
+    def _sigma(self) -> Array:
+        return self._fit.speed_residuals(0)[0].sigma
+
+    @property
+    def rms(self) -> float:
+        """The rms residual of the casing in units of the noise."""
+        return self._rms(self._residuals(self._fit.predictions[0].rows))
+
+    def _rms(self, values: Sequence[Array]) -> float:
+        known = self._sigma > 0
+        return float(np.sqrt(np.mean((values[0][known] / self._sigma[known]) ** 2)))
+
+    def with_candidate(self, candidate: Candidate, columns: CaseColumns) -> dict[str, Any]:
+        """Return the residual speeds that are predicted if a candidate is added, and its torque.
+
+        Where the search has refitted the candidate, both are those of its refit. Else the candidate's strength is that
+        of its score test, and the parameters of the base give way to it to first order; the torque is then not drawn.
+
+        Parameters
+        ----------
+        candidate : Candidate
+            One of a diagnosis of this fit.
+        columns : CaseColumns
+            Makes the columns of candidates of this fit.
+        """
+        fit = self._fit
+        if candidate.fit is not None:
+            from gyrotrack.plotting._study_data import added_torque
+
+            values = self._residuals(candidate.fit.predictions[0].rows)
+            torque = added_torque(candidate.effect.name, fit, candidate.fit, 0)
+            drawn = None
+            if torque is not None:
+                few = np.unique(np.linspace(0, len(torque.time) - 1, _DRAWN).astype(int))
+                names = ("time", "omega_c", "casing", "rotor")
+                drawn = {n: getattr(torque, n)[few].tolist() for n in names}
+            return {"value": [v.tolist() for v in values], "rms": self._rms(values), "torque": drawn}
+        values = self._residuals(fit.predictions[0].rows + self._absorbed(candidate, columns))
+        return {"value": [v.tolist() for v in values], "rms": self._rms(values), "torque": None}
+
+    def _absorbed(self, candidate: Candidate, columns: CaseColumns) -> Array:
+        """Return the change of the modelled rows by a candidate and by the parameters that give way to it."""
+        fit, screened = self._fit, candidate.screened
+        data, prediction, whitener = fit.problem.data[0], fit.predictions[0], fit.noise[0].whitener
+        shape = screened.shape[0] if screened.shape else {}
+        (trial,) = columns.trials(candidate.effect, [shape])
+        gained = trial.columns @ np.atleast_1d(screened.gamma)[: trial.columns.shape[1]]
+        moving = ~fit.problem.layout.at_bound(fit.theta)
+        free = np.concatenate([prediction.jacobian[:, moving], data.nuisance], axis=1)
+        size = np.linalg.norm(free, axis=0)
+        free = free[:, size > 0] / size[size > 0]
+        rest = data.z - prediction.rows - gained
+        change = free @ np.linalg.lstsq(whitener(free), whitener(rest), rcond=1e-10)[0]
+        return np.asarray(gained + change)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from fitting.inference._case_data import CaseData
     from fitting.inference._result import Fit
     from fitting.study._history import Ledger
-    from gyrotrack.apps.workbench._prediction import Prediction
+    from gyrotrack.apps.workbench._ranking import Prediction
     from gyrotrack.io._records import Case
 
 
@@ -151,7 +151,7 @@ class Session:
             return self.state()
 
     def _prediction(self) -> Prediction:
-        from gyrotrack.apps.workbench._prediction import Prediction
+        from gyrotrack.apps.workbench._ranking import Prediction
 
         step = self.steps[self.current]
         if step.prediction is None:
@@ -248,6 +248,11 @@ class Session:
         with self._lock:
             self._keep(self.current)
             return self.state()
+
+    def kept(self) -> str:
+        """Store the current model and its predecessors in the ledger, and return the name of its fit."""
+        with self._lock:
+            return self._keep(self.current)
 
     def _keep(self, place: int) -> str:
         step = self.steps[place]
@@ -381,7 +386,7 @@ class Session:
         from fitting.discovery._residuals import find_failures
         from fitting.discovery._select import Step as FitStep
         from gyrotrack.plotting._case_charts import case_dashboard, torque_angle_charts
-        from gyrotrack.plotting._study_data import case_view, intervals_of
+        from gyrotrack.plotting._study_data import case_view
         from gyrotrack.plotting._tracking import tracks_of
 
         compared = self._compared(step)
@@ -396,7 +401,7 @@ class Session:
         charts[3:3] = torque_angle_charts([s.fit for s in steps], names)
         board = dashboard_document(replace(dashboard, charts=tuple(charts)))
         failures = find_failures(step.fit, list(self._torques(step)))
-        board["intervals"] = [interval_document(i) for i in intervals_of(failures)]
+        board["intervals"] = [interval_document(i) for i in view.failing(failures, view.models[-1])]
         return board
 
     def _torques(self, step: Step) -> tuple[ResidualTorque, ...]:

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 
 from gyrotrack._errors import DatasetError
-from gyrotrack.io.readers._binary_tables import read_json, read_matlab, read_parquet, read_zip
 from gyrotrack.io.readers._motion_table import (
     EXPECTED,
     MotionTable,
@@ -22,12 +21,11 @@ from gyrotrack.io.readers._motion_table import (
     in_order,
     interpret,
 )
-from gyrotrack.io.readers._point_files import read_hdf5
-from gyrotrack.io.readers._point_tables import read_point_table
+from gyrotrack.io.readers._point_files import read_hdf5, read_project
 from gyrotrack.io.readers._points import Points, angle_of
 from gyrotrack.io.readers._pulses import counters_of, read_counter, read_pulses
 from gyrotrack.io.readers._raw_table import RawTable, content_lines, read_bytes, read_text
-from gyrotrack.io.readers._tracker_project import read_project
+from gyrotrack.io.readers._tables import read_json, read_matlab, read_parquet, read_point_table, read_zip
 
 Content = RawTable | Points
 

@@ -8,13 +8,14 @@ import pytest
 import twobody
 from scipy import stats
 
-from fitting.discovery._lack_of_fit import false_alarm_probability, periodogram_peak
+from fitting.discovery._lack_of_fit import periodogram_peak
 from fitting.discovery._verdict import diagnose
 from fitting.dynamics._model import Model
 from fitting.effects._library import REDUCED
 from fitting.effects._user import resolve
 from fitting.inference._fit import fit
 from fitting.inference._record import make_record
+from fitting.inference._spectral_lines import false_alarm_probability
 
 TORQUE, RATE, PHASE = 8e-7, 2.3, 0.7
 SHAKEN = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: TORQUE * math.cos(RATE * t + PHASE))
@@ -32,9 +33,9 @@ def shaken():
     return found(SHAKEN, 3)
 
 
-def test_a_swing_that_passes_for_a_random_torque_is_found(shaken):
-    assert shaken.verdict == "adequate"  # by a random torque several times as strong as the true one
-    assert shaken.noise[0].pure > 3 * NOISE
+def test_a_sinusoidal_torque_is_found_and_is_no_process_noise(shaken):
+    assert shaken.verdict == "misfit"
+    assert shaken.noise[0].pure == pytest.approx(NOISE, rel=0.5)
     line = periodogram_peak(shaken)
     assert line.p_value < 1e-6
     span = shaken.problem.data[0].record.span

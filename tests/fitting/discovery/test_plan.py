@@ -13,12 +13,11 @@ from scipy.stats import norm
 from fitting import Model, simulate
 from fitting._errors import EstimationError
 from fitting.discovery._criteria import DEFAULT
-from fitting.discovery._information import Information, Run, schur, simulated
+from fitting.discovery._information import Information, Run, rivals, schur, simulated
 from fitting.discovery._next_run import Bounds, next_run, separating_run
 from fitting.discovery._plan import plan
 from fitting.discovery._planned_recordings import read_planned
 from fitting.discovery._power import ActiveBounds, Search, delta_of_power, largest_hidden, upper_limit
-from fitting.discovery._rivals import rivals
 from fitting.dynamics._mesh import Sampler
 from fitting.effects._library import LIBRARY, REDUCED
 from fitting.inference._fit import fit
@@ -297,7 +296,7 @@ class TestNextRun:
 
 
 def rivals_of(info, a, b, strength):
-    from fitting.discovery._rivals import Rival
+    from fitting.discovery._information import Rival
 
     index = {e.name: i for i, (e, _) in enumerate(info.candidates)}
     return [Rival((n,), tuple(info.places(index[n])), np.array([strength])) for n in (a, b)]

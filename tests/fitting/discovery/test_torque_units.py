@@ -2,7 +2,32 @@
 
 import pytest
 
+from fitting._numbers import per_inertia
 from fitting.discovery._residuals import format_torque
+
+
+@pytest.mark.parametrize(
+    ("unit", "divided"),
+    [
+        ("N m", "rad/s2"),
+        ("N m s", "s-1"),
+        ("N m s2", "1"),
+        ("N m s1.5", "s-0.5"),
+        ("N m s-1", "rad/s3"),
+        ("N m s3", "s"),
+        ("N m s^g", "s^(g-2)"),
+        ("rad s-1", "rad s-1"),
+        ("1", "1"),
+    ],
+)
+def test_units_per_unit_of_inertia(unit, divided):
+    assert per_inertia(unit) == divided
+
+
+def test_torques_per_unit_of_inertia():
+    assert format_torque(-0.41, 0.02, "rad/s2") == "-0.41 +- 0.02 rad/s2"
+    assert format_torque(4.1e-3, unit="rad/s2") == "4.1 mrad/s2"
+    assert format_torque(4.1e-5, unit="rad/s2") == "41 urad/s2"
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import pytest
 
 from fitting._errors import ExpressionError
-from fitting.effects._dimension import dimension, format_unit, parse_unit
+from fitting.effects._effect import dimension, format_unit, parse_unit
 from fitting.effects._expression import parse
 
 UNITS = {

@@ -5,8 +5,7 @@ import re
 import pytest
 
 from fitting.dynamics._model import Model
-from fitting.effects._expression import parse
-from fitting.effects._latex import latex
+from fitting.effects._expression import latex, parse
 from fitting.effects._library import GENERAL, LIBRARY
 
 BACKTICKED = re.compile(

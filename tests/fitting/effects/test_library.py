@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
-from fitting.effects._dimension import parse_unit
+from fitting.effects._effect import parse_unit
 from fitting.effects._expression import Tape, derivative, parse, symbols
 from fitting.effects._library import GENERAL, LIBRARY, LINEAR, REDUCED, find
 

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from fitting._errors import EffectError, ExpressionError
-from fitting.effects._dimension import parse_unit
+from fitting.effects._effect import parse_unit
 from fitting.effects._library import find
 from fitting.effects._user import formula, read_effects, resolve
 

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from fitting.inference._velocity import hermite
+from fitting.inference._record import hermite
 
 
 def test_cubics_are_scipys():

@@ -6,7 +6,7 @@ import twobody
 from cases import data, fitted
 from scipy.optimize import least_squares
 
-from fitting._errors import EffectError
+from fitting._errors import EffectError, EstimationError
 from fitting.dynamics._model import Model
 from fitting.effects._library import GENERAL, REDUCED
 from fitting.inference._fit import fit
@@ -92,3 +92,20 @@ def test_what_is_not_determined_together_is_named():
     assert degenerate_directions(["d", "f", "b"], theta, 1e-6 * np.eye(3)) == []
     # one that is known badly by itself is no combination
     assert degenerate_directions(["d", "f", "b"], theta, np.diag([9.0, 1e-6, 1e-6])) == []
+
+
+def test_another_level_gives_another_width():
+    result = fitted(seed=0, ou=1e-7)
+    name = "touchpoint.constant.b1"
+    e, interval = result.estimates[name], result.conf_interval(name, level=0.6827)[name]
+    assert (interval.upper - interval.lower) / (2 * e.stderr) == pytest.approx(1.0, abs=0.03)
+    with pytest.raises(EstimationError, match="level"):
+        result.conf_interval(name, level=95)
+
+
+def test_an_estimate_tells_its_bounds_and_what_is_held():
+    result = fit(Model.of(REDUCED).with_fixed({"bearing.power.g": 1.32}), [data(seed=0, ou=1e-7)])
+    held, drag = result.estimates["bearing.power.g"], result.estimates["casing.air.linear.b2"]
+    assert not held.vary
+    assert drag.vary
+    assert (drag.min, drag.max) == (0.0, np.inf)

@@ -10,9 +10,8 @@ from scipy.optimize import least_squares
 from fitting._errors import EstimationError
 from fitting.dynamics._model import Model
 from fitting.effects._library import LINEAR, REDUCED
-from fitting.inference._fit import fit
+from fitting.inference._fit import cauchy, fit, huber, robust_fit
 from fitting.inference._record import make_record
-from fitting.inference._robust import cauchy, huber, robust_fit
 
 TRUTH = twobody.truth()
 

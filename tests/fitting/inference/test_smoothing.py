@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import median_filter
 
-from fitting.inference._record import Samples
-from fitting.inference._velocity import running_median, speeds
+from fitting.inference._record import Samples, running_median, speeds
 
 
 def run(n=2000, rate=260.0, noise=0.0, omega=40.0, fall=-2.0):

@@ -83,6 +83,25 @@ def test_figures_have_units_and_bands(story):
         figure.canvas.draw()
 
 
+def test_one_chart_is_drawn_into_given_axes(story):
+    from matplotlib.figure import Figure
+
+    base, diagnosis, ladder, _ = story
+    sheet = Figure()
+    axes = sheet.subplots(2, 2).ravel()
+    assert base.plot(axes[0]) is sheet
+    assert base.plot(axes[1], residual=True) is sheet
+    assert diagnosis.plot(axes[2]) is sheet
+    assert ladder.plot(axes[3]) is sheet
+    assert [a.get_ylabel() or a.get_xlabel() for a in axes] == [
+        r"$\omega_c$ [rad/s]",
+        r"$\omega_c$: residual [rad/s]",
+        "torque [N m]",
+        "rms residual of the casing [rad/s]",
+    ]
+    sheet.canvas.draw()
+
+
 def test_modelled_speed_and_its_error_hold_the_true_speed(story):
     from fitting.dynamics._mesh import Sampler
 

@@ -10,8 +10,7 @@ from fitting.effects._library import REDUCED
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 from fitting.inference._metrics import as_velocities, median_noise
-from fitting.inference._record import make_record
-from fitting.inference._velocity import running_median
+from fitting.inference._record import make_record, running_median
 from fitting.study._paper import _decay, curve_bias, prepared, with_generated_rotor
 
 

@@ -97,6 +97,28 @@ def test_command_on_a_table(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.slow
+def test_units_follow_the_inertia(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    t = np.arange(400) / 40
+    angle = 20 * t - 0.3 * t**2 + 0.002 * t**3 + np.random.default_rng(0).normal(0, 1e-3, len(t))
+    np.savetxt("wheel.csv", np.stack([t, angle], axis=1), delimiter=",", header="t,angle", comments="")
+    for inertia, unit, foreign in (([], "rad/s2", "N m"), (["--inertia", "1"], "N m", "rad/s2 rms")):
+        assert app.run(["spindown", "wheel.csv", "-o", "wheel.h5", "--force", *inertia]) in (0, 3)
+        texts = [capsys.readouterr().out]
+        for command in (["fit"], ["diagnose"], ["plan"], ["ladder"]):
+            app.run([command[0], "wheel.h5"])
+            texts.append(capsys.readouterr().out)
+        whole = "\n".join(texts)
+        assert unit in whole
+        assert foreign not in whole
+        assert "casing's" not in whole
+        page = Path("wheel.html").read_text(encoding="utf-8")
+        if not inertia:
+            assert "rad/s²" in page
+            assert "N m" not in page.replace("\u00a0", " ")
+
+
+@pytest.mark.slow
 def test_command_on_pulses(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     turns = np.arange(0, 60, 0.5)

@@ -10,7 +10,7 @@ import pytest
 
 from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack.apps.cli import _app as app
-from gyrotrack.io._export import columns, export_file, plain_cell
+from gyrotrack.io._contents import columns, export_file, plain_cell
 from gyrotrack.io._hdf5 import read_case, read_recording, write_case, write_recording
 
 pd = pytest.importorskip("pandas")
@@ -96,7 +96,7 @@ def test_no_word_becomes_a_formula(text, case, tmp_path):
 def test_the_notebook_runs(file, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(file.parent)
     blocks = re.findall(r"^```python\n(.*?)^```$", (DOCS / "how-to/notebook.md").read_text(), re.S | re.M)
-    assert len(blocks) == 3
+    assert len(blocks) == 4
     scope = {}
     for block in blocks:
         exec(compile(block, "notebook.md", "exec"), scope)  # noqa: S102 - our own page

@@ -9,9 +9,8 @@ import pytest
 from fitting._errors import RecordError
 from fitting.inference._case_file import read_record
 from gyrotrack._errors import DatasetError
-from gyrotrack.io._export import export_file
+from gyrotrack.io._contents import export_file, inspect_file
 from gyrotrack.io._hdf5 import read_case, write_case
-from gyrotrack.io._inspection import inspect_file
 
 SECRET = b"the secret of the neighbour's file " * 400
 

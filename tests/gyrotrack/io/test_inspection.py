@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from gyrotrack._errors import DatasetError
+from gyrotrack.io._contents import inspect_file
 from gyrotrack.io._hdf5 import write_case, write_recording
-from gyrotrack.io._inspection import inspect_file
 
 
 def test_recording_in_numbers(tmp_path, recording):

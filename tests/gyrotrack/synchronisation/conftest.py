@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from gyrotrack.io._records import BodyTrack, Recording
-from gyrotrack.synchronisation._curves import Curve
+from gyrotrack.synchronisation._matching import Curve
 
 TURN = 2 * np.pi
 

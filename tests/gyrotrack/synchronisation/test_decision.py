@@ -7,8 +7,8 @@ import pytest
 from scipy.signal import lfilter
 
 from gyrotrack._errors import SyncError
-from gyrotrack.synchronisation._curves import Curve
 from gyrotrack.synchronisation._decision import match_clips
+from gyrotrack.synchronisation._matching import Curve
 
 STARTS = (3.2, 44.1, 100.3)
 

@@ -1,6 +1,6 @@
 import numpy as np
 
-from gyrotrack.tracking._systematic_errors import KNOTS, closed_curve, curve_at, without_common_motion
+from gyrotrack.tracking._fusion import KNOTS, closed_curve, curve_at, without_common_motion
 
 
 def test_a_repeating_error_is_learnt():

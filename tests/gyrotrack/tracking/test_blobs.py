@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack.tracking._colour import find_blobs
+from gyrotrack.tracking._profile import find_blobs
 
 
 def test_blobs_have_their_centroids_and_come_strongest_first():

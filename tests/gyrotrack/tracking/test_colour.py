@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack.tracking._colour import chroma_direction, hue_score
+from gyrotrack.tracking._profile import chroma_direction, hue_score
 
 SHADES = {
     "red": [(200, 30, 30), (110, 15, 20), (230, 80, 30)],

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack.tracking._matching import flat_top, match, mean_profile, shifted
+from gyrotrack.tracking._marker_tracker import flat_top, match, mean_profile, shifted
 
 M = 61
 

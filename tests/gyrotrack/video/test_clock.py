@@ -7,7 +7,7 @@ import pytest
 
 from gyrotrack._errors import VideoError
 from gyrotrack.video._container import ClipInfo
-from gyrotrack.video._timestamps import capture_rate, frame_numbers, gap_warnings, stamp_warnings
+from gyrotrack.video._time_base import capture_rate, frame_numbers, gap_warnings, stamp_warnings
 
 INFO = ClipInfo(Path("a.mp4"), 640, 360, 260.0, 100, None, "h264", "yuv420p", Fraction(1, 90000))
 

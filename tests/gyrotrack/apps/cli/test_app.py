@@ -14,7 +14,7 @@ import pytest
 import gyrotrack
 from gyrotrack._errors import DatasetError
 from gyrotrack.apps.cli import _app as app
-from gyrotrack.apps.cli import _lazy as lazy
+from gyrotrack.apps.cli import _settings as lazy
 from gyrotrack.apps.cli._output import Output
 
 
@@ -26,7 +26,7 @@ def failing(monkeypatch):
         def raise_it(*args, **kwargs):
             raise error
 
-        monkeypatch.setattr("gyrotrack.io._inspection.inspect_file", raise_it)
+        monkeypatch.setattr("gyrotrack.io._contents.inspect_file", raise_it)
 
     return make
 

@@ -9,7 +9,7 @@ import pytest
 from gyrotrack._versions import __version__ as gyrotrack_version
 from gyrotrack.apps.cli import _app as app
 from gyrotrack.apps.cli import _settings as settings
-from gyrotrack.apps.cli._lazy import load
+from gyrotrack.apps.cli._settings import load
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from gyrotrack.apps.cli._app import COMMANDS
-from gyrotrack.apps.cli._lazy import function_of
+from gyrotrack.apps.cli._settings import function_of
 
 CLIPS = Path(__file__).parents[4] / "sample_clips"
 LONG = {

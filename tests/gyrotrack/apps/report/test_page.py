@@ -85,7 +85,7 @@ def test_boards_carry_every_plot_against_time(page, story):
         "normalised", "energy",
     ]  # fmt: skip
     assert all(c["finding"] and c["unit"] for c in board["charts"])
-    assert len(board["intervals"]) == len(story.diagnosis.failures) >= 1
+    assert len(board["intervals"]) >= len(story.diagnosis.failures) >= 1
     for chart in board["charts"]:
         # laws of candidates, which go far outside the windows, have no influence on the scale
         assert {t["label"] for t in chart["traces"] if t["scale"] == "none"}.isdisjoint(

@@ -91,3 +91,17 @@ def test_damage_is_no_error(study):
 
 def test_a_ledger_is_plain_json(study):
     json.loads(study.ledger.path.read_text(), parse_constant=never)
+
+
+def test_shading_covers_every_point_of_a_run_that_leaves_the_band(study):
+    rungs = study.steps_to(None)
+    view = gather(rungs, study.diagnosis(None, rungs[0].fit)).cases[0]
+    residual, band = view.models[0].casing_residual, view.models[-1].casing_residual.sigma
+    far = np.abs(residual.value) > 5 * band
+    shaded = np.zeros(len(far), dtype=bool)
+    for i in view.intervals:
+        if i.body == "casing":
+            shaded |= (residual.time >= i.start) & (residual.time <= i.stop)
+    assert far.sum() > 10
+    assert shaded[far].all()
+    assert not [i for i in view.failing((), view.models[-1]) if i.body == "casing"]

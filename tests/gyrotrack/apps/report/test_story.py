@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from gyrotrack._errors import OutputError
-from gyrotrack.apps.report._story import story_picture
+from gyrotrack.plotting._discovery import story_picture
 
 
 @pytest.mark.slow

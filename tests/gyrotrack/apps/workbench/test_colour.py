@@ -4,8 +4,7 @@ import pytest
 
 from gyrotrack._errors import ProfileError
 from gyrotrack.apps.workbench._films import profile_text
-from gyrotrack.tracking._colour import colour_name
-from gyrotrack.tracking._profile import load
+from gyrotrack.tracking._profile import colour_name, load
 
 
 @pytest.mark.parametrize(

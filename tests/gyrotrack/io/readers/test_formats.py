@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gyrotrack._errors import DatasetError, UsageError
-from gyrotrack.io._export import export_file
+from gyrotrack.io._contents import export_file
 from gyrotrack.io._hdf5 import write_case
 from gyrotrack.io.readers._import_case import import_body, import_case
 from gyrotrack.io.readers._motion_table import ReadOptions, read_names, resolution

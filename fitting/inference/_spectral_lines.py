@@ -1,0 +1,155 @@
+"""Spectral lines of a recording: sinusoidal torques of a single frequency, which are no noise.
+
+A fan, a vibrating table or a mains hum shakes the casing at one frequency. Process noise has a continuous spectrum; a
+line in it is a torque that some effect has to explain, and counts neither as process noise nor as correlated angle
+noise. Where it is, the angle contains
+
+    a cos(w t) + b sin(w t)
+
+over the whole record. The rows beyond the polynomials of each stretch (`fitting.inference._recording_noise`), whitened
+by the process noise of the stretch itself, are compared with these two columns at every frequency of at least ten
+periods a record; the deviance is minimised over the level of the process noise with and without them. Noise reaches a
+chi-square 2 z of two degrees of freedom anywhere in a band of width f with probability
+
+    p = W sqrt(z) exp(-z),   W = f sqrt(4 pi var t)
+
+(R. Baluev, Mon. Not. R. Astron. Soc. 385, 1279 (2008), eq. 6). A kink or a jump has no line, but a broad spectrum in
+one stretch: a line remains significant whichever stretch is left out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.inference._compression import Compressed
+from fitting.inference._recording_noise import Stretch, binned_operators, stretches_of
+
+Array = NDArray[np.float64]
+
+_FEWEST_PERIODS = 10
+# trial frequencies per peak, and of the finer search about the highest one
+_PER_PEAK = 2
+_FINER = 16
+# highest frequency: radians per row
+_FASTEST = 2.5
+# p-value of a line, as of a test that contradicts an adequate fit
+_SIGNIFICANT = 1e-3
+_MOST = 4
+# share of its rows that a line must keep beyond the polynomials
+_RETAINED = 0.05
+_TINY = 1e-6
+# of the process noise most likely without a line, which contains the line
+_SHARES = (1.0, 0.5, 0.25, 0.12, 0.06)
+
+
+def false_alarm_probability(chi2: float, band: float, span: float) -> float:
+    """Return the probability that noise reaches a chi-square of two degrees of freedom anywhere in a band.
+
+    Parameters
+    ----------
+    chi2 : float
+        The largest one.
+    band : float
+        Width of the band [Hz].
+    span : float
+        Length of the record [s], evenly covered.
+    """
+    z = 0.5 * chi2
+    independent = band * span * math.sqrt(4 * math.pi / 12)
+    return min(1.0, math.exp(-z) * (1 + independent * math.sqrt(z)))
+
+
+class SpectralLine(NamedTuple):
+    """Angular frequency [rad/s] and amplitude of a line, in units of the samples (rad, or rad/s)."""
+
+    rate: float
+    amplitude: float
+
+
+def spectral_lines(run: Compressed, nuisance: Array) -> tuple[SpectralLine, ...]:
+    """Return the lines of a run, the strongest first.
+
+    Parameters
+    ----------
+    run : Compressed
+        Projected angles or speeds.
+    nuisance : ndarray, shape (rows, columns)
+        Polynomial rows of the functions that are free in every fit.
+    """
+    found: list[SpectralLine] = []
+    while len(found) < _MOST:
+        free = np.concatenate([nuisance, line_rows(run, [line.rate for line in found])], axis=1)
+        line = _strongest(run, stretches_of(run, free))
+        if line is None:
+            break
+        found.append(line)
+    return tuple(found)
+
+
+def line_rows(run: Compressed, rates: Sequence[float] | Array) -> Array:
+    """Return the polynomial rows of the cosine and the sine of each line, shape (rows, 2 lines)."""
+    if not len(rates):
+        return np.zeros((len(run.z), 0))
+    start, rates = run.samples.time[0], np.asarray(rates)
+    parts = []
+    for middle, operator in binned_operators(run):
+        phase = np.outer(middle - start, rates)
+        parts.append(operator @ np.concatenate([np.cos(phase), np.sin(phase)], axis=1))
+    return np.concatenate(parts)
+
+
+def _strongest(run: Compressed, stretches: Sequence[Stretch]) -> SpectralLine | None:
+    """Return the most significant line; None if there is none."""
+    span = float(np.ptp(run.samples.time))
+    lowest, highest = 2 * np.pi * _FEWEST_PERIODS / span, _FASTEST * len(run.z) / span
+    step = 2 * np.pi / span / _PER_PEAK
+    if highest <= lowest:
+        return None
+    block = span / len(run.lift)
+    noises = [s.own_whiteners((0.03 * block, 0.3 * block, block), _SHARES) for s in stretches]
+
+    def left_out(parts: Array) -> Array:
+        """Return the sums over all stretches but one, for each of them."""
+        return parts if len(parts) == 1 else parts.sum(axis=0) - parts
+
+    deviance = left_out(np.array([[d for _, d in noise] for noise in noises]))
+    deviance -= deviance.min(axis=1, keepdims=True)
+
+    def gain(rates: Array) -> Array:
+        """Return the fall of the deviance at each frequency, the smallest over the stretches that are left out."""
+        rows = line_rows(run, rates)
+        sums: list[list[list[Array]]] = [[[] for _ in _SHARES] for _ in range(5)]
+        for s, noise in zip(stretches, noises, strict=True):
+            outside = s.beyond(rows[s.rows])
+            outside *= np.linalg.norm(outside, axis=0) > _RETAINED * np.linalg.norm(rows[s.rows], axis=0)
+            for i, (w, _) in enumerate(noise):
+                c, d = np.split(w @ outside, 2, axis=1)
+                seen = w @ s.seen
+                products = (np.sum(c * c, 0), np.sum(d * d, 0), np.sum(c * d, 0), c.T @ seen, d.T @ seen)
+                for total, product in zip(sums, products, strict=True):
+                    total[i].append(product)
+        # (stretches, shares, frequencies)
+        cc, dd, cd, cr, dr = (left_out(np.swapaxes(np.array(total), 0, 1)) for total in sums)
+        area = cc * dd - cd**2
+        known = area > _TINY * cc * dd
+        chi2 = (dd * cr**2 - 2 * cd * cr * dr + cc * dr**2) / np.where(known, area, 1.0)
+        falls = np.where(known, chi2, 0.0) - deviance[:, :, None]
+        return np.asarray(falls.max(axis=1).min(axis=0))
+
+    coarse = np.arange(lowest, highest, step)
+    peak = float(coarse[int(np.argmax(gain(coarse)))])
+    fine = np.linspace(peak - step, peak + step, 2 * _FINER + 1)
+    least = gain(fine)
+    top = int(np.argmax(least))
+    p_value = false_alarm_probability(float(least[top]), (highest - lowest) / (2 * np.pi), span)
+    if p_value >= _SIGNIFICANT:
+        return None
+    rows = line_rows(run, fine[[top]])
+    white = np.concatenate([n[0][0] @ s.beyond(rows[s.rows]) for s, n in zip(stretches, noises, strict=True)])
+    seen = np.concatenate([n[0][0] @ s.seen for s, n in zip(stretches, noises, strict=True)])
+    return SpectralLine(float(fine[top]), float(np.hypot(*np.linalg.lstsq(white, seen, rcond=None)[0])))

@@ -1,0 +1,442 @@
+"""Commands that go beyond one fit: laws, plan, compare."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from gyrotrack._errors import UsageError
+from gyrotrack.apps._study import open_study
+from gyrotrack.apps.cli._options import (
+    CaseFiles,
+    EffectsFile,
+    Force,
+    From,
+    Json,
+    LedgerFile,
+    Quiet,
+    own_effects,
+)
+from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output
+
+if TYPE_CHECKING:
+    from fitting.discovery._dependence import Dependence
+    from fitting.discovery._laws import Law, Laws
+    from fitting.discovery._next_run import Bounds
+    from fitting.discovery._plan import Plan
+    from fitting.discovery._power import EffectLimits
+    from fitting.study._comparison import Comparison
+
+_SHOWN = 8
+_LEAST_P = 1e-300
+
+
+def laws_command(
+    cases: CaseFiles,
+    *,
+    beyond_library: Annotated[
+        bool,
+        typer.Option("--beyond-library", help="Search also where an effect of the library is the answer."),
+    ] = False,
+    save_law: Annotated[
+        tuple[str, Path] | None,
+        typer.Option(
+            "--save-law", metavar="NAME FILE", help="Keep a law under a name in a TOML file of effects."
+        ),
+    ] = None,
+    law: Annotated[
+        int, typer.Option("--law", metavar="N", min=1, help="Law of the table that --save-law keeps.")
+    ] = 1,
+    picture: Annotated[
+        Path | None,
+        typer.Option("--picture", metavar="FILE", help="Draw the answer: .png, .svg or .pdf."),
+    ] = None,
+    effects: EffectsFile = None,
+    start: From = None,
+    ledger: LedgerFile = None,
+    force: Force = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Find the law of an unmodelled torque: on what it depends, and which formulas describe it.
+
+    Several cases are searched jointly. Formulas are built from a grammar, fitted, and ranked; the answer is the set of
+    all formulas that the data cannot separate. An effect of the library that explains the data comes first.
+
+    Example: gyrotrack laws case1.h5 case2.h5 --save-law lab.saturation my_lab.toml
+    """
+    from fitting._workers import WorkerPool
+    from fitting.discovery._laws import laws
+    from fitting.discovery._verdict import diagnose
+    from fitting.study._law_documents import check_name, laws_document
+    from fitting.study._law_documents import save_law as save
+    from gyrotrack.io._atomic import refuse_existing
+
+    out = Output(as_json=as_json, quiet=quiet)
+    if picture is not None:
+        _format(picture)
+        refuse_existing(picture, force=force)
+    if save_law is not None:
+        check_name(*save_law)
+    study = open_study(cases, ledger)
+    with WorkerPool() as workers, out.progress("searching for laws") as progress:
+        progress(0, None)
+        fit, fit_id = study.base(start)
+        own = own_effects(effects)
+        entry = study.entry(fit_id)
+        diagnosis = entry.diagnosis(fit, own) if entry is not None else None
+        if diagnosis is None:
+            diagnosis = diagnose(fit, own, workers=workers)
+            study.keep_diagnosis(fit_id, diagnosis, own)
+        found = laws(
+            fit, diagnosis=diagnosis, beyond_library=beyond_library, workers=workers, progress=progress
+        )
+    document = laws_document(found, fit_id)
+    if picture is not None:
+        from gyrotrack.plotting._results import write_laws_picture
+
+        write_laws_picture(found, picture, force=force)
+    if save_law is not None:
+        name, path = save_law
+        if law > len(found.laws):
+            many = f"there are {len(found.laws)}" if found.laws else "no law was found"
+            raise UsageError(
+                f"There is no law number {law} to keep: {many}.", "Choose one of the table with --law N."
+            )
+        labels = ", ".join(fit.labels)
+        save(found.laws[law - 1], name, path, f"gyrotrack laws on {labels} (fit {fit_id})")
+    out.result(document)
+    out.show(laws_comparison_table(found, fit_id))
+    if save_law is not None:
+        out.show(
+            f"kept: {save_law[0]} in {save_law[1]}; add it with --effects {save_law[1]} --add {save_law[0]}"
+        )
+    if picture is not None:
+        out.show(f"written: {picture}")
+
+
+def _format(picture: Path) -> None:
+    if picture.suffix.lower() not in {".png", ".svg", ".pdf"}:
+        raise UsageError(
+            f"{picture} is not the name of a picture.", "Use a name that ends in .png, .svg or .pdf."
+        )
+
+
+def laws_comparison_table(found: Laws, fit_id: str) -> str:
+    """Return the answer as text: sentence, what the torque depends on, the set of laws, where they differ.
+
+    Parameters
+    ----------
+    found : Laws
+        The answer.
+    fit_id : str
+        Name of the base.
+    """
+    lines = [*textwrap.wrap(found.sentence, 79), "", f"fit {fit_id}, verdict: {found.verdict}"]
+    lines += _dependences(found.depends_on)
+    torques = found.torques
+    letters = {x.formula: chr(ord("a") + i % 26) for i, group in enumerate(torques) for x in group}
+    unit, body = found.fit.torque_unit, found.fit.problem.data[0].record.body
+    if found.laws:
+        lines += ["", f"laws ({found.trials} columns tried); a letter: the data cannot separate them,"]
+        lines.append("the same letter: the same torque along the recorded motion")
+        lines.append(f"   {'':<3}{'dBIC':>10}{'rank':>8}{'p':>9}{'torque':>12}")
+        for number, x in enumerate(found.laws[:_SHOWN], 1):
+            lines += _law(number, x, found.laws[0], letters.get(x.formula, " "))
+    if len(torques) > 1:
+        best = torques[0][0]
+        firsts = {group[0].formula for group in torques[1:]}
+        lines += ["", f"where they differ from {best.formula}:"]
+        for d in (d for d in best.differences if d.formula in firsts):
+            lines.append(f"  {d.formula}")
+            lines.append(
+                f"      at most {d.torque_Nm:.1g} {unit} in {d.label}, {d.t_start:.0f} s to {d.t_stop:.0f} s, {body} "
+                f"{d.omega_c[0]:.0f} to {d.omega_c[1]:.0f} rad/s"
+            )
+    if found.next_experiment:
+        lines += ["", *textwrap.wrap(f"next experiment: {found.next_experiment}", 79)]
+    return "\n".join(lines)
+
+
+def _dependences(depends_on: tuple[Dependence, ...]) -> list[str]:
+    lines = ["", "the unmodelled torque as a smooth function of:"]
+    lines.append(f"  {'variable':<20}{'torque':<10}{'explains':>9}{'p':>9}")
+    for d in depends_on[:_SHOWN]:
+        share = f"{100 * d.explained:.1f} %"
+        lines.append(f"  {d.variable.replace('*', ', '):<20}{d.body:<10}{share:>9}{_p(d.p_value):>9}")
+    return lines
+
+
+def _law(number: int, x: Law, best: Law, letter: str) -> list[str]:
+    from fitting._numbers import rounded
+
+    worse = x.penalised - best.penalised
+    lines = [f"{letter} {number:>2} {x.formula}  ({x.form})"]
+    lines.append(
+        f"   {'':<3}{x.delta_bic:>10.1f}{'best' if worse == 0 else f'+{worse:.1f}':>8}{_p(x.p_value):>9}"
+        f"{x.torque_rms_Nm:>8.2g} {x.fit.torque_unit}"
+    )
+    values = [
+        f"{k.rpartition('.')[2]} = {rounded(e.value, e.stderr, e.unit)}" for k, e in x.estimates.items()
+    ]
+    return lines + textwrap.wrap(", ".join(values), 79, initial_indent="      ", subsequent_indent="      ")
+
+
+def _p(p: float) -> str:
+    return "<1e-300" if p < _LEAST_P else f"{p:.1g}"
+
+
+_WIDTH = 100
+_PAIRS = ("omega_rotor", "omega_casing", "duration", "inertia_casing", "touchpoint")
+
+
+def plan_command(
+    recordings: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="CASE.h5...|PLAN.toml",
+            help="Case files, made by `sync` or `import`; or a description of recordings to be made.",
+        ),
+    ],
+    *,
+    size: Annotated[
+        float | None,
+        typer.Option(
+            "--size",
+            metavar="T",
+            help="Size of an effect, an rms torque in N m, for power and runs needed; "
+            "by default 1 % of the rms bearing torque.",
+        ),
+    ] = None,
+    bound: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--bound",
+            metavar="KEY=LOW,HIGH",
+            help="Possible runs: omega_rotor, omega_casing (rad/s), duration (s), inertia_casing, touchpoint (ratios), "
+            "as --bound omega_casing=0,60.",
+        ),
+    ] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option("--picture", metavar="FILE", help="Also draw limits, power and the run (.png, .svg)."),
+    ] = None,
+    effects: EffectsFile = None,
+    start: From = None,
+    ledger: LedgerFile = None,
+    force: Force = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> int:
+    """Compute detection and upper limit of every effect, the runs needed, and the best next run.
+
+    A description of recordings is a TOML file; the guide plan-an-experiment has one.
+
+    Example: gyrotrack plan case1.h5 case2.h5 --picture plan.png
+    """
+    from fitting.discovery._next_run import Bounds
+    from fitting.discovery._plan import plan
+    from fitting.study._serialisation import plan_document
+    from gyrotrack.io._atomic import refuse_existing, refuse_special
+
+    described = [p for p in recordings if p.suffix.lower() == ".toml"]
+    if described and len(recordings) > 1:
+        raise UsageError("A description stands alone.", "Give one PLAN.toml, or case files.")
+    if described and (start is not None or ledger is not None):
+        raise UsageError(
+            "--from and --ledger belong to case files; a description has no fits.", "Leave them out."
+        )
+    if size is not None and not (0 < size < math.inf):
+        raise UsageError(f"--size {size:g} is no torque.", "Give a positive rms torque in N m: --size 1e-6.")
+    changes = _bounds(bound or ())
+    if picture is not None:
+        if picture.suffix.lower() not in {".png", ".svg"}:
+            raise UsageError(f"Unknown picture format: {picture}.", "Use a name that ends in .png or .svg.")
+        refuse_existing(picture, force=force)
+    out = Output(as_json=as_json, quiet=quiet)
+    own = own_effects(effects)
+    with out.progress("planning") as progress:
+        progress(0, None)
+        if described:
+            from fitting.discovery._planned_recordings import read_planned
+
+            refuse_special(described[0])
+            usual: Bounds | None = read_planned(described[0]).bounds if changes else None
+            subject: Any = described[0]
+        else:
+            fit, _ = open_study(recordings, ledger).base(start)
+            usual, subject = (Bounds.of(fit) if changes else None), fit
+        bounds = replace(usual, **changes) if usual is not None else None
+        found = plan(subject, own, size=size, bounds=bounds, progress=progress)
+    if picture is not None:
+        from gyrotrack.plotting._results import write_plan_picture
+
+        write_plan_picture(found, picture, force=force)
+    out.result(plan_document(found) | ({"picture": picture} if picture is not None else {}))
+    out.show(plan_comparison_table(found), *([f"written: {picture}"] if picture is not None else []))
+    return DONE if found.fit.converged else NOT_TRUSTED
+
+
+def _bounds(given: Sequence[str]) -> dict[str, Any]:
+    """Read ``omega_casing=-60,60``."""
+    found: dict[str, Any] = {}
+    for text in given:
+        key, _, pair = text.partition("=")
+        words = pair.split(",")
+        try:
+            low, high = (float(w) for w in words)
+        except ValueError:
+            low, high = math.nan, math.nan
+        if key not in _PAIRS:
+            raise UsageError(
+                f"--bound {text[:40]!r}: unknown quantity.", f"It is one of: {', '.join(_PAIRS)}."
+            )
+        if not -math.inf < low <= high < math.inf:
+            raise UsageError(
+                f"--bound {text[:40]!r} is no pair of numbers.", "Write --bound omega_casing=-60,60."
+            )
+        if key in {"duration", "inertia_casing", "touchpoint"} and low <= 0:
+            raise UsageError(f"--bound {text[:40]!r} is not positive.", "Write --bound duration=100,400.")
+        found[key] = (low, high)
+    return found
+
+
+def plan_comparison_table(found: Plan) -> str:
+    """Return a plan as lines: limits of every effect, classes, the next run."""
+    runs, unit = len(found.fit.labels), found.fit.torque_unit
+    of = "the planned recording" if found.planned else "the recording"
+    lines = []
+    if found.warning:
+        lines += [*textwrap.wrap(f"warning: {found.warning}", _WIDTH), ""]
+    lines += textwrap.wrap(
+        f"What {of}{'s' if runs > 1 else ''} ({', '.join(found.fit.labels)}) can show: detection limit (power 90 % at "
+        f"the false-alarm rate of the search) and upper limit (95 %{', expected' if found.planned else ''}), as rms "
+        f"torques along the motion; power and number of runs for an effect of {found.size:.2g} {unit}.",
+        _WIDTH,
+    )
+    lines += [
+        "",
+        f"  {'effect':<28}{'detection limit':>18}{f'{unit} rms':>12}{'upper limit':>13}{'power':>8}{'runs':>8}",
+    ]
+    lines += [_row(e) for e in found.effects]
+    if any(not e.effect.mechanical for e in found.effects):
+        lines.append("  * effect of the measurement, not physics: no torque")
+    if any(math.isnan(e.upper_limit) for e in found.effects):
+        lines.append("  'found': significant in these recordings, no upper limit; run `gyrotrack diagnose`")
+    absorbed = [e.effect.name for e in found.effects if e.absorbed]
+    if absorbed:
+        lines += textwrap.wrap(
+            f"absorbed by the model, no limit: {', '.join(absorbed)}",
+            _WIDTH,
+            initial_indent="  ",
+            subsequent_indent="    ",
+        )
+    if found.classes:
+        lines += ["", "indistinguishable near these limits:"]
+        for c in found.classes:
+            lines += textwrap.wrap(", ".join(c), _WIDTH, initial_indent="  ", subsequent_indent="    ")
+    if found.next_run is not None:
+        lines += ["", *textwrap.wrap(f"next run: {found.next_run.sentence}", _WIDTH)]
+        lines += textwrap.wrap(_possible(found.next_run.bounds), _WIDTH)
+    return "\n".join(lines)
+
+
+def _row(e: EffectLimits) -> str:
+    star = "" if e.effect.mechanical else " *"
+    if e.absorbed:
+        return f"  {e.effect.name + star:<28}{'-':>18}{'-':>12}{'-':>13}{'-':>8}{'-':>8}"
+    limit = f"{e.strength} = {e.detection_limit:.2g}"
+    torque = f"{e.detection_torque:.1e}" if math.isfinite(e.detection_torque) else "-"
+    upper = "found" if math.isnan(e.upper_limit) else f"{e.upper_torque:.1e}" if e.effect.mechanical else "-"
+    power = f"{100 * e.power:.0f} %" if math.isfinite(e.power) else "-"
+    runs = (
+        "-"
+        if math.isnan(e.runs_needed)
+        else ">10000"
+        if math.isinf(e.runs_needed)
+        else f"{e.runs_needed:.0f}"
+    )
+    return f"  {e.effect.name + star:<28}{limit:>18}{torque:>12}{upper:>13}{power:>8}{runs:>8}"
+
+
+def _possible(b: Bounds) -> str:
+    """Return the bounds of the proposed run in words."""
+    parts = []
+    if b.omega_rotor[1] > 0:
+        parts.append(
+            f"rotor {b.omega_rotor[0]:.0f} to {b.omega_rotor[1]:.0f} rad/s"
+            + (" in either sense" if b.reversible else "")
+        )
+    parts.append(f"casing {b.omega_casing[0]:.0f} to {b.omega_casing[1]:.0f} rad/s")
+    parts.append(f"duration {b.duration[0]:.0f} to {b.duration[1]:.0f} s")
+    if b.inertia_casing[1] > 1:
+        parts.append(f"inertia of the casing up to {b.inertia_casing[1]:g} times the present one")
+    if b.touchpoint[0] != 1 or b.touchpoint[1] != 1:
+        parts.append(
+            f"friction at the touch point {b.touchpoint[0]:.2g} to {b.touchpoint[1]:.2g} times the present one"
+        )
+    return f"Taken as possible: {', '.join(parts)} (change with --bound)."
+
+
+def compare_command(
+    runs: Annotated[
+        list[Path],
+        typer.Argument(metavar="A B...", help="Cases (.h5) that have been fitted, or ledgers (.fits.json)."),
+    ],
+    *,
+    picture: Annotated[
+        Path | None, typer.Option("--picture", metavar="FILE", help="Draw the result: .png, .svg or .pdf.")
+    ] = None,
+    force: Force = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Compare the latest fits of runs: which parameters and effects differ, and by how many standard uncertainties.
+
+    Of three runs and more, each parameter has a mean and a spread between the runs (random effects). Runs are taken
+    as independent.
+
+    Example: gyrotrack compare left.h5 right.h5 --picture difference.png
+    """
+    from fitting.study._comparison import compare
+    from gyrotrack.apps._study import latest_fits
+    from gyrotrack.io._atomic import refuse_existing
+
+    out = Output(as_json=as_json, quiet=quiet)
+    if len(runs) < 2:
+        raise UsageError("A comparison needs two runs at least.", "Name two cases that have been fitted.")
+    if picture is not None:
+        if picture.suffix.lower() not in {".png", ".svg", ".pdf"}:
+            raise UsageError(
+                f"{picture} is not the name of a picture.", "Use a name that ends in .png, .svg or .pdf."
+            )
+        refuse_existing(picture, force=force)
+    found = compare(latest_fits(runs))
+    if picture is not None:
+        from gyrotrack.plotting._results import write_comparison_picture
+
+        write_comparison_picture(found, picture, force=force)
+    out.result(found.document())
+    out.show(_comparison_table(found))
+    if picture is not None:
+        out.show(f"written: {picture}")
+
+
+def _comparison_table(found: Comparison) -> str:
+    from fitting._numbers import probability, rounded
+
+    lines = []
+    for p in found.parameters:
+        size = f", {p.difference_sigma:+.1f} sigma" if p.difference_sigma is not None else ""
+        lines.append(f"{p.name}  (p {probability(p.p_value)}{size})")
+        width = max(len(r.run) for r in p.repeats)
+        lines += [f"  {r.run:<{width}}  {rounded(r.value, r.stderr, p.unit)}" for r in p.repeats]
+        spread = f"spread {p.spread:.2g} ({p.spread_interval[0]:.2g} to {p.spread_interval[1]:.2g}) {p.unit}"
+        lines.append(f"  {'mean':<{width}}  {rounded(p.mean, p.mean_u, p.unit)}, {spread}")
+    return "\n".join([*lines, *([""] if lines else []), *found.sentences])

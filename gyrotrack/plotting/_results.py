@@ -1,0 +1,391 @@
+"""The pictures of `laws`, `plan` and `compare`.
+
+`laws`: the unmodelled torque against its variable with the laws, shares, ranking. `plan`: detection limits, upper
+limits, power curves, the proposed run. `compare`: each parameter in each run, as a difference from the mean.
+"""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fitting._numbers import probability, scaled, unit_text
+from gyrotrack.io._atomic import new_file
+from gyrotrack.plotting._style import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PALE,
+    PURPLE,
+    SKY,
+    VERMILLION,
+    WIDTH,
+    Picture,
+    canvas,
+    legend,
+    markup,
+    plain,
+    style,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from fitting.discovery._dependence import Dependence
+    from fitting.discovery._laws import Law, Laws
+    from fitting.discovery._next_run import NextRun
+    from fitting.discovery._plan import Plan
+    from fitting.discovery._power import EffectLimits
+    from fitting.study._comparison import Comparison
+
+_COLOURS = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE)
+_DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (2, 1.5)), (0, (5, 1.5, 1, 1.5)), (0, (1, 1)))
+_MOST = 8
+_AXES = {
+    "omega_c": "angular rate of the casing [rad/s]",
+    "omega_r": "angular rate of the rotor [rad/s]",
+    "delta": "angular rate of the bearing [rad/s]",
+    "t": "time [s]",
+    "psi_c": "angle of the casing [rad]",
+    "psi_r": "angle of the rotor [rad]",
+}
+_NAMES = {
+    "omega_c": "ω casing",
+    "omega_r": "ω rotor",
+    "delta": "ω bearing",
+    "t": "time",
+    "psi_c": "ψ casing",
+    "psi_r": "ψ rotor",
+}
+
+
+def laws_picture(found: Laws, name: str = "laws") -> Picture:
+    """Draw the answer of `laws`.
+
+    Parameters
+    ----------
+    found : Laws
+        The answer.
+    name : str
+        Identifier, unique on a page.
+    """
+    with style():
+        return Picture(name, markup(_figure(found), name, found.sentence), _caption(found), found.sentence)
+
+
+def write_laws_picture(found: Laws, path: Path, *, force: bool = False) -> None:
+    """Write the same as a file: PNG, SVG or PDF, by its suffix."""
+    kind = path.suffix.lower().lstrip(".")
+    with style(), new_file(path, force=force) as stream:
+        metadata: dict[str, Any] = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
+        _figure(found).savefig(stream, format=kind, dpi=150, metadata=metadata)
+
+
+def _caption(found: Laws) -> str:
+    text = (
+        "Above: the unmodelled torque as a smooth function of one variable, the same in all cases, with a band of two "
+        "standard uncertainties, less what the base model can represent itself. Below: the share of the lack of fit "
+        "that a function of each variable explains"
+    )
+    return text + (", and the laws by BIC and description length." if found.laws else ".")
+
+
+def _shown(found: Laws) -> Dependence | None:
+    """Return the curve to draw: that of the best law's variable, else the most significant one."""
+    curves = [d for d in found.depends_on if len(d.value)]
+    if found.laws:
+        effect = found.laws[0].effects[0]
+        own = [d for d in curves if d.body == effect.joint and d.variable in effect.law]
+        curves = own or [d for d in curves if d.body == effect.joint] or curves
+    return curves[0] if curves else None
+
+
+def _figure(found: Laws) -> Figure:
+    figure = canvas(WIDTH, 7.4)
+    parts: Any = figure.subfigures(2, 1, height_ratios=(1.25, 1.0))
+    above, below = parts
+    curve = _shown(found)
+    if curve is not None:
+        _draw_curve(above.subplots(), found, curve)
+    axes: Any = below.subplots(1, 2 if found.laws else 1, squeeze=False)[0]
+    _draw_shares(axes[0], found)
+    if found.laws:
+        _draw_ranking(axes[1], found)
+    return figure
+
+
+def _draw_curve(ax: Axes, found: Laws, d: Dependence) -> None:
+    drawn = [(x, _law_curve(x, d)) for x in found.answer[: len(_COLOURS)]]
+    size = max(float(np.abs(d.torque).max()), 1e-300)
+    factor, prefix = scaled(size)
+    band = np.minimum(2 * d.sigma, 3 * size)
+    ax.fill_between(
+        d.value, factor * (d.torque - band), factor * (d.torque + band), color=PALE, linewidth=0,
+        label="unmodelled torque ± 2 u",
+    )  # fmt: skip
+    ax.plot(d.value, factor * d.torque, color=GREY, linewidth=4.0, alpha=0.6)
+    for (law, values), colour, dash in zip(drawn, _COLOURS, _DASHES, strict=False):
+        if values is not None:
+            ax.plot(
+                d.value, factor * values, color=colour, linestyle=dash, linewidth=1.5,
+                label=plain(law.formula, 46),
+            )  # fmt: skip
+    ax.axhline(0.0, color="#444444", linewidth=0.7)
+    ax.set_xlabel(_AXES[d.variable])
+    where = {"casing": "on the casing", "rotor": "on the rotor", "bearing": "in the bearing"}[d.body]
+    ax.set_ylabel(f"torque {where} [{prefix}{unit_text(found.fit.torque_unit)}]")
+    ax.set_xlim(float(d.value[0]), float(d.value[-1]))
+    legend(ax, ncols=2)
+
+
+def _law_curve(law: Law, d: Dependence) -> Any:
+    """Return the part of a law that compares with the curve; None where it depends on something else as well."""
+    from fitting.effects._expression import Tape, symbols
+
+    total = np.zeros(len(d.value))
+    for e in law.effects:
+        own = {p.symbol for p in e.parameters}
+        if e.joint != d.body or e.state is not None or symbols(e.expression) - own != {d.variable}:
+            return None
+        numbers = {
+            p.symbol: next(
+                v.value for k, v in law.estimates.items()
+                if k.partition("@")[0].rpartition(".")[::2] == (e.name, p.symbol)
+            )
+            for p in e.parameters
+        }  # fmt: skip
+        total = total + np.asarray(Tape([e.expression])({d.variable: d.value, **numbers})[0])
+    return d.comparable(total)
+
+
+def _draw_shares(ax: Axes, found: Laws) -> None:
+    shown = found.depends_on[:_MOST]
+    labels = [" × ".join(_NAMES[v] for v in d.variable.split("*")) + f", {d.body}" for d in shown]
+    colours = [SKY if d.p_value < 0.05 else PALE for d in shown]
+    ax.barh(np.arange(len(shown)), [100 * d.explained for d in shown], color=colours, height=0.66)
+    for i, d in enumerate(shown):
+        text = f"{100 * d.explained:.1f} %" + ("" if d.p_value < 0.05 else f", p = {d.p_value:.2g}")
+        ax.annotate(
+            text, (100 * d.explained, i), xytext=(4, 0), textcoords="offset points", va="center", fontsize=9
+        )
+    ax.set_yticks(range(len(shown)), labels, fontsize=9)
+    ax.set_xlim(0, 135)
+    ax.set_xticks([0, 25, 50, 75, 100])
+    ax.invert_yaxis()
+    ax.grid(visible=False, axis="y")
+    ax.tick_params(axis="y", length=0)
+    ax.set_xlabel("explained lack of fit [%]")
+
+
+def _draw_ranking(ax: Axes, found: Laws) -> None:
+    shown = found.laws[:_MOST]
+    answer = found.answer
+    worse = np.array([x.penalised - found.laws[0].penalised for x in shown])
+    colours = []
+    for x in shown:
+        place = next((i for i, a in enumerate(answer) if a is x), None)
+        colours.append(PALE if place is None else _COLOURS[place % len(_COLOURS)])
+    width = np.log10(1 + worse)
+    ax.barh(np.arange(len(shown)), np.maximum(width, 0.03), color=colours, height=0.66)
+    for i, x in enumerate(shown):
+        text = ("best: " if i == 0 else f"+{worse[i]:.0f}  ") + plain(x.formula, 36)
+        ax.annotate(
+            text,
+            (max(width[i], 0.03), i),
+            xytext=(4, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=8.5,
+        )
+    ax.set_yticks([])
+    ax.set_xlim(0, 2.6 * max(float(width.max()), 0.5) + 0.8)
+    powers = range(int(np.ceil(float(width.max()))) + 1)
+    ax.set_xticks(
+        [float(np.log10(1 + 10.0**p)) if p else 0.0 for p in powers],
+        [f"$10^{p}$" if p else "0" for p in powers],
+    )
+    ax.invert_yaxis()
+    ax.grid(visible=False, axis="y")
+    ax.set_xlabel("BIC + description length above the best")
+
+
+_DPI = 150
+_CURVES = (*_COLOURS, SKY)
+
+
+def write_plan_picture(found: Plan, path: Path, *, force: bool = False) -> Path:
+    """Write the picture of a plan.
+
+    Parameters
+    ----------
+    found : Plan
+        From `fitting.plan`.
+    path : Path
+        A ``.png`` or ``.svg`` file.
+    force : bool
+        Replace an existing file.
+    """
+    stream = io.BytesIO()
+    with style():
+        figure = plan_figure(found)
+        kind = path.suffix.lower().removeprefix(".")
+        metadata = {"Date": None} if kind == "svg" else None
+        figure.savefig(stream, format=kind, dpi=_DPI, metadata=metadata)
+    with new_file(path, force=force) as file:
+        file.write(stream.getvalue())
+    return path
+
+
+def plan_figure(found: Plan) -> Figure:
+    """Return limits of the physical effects, power against torque, and the motion of the proposed run."""
+    shown = [e for e in found.effects if e.effect.mechanical and np.isfinite(e.detection_torque)]
+    figure = canvas(1.25 * WIDTH, 3.6 + 0.27 * max(len(shown), 10))
+    parts: Any = figure.subfigures(2, 1, height_ratios=(0.27 * max(len(shown), 10), 3.4))
+    top, bottom = parts
+    left, right = top.subplots(1, 2, width_ratios=(1.25, 1.0))
+    unit = unit_text(found.fit.torque_unit)
+    _limits(left, shown, found.size, unit)
+    _power(right, shown, found.size, unit)
+    if found.next_run is not None:
+        _run(bottom.subplots(), found.next_run)
+    return figure
+
+
+def _limits(ax: Axes, shown: list[EffectLimits], size: float, unit: str) -> None:
+    rows = np.arange(len(shown))
+    low = np.array([e.detection_range[0] for e in shown])
+    high = np.array([e.detection_range[1] for e in shown])
+    ax.hlines(rows, low, np.where(np.isfinite(high), high, low), color=SKY, linewidth=4, alpha=0.5)
+    ax.plot([e.detection_torque for e in shown], rows, "o", color=BLUE, label="detection limit, power 90 %")
+    upper = np.array([e.upper_torque for e in shown])
+    ax.plot(upper, rows, "<", color=VERMILLION, label="upper limit, 95 %")
+    for i in rows[np.isnan(upper)]:
+        ax.annotate(
+            "found",
+            (shown[i].detection_torque, i),
+            xytext=(8, 0),
+            textcoords="offset points",
+            va="center",
+            color=GREEN,
+        )
+    ax.axvline(size, color=GREY, linestyle="--", linewidth=1, label=f"effect of {size:.1e} {unit}")
+    ax.set_xscale("log")
+    ax.set_yticks(rows, [plain(e.effect.name) for e in shown])
+    ax.grid(visible=False, axis="y")
+    ax.invert_yaxis()
+    ax.set_xlabel(f"rms torque along the motion [{unit}]")
+    ax.legend(
+        loc="lower left",
+        bbox_to_anchor=(-0.3, 1.0),
+        ncols=3,
+        fontsize=8.5,
+        handletextpad=0.3,
+        columnspacing=0.9,
+    )
+
+
+def _power(ax: Axes, shown: list[EffectLimits], size: float, unit: str) -> None:
+    # some across the whole range of limits
+    chosen = (
+        [shown[i] for i in sorted({round(x) for x in np.linspace(0, len(shown) - 1, len(_CURVES))})]
+        if shown
+        else []
+    )
+    for e, colour in zip(chosen, _CURVES, strict=False):
+        torque = e.curve[1:, 0] * e.stderr * e.torque
+        ax.plot(torque, 100 * e.curve[1:, 1], color=colour, label=plain(e.effect.name))
+    ax.axhline(90, color=GREY, linewidth=1)
+    ax.axvline(size, color=GREY, linestyle="--", linewidth=1)
+    ax.set_xscale("log")
+    ax.set_ylim(0, 102)
+    ax.set_xlabel(f"rms torque of the effect [{unit}]")
+    ax.set_ylabel("probability of detection [%]")
+    ax.legend(loc="lower right", fontsize=8)
+
+
+def _run(ax: Axes, found: NextRun) -> None:
+    run = found.run
+    if run.windows:
+        ax.plot(found.times, found.omega_rotor, color=VERMILLION, label="rotor")
+        for i, w in enumerate(run.windows):
+            ax.axvspan(
+                w,
+                w + run.window_length,
+                color=ORANGE,
+                alpha=0.35,
+                label="film of the rotor" if i == 0 else None,
+            )
+        other = ax.twinx()
+        other.grid(visible=False)
+        other.spines["right"].set_visible(True)
+        other.plot(found.times, found.omega_casing, color=BLUE, label="casing")
+        other.set_ylabel("casing [rad/s]", color=BLUE)
+        ax.set_ylabel("rotor [rad/s]", color=VERMILLION)
+    else:
+        ax.plot(found.times, found.omega_casing, color=BLUE, label="body")
+        ax.set_ylabel("angular rate [rad/s]")
+    ax.set_xlabel("time [s]")
+    ring = f", casing with {run.ring:.1f} times its moment of inertia" if run.ring != 1 else ""
+    ax.set_title(f"Proposed next run, predicted motion{ring}")
+
+
+_MOST_PARAMETERS = 14
+
+
+def write_comparison_picture(found: Comparison, path: Path, *, force: bool = False) -> None:
+    """Write the picture as a file: PNG, SVG or PDF, by its suffix.
+
+    Parameters
+    ----------
+    found : Comparison
+        From `fitting.compare`.
+    path : Path
+        A ``.png``, ``.svg`` or ``.pdf`` file.
+    force : bool
+        Replace an existing file.
+    """
+    kind = path.suffix.lower().lstrip(".")
+    with style(), new_file(path, force=force) as stream:
+        metadata: dict[str, Any] = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
+        comparison_figure(found).savefig(stream, format=kind, dpi=150, metadata=metadata)
+
+
+def comparison_figure(found: Comparison) -> Figure:
+    """Return one row per parameter: the runs with bars of 2 sigma, the mean and the spread between runs behind them."""
+    shown = found.parameters[:_MOST_PARAMETERS]
+    names = list(dict.fromkeys(r.run for p in shown for r in p.repeats))
+    figure = canvas(WIDTH, 1.3 + 0.55 * max(len(shown), 1))
+    ax = figure.subplots()
+    for row, p in enumerate(shown):
+        scale = abs(p.mean) or 1.0
+        band = np.array([-1, 1]) * p.spread / scale * 100
+        ax.fill_betweenx([row - 0.38, row + 0.38], *band, color="#d9d9d9", linewidth=0, zorder=0)
+        for i, r in enumerate(p.repeats):
+            place = names.index(r.run)
+            ax.errorbar(
+                (r.value - p.mean) / scale * 100,
+                row + 0.5 * ((i + 1) / (len(p.repeats) + 1) - 0.5),
+                xerr=200 * r.stderr / scale,
+                fmt="o",
+                markersize=5,
+                color=_COLOURS[place % len(_COLOURS)],
+                label=plain(r.run, 24) if r.run not in {q.run for q in _before(shown, row)} else None,
+            )
+    labels = [f"{plain(p.name)}\np {probability(p.p_value)}" for p in shown]
+    ax.set_yticks(range(len(shown)), labels)
+    ax.set_ylim(len(shown) - 0.5, -0.5)
+    ax.axvline(0, color="#444444", linewidth=0.8)
+    ax.set_xlabel("difference from the mean of the runs [%]; bars ±2σ, grey: spread between the runs")
+    if shown:
+        legend(ax)
+    return figure
+
+
+def _before(shown: Any, row: int) -> list[Any]:
+    """Return the repeats of the rows above one."""
+    return [r for p in shown[:row] for r in p.repeats]
