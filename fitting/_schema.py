@@ -92,6 +92,15 @@ class CaseDocument(MetricsDocument):
     n_eff: Number = math.nan
 
 
+class PriorDocument(Document):
+    """A Gaussian prior: parameters of another study with their covariance [SI]."""
+
+    source: str
+    names: list[str]
+    mean: list[Number]
+    covariance: list[list[Number]]
+
+
 class FitDocument(Document):
     """What `fit --json` prints."""
 
@@ -105,6 +114,7 @@ class FitDocument(Document):
     equations: list[str] = []
     not_determined: list[str] = []
     not_determined_together: list[dict[str, Number]] = []
+    prior: PriorDocument | None = None
 
 
 class FailureDocument(Document):
@@ -310,14 +320,19 @@ class PlanDocument(Document):
 
 
 class StepDocument(Document):
-    """One fit of a history: what was changed, and what the errors did."""
+    """One fit of a history: what was changed, and what the errors did; `_noise` is what noise alone would give."""
 
     fit_id: str
     added: str
     model: list[str]
+    samples: int = 0
+    n_eff: Number = math.nan
     rmse_casing: Number
+    rmse_noise: Number = math.nan
     reduced_chi2: Number
     held_out: Number
+    bic: Number = math.nan
+    bic_noise: Number = math.nan
     delta_bic: Number
     energy_drift: Number
     torque_left_Nm: Number  # noqa: N815
@@ -408,6 +423,8 @@ class EntryDocument(FitDocument):
     rotor: str = "windows"
     created: str = ""
     software_version: str = ""
+    variables: list[str] = []
+    covariance: list[list[Number]] = []
     restored_from: Any = None
     diagnosis: Any = None
 

@@ -192,9 +192,12 @@ def refit(base: Fit, score: Score, criteria: Criteria, *, thorough: bool = True)
 
 
 def _afresh(base: Fit, effect: Effect) -> Fit | None:
-    """Return the fit of base and candidate from initial values of its own; None if there is none."""
+    """Return the fit of base and candidate from initial values and a noise level of its own; None if there is none.
+
+    At the level that a base without a restoring torque leaves, a search ends before phase and frequency are determined.
+    """
     with suppress(FittingError):
-        found = fit(base.model.with_effect(effect), base.problem.data, noise=base.noise, quick=True)
+        found = fit(base.model.with_effect(effect), base.problem.data, quick=True)
         return found if np.isfinite(found.deviance) else None
     return None
 

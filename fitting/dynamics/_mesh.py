@@ -142,7 +142,7 @@ class Path:
 
     def pieces(self) -> list[Path]:
         """Return the stretches between the events of the casing."""
-        ends = [0, *sorted(self.jumps), len(self.y)]
+        ends, breaks = [0, *sorted(self.jumps), len(self.y)], self.breaks
         return [
             Path(
                 Mesh(self.mesh.edges[a : b + 1]),
@@ -150,7 +150,7 @@ class Path:
                 self.edges[a : b + 1],
                 self.states,
                 self.sense[a:b],
-                tuple(k for k in self.breaks if self.mesh.edges[a] < k < self.mesh.edges[b]),
+                tuple(k for k in breaks if self.mesh.edges[a] < k < self.mesh.edges[b]),
                 bend=self.bend,
             )
             for a, b in pairwise(ends)

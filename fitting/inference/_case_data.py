@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -36,6 +36,7 @@ from fitting.inference._compression import (
     compress,
 )
 from fitting.inference._oscillation import Oscillation, find_oscillation
+from fitting.inference._prior import Prior
 from fitting.inference._record import WIDTH, Record, Samples, initial_speeds, speeds
 from fitting.inference._recording_noise import (
     AngleNoise,
@@ -194,6 +195,10 @@ class CaseData:
         )
         return cls(record, casing, rotor, oscillation)
 
+    def with_prior(self, prior: Prior | None) -> CaseData:
+        """Return the same data with this prior."""
+        return self if prior == self.record.prior else replace(self, record=replace(self.record, prior=prior))
+
     @property
     def is_angle(self) -> bool:
         """Whether angles were measured (and not speeds)."""
@@ -208,8 +213,20 @@ class CaseData:
     def z(self) -> Array:
         """Return the measured rows."""
         return self.whitened(
-            np.concatenate([self.casing.z, *(w.z for w in self.rotor), self.casing.harmonic])
+            np.concatenate([self.casing.z, *(w.z for w in self.rotor), self._tail(self.casing.harmonic)])
         )
+
+    @property
+    def prior_rows(self) -> int:
+        """Number of the last rows, which the prior has: what is measured there is zero."""
+        prior = self.record.prior
+        return 0 if prior is None else len(prior.names)
+
+    def _tail(self, harmonic: Array) -> Array:
+        """Return the rows after those of the polynomials: of harmonics, and zeros in the place of the prior."""
+        if not self.prior_rows:
+            return harmonic
+        return np.concatenate([harmonic, np.zeros((self.prior_rows, *harmonic.shape[1:]))])
 
     @cached_property
     def angle_noise(self) -> AngleNoise:
@@ -373,14 +390,14 @@ class CaseData:
             self.casing.at_nodes(casing),
             *(w.at_nodes(v) for w, v in zip(self.rotor, rotor, strict=True)),
         ]
-        tail = np.zeros((len(self.casing.harmonic), *casing.shape[1:]))
+        tail = self._tail(np.zeros((len(self.casing.harmonic), *casing.shape[1:])))
         return np.concatenate([*parts, tail])
 
     def casing_rows(self, values: Array) -> Array:
         """Return the rows of any function given at the samples of the casing (samples, columns)."""
         polynomial, harmonic = self.casing.at_samples(values)
         middle = np.zeros((self.slices["rotor"].stop - self.slices["rotor"].start, values.shape[1]))
-        return self.whitened(np.concatenate([polynomial, middle, harmonic]))
+        return self.whitened(np.concatenate([polynomial, middle, self._tail(harmonic)]))
 
     def observe(self, path: Path, nodes: Array | None = None) -> Array:
         """Return the rows of a solution, or of columns of a sensitivity of its states.
@@ -430,6 +447,11 @@ class CaseData:
                     rows[first + i * k : first + (i + 1) * k] = operator[:k] @ seen
             first += len(run.z)
         return rows
+
+
+def with_prior(data: Sequence[CaseData], prior: Prior | None) -> tuple[CaseData, ...]:
+    """Return cases that are fitted together with a prior of what they share; it counts once, with the first case."""
+    return tuple(d.with_prior(None if i else prior) for i, d in enumerate(data))
 
 
 def _correlation(run: Compressed, noise: AngleNoise) -> float:

@@ -209,6 +209,9 @@ class CaseModel:
         self.places = np.concatenate([moving, layout.places(case, added)])
         self._own = {int(k): i for i, k in enumerate(self.places)}
         self._moving = len(moving)
+        # the prior is known of what all cases share, or of a case alone
+        prior = data.record.prior
+        self._prior = None if prior is None else prior.whitened(layout.names)
         self._guess: Path | None = None
         self._columns: dict[str, tuple[Array, Array]] = {}
 
@@ -263,6 +266,13 @@ class CaseModel:
             if effect.name not in self._columns:
                 self._columns[effect.name] = self.unit_columns(effect, path, sensitivity, numbers)
             self._add(effect, numbers, rows, columns)
+        if self._prior is not None:
+            names, mean, inverse = self._prior
+            places = np.array([self.layout.index[n] for n in names], dtype=np.intp)
+            first = len(rows) - self.data.prior_rows
+            rows[first : first + len(names)] = inverse @ (theta[places] - mean)
+            own = [self._own[int(k)] for k in places]
+            columns[first : first + len(names), own] = inverse
         return Prediction(rows, columns, self.places, len(theta), path, sensitivity)
 
     def forget_columns(self) -> None:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from fitting._errors import RecordError
 from fitting._numbers import PER_INERTIA, TORQUE
+from fitting.inference._prior import Prior
 
 Array = NDArray[np.float64]
 Quantity = Literal["angle", "omega"]
@@ -77,6 +78,8 @@ class Record:
         No moment of inertia is known: it is 1, and torques are per unit of inertia [rad/s2].
     digest : str
         SHA-256 of the numbers.
+    prior : Prior, optional
+        What another study has found about the parameters.
     """
 
     label: str
@@ -96,6 +99,7 @@ class Record:
     I_casing_u: float = math.nan
     per_inertia: bool = False
     digest: str = field(default="")
+    prior: Prior | None = None
 
     def __post_init__(self) -> None:
         if not self.digest:

@@ -37,8 +37,9 @@ from fitting._schema import (
 from fitting.discovery._verdict import Diagnosis
 from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect
-from fitting.inference._case_data import CaseData
+from fitting.inference._case_data import CaseData, with_prior
 from fitting.inference._fit import robust_fit
+from fitting.inference._prior import Prior
 from fitting.inference._result import Fit
 from fitting.study._serialisation import (
     fit_document,
@@ -92,6 +93,35 @@ class Entry:
         """Parameters shared by all cases, and parameters with one value per case, other than by default."""
         return tuple(self.stored.share), tuple(self.stored.per_case)
 
+    @cached_property
+    def prior(self) -> Prior | None:
+        """The prior of the fit."""
+        stored = self.stored.prior
+        if stored is None:
+            return None
+        covariance = tuple(map(tuple, stored.covariance))
+        return Prior(tuple(stored.names), tuple(stored.mean), covariance, stored.source)
+
+    def as_prior(self, source: str) -> Prior:
+        """Return the parameters of the fit with their covariance, as a prior of another study.
+
+        Parameters
+        ----------
+        source : str
+            What the other study calls this one.
+
+        Raises
+        ------
+        LedgerError, EstimationError
+            The ledger holds no covariance, or the fit determines no parameter that another study could use.
+        """
+        if not self.stored.covariance:
+            raise LedgerError(
+                f"the fit {self.fit_id} of {source} was stored without a covariance", "fit this study again"
+            )
+        title = f"{source} ({self.fit_id})"
+        return Prior.of(self.stored.variables, self.stored.covariance, self.estimates, title)
+
     @property
     def model(self) -> Model:
         """The model that was fitted."""
@@ -104,6 +134,7 @@ class Entry:
 
     def shown(self, data: Sequence[CaseData]) -> Fit:
         """Return the fit for display: restored if the same code made it, otherwise fitted again."""
+        data = with_prior(data, self.prior)
         stored, found = self.document.get("restored_from"), None
         if stored:
             with suppress(*_DAMAGED):
@@ -122,7 +153,7 @@ class Entry:
         """Return the fit, made again with its own parameters as initial values."""
         return robust_fit(
             self.model,
-            data,
+            with_prior(data, self.prior),
             self.stored.loss,
             share=self.stored.share,
             per_case=self.stored.per_case,
@@ -244,6 +275,8 @@ class Ledger:
                 rotor="generated" if records[0].generated else "windows",
                 created=datetime.now(UTC).isoformat(timespec="seconds"),
                 software_version=_version(),
+                variables=list(found.problem.layout.names),
+                covariance=found.covariance.tolist(),
                 # a robust fit is one of pseudo-values, which are not stored
                 restored_from=as_json(stored_fit(found)) if loss == "linear" else None,
             )

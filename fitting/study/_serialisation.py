@@ -34,6 +34,7 @@ from fitting._schema import (
     NuisanceDocument,
     ParameterBudgetDocument,
     PlanDocument,
+    PriorDocument,
     RemainderDocument,
     RippleDocument,
     SavedFitDocument,
@@ -108,8 +109,14 @@ def fit_document(fit: Fit, fit_id: str) -> dict[str, Any]:
         equations=list(fit.model.equations(single=fit.problem.data[0].record.single)),
         not_determined=not_determined(fit.estimates),
         not_determined_together=not_determined_together(fit),
+        prior=_prior_document(fit),
     )
     return document.model_dump()
+
+
+def _prior_document(fit: Fit) -> PriorDocument | None:
+    prior = next((d.record.prior for d in fit.problem.data if d.record.prior is not None), None)
+    return None if prior is None else PriorDocument.model_validate(prior)
 
 
 def bias_document(bias: Mapping[str, CurveBias]) -> dict[str, dict[str, float]]:
@@ -258,9 +265,14 @@ def step_document(fit: Fit, fit_id: str, added: str, previous: Fit | None) -> di
         fit_id=fit_id,
         added=added,
         model=list(fit.model.names),
+        samples=fit.samples,
+        n_eff=fit.n_eff,
         rmse_casing=fit.rmse_casing,
+        rmse_noise=fit.rmse_noise,
         reduced_chi2=fit.reduced_chi2,
         held_out=fit.held_out,
+        bic=fit.bic,
+        bic_noise=fit.bic_noise,
         delta_bic=fit.bic - previous.bic if previous is not None else 0.0,
         energy_drift=max(c.energy_drift for c in fit.cases),
         torque_left_Nm=fit.torque_noise,

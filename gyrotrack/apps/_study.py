@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from fitting.dynamics._model import Model
     from fitting.effects._effect import Effect
     from fitting.inference._case_data import CaseData
+    from fitting.inference._prior import Prior
     from fitting.inference._result import Fit
     from fitting.study._history import Entry, Ledger
 
@@ -35,10 +36,13 @@ class Study:
         The cases, compressed for fitting.
     ledger : Ledger
         Their fits so far, and those of other sets of cases in the same file.
+    prior : Prior, optional
+        Parameters of another study, for fits from now on; without it a fit keeps the prior of the one it is made from.
     """
 
     data: tuple[CaseData, ...]
     ledger: Ledger
+    prior: Prior | None = None
 
     def entry(self, fit_id: str | None) -> Entry | None:
         """Return the fit of this name, by default the latest of these cases; None if there is none.
@@ -168,17 +172,30 @@ class Study:
             "f1", "f2", ...
         """
         from fitting.effects._library import REDUCED
+        from fitting.inference._case_data import with_prior
         from fitting.inference._fit import fit
 
         entry = self.entry(fit_id)
-        if entry is not None:
+        if entry is None:
+            found = fit(self.model(REDUCED), with_prior(self.data, self.prior))
+            return found, self.ledger.add(found).fit_id
+        if self.prior is None or self.prior == entry.prior:
             return entry.refit(self.data), entry.fit_id
-        found = fit(self.model(REDUCED), self.data)
-        return found, self.ledger.add(found).fit_id
+        share, per_case = entry.choices
+        start = {k: e.value for k, e in entry.estimates.items()}
+        data = with_prior(self.data, self.prior)
+        found = fit(entry.model, data, share=share, per_case=per_case, start=start)
+        added = f"prior {self.prior.source}"
+        return found, self.ledger.add(found, parent=entry.fit_id, added=added).fit_id
 
 
 def open_study(
-    cases: Sequence[Path], ledger: Path | None, *, data: str | None = None, rotor: str = "windows"
+    cases: Sequence[Path],
+    ledger: Path | None,
+    *,
+    data: str | None = None,
+    rotor: str = "windows",
+    prior: Path | None = None,
 ) -> Study:
     """Read cases and their ledger.
 
@@ -192,11 +209,25 @@ def open_study(
         Fit the measured angles, or smoothed velocities as the paper does.
     rotor : {"windows", "generated"}
         Fit the films of the rotor, or one curve through them as the paper does.
+    prior : Path, optional
+        Another study, by its case or ledger: the parameters of its latest fit are the prior of fits of this one.
     """
     from fitting.study._history import Ledger
 
     read = read_cases(cases, data=data, rotor=rotor)
-    return Study(read, Ledger(ledger) if ledger is not None else Ledger.beside(Path(cases[0])))
+    kept = Ledger(ledger) if ledger is not None else Ledger.beside(Path(cases[0]))
+    return Study(read, kept, _prior_of(prior, read) if prior is not None else None)
+
+
+def _prior_of(path: Path, data: Sequence[CaseData]) -> Prior:
+    (entry,) = latest_fits([path]).values()
+    own = {d.record.digest for d in data}.intersection(entry.digests)
+    if own:
+        raise UsageError(
+            f"{path} is a fit of the same data, which would be counted twice.",
+            "Give --prior a study of other recordings.",
+        )
+    return entry.as_prior(path.name)
 
 
 def read_cases(
@@ -313,6 +344,8 @@ class FitRequest:
         UsageError
             The model is unknown, or the fit `start` is not one of these cases.
         """
+        from fitting.inference._case_data import with_prior
+
         wanted, entry = self._wanted(study, start)
         share, per_case = self._choices(entry, wanted)
         ranges = _paper_ranges(study, share, per_case) if self.model == "general" else {}
@@ -321,8 +354,14 @@ class FitRequest:
             previous, fit_id = study.base(None)
             entry = study.entry(fit_id)
         values = _starts(previous, wanted) if previous is not None else None
+        prior = study.prior or (entry.prior if entry is not None else None)
+        if prior is not None and not set(prior.names) & set(wanted.free):
+            raise UsageError(
+                f"No parameter of the prior from {prior.source} is in the model.",
+                f"It has {', '.join(prior.names)}; the model {', '.join(wanted.free)}.",
+            )
         options: dict[str, Any] = {"share": share, "per_case": per_case, "ranges": ranges}
-        found = self._fitted(study, wanted, values, options)
+        found = self._fitted(with_prior(study.data, prior), wanted, values, options)
         kept = study.ledger.add(
             found,
             parent=entry.fit_id if entry is not None else "",
@@ -335,7 +374,7 @@ class FitRequest:
 
     def _fitted(
         self,
-        study: Study,
+        data: Sequence[CaseData],
         wanted: Model,
         start: Mapping[str, float] | None,
         options: dict[str, Any],
@@ -344,12 +383,12 @@ class FitRequest:
         from fitting.inference._fit import robust_fit
 
         try:
-            return robust_fit(wanted, study.data, self.loss, start=start, **options)
+            return robust_fit(wanted, data, self.loss, start=start, **options)
         except FittingError:
             # the parent's values can be poor initial values of the new model: use the program's own
             if start is None:
                 raise
-            return robust_fit(wanted, study.data, self.loss, **options)
+            return robust_fit(wanted, data, self.loss, **options)
 
     def _choices(self, entry: Entry | None, wanted: Model) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Return parameters that are shared and per case: as in the fit that is changed, unless requested otherwise."""

@@ -19,6 +19,7 @@ from gyrotrack.apps.cli._options import (
     From,
     Json,
     LedgerFile,
+    PriorStudy,
     Quiet,
     RotorKind,
     own_effects,
@@ -89,6 +90,7 @@ def fit_command(
     hold_out: Annotated[
         bool, typer.Option("--hold-out", help="Also predict each case from a fit of the others.")
     ] = False,
+    prior: PriorStudy = None,
     start: From = None,
     ledger: LedgerFile = None,
     as_json: Json = False,
@@ -118,7 +120,7 @@ def fit_command(
     )
     documents = []
     for group in groups:
-        study = open_study(group, ledger, data=data, rotor=rotor)
+        study = open_study(group, ledger, data=data, rotor=rotor, prior=prior)
         with out.progress("fitting") as progress:
             progress(0, None)
             found, fit_id = request.fit(study, start)
@@ -309,6 +311,7 @@ def diagnose_command(
     cases: CaseFiles,
     *,
     effects: EffectsFile = None,
+    prior: PriorStudy = None,
     start: From = None,
     ledger: LedgerFile = None,
     as_json: Json = False,
@@ -325,7 +328,7 @@ def diagnose_command(
     from fitting.study._serialisation import diagnosis_document
 
     out = Output(as_json=as_json, quiet=quiet)
-    study = open_study(cases, ledger)
+    study = open_study(cases, ledger, prior=prior)
     with WorkerPool() as workers, out.progress("scoring effects") as progress:
         progress(0, None)
         fit, fit_id = study.base(start)
@@ -340,6 +343,7 @@ def improve_command(
     cases: CaseFiles,
     *,
     effects: EffectsFile = None,
+    prior: PriorStudy = None,
     start: From = None,
     ledger: LedgerFile = None,
     as_json: Json = False,
@@ -355,7 +359,7 @@ def improve_command(
     from fitting.study._serialisation import fit_document, history_verdict
 
     out = Output(as_json=as_json, quiet=quiet)
-    study = open_study(cases, ledger)
+    study = open_study(cases, ledger, prior=prior)
     with WorkerPool() as workers, out.progress("adding effects") as progress:
         progress(0, None)
         base, parent = study.base(start)

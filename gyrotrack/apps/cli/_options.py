@@ -64,6 +64,14 @@ def film_folders(cases: Sequence[Path], given: Sequence[Path] | None) -> list[Pa
 From = Annotated[
     str | None, typer.Option("--from", metavar="ID", help="Fit to start from; by default the latest.")
 ]
+PriorStudy = Annotated[
+    Path | None,
+    typer.Option(
+        "--prior",
+        metavar="STUDY",
+        help="Case or ledger of other recordings; the parameters of its latest fit become a prior.",
+    ),
+]
 LedgerFile = Annotated[
     Path | None,
     typer.Option("--ledger", metavar="FILE", help="File of the fits; by default next to the first case."),

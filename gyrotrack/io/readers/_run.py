@@ -3,8 +3,12 @@
 The speed is taken in blocks of samples. A drive (a motor, a hand) is recognised by a changepoint of the deceleration:
 before it the speed is held or grows, after it the body slows down; a brake by a deceleration of three times that before
 it and more, to the end of the motion; rest by a speed that is not distinguishable from zero; a disturbance by a speed
-that grows again. A body that changes its sense of rotation more than once, or that does not slow
-down between drive and end, is not cut.
+that grows again. A body that does not slow down between drive and end is not cut.
+
+Of a body that changes its sense of rotation more than once only rest at the end is cut, and only where the resolution
+of the file exceeds the noise. The error of a quantised value is white while the value passes through several steps; at
+rest it is one constant, up to half a step, in every sample, and no average reduces it (B. Widrow, I. Kollar,
+Quantization Noise, 2008).
 """
 
 from __future__ import annotations
@@ -18,6 +22,7 @@ from scipy.ndimage import median_filter
 from gyrotrack._errors import UsageError
 from gyrotrack.io._records import Floats
 from gyrotrack.io.readers._motion_table import FEWEST, MotionTable
+from gyrotrack.io.readers._scatter import scatter
 
 _BLOCKS = 400
 _LEAST_BLOCK = 4
@@ -25,6 +30,8 @@ _STEEPER = 3.0
 """Ratio of decelerations from which the later one is a brake."""
 _SIGNIFICANT = 6.0
 """Standard errors by which the slopes before and after a drive's end differ."""
+_STEPS = 2
+"""Steps of the resolution that a deflection has to exceed for its errors to be independent."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +116,7 @@ def run_of(table: MotionTable, value: Floats, limits: Limits) -> tuple[MotionTab
         return table, value
     sense = np.sign(speed[np.abs(speed) > 0.1 * np.abs(speed).max()])
     if np.count_nonzero(np.diff(sense)) > 1:
-        return table, value
+        return _without_rest(table, value)
     speed = np.abs(median_filter(speed, 5, mode="nearest"))
     begin, driven = _release(time, speed)
     end, stopped = _arrest(time, speed, error, begin)
@@ -132,6 +139,30 @@ def run_of(table: MotionTable, value: Floats, limits: Limits) -> tuple[MotionTab
             "left out (--keep-all keeps them)"
         )
     return table.only(keep, *notes), value[keep]
+
+
+def _without_rest(table: MotionTable, value: Floats) -> tuple[MotionTable, Floats]:
+    """Return an oscillation up to the last deflection of more than `_STEPS` steps of the resolution."""
+    step = table.least_sigma * np.sqrt(12)
+    if not step > 0:
+        return table, value
+    deflection = value - np.median(value[-max(len(value) // 50, 1) :])
+    beyond = np.flatnonzero(np.abs(deflection) > _STEPS * step)
+    if not len(beyond):
+        return table, value
+    moving = slice(0, int(beyond[-1]) + 1)
+    passages = table.time[moving][1:][np.diff(np.sign(deflection[moving])) != 0]
+    if len(passages) < 3 or table.time[-1] - table.time[beyond[-1]] < 2 * np.max(np.diff(passages[-3:])):
+        return table, value
+    keep = np.arange(len(value)) <= beyond[-1]
+    if keep.sum() < 60 or table.least_sigma < np.median(scatter(table.time[keep], value[keep])) / 2:
+        return table, value
+    last = float(table.time[beyond[-1]])
+    note = (
+        f"{table.path.name}: the deflection after {last:.2f} s is at most {_STEPS} steps of the resolution; "
+        f"{int((~keep).sum())} samples were left out (--keep-all keeps them)"
+    )
+    return table.only(keep, note), value[keep]
 
 
 def speeds(table: MotionTable, value: Floats) -> tuple[Floats, Floats, Floats]:

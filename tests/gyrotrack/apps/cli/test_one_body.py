@@ -64,3 +64,26 @@ def test_half_of_what_is_needed(gyrotrack, tmp_path, words):
     said = gyrotrack("import", *words, "-o", tmp_path / "c.h5")
     assert said.code == 2
     assert "--body and --inertia" in said.err
+
+
+def test_prior_from_another_study(gyrotrack, wheel, tmp_path):
+    """The first half of a run is the prior of the second; it is in the output, the JSON and the ledger."""
+    first, second = tmp_path / "first.h5", tmp_path / "second.h5"
+    for case, limits in ((first, ("--to", "15")), (second, ("--from", "15"))):
+        assert gyrotrack("import", "--body", wheel, "--inertia", "2e-3", "-o", case, *limits).code == 0
+    add = ("--add", "casing.air.quadratic", "--drop", "casing.air.linear", "--json")
+    known = gyrotrack("fit", first, *add).json["parameters"]["casing.air.quadratic.k"]
+    alone = gyrotrack("fit", second, *add).json["parameters"]["casing.air.quadratic.k"]
+    said = gyrotrack("fit", second, "--from", "f2", "--prior", first, "--json")
+    found = said.json["parameters"]["casing.air.quadratic.k"]
+    assert said.json["prior"]["names"] == ["touchpoint.constant.b1", "casing.air.quadratic.k"]
+    assert said.json["prior"]["mean"][1] == pytest.approx(known["value"])
+    assert said.json["prior"]["covariance"][1][1] ** 0.5 == pytest.approx(known["stderr"])
+    assert found["stderr"] < min(known["stderr"], alone["stderr"])
+    assert abs(found["value"] - 4e-7) < 4 * found["stderr"]
+    # a fit that continues keeps the prior
+    again = gyrotrack("fit", second, "--from", "f3")
+    assert "prior from first.h5 (f2): touchpoint.constant.b1" in again.out
+    said = gyrotrack("fit", second, "--prior", second)
+    assert said.code == 2
+    assert "counted twice" in said.err

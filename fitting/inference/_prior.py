@@ -1,0 +1,123 @@
+"""Prior knowledge of parameters: values and covariance that another study has found.
+
+A Gaussian prior of mean m and covariance C = L L' adds to the rows of a case, in units of their noise, the rows
+
+    L^-1 (theta - m),
+
+a measurement of the parameters themselves. The sum of squares is then minus twice the logarithm of the posterior
+density, and (J'J)^-1 its covariance; in a linear model (J'J + C^-1)^-1 (J'z + C^-1 m), the combination of both studies
+by generalised least squares (A. Gelman et al., Bayesian Data Analysis, 3rd ed., ch. 14.8). Because they are rows, the
+score test, the test for lack of fit and every refit take them into account.
+
+The studies have to be independent: a prior from the same data would count them twice.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting._errors import EstimationError
+
+Array = NDArray[np.float64]
+
+# relative eigenvalue below which a covariance is singular
+_SINGULAR = 1e-13
+
+
+@dataclass(frozen=True)
+class Prior:
+    """A Gaussian prior.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Parameters, ``effect.symbol``.
+    mean : tuple of float
+        Their values [SI].
+    covariance : tuple of tuple of float
+        Their covariance [SI].
+    source : str
+        The study that determined them.
+    """
+
+    names: tuple[str, ...]
+    mean: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...]
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        matrix = np.array(self.covariance, dtype=float)
+        if matrix.shape != (len(self.names),) * 2 or len(self.mean) != len(self.names) or not self.names:
+            raise EstimationError("the prior has values, names and covariance of different sizes")
+        if not (np.isfinite(matrix).all() and np.isfinite(self.mean).all()):
+            raise EstimationError("the prior has a value that is not finite")
+        size = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+        if not (size > 0).all() or np.linalg.eigvalsh(matrix / np.outer(size, size))[0] < _SINGULAR:
+            raise EstimationError(
+                "the covariance of the prior is singular",
+                "The parameters of that study are degenerate: drop an effect there.",
+            )
+
+    @classmethod
+    def of(
+        cls,
+        names: Sequence[str],
+        covariance: Sequence[Sequence[float]],
+        estimates: Mapping[str, Any],
+        source: str,
+    ) -> Self:
+        """Return the prior of a fit: all parameters of its effects that it determines within their bounds.
+
+        Initial speeds, and parameters with a value for each case, are those of that study's own runs.
+
+        Raises
+        ------
+        EstimationError
+            If there is none.
+        """
+        kept = [
+            i
+            for i, name in enumerate(names)
+            if "@" not in name
+            and name in estimates
+            and not estimates[name].at_bound
+            and math.isfinite(estimates[name].stderr)
+        ]
+        if not kept:
+            raise EstimationError(
+                f"{source} determines no parameter that another study could use",
+                "It needs a fit with an effect whose strength is not at its bound.",
+            )
+        matrix = np.array(covariance, dtype=float)[np.ix_(kept, kept)]
+        return cls(
+            tuple(names[i] for i in kept),
+            tuple(float(estimates[names[i]].value) for i in kept),
+            tuple(tuple(row) for row in matrix.tolist()),
+            source,
+        )
+
+    def whitened(self, names: Sequence[str]) -> tuple[tuple[str, ...], Array, Array]:
+        """Return which parameters are among these names, their means, and L^-1 of their covariance.
+
+        Parameters
+        ----------
+        names : sequence of str
+            The variables of a fit.
+
+        Returns
+        -------
+        tuple of str, ndarray (k,), ndarray (k, k)
+        """
+        present = [i for i, name in enumerate(self.names) if name in names]
+        lower = np.linalg.cholesky(np.array(self.covariance)[np.ix_(present, present)])
+        return (
+            tuple(self.names[i] for i in present),
+            np.array(self.mean)[present],
+            np.linalg.inv(lower),
+        )

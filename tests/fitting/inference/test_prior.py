@@ -1,0 +1,98 @@
+"""Parameters of another study as a Gaussian prior: against the analytic posterior, and a joint fit."""
+
+import numpy as np
+import pytest
+
+from fitting._errors import EstimationError
+from fitting.dynamics._model import Model
+from fitting.inference._case_data import CaseData, with_prior
+from fitting.inference._fit import fit
+from fitting.inference._prior import Prior
+from tests.fitting.oscillators import record
+
+RATE, STRENGTH, START, SIGMA = 20.0, 0.4, 60.0, 0.5
+
+
+def coasting(seed, strength=STRENGTH, span=40.0, label="run", drag=0.0):
+    """Speeds of a body under a constant torque, linear in the start and in the strength; or under drag as well."""
+    t = np.arange(0.0, span, 1 / RATE)
+    if drag:
+        slowed = (START + strength / drag) * np.exp(-drag * t) - strength / drag
+        return CaseData.of(record(t, slowed, SIGMA, seed, "omega", label))
+    return CaseData.of(record(t, START - strength * t, SIGMA, seed, "omega", label))
+
+
+def posterior(data, mean, u):
+    """Return values and covariance of (start, strength) by the normal equations."""
+    t, value = data.record.casing.time, data.record.casing.value
+    design = np.stack([np.ones_like(t), -t], axis=1) / (SIGMA * data.casing.scale)
+    information = design.T @ design + np.diag([0.0, 1 / u**2])
+    covariance = np.linalg.inv(information)
+    seen = design.T @ (value / (SIGMA * data.casing.scale)) + np.array([0.0, mean / u**2])
+    return covariance @ seen, covariance
+
+
+@pytest.mark.parametrize("offset", [0.0, 3.0])
+def test_prior_of_a_linear_model_gives_the_analytic_posterior(offset):
+    alone = fit(Model.of(["touchpoint.constant"]), [coasting(1)])
+    u = alone.estimates["touchpoint.constant.b1"].stderr
+    mean = STRENGTH + offset * u
+    (data,) = with_prior([coasting(1)], Prior(("touchpoint.constant.b1",), (mean,), ((u**2,),)))
+    found = fit(Model.of(["touchpoint.constant"]), [data])
+    value, covariance = posterior(data, mean, u)
+    for name, i in (("initial.omega_c@run", 0), ("touchpoint.constant.b1", 1)):
+        error = np.sqrt(covariance[i, i])
+        # the process noise that is always allowed for adds a little to the noise of the samples
+        assert found.estimates[name].value == pytest.approx(value[i], abs=0.1 * error)
+        assert found.estimates[name].stderr == pytest.approx(error, rel=0.1 if offset == 0 else 0.2)
+    assert found.estimates["touchpoint.constant.b1"].stderr < 0.8 * u
+
+
+def test_study_as_prior_equals_the_joint_fit_of_both():
+    model = Model.of(["touchpoint.constant", "casing.air.linear"])
+    first, second = coasting(2, label="first", drag=0.01), coasting(3, span=15.0, label="second", drag=0.01)
+    one = fit(model, [first])
+    prior = Prior.of(one.problem.layout.names, one.covariance, one.estimates, "first")
+    assert prior.names == ("touchpoint.constant.b1", "casing.air.linear.b2")
+    (data,) = with_prior([second], prior)
+    found = fit(model, [data])
+    joint = fit(model, [first, second], share=["touchpoint.constant", "casing.air.linear"])
+    for name in prior.names:
+        together, own = joint.estimates[name], found.estimates[name]
+        assert own.value == pytest.approx(together.value, abs=0.15 * together.stderr)
+        assert own.stderr == pytest.approx(together.stderr, rel=0.1)
+
+
+def test_prior_enters_the_score_of_a_missing_effect():
+    """Beside a free constant friction a second one is absorbed; a prior of the first determines it."""
+    from fitting.discovery._criteria import DEFAULT
+    from fitting.discovery._score import CaseColumns, score
+    from fitting.effects._library import LIBRARY
+
+    extra = [LIBRARY["external.constant"]]
+    (data,) = with_prior([coasting(4, 0.5)], Prior(("touchpoint.constant.b1",), (STRENGTH,), ((1e-6,),)))
+    known = fit(Model.of(["touchpoint.constant"]), [data])
+    free = fit(Model.of(["touchpoint.constant"]), [coasting(4, 0.5)])
+    (with_it,) = score(known, extra, [CaseColumns(known, 0)], DEFAULT)
+    (without,) = score(free, extra, [CaseColumns(free, 0)], DEFAULT)
+    assert without.absorbed
+    assert not with_it.absorbed
+    assert with_it.gamma[0] == pytest.approx(-0.1, abs=0.01)
+
+
+def test_marginal_prior_of_the_parameters_in_a_model():
+    covariance = np.array([[4.0, 1.0], [1.0, 9.0]])
+    prior = Prior(("a.k", "b.k"), (1.0, 2.0), tuple(map(tuple, covariance.tolist())))
+    names, mean, inverse = prior.whitened(["b.k", "c.k"])
+    assert names == ("b.k",)
+    assert mean == pytest.approx([2.0])
+    assert inverse[0, 0] == pytest.approx(1 / 3)
+    _, _, inverse = prior.whitened(["a.k", "b.k"])
+    assert inverse.T @ inverse == pytest.approx(np.linalg.inv(covariance))
+
+
+def test_prior_needs_a_regular_covariance():
+    with pytest.raises(EstimationError, match="singular"):
+        Prior(("a.k", "b.k"), (1.0, 1.0), ((1.0, 1.0), (1.0, 1.0)))
+    with pytest.raises(EstimationError, match="not finite"):
+        Prior(("a.k",), (float("nan"),), ((1.0,),))
