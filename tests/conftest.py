@@ -21,6 +21,6 @@ settings.load_profile("any machine")
 
 
 def pytest_configure(config):
-    """Run each file in one process (pytest-xdist), so that its fixtures and caches, which are expensive, are made once."""
+    """Run each file in one process (pytest-xdist): its expensive fixtures and caches are then made once."""
     if getattr(config.option, "dist", "no") == "load":
         config.option.dist = "loadfile"
