@@ -328,14 +328,19 @@ class PlanDocument(Document):
 
 
 class StepDocument(Document):
-    """One fit of a history: what was changed, and what the errors did."""
+    """One fit of a history: what was changed, and what the errors did; `_noise` is what noise alone would give."""
 
     fit_id: str
     added: str
     model: list[str]
+    samples: int = 0
+    n_eff: Number = math.nan
     rmse_casing: Number
+    rmse_noise: Number = math.nan
     reduced_chi2: Number
     held_out: Number
+    bic: Number = math.nan
+    bic_noise: Number = math.nan
     delta_bic: Number
     energy_drift: Number
     torque_left_Nm: Number  # noqa: N815
