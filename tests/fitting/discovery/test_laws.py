@@ -36,17 +36,17 @@ def saturating():
 
 
 @pytest.mark.parametrize(
-    ("form", "others", "stops"),
+    ("remainder", "others", "stops"),
     [
-        ("exact", (), True),
-        ("exact", ("a.b",), True),
-        ("exact", (UNKNOWN_LAW,), False),
-        ("approximate", (), False),
+        (None, (), True),
+        (None, ("a.b",), True),
+        (None, (UNKNOWN_LAW,), False),
+        ("a significant remainder", (), False),
     ],
 )
-def test_the_library_is_the_answer_only_if_no_unknown_law_explains_the_data_as_well(form, others, stops):
+def test_the_library_is_the_answer_only_if_no_unknown_law_explains_the_data_as_well(remainder, others, stops):
     candidate = SimpleNamespace(indistinguishable_from=others)
-    known = SimpleNamespace(verdict="missing_effect", form=form, candidates=(candidate,))
+    known = SimpleNamespace(verdict="missing_effect", remainder=remainder, candidates=(candidate,))
     assert (library_answer(known) is candidate) is stops
 
 
