@@ -114,7 +114,9 @@ def test_pulses_once_and_many_times_per_turn(gyrotrack, tmp_path, most):
         table, case = tmp_path / f"p{per_turn}.csv", tmp_path / f"p{per_turn}.h5"
         _, time, omega = pulses(table, per_turn, rng)
         expected[per_turn] = information(time, omega)
-        said = gyrotrack("import", "--body", table, "--pulses-per-turn", per_turn, "--inertia", "1", "-o", case)
+        said = gyrotrack(
+            "import", "--body", table, "--pulses-per-turn", per_turn, "--inertia", "1", "-o", case
+        )
         assert said.code == 0, said.err
         said = gyrotrack("fit", case, "--model", "linear", "--drop", "casing.air.linear", "--json")
         found[per_turn] = said.json["parameters"]["touchpoint.constant.b1"]
