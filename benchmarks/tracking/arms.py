@@ -25,9 +25,11 @@ def decode(path: Path, frames: int) -> None:
                 return
 
 
-def gyrotrack(path: Path, fps: float, body: str | None = None, threads: int = 1) -> np.ndarray:
+def gyrotrack(
+    path: Path, fps: float, body: str | None = None, threads: int = 1, workers: int = 1
+) -> np.ndarray:
     """The whole of `extract`, start-up included: casing angles."""
-    recording = extract(path, capture_fps=fps, body=body, threads=threads)
+    recording = extract(path, capture_fps=fps, body=body, threads=threads, workers=workers)
     return recording.bodies["casing"].angle * recording.sense
 
 

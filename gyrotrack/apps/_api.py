@@ -32,6 +32,7 @@ def extract(
     profile: Profile | str | Path | None = None,
     body: Literal["casing", "rotor", "both"] | None = None,
     times: Literal["auto", "stamps", "frames"] = "auto",
+    workers: int | None = 1,
     resume: bool = False,
     force: bool = False,
     progress: Progress | None = None,
@@ -52,6 +53,9 @@ def extract(
         Track this body only; by default every body in view.
     times : {"auto", "stamps", "frames"}
         Count frames, or use the timestamps of the film; "auto" uses these where the camera's rate varied.
+    workers : int or None
+        Processes that share the film; None: one for each core. A script that starts more than one needs the guard
+        ``if __name__ == "__main__":``.
     resume : bool
         Continue an interrupted run of the same film and settings; a complete output is read and returned.
     force : bool
@@ -80,8 +84,16 @@ def extract(
     """
     chosen = profile if isinstance(profile, Profile) else PAPER if profile is None else load(Path(profile))
     if output is None:
-        return track(Path(video), chosen, capture_fps=capture_fps, body=body, times=times, progress=progress)
-    task = ExtractionJob(Path(video), Path(output), chosen, capture_fps, body, times)
+        return track(
+            Path(video),
+            chosen,
+            capture_fps=capture_fps,
+            body=body,
+            times=times,
+            workers=workers,
+            progress=progress,
+        )
+    task = ExtractionJob(Path(video), Path(output), chosen, capture_fps, body, times, workers)
     if resume and not force and (complete := task.earlier()) is not None:
         return complete
     refuse_existing(task.target, force=force)

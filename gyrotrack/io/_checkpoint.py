@@ -120,9 +120,14 @@ class CheckpointFile:
 
     def records(self) -> Iterator[Record]:
         """Read the records one after the other."""
-        for start, end in zip(self._ends[:-1], self._ends[1:], strict=True):
-            self._stream.seek(start + _HEAD.size)
-            yield _unpacked(self._stream.read(end - start - _HEAD.size))
+        for index in range(len(self)):
+            yield self.record(index)
+
+    def record(self, index: int) -> Record:
+        """Read one of the records."""
+        start, end = self._ends[index : index + 2]
+        self._stream.seek(start + _HEAD.size)
+        return _unpacked(self._stream.read(end - start - _HEAD.size))
 
     def restart(self) -> None:
         """Drop all records."""

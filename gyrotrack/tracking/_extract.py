@@ -23,14 +23,12 @@ from gyrotrack.io._schema import STATUS
 from gyrotrack.tracking._acquisition import acquire
 from gyrotrack.tracking._body_angles import TrackedBodies, join_bodies, trusted_times
 from gyrotrack.tracking._corners import paper_angle
+from gyrotrack.tracking._film_parts import PartWorkers, frames_done, track_film
 from gyrotrack.tracking._film_tracker import (
     FilmObservations,
     FilmTracker,
-    ObservationLog,
     Progress,
-    frames_done,
     release_memory,
-    track_film,
 )
 from gyrotrack.tracking._frame_repeats import judge_repeats, left_out, without_repeats
 from gyrotrack.tracking._fusion import BodyAngles
@@ -149,6 +147,7 @@ def extract(
     body: str | None = None,
     times: str = "auto",
     threads: int = 2,
+    workers: int | None = 1,
     progress: Progress | None = None,
     journal: CheckpointFile | None = None,
 ) -> Recording:
@@ -170,7 +169,9 @@ def extract(
         Where the times are from: counted frames over the capture rate; the film's timestamps; or the stamps where
         they are spaced as unevenly as a camera's whose rate varied, in a film that is not in slow motion.
     threads : int
-        Threads of the decoder.
+        Threads of the decoder where one process tracks all.
+    workers : int, optional
+        Processes that share the film; None: one for each core. The result does not depend on their number.
     progress : callable, optional
         Called with (frames done, frames declared or None).
     journal : CheckpointFile, optional
@@ -199,7 +200,7 @@ def extract(
     timing = Timing(times, rate.fps)
     if body == "casing":
         profile = _only_casing(profile)
-    scene, seen = _seen(video, profile, threads, progress, timing, ObservationLog(journal))
+    scene, seen = _seen(video, profile, threads, workers, progress, timing, journal)
     release_memory()
     if len(seen.pts_time) < FEWEST:  # damage may leave fewer than the samples promised
         raise VideoError(
@@ -218,18 +219,19 @@ def _seen(
     video: Path,
     profile: Profile,
     threads: int,
+    workers: int | None,
     progress: Progress | None,
     timing: Timing,
-    notes: ObservationLog,
+    journal: CheckpointFile | None,
 ) -> tuple[Scene, FilmObservations]:
     """Find the markers and watch them through the film; what they need is let go of with the end of this."""
-    samples = take_samples(video)
-    with single_threaded():
+    with PartWorkers(video, workers) as processes, single_threaded():
+        samples = take_samples(video)
         scene = acquire(samples, profile, str(video))
         tracker = FilmTracker(scene, samples)
         del samples  # as large as all that is held on the way
         release_memory()
-        return scene, track_film(video, scene, tracker, threads, progress, timing, notes)
+        return scene, track_film(processes, video, scene, tracker, threads, progress, timing, journal)
 
 
 def _recording(
@@ -418,6 +420,8 @@ class ExtractionJob:
         Track only this body.
     times : {"auto", "stamps", "frames"}
         Where the times of the frames are from.
+    workers : int or None
+        Processes that share the film; None: one for each core. The result does not depend on their number.
     """
 
     video: Path
@@ -426,6 +430,7 @@ class ExtractionJob:
     capture_fps: float | None = None
     body: str | None = None
     times: str = "auto"
+    workers: int | None = 1
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -480,7 +485,7 @@ class ExtractionJob:
         tell : callable
             Hears where the run begins, and what is kept of it when it is interrupted.
         resume : bool
-            Go on with the journal of an earlier run, if there is one.
+            Continue with the checkpoint of an earlier run, if there is one.
         force : bool
             Replace an existing output.
 
@@ -509,6 +514,7 @@ class ExtractionJob:
                         capture_fps=self.capture_fps,
                         body=self.body,
                         times=self.times,
+                        workers=self.workers,
                         progress=progress,
                         journal=journal,
                     )
@@ -524,7 +530,7 @@ class ExtractionJob:
 
 def _resumed(journal: CheckpointFile, taken: int) -> str:
     if taken:
-        return f"going on after frame {taken - 1}"
+        return f"{taken} frames of an earlier run are kept"
     if journal.other:
         return f"{journal.path.name} was of another film, profile or version; starting from the first frame"
     return "no unfinished run is there; starting from the first frame"

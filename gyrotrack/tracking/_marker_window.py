@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -88,6 +89,13 @@ class MarkerStrip:
         self._mixing = np.zeros(ring.rows, dtype=np.float32)
         self._mixing[self._every_second] = 1.0 / len(self._mixing[self._every_second])
         self._ground_mean = ground[self._every_second].mean(axis=0)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "windows": self.windows.shape}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.windows = np.zeros(state["windows"], dtype=np.float32)
 
     def aim(self, centre: tuple[float, float]) -> None:
         """Put the ring about another centre."""

@@ -321,17 +321,21 @@ class Packets:
         Which ones hold a picture by itself.
     complete : bool
         Whether all of the film's packets are among them.
+    exact : bool
+        Whether the container stores the timestamps of the frames; AVI and raw streams only count packets.
     """
 
     stamps: npt.NDArray[np.int64]
     size: npt.NDArray[np.int64]
     key: npt.NDArray[np.bool_]
     complete: bool
+    exact: bool = True
 
 
 def read_packets(path: Path) -> Packets:
     """Read what a film's packets say of themselves, without decoding anything."""
     with opened(path) as (container, stream):
+        exact = any(name in str(container.format.name) for name in ("mp4", "matroska"))
         found = [(p.pts, p.size, p.is_keyframe) for p in packets_of(container.demux(stream))]
     stamped = sorted(p for p in found if p[0] is not None)
     stamps, size, key = zip(*stamped, strict=True) if stamped else ((), (), ())
@@ -340,24 +344,13 @@ def read_packets(path: Path) -> Packets:
         np.array(size, dtype=np.int64),
         np.array(key, dtype=np.bool_),
         len(stamped) == len(found),
+        exact,
     )
 
 
 def read_raw_stamps(path: Path) -> npt.NDArray[np.int64]:
     """Return the timestamps of a film's packets in units of the time base, sorted, without decoding anything."""
     return read_packets(path).stamps
-
-
-def key_before(path: Path, pts: int | None) -> int:
-    """Return the number of the last key packet that is shown at or before a timestamp; 0 if unknown."""
-    found = 0
-    if pts is None:
-        return found
-    with opened(path) as (container, stream):
-        for n, packet in enumerate(packets_of(container.demux(stream))):
-            if packet.is_keyframe and packet.pts is not None and packet.pts <= pts:
-                found = n
-    return found
 
 
 def keyframes(path: Path, count: int) -> list[Frame]:

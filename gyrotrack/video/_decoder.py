@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
-import zlib
 from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, Full, Queue
 from types import TracebackType
 from typing import Any, Generic, Self, TypeVar
 
+import av
 import numpy as np
 import numpy.typing as npt
 
@@ -20,14 +21,13 @@ from gyrotrack.video._container import (
     Frame,
     Orientation,
     decode_past_damage,
-    key_before,
     opened,
     orientation_of,
     packets_of,
     planes_of,
     probe,
 )
-from gyrotrack.video._time_base import frame_numbers, stamp_warnings
+from gyrotrack.video._time_base import stamp_warnings
 
 T = TypeVar("T")
 
@@ -111,26 +111,20 @@ _NO_STAMP = -(1 << 63)
 
 
 @dataclass(frozen=True)
-class Mark:
-    """A place in a film to which another reader can go: what was decoded up to it, and its last frame.
+class Part:
+    """A part of a film that begins with a key frame and can be decoded by itself.
 
     Attributes
     ----------
-    decoded : int
-        Frames up to here.
-    pts : int or None
-        Timestamp of the last one.
-    check : int
-        CRC-32 of its luma, by which the place is known again.
-    bad_packets, corrupt : int
-        What was damaged up to here.
+    first : int
+        Index of its first frame in the film.
+    start, stop : int or None
+        Timestamps of its key frame and of the first frame beyond it, in units of the time base; None: ends of the film.
     """
 
-    decoded: int
-    pts: int | None
-    check: int
-    bad_packets: int
-    corrupt: int
+    first: int = 0
+    start: int | None = None
+    stop: int | None = None
 
 
 class Reader:
@@ -143,6 +137,8 @@ class Reader:
     threads : int
         1: frames are decoded when they are asked for. More: a thread of its own decodes some frames ahead, and the
         decoder uses so many threads (whole frames side by side).
+    part : Part
+        The frames to read; by default all.
 
     Notes
     -----
@@ -150,14 +146,15 @@ class Reader:
     the iteration `decoded`, `pts` and `warnings` tell what was found.
     """
 
-    def __init__(self, path: Path, threads: int = 1) -> None:
+    def __init__(self, path: Path, threads: int = 1, part: Part = Part()) -> None:
         self.info: ClipInfo = probe(path)
+        self._part = part
         self.orientation = Orientation()
         self.decoded = 0
         self._threads = threads
         self._pts = array("q")
-        self._bad_packets = 0
-        self._corrupt = 0
+        self.bad_packets = 0
+        self.corrupt = 0
         self._size: tuple[int, int] | None = None
         self._open: Any = None
         self._ahead: ReadAhead[tuple[Any, int]] | None = None
@@ -179,73 +176,38 @@ class Reader:
             self._open = None
 
     def __iter__(self) -> Iterator[Frame]:
-        return self._frames(0)
-
-    def _frames(self, first_packet: int) -> Iterator[Frame]:
-        counted = 0
-        for raw, bad in self._decode(first_packet):
-            self._bad_packets += bad - counted
+        part, counted = self._part, 0
+        for raw, bad in self._decode():
+            self.bad_packets += bad - counted
             counted = bad
             if raw is None:
+                return
+            if part.start is not None and (raw.pts is None or raw.pts < part.start):
+                continue  # refers to frames before the key frame
+            if part.stop is not None and raw.pts is not None and raw.pts >= part.stop:
                 return
             if self._size is None:
                 self._size = (raw.width, raw.height)
                 self.orientation = orientation_of(raw)
             if (raw.width, raw.height) != self._size:
-                self._bad_packets += 1
+                self.bad_packets += 1
                 continue
-            frame = planes_of(raw, self.decoded, self.orientation)
+            frame = planes_of(raw, part.first + self.decoded, self.orientation)
             self.decoded += 1
             self._pts.append(_NO_STAMP if frame.pts is None else frame.pts)
-            self._corrupt += frame.corrupt
+            self.corrupt += frame.corrupt
             yield frame
 
-    def mark(self, last: Frame) -> Mark:
-        """Return the place after the frame that was given last."""
-        return Mark(self.decoded, last.pts, _check(last), self._bad_packets, self._corrupt)
-
-    def after(self, mark: Mark, stamps: Sequence[int]) -> Iterator[Frame] | None:
-        """Go to a mark and give the frames behind it; None if the film does not hold that place any more.
-
-        Parameters
-        ----------
-        mark : Mark
-            Made by another reader of the same film.
-        stamps : sequence of int
-            The timestamps of the frames up to there, as `stamps` gives them.
-
-        Notes
-        -----
-        Frames are decoded anew from the last key frame before the mark. If its last frame does not come out of
-        that as it was, they are decoded anew from the first one.
-        """
-        for first_packet in dict.fromkeys((key_before(self.info.path, mark.pts), 0)):
-            self.rewind()
-            frames = self._frames(first_packet)
-            for frame in frames:
-                here = frame.pts == mark.pts if first_packet else self.decoded == mark.decoded
-                if not here:
-                    continue
-                if _check(frame) != mark.check or frame.pts != mark.pts:
-                    break
-                self.decoded, self._bad_packets, self._corrupt = mark.decoded, mark.bad_packets, mark.corrupt
-                self._pts = array("q", stamps)
-                return frames
-        return None
-
-    def rewind(self) -> None:
-        """Go back to before the first frame."""
-        self._close()
-        self.decoded, self._bad_packets, self._corrupt, self._size = 0, 0, 0, None
-        self._pts = array("q")
-
-    def _decode(self, first_packet: int) -> Iterator[tuple[Any, int]]:
-        self._open = opened(self.info.path, self._threads)
-        container, stream = self._open.__enter__()
-        packets = container.demux(stream)
-        for _ in zip(range(first_packet), packets_of(packets), strict=False):
-            pass
-        decoded = decode_past_damage(packets, 100 + 2 * self.info.frames_declared)
+    def _decode(self) -> Iterator[tuple[Any, int]]:
+        packets: Iterator[Any] | None = None
+        for seek in (True, False):  # not every container finds a place by its timestamp
+            self._close()
+            self._open = opened(self.info.path, self._threads)
+            container, stream = self._open.__enter__()
+            packets = _from_key(container, stream, self._part.start, seek=seek)
+            if packets is not None:
+                break
+        decoded = decode_past_damage(packets or iter(()), 100 + 2 * self.info.frames_declared)
         if self._threads > 1:
             self._ahead = ReadAhead(decoded)
             return iter(self._ahead)
@@ -258,38 +220,68 @@ class Reader:
 
     def pts_seconds(self) -> npt.NDArray[np.float64]:
         """Return the timestamps of the frames so far in s, NaN where a frame has none."""
-        stamps = self.stamps
-        return np.where(stamps == _NO_STAMP, np.nan, stamps * float(self.info.time_base))
-
-    def frame_numbers(self) -> npt.NDArray[np.int64]:
-        """Return the numbers of the frames so far, those of missing frames left out."""
-        return frame_numbers(self.pts_seconds(), float(self.info.time_base))
+        return pts_seconds(self.stamps, float(self.info.time_base))
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """What was not as it should be, in plain sentences."""
-        found = []
-        declared = self.info.frames_declared
-        if declared > self.decoded:
-            found.append(
-                f"the file declares {declared} frames and {self.decoded} could be decoded: "
-                "it is cut off, damaged or edited; what was decoded is used"
-            )
-        seconds = self.pts_seconds()
-        known = seconds[np.isfinite(seconds)]
-        period = float(np.median(np.diff(known))) if len(known) > 1 else 0.0
-        ends = float(known.max()) + period if len(known) else 0.0
-        if self.info.duration_declared > ends + max(0.5 * period, _STAMP_S):
-            found.append(
-                f"the file declares {self.info.duration_declared:.3f} s and its last frame ends at {ends:.3f} s: "
-                "it is cut off, damaged or edited; what was decoded is used"
-            )
-        if self._bad_packets:
-            found.append(f"{self._bad_packets} damaged packets were skipped")
-        if self._corrupt:
-            found.append(f"{self._corrupt} frames are marked as damaged by the decoder")
-        return (*found, *stamp_warnings(seconds))
+        return film_warnings(self.info, self.pts_seconds(), self.bad_packets, self.corrupt)
 
 
-def _check(frame: Frame) -> int:
-    return zlib.crc32(frame.y.tobytes())
+def pts_seconds(stamps: npt.NDArray[np.int64], tick: float) -> npt.NDArray[np.float64]:
+    """Return timestamps in s, NaN where a frame has none; `tick` is the time base [s]."""
+    return np.where(stamps == _NO_STAMP, np.nan, stamps * tick)
+
+
+def film_warnings(
+    info: ClipInfo, seconds: npt.NDArray[np.float64], bad_packets: int, corrupt: int
+) -> tuple[str, ...]:
+    """Return what is wrong with a film that was read, in plain sentences.
+
+    Parameters
+    ----------
+    info : ClipInfo
+        What the film declares.
+    seconds : ndarray, shape (n,)
+        Timestamps of its frames [s], NaN where a frame has none.
+    bad_packets, corrupt : int
+        Packets that could not be decoded, and frames that the decoder marks as damaged.
+    """
+    found = []
+    if info.frames_declared > len(seconds):
+        found.append(
+            f"the file declares {info.frames_declared} frames and {len(seconds)} could be decoded: "
+            "it is cut off, damaged or edited; what was decoded is used"
+        )
+    known = seconds[np.isfinite(seconds)]
+    period = float(np.median(np.diff(known))) if len(known) > 1 else 0.0
+    ends = float(known.max()) + period if len(known) else 0.0
+    if info.duration_declared > ends + max(0.5 * period, _STAMP_S):
+        found.append(
+            f"the file declares {info.duration_declared:.3f} s and its last frame ends at {ends:.3f} s: "
+            "it is cut off, damaged or edited; what was decoded is used"
+        )
+    if bad_packets:
+        found.append(f"{bad_packets} damaged packets were skipped")
+    if corrupt:
+        found.append(f"{corrupt} frames are marked as damaged by the decoder")
+    return (*found, *stamp_warnings(seconds))
+
+
+def _from_key(container: Any, stream: Any, stamp: int | None, *, seek: bool) -> Iterator[Any] | None:
+    """Return the packets from the key frame of a timestamp on; None if it is not found."""
+    if stamp is None:
+        packets: Iterator[Any] = container.demux(stream)
+        return packets
+    if seek:
+        try:
+            container.seek(stamp, stream=stream, backward=True)
+        except av.error.FFmpegError:
+            return None
+    packets = container.demux(stream)
+    for packet in packets_of(packets):
+        if packet.is_keyframe and packet.pts == stamp:
+            return itertools.chain((packet,), packets)
+        if seek and packet.is_keyframe and packet.pts is not None and packet.pts > stamp:
+            return None
+    return None

@@ -325,6 +325,12 @@ def test_a_fit_is_kept_in_the_ledger_and_quitting_leaves_nothing_behind(chromium
     assert fits[1]["parent"] == "f1"
     value = fits[1]["parameters"][f"{FOUND}.k"]
     assert abs(value["value"] - 3e-10) < 5 * value["stderr"]
+    page.click("#write-report")
+    page.locator("#open-report").wait_for(timeout=120_000)
+    with found.context.expect_page() as opened:
+        page.click("#open-report")
+    assert FOUND in opened.value.locator("body").inner_text()
+    assert case.with_suffix(".report.html").is_file()
     children = server.children()
     assert children  # the search for what is missing
     page.click("#quit")

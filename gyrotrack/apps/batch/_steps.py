@@ -138,7 +138,15 @@ def _of(e: Experiment, folder: Path, request: Request) -> list[Step]:
 
 
 def _extract(e: Experiment, clip: Clip, output: Path) -> Step:
-    words = [str(clip.file), "-o", str(output), "--force", "--resume"]
+    words = [
+        str(clip.file),
+        "-o",
+        str(output),
+        "--force",
+        "--resume",
+        "--workers",
+        "1",
+    ]  # a step is a process
     if clip.capture_fps is not None:
         words += ["--capture-fps", f"{clip.capture_fps:g}"]
     if clip.profile is not None:

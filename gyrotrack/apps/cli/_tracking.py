@@ -186,6 +186,15 @@ def extract_command(
             help="Also draw twelve frames with corners, angle, status and uncertainty.",
         ),
     ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            "--workers",
+            metavar="N",
+            min=1,
+            help="Processes that share the film; by default one for each core. The result is the same for every N.",
+        ),
+    ] = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Continue an interrupted run, if there is one.")
     ] = False,
@@ -212,7 +221,9 @@ def extract_command(
     out = Output(as_json=as_json, quiet=quiet)
     target = output if output is not None else video.with_suffix(".h5")
     chosen = load(profile) if profile is not None else PAPER
-    task = ExtractionJob(video, target, chosen, capture_fps, body.value if body else None, times.value)
+    task = ExtractionJob(
+        video, target, chosen, capture_fps, body.value if body else None, times.value, workers
+    )
     done = task.earlier() if resume and not force else None
     if done is None:
         refuse_existing(target, force=force)

@@ -59,6 +59,11 @@ class Clips:
         found = case.recordings if case is not None else {}
         self._clips = {k: _Clip(r, find_film(r, list(folders))) for k, r in found.items()}
 
+    @property
+    def folder(self) -> Path | None:
+        """The folder in which the first film was found."""
+        return next((c.path.resolve().parent for c in self._clips.values() if c.path is not None), None)
+
     def document(self) -> list[dict[str, Any]]:
         """Return what the page needs to know of each clip."""
         rows = []

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hmac
 import json
 import secrets
+import shlex
 import socket
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
@@ -32,6 +33,7 @@ from gyrotrack.apps.workbench._films import (
     colour_at,
     profile_text,
 )
+from gyrotrack.apps.workbench._jobs import Jobs
 from gyrotrack.apps.workbench._project import Project
 from gyrotrack.apps.workbench._ranking import Ranker
 from gyrotrack.apps.workbench._session import Session, library_document
@@ -109,13 +111,15 @@ class Guard:
         ):
             return _FORBIDDEN
         given = [v for k, v in headers if k == TOKEN_HEADER]
-        if scope["path"] == "/" and scope["method"] in {"GET", "HEAD"}:
+        if scope["path"] in _PAGES and scope["method"] in {"GET", "HEAD"}:
             asked = parse_qs(scope["query_string"], max_num_fields=8) if scope["query_string"] else {}
             given += asked.get(b"token", [])
         fits = any(hmac.compare_digest(g, self._token) for g in given)
         return _ACCEPTED if fits else _FORBIDDEN
 
 
+# what a browser opens by its address alone
+_PAGES = {"/", "/report"}
 _ACCEPTED, _FORBIDDEN, _MISDIRECTED = 200, 403, 400
 
 
@@ -215,11 +219,14 @@ _ADDRESS = "127.0.0.1"
 
 @dataclass(frozen=True)
 class Laboratory:
-    """One case: its fits, its films, and the process that ranks candidate effects."""
+    """One case: its fits, its films, and the processes that rank candidate effects and write the report."""
 
     session: Session
     clips: Clips
     ranker: Ranker
+    case: Path
+    ledger: Path | None
+    jobs: Jobs
 
     @classmethod
     def open(
@@ -245,10 +252,36 @@ class Laboratory:
         session = Session(study.data[0], base, fit_id, study.ledger, tracked)
         # what the page asks for first is ready, or nearly so, when it does
         Thread(target=session.state, kwargs={"whole": True}, daemon=True).start()
-        return cls(session, Clips(tracked, list(films)), Ranker(case))
+        jobs = Jobs(case.resolve().parent, 1)
+        return cls(session, Clips(tracked, list(films)), Ranker(case), case.resolve(), ledger, jobs)
+
+    @property
+    def report(self) -> Path:
+        """Where the report is written: beside the case."""
+        return self.case.with_suffix(".report.html")
+
+    def write_report(self) -> dict[str, Any]:
+        """Keep the shown fit in the ledger and write the report of its history, in a process."""
+        self.jobs.start("report", self._report_words(self.session.kept()), lambda _: None)
+        return self.report_state()
+
+    def report_state(self) -> dict[str, Any]:
+        """Return how far the report is, its name, and the command line that writes it."""
+        job = self.jobs.get("report")
+        words = self._report_words() if job is None else job.words
+        state = {"state": "none"} if job is None else job.summary()
+        return state | {"name": self.report.name, "command": shlex.join(("gyrotrack", *words))}
+
+    def _report_words(self, fit_id: str = "") -> tuple[str, ...]:
+        words = ["report", self.case.name, "-o", self.report.name, "--force"]
+        words += ["--from", fit_id] if fit_id else []
+        words += ["--films", str(self.clips.folder)] if self.clips.folder is not None else []
+        words += ["--ledger", str(self.ledger.resolve())] if self.ledger is not None else []
+        return tuple(words)
 
     def close(self) -> None:
-        """End the ranking process and close the films."""
+        """End all processes and close the films."""
+        self.jobs.close()
         self.ranker.close()
         self.clips.close()
 
@@ -286,6 +319,8 @@ class Workbench:
             Route("/", self._page),
             Route("/api/state", self._get(self._state)),
             Route("/api/frame", self._frame),
+            Route("/api/report", self._get(lambda _: self.laboratory.report_state())),
+            Route("/report", self._report),
             *(
                 Route(f"/api/{k}", self._post(f), methods=["POST"])
                 for k, f in self._laboratory_calls().items()
@@ -330,6 +365,7 @@ class Workbench:
             ),
             "keep": session(lambda s, _: s.keep()),
             "rank": rank,
+            "write_report": lambda _: self.laboratory.write_report(),
             "colour": lambda a: self.laboratory.clips.colour(
                 text(a, "clip"), whole(a, "index"), number(a, "x"), number(a, "y")
             ),
@@ -419,6 +455,14 @@ class Workbench:
         label = self._laboratory.session.label if self._laboratory is not None else ""
         page, policy = page_text(label, has_case=bool(label), has_project=self.project is not None)
         return HTMLResponse(page, headers={"content-security-policy": policy})
+
+    async def _report(self, _request: Request) -> Response:
+        from starlette.responses import FileResponse
+
+        lab = self._laboratory
+        if lab is None or not lab.report.is_file():
+            return refusal(UsageError("There is no report yet.", "Write it in the laboratory first."))
+        return FileResponse(lab.report, media_type="text/html")
 
     def _state(self, _asked: dict[str, Any]) -> dict[str, Any]:
         lab = self.laboratory

@@ -249,6 +249,11 @@ class Session:
             self._keep(self.current)
             return self.state()
 
+    def kept(self) -> str:
+        """Store the current model and its predecessors in the ledger, and return the name of its fit."""
+        with self._lock:
+            return self._keep(self.current)
+
     def _keep(self, place: int) -> str:
         step = self.steps[place]
         if step.fit_id:

@@ -350,6 +350,7 @@ const Laboratory = (() => {
     at("clip").replaceChildren(...found.map((c) => element("option", { value: c.key }, `${c.source} (${c.body})`)));
     if (found.length) choose(found[0].key);
     search();
+    at("command-report").textContent = (await ask("/api/report")).command;
   }
 
   at("glossary").replaceChildren(...GLOSSARY.flatMap(([term, text]) => [element("dt", {}, term), element("dd", {}, text)]));
@@ -357,6 +358,30 @@ const Laboratory = (() => {
     event.preventDefault();
     if (await change({ add: at("wish").value })) at("wish").value = "";
   });
+  /* the report is written by a process; the fit that is shown is kept first */
+  async function report() {
+    const state = await act(() => ask("/api/keep", {}));
+    if (!state) return;
+    render(state);
+    const begin = at("write-report");
+    try {
+      let found = await ask("/api/write_report", {});
+      at("command-report").textContent = found.command;
+      at("open-report").hidden = true;
+      while (found.state === "waiting" || found.state === "running") {
+        begin.disabled = true;
+        at("report-state").textContent = `writing \u2026 ${Math.round(found.seconds || 0)} s (some 10 s)`;
+        await new Promise((done) => setTimeout(done, 400));
+        found = await ask("/api/report");
+      }
+      at("report-state").textContent = found.state === "done" ? found.name : found.message || found.state;
+      at("open-report").href = `/report${location.search}`;
+      at("open-report").hidden = found.state !== "done";
+    } catch (error) { complain(error); }
+    begin.disabled = false;
+  }
+
+  at("write-report").addEventListener("click", report);
   at("keep").addEventListener("click", () => apply("/api/keep", {}));
   at("undo").addEventListener("click", () => apply("/api/undo", {}));
   at("tuning").addEventListener("toggle", () => { if (at("tuning").open && !sliders) tune(); });

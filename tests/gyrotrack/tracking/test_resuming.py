@@ -1,5 +1,6 @@
 """A run that was stopped anywhere goes on and ends with the same numbers; memory does not grow with the film."""
 
+import dataclasses
 import signal
 import subprocess
 import sys
@@ -13,8 +14,10 @@ import pytest
 from gyrotrack.apps.cli._app import run
 from gyrotrack.io._checkpoint import CheckpointFile, checkpoint_path
 from gyrotrack.tracking._extract import extract, run_facts
-from gyrotrack.tracking._film_tracker import frames_done
+from gyrotrack.tracking._film_parts import frames_done, split, turns_between
 from gyrotrack.tracking._profile import PAPER
+from gyrotrack.video._container import Packets
+from gyrotrack.video._decoder import Part
 
 
 def stopping(at):
@@ -39,24 +42,29 @@ def content(path):
 
 
 @pytest.fixture
-def every_batch(monkeypatch):
-    monkeypatch.setattr("gyrotrack.tracking._film_tracker.BATCHES", 1)
-    monkeypatch.setattr("gyrotrack.tracking._film_tracker.BATCH", 128)
+def short_parts(monkeypatch):
+    monkeypatch.setattr("gyrotrack.tracking._film_parts.PART", 260)
+    monkeypatch.setattr("gyrotrack.tracking._film_parts.LEAST_PART", 200)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("clip", "at"), [("casing_clip", 128), ("rotor_clip", 256)])
-def test_a_stopped_run_ends_with_the_same_numbers(every_batch, clip, at, request, tmp_path):
-    film, _ = request.getfixturevalue(clip)
+def test_a_stopped_run_ends_with_the_same_numbers(short_parts, long_film, tmp_path):
+    film = long_film(4)
     whole = extract(film)
     facts = run_facts(film, PAPER, None)
     with pytest.raises(KeyboardInterrupt), CheckpointFile(tmp_path / "o.h5", facts) as journal:
-        extract(film, progress=stopping(at), journal=journal)
+        extract(film, progress=stopping(700), journal=journal)
     with CheckpointFile(tmp_path / "o.h5", facts, resume=True) as journal:
-        assert frames_done(journal) == at
+        kept = frames_done(journal)
+        assert 260 <= kept < 1040
         done = []
         again = extract(film, progress=lambda n, _: done.append(n), journal=journal)
-    assert done[0] == at  # what was done is not done again
+    assert done[0] == kept  # what was done is not done again
+    assert done[-1] == 1040
+    same(again, whole)
+
+
+def same(again, whole):
     for name, body in whole.bodies.items():
         for column in ("time", "angle", "sigma", "omega", "n_markers"):
             np.testing.assert_array_equal(getattr(again.bodies[name], column), getattr(body, column))
@@ -68,32 +76,33 @@ def test_a_stopped_run_ends_with_the_same_numbers(every_batch, clip, at, request
 
 
 @pytest.mark.slow
-def test_the_command_goes_on_and_knows_when_it_is_done(every_batch, casing_clip, tmp_path, capsys):
-    film, target = str(casing_clip[0]), tmp_path / "o.h5"
-    assert run(["extract", film, "-o", str(target), "-q"]) == 0
+def test_the_command_goes_on_and_knows_when_it_is_done(short_parts, long_film, tmp_path, capsys):
+    film, target = long_film(4), tmp_path / "o.h5"
+    words = ["extract", str(film), "-o", str(target), "--workers", "1"]
+    assert run([*words, "-q"]) == 0
     whole = content(target)
     target.unlink()
-    facts = run_facts(casing_clip[0], PAPER, None)
+    facts = run_facts(film, PAPER, None)
     with pytest.raises(KeyboardInterrupt), CheckpointFile(target, facts) as journal:
-        extract(casing_clip[0], progress=stopping(128), journal=journal)
+        extract(film, progress=stopping(700), journal=journal)
     assert checkpoint_path(target).exists()
     capsys.readouterr()
-    assert run(["extract", film, "-o", str(target), "--resume"]) == 0
-    assert "after frame 127" in capsys.readouterr().err
+    assert run([*words, "--resume"]) == 0
+    assert "of an earlier run are kept" in capsys.readouterr().err
     assert content(target) == whole
-    assert [path.name for path in tmp_path.iterdir()] == ["o.h5"]
-    assert run(["extract", film, "-o", str(target), "--resume"]) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["4.mp4", "o.h5"]
+    assert run([*words, "--resume"]) == 0
     assert "complete already" in capsys.readouterr().err
-    assert run(["extract", film, "-o", str(target), "--resume", "--body", "casing"]) == 1  # not the same run
+    assert run([*words, "--resume", "--body", "casing"]) == 1  # not the same run
     assert "--force" in capsys.readouterr().err
     assert content(target) == whole
 
 
 @pytest.mark.slow
-def test_a_journal_that_does_not_fit_the_film_is_started_anew(every_batch, casing_clip, rotor_clip, tmp_path):
+def test_a_journal_that_does_not_fit_the_film_is_started_anew(short_parts, long_film, rotor_clip, tmp_path):
     output = tmp_path / "o.h5"
     with pytest.raises(KeyboardInterrupt), CheckpointFile(output, {"film": "x"}) as journal:
-        extract(casing_clip[0], progress=stopping(128), journal=journal)
+        extract(long_film(4), progress=stopping(700), journal=journal)
     with CheckpointFile(
         output, {"film": "x"}, resume=True
     ) as journal:  # as if the film had been changed behind our back
@@ -101,16 +110,73 @@ def test_a_journal_that_does_not_fit_the_film_is_started_anew(every_batch, casin
     np.testing.assert_array_equal(again.bodies["rotor"].angle, extract(rotor_clip[0]).bodies["rotor"].angle)
 
 
-def test_an_interrupted_command_says_how_to_go_on(every_batch, casing_clip, tmp_path, capsys, monkeypatch):
-    whole = extract
+@pytest.mark.slow
+def test_an_interrupted_command_says_how_to_go_on(short_parts, long_film, tmp_path, capsys, monkeypatch):
+    film, whole = long_film(4), extract
 
     def interrupted(*words, **settings):
-        return whole(*words, **{**settings, "progress": stopping(256)})
+        return whole(*words, **{**settings, "workers": 1, "progress": stopping(700)})
 
     monkeypatch.setattr("gyrotrack.tracking._extract.extract", interrupted)
-    assert run(["extract", str(casing_clip[0]), "-o", str(tmp_path / "o.h5")]) == 130
-    assert "256 frames are kept; the same command with --resume" in capsys.readouterr().err
-    assert [path.name for path in tmp_path.iterdir()] == ["o.h5.unfinished"]
+    assert run(["extract", str(film), "-o", str(tmp_path / "o.h5")]) == 130
+    assert "frames are kept; the same command with --resume" in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["4.mp4", "o.h5.unfinished"]
+
+
+@pytest.mark.slow
+def test_any_number_of_workers_gives_the_same_bits(long_film):
+    film = long_film(20)  # 5,200 frames, four parts
+    alone, two, three = (extract(film, workers=n) for n in (1, 2, 3))
+    same(two, alone)
+    same(three, alone)
+
+
+@pytest.mark.slow
+def test_parts_join_without_a_step(long_film, monkeypatch):
+    film = long_film(4)
+    whole = extract(film)
+    monkeypatch.setattr("gyrotrack.tracking._film_parts.PART", 260)
+    monkeypatch.setattr("gyrotrack.tracking._film_parts.LEAST_PART", 200)
+    parts = extract(film)
+    for name, body in whole.bodies.items():
+        assert len(parts.bodies[name].angle) == len(body.angle) == 1040
+        apart = parts.bodies[name].angle - body.angle
+        assert np.abs(apart).max() < 8 * np.median(body.sigma)
+        assert np.abs(apart.mean()) < 0.3 * np.median(body.sigma)
+
+
+def packets(count, keys):
+    flags = np.zeros(count, dtype=np.bool_)
+    flags[list(keys)] = True
+    return Packets(100 + 10 * np.arange(count), np.full(count, 900), flags, complete=True)
+
+
+def test_parts_depend_on_the_film_alone():
+    parts = split(packets(10_000, range(0, 10_000, 250)))
+    assert [p.first for p in parts] == [0, 2500, 5000, 7500]
+    assert [p.start for p in parts] == [None, 25_100, 50_100, 75_100]
+    assert [p.stop for p in parts] == [25_740, 50_740, 75_740, None]  # 64 frames into the next one
+    assert len(split(packets(3000, range(0, 3000, 250)))) == 2
+    assert split(packets(700, range(0, 700, 50))) == (Part(),)
+    assert split(packets(9000, [0])) == (Part(),)
+    assert split(dataclasses.replace(packets(9000, range(0, 9000, 250)), complete=False)) == (Part(),)
+
+
+def test_turns_between_parts():
+    turn = 2 * np.pi
+    frame = np.arange(200.0)
+    angle = 0.4 * frame
+    late = frame[100:]
+    # seen by both in 40 frames, two turns apart
+    added = turns_between(frame[:140], angle[:140], late, angle[100:] - 2 * turn)
+    np.testing.assert_allclose(added, 2 * turn)
+    # one of them took the motion for one turn a frame less
+    added = turns_between(frame[:140], angle[:140], late, angle[100:] - 3 * turn - turn * (late - 100))
+    np.testing.assert_allclose(added, 3 * turn + turn * (late - 100))
+    # lost where they meet: it runs on
+    lost = np.where(frame[:140] < 90, angle[:140], np.nan)
+    hidden = np.where(late > 130, angle[100:] - 5 * turn, np.nan)
+    np.testing.assert_allclose(turns_between(frame[:140], lost, late, hidden), 5 * turn)
 
 
 def repeated(source, target, times):
@@ -148,7 +214,7 @@ def long_film(draw, tmp_path):
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs SIGKILL")
 def test_killed_at_random_moments_it_ends_with_the_same_numbers(long_film, tmp_path):
-    film, target = long_film(8), tmp_path / "o.h5"
+    film, target = long_film(40), tmp_path / "o.h5"
     words = [sys.executable, "-m", "gyrotrack", "extract", str(film), "-o", str(target), "-q"]
     subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
     whole = content(target)

@@ -6,14 +6,12 @@ import av
 import numpy as np
 import pytest
 
-from gyrotrack.io._checkpoint import CheckpointFile
 from gyrotrack.io._schema import STATUS
 from gyrotrack.synthetic._film import to_planes
 from gyrotrack.synthetic._motion import Motion
 from gyrotrack.synthetic._render import Renderer
 from gyrotrack.synthetic._scene import Camera, Light, Scene
-from gyrotrack.tracking._extract import extract, run_facts
-from gyrotrack.tracking._profile import PAPER
+from gyrotrack.tracking._extract import extract
 
 SIZE = (320, 240)
 FPS, N = 260.0, 320
@@ -229,23 +227,3 @@ class TestRepeatedFrames:
         assert recording.extra["repeated_frames"] == 0
         assert recording.warnings == ()
         assert (recording.frame_index == np.arange(N)).all()
-
-    @pytest.mark.slow
-    def test_a_run_goes_on_across_repeated_frames(self, shoot, tmp_path, monkeypatch):
-        monkeypatch.setattr("gyrotrack.tracking._film_tracker.BATCHES", 1)
-        monkeypatch.setattr("gyrotrack.tracking._film_tracker.BATCH", 128)
-        film = shoot("filled.mp4", EVEN, FILLED, EVEN)
-        whole = extract(film)
-
-        def stopping(done, total):
-            if done >= 256:
-                raise KeyboardInterrupt
-
-        facts = run_facts(film, PAPER, None)
-        with pytest.raises(KeyboardInterrupt), CheckpointFile(tmp_path / "o.h5", facts) as journal:
-            extract(film, progress=stopping, journal=journal)
-        with CheckpointFile(tmp_path / "o.h5", facts, resume=True) as journal:
-            again = extract(film, journal=journal)
-        assert again.warnings == whole.warnings
-        for name, body in whole.bodies.items():
-            np.testing.assert_array_equal(again.bodies[name].angle, body.angle)

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from gyrotrack._errors import VideoError
-from gyrotrack.video._container import probe, read_raw_stamps
-from gyrotrack.video._decoder import Reader
+from gyrotrack.video._container import probe, read_packets, read_raw_stamps
+from gyrotrack.video._decoder import Part, Reader
 from gyrotrack.video._frames import frames_at
 from gyrotrack.video._time_base import capture_rate, frame_numbers, gap_warnings
 
@@ -79,7 +79,7 @@ def test_a_variable_rate_keeps_the_cameras_grid(tmp_path):
     assert numbers == keep.tolist()
     np.testing.assert_array_equal(frame_numbers(reader.pts_seconds()), keep - keep[0])
     assert reader.warnings == ()
-    (warning,) = gap_warnings(reader.frame_numbers())
+    (warning,) = gap_warnings(frame_numbers(reader.pts_seconds()))
     missing = keep[-1] + 1 - len(keep)
     assert f"{missing} missing frames" in warning
 
@@ -132,31 +132,24 @@ def test_damage_in_the_middle_costs_no_frame_before_it_and_none_of_the_later_gro
     assert reader.warnings != () or len(numbers) == 150
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("name", ["a.mp4", "a.mkv", "a.avi"])
-def test_another_reader_goes_on_behind_a_mark(tmp_path, name, threads):
+def test_parts_are_read_from_their_key_frames(tmp_path, name, threads):
     path = film(tmp_path / name)
-    for stop in (1, 24, 25, 26, 77, 149, 150):
-        with Reader(path, threads) as reader:
-            for frame in reader:
-                if reader.decoded == stop:
-                    mark, stamps = reader.mark(frame), reader.stamps.tolist()
-                    break
-        with Reader(path, threads) as other:
-            frames = other.after(mark, stamps)
-            assert [number(frame) for frame in frames] == list(range(stop, 150))
-            assert other.decoded == 150
-            np.testing.assert_array_equal(other.pts_seconds(), read(path)[1].pts_seconds())
-
-
-def test_a_mark_of_another_film_is_not_found(tmp_path):
-    path = film(tmp_path / "a.mp4")
-    with Reader(film(tmp_path / "b.mp4", range(200, 350))) as reader:
-        frame = next(iter(reader))
-        mark, stamps = reader.mark(frame), reader.stamps.tolist()
-    with Reader(path) as other:
-        assert other.after(mark, stamps) is None
+    packets = read_packets(path)
+    assert packets.exact == (name != "a.avi")
+    if not packets.exact:
+        return
+    keys = np.flatnonzero(packets.key)[1:]
+    assert len(keys) > 2
+    for key in keys:
+        stop = int(packets.stamps[key + 7]) if key + 7 < 150 else None
+        with Reader(path, threads, Part(int(key), int(packets.stamps[key]), stop)) as reader:
+            frames = list(reader)
+        assert [number(frame) for frame in frames] == list(range(key, key + 7 if stop else 150))
+        assert frames[0].index == key
+    with Reader(path, threads, Part(0, None, int(packets.stamps[31]))) as reader:
+        assert [number(frame) for frame in reader] == list(range(31))
 
 
 @pytest.mark.parametrize("name", ["a.mp4", "a.mkv"])

@@ -93,6 +93,8 @@ def test_only_the_right_combination_gets_through(path):
 def test_the_address_lets_the_page_in_and_nothing_else():
     host = [("host", f"localhost:{PORT}")]
     assert _ask("/", host, query=f"token={TOKEN}".encode())[0]["status"] == 200
+    assert _ask("/report", host, query=f"token={TOKEN}".encode())[0]["status"] == 200
+    assert _ask("/report", host, query=b"token=wrong")[0]["status"] == 403
     assert _ask("/", host, query=b"token=wrong")[0]["status"] == 403
     assert _ask("/", host, query=b"")[0]["status"] == 403
     assert _ask("/", host, query=f"token={TOKEN}".encode(), method="POST")[0]["status"] == 403

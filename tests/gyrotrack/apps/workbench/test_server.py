@@ -1,8 +1,11 @@
 """The address that is announced answers."""
 
 import socket
+import sys
+from threading import Event
 from types import SimpleNamespace
 from urllib.parse import urlsplit
+from urllib.request import urlopen
 
 import pytest
 
@@ -28,3 +31,31 @@ def test_who_comes_as_soon_as_the_address_is_announced_is_not_turned_away():
     with pytest.raises(_EnoughError):
         serve(bench, 0, announce)
     assert seen == ["connected", "closed"]
+
+
+async def _empty(scope, receive, send):
+    if scope["type"] == "http":
+        await send({"type": "http.response.start", "status": 200, "headers": []})
+        await send({"type": "http.response.body", "body": b"page"})
+
+
+def test_a_window_shows_the_page_and_closing_it_ends_the_program(monkeypatch):
+    closed, seen = Event(), []
+
+    def start(watch):
+        seen.append(urlopen(seen[0], timeout=10).read())  # noqa: S310 - our own address
+
+    toolkit = SimpleNamespace(
+        create_window=lambda title, address, **_: seen.append(address) or SimpleNamespace(destroy=closed.set),
+        start=start,
+    )
+    monkeypatch.setitem(sys.modules, "webview", toolkit)
+    bench = SimpleNamespace(
+        app=lambda port, token: _empty,
+        close=lambda: seen.append("closed"),
+        interrupt=lambda: None,
+        stop=None,
+    )
+    announced = []
+    serve(bench, 0, announced.append, window=True)
+    assert seen == [announced[0], b"page", "closed"]

@@ -1,0 +1,543 @@
+"""One pass through a film, part by part, in several processes.
+
+A film is split at key frames into parts that depend on the film alone. Each part is tracked by a copy of one new
+tracker, which knows the scene but nothing of the frames before: what a tracker learns on the way (templates, the light
+on the rings, the motion) stays in its part, and the result does not depend on how many processes share the parts.
+A part goes on for `OVERLAP` frames into the next one. These frames, seen by both, tell by how many turns the unwrapped
+angles of the two differ; of their measurements those of the earlier part are kept, whose tracker is not new any more.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, fields
+from multiprocessing import get_context, parent_process
+from multiprocessing.sharedctypes import Synchronized
+from pathlib import Path
+from threading import Lock, Thread
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack._column_store import new_columns, set_down
+from gyrotrack._errors import VideoError
+from gyrotrack.io._checkpoint import CheckpointFile
+from gyrotrack.tracking import _film_tracker
+from gyrotrack.tracking._film_tracker import (
+    BodyObservations,
+    FilmObservations,
+    FilmTracker,
+    Progress,
+    Rows,
+)
+from gyrotrack.tracking._observations import MarkerObservations
+from gyrotrack.tracking._profile import single_threaded
+from gyrotrack.tracking._scene import Scene
+from gyrotrack.video._container import Frame, Packets, probe, read_packets
+from gyrotrack.video._decoder import Part, Reader, film_warnings, pts_seconds
+from gyrotrack.video._frames import RepeatDetector
+from gyrotrack.video._time_base import Timing
+
+Floats = npt.NDArray[np.float64]
+
+PART = 2500
+"""Frames of a part at most, but for the distance of key frames."""
+LEAST_PART = 400
+"""Frames of a part at least: from fewer the light on a ring and the templates are not learnt."""
+OVERLAP = 64
+"""Frames that two neighbouring parts share."""
+_RATE = 24
+_STAMPS = "stamps"
+
+
+def available_cores() -> int:
+    """Return the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def split(packets: Packets) -> tuple[Part, ...]:
+    """Return the parts of a film, in order; one part if it is short or its timestamps are not those of the frames.
+
+    Parameters
+    ----------
+    packets : Packets
+        Of the whole film.
+
+    Notes
+    -----
+    Their number is even, since machines have even numbers of cores. The part that begins with key frame k ends
+    `OVERLAP` frames behind the next part's key frame.
+    """
+    stamps, count = packets.stamps, len(packets.stamps)
+    number = 2 * -(-count // (2 * PART))
+    if not (packets.complete and packets.exact) or count < 2 * LEAST_PART or (np.diff(stamps) <= 0).any():
+        return (Part(),)
+    keys = np.flatnonzero(packets.key)
+    wanted = np.arange(1, number) * count / number
+    near = [int(keys[np.argmin(np.abs(keys - at))]) for at in wanted] if len(keys) else []
+    starts = [0]
+    for key in near:
+        if key - starts[-1] >= LEAST_PART and count - key >= LEAST_PART:
+            starts.append(key)
+    ends = [int(stamps[key + OVERLAP]) for key in starts[1:]]
+    begins = [int(stamps[key]) for key in starts[1:]]
+    return tuple(map(Part, starts, (None, *begins), (*ends, None)))
+
+
+@dataclass(frozen=True)
+class Film:
+    """What is needed to track a part of a film in another process.
+
+    Attributes
+    ----------
+    path : Path
+        The film.
+    packets : Packets
+        Its packets.
+    timing : Timing
+        Origin of its times.
+    tracker : bytes
+        A new tracker of the scene, pickled.
+    """
+
+    path: Path
+    packets: Packets
+    timing: Timing
+    tracker: bytes
+
+
+@dataclass(frozen=True)
+class PartRows:
+    """What one part gives: rows and timestamps of its frames, packets that are damaged, frames that are."""
+
+    rows: Rows
+    stamps: npt.NDArray[np.int64]
+    bad_packets: int
+    corrupt: int
+
+
+class _Advance:
+    """How many usual periods lie between frames of the film, by the timestamps of the whole film."""
+
+    def __init__(self, stamps: npt.NDArray[np.int64], time_base: float, timing: Timing) -> None:
+        times = timing.of(np.asarray(stamps * time_base, dtype=np.float64), time_base)
+        self.stamped = times.place is not None
+        steps = np.diff(times.places)
+        steps /= np.median(steps) if len(steps) else 1.0
+        odd = np.flatnonzero(steps != 1.0)
+        self._odd: dict[int | None, float] = dict(
+            zip(stamps[odd + 1].tolist(), steps[odd].tolist(), strict=True)
+        )
+
+    def step(self, frame: Frame) -> float:
+        """Return the step to a frame from the one before it; 0 to the first one of the film."""
+        return self._odd.get(frame.pts, 1.0) if frame.index else 0.0
+
+
+def track_part(film: Film, part: Part, threads: int, count: Any) -> PartRows:
+    """Track one part of a film.
+
+    Parameters
+    ----------
+    film, part : Film, Part
+        What is tracked.
+    threads : int
+        Threads of the decoder.
+    count : callable
+        Called with the number of frames of each batch that is done.
+    """
+    work: FilmTracker = pickle.loads(film.tracker)  # noqa: S301 - made by this process or its parent
+    work.repeats = RepeatDetector(film.packets)
+    batches: list[Rows] = []
+    with single_threaded(), Reader(film.path, threads, part) as reader:
+        clock = _Advance(film.packets.stamps, float(reader.info.time_base), film.timing)
+        for frame in reader:
+            work.keep(frame, clock.step(frame), stamped=clock.stamped)
+            if work.full:
+                work.take()
+            if work.filled == _film_tracker.BATCH:
+                batches.append(work.digest())
+                count(len(batches[-1]["again"]))
+        if work.held:
+            work.take()
+        if work.filled:
+            batches.append(work.digest())
+            count(len(batches[-1]["again"]))
+        rows = {name: np.concatenate([b[name] for b in batches]) for name in batches[0]} if batches else {}
+        return PartRows(rows, reader.stamps, reader.bad_packets, reader.corrupt)
+
+
+_done: Synchronized[int] | None = None
+
+
+def _start_worker(done: Synchronized[int]) -> None:
+    global _done
+    _done = done
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its workers
+    Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _count(frames: int) -> None:
+    if _done is not None:
+        with _done.get_lock():
+            _done.value += frames
+
+
+def _track_in_worker(film: Film, part: Part) -> PartRows:
+    return track_part(film, part, 1, _count)
+
+
+class PartWorkers:
+    """Processes that track parts of a film beside the calling one.
+
+    Parameters
+    ----------
+    path : Path
+        The film; where it has one part, no process is started.
+    workers : int, optional
+        Processes, the calling one included; by default one a core.
+    """
+
+    def __init__(self, path: Path, workers: int | None = None) -> None:
+        self.packets = read_packets(path)
+        self.parts = split(self.packets)
+        self.count = min(workers or available_cores(), len(self.parts))
+        self._executor: ProcessPoolExecutor | None = None
+        self._done: Any = None
+        if self.count > 1:
+            context = get_context("spawn")
+            try:
+                self._done = context.Value("q", 0)
+                self._executor = ProcessPoolExecutor(
+                    self.count - 1, context, initializer=_start_worker, initargs=(self._done,)
+                )
+                for _ in range(self.count - 1):
+                    self._executor.submit(int)  # the processes import their modules while the scene is sought
+            except (OSError, ImportError):  # no semaphores, or no memory for a process
+                self._executor = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        executor, self._executor = self._executor, None
+        if executor is not None:
+            processes = list((getattr(executor, "_processes", None) or {}).values())
+            executor.shutdown(wait=kind is None, cancel_futures=True)
+            for process in processes if kind is not None else ():
+                process.terminate()
+
+    def track(
+        self, film: Film, todo: list[int], threads: int, told: Progress | None, done: int, total: int | None
+    ) -> Iterator[tuple[int, PartRows]]:
+        """Track some of the parts and yield (index, rows) of each as it is done.
+
+        Parameters
+        ----------
+        film : Film
+            The film.
+        todo : list of int
+            Indices of the parts.
+        threads : int
+            Threads of the decoder where one process tracks all.
+        told : callable, optional
+            Called with (frames done, frames in all), from `done` on.
+        """
+        waiting, futures, lock = deque(todo), dict[int, Future[PartRows]](), Lock()
+        own = 0
+
+        def submit_next(previous: Future[PartRows] | None = None) -> None:
+            if previous is not None and (previous.cancelled() or previous.exception() is not None):
+                return
+            with lock:
+                executor = self._executor
+                if not waiting or executor is None:
+                    return
+                try:
+                    future = executor.submit(_track_in_worker, film, self.parts[waiting[0]])
+                except (OSError, RuntimeError):  # broken or shut down
+                    return
+                futures[waiting.popleft()] = future
+            future.add_done_callback(submit_next)
+
+        def count(frames: int) -> None:
+            nonlocal own
+            own += frames
+            tell()
+
+        def tell() -> None:
+            if told is not None:
+                others = self._done.value if self._done is not None else 0
+                whole = done + own + others
+                told(min(whole, total) if total else whole, total)
+
+        for _ in range(self.count - 1 if self._executor is not None and len(todo) > 1 else 0):
+            submit_next()
+        while True:
+            with lock:
+                if not waiting:
+                    break
+                index = waiting.pop()
+            yield index, track_part(film, self.parts[index], 1 if futures else threads, count)
+        while futures:
+            ready = [i for i, f in list(futures.items()) if f.done()]
+            for index in ready:
+                yield index, self._result(film, index, futures.pop(index), count)
+            if not ready:
+                try:
+                    next(iter(futures.values())).exception(timeout=0.1)
+                except TimeoutError:
+                    tell()
+
+    def _result(self, film: Film, index: int, future: Future[PartRows], count: Any) -> PartRows:
+        try:
+            return future.result()
+        except BrokenProcessPool:  # a worker was killed, as for want of memory
+            return track_part(film, self.parts[index], 1, count)
+
+
+def frames_done(journal: CheckpointFile) -> int:
+    """Return how many frames an unfinished run has done, as its journal says."""
+    return sum(int(record.facts["frames"]) for record in journal.records())
+
+
+def track_film(
+    workers: PartWorkers,
+    path: Path,
+    scene: Scene,
+    work: FilmTracker,
+    threads: int,
+    progress: Progress | None,
+    timing: Timing,
+    journal: CheckpointFile | None = None,
+) -> FilmObservations:
+    """Track everything in a film.
+
+    Parameters
+    ----------
+    workers : PartWorkers
+        Its parts, and the processes that track them.
+    path : Path
+        The film.
+    scene : Scene
+        What is tracked.
+    work : FilmTracker
+        New, of this scene.
+    threads : int
+        Threads of the decoder where one process tracks all.
+    progress : callable, optional
+        Called with (frames done, frames declared or None).
+    timing : Timing
+        Where the times of the frames are from.
+    journal : CheckpointFile, optional
+        Keeps the parts that are done; those that it holds are not tracked again.
+
+    Raises
+    ------
+    VideoError
+        No frame can be decoded.
+    """
+    info, packets = probe(path), workers.packets
+    total = max(info.frames_declared, len(packets.stamps)) or None
+    film = Film(path, packets, timing, pickle.dumps(work, protocol=pickle.HIGHEST_PROTOCOL))
+    kept = _Kept(workers.parts, packets, journal)
+    done = kept.frames
+    if progress is not None and done:
+        progress(done, total)
+    for index, found in workers.track(film, kept.todo, threads, progress, done, total):
+        kept.add(index, found)
+    if progress is not None:
+        progress(kept.frames, total)
+    if not kept.frames:
+        raise VideoError(
+            f"No frame of {path} could be decoded.",
+            "Check the limits of threads and memory (`ulimit -u`, `ulimit -v`).",
+        )
+    rows = kept.rows(scene)
+    stamps = np.asarray(rows.pop(_STAMPS))
+    tick = float(info.time_base)
+    seconds = pts_seconds(stamps, tick)
+    bodies = {}
+    for name in scene.bodies:
+        markers = {
+            marker.name: MarkerObservations(
+                **{f.name: rows.pop(f"{name}/{marker.name}/{f.name}") for f in fields(MarkerObservations)}
+            )
+            for marker in scene.of(name)
+        }
+        bodies[name] = BodyObservations(rows.pop(f"{name}/coarse"), markers)
+    return FilmObservations(
+        bodies,
+        rows.get("disc"),
+        seconds,
+        timing.of(seconds, tick),
+        film_warnings(info, seconds, *kept.damage),
+        work.size,
+        rows["again"],
+    )
+
+
+class _Kept:
+    """Rows of the parts that are done, in memory or in a journal.
+
+    Parameters
+    ----------
+    parts : tuple of Part
+        The parts of the film.
+    packets : Packets
+        Its packets.
+    journal : CheckpointFile, optional
+        Where to keep the rows. One that does not fit the film is started anew.
+    """
+
+    def __init__(self, parts: tuple[Part, ...], packets: Packets, journal: CheckpointFile | None) -> None:
+        self._parts, self._packets, self._journal = parts, packets, journal
+        self._memory: dict[int, PartRows] = {}
+        self._facts: dict[int, dict[str, Any]] = {}
+        self._place: dict[int, int] = {}
+        for place, record in enumerate(journal.records() if journal is not None else ()):
+            index = int(record.facts["part"])
+            self._facts[index], self._place[index] = record.facts, place
+            known = np.isin(record.arrays[_STAMPS], packets.stamps).all() if packets.complete else True
+            if journal is not None and not (known and record.facts["parts"] == len(parts)):
+                journal.restart()
+                self._facts, self._place = {}, {}
+                break
+
+    def add(self, index: int, found: PartRows) -> None:
+        """Keep the rows of a part."""
+        facts = {
+            "part": index,
+            "parts": len(self._parts),
+            "frames": int(self._own(index, found.stamps).sum()),
+            "bad_packets": found.bad_packets,
+            "corrupt": found.corrupt,
+        }
+        self._facts[index] = facts
+        if self._journal is None:
+            self._memory[index] = found
+        elif facts["frames"]:
+            self._place[index] = len(self._journal)
+            self._journal.append(facts, found.rows | {_STAMPS: found.stamps})
+
+    def _own(self, index: int, stamps: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
+        """Return which frames of a part are not those of the part before it."""
+        stop = self._parts[index - 1].stop if index else None
+        return np.ones(len(stamps), dtype=np.bool_) if stop is None else stamps >= stop
+
+    @property
+    def todo(self) -> list[int]:
+        """Indices of the parts that are not done."""
+        return [i for i in range(len(self._parts)) if i not in self._facts]
+
+    @property
+    def frames(self) -> int:
+        """Frames of the parts that are done."""
+        return sum(int(facts["frames"]) for facts in self._facts.values())
+
+    @property
+    def damage(self) -> tuple[int, int]:
+        """Damaged packets and damaged frames of all parts."""
+        both = [(int(f["bad_packets"]), int(f["corrupt"])) for f in self._facts.values()]
+        return sum(b for b, _ in both), sum(c for _, c in both)
+
+    def rows(self, scene: Scene) -> Rows:
+        """Return the rows of all frames, with the angles of every part unwrapped on from those of the part before."""
+        out: Rows = {}
+        place = 0
+        last: dict[str, tuple[Floats, Floats]] = {}
+        for index in range(len(self._parts)):
+            rows, stamps = self._part(index)
+            if not len(stamps):
+                continue
+            frame = np.searchsorted(self._packets.stamps, stamps).astype(np.float64)
+            for name in scene.bodies:
+                coarse = rows[f"{name}/coarse"]
+                if name in last:
+                    turns = turns_between(*last[name], frame, coarse)
+                    coarse = coarse + turns
+                    for marker in scene.of(name):
+                        for column in ("angle", "corner_angle"):
+                            key = f"{name}/{marker.name}/{column}"
+                            rows[key] = rows[key] + (turns if rows[key].ndim == 1 else turns[:, None])
+                    rows[f"{name}/coarse"] = coarse
+                if np.isfinite(coarse).any():
+                    last[name] = frame, coarse
+            own = self._own(index, stamps)
+            rows[_STAMPS] = stamps
+            if not out:
+                out = new_columns(self.frames, {name: (v.shape[1:], v.dtype) for name, v in rows.items()})
+            size = int(own.sum())
+            for name, values in rows.items():
+                out[name][place : place + size] = values[own]
+            place += size
+            set_down()
+        return out
+
+    def _part(self, index: int) -> tuple[Rows, npt.NDArray[np.int64]]:
+        if self._journal is not None:
+            if index not in self._place:
+                return {}, np.zeros(0, dtype=np.int64)
+            rows = dict(self._journal.record(self._place[index]).arrays)
+            return rows, rows.pop(_STAMPS)
+        found = self._memory.pop(index)
+        return dict(found.rows), found.stamps
+
+
+def turns_between(frame: Floats, coarse: Floats, next_frame: Floats, next_coarse: Floats) -> Floats:
+    """Return what is to be added to the unwrapped angles of a part, (n,) [rad], multiples of a turn.
+
+    Parameters
+    ----------
+    frame, coarse : ndarray, shape (m,)
+        Frames of the part before, and its unwrapped angles [rad], NaN where the body is lost.
+    next_frame, next_coarse : ndarray, shape (n,)
+        The same of this part.
+
+    Notes
+    -----
+    In frames of both parts the difference is a number of turns, and, where the two have taken the motion between
+    frames for different ones that look alike, a number of turns more in every frame. Without such frames the angle
+    runs on with the mean of the rates before and after.
+    """
+    turn = 2.0 * np.pi
+    _, a, b = np.intersect1d(frame, next_frame, return_indices=True)
+    apart = coarse[a] - next_coarse[b]
+    known = np.isfinite(apart)
+    since = next_frame - next_frame[0]
+    if known.sum() > 1:
+        apart, at = apart[known], since[b][known]
+        faster = round(float(np.median(np.diff(apart) / np.diff(at))) / turn)
+        return np.asarray(
+            turn * (round(float(np.median(apart - turn * faster * at)) / turn) + faster * since),
+            dtype=np.float64,
+        )
+    before, after = np.flatnonzero(np.isfinite(coarse)), np.flatnonzero(np.isfinite(next_coarse))
+    if not len(before) or not len(after):
+        return np.zeros(len(next_frame))
+    late, soon = before[-_RATE:], after[:_RATE]
+    rates = [
+        (c[k[-1]] - c[k[0]]) / (f[k[-1]] - f[k[0]])
+        for c, f, k in ((coarse, frame, late), (next_coarse, next_frame, soon))
+        if len(k) > 1
+    ]
+    rate = float(np.mean(rates)) if rates else 0.0
+    ahead = coarse[late[-1]] + rate * (next_frame[soon[0]] - frame[late[-1]])
+    return np.full(len(next_frame), turn * round((ahead - next_coarse[soon[0]]) / turn))
