@@ -90,7 +90,7 @@ def test_prior_from_another_study(gyrotrack, wheel, tmp_path):
 
 
 def pulses(path, per_turn, rng, start=60.0, slowing=1.5, last=20.0, jitter=1e-5):
-    """Write the times of the pulses of a wheel that slows down evenly; return turns, times without jitter and speeds."""
+    """Write pulses of a wheel that slows down evenly; return turns, times without jitter and speeds."""
     whole = (start**2 - last**2) / (2 * slowing) * per_turn / (2 * np.pi)
     turned = 2 * np.pi * np.arange(int(whole)) / per_turn
     omega = np.sqrt(start**2 - 2 * slowing * turned)
