@@ -26,40 +26,11 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Residual = SpeedResidual
 
-_SEED = 1
 _BAND = 2.0  # sigma; as drawn
-_NORMAL = 0.6745  # median of the absolute value of a standard normal variable
-_THIRD_DIFFERENCE = 20.0  # 1 + 9 + 9 + 1: its variance for white noise of variance 1
 _MODEL_POINTS = 800
 _WINDOW_POINTS = 60
 _ENERGY_PIECES = 50
 _MOST_ALTERNATIVES = 3
-
-
-def smoothing_floor(fit: Fit) -> float:
-    """Return the rms error of the casing's smoothed speed that noise alone makes, over all cases [rad/s].
-
-    The smoothing of the paper has an error of its own, which no model lowers. It is found by putting the modelled
-    angle with added noise through the same smoothing. The noise level is that of third differences of the data,
-    whose rms is sqrt(20) times that of white noise.
-    """
-    return float(np.sqrt(np.mean([_floor(fit, i) ** 2 for i in range(len(fit.problem.data))])))
-
-
-def _floor(fit: Fit, case: int) -> float:
-    from fitting.dynamics._mesh import Sampler
-    from fitting.inference._record import Samples, speeds
-
-    record, path = fit.problem.data[case].record, fit.predictions[case].path
-    measured = record.casing
-    noise = float(np.median(np.abs(np.diff(measured.value, 3)))) / _NORMAL / np.sqrt(_THIRD_DIFFERENCE)
-    sampler = Sampler(path.mesh, measured.time)
-    omega = sampler.value(path.y[..., 1])
-    exact = sampler.integral(*path.angle(path.states[1])) if record.quantity == "angle" else omega
-    # a fixed seed, so that a report is the same in every run
-    noisy = exact + noise * np.random.default_rng(_SEED).standard_normal(len(exact))
-    time, smoothed = speeds(Samples(measured.time, noisy, measured.sigma), record.quantity)
-    return float(np.sqrt(np.mean((smoothed - np.interp(time, measured.time, omega)) ** 2)))
 
 
 def residual_rms(residuals: Sequence[Residual], noise: Sequence[Residual]) -> float:
@@ -411,7 +382,7 @@ def gather(history: Sequence[FitStep], diagnosis: Diagnosis | None) -> StudyView
         verdict = diagnosis.verdict
     return StudyView(
         steps=_steps(history),
-        rmse_floor=smoothing_floor(final),
+        rmse_floor=final.rmse_noise,
         base=base,
         final=final,
         added=tuple(n for n in final.model.names if n not in base.model.names),
