@@ -41,6 +41,7 @@ from fitting._schema import (
     StepDocument,
     StoredCandidate,
     StoredDiagnosis,
+    StoredEstimate,
     StoredFailure,
     StoredFit,
     StoredNoise,
@@ -400,7 +401,7 @@ def load_fit(path: str | Path) -> SavedFit:
     )
 
 
-def _estimates(stored: Mapping[str, EstimateDocument]) -> dict[str, Estimate]:
+def _estimates(stored: Mapping[str, StoredEstimate]) -> dict[str, Estimate]:
     return {k: Estimate(**e.model_dump()) for k, e in stored.items()}
 
 
@@ -453,7 +454,16 @@ def restored_fit(stored: StoredFit, model: Model, data: Sequence[CaseData]) -> F
 
 def stored_diagnosis(found: Diagnosis, extra: Sequence[Effect] = ()) -> StoredDiagnosis:
     """Return the state from which a diagnosis is restored, given its fit; `extra` are the user's effects."""
-    drawn = [c for c in found.candidates if c.fit is not None and c.physical and c.significant][:_FITS]
+    # one that was fitted with the moments of inertia free has another model
+    base = found.fit.model
+    drawn = [
+        c
+        for c in found.candidates
+        if c.fit is not None
+        and c.physical
+        and c.significant
+        and len(c.fit.model.names) == len(base.names) + 1
+    ][:_FITS]
     return StoredDiagnosis(
         code=fingerprint(),
         extra=own_effects(extra),
@@ -470,7 +480,7 @@ def stored_diagnosis(found: Diagnosis, extra: Sequence[Effect] = ()) -> StoredDi
                 held_out_gain=c.held_out_gain,
                 significant=c.significant,
                 indistinguishable_from=list(c.indistinguishable_from),
-                estimates={k: EstimateDocument.model_validate(e) for k, e in c.estimates.items()},
+                estimates={k: StoredEstimate.model_validate(e) for k, e in c.estimates.items()},
                 fit=stored_fit(c.fit) if c.fit is not None and any(c is d for d in drawn) else None,
             )
             for c in found.candidates
