@@ -286,9 +286,8 @@ def test_film_with_the_papers_markers(tmp_path, monkeypatch, capsys):
 def test_torsion_pendulum_made_by_others(tmp_path, capsys):
     """The spring is found; the frequency agrees with that of a damped sinusoid fitted to the same angles."""
     table = REAL / "torsion" / "torsion_pendulum.csv"
-    app.main(
-        ["spindown", str(table), "-o", str(tmp_path / "t.h5"), "--report", str(tmp_path / "t.html"), "--json"]
-    )
+    target = ["-o", str(tmp_path / "t.h5"), "--report", str(tmp_path / "t.html"), "--json"]
+    assert app.run(["spindown", str(table), *target]) in (0, 3)
     found = json.loads(capsys.readouterr().out)
     assert found["motion"]["kind"] == "oscillation"
     last = found["ladder"][-1]
