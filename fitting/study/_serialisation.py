@@ -78,7 +78,7 @@ from fitting.study._paper import CurveBias
 Array = NDArray[np.float64]
 
 _CURVE_POINTS = 200
-# the fits of so many candidates are stored, best first: more curves than a report draws
+# number of candidates whose fits are stored, best first: more curves than a report draws
 _FITS = 4
 
 

@@ -40,7 +40,7 @@ _ALTERNATIVES = (GREEN, PURPLE, ORANGE)
 _STEPS = (GREEN, PURPLE, SKY, "#555555")
 _CLIPS = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY)
 _POWERS = {"": "1", "m": "10⁻³", "µ": "10⁻⁶", "n": "10⁻⁹", "p": "10⁻¹²"}
-# where the standard uncertainty of a torque exceeds its smallest value so many times, the data say little
+# where the standard uncertainty of a torque exceeds its smallest value by this factor, the data do not determine it
 _UNKNOWN = 3.0
 # residuals larger than this [σ] are drawn on a scale that is linear up to _LINEAR and logarithmic beyond
 _LARGE, _LINEAR = 20.0, 3.0
@@ -168,7 +168,7 @@ def _torque_scale(view: CaseView, body: str) -> tuple[float, str]:
 
 
 def _known(torque: Array, sigma: Array) -> tuple[Array, Array]:
-    """Return torque and standard uncertainty, nan where the data say little about them."""
+    """Return torque and standard uncertainty, nan where the data do not determine them."""
     known = sigma <= _UNKNOWN * sigma.min()
     return np.where(known, torque, np.nan), np.where(known, sigma, np.nan)
 
