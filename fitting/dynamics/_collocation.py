@@ -142,7 +142,7 @@ def _stretched(mesh: Mesh, y: Array, edges: Array, f: Array, pivot: float) -> tu
 
 
 def truncation_error(path: Path) -> Array:
-    """Return the size of the last Legendre coefficients in each interval, relative to the largest value of each state."""
+    """Return the size of the last Legendre coefficients in each interval, relative to the largest value of a state."""
     coefficients = np.abs(rule().to_legendre[-2:] @ path.y)
     scale = 1e-300 + np.abs(path.y).max(axis=(0, 1))
     return np.asarray((coefficients.max(axis=1) / scale).max(axis=1))

@@ -254,9 +254,9 @@ def torque_speed_chart(view: CaseView, names: Sequence[str] = NAMES, *, alternat
 
 def torque_angle_charts(fits: Sequence[Fit], names: Sequence[str] = NAMES) -> list[Chart]:
     """Return the harmonics of the unmodelled torque on the casing against its angle; none without angles."""
-    from fitting.discovery._residuals import ripples
+    from fitting.discovery._residuals import angle_harmonics
 
-    found = [(name, ripples(fit)[:1]) for name, fit in zip(names, fits, strict=False)]
+    found = [(name, angle_harmonics(fit)[:1]) for name, fit in zip(names, fits, strict=False)]
     curves = [(name, r[0]) for name, r in found if r]
     if not curves:
         return []
