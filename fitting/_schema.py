@@ -51,6 +51,14 @@ class EstimateDocument(Document):
     at_bound: Flag = False
 
 
+class StoredEstimate(EstimateDocument):
+    """A parameter with its bounds, and whether it is varied."""
+
+    vary: bool = True
+    min: Number = -math.inf
+    max: Number = math.inf
+
+
 class BodyDocument(Document):
     """Figures of merit of one body: R2, rms residual [rad/s], reduced chi2, cross-validation error [noise]."""
 
@@ -378,7 +386,7 @@ class StoredCandidate(Document):
     held_out_gain: Number
     significant: Flag
     indistinguishable_from: list[str]
-    estimates: dict[str, EstimateDocument]
+    estimates: dict[str, StoredEstimate]
     fit: StoredFit | None
 
 
@@ -445,7 +453,7 @@ class SavedFitDocument(Document):
     model: list[str]
     own_effects: list[StoredEffect]
     labels: list[str]
-    estimates: dict[str, EstimateDocument]
+    estimates: dict[str, StoredEstimate]
     cases: list[MetricsDocument]
     noise: list[NoiseDocument]
     verdict: str

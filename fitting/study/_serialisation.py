@@ -41,6 +41,7 @@ from fitting._schema import (
     StepDocument,
     StoredCandidate,
     StoredDiagnosis,
+    StoredEstimate,
     StoredFailure,
     StoredFit,
     StoredNoise,
@@ -400,7 +401,7 @@ def load_fit(path: str | Path) -> SavedFit:
     )
 
 
-def _estimates(stored: Mapping[str, EstimateDocument]) -> dict[str, Estimate]:
+def _estimates(stored: Mapping[str, StoredEstimate]) -> dict[str, Estimate]:
     return {k: Estimate(**e.model_dump()) for k, e in stored.items()}
 
 
@@ -470,7 +471,7 @@ def stored_diagnosis(found: Diagnosis, extra: Sequence[Effect] = ()) -> StoredDi
                 held_out_gain=c.held_out_gain,
                 significant=c.significant,
                 indistinguishable_from=list(c.indistinguishable_from),
-                estimates={k: EstimateDocument.model_validate(e) for k, e in c.estimates.items()},
+                estimates={k: StoredEstimate.model_validate(e) for k, e in c.estimates.items()},
                 fit=stored_fit(c.fit) if c.fit is not None and any(c is d for d in drawn) else None,
             )
             for c in found.candidates
