@@ -70,7 +70,12 @@ def test_a_short_film_of_one_turn_is_fitted():
     time = np.arange(50) / 25
     angle = 3.4 * time + np.random.default_rng(0).normal(0, 4e-4, 50)
     record = make_record(
-        casing=(time, angle, np.full(50, 4e-4)), rotor=[], I_rotor=1.0, I_casing=1.0, single=True, tracked=True
+        casing=(time, angle, np.full(50, 4e-4)),
+        rotor=[],
+        I_rotor=1.0,
+        I_casing=1.0,
+        single=True,
+        tracked=True,
     )
     found = fit(BASE, [record])
     assert found.estimates["initial.omega_c@case"].value == pytest.approx(3.4, abs=0.1)
