@@ -396,8 +396,8 @@ def compare_command(
 ) -> None:
     """Compare the latest fits of runs: which parameters and effects differ, and by how many standard uncertainties.
 
-    Of three runs and more, each parameter has a mean and a spread between the runs (random effects). Runs are taken
-    as independent.
+    Each parameter has a mean and a spread between the runs (random effects); the total uncertainty of a single run
+    includes the spread. Runs are taken as independent.
 
     Example: gyrotrack compare left.h5 right.h5 --picture difference.png
     """
@@ -433,7 +433,9 @@ def _comparison_table(found: Comparison) -> str:
         size = f", {p.difference_sigma:+.1f} sigma" if p.difference_sigma is not None else ""
         lines.append(f"{p.name}  (p {probability(p.p_value)}{size})")
         width = max(len(r.run) for r in p.repeats)
-        lines += [f"  {r.run:<{width}}  {rounded(r.value, r.stderr, p.unit)}" for r in p.repeats]
+        for r in p.repeats:
+            total = f" (with the spread +- {p.total(r):.2g})" if p.spread > 0 else ""
+            lines.append(f"  {r.run:<{width}}  {rounded(r.value, r.stderr, p.unit)}{total}")
         spread = f"spread {p.spread:.2g} ({p.spread_interval[0]:.2g} to {p.spread_interval[1]:.2g}) {p.unit}"
         lines.append(f"  {'mean':<{width}}  {rounded(p.mean, p.mean_u, p.unit)}, {spread}")
     return "\n".join([*lines, *([""] if lines else []), *found.sentences])
