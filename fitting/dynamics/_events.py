@@ -298,7 +298,14 @@ class Segments:
 
     def held(self, start: Array, mesh: Mesh, guess: Path | None) -> Path:
         """Return the path until friction no longer holds the casing, or to the end of the mesh."""
-        path = self._rough(start, mesh, 0.0, None if guess is None else _at_rest(guess))
+        still = guess or Path(
+            mesh,
+            np.tile(start, (*mesh.times.shape, 1)),
+            np.tile(start, (len(mesh.edges), 1)),
+            self.dynamics.states,
+            np.zeros(len(mesh.edges) - 1),
+        )
+        path = self._rough(start, mesh, 0.0, _at_rest(still))
         path = refine(self.dynamics, self.numbers, path)
         time = self._release(path)
         if time is None:

@@ -454,7 +454,16 @@ def restored_fit(stored: StoredFit, model: Model, data: Sequence[CaseData]) -> F
 
 def stored_diagnosis(found: Diagnosis, extra: Sequence[Effect] = ()) -> StoredDiagnosis:
     """Return the state from which a diagnosis is restored, given its fit; `extra` are the user's effects."""
-    drawn = [c for c in found.candidates if c.fit is not None and c.physical and c.significant][:_FITS]
+    # one that was fitted with the moments of inertia free has another model
+    base = found.fit.model
+    drawn = [
+        c
+        for c in found.candidates
+        if c.fit is not None
+        and c.physical
+        and c.significant
+        and len(c.fit.model.names) == len(base.names) + 1
+    ][:_FITS]
     return StoredDiagnosis(
         code=fingerprint(),
         extra=own_effects(extra),
