@@ -236,7 +236,7 @@ def plan_command(
 ) -> int:
     """Compute detection and upper limit of every effect, the runs needed, and the best next run.
 
-    A description of recordings is a TOML file; the guide plan-an-experiment has one.
+    A description of recordings is a TOML file; see the guide "Plan an experiment".
 
     Example: gyrotrack plan case1.h5 case2.h5 --picture plan.png
     """
