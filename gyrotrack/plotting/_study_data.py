@@ -16,6 +16,7 @@ from fitting.inference._speed_residuals import SpeedResidual, speed_residuals
 from gyrotrack.plotting._charts import Interval
 
 if TYPE_CHECKING:
+    from fitting.discovery._power import UpperLimit
     from fitting.discovery._residuals import Failure, ResidualTorque
     from fitting.discovery._select import Candidate
     from fitting.discovery._select import Step as FitStep
@@ -321,7 +322,11 @@ class Step:
 
 @dataclass(frozen=True)
 class StudyView:
-    """What a report shows of the fits; `rmse_floor` is the noise limit of the casing's rms error [rad/s]."""
+    """What a report shows of the fits.
+
+    `rmse_floor` is the noise limit of the casing's rms error [rad/s]; `upper_limits` are the largest effects that the
+    final model could still lack, none where it has a significant lack of fit.
+    """
 
     steps: tuple[Step, ...]
     rmse_floor: float
@@ -333,6 +338,7 @@ class StudyView:
     candidates: tuple[Candidate, ...]
     next_experiment: str
     whiteness: tuple[tuple[str, float], ...]
+    upper_limits: tuple[UpperLimit, ...]
     cases: tuple[CaseView, ...]
 
     @property
@@ -391,8 +397,20 @@ def gather(history: Sequence[FitStep], diagnosis: Diagnosis | None) -> StudyView
         candidates=tuple(c for c in candidates if c.score > 0),
         next_experiment=diagnosis.next_experiment if diagnosis is not None else "",
         whiteness=tuple((w.label, w.p_value) for w in whiteness(final)),
+        upper_limits=_upper_limits(final, diagnosis if len(history) == 1 else None),
         cases=tuple(case_view(history, diagnosis, torques, i) for i in range(len(base.problem.data))),
     )
+
+
+def _upper_limits(final: Fit, diagnosis: Diagnosis | None) -> tuple[UpperLimit, ...]:
+    """Return the limits that the diagnosis of the final model has, or compute them."""
+    from fitting.discovery._criteria import DEFAULT
+    from fitting.discovery._power import largest_hidden
+    from fitting.discovery._select import fails
+
+    if diagnosis is not None:
+        return diagnosis.upper_limits
+    return () if not final.converged or fails(final, DEFAULT) else largest_hidden(final, (), DEFAULT)
 
 
 def _steps(history: Sequence[FitStep]) -> tuple[Step, ...]:
