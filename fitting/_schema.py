@@ -296,7 +296,7 @@ class EffectLimitsDocument(Document):
 
 
 class NextRunDocument(Document):
-    """The proposed run: initial angular rates [rad/s], times [s], and what it is expected to tell [sigma]."""
+    """The proposed run: initial angular rates [rad/s], times [s], and its expected separation of rivals [sigma]."""
 
     omega_rotor: Number
     omega_casing: Number
@@ -438,7 +438,7 @@ class EntryDocument(FitDocument):
 
 
 class LedgerDocument(Document):
-    """A ledger: the history of fits of one or several studies. Entries keep keys that this version does not know."""
+    """A ledger: the history of fits of one or several studies. Entries keep keys that are unknown to this version."""
 
     format: str = "gyrotrack ledger"
     version: int = 1

@@ -99,11 +99,13 @@ def with_free_inertia(
     Returns
     -------
     InertiaRival or None
-        None if no effect does, or only with an error that is not credible.
+        None if no effect does, or only with an error that is not credible; a law of an angle is not asked.
     """
     chosen = selection.chosen
     single = base.problem.data[0].record.single
-    if chosen is None or not chosen.physical or single or NAME in selection.end.model.names:
+    if chosen is None or not chosen.physical or chosen.effect.depends_on_angle or single:
+        return None
+    if NAME in selection.end.model.names:
         return None
     layout = base.problem.layout
     with suppress(FittingError):

@@ -42,14 +42,14 @@ from fitting.discovery._next_run import separating_run
 from fitting.discovery._power import UpperLimit, largest_hidden
 from fitting.discovery._remainder import Grade, Nuisance, Remainder, grade, nuisance_parameters
 from fitting.discovery._residuals import (
+    AngleHarmonics,
     Failure,
     ResidualTorque,
-    Ripple,
     Whiteness,
+    angle_harmonics,
     find_failures,
     format_torque,
     residual_torques,
-    ripples,
     whiteness,
 )
 from fitting.discovery._select import Candidate, Selection, fails, rank, select
@@ -94,7 +94,7 @@ class Diagnosis:
         The measurement that separates the rivals; empty if there are none.
     torques : tuple of ResidualTorque
         The unmodelled torque, as curves with bands.
-    ripples : tuple of Ripple
+    ripples : tuple of AngleHarmonics
         Harmonics of the unmodelled torque in the angle of the casing, with bands.
     whiteness : tuple of Whiteness
         Whether the residuals are independent.
@@ -116,7 +116,7 @@ class Diagnosis:
     nuisance: tuple[Nuisance, ...]
     next_experiment: str
     torques: tuple[ResidualTorque, ...] = field(repr=False)
-    ripples: tuple[Ripple, ...] = field(repr=False)
+    ripples: tuple[AngleHarmonics, ...] = field(repr=False)
     whiteness: tuple[Whiteness, ...] = field(repr=False)
     upper_limits: tuple[UpperLimit, ...] = ()
     form_limit: float | None = None
@@ -248,7 +248,7 @@ def diagnose(
         If the fit cannot be evaluated.
     """
     workers = workers or WorkerPool(0)
-    curves, harmonics = workers.submit(residual_torques, fit), workers.submit(ripples, fit)
+    curves, harmonics = workers.submit(residual_torques, fit), workers.submit(angle_harmonics, fit)
     ranked = rank(fit, extra, criteria=criteria, workers=workers) if candidates is None else candidates
     selection = select(fit, ranked, extra, criteria, workers)
     rival = with_free_inertia(fit, selection, tuple(extra), criteria)

@@ -5,7 +5,7 @@ Laminar flow over a disc takes a torque that grows as omega^1.5, turbulent flow 
 body quadratically.
 
 D = omega_r - omega_c is the speed of the bearing. Two effects scale the whole bearing torque:
-a temperature of its own, fed by the heat of friction, and a slow drift.
+its own temperature, raised by the heat of friction, and a slow drift.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ AIR = (
         "casing",
         "-k*omega_c*abs(omega_c)",
         (Parameter("k", "N m s2", meaning="pressure drag on the casing"),),
-        signature="the casing loses torque near its peak speed and hardly any in the tail",
+        signature="the casing loses torque near its peak speed and almost none in the tail",
         confused_with=("casing.air.laminar",),
         source="drag of a bluff body; named and dropped in the paper",
     ),
@@ -211,7 +211,7 @@ BEARING = (
         "factor",
         "1 + k*t",
         (Parameter("k", "s-1", lower=_ANY, meaning="share by which the friction changes each second"),),
-        signature="the bearing changes with time, whatever the speeds are",
+        signature="the bearing changes with time, at any speed",
         confused_with=("bearing.heating", "touchpoint.drift"),
         source="running-in or ageing, first order in time",
     ),
@@ -315,7 +315,7 @@ TOUCHPOINT = (
                 meaning="angle through which the contact yields before it slides [rad]",
             ),
         ),
-        signature="dry friction that reverses over an angle, not at once: hysteresis near rest",
+        signature="dry friction that reverses gradually over an angle: hysteresis near rest",
         confused_with=("touchpoint.constant",),
         source="P. R. Dahl, Aerospace Corp. TOR-0158 (1968)",
         state=State("strain", "(omega_c - abs(omega_c)*strain)/s"),
@@ -338,7 +338,7 @@ TOUCHPOINT = (
                 meaning="cooling time",
             ),
         ),
-        signature="a loss that grows from the start and levels off, whatever the speed is",
+        signature="a loss that grows from the start and levels off, at any speed",
         confused_with=("touchpoint.drift", "touchpoint.stribeck"),
         source="viscosity and grip of a lip seal against temperature; Newton's law of cooling",
     ),
@@ -454,7 +454,7 @@ CAMERA = (
         "dt*omega",
         (Parameter("dt", "s", lower=-0.05, upper=0.05, meaning="how late the clips start"),),
         kind="measurement",
-        signature="the speeds of the rotor clips sit beside the curve along time",
+        signature="the speeds of the rotor clips are shifted in time against the curve",
         confused_with=(),
         source="first order of psi(t + dt)",
     ),
@@ -488,7 +488,7 @@ CAMERA = (
         kind="measurement",
         signature="a ripple once a turn that grows with the speed",
         confused_with=("camera.centre",),
-        source="rolling shutter: the lag depends on where the marker stands",
+        source="rolling shutter: the lag depends on the position of the marker",
         nuisance=True,
     ),
 )

@@ -48,7 +48,7 @@ UNKNOWN_UNIT = "SI"
 _COARSE = 5
 _BODIES = ("rotor", "casing", "bearing")
 _FIRST_VARIABLE = {"rotor": "omega_r", "casing": "omega_c", "bearing": "delta"}
-# so many edits turn a misspelt name into that of a variable
+# number of edits that turn a misspelt name into that of a variable
 _EDITS = 2
 _NOT_FOR_USERS = {"temperature", "chirp", "strain", "tau", "psi", "omega", "lag"}
 
@@ -114,9 +114,9 @@ def formula(
 
 
 def _refuse_misspelt(expression: Expr, undeclared: Sequence[str], body: str) -> None:
-    """Refuse parameters that nobody declared and that are probably misspelt variables.
+    """Refuse parameters that are not declared and are probably misspelt variables.
 
-    That is a name within two edits of a variable, or, in a law that contains no variable at all, any name beside a
+    That is a name within two edits of a variable, or, in a law that contains no variable at all, any name next to a
     strength.
     """
     variables = [v for v in VARIABLES if v not in _NOT_FOR_USERS]
@@ -167,7 +167,7 @@ def _check(effect: Effect) -> None:
 def _timed(parameters: Sequence[Parameter], expression: Expr) -> tuple[tuple[Parameter, ...], str]:
     """Return parameters of which those that are moments are sought in the whole record, and the moment of a jump.
 
-    A moment stands in t - t0; the law jumps there if that is in heaviside(t - t0), and t0 in no other jump.
+    A moment occurs in t - t0; the law jumps there if that is in heaviside(t - t0), and t0 in no other jump.
     """
     parts = nodes(expression)
     alone = [p.role for p in parameters].count("shape") == 1
@@ -195,7 +195,7 @@ def _parameter(symbol: str, keys: Mapping[str, Any], role: Role) -> Parameter:
     usual = min(max(1.0 if role == "shape" else 0.0, lower), upper)
     start = number("start", keys.get("start", usual))
     if not lower <= start <= upper:
-        raise EffectError(f"parameter {symbol}: start {start:g} lies outside {lower:g} to {upper:g}")
+        raise EffectError(f"parameter {symbol}: start {start:g} is outside {lower:g} to {upper:g}")
     given = tuple(number("grid", v) for v in keys.get("grid", ()))
     grid = given or (_default_grid(start) if role == "shape" else ())
     grid = tuple(v for v in grid if lower <= v <= upper)
@@ -334,7 +334,7 @@ def read_effects(path: Path) -> list[Effect]:
     names = [e.name for e in effects]
     for name in names:
         if names.count(name) > 1 or name in LIBRARY:
-            raise EffectError(f"{path}: there is another effect named {name!r}", "give it a name of its own")
+            raise EffectError(f"{path}: there is another effect named {name!r}", "give it another name")
     return effects
 
 

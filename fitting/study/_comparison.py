@@ -8,7 +8,7 @@ uncertainties. Of k repeats the random-effects model
 has weights w_i = 1 / (u_i^2 + tau^2); tau follows from Q(tau) = sum w_i (x_i - mu)^2 = k - 1 (R. Paule, J. Mandel, J.
 Res. Natl. Bur. Stand. 87, 377 (1982)), 0 where Q(0) < k - 1. With tau estimated from the same few runs, the standard
 uncertainty of mu is the larger of sqrt(Q / (k - 1) / sum w_i) and 1 / sqrt(sum w_i), with k - 1 degrees of freedom
-(J. Hartung, G. Knapp, Stat. Med. 20, 1771 (2001)). The interval of tau is that of all values whose Q lies between
+(J. Hartung, G. Knapp, Stat. Med. 20, 1771 (2001)). The interval of tau is that of all values whose Q is between
 quantiles of the chi-square distribution of k - 1 degrees of freedom (W. Viechtbauer, Stat. Med. 26, 37 (2007)); the
 p-value of equal parameters is that of Q(0).
 

@@ -56,7 +56,7 @@ from fitting.discovery._next_run import NextRun
 from fitting.discovery._plan import Plan
 from fitting.discovery._power import CONFIDENCE, POWER, EffectLimits, UpperLimit
 from fitting.discovery._remainder import Nuisance, Remainder
-from fitting.discovery._residuals import Failure, ResidualTorque, residual_torques, ripples, whiteness
+from fitting.discovery._residuals import Failure, ResidualTorque, angle_harmonics, residual_torques, whiteness
 from fitting.discovery._score import Score
 from fitting.discovery._select import Candidate, Step
 from fitting.discovery._verdict import Diagnosis
@@ -78,7 +78,7 @@ from fitting.study._paper import CurveBias
 Array = NDArray[np.float64]
 
 _CURVE_POINTS = 200
-# the fits of so many candidates are stored, best first: more curves than a report draws
+# number of candidates whose fits are stored, best first: more curves than a report draws
 _FITS = 4
 
 
@@ -523,7 +523,7 @@ def restored_diagnosis(stored: StoredDiagnosis, fit: Fit, extra: Sequence[Effect
         tuple(Nuisance(**n.model_dump()) for n in stored.nuisance),
         stored.next_experiment,
         tuple(residual_torques(fit)),
-        tuple(ripples(fit)),
+        tuple(angle_harmonics(fit)),
         tuple(whiteness(fit)),
         tuple(UpperLimit(**u.model_dump()) for u in stored.upper_limits),
         stored.form_limit,

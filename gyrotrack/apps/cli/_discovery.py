@@ -236,7 +236,7 @@ def plan_command(
 ) -> int:
     """Compute detection and upper limit of every effect, the runs needed, and the best next run.
 
-    A description of recordings is a TOML file; the guide plan-an-experiment has one.
+    A description of recordings is a TOML file; see the guide "Plan an experiment".
 
     Example: gyrotrack plan case1.h5 case2.h5 --picture plan.png
     """
@@ -247,7 +247,9 @@ def plan_command(
 
     described = [p for p in recordings if p.suffix.lower() == ".toml"]
     if described and len(recordings) > 1:
-        raise UsageError("A description stands alone.", "Give one PLAN.toml, or case files.")
+        raise UsageError(
+            "A description cannot be combined with other files.", "Give one PLAN.toml, or case files."
+        )
     if described and (start is not None or ledger is not None):
         raise UsageError(
             "--from and --ledger belong to case files; a description has no fits.", "Leave them out."

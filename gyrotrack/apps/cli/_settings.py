@@ -247,7 +247,7 @@ def load(entry: Entry) -> Any:
 
 
 def lazy_group(entries: tuple[Entry, ...]) -> type[TyperGroup]:
-    """Return a class of group that knows `entries` by name and loads them when they are asked to run."""
+    """Return a class of group that has `entries` by name and imports them when they run."""
     table = {entry.name: entry for entry in entries}
 
     class LazyGroup(TyperGroup):

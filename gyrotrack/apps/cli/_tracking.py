@@ -45,6 +45,10 @@ def profile_command(
         float | None,
         typer.Option("--capture-fps", metavar="N", help="Capture rate of the camera, for the profile [1/s]."),
     ] = None,
+    hub: Annotated[
+        str | None,
+        typer.Option("--hub", metavar="X,Y", help="Centre of rotation [px]; by default it is found."),
+    ] = None,
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -71,7 +75,7 @@ def profile_command(
     for path in (target, picture):
         if path is not None:
             refuse_existing(path, force=force)
-    found = propose(video, capture_fps=capture_fps)
+    found = propose(video, capture_fps=capture_fps, hub=_place(hub))
     comment = "".join(f"# {note}\n" for note in (f"found in {video.name} by gyrotrack profile", *found.notes))
     with all_or_nothing(target, picture):
         if picture is not None:  # the larger file first: if it cannot be written, an old profile stays
@@ -120,7 +124,10 @@ def _marker(marker: ProposedMarker) -> dict[str, Any]:
 
 def _profile_lines(target: Path, found: Proposal) -> str:
     x, y = found.centre
-    mark = f"a {found.profile.circle_colour} disc" if found.disc else "the markers' orbit"
+    given = found.profile.hub is not None
+    mark = (
+        "--hub" if given else f"a {found.profile.circle_colour} disc" if found.disc else "the markers' orbit"
+    )
     lines = [f"centre ({x:.1f}, {y:.1f}) px from {mark}"]
     lines.append(f"{'marker':<16}{'colour':<10}{'body':<8}{'radius [px]':>13}{'contrast':>10}{'seen':>7}")
     for m in map(_marker, found.markers):
@@ -411,11 +418,11 @@ def spindown_command(
     *,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="FILE", help="Case to write; SOURCE.h5 if not given."),
+        typer.Option("-o", "--output", metavar="FILE", help="Case to write; by default SOURCE.h5."),
     ] = None,
     report: Annotated[
         Path | None,
-        typer.Option("--report", metavar="FILE", help="Report to write; beside the case if not given."),
+        typer.Option("--report", metavar="FILE", help="Report to write; by default next to the case."),
     ] = None,
     hub: Annotated[
         str | None,
@@ -423,9 +430,7 @@ def spindown_command(
     ] = None,
     profile: Annotated[
         Path | None,
-        typer.Option(
-            "--profile", metavar="P", help="Markers and colours of the film; found by itself if not given."
-        ),
+        typer.Option("--profile", metavar="P", help="Markers and colours of the film; by default detected."),
     ] = None,
     body: Annotated[
         SingleBody | None,
@@ -446,7 +451,7 @@ def spindown_command(
         bool, typer.Option("--keep-all", help="Keep the start, in which a hand or a motor drives the body.")
     ] = False,
     label: Annotated[
-        str, typer.Option("--label", metavar="L", help="Name of the case; the file's if not given.")
+        str, typer.Option("--label", metavar="L", help="Name of the case; by default that of the file.")
     ] = "",
     force: Force = False,
     as_json: Json = False,
@@ -454,7 +459,7 @@ def spindown_command(
 ) -> int:
     """Measure one rotating body: film or table to motion, torque law and report.
 
-    A film needs no marker: whatever turns about one hub is registered against its own mean picture. Without
+    A film needs no marker: a body that turns about one hub is registered against its own mean image. Without
     --inertia torques are per unit of inertia.
 
     Example: gyrotrack spindown wheel.mp4 --capture-fps 300

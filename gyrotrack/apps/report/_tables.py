@@ -261,7 +261,7 @@ def _offset(p: Placement) -> str:
 
 _POINTS = 800
 _NEGLIGIBLE = 1e-3
-# an energy is distinguished from zero from so many standard uncertainties on
+# an energy is distinguished from zero from this number of standard uncertainties on
 _RESOLVED = 2.0
 
 
