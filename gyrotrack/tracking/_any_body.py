@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -30,6 +31,7 @@ from gyrotrack.tracking._registration import (
     register,
     rolled,
 )
+from gyrotrack.tracking._shake import Shake, camera_shake
 from gyrotrack.video._decoder import Reader
 
 Floats = npt.NDArray[np.float64]
@@ -57,12 +59,17 @@ _STATIC_SPAN = 1.0
 """Motion in rad from which the fixed picture is told from the body's."""
 
 
+class NothingMovesError(TrackingError):
+    """No part of the picture changes by more than noise."""
+
+
 class Film:
     """The luma of a film's frames, kept in memory where it fits, else decoded again for each pass."""
 
     def __init__(self, path: Path, threads: int = 2) -> None:
         self.path = path
         self._threads = threads
+        self._shake: Shake | None = None
         self._kept: list[Plane] | None = []
         held = 0
         seen: list[Plane] = []
@@ -88,23 +95,31 @@ class Film:
     def __len__(self) -> int:
         return self.count
 
+    def stabilise(self, shake: Shake | None) -> None:
+        """Take the motion of the camera out of all frames from now on; None: leave the frames as they are."""
+        self._shake = shake
+
     def frames(self, first: int = 0, stop: int | None = None) -> Iterator[Plane]:
         """Give the luma of frames `first` to before `stop`."""
         stop = self.count if stop is None else min(stop, self.count)
         if self._kept is not None:
-            yield from self._kept[first:stop]
+            for index, plane in enumerate(self._kept[first:stop], first):
+                yield self._still(plane, index)
             return
         with Reader(self.path, self._threads) as reader:
             for frame in reader:
                 if frame.index >= stop:
                     return
                 if frame.index >= first:
-                    yield np.ascontiguousarray(frame.y)
+                    yield self._still(np.ascontiguousarray(frame.y), frame.index)
+
+    def _still(self, plane: Plane, index: int) -> Plane:
+        return plane if self._shake is None else self._shake.stabilised(plane, index)
 
     def some(self, index: Sequence[int] | npt.NDArray[np.int64]) -> list[Plane]:
         """Return chosen frames, in the order of their numbers."""
         if self._kept is not None:
-            return [self._kept[i] for i in index]
+            return [self._still(self._kept[i], int(i)) for i in index]
         wanted = {int(i) for i in index}
         return [f.copy() for i, f in enumerate(self.frames(0, max(wanted) + 1)) if i in wanted]
 
@@ -191,10 +206,44 @@ def track_body(
             f"{film.path.name} has only {len(usable)} different frames; 12 are needed to track a motion",
             "give a longer film",
         )
-    sample = film.some(usable[np.unique(np.linspace(0, len(usable) - 1, 120).astype(int))])
-    motion = Motion.of(sample)
+    chosen = usable[np.unique(np.linspace(0, len(usable) - 1, 120).astype(int))]
+    sample = film.some(chosen)
+    shake = camera_shake(sample, film.frames())
+    if shake is not None:
+        film.stabilise(shake)
+        with suppress(
+            NothingMovesError
+        ):  # what was taken for the background is the body, before a blank wall
+            found = _track(
+                film, usable, film.some(chosen), hub, progress, margin=shake.margin(sample[0].shape)
+            )
+            return _with_shake(found, shake)
+        film.stabilise(None)
+    return _track(film, usable, sample, hub, progress)
+
+
+def _with_shake(found: Tracked, shake: Shake) -> Tracked:
+    """Add the error of the compensation to the uncertainty: s / r for a displacement, and that of the roll."""
+    share = math.hypot(shake.shift_sigma / (0.5 * (found.ring.inner + found.ring.outer)), shake.roll_sigma)
+    text = (
+        f"The camera moves by {shake.rms:.2g} px rms and {1e3 * shake.roll.std():.2g} mrad rms; {shake.features} "
+        f"features of the background compensate it. The uncertainty contains {1e3 * share:.2g} mrad for this."
+    )
+    return replace(found, sigma=np.hypot(found.sigma, share), warnings=(*found.warnings, text))
+
+
+def _track(
+    film: Film,
+    usable: npt.NDArray[np.int64],
+    sample: Sequence[Plane],
+    hub: tuple[float, float] | None,
+    progress: Progress | None,
+    margin: int = 0,
+) -> Tracked:
+    """Track the body in a film whose camera stands still; `margin` [px] is left out at every edge."""
+    motion = Motion.of(sample, margin)
     if motion.moving.mean() < 2e-4:
-        raise TrackingError(f"nothing moves in {film.path.name}", "check that it is the right film")
+        raise NothingMovesError(f"nothing moves in {film.path.name}", "check that it is the right film")
     first = min(len(usable) // 10, max(0, len(usable) - _TRIAL)) if len(usable) > 60 else 0
     block = film.some(usable[first : first + _TRIAL])
     if hub is not None:

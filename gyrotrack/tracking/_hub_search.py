@@ -52,8 +52,8 @@ class Motion:
     area: tuple[int, int, int, int]
 
     @classmethod
-    def of(cls, frames: Sequence[Plane]) -> Motion:
-        """Compare frames from all of a film."""
+    def of(cls, frames: Sequence[Plane], margin: int = 0) -> Motion:
+        """Compare frames from all of a film; at every edge `margin` px are left out."""
         total = np.zeros(frames[0].shape)
         square = np.zeros(frames[0].shape)
         for frame in frames:
@@ -69,7 +69,10 @@ class Motion:
         ).astype(bool)
         left, right = _without_bars(mean, deviation)
         top, bottom = _without_bars(mean.T, deviation.T)
-        return cls(mean, deviation, noise, moving, (left, top, right, bottom))
+        left, top, right, bottom = left + margin, top + margin, right - margin, bottom - margin
+        inside = np.zeros_like(moving)
+        inside[top:bottom, left:right] = True
+        return cls(mean, deviation, noise, moving & inside, (left, top, right, bottom))
 
 
 def _without_bars(mean: Floats, deviation: Floats) -> tuple[int, int]:

@@ -1,0 +1,130 @@
+"""A camera that shakes is compensated by the background that stands still, and its share of the uncertainty is told."""
+
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+
+from gyrotrack.tracking._any_body import Film, track_body
+from gyrotrack.tracking._shake import camera_shake
+
+REAL = Path(__file__).parents[4] / "shared" / "real"
+SIZE = 240, 320
+
+
+def wall(rng):
+    """A background with texture."""
+    coarse = cv2.GaussianBlur(rng.normal(0, 1, SIZE), (0, 0), 3)
+    return 120 + 40 * coarse / coarse.std()
+
+
+def disc(theta):
+    """A disc with sectors that turns about its middle, and where it covers the background."""
+    y, x = np.mgrid[: SIZE[0], : SIZE[1]] - np.array([120.3, 159.7])[:, None, None]
+    angle = np.arctan2(-y, x) - theta
+    edge = 1 / (1 + np.exp(np.hypot(x, y) - 60))
+    return 128 + 60 * np.tanh(4 * np.sin(3 * angle)) * np.tanh(4 * np.sin(angle + 0.7)), edge
+
+
+def moved(picture, dx, dy, roll):
+    """The picture displaced by (dx, dy) and rolled clockwise about its middle."""
+    cos, sin = np.cos(roll), np.sin(roll)
+    x, y = 159.5, 119.5
+    matrix = np.array([[cos, -sin, x + dx - cos * x + sin * y], [sin, cos, y + dy - sin * x - cos * y]])
+    return cv2.warpAffine(
+        picture, matrix, SIZE[::-1], flags=cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REPLICATE
+    )
+
+
+def film(shift, roll, seed=0, noise=2.0):
+    rng = np.random.default_rng(seed)
+    back = wall(rng)
+    frames = []
+    for k, ((dx, dy), turn) in enumerate(zip(shift, roll, strict=True)):
+        body, cover = disc(0.21 * k)
+        picture = moved(back * (1 - cover) + body * cover, dx, dy, turn) + rng.normal(0, noise, SIZE)
+        frames.append(np.clip(picture, 0, 255).astype(np.uint8))
+    return frames
+
+
+def test_displacement_and_roll_are_those_of_the_camera():
+    rng = np.random.default_rng(1)
+    shift, roll = rng.normal(0, 1.5, (40, 2)), rng.normal(0, 4e-3, 40)
+    shift[0], roll[0] = 0, 0
+    frames = film(shift, roll)
+    found = camera_shake(frames, frames)
+    assert found is not None
+    off = np.array(found.centre) - (159.5, 119.5)
+    expected = shift + roll[:, None] * np.array([-off[1], off[0]])
+    error = found.shift - expected
+    error -= error.mean(axis=0)
+    assert error.std() < 0.05
+    assert (found.roll - roll).std() < 4e-4
+    assert (found.roll - roll).std() < 3 * found.roll_sigma
+    assert np.corrcoef(found.roll, roll)[0, 1] > 0.99  # the sign is right
+    still = found.stabilised(frames[7], 7).astype(float)[20:60, 20:-20]
+    first = frames[0].astype(float)[20:60, 20:-20]
+    before = frames[7].astype(float)[20:60, 20:-20]
+    assert np.abs(still - first).mean() < 0.5 * np.abs(before - first).mean()
+
+
+def test_a_camera_on_a_tripod_is_left_alone():
+    frames = film(np.zeros((30, 2)), np.zeros(30))
+    assert camera_shake(frames, frames) is None
+
+
+def test_a_body_before_a_blank_wall_is_no_background():
+    frames = []
+    for k in range(30):
+        picture = np.full(SIZE, 200, np.uint8)
+        picture[100:130, 100 + k : 130 + k] = np.random.default_rng(5).integers(0, 99, (30, 30))
+        frames.append(picture)
+    assert camera_shake(frames, frames) is None
+
+
+def shaken(source, target, rms, roll):
+    """Write a film again with known displacements and rolls of its frames (a random walk that returns)."""
+    rng = np.random.default_rng(3)
+    state = np.zeros(3)
+    with av.open(str(source)) as film, av.open(str(target), "w") as out:
+        old = film.streams.video[0]
+        new = out.add_stream("libx264", rate=old.average_rate)
+        new.width, new.height, new.pix_fmt = old.width // 2 * 2, old.height // 2 * 2, "yuv420p"
+        new.options = {"crf": "12", "preset": "fast"}
+        for k, frame in enumerate(film.decode(old)):
+            state = 0.8 * state + rng.normal(0, [0.6 * rms, 0.6 * rms, 0.6 * roll])
+            picture = frame.to_ndarray(format="bgr24")[: new.height, : new.width]
+            matrix = cv2.getRotationMatrix2D((new.width / 2, new.height / 2), np.degrees(state[2]), 1.0)
+            matrix[:, 2] += state[:2]
+            picture = cv2.warpAffine(
+                picture,
+                matrix,
+                (new.width, new.height),
+                flags=cv2.INTER_CUBIC,
+                borderMode=cv2.BORDER_REPLICATE,
+            )
+            shown = av.VideoFrame.from_ndarray(picture, format="bgr24").reformat(format="yuv420p")
+            shown.pts = k
+            out.mux(new.encode(shown))
+        out.mux(new.encode())
+    return target
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not REAL.is_dir(), reason="needs the real films")
+@pytest.mark.parametrize(
+    ("name", "roll", "most"),
+    [("turntable/turntable_33rpm.mp4", 0.0, 1.0e-3), ("bicycle_wheel_300fps.mp4", 3e-3, 5.0e-3)],
+)
+def test_real_films_that_were_shaken_give_the_same_angles(name, roll, most, tmp_path):
+    alone = track_body(Film(REAL / name))
+    found = track_body(Film(shaken(REAL / name, tmp_path / "shaken.mp4", 2.0, roll)))
+    assert "The camera moves by" in found.warnings[-1]
+    _, i, j = np.intersect1d(alone.frame, found.frame, return_indices=True)
+    assert len(i) > 0.95 * len(alone.frame)
+    apart = alone.angle[i] - found.angle[j]
+    apart -= apart.mean()
+    assert apart.std() < most
+    assert apart.std() < 1.5 * np.hypot(np.median(alone.sigma), np.median(found.sigma))
