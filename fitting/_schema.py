@@ -51,6 +51,14 @@ class EstimateDocument(Document):
     at_bound: Flag = False
 
 
+class StoredEstimate(EstimateDocument):
+    """A parameter with its bounds, and whether it is varied."""
+
+    vary: bool = True
+    min: Number = -math.inf
+    max: Number = math.inf
+
+
 class BodyDocument(Document):
     """Figures of merit of one body: R2, rms residual [rad/s], reduced chi2, cross-validation error [noise]."""
 
@@ -288,7 +296,7 @@ class EffectLimitsDocument(Document):
 
 
 class NextRunDocument(Document):
-    """The proposed run: initial angular rates [rad/s], times [s], and what it is expected to tell [sigma]."""
+    """The proposed run: initial angular rates [rad/s], times [s], and its expected separation of rivals [sigma]."""
 
     omega_rotor: Number
     omega_casing: Number
@@ -320,14 +328,19 @@ class PlanDocument(Document):
 
 
 class StepDocument(Document):
-    """One fit of a history: what was changed, and what the errors did."""
+    """One fit of a history: what was changed, and what the errors did; `_noise` is what noise alone would give."""
 
     fit_id: str
     added: str
     model: list[str]
+    samples: int = 0
+    n_eff: Number = math.nan
     rmse_casing: Number
+    rmse_noise: Number = math.nan
     reduced_chi2: Number
     held_out: Number
+    bic: Number = math.nan
+    bic_noise: Number = math.nan
     delta_bic: Number
     energy_drift: Number
     torque_left_Nm: Number  # noqa: N815
@@ -373,7 +386,7 @@ class StoredCandidate(Document):
     held_out_gain: Number
     significant: Flag
     indistinguishable_from: list[str]
-    estimates: dict[str, EstimateDocument]
+    estimates: dict[str, StoredEstimate]
     fit: StoredFit | None
 
 
@@ -425,7 +438,7 @@ class EntryDocument(FitDocument):
 
 
 class LedgerDocument(Document):
-    """A ledger: the history of fits of one or several studies. Entries keep keys that this version does not know."""
+    """A ledger: the history of fits of one or several studies. Entries keep keys that are unknown to this version."""
 
     format: str = "gyrotrack ledger"
     version: int = 1
@@ -440,7 +453,7 @@ class SavedFitDocument(Document):
     model: list[str]
     own_effects: list[StoredEffect]
     labels: list[str]
-    estimates: dict[str, EstimateDocument]
+    estimates: dict[str, StoredEstimate]
     cases: list[MetricsDocument]
     noise: list[NoiseDocument]
     verdict: str

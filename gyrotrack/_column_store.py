@@ -22,7 +22,7 @@ Array = npt.NDArray[Any]
 LEAST_BYTES = 1 << 18
 """Size [bytes] from which a table is kept in a file."""
 STRETCH = 4096
-"""Rows that are processed at once."""
+"""Rows that are processed together."""
 _TOGETHER = 8
 """Blocks of rows after which pages are released; each release takes time."""
 MOST_FILES = 128

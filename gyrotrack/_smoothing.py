@@ -97,7 +97,7 @@ def excess(off: Floats) -> float:
 def tail_factor(off: Floats) -> Floats:
     """Return the factor by which each residual raises its own uncertainty where large ones are too frequent, (n,).
 
-    The noise is normal with a variance of its own in each frame, inverse-gamma distributed: residuals then follow
+    The noise is normal with its own variance in each frame, inverse-gamma distributed: residuals then follow
     Student's t with nu degrees of freedom, their excess kurtosis is 6 / (nu - 4), and given a residual of r standard
     deviations the expected variance is (nu - 2 + r^2) / (nu - 1) of the mean one. Where there is no residual (NaN) the
     factor is 1.

@@ -41,7 +41,7 @@ def line_of(text: str, location: tuple[int | str, ...]) -> int | None:
             names = _parts(head[2])
             if head[1] == "[[":
                 counts[names] = counts.get(names, -1) + 1
-                # a new element begins with arrays of its own
+                # a new element begins with its own arrays
                 for inner in [n for n in counts if n[: len(names)] == names and n != names]:
                     del counts[inner]
             table = _within(names, counts)

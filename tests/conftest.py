@@ -18,3 +18,9 @@ _CALM = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
 settings.register_profile("any machine", derandomize=True, **_CALM)
 settings.register_profile("searching", **_CALM)
 settings.load_profile("any machine")
+
+
+def pytest_configure(config):
+    """Run each file in one process (pytest-xdist): its expensive fixtures and caches are then made once."""
+    if getattr(config.option, "dist", "no") == "load":
+        config.option.dist = "loadfile"

@@ -56,6 +56,7 @@ def test_the_random_torque_has_its_size_and_its_memory(time):
     assert np.mean(torque[lag:] * torque[:-lag]) / np.var(torque) == pytest.approx(np.exp(-1), abs=0.05)
 
 
+@pytest.mark.slow
 def test_a_run_is_made_from_its_key_alone_and_no_two_are_alike():
     everything = plan.plan(10)
     assert len({r.key for r in everything}) == len(everything)

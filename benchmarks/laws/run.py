@@ -1,10 +1,10 @@
 """How well `laws` finds laws outside the library, on recordings made elsewhere.
 
     python benchmarks/laws/run.py hidden [--noise 1e-7] [--only NUMBER ...] [--seed N]
-    python benchmarks/laws/run.py empty --count 60
-    python benchmarks/laws/run.py table
+    python benchmarks/laws/run.py empty --count 60 [--noise 1e-7]
+    python benchmarks/laws/run.py library [--noise 1e-7] [--seed N]     # short recordings, effects of the library
 
-Each run appends a line of JSON to results.jsonl; `table` writes RESULTS.md.
+Each run appends a line of JSON to results.jsonl; `table.py` writes RESULTS.md and success.png.
 """
 
 from __future__ import annotations
@@ -21,23 +21,22 @@ for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
 
 import numpy as np
-from worlds import LAWS, World, world
+from oracle import oracle
+from worlds import EFFECTS, LAWS, World, of_library, world
 
 from fitting._workers import WorkerPool
 from fitting.discovery._criteria import DEFAULT
-from fitting.discovery._laws import Laws, _Search, _Steps, _with_class, laws
-from fitting.discovery._score import CaseColumns
+from fitting.discovery._laws import Law, Laws, _Search, _Steps, laws, with_classes
+from fitting.discovery._verdict import diagnose
 from fitting.dynamics._mesh import Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
 from fitting.effects._library import REDUCED
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
-from fitting.inference._noise import TorqueNoise
 from fitting.inference._record import make_record
 from fitting.inference._result import Fit
 
 RESULTS = Path(__file__).parent / "results.jsonl"
-TABLE = Path(__file__).parent / "RESULTS.md"
 _POINTS = 1500
 
 
@@ -51,15 +50,16 @@ def hidden(index: int, noise: float, seed: int, *, diagnosed: bool) -> dict[str,
         found = laws(base)
     else:
         set_ = _Search(base, DEFAULT, WorkerPool(0), _Steps(None)).best_set()
-        answer = [x for x in set_ if x.penalised - set_[0].penalised < DEFAULT.equivalence_width]
         found = Laws(
-            base, "law" if set_ else "none", "", tuple(_with_class(x, answer) for x in set_), None, (), "", 0
+            base, "law" if set_ else "none", "", with_classes(set_, DEFAULT) if set_ else (), None, (), "", 0
         )
     line: dict[str, Any] = {
         "key": f"hidden|{index}|{noise:g}|{seed}", "name": w.name, "noise": noise, "verdict": found.verdict,
         "library": found.library.effect.name if found.library else None,
         "set": [x.formula for x in found.answer], "all": [x.formula for x in found.laws],
         "form": any(_is_true(w, x) for x in found.answer[:5]), "set_size": len(found.answer),
+        "form_of_torques": any(_is_true(w, x) for group in found.torques[:5] for x in group),
+        "torques": len(found.torques),
         "first": bool(found.laws) and _is_true(w, found.laws[0]),
         "diagnosed": diagnosed, "p": found.laws[0].p_value if found.laws else None,
         "seconds": time.process_time() - began,
@@ -67,43 +67,15 @@ def hidden(index: int, noise: float, seed: int, *, diagnosed: bool) -> dict[str,
     best = found.laws[0].fit if found.laws else (found.library.fit if found.library is not None else None)
     if best is None:
         best = base
-    line |= {"oracle": oracle(w, base, noise)}
     line |= {"torque_error": torque_error(w, best), "third": third(best, data[2])}
+    limit = oracle(w, base, noise)
+    line |= {"oracle": limit.size, "oracle_set": limit.set_size, "oracle_rank": limit.rank}
+    if limit.fit is not None:
+        line |= {"oracle_torque_error": torque_error(w, limit.fit), "oracle_third": third(limit.fit, data[2])}
     return line
 
 
-def oracle(w: World, base: Fit, noise: float) -> float:
-    """Return by how many sigma the hidden law stands out for one who knows it, its constants and the noise."""
-    rows, whiteners = [], []
-    (law,) = w.hidden.casing + w.hidden.bearing + w.hidden.rotor
-    for i, data in enumerate(base.problem.data):
-        response, path = CaseColumns(base, i).response, base.predictions[i].path
-        t = response.centres
-        y = Sampler(path.mesh, t).value(path.y)
-        torque = np.array([law(float(s), float(v[0]), float(v[1]), 0.0) for s, v in zip(t, y, strict=True)])
-        acting = {"casing": response.casing, "rotor": response.rotor}.get(
-            w.body, response.casing - response.rotor
-        )
-        seen = acting @ torque
-        rows.append(np.concatenate([seen, np.zeros(len(data.z) - len(seen))]))
-        whiteners.append(response.whitener(TorqueNoise(noise, 1.0)))
-    ends = np.cumsum([0, *(len(d.z) for d in base.problem.data)])
-    nuisance = np.zeros((ends[-1], sum(d.nuisance.shape[1] for d in base.problem.data)))
-    place = 0
-    for d, a in zip(base.problem.data, ends, strict=False):
-        nuisance[a : a + len(d.z), place : place + d.nuisance.shape[1]] = d.nuisance
-        place += d.nuisance.shape[1]
-    free = np.concatenate([np.concatenate([p.jacobian for p in base.predictions]), nuisance], axis=1)
-    both = np.concatenate(
-        [free / np.maximum(np.linalg.norm(free, axis=0), 1e-300), np.concatenate(rows)[:, None]], axis=1
-    )
-    white = np.concatenate([f(both[a:b]) for f, a, b in zip(whiteners, ends, ends[1:], strict=False)])
-    u, s, _ = np.linalg.svd(white[:, :-1], full_matrices=False)
-    u = u[:, s > 1e-9 * s[0]]
-    return float(np.linalg.norm(white[:, -1] - u @ (u.T @ white[:, -1])))
-
-
-def _is_true(w: World, law: Any) -> bool:
+def _is_true(w: World, law: Law) -> bool:
     terms = law.form.split(" + ")
     variables = law.fit.model.names[-len(terms) :]
     own = [
@@ -149,17 +121,38 @@ def third(found: Fit, data: CaseData) -> float:
     return float(_prediction_error(alone.cases[0].casing))
 
 
-def empty(seed: int) -> dict[str, Any]:
+def empty(seed: int, noise: float) -> dict[str, Any]:
     """Search where nothing is hidden; the diagnosis, which could only stop the search, is left out."""
     w = world(None, seed)
-    data = [CaseData.of(make_record(**r)) for r in w.records(0.0 if seed % 2 else 1e-7, seed)[:2]]
+    data = [CaseData.of(make_record(**r)) for r in w.records(noise, seed, count=2)]
     base = fit(Model.of(REDUCED), data)
     search = _Search(base, DEFAULT, WorkerPool(0), _Steps(None))
     found = search.best_set()
     return {
-        "key": f"empty|{seed}", "noise": 0.0 if seed % 2 else 1e-7, "claimed": [x.formula for x in found[:3]],
+        "key": f"empty|{seed}|{noise:g}", "noise": noise, "claimed": [x.formula for x in found[:3]],
         "p": found[0].p_value if found else None, "delta_bic": found[0].delta_bic if found else None,
         "base": base.verdict,
+    }  # fmt: skip
+
+
+def library(name: str, noise: float, seed: int) -> dict[str, Any]:
+    """Hide an effect of the library, ask for laws: it must stay the answer wherever the diagnosis names it."""
+    began = time.process_time()
+    base = fit(
+        Model.of([n for n in REDUCED if n != name]),
+        [make_record(**r) for r in of_library(name, noise, seed)],
+    )
+    known = diagnose(base)
+    best = known.candidates[0] if known.verdict == "missing_effect" and known.candidates else None
+    found = laws(base, diagnosis=known)
+    answer = found.library
+    return {
+        "key": f"library|{name}|{noise:g}|{seed}", "hidden": name, "noise": noise, "diagnosis": known.verdict,
+        "form": known.form,
+        "diagnosed": [] if best is None else [best.effect.name, *best.indistinguishable_from],
+        "verdict": found.verdict,
+        "named": [] if answer is None else [answer.effect.name, *answer.indistinguishable_from],
+        "laws": [x.formula for x in found.answer[:5]], "seconds": time.process_time() - began,
     }  # fmt: skip
 
 
@@ -177,17 +170,18 @@ def lines() -> dict[str, dict[str, Any]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("what", choices=["hidden", "empty", "table"])
+    parser.add_argument("what", choices=["hidden", "empty", "library"])
     parser.add_argument("--noise", type=float, default=0.0)
-    parser.add_argument("--only", type=int, nargs="+", default=list(range(len(LAWS))))
+    parser.add_argument("--only", type=int, nargs="+", help="numbers of laws, or of effects of the library")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=60)
+    parser.add_argument("--first", type=int, default=0, help="seed of the first of the empty recordings")
     parser.add_argument("--diagnosed", action="store_true", help="the whole command, the diagnosis included")
     parser.add_argument("--again", action="store_true", help="run what is in the results already")
     options = parser.parse_args()
     done = {} if options.again else lines()
     if options.what == "hidden":
-        for index in options.only:
+        for index in options.only or range(len(LAWS)):
             key = f"hidden|{index}|{options.noise:g}|{options.seed}"
             if key not in done:
                 _kept(
@@ -196,80 +190,16 @@ def main() -> None:
                         index, options.noise, options.seed, diagnosed=options.diagnosed
                     ),
                 )
-    elif options.what == "table":
-        TABLE.write_text(table(), encoding="utf-8")
+    elif options.what == "library":
+        for name in [EFFECTS[i] for i in options.only or range(len(EFFECTS))]:
+            key = f"library|{name}|{options.noise:g}|{options.seed}"
+            if key not in done:
+                _kept(key, lambda name=name: library(name, options.noise, options.seed))
     else:
-        for seed in range(options.count):
-            if f"empty|{seed}" not in done:
-                _kept(f"empty|{seed}", lambda seed=seed: empty(seed))
-
-
-_HEAD = """# Laws outside the library
-
-Made by `python benchmarks/laws/run.py table` from results.jsonl. Gyroscopes, laws, constants and cameras are drawn by
-lot and integrated in plain Python (benchmarks/discovery); two recordings are searched, a third one at 60-80 % of the
-speed is predicted. The largest torque of a law is 1-5 % of the bearing's.
-
-Torque error: rms of the net torques of the best law's fit minus the true ones, both bodies, along the true motion, over
-the rms of the hidden torque. Third recording: rms error of the casing's angle over the noise; touch point, drag of the
-casing and start speeds free. Oracle: size of the law in sigma for one who knows it, its constants and the noise.
-
-The diagnosis that precedes the search in the command is left out here: these are figures of the search alone. Most
-forms of the hidden laws are in the grammar; their constants, bodies and mixtures with the base are drawn.
-"""
-
-
-def table() -> str:
-    """Return the results as Markdown."""
-    every = [x for x in lines().values() if "error" not in x]
-    text = [_HEAD]
-    for noise in sorted({x["noise"] for x in every if x["key"].startswith("hidden")}):
-        own = [x for x in every if x["key"].startswith("hidden") and x["noise"] == noise]
-        text += [f"## Hidden laws, process noise {noise:g} N m", ""]
-        text += [
-            "| hidden | true form in first five | size of set | torque error | third | oracle | first of the set |"
-        ]
-        text += ["|---|---|---|---|---|---|---|"]
-        first = {x["key"]: f"`{x['set'][0]}`" if x["set"] else "none" for x in own}
-        text += [
-            f"| {x['name']} | {'yes' if x['form'] else 'no'} | {x['set_size']} | {100 * x['torque_error']:.2g} % | "
-            f"{x['third']:.3g} | {'-' if x.get('oracle') is None else round(x['oracle'])} | {first[x['key']]} |"
-            for x in own
-        ]
-        counts = [sum(x["form"] for x in own), sum(x["torque_error"] < 0.03 for x in own)]
-        counts += [sum(x["third"] < 1.5 for x in own)]
-        shares = ", ".join(f"{c} of {len(own)}" for c in counts)
-        text += ["", f"True form in the set, torque within 3 %, third recording below 1.5: {shares}.", ""]
-    empty = [x for x in every if x["key"].startswith("empty")]
-    text += [
-        f"## Nothing hidden\n\nA law was claimed in {sum(bool(x['claimed']) for x in empty)} of {len(empty)}."
-    ]
-    text += _rivals()
-    failed = [x for x in lines().values() if "error" in x]
-    return "\n".join([*text, *(f"\n{x['key']}: {x['error']}" for x in failed), ""])
-
-
-def _rivals() -> list[str]:
-    """Return what other methods answer on the same recordings, as far as they were run."""
-    file = Path(__file__).parent / "rivals.jsonl"
-    if not file.is_file():
-        return []
-    every = [json.loads(x) for x in file.read_text(encoding="utf-8").splitlines()]
-    hidden_, empty_ = [x for x in every if x["name"]], [x for x in every if not x["name"]]
-    rows = [
-        "",
-        "## Other methods",
-        "",
-        "| method | right | claims where nothing is hidden |",
-        "|---|---|---|",
-    ]
-    for method in dict.fromkeys(
-        k for x in every for k, v in x.items() if isinstance(v, dict) and "claims" in v
-    ):
-        right = sum(x[method]["right"] for x in hidden_)
-        claims = sum(x[method]["claims"] > 0 for x in empty_)
-        rows.append(f"| {method} | {right} of {len(hidden_)} | {claims} of {len(empty_)} |")
-    return rows
+        for seed in range(options.first, options.first + options.count):
+            key = f"empty|{seed}|{options.noise:g}"
+            if key not in done:
+                _kept(key, lambda seed=seed: empty(seed, options.noise))
 
 
 def _kept(key: str, work: Any) -> None:

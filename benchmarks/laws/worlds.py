@@ -21,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "discovery"))
 from elsewhere import budget, gyroscopes
 from experiment import Hidden, Motion, integrate, shake
 from experiment import record as film
+from hidden import BASE, LIBRARY, Draw
 
 Shape = Callable[[float, float, float], float]  # of t, omega_r, omega_c
 
@@ -52,8 +53,8 @@ class World:
     runs: tuple[dict[str, Any], ...]
     hidden: Hidden
 
-    def records(self, noise: float, seed: int) -> list[dict[str, Any]]:
-        """Return what `make_record` takes, one for each run."""
+    def records(self, noise: float, seed: int, count: int = 3) -> list[dict[str, Any]]:
+        """Return what `make_record` takes, one for each of the first runs."""
         return [
             film(
                 run,
@@ -62,7 +63,7 @@ class World:
                 rng=np.random.default_rng([seed, i]),
                 label=f"case{i + 1}",
             )
-            for i, run in enumerate(self.runs)
+            for i, run in enumerate(self.runs[:count])
         ]
 
     def motion(self, index: int) -> Motion:
@@ -226,3 +227,31 @@ def world(index: int | None, seed: int) -> World:
     return World(
         name, body, forms, variables, runs, Hidden(**{body: (lambda t, wr, wc, psi: k * shape(t, wr, wc),)})
     )
+
+
+# effects of the library: all but one that no recording separates from the touch point's friction
+EFFECTS = tuple(n for n in (*LIBRARY, *BASE) if n != "external.constant")
+_SHORT = (40.0, 80.0)  # s
+_STRENGTH = 0.03
+
+
+def of_library(name: str, noise: float, seed: int) -> list[dict[str, Any]]:
+    """Return two short recordings, as `make_record` takes them, with an effect of the library of 3 % of the budget."""
+    rng = np.random.default_rng([20261123, seed, EFFECTS.index(name)])
+    runs = [run | {"span": rng.uniform(*_SHORT)} for run in gyroscopes(rng)]
+    common = int(rng.integers(2**31))
+    found = []
+    for i, run in enumerate(runs):
+        # what belongs to an event is drawn for each recording
+        draw = Draw.of(run["span"], np.random.default_rng(common), np.random.default_rng([common, i]))
+        hidden = {**LIBRARY, **BASE}[name](_STRENGTH * budget(runs[0]), draw)
+        found.append(
+            film(
+                run,
+                hidden,
+                torque_noise=noise,
+                rng=np.random.default_rng([seed, i, common]),
+                label=f"case{i + 1}",
+            )
+        )
+    return found

@@ -68,6 +68,7 @@ class Criteria:
         0.001, "p-value of a test that contradicts an adequate fit", "Baluev 2008"
     )
     inertia_sigma: float = _criterion(2.0, "error of an inertia that its uncertainty allows [sigma]")
+    inertia_largest: float = _criterion(0.05, "relative error of an inertia whose uncertainty is not stated")
     failure_sigma: float = _criterion(4.0, "peak of a reported stretch of unmodelled torque [sigma]")
     harmonic_sigma: float = _criterion(4.3, "amplitude of a reported harmonic [sigma]", "p = 1e-4, 2 dof")
     experiment_sigma: float = _criterion(5.0, "separation that makes an experiment worth doing [sigma]")

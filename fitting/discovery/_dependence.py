@@ -10,10 +10,16 @@ Its level of process noise is profiled. The p-value is calibrated on null data t
 smallest p of many correlated tests (P. Westfall, S. Young, Resampling-Based Multiple Testing (1993)). The explained
 share is that of the excess of chi-square over its degrees of freedom at the noise of the data.
 
-The curve is the posterior mean of f for independent coefficients of variance s^2, the most likely one. Where the spline
-leaves more than noise, because the law has a finer shape, the noise of the coefficients is scaled by the root of the
-reduced chi-square (R. Birge, Phys. Rev. 40, 207 (1932)). The base can represent some functions itself (a linear drag
-for example); the curve is the part that it cannot represent, and its band is the standard deviation of that part.
+The curve has finer splines than the test, so that it can follow a resonance. Their coefficients b have a Gaussian prior
+with the Matern covariance of order 3/2,
+
+    cov(b_i, b_j) = s^2 (1 + q) exp(-q),   q = sqrt(3) |x_i - x_j| / l,
+
+at the centres x_i of the splines; s and l are the most likely ones (C. Rasmussen, C. Williams, Gaussian Processes for
+Machine Learning, MIT Press (2006), ch. 5). A broad law gives a large l, which averages the noise; a narrow peak a
+small one. The base can represent some functions itself (a linear drag for example), and the data determine others too
+weakly: the curve is the part of the torque that the data determine better than the prior does, and its band is
+the posterior standard deviation of that part. A law compares with the curve after the same projection.
 """
 
 from __future__ import annotations
@@ -25,33 +31,41 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.discovery._score import CaseColumns, ScoreContext, over_many_tests
+from fitting.discovery._score import CaseColumns, Level, ScoreContext, orthonormal, over_many_tests
 from fitting.dynamics._mesh import Sampler
 from fitting.effects._effect import Effect, Joint, Parameter
+from fitting.inference._metrics import block_diagonal
 from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
 
 _COLUMNS = 10
+_FINE = 36
 _PAIR = 4
 _CUBIC = 3
 _HARMONICS = (1, 2, 3, 4)
+# of the rotor, as far as it turns by less than this between two frames of the casing [rad]
+_ROTOR_HARMONICS = (1, 2)
+_FASTEST = np.pi
 _DRAWS = 1000
 _RANK = 1e-5
 _CURVE = 120
-_STRENGTHS = np.geomspace(1e-4, 1e4, 33)
+_STRENGTHS = np.geomspace(1e-3, 1e5, 33)
+# correlation lengths over the range of the variable
+_LENGTHS = np.geomspace(0.03, 3.0, 9)
 _WORDS = {
     "omega_c": "the speed of the casing",
     "omega_r": "the speed of the rotor",
     "delta": "the speed of the bearing",
     "t": "time",
     "psi_c": "the angle of the casing",
+    "psi_r": "the angle of the rotor",
 }
 _ON = {"casing": "on the casing", "bearing": "in the bearing", "rotor": "on the rotor"}
 _TESTS: dict[str, tuple[tuple[str, ...], ...]] = {
     "casing": (("omega_c",), ("omega_r",), ("t",), ("psi_c",), ("omega_c", "omega_r"), ("omega_c", "t")),
     "bearing": (("delta",), ("t",), ("delta", "t"), ("delta", "omega_c")),
-    "rotor": (("omega_r",), ("t",)),
+    "rotor": (("omega_r",), ("t",), ("psi_r",)),
 }
 
 
@@ -130,11 +144,15 @@ def context_without(
 
 
 class _Test(NamedTuple):
+    """Rows of the functions of a test, and of those of its curve: `basis` at `value`, prior covariances for s = 1."""
+
     body: Joint
     variables: tuple[str, ...]
     columns: Array
+    fine: Array
     value: Array
     basis: Array
+    priors: tuple[Array, ...]
 
 
 def dependence(
@@ -176,25 +194,46 @@ def _tests(about: Fit, cases: Sequence[CaseColumns]) -> Iterator[_Test]:
         for variables in choices:
             if single and not {"omega_c", "t", "psi_c"}.issuperset(variables):
                 continue
-            if variables == ("psi_c",):
-                if about.problem.data[0].is_angle:
-                    yield _harmonics(cases)
+            if variables[0].startswith("psi"):
+                orders = _orders(about, variables[0])
+                if orders:
+                    yield _angle_test(cases, body, variables[0], orders)
                 continue
-            axes = [_Axis(np.concatenate([k[v] for k in known]), len(variables)) for v in variables]
-            rows = []
-            for k, c in zip(known, cases, strict=True):
-                torque = axes[0](k[variables[0]])
-                for axis, v in zip(axes[1:], variables[1:], strict=True):
-                    torque = (torque[:, :, None] * axis(k[v])[:, None, :]).reshape(len(torque), -1)
-                acting = {"casing": c.response.casing, "rotor": c.response.rotor}.get(body)
-                acting = c.response.casing - c.response.rotor if acting is None else acting
-                smooth = acting @ torque
-                rows.append(
-                    np.concatenate([smooth, np.zeros((len(c.case.data.z) - len(smooth), smooth.shape[1]))])
+            axes = [_Axis(np.concatenate([k[v] for k in known]), _COLUMNS if len(variables) == 1 else _PAIR)
+                    for v in variables]  # fmt: skip
+            acting = [_acting(c, body) for c in cases]
+            columns = [
+                c.padded(w @ _product([axis(k[v]) for axis, v in zip(axes, variables, strict=True)]))
+                for c, k, w in zip(cases, known, acting, strict=True)
+            ]
+            rows = np.concatenate(columns)
+            if len(variables) > 1:
+                yield _Test(
+                    _joint(body), variables, rows, rows, np.zeros(0), np.zeros((0, rows.shape[1])), ()
                 )
-            value = np.linspace(axes[0].low, axes[0].high, _CURVE) if len(variables) == 1 else np.zeros(0)
-            basis = axes[0](value) if len(variables) == 1 else np.zeros((0, rows[0].shape[1]))
-            yield _Test(_joint(body), variables, np.concatenate(rows), value, basis)
+                continue
+            (name,) = variables
+            fine = _Axis(np.concatenate([k[name] for k in known]), _FINE)
+            finer = [c.padded(w @ fine(k[name])) for c, k, w in zip(cases, known, acting, strict=True)]
+            value = np.linspace(fine.low, fine.high, _CURVE)
+            yield _Test(
+                _joint(body), variables, rows, np.concatenate(finer), value, fine(value), fine.priors()
+            )
+
+
+def _acting(case: CaseColumns, body: str) -> Array:
+    response = case.response
+    if body == "bearing":
+        return response.casing - response.rotor
+    return response.casing if body == "casing" else response.rotor
+
+
+def _product(factors: Sequence[Array]) -> Array:
+    """Return all products of the functions of each variable, shape (cells, functions)."""
+    total = factors[0]
+    for f in factors[1:]:
+        total = (total[:, :, None] * f[:, None, :]).reshape(len(total), -1)
+    return total
 
 
 def _joint(body: str) -> Joint:
@@ -210,9 +249,8 @@ def _motion(about: Fit, index: int, case: CaseColumns) -> dict[str, Array]:
 class _Axis:
     """Cubic B-splines of equal spacing over the range of a variable."""
 
-    def __init__(self, values: Array, dimensions: int) -> None:
+    def __init__(self, values: Array, count: int) -> None:
         self.low, self.high = float(values.min()), float(values.max())
-        count = _COLUMNS if dimensions == 1 else _PAIR
         inner = np.linspace(self.low, max(self.high, self.low + 1e-9), count - _CUBIC + 1)
         self._knots = np.concatenate([[inner[0]] * _CUBIC, inner, [inner[-1]] * _CUBIC])
 
@@ -222,16 +260,46 @@ class _Axis:
         inside = np.clip(values, self._knots[0], self._knots[-1])
         return np.asarray(BSpline.design_matrix(inside, self._knots, _CUBIC).toarray())
 
+    def priors(self) -> tuple[Array, ...]:
+        """Return the Matern covariance of the coefficients for each correlation length, at variance 1."""
+        centres = np.lib.stride_tricks.sliding_window_view(self._knots[1:-1], _CUBIC).mean(axis=1)
+        apart = np.sqrt(3) * np.abs(centres[:, None] - centres) / (self.high - self.low)
+        return tuple((1 + apart / x) * np.exp(-apart / x) for x in _LENGTHS)
 
-def _harmonics(cases: Sequence[CaseColumns]) -> _Test:
-    psi = np.linspace(0, 2 * np.pi, _CURVE)
+
+def _orders(about: Fit, angle: str) -> tuple[int, ...]:
+    """Return the harmonics of an angle that the recordings resolve."""
+    data = about.problem.data
+    if not data[0].is_angle:
+        return ()
+    if angle == "psi_c":
+        return _HARMONICS
+    step = max(
+        float(np.median(np.diff(d.record.casing.time)) * np.abs(p.path.y[..., 0]).max())
+        for d, p in zip(data, about.predictions, strict=True)
+    )
+    return tuple(n for n in _ROTOR_HARMONICS if n * step < _FASTEST)
+
+
+def _angle_test(cases: Sequence[CaseColumns], body: str, angle: str, orders: Sequence[int]) -> _Test:
+    """Return the test of harmonics of an angle; of the rotor's each case has its own phases, and there is no curve."""
     phase = Parameter("phi", "rad", "phase", -np.inf, np.inf)
+    psi = np.linspace(0, 2 * np.pi, _CURVE)
     rows, basis = [], []
-    for n in _HARMONICS:
-        law = Effect(f"harmonic.{n}", "casing", f"k*sin({n}*psi_c - phi)", (Parameter("k", "N m"), phase))
-        rows.append(np.concatenate([c.trials(law)[0].columns for c in cases]))
+    for n in orders:
+        law = Effect(
+            f"harmonic.{n}", _joint(body), f"k*sin({n}*{angle} - phi)", (Parameter("k", "N m"), phase)
+        )
+        own = [c.trials(law)[0].columns for c in cases]
+        rows.append(np.concatenate(own) if angle == "psi_c" else block_diagonal(own))
         basis += [np.sin(n * psi), -np.cos(n * psi)]
-    return _Test("casing", ("psi_c",), np.concatenate(rows, axis=1), psi, np.stack(basis, axis=1))
+    columns = np.concatenate(rows, axis=1)
+    if angle != "psi_c":
+        return _Test(
+            _joint(body), (angle,), columns, columns, np.zeros(0), np.zeros((0, columns.shape[1])), ()
+        )
+    unit = (np.eye(columns.shape[1]),)
+    return _Test(_joint(body), (angle,), columns, columns, psi, np.stack(basis, axis=1), unit)
 
 
 def _tested(context: ScoreContext, test: _Test) -> tuple[Dependence | None, Array]:
@@ -241,55 +309,78 @@ def _tested(context: ScoreContext, test: _Test) -> tuple[Dependence | None, Arra
     size[size == 0] = np.inf
     rotated = context.rotated(test.columns / size)
     least = min(level.deviance for level in context.levels)
-    best: tuple[float, float, Array, Array, Array] | None = None
+    best: tuple[float, int, Level] | None = None
     explained = 0.0
     null = np.ones(context.draws.shape[1])
     for i, level in enumerate(context.levels):
         white = level.gain[:, None] * rotated
         left = white - level.basis @ (level.basis.T @ white)
-        u, s, vt = np.linalg.svd(left, full_matrices=False)
+        u, s, _ = np.linalg.svd(left, full_matrices=False)
         kept = s > _RANK * max(float(np.linalg.norm(white, axis=0).max()), 1e-300)
         if not kept.any():
             continue
-        u, s, vt = u[:, kept], s[kept], vt[kept]
+        u = u[:, kept]
         seen = u.T @ level.residual
         chi2 = float(seen @ seen)
         gain = chi2 - (level.deviance - least)
-        dof = max(len(level.residual) - level.basis.shape[1] - len(s), 1)
         if i == 0:
-            excess = max(float(level.residual @ level.residual) - dof - len(s), chi2, 1e-300)
-            explained = float(np.clip((chi2 - len(s)) / excess, 0.0, 1.0))
+            dof = max(len(level.residual) - level.basis.shape[1] - u.shape[1], 1)
+            excess = max(float(level.residual @ level.residual) - dof - u.shape[1], chi2, 1e-300)
+            explained = float(np.clip((chi2 - u.shape[1]) / excess, 0.0, 1.0))
         if best is None or gain > best[0]:
-            left_over = max(1.0, (float(level.residual @ level.residual) - chi2) / dof)
-            best = (gain, left_over, s, vt, seen)
+            best = (gain, u.shape[1], level)
         if i == len(context.levels) - 1:
-            null = np.asarray(chdtrc(len(s), ((u.T @ context.draws) ** 2).sum(axis=0)))
+            null = np.asarray(chdtrc(u.shape[1], ((u.T @ context.draws) ** 2).sum(axis=0)))
     if best is None:
         return None, null
-    gain, scatter, s, vt, seen = best
-    rank, name = len(s), "*".join(test.variables)
+    gain, rank, level = best
     p = float(chdtrc(rank, max(gain, 0.0)))
-    torque, sigma, identified = _curve(test, s / np.sqrt(scatter), vt, size, seen / np.sqrt(scatter))
+    torque, sigma, identified = _curve(context, level, test)
     return Dependence(
-        name, test.body, p, explained, max(gain, 0.0), rank, test.value, torque, sigma, identified
+        "*".join(test.variables),
+        test.body,
+        p,
+        explained,
+        max(gain, 0.0),
+        rank,
+        test.value,
+        torque,
+        sigma,
+        identified,
     ), null
 
 
-def _curve(test: _Test, s: Array, vt: Array, size: Array, seen: Array) -> tuple[Array, Array, Array]:
-    """Return torque, standard deviation, and the matrix that takes any torque to its identified part.
-
-    The variance of the coefficients is the most likely one of a grid.
-    """
+def _curve(context: ScoreContext, level: Level, test: _Test) -> tuple[Array, Array, Array]:
+    """Return torque, standard deviation, and the matrix that takes any torque to the part that the data determine."""
     if not len(test.value):
         return np.zeros(0), np.zeros(0), np.zeros((0, 0))
-    unit = 1 / max(float(np.median(s)), 1e-300)
-    prior = (_STRENGTHS * unit * max(1.0, float(np.sqrt(np.mean(seen**2))))) ** 2
-    variance = 1 + np.outer(prior, s**2)
-    level = int(np.argmin((np.log(variance) + seen**2 / variance).sum(axis=1)))
-    weight = prior[level] * s / variance[level]
-    known = prior[level] * s**2 > 1
-    shown = (test.basis / size) @ vt.T * known
-    sigma = np.sqrt(shown**2 @ (prior[level] / variance[level]))
-    # a torque has the coefficients B^+ torque
-    coefficients = np.where(np.isfinite(size), size, 0.0)[:, None] * np.linalg.pinv(test.basis, rcond=1e-6)
-    return shown @ (weight * seen), sigma, np.asarray(shown @ (vt @ coefficients))
+    white = level.gain[:, None] * context.rotated(test.fine)
+    left = white - level.basis @ (level.basis.T @ white)
+    # more than noise remains where the law has a finer shape than the curve, or depends on something else as well
+    free = orthonormal(left)
+    rest = level.residual - free @ (free.T @ level.residual)
+    scatter = max(1.0, float(rest @ rest) / max(len(rest) - level.basis.shape[1] - free.shape[1], 1))
+    best: tuple[float, float, Array, Array, Array, Array] | None = None
+    for prior in test.priors:
+        root = np.linalg.cholesky(prior + 1e-10 * np.eye(len(prior)))
+        # coefficients b = root beta with independent beta
+        u, s, vt = np.linalg.svd(left @ root / np.sqrt(scatter), full_matrices=False)
+        seen = u.T @ level.residual / np.sqrt(scatter)
+        unit = max(1.0, float(np.sqrt(np.mean(seen**2)))) / max(float(s[0]), 1e-300)
+        variances = (_STRENGTHS * unit) ** 2
+        spread = 1 + np.outer(variances, s**2)
+        deviance = (np.log(spread) + seen**2 / spread).sum(axis=1)
+        k = int(np.argmin(deviance))
+        if best is None or deviance[k] < best[0]:
+            best = (float(deviance[k]), float(variances[k]), root @ vt.T, s, seen, u)
+    if best is None:
+        return np.zeros(0), np.zeros(0), np.zeros((0, 0))
+    _, variance, vectors, s, seen, u = best
+    known = variance * s**2 > 1
+    shown = test.basis @ vectors[:, known]
+    s, seen, u = s[known], seen[known], u[:, known]
+    share = variance * s**2 / (1 + variance * s**2)
+    sigma = np.sqrt(shown**2 @ (share / s**2))
+    # of a torque with the coefficients B^+ torque, what the data see along the known directions
+    rows = (u.T @ left) @ np.linalg.pinv(test.basis, rcond=1e-6) / np.sqrt(scatter)
+    return shown @ (share * seen / s), sigma, (shown / s) @ rows

@@ -247,6 +247,12 @@ def periodogram_peak(fit: Fit) -> PeriodogramPeak | None:
     return min(found, key=lambda line: line.p_value, default=None)
 
 
+def significant_peak(fit: Fit, criteria: Criteria) -> PeriodogramPeak | None:
+    """Return the highest peak of the periodograms if it contradicts an adequate fit (`Criteria.doubt_adequate`)."""
+    peak = periodogram_peak(fit)
+    return peak if peak is not None and peak.p_value < criteria.doubt_adequate else None
+
+
 def _peaks(fit: Fit) -> Iterator[PeriodogramPeak | None]:
     cases = list(zip(fit.problem.data, fit.predictions, fit.noise, strict=True))
     for data, p, noise in cases:
@@ -419,8 +425,8 @@ def contradiction(
     criteria : Criteria
         `doubt_named` and `doubt_adequate`.
     """
-    peak = periodogram_peak(end)
-    if peak is not None and peak.p_value < criteria.doubt_adequate:
+    peak = significant_peak(end, criteria)
+    if peak is not None:
         return peak
     if chosen is not None and chosen.effect.depends_on_angle:
         harmonic = harmonic_test(end)

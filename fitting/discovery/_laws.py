@@ -12,7 +12,14 @@
 
    which is linear in the difference of two laws and not in the law itself. Shape constants are refined on these scores.
 3. The best of the second search are refitted at one noise and ranked by BIC plus the description length of the
-   formula. Every law within `Criteria.equivalence_width` of the best belongs to the answer, which is a set.
+   formula. If any of them is significant, every law within `Criteria.equivalence_width` of the best belongs to the
+   answer, which is a set. Two formulas of the set may have the same torque along the recorded motion: with predictions
+   x and y of the rows, nuisance parameters projected out, the deviance that would separate them is
+
+       |M (x - y)|^2 < `Criteria.evidence`.
+
+   Such formulas are grouped, so that the set shows how many torques the data cannot separate, and how many ways there
+   are to write each of them.
 4. Where one law is not enough, a second one is sought in the same way about the best fit.
 
 A law never displaces an effect of the library: where one describes the data as well, it is named first.
@@ -54,7 +61,7 @@ from fitting.effects._effect import Effect
 from fitting.effects._expression import Tape, symbols
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
-from fitting.inference._metrics import block_diagonal
+from fitting.inference._metrics import block_diagonal, orthonormal
 from fitting.inference._noise import Noise
 from fitting.inference._result import Estimate, Fit
 
@@ -73,6 +80,7 @@ _AS_MUCH = 0.01
 # steps of the refinement of two shape constants, and points of each
 _ROUNDS, _GRID = 4, 5
 _STEPS = 7
+_RANK = 1e-9
 
 
 @dataclass(frozen=True)
@@ -128,8 +136,10 @@ class Law:
         Its parameters by ``<effect>.<symbol>``.
     indistinguishable_from : tuple of str
         Formulas of the other laws within the equivalence width.
+    same_torque_as : tuple of str
+        Those of them that have the same torque along the recorded motion.
     differences : tuple of Difference
-        Where it differs from these.
+        Where it differs from the others.
     fit : Fit
         The refit of base and law.
     """
@@ -144,6 +154,7 @@ class Law:
     torque_rms_Nm: float  # noqa: N815 - the unit's own capitals
     estimates: dict[str, Estimate]
     indistinguishable_from: tuple[str, ...]
+    same_torque_as: tuple[str, ...]
     differences: tuple[Difference, ...]
     fit: Fit = field(repr=False)
 
@@ -198,6 +209,18 @@ class Laws:
             return ()
         others = set(self.laws[0].indistinguishable_from)
         return (self.laws[0], *(law for law in self.laws[1:] if law.formula in others))
+
+    @property
+    def torques(self) -> tuple[tuple[Law, ...], ...]:
+        """The answer in groups of laws with the same torque along the recorded motion, the best law of each first."""
+        groups: list[tuple[Law, ...]] = []
+        known: set[str] = set()
+        for law in self.answer:
+            if law.formula not in known:
+                own = {law.formula, *law.same_torque_as}
+                groups.append(tuple(x for x in self.answer if x.formula in own))
+                known |= own
+        return tuple(groups)
 
 
 @single_blas_thread()
@@ -259,17 +282,16 @@ def laws(
         sentence = "No law is significant: this search finds nothing beyond noise."
         return Laws(base, "none", sentence, (), None, depends_on, "", search.trials)
     library = _as_good(known.candidates, found[0], criteria)
-    answer = [x for x in found if x.penalised - found[0].penalised < criteria.equivalence_width]
-    found = [_with_class(x, answer) for x in found]
-    return Laws(
-        base,
-        "law" if library is None else "library",
-        _sentence(found[0], answer, library, depends_on, criteria),
-        tuple(found),
-        library,
-        depends_on,
-        separating_run(base, [(x.formula, x.effects, x.estimates) for x in answer], criteria),
-        search.trials,
+    classed = with_classes(found, criteria)
+    answer = Laws(
+        base, "law" if library is None else "library", "", classed, library, depends_on, "", search.trials
+    )
+    # formulas of the same torque may differ at other speeds
+    rivals = [x for group in answer.torques for x in group[:1]] + [x for g in answer.torques for x in g[1:]]
+    return replace(
+        answer,
+        sentence=_sentence(answer, criteria),
+        next_experiment=separating_run(base, [(x.formula, x.effects, x.estimates) for x in rivals], criteria),
     )
 
 
@@ -432,7 +454,11 @@ class _Search:
             refits = [*refits, *(r for r in self._with_second_term(best) if r.penalised < limit)]
         self.steps.next()
         found = sorted((self._law(r) for r in refits), key=lambda x: x.penalised)
-        return [x for x in found if x.p_value < self.criteria.significance]
+        if min(x.p_value for x in found) >= self.criteria.significance:
+            return []
+        # what is as good as a significant law belongs to the set
+        limit = found[0].penalised + self.criteria.equivalence_width
+        return [x for x in found if x.penalised < limit or x.p_value < self.criteria.significance]
 
     def _p(self, s: Score) -> float:
         null = self._nulls[s.effect.name]
@@ -521,6 +547,7 @@ class _Search:
             self._family(single(fall), single.weights),
             _torque_rms(r.fit, [t.effect for t in r.terms]),
             estimates,
+            (),
             (),
             (),
             r.fit,
@@ -661,10 +688,51 @@ def _torque_rms(found: Fit, effects: Sequence[Effect]) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
-def _with_class(law: Law, answer: Sequence[Law]) -> Law:
-    others = [x for x in answer if x is not law] if any(x is law for x in answer) else []
-    differences = tuple(d for x in others if (d := _difference(law, x)) is not None)
-    return replace(law, indistinguishable_from=tuple(x.formula for x in others), differences=differences)
+def with_classes(found: Sequence[Law], criteria: Criteria) -> tuple[Law, ...]:
+    """Return laws, best first, with the others of the answer that cannot be separated from them.
+
+    Parameters
+    ----------
+    found : sequence of Law
+        Laws, best first.
+    criteria : Criteria
+        `equivalence_width` limits the answer; `evidence` is the deviance below which two torques are the same.
+    """
+    answer = [x for x in found if x.penalised - found[0].penalised < criteria.equivalence_width]
+    groups: list[list[Law]] = []
+    for law in answer:
+        same = next((g for g in groups if _separation(g[0].fit, law.fit) < criteria.evidence), None)
+        if same is None:
+            groups.append([law])
+        else:
+            same.append(law)
+    classed = []
+    for law in found:
+        own = next((g for g in groups if any(x is law for x in g)), [])
+        others = [x for x in answer if x is not law] if own else []
+        differences = tuple(d for x in others if (d := _difference(law, x)) is not None)
+        classed.append(
+            replace(
+                law,
+                indistinguishable_from=tuple(x.formula for x in others),
+                same_torque_as=tuple(x.formula for x in own if x is not law),
+                differences=differences,
+            )
+        )
+    return tuple(classed)
+
+
+def _separation(one: Fit, other: Fit) -> float:
+    """Return the deviance by which data that one fit predicts exactly would separate the other one from it."""
+    total = 0.0
+    for data, noise, a, b in zip(
+        one.problem.data, one.noise, one.predictions, other.predictions, strict=True
+    ):
+        white = noise.whitener(np.column_stack([data.nuisance, a.rows - b.rows]))
+        free = orthonormal(white[:, :-1], _RANK)
+        left = white[:, -1] - free @ (free.T @ white[:, -1])
+        total += float(left @ left)
+    return total
 
 
 def _difference(one: Law, other: Law) -> Difference | None:
@@ -710,18 +778,13 @@ def _as_good(candidates: Sequence[Candidate], best: Law, criteria: Criteria) -> 
     return None
 
 
-def _sentence(
-    best: Law,
-    answer: Sequence[Law],
-    library: Candidate | None,
-    depends_on: Sequence[Dependence],
-    criteria: Criteria,
-) -> str:
+def _sentence(found: Laws, criteria: Criteria) -> str:
     parts = []
-    if library is not None:
+    if found.library is not None:
         parts.append(
-            f"{library.effect.name} of the library describes the data as well as any law found: it comes first."
+            f"{found.library.effect.name} of the library describes the data as well as any law found: it comes first."
         )
+    best, depends_on = found.laws[0], found.depends_on
     # where two variables explain as much, as in a single run in which one follows the other, the law decides
     own = {
         (e.joint, v) for e in best.effects for v in symbols(e.expression) - {p.symbol for p in e.parameters}
@@ -738,8 +801,13 @@ def _sentence(
         f"Best law: {best.formula} ({best.form}), {format_torque(best.torque_rms_Nm, unit=best.fit.torque_unit)} rms, "
         f"dBIC {best.delta_bic:.0f}."
     )
-    if len(answer) > 1:
+    same, others = len(found.torques[0]) - 1, len(found.torques) - 1
+    if same:
         parts.append(
-            f"{len(answer) - 1} other law{'s' if len(answer) > 2 else ''} cannot be separated from it."
+            f"{same} other formula{'s have' if same > 1 else ' has'} the same torque along the recorded motion."
+        )
+    if others:
+        parts.append(
+            f"{others} law{'s' if others > 1 else ''} with a different torque cannot be separated from it."
         )
     return " ".join(parts)

@@ -23,13 +23,15 @@ from fitting.discovery._planned_recordings import read_planned
 from fitting.discovery._power import EffectLimits, Search
 from fitting.discovery._select import fails
 from fitting.effects._effect import Effect
+from fitting.inference._recording_noise import ProcessNoise
 from fitting.inference._result import Fit
 
 Progress = Callable[[int, int | None], None]
 
 _EVALUATIONS = 60
-# simulations of described recordings over which the power is averaged: each has its own estimate of the noise
-_SIMULATIONS = 3
+# simulations of described recordings over which the power is averaged, and further ones of which only the process
+# noise is estimated
+_SIMULATIONS, _ESTIMATES = 2, 8
 
 
 @dataclass(frozen=True)
@@ -104,14 +106,16 @@ def plan(
         raise EstimationError(f"the size of the effect is {size:g} N m", "give a positive rms torque in N m")
     planned = not isinstance(recordings, Fit)
     truth: dict[str, float] = {}
+    process: list[tuple[ProcessNoise, ...]] = []
     if isinstance(recordings, Fit):
         fit, fits = recordings, [recordings]
     else:
         described = read_planned(recordings)
         fits = [described.fit(i) for i in range(_SIMULATIONS)]
         fit, bounds, truth = fits[0], bounds or described.bounds, described.numbers
+        process = [described.process_noise(_SIMULATIONS + i) for i in range(_ESTIMATES)]
     report = progress or _ignore
-    search, *others = (Search(f, extra, criteria, truth=truth) for f in fits)
+    search, *others = (Search(f, extra, criteria, truth=truth, process=process) for f in fits)
     total = len(search.effects) + _EVALUATIONS
     found = []
     for i, effect in enumerate(search.effects):

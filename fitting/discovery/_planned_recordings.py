@@ -46,7 +46,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from fitting._errors import EstimationError, FittingError
 from fitting.discovery._next_run import Bounds
 from fitting.dynamics._model import Model
+from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit as fit_model
+from fitting.inference._record import Record
+from fitting.inference._recording_noise import ProcessNoise
 from fitting.inference._result import Fit
 from fitting.inference._simulation import Experiment, simulate
 
@@ -130,7 +133,18 @@ class PlannedRecordings:
 
     def fit(self, simulation: int = 0) -> Fit:
         """Simulate the recordings, with the noise of one simulation of many, and fit the model to them."""
-        records = [
+        records = self._records(simulation)
+        start = {**self.numbers}
+        return fit_model(
+            self.model, records, start={k: start[k] for k in self.model.free if len(records) == 1}
+        )
+
+    def process_noise(self, simulation: int) -> tuple[ProcessNoise, ...]:
+        """Simulate the recordings, and return the estimate of the process noise of each."""
+        return tuple(CaseData.of(r).process_noise for r in self._records(simulation))
+
+    def _records(self, simulation: int) -> list[Record]:
+        return [
             simulate(
                 self.model,
                 self.numbers,
@@ -142,10 +156,6 @@ class PlannedRecordings:
             )
             for i, e in enumerate(self.experiments)
         ]
-        start = {**self.numbers}
-        return fit_model(
-            self.model, records, start={k: start[k] for k in self.model.free if len(records) == 1}
-        )
 
     @property
     def bounds(self) -> Bounds:

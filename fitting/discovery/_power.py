@@ -18,6 +18,11 @@ gives a smaller score than the observed one with a probability of 5 % (J. Neyman
 Where the search would find a smaller strength than that with a probability of 95 %, because the effect drives a
 parameter of the model to its bound, finding nothing excludes this strength already.
 
+How surely a score is significant depends on how well the process noise of the recording is known, and that varies from
+one recording to the next: where a tenfold level cannot be excluded, the search asks for a far higher score. For
+recordings that are only planned, the thresholds are therefore computed for several simulated estimates of the noise,
+and the power is the mean over them.
+
 Several runs of the same kind multiply delta^2 by their number.
 """
 
@@ -25,7 +30,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -45,6 +50,7 @@ from fitting.discovery._score import (
 )
 from fitting.discovery._select import applicable_effects, fails
 from fitting.effects._effect import Effect
+from fitting.inference._recording_noise import ProcessNoise
 from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
@@ -213,13 +219,18 @@ class _Test:
         One, or one for each case where each has its own strength: scores of the best shapes add up.
     null : ndarray, shape (rows of all bases, data sets)
         Projections of the null data on the bases, of all parts one below the other.
-    threshold : float
-        Score from which the candidate is found.
+    thresholds : ndarray, shape (estimates of the noise,)
+        Score from which the candidate is found, for each possible estimate of the process noise.
     """
 
     parts: tuple[_Responses, ...]
     null: Array
-    threshold: float
+    thresholds: Array
+
+    @property
+    def threshold(self) -> float:
+        """Score from which the candidate is found, in the middle of the estimates of the noise."""
+        return float(np.median(self.thresholds))
 
     @property
     def basis(self) -> Array:
@@ -362,6 +373,8 @@ class Search:
         Number of null data sets.
     truth : mapping of str to float, optional
         Parameters by key where they are known, for simulated recordings.
+    process : sequence of tuple of ProcessNoise, optional
+        Estimates of the process noise of each case in further simulations of the same recordings.
     """
 
     def __init__(
@@ -371,8 +384,13 @@ class Search:
         criteria: Criteria = DEFAULT,
         draws: int = _DRAWS,
         truth: Mapping[str, float] | None = None,
+        process: Sequence[tuple[ProcessNoise, ...]] = (),
     ) -> None:
         self.fit, self.criteria = fit, criteria
+        self._noises = [
+            fit.noise,
+            *(tuple(replace(n, process=p) for n, p in zip(fit.noise, each, strict=True)) for each in process),
+        ]
         self.effects = applicable_effects(fit, extra)
         self.cases = [CaseColumns(fit, i) for i in range(len(fit.problem.cases))]
         self._context = ScoreContext(fit, draws)
@@ -425,12 +443,16 @@ class Search:
             for responses, factor in variants:
                 basis = np.concatenate([r.basis for r in responses], axis=1)
                 parts.append((e, responses, basis.T @ self._context.draws, factor, len(responses)))
-        raw = [(e, _Test(r, null, np.inf), factor, n) for e, r, null, factor, n in parts]
-        nulls = [self._null(e, t, n * t.parts[0].width) for e, t, _, n in raw]
-        family = FamilywiseNull([n for n, (*_, factor, _) in zip(nulls, raw, strict=True) if factor == 1.0])
+        raw = [(e, _Test(r, null, np.zeros(0)), factor, n) for e, r, null, factor, n in parts]
+        nulls = [self._nulls(e, t, n * t.parts[0].width) for e, t, _, n in raw]
+        family = FamilywiseNull(
+            [n[0] for n, (*_, factor, _) in zip(nulls, raw, strict=True) if factor == 1.0]
+        )
         tests: dict[str, list[_Test]] = {e.name: [] for e in self.effects}
-        for null, (e, test, factor, n) in zip(nulls, raw, strict=True):
-            significant = _smallest_score(null, family, factor, self.criteria.significance)
+        for each, (e, test, factor, n) in zip(nulls, raw, strict=True):
+            significant = np.array(
+                [_smallest_score(null, family, factor, self.criteria.significance) for null in each]
+            )
             evidence = (
                 self.criteria.evidence_periodic
                 if e.periodic
@@ -439,11 +461,11 @@ class Search:
                 else self.criteria.evidence
             )
             bic = evidence + n * len(e.free) * math.log(self.fit.problem.rows)
-            tests[e.name].append(_Test(test.parts, test.null, max(significant, bic)))
+            tests[e.name].append(_Test(test.parts, test.null, np.maximum(significant, bic)))
         return tests
 
-    def _null(self, effect: Effect, test: _Test, columns: int) -> NullDistribution:
-        """Return the null distribution of a test, with the uncertain process noise in its tail."""
+    def _nulls(self, effect: Effect, test: _Test, columns: int) -> list[NullDistribution]:
+        """Return the null distributions of a test, each with one estimate of the process noise in its tail."""
         directions = np.sum([p.direction(len(p.root) // 2) for p in test.parts], axis=0)
         direction = directions / max(float(np.linalg.norm(directions)), 1e-300)
         score = Score(
@@ -459,7 +481,7 @@ class Search:
             shares=self._context.shares(direction),
             noise=self.fit.noise,
         )
-        return NullDistribution(score)
+        return [NullDistribution(replace(score, noise=n)) for n in self._noises]
 
     def _of_case(self, effect: Effect, case: int) -> list[Array]:
         ends = self._context.ends
@@ -479,6 +501,7 @@ class Search:
         held = self._bounds.held(raw, strengths)
         often = [w for w in np.unique(held) if w >= 0 and (held == w).mean() >= _RARE / len(strengths)]
         held[~np.isin(held, often)] = -1
+        estimate = np.arange(self._draws) % len(self._noises)
         found = np.zeros((len(strengths), self._draws), dtype=bool)
         for which in np.unique(held):
             tests, off = self._tests, np.zeros(len(raw))
@@ -491,7 +514,7 @@ class Search:
                         seen = (
                             test.null[:, : self._draws][:, chosen] + (strengths[k] * signal - shift)[:, None]
                         )
-                        found[k, chosen] |= test.best(seen) > test.threshold
+                        found[k, chosen] |= test.best(seen) > test.thresholds[estimate[chosen]]
         return np.asarray(found.mean(axis=1))
 
     def scores(self) -> dict[str, SearchScore]:

@@ -55,9 +55,11 @@ def has_model_noise(found: Fit) -> bool:
 def at_least_noise(found: Fit, criteria: Criteria) -> Fit:
     """Return a fit, or the one at the least noise of the recordings if that describes the data better.
 
-    Where process noise stands for a lack of fit in the shape of a law, nothing moves that shape.
+    Where process noise stands for a lack of fit in the shape of a law, nothing moves that shape. An oscillation was
+    fitted period by period: what its model leaves is no wrong path, and without the noise a search that slips by half a
+    period does not end.
     """
-    if not has_model_noise(found):
+    if not has_model_noise(found) or any(d.oscillation is not None for d in found.problem.data):
         return found
     # with so little noise a search may diverge
     with suppress(FittingError):

@@ -169,7 +169,7 @@ _RANK = 1e-6
 
 
 @dataclass(frozen=True)
-class Ripple:
+class AngleHarmonics:
     """Harmonics of the unmodelled torque in the angle of the casing of one case.
 
     Attributes
@@ -191,20 +191,20 @@ class Ripple:
         """Angles of one turn [rad]."""
         return np.linspace(0.0, 2 * np.pi, _ANGLE_POINTS)
 
-    def _waves(self) -> Array:
+    def _columns(self) -> Array:
         psi = self.angle
         return np.stack([np.sin(psi), -np.cos(psi), np.sin(2 * psi), -np.cos(2 * psi)], axis=1)
 
     @property
     def torque(self) -> Array:
         """Torque at `angle` [N m]."""
-        return np.asarray(self._waves() @ self.gamma)
+        return np.asarray(self._columns() @ self.gamma)
 
     @property
     def sigma(self) -> Array:
         """Its standard deviation [N m]."""
-        waves = self._waves()
-        return np.asarray(np.sqrt(np.einsum("ai,ij,aj->a", waves, self.covariance, waves)))
+        columns = self._columns()
+        return np.asarray(np.sqrt(np.einsum("ai,ij,aj->a", columns, self.covariance, columns)))
 
     def size(self, n: int) -> tuple[float, float]:
         """Return the amplitude [N m] of the n-th harmonic and its distance from zero in standard deviations."""
@@ -214,7 +214,7 @@ class Ripple:
         return float(np.hypot(*gamma)), float(np.sqrt(square))
 
 
-def ripples(fit: Fit) -> list[Ripple]:
+def angle_harmonics(fit: Fit) -> list[AngleHarmonics]:
     """Return the harmonics of each case of a fit; none where speeds were measured and not angles."""
     found = []
     cases = zip(fit.problem.cases, fit.problem.projections, fit.predictions, strict=True)
@@ -234,7 +234,7 @@ def ripples(fit: Fit) -> list[Ripple]:
         seen, residual = both[:, :-1], both[:, -1]
         covariance = np.linalg.pinv(seen.T @ seen, hermitian=True)
         gamma = covariance @ (seen.T @ residual)
-        found.append(Ripple(case.data.record.label, np.asarray(gamma), np.asarray(covariance)))
+        found.append(AngleHarmonics(case.data.record.label, np.asarray(gamma), np.asarray(covariance)))
     return found
 
 
@@ -321,7 +321,10 @@ def format_torque(value: float, sigma: float = float("nan"), unit: str = TORQUE)
 
 
 def find_failures(
-    fit: Fit, curves: Sequence[ResidualTorque], waves: Sequence[Ripple] = (), criteria: Criteria = DEFAULT
+    fit: Fit,
+    curves: Sequence[ResidualTorque],
+    harmonics: Sequence[AngleHarmonics] = (),
+    criteria: Criteria = DEFAULT,
 ) -> list[Failure]:
     """Return the intervals and harmonics with a significant unmodelled torque, the most significant first.
 
@@ -334,7 +337,7 @@ def find_failures(
         The fitted model.
     curves : sequence of ResidualTorque
         Its unmodelled torques.
-    waves : sequence of Ripple
+    harmonics : sequence of AngleHarmonics
         Their harmonics in the angle.
     criteria : Criteria
         `failure_sigma`, `harmonic_sigma`.
@@ -345,19 +348,19 @@ def find_failures(
         worst[f.label] = max(worst[f.label], f.size_sigma)
     found += [
         f
-        for wave in waves
+        for found in harmonics
         for n in _TURNS
-        for f in _harmonic(fit, wave, n, criteria.harmonic_sigma)
+        for f in _harmonic(fit, found, n, criteria.harmonic_sigma)
         if f.size_sigma > worst.get(f.label, 0.0)
     ]
     return sorted(found, key=lambda f: -f.size_sigma)[:_MOST]
 
 
-def _harmonic(fit: Fit, wave: Ripple, n: int, least: float) -> list[Failure]:
-    amplitude, size = wave.size(n)
+def _harmonic(fit: Fit, found: AngleHarmonics, n: int, least: float) -> list[Failure]:
+    amplitude, size = found.size(n)
     if size < least:
         return []
-    index = fit.labels.index(wave.label)
+    index = fit.labels.index(found.label)
     record, path = fit.problem.data[index].record, fit.predictions[index].path
     t = record.casing.time
     speed = np.abs(Sampler(path.mesh, t).value(path.y[..., 1]))
@@ -367,7 +370,7 @@ def _harmonic(fit: Fit, wave: Ripple, n: int, least: float) -> list[Failure]:
     span = float(t[0]), float(t[-1])
     return [
         Failure(
-            wave.label, "casing", *span, "ripple", _TURNS[n], size, oscillation, amplitude,
+            found.label, "casing", *span, "ripple", _TURNS[n], size, oscillation, amplitude,
             (float(speed.min()), float(speed.max())), record.body, amplitude / size,
             record.torque_unit,
         )

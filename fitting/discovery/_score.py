@@ -249,9 +249,13 @@ class CaseColumns:
         for share, response in zip(acting, (self.response.rotor, self.response.casing), strict=True):
             if share:
                 rows += share * (response @ unit)
-        rows = np.concatenate([rows, np.zeros((len(self.case.data.z) - len(rows), rows.shape[1]))])
+        rows = self.padded(rows)
         width = unit.shape[1] // len(choices)
         return [Trial(c, rows[:, i * width : (i + 1) * width]) for i, c in enumerate(choices)]
+
+    def padded(self, smooth: Array) -> Array:
+        """Return smooth rows with zeros for the rows that respond to no slow torque."""
+        return np.concatenate([smooth, np.zeros((len(self.case.data.z) - len(smooth), smooth.shape[1]))])
 
     def _grid(self, effect: Effect, p: Parameter) -> Array:
         first, last = self.case.data.record.span
@@ -581,19 +585,27 @@ def over_many_tests(p: float, smallest: Array) -> float:
     smallest : ndarray
         The smallest p-value in each of many null data sets.
     """
-    tests = max(1.0, _trials(float(np.quantile(smallest, 0.1)), 0.1))
-    return float(-np.expm1(tests * np.log1p(-min(p, 1 - 1e-12))))
+    return float(_any_of(_independent_tests(smallest), np.array(p)))
+
+
+def _independent_tests(smallest: Array) -> float:
+    """Return the number of independent tests that reproduces the lower tail of the smallest p of correlated ones."""
+    return max(1.0, _trials(float(np.quantile(smallest, 0.1)), 0.1))
+
+
+def _any_of(tests: float, p: Array) -> Array:
+    return np.asarray(-np.expm1(tests * np.log1p(-np.minimum(p, 1 - 1e-12))))
 
 
 class FamilywiseNull:
     """Family-wise p-values over the list of candidates, calibrated on the smallest p of each null data set."""
 
     def __init__(self, chances: Sequence[NullDistribution]) -> None:
-        self._smallest = np.min([c.of_draws() for c in chances], axis=0)
+        self._tests = _independent_tests(np.min([c.of_draws() for c in chances], axis=0))
 
     def __call__(self, p: Array, weights: Array) -> float:
         """Return the family-wise p-value from the p-values at each level, averaged over the levels."""
-        return float(np.dot([over_many_tests(x, self._smallest) for x in p], weights))
+        return float(_any_of(self._tests, p) @ weights)
 
 
 _ROUNDS = 3

@@ -27,6 +27,7 @@ from fitting._numbers import probability, rounded, short, typeset, unit_text
 from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._criteria import DEFAULT, Criteria
 from fitting.discovery._form import FormTest
+from fitting.discovery._inertia import inertia_within_uncertainty, reselected, with_free_inertia
 from fitting.discovery._lack_of_fit import (
     UNKNOWN_IN_TIME,
     UNKNOWN_LAW,
@@ -35,19 +36,20 @@ from fitting.discovery._lack_of_fit import (
     SmoothTest,
     contradiction,
     nonparametric_rivals,
+    significant_peak,
 )
 from fitting.discovery._next_run import separating_run
 from fitting.discovery._power import UpperLimit, largest_hidden
 from fitting.discovery._remainder import Grade, Nuisance, Remainder, grade, nuisance_parameters
 from fitting.discovery._residuals import (
+    AngleHarmonics,
     Failure,
     ResidualTorque,
-    Ripple,
     Whiteness,
+    angle_harmonics,
     find_failures,
     format_torque,
     residual_torques,
-    ripples,
     whiteness,
 )
 from fitting.discovery._select import Candidate, Selection, fails, rank, select
@@ -92,7 +94,7 @@ class Diagnosis:
         The measurement that separates the rivals; empty if there are none.
     torques : tuple of ResidualTorque
         The unmodelled torque, as curves with bands.
-    ripples : tuple of Ripple
+    ripples : tuple of AngleHarmonics
         Harmonics of the unmodelled torque in the angle of the casing, with bands.
     whiteness : tuple of Whiteness
         Whether the residuals are independent.
@@ -114,7 +116,7 @@ class Diagnosis:
     nuisance: tuple[Nuisance, ...]
     next_experiment: str
     torques: tuple[ResidualTorque, ...] = field(repr=False)
-    ripples: tuple[Ripple, ...] = field(repr=False)
+    ripples: tuple[AngleHarmonics, ...] = field(repr=False)
     whiteness: tuple[Whiteness, ...] = field(repr=False)
     upper_limits: tuple[UpperLimit, ...] = ()
     form_limit: float | None = None
@@ -246,12 +248,29 @@ def diagnose(
         If the fit cannot be evaluated.
     """
     workers = workers or WorkerPool(0)
-    curves, harmonics = workers.submit(residual_torques, fit), workers.submit(ripples, fit)
+    curves, harmonics = workers.submit(residual_torques, fit), workers.submit(angle_harmonics, fit)
     ranked = rank(fit, extra, criteria=criteria, workers=workers) if candidates is None else candidates
     selection = select(fit, ranked, extra, criteria, workers)
+    rival = with_free_inertia(fit, selection, tuple(extra), criteria)
+    selection = selection if rival is None else reselected(selection, rival)
     misfit = fails(selection.end, criteria)
-    doubt = None if misfit else contradiction(selection.chosen, selection.end, criteria)
+    doubt = contradiction(selection.chosen, selection.end, criteria) if not misfit else None
+    if misfit and any(d.spectral_lines for d in fit.problem.data):
+        # a sinusoidal torque is no noise, and no effect of the library
+        doubt = significant_peak(selection.end, criteria)
     size = grade(fit, selection, doubt, criteria, misfit=misfit)
+    if rival is not None and rival.better and size.form is not None:
+        # an error of inertia that its uncertainty allows is no remainder
+        allowed_error = rival.is_allowed(criteria) and not misfit and doubt is None
+        size = (
+            replace(size, form="exact", explained=1.0, remainder=None)
+            if allowed_error
+            else replace(size, form="approximate")
+        )
+    if size.form is None and isinstance(doubt, PeriodogramPeak):
+        # what does not explain the sinusoid is no part of the answer
+        alone = significant_peak(fit, criteria)
+        selection, doubt = (selection, doubt) if alone is None else (selection._replace(chosen=None), alone)
     verdict = _verdict(selection, size, significant=misfit or doubt is not None)
     allowed = inertia_within_uncertainty(fit, _class_of(selection), criteria) if size.form == "exact" else ""
     if allowed:
@@ -267,7 +286,9 @@ def diagnose(
     return Diagnosis(
         fit,
         verdict,
-        allowed or _sentence(fit, verdict, selection, failures, doubt, size, nuisance, criteria, hidden),
+        allowed
+        or _sentence(fit, verdict, selection, failures, doubt, size, nuisance, criteria, hidden)
+        + (f" {rival.sentence}" if rival is not None else ""),
         tuple(failures),
         tuple(selection.candidates),
         size.form,
@@ -294,39 +315,6 @@ def _verdict(selection: Selection, size: Grade, *, significant: bool) -> str:
     # a second effect of the library completes it; a law of another shape is none of the library's
     completed = set(selection.end.model.names) > set(selection.named.model.names)
     return "missing_effect" if completed and not significant else "unexplained"
-
-
-def inertia_within_uncertainty(fit: Fit, named: Sequence[Candidate], criteria: Criteria) -> str:
-    """Return a sentence if errors of the moments of inertia within their uncertainties explain a lack of fit, else "".
-
-    The data determine the ratio of the moments of inertia, so the relative uncertainties add in quadrature; one that is
-    not given counts as none.
-
-    Parameters
-    ----------
-    fit : Fit
-        The fit with the lack of fit.
-    named : sequence of Candidate
-        The effects that explain it, which the data cannot separate.
-    criteria : Criteria
-        `inertia_sigma`.
-    """
-    found = [e for c in named if c.effect.joint == "inertia" for e in c.estimates.values()]
-    relative = []
-    for d in fit.problem.data:
-        r = d.record
-        own = (r.I_casing_u / r.I_casing, r.I_rotor_u / r.I_rotor)
-        relative.append(math.hypot(*(u for u in own if math.isfinite(u))))
-    if not found or min(relative) <= 0:
-        return ""
-    (share, *_), u = found, min(relative)
-    if abs(share.value) > criteria.inertia_sigma * math.hypot(u, share.stderr):
-        return ""
-    return (
-        f"The model is adequate within the uncertainty of the moments of inertia: I_casing/I_rotor larger by "
-        f"{rounded(100 * share.value, 100 * share.stderr, '%')} than given (standard uncertainty {100 * u:.2g} %) "
-        "explains the lack of fit."
-    )
 
 
 def _with_rivals(selection: Selection, rivals: tuple[str, ...]) -> Selection:
@@ -443,7 +431,7 @@ def _missing(selection: Selection, size: Grade, criteria: Criteria) -> list[str]
         )
     if size.remainder is not None:
         parts.append(size.remainder.sentence)
-    elif size.form == "approximate" and size.test is not None:
+    elif size.form == "approximate" and size.test is not None and not size.test.is_strong(criteria):
         parts.append(_untested(size.test, criteria))
     return parts
 

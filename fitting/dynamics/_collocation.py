@@ -33,7 +33,7 @@ TOLERANCE = 1e-10
 _MAX_NEWTON = 25
 _MAX_INTERVALS = 40_000
 _CASING = 1
-# a step this small leaves rounding, whatever came before
+# after a step this small only rounding is left
 _SMALL = 1e-9
 # error that a last step may leave by the contraction of the steps before it, with a margin of ten
 _LEFT = 1e-13
@@ -47,7 +47,7 @@ _FEWEST = 12
 def collocate(
     dynamics: Dynamics, numbers: Mapping[str, float], first: Path, *, pivot: float | None = None
 ) -> Path:
-    """Solve the equations of motion for one sense of the casing's motion, from a guess near enough.
+    """Solve the equations of motion for one sense of the casing's motion, from a sufficiently close initial solution.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def collocate(
     numbers : mapping of str to float
         Parameters by key, and both inertias [kg m2].
     first : Path
-        The guess; its mesh is where the search begins, its first edge the start.
+        The initial solution; the search begins on its mesh, its first edge is the start.
     pivot : float, optional
         An edge of the mesh: what is later is stretched until the mesh ends where the casing comes to rest.
 
@@ -88,7 +88,7 @@ def refine(
 def newton(
     dynamics: Dynamics, numbers: Mapping[str, float], first: Path, *, pivot: float | None = None
 ) -> Path:
-    """Solve the collocation equations on the mesh of a guess, by Newton's method."""
+    """Solve the collocation equations on the mesh of an initial solution, by Newton's method."""
     mesh, sense = first.mesh, first.sense[:, None]
     y, edges = first.y.copy(), first.edges.copy()
     gauss, bend, before = rule(), first.bend, np.inf
@@ -122,7 +122,7 @@ def newton(
 def _stretched(mesh: Mesh, y: Array, edges: Array, f: Array, pivot: float) -> tuple[Mesh, float]:
     """Return the mesh that ends where the casing's speed would vanish, and by which share of the stretch it moved.
 
-    States (changed in place) go along their rates with the times at which they stand.
+    States (changed in place) go along their rates with their times.
     """
     ends = rule().ends
     end, begin = float(mesh.edges[-1]), pivot
@@ -142,7 +142,7 @@ def _stretched(mesh: Mesh, y: Array, edges: Array, f: Array, pivot: float) -> tu
 
 
 def truncation_error(path: Path) -> Array:
-    """Return how large the last Legendre coefficients are in each interval, beside the largest value of each state."""
+    """Return the size of the last Legendre coefficients in each interval, relative to the largest value of a state."""
     coefficients = np.abs(rule().to_legendre[-2:] @ path.y)
     scale = 1e-300 + np.abs(path.y).max(axis=(0, 1))
     return np.asarray((coefficients.max(axis=1) / scale).max(axis=1))
@@ -170,7 +170,7 @@ def coarsened(path: Path) -> Path:
 def runge_kutta(
     dynamics: Dynamics, numbers: Mapping[str, float], start: Array, mesh: Mesh, sense: float
 ) -> Path:
-    """Return a rough solution by classical Runge-Kutta steps: a first guess for Newton's method.
+    """Return a rough solution by classical Runge-Kutta steps: the initial solution for Newton's method.
 
     It ends with the interval in which the casing comes to rest.
     """

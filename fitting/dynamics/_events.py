@@ -9,7 +9,7 @@ before a jump of the rates from f- to f+, on the surface omega_c = 0, is afterwa
     dy+ = dy- - (f- - f+) dy-_c / f-_c        (the saltation matrix).
 
 A known solution for numbers nearby is followed: stretch by stretch on its own mesh, with the time of each stop as one
-more unknown. Only where the motion is no longer alike are meshes and moments sought from nothing.
+more unknown. Only where the motion has changed in kind are meshes and moments searched from scratch.
 
 An oscillation has hundreds of such moments. There Newton's method treats all stretches at once: with the state y, the
 casing's speed w and the rates f- and f+ at an edge where the casing turns back, the edge moves by -(w + dw) / f-_c,
@@ -42,7 +42,7 @@ from fitting.dynamics._sensitivities import UNBOUNDED, Propagator
 Array = NDArray[np.float64]
 
 _CASING = 1
-# a speed so small beside the largest one is rounding, not the other sense
+# a speed this small relative to the largest one is rounding, not the other sense
 NOTHING = 1e-10
 _STOPPED = 1e-11
 
@@ -145,7 +145,7 @@ class Segments:
         start : ndarray, shape (states,)
             State at the first edge.
         known : Path
-            A solution for numbers nearby, or what was measured: its jumps say at which edges the casing turns back.
+            A solution for numbers nearby, or what was measured: its jumps give the edges at which the casing reverses.
         """
         if np.sign(start[_CASING]) != known.sense[0] or len(known.breaks) != len(self.breaks):
             return []
@@ -298,7 +298,14 @@ class Segments:
 
     def held(self, start: Array, mesh: Mesh, guess: Path | None) -> Path:
         """Return the path until friction no longer holds the casing, or to the end of the mesh."""
-        path = self._rough(start, mesh, 0.0, None if guess is None else _at_rest(guess))
+        still = guess or Path(
+            mesh,
+            np.tile(start, (*mesh.times.shape, 1)),
+            np.tile(start, (len(mesh.edges), 1)),
+            self.dynamics.states,
+            np.zeros(len(mesh.edges) - 1),
+        )
+        path = self._rough(start, mesh, 0.0, _at_rest(still))
         path = refine(self.dynamics, self.numbers, path)
         time = self._release(path)
         if time is None:

@@ -80,16 +80,16 @@ class Mesh:
         return Mesh(np.concatenate([[start], inside, [stop]]))
 
     def with_breakpoints(self, breakpoints: Sequence[float]) -> Mesh:
-        """Return the mesh with an edge at each breakpoint that lies inside."""
+        """Return the mesh with an edge at each breakpoint inside it."""
         inside = [b for b in breakpoints if self.edges[0] < b < self.edges[-1]]
         return Mesh(np.unique(np.concatenate([self.edges, inside]))) if inside else self
 
     def moved(self, anchors: Sequence[float], places: Sequence[float]) -> Mesh:
-        """Return the mesh stretched, evenly between anchors, so that each anchor comes to its place."""
+        """Return the mesh stretched, evenly between anchors, so that each anchor is at its place."""
         if list(anchors) == list(places):
             return self
         edges = np.interp(self.edges, anchors, places)
-        # an anchor that is an edge must come to its place to the last digit
+        # an anchor that is an edge must be at its place to the last digit
         edges[np.searchsorted(self.edges, anchors)] = places
         return Mesh(edges)
 
@@ -115,7 +115,7 @@ class Path:
     bend : float
         The error of a Newton step over the square of the step before, for solutions near this one.
     exact : bool
-        Whether it is a solution, and not a guess from something else.
+        Whether it is a solution, and not an initial solution from another source.
     """
 
     mesh: Mesh
@@ -201,7 +201,7 @@ class Sampler:
 
 
 def transfer(guess: Path, mesh: Mesh, start: Array, sense: float) -> Path:
-    """Return a known path on another mesh, as a guess for one that starts elsewhere."""
+    """Return a known path on another mesh, as the initial solution for one with another start."""
     sampler = Sampler(guess.mesh, mesh.times.ravel())
     y = sampler.value(guess.y).reshape(*mesh.times.shape, -1)
     edges = Sampler(guess.mesh, mesh.edges).value(guess.y)

@@ -5,8 +5,8 @@ With the bearing torque tau (all laws between the bodies, times all factors),
     I_r d(omega_r)/dt = -tau + sum of the torques on the rotor
     I_c d(omega_c)/dt = +tau + sum of the torques on the casing
 
-and one more equation for each effect that has a state of its own. The structure is frozen; numbers
-travel beside it as a mapping from ``<effect>.<symbol>`` to a value.
+and one more equation for each effect with its own state. The structure is frozen; numbers
+are passed separately as a mapping from ``<effect>.<symbol>`` to a value.
 """
 
 from __future__ import annotations
@@ -173,7 +173,7 @@ class Model:
 
     @cached_property
     def per_case(self) -> tuple[str, ...]:
-        """The keys of the parameters of which each case of several has its own, unless it is told otherwise."""
+        """The keys of the parameters of which each case of several has its own, unless requested otherwise."""
         return tuple(f"{e.name}.{p.symbol}" for e in self.effects if e.per_case for p in e.free)
 
     @cached_property
@@ -436,7 +436,7 @@ class Dynamics:
 
 
 def _in_one_sense(rate: Expr) -> Expr:
-    """Return a rate with sign(omega_c) as a number given beside the state, so that it is smooth through rest."""
+    """Return a rate with sign(omega_c) as a separate number, so that it is smooth through rest."""
     sign = call("sign", sym("omega_c"))
     new: dict[int, Expr] = {}
     for node in nodes(rate):

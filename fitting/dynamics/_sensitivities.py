@@ -184,8 +184,8 @@ _DEPENDENT = 1e-9
 class LinearMotion:
     """The linearised motion of both speeds about a solution.
 
-    States of effects (a warmth, a phase) move with the speeds and act back on them. Where anything forgets so fast that
-    Phi has no inverse, all of these states are held.
+    States of effects (a warmth, a phase) move with the speeds and act back on them. Where any of them decays so fast
+    that Phi has no inverse, all of these states are held.
 
     Parameters
     ----------
@@ -286,7 +286,7 @@ def _chained(propagator: Propagator, first: Array) -> Array:
 
 
 def _parted(propagator: Propagator) -> Array:
-    """Return two motions of the speeds at the nodes: what is remembered longest, and what dies away before."""
+    """Return two motions of the speeds at the nodes: the slowest decay, and the faster one."""
     lasting = _chained(propagator, np.array([[1.0], [0.0]]))
     end = lasting[-1] / np.linalg.norm(lasting[-1])
     dying = propagator.remembering(_MEMORY).back(np.array([-end[1], end[0]]))

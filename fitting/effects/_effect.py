@@ -60,7 +60,7 @@ def parse_unit(unit: str, exponents: Mapping[str, float] | None = None) -> Dimen
 
 
 def format_unit(dimension: Dimension) -> str:
-    """Return a dimension as a unit with N m taken out where that is shorter, such as ``N m s2``."""
+    """Return a dimension as a unit with N m factored out where that is shorter, such as ``N m s2``."""
     kg, m, s, kelvin = dimension
     parts = []
     if abs(kg - 1) < _TOLERANCE and abs(m - 2) < _TOLERANCE:
@@ -81,7 +81,7 @@ def dimension(e: Expr, units: Mapping[str, Dimension], exponents: Mapping[str, f
     units : mapping of str to Dimension
         The dimension of each symbol.
     exponents : mapping of str to float
-        Values of symbols that stand in exponents.
+        Values of symbols in exponents.
 
     Raises
     ------
@@ -228,7 +228,7 @@ class Effect:
     ``camera.casing`` or ``camera.rotor`` it is an angle added to those that the camera measures (psi and
     omega are then those of the body filmed).
 
-    Everything that other modules need to know about an effect is a field or a property here; no code depends on
+    Everything that other modules need of an effect is a field or a property here; no code depends on
     the name of an effect, so that a new law is one entry of the library.
 
     Parameters
@@ -244,7 +244,7 @@ class Effect:
     kind : {"physical", "measurement"}
         A measurement effect is an artefact of the set-up or of a camera.
     signature : str
-        What it looks like in the data.
+        Its signature in the data.
     confused_with : tuple of str
         Effects of similar shape.
     source : str
@@ -254,7 +254,7 @@ class Effect:
     breakpoint : str
         Symbol of the parameter that is a changepoint: the time at which the law jumps.
     per_case : bool
-        In a fit of several cases each has parameters of its own, unless it is told otherwise.
+        In a fit of several cases each has its own parameters, unless requested otherwise.
     per_surface : bool
         The law belongs to the surface under the touch point: no other recording can predict its parameters.
     nuisance : bool
@@ -334,7 +334,7 @@ class Effect:
 
     @property
     def periodic(self) -> bool:
-        """Whether it is sinusoidal: in an angle, or in time with a phase of its own."""
+        """Whether it is sinusoidal: in an angle, or in time with its own phase."""
         return self.depends_on_angle or any(p.role == "phase" for p in self.parameters)
 
     def check(self) -> None:

@@ -200,7 +200,7 @@ def parse(text: str) -> Expr:
     Raises
     ------
     ExpressionError
-        If the text is not a formula of the allowed kind; the sentence says what is in the way.
+        If the text is not a formula of the allowed kind; the message names the part that is not allowed.
     """
     if len(text) > MAX_LENGTH:
         raise ExpressionError(f"the formula has {len(text)} characters; {MAX_LENGTH} are allowed")

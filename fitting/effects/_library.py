@@ -5,7 +5,7 @@ Laminar flow over a disc takes a torque that grows as omega^1.5, turbulent flow 
 body quadratically.
 
 D = omega_r - omega_c is the speed of the bearing. Two effects scale the whole bearing torque:
-a temperature of its own, fed by the heat of friction, and a slow drift.
+its own temperature, raised by the heat of friction, and a slow drift.
 """
 
 from __future__ import annotations

@@ -48,7 +48,7 @@ UNKNOWN_UNIT = "SI"
 _COARSE = 5
 _BODIES = ("rotor", "casing", "bearing")
 _FIRST_VARIABLE = {"rotor": "omega_r", "casing": "omega_c", "bearing": "delta"}
-# so many edits turn a misspelt name into that of a variable
+# number of edits that turn a misspelt name into that of a variable
 _EDITS = 2
 _NOT_FOR_USERS = {"temperature", "chirp", "strain", "tau", "psi", "omega", "lag"}
 
@@ -114,9 +114,9 @@ def formula(
 
 
 def _refuse_misspelt(expression: Expr, undeclared: Sequence[str], body: str) -> None:
-    """Refuse parameters that nobody declared and that are probably misspelt variables.
+    """Refuse parameters that are not declared and are probably misspelt variables.
 
-    That is a name within two edits of a variable, or, in a law that contains no variable at all, any name beside a
+    That is a name within two edits of a variable, or, in a law that contains no variable at all, any name next to a
     strength.
     """
     variables = [v for v in VARIABLES if v not in _NOT_FOR_USERS]
@@ -167,7 +167,7 @@ def _check(effect: Effect) -> None:
 def _timed(parameters: Sequence[Parameter], expression: Expr) -> tuple[tuple[Parameter, ...], str]:
     """Return parameters of which those that are moments are sought in the whole record, and the moment of a jump.
 
-    A moment stands in t - t0; the law jumps there if that is in heaviside(t - t0), and t0 in no other jump.
+    A moment occurs in t - t0; the law jumps there if that is in heaviside(t - t0), and t0 in no other jump.
     """
     parts = nodes(expression)
     alone = [p.role for p in parameters].count("shape") == 1

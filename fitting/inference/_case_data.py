@@ -10,7 +10,8 @@ whitened by its symmetric root, which changes one direction only:
 Rows are in units of the measurement noise: first the polynomial rows of the casing, then of each rotor
 window, then the harmonic rows of the casing. What no one knows beforehand and no one asks about is free in
 every fit: the casing's start angle, the phase of each rotor window, and a centre offset, a tilt and a
-rolling shutter of the casing's camera that do not change through the recording.
+rolling shutter of the casing's camera that do not change through the recording; of an oscillation whose speeds were
+measured, the bias of the gyroscope.
 """
 
 from __future__ import annotations
@@ -259,6 +260,9 @@ class CaseData:
         free = self._nuisance_rows
         if self.oscillation is not None:
             waves = self.casing.at_samples(self.oscillation.waves())[0]
+            if not self.is_angle:
+                bias = self.casing.at_nodes(np.ones((len(self.casing.node_times), 1)))
+                waves = np.concatenate([waves, bias], axis=1)
             free = np.concatenate([free, waves], axis=1) if self.record.tracked else waves
         return estimate_process_noise(self.casing, free, self.angle_noise, angle=self.is_angle)
 
@@ -379,6 +383,9 @@ class CaseData:
         elif self.record.gradients:
             # in the first slow turns what a camera adds to angles is as slow as physics
             columns += list(self.casing_rows(_gradients(self.casing.samples)).T)
+        elif self.oscillation is not None:
+            # zero-rate output of a gyroscope; its scale factor is that of all deflections, which are fitted
+            columns.append(self.rows(np.ones(len(self.casing.node_times)), []))
         return np.stack(columns, axis=1) if columns else np.zeros((len(self.z), 0))
 
     def rows(self, casing: Array, rotor: Sequence[Array]) -> Array:
@@ -473,23 +480,22 @@ def _gradients(speeds: Samples) -> Array:
 # columns of `camera_columns` that belong to each nuisance effect, in the order of the library
 CAMERA_COLUMNS = {name: (2 * i, 2 * i + 1) for i, name in enumerate(NUISANCE)}
 _SMOOTHED = 25
+# of a sine of the angle: less is rounding
+_ROUNDING = 1e-7
 
 
 def camera_columns(samples: Samples) -> Array:
-    """Return cos and sin of the angle, of twice the angle, and of the angle times the speed, (samples, 6)."""
+    """Return cos and sin of the angle, of twice the angle, and of the angle times the speed, (samples, 6).
+
+    Zeros where a harmonic is the same in all samples: of pulses once per turn nothing that repeats with the turn is
+    visible, and the rounding errors of their sines grow with the angle like the motion itself.
+    """
     psi = samples.value
     width = min(_SMOOTHED, len(psi) // 4)
     knots = np.arange(0, len(psi), width)
     omega = np.interp(samples.time, samples.time[knots], np.gradient(psi[knots], samples.time[knots]))
     omega = omega / np.abs(omega).max()
-    return np.stack(
-        [
-            np.cos(psi),
-            np.sin(psi),
-            np.cos(2 * psi),
-            np.sin(2 * psi),
-            omega * np.cos(psi),
-            omega * np.sin(psi),
-        ],
-        axis=1,
-    )
+    once, twice = (np.stack([np.cos(m * psi), np.sin(m * psi)], axis=1) for m in (1, 2))
+    for waves in (once, twice):
+        waves *= (np.abs(waves).max(axis=0) > _ROUNDING) & (np.ptp(waves, axis=0).max() > _ROUNDING)
+    return np.concatenate([once, twice, omega[:, None] * once], axis=1)

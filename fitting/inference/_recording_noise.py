@@ -130,6 +130,8 @@ def estimate_angle_noise(run: Compressed, nuisance: Array) -> AngleNoise:
     stretches = stretches_of(run, nuisance)
     block = float(np.ptp(run.samples.time)) / len(run.lift)
     torque_times = [block * t for t in _TORQUE_TIMES]
+    if not all(len(s.seen) for s in stretches):
+        return AngleNoise()  # the nuisance parameters describe all of a short recording
     white = sum(s.likelihood(None, ())[0] for s in stretches)
     process = _with_process_noise(stretches, None, torque_times)
     largest = max(s.likelihood(None, [s.torque(t) for t in torque_times])[1] for s in stretches)

@@ -38,6 +38,7 @@ from fitting.inference._metrics import (
     case_metrics,
     energy_balance,
     lack_of_fit,
+    smoothing_noise,
 )
 from fitting.inference._noise import Noise
 from fitting.inference._parameters import START_ROTOR, ParameterLayout
@@ -352,6 +353,25 @@ class Fit(FitSummary):
     def held_out(self) -> float:
         """Rms cross-validation error of the casings, in units of the noise."""
         return math.sqrt(sum(c.casing.held_out**2 for c in self.cases) / len(self.cases))
+
+    @property
+    def samples(self) -> int:
+        """Number of samples of all runs."""
+        runs = [(d.record.casing, *d.record.rotor) for d in self.problem.data]
+        return sum(len(r) for several in runs for r in several)
+
+    @cached_property
+    def rmse_noise(self) -> float:
+        """Rms residual speed of the casings that noise alone would give, after the same smoothing [rad/s]."""
+        both = zip(self.problem.data, self.predictions, strict=True)
+        return math.sqrt(float(np.mean([smoothing_noise(d, p.path) ** 2 for d, p in both])))
+
+    @property
+    def bic_noise(self) -> float:
+        """BIC that a model with as many parameters would have if nothing but noise were left."""
+        logs = sum(n.whitener.at(min(n.pure, n.level)).log_determinant for n in self.noise)
+        free = len(self.theta)
+        return logs + self.rows - free + free * float(np.log(self.rows))
 
     @property
     def generated(self) -> bool:

@@ -8,9 +8,13 @@ uncertainties. Of k repeats the random-effects model
 has weights w_i = 1 / (u_i^2 + tau^2); tau follows from Q(tau) = sum w_i (x_i - mu)^2 = k - 1 (R. Paule, J. Mandel, J.
 Res. Natl. Bur. Stand. 87, 377 (1982)), 0 where Q(0) < k - 1. With tau estimated from the same few runs, the standard
 uncertainty of mu is the larger of sqrt(Q / (k - 1) / sum w_i) and 1 / sqrt(sum w_i), with k - 1 degrees of freedom
-(J. Hartung, G. Knapp, Stat. Med. 20, 1771 (2001)). The interval of tau is that of all values whose Q lies between
+(J. Hartung, G. Knapp, Stat. Med. 20, 1771 (2001)). The interval of tau is that of all values whose Q is between
 quantiles of the chi-square distribution of k - 1 degrees of freedom (W. Viechtbauer, Stat. Med. 26, 37 (2007)); the
 p-value of equal parameters is that of Q(0).
+
+A single run does not tell how far its parameters scatter from run to run: as a statement about the body and not about
+that run, its standard uncertainty is the total sqrt(u_i^2 + tau^2). Times at which a law sets in belong to a run and
+are not compared.
 
 Runs are taken as independent. What they share, above all an inertia and its uncertainty, cancels in a difference.
 """
@@ -87,6 +91,10 @@ class ParameterComparison:
     spread: float
     spread_interval: tuple[float, float]
 
+    def total(self, repeat: Repeat) -> float:
+        """Return the standard uncertainty of one run's value with the spread between the runs [unit]."""
+        return math.hypot(repeat.stderr, self.spread)
+
 
 @dataclass(frozen=True)
 class Comparison:
@@ -122,9 +130,11 @@ class Comparison:
                 if p.difference_sigma is not None
                 else ""
             )
+            growth = max(p.total(r) / r.stderr for r in p.repeats)
             lines.append(
                 f"{p.name} differs between the runs{size} (p {probability(p.p_value)}); "
-                f"mean {rounded(p.mean, p.mean_u, p.unit)}, spread {p.spread:.2g} {p.unit}."
+                f"mean {rounded(p.mean, p.mean_u, p.unit)}, spread {p.spread:.2g} {p.unit}; with the spread the "
+                f"uncertainty of a single run is up to {growth:.2g} times that of its fit."
             )
         if not differing:
             lines.append(f"No significant difference in {len(self.parameters)} parameters.")
@@ -141,7 +151,10 @@ class Comparison:
             "parameters": {
                 p.name: {
                     "unit": p.unit,
-                    "values": [{"run": r.run, "value": r.value, "stderr": r.stderr} for r in p.repeats],
+                    "values": [
+                        {"run": r.run, "value": r.value, "stderr": r.stderr, "total": p.total(r)}
+                        for r in p.repeats
+                    ],
                     "difference_sigma": p.difference_sigma,
                     "p_value": p.p_value,
                     "mean": {"value": p.mean, "stderr": p.mean_u},
@@ -179,7 +192,8 @@ def compare(fits: Mapping[str, Fitted]) -> Comparison:
     units: dict[str, str] = {}
     bounds: dict[str, list[str]] = {}
     for run, found in fits.items():
-        held = found.model.constants
+        moments = {f"{e.name}.{e.breakpoint}" for e in found.model.effects if e.breakpoint}
+        held = {*found.model.constants, *moments}
         for name, e in found.estimates.items():
             key, at, case = name.partition("@")
             if key.startswith("initial.") or key in held:

@@ -60,6 +60,7 @@ class LawDocument(Document):
     torque_rms_Nm: Number  # noqa: N815
     verdict: str
     indistinguishable_from: list[str]
+    same_torque_as: list[str]
     differences: list[DifferenceDocument]
 
 
@@ -156,6 +157,7 @@ def _law(x: Law) -> LawDocument:
         torque_rms_Nm=x.torque_rms_Nm,
         verdict=x.fit.verdict,
         indistinguishable_from=list(x.indistinguishable_from),
+        same_torque_as=list(x.same_torque_as),
         differences=[DifferenceDocument.model_validate(d) for d in x.differences],
     )
 

@@ -32,7 +32,7 @@ def with_generated_rotor(record: Record) -> Record:
 
     The curve solves d omega/dt = -(k0 + k1 omega + k2 omega^2), the decay of a rotor under dry, linear and
     quadratic friction, fitted to speed and slope of each window. Its samples together weigh as much as the
-    measured ones did. As the paper says of its own curve, it has no noise: chi-square of the rotor means nothing.
+    measured ones did. As the paper states of its own curve, it has no noise: chi-square of the rotor has no meaning.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def with_generated_rotor(record: Record) -> Record:
 
 @dataclass(frozen=True)
 class CurveBias:
-    """A parameter from a generated curve beside what the rotor's windows say, with the error that the curve claims."""
+    """A parameter from a generated curve and from the rotor's windows, with the error that the curve claims."""
 
     generated: float
     claimed: float
@@ -72,7 +72,7 @@ class CurveBias:
 def curve_bias(found: Fit) -> dict[str, CurveBias]:
     """Return by how much a generated rotor curve moved each parameter: the same model is fitted to the windows.
 
-    The curve's law is not the model's. What it says between the windows, and how exactly, nobody measured.
+    The curve's law is not the model's. Its values between the windows, and their errors, are not measured.
 
     Returns
     -------
@@ -176,7 +176,7 @@ def prepared(record: Record, data: str | None = None, rotor: str = "windows") ->
     Raises
     ------
     RecordError
-        If angles are asked for and velocities were measured, or a generated curve beside angles.
+        If angles are requested and velocities were measured, or a generated curve together with angles.
     """
     if data not in (None, "angle", "velocity") or rotor not in ("windows", "generated"):
         raise RecordError(

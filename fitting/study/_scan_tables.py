@@ -38,7 +38,7 @@ def three_digits(x: float) -> str:
 def concise(value: float, error: float) -> str:
     """Return a number with its standard error in units of the last digit: ``9.97(12)``, ``4080(120)``.
 
-    The error keeps two digits if they lie between 10 and 29, else one; without an error there are three digits.
+    The error keeps two digits if they are between 10 and 29, else one; without an error there are three digits.
     """
     if not (math.isfinite(value) and math.isfinite(error) and error > 0):
         return three_digits(value)

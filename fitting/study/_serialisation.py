@@ -41,6 +41,7 @@ from fitting._schema import (
     StepDocument,
     StoredCandidate,
     StoredDiagnosis,
+    StoredEstimate,
     StoredFailure,
     StoredFit,
     StoredNoise,
@@ -55,7 +56,7 @@ from fitting.discovery._next_run import NextRun
 from fitting.discovery._plan import Plan
 from fitting.discovery._power import CONFIDENCE, POWER, EffectLimits, UpperLimit
 from fitting.discovery._remainder import Nuisance, Remainder
-from fitting.discovery._residuals import Failure, ResidualTorque, residual_torques, ripples, whiteness
+from fitting.discovery._residuals import Failure, ResidualTorque, angle_harmonics, residual_torques, whiteness
 from fitting.discovery._score import Score
 from fitting.discovery._select import Candidate, Step
 from fitting.discovery._verdict import Diagnosis
@@ -77,7 +78,7 @@ from fitting.study._paper import CurveBias
 Array = NDArray[np.float64]
 
 _CURVE_POINTS = 200
-# the fits of so many candidates are stored, best first: more curves than a report draws
+# number of candidates whose fits are stored, best first: more curves than a report draws
 _FITS = 4
 
 
@@ -265,9 +266,14 @@ def step_document(fit: Fit, fit_id: str, added: str, previous: Fit | None) -> di
         fit_id=fit_id,
         added=added,
         model=list(fit.model.names),
+        samples=fit.samples,
+        n_eff=fit.n_eff,
         rmse_casing=fit.rmse_casing,
+        rmse_noise=fit.rmse_noise,
         reduced_chi2=fit.reduced_chi2,
         held_out=fit.held_out,
+        bic=fit.bic,
+        bic_noise=fit.bic_noise,
         delta_bic=fit.bic - previous.bic if previous is not None else 0.0,
         energy_drift=max(c.energy_drift for c in fit.cases),
         torque_left_Nm=fit.torque_noise,
@@ -395,7 +401,7 @@ def load_fit(path: str | Path) -> SavedFit:
     )
 
 
-def _estimates(stored: Mapping[str, EstimateDocument]) -> dict[str, Estimate]:
+def _estimates(stored: Mapping[str, StoredEstimate]) -> dict[str, Estimate]:
     return {k: Estimate(**e.model_dump()) for k, e in stored.items()}
 
 
@@ -448,7 +454,16 @@ def restored_fit(stored: StoredFit, model: Model, data: Sequence[CaseData]) -> F
 
 def stored_diagnosis(found: Diagnosis, extra: Sequence[Effect] = ()) -> StoredDiagnosis:
     """Return the state from which a diagnosis is restored, given its fit; `extra` are the user's effects."""
-    drawn = [c for c in found.candidates if c.fit is not None and c.physical and c.significant][:_FITS]
+    # one that was fitted with the moments of inertia free has another model
+    base = found.fit.model
+    drawn = [
+        c
+        for c in found.candidates
+        if c.fit is not None
+        and c.physical
+        and c.significant
+        and len(c.fit.model.names) == len(base.names) + 1
+    ][:_FITS]
     return StoredDiagnosis(
         code=fingerprint(),
         extra=own_effects(extra),
@@ -465,7 +480,7 @@ def stored_diagnosis(found: Diagnosis, extra: Sequence[Effect] = ()) -> StoredDi
                 held_out_gain=c.held_out_gain,
                 significant=c.significant,
                 indistinguishable_from=list(c.indistinguishable_from),
-                estimates={k: EstimateDocument.model_validate(e) for k, e in c.estimates.items()},
+                estimates={k: StoredEstimate.model_validate(e) for k, e in c.estimates.items()},
                 fit=stored_fit(c.fit) if c.fit is not None and any(c is d for d in drawn) else None,
             )
             for c in found.candidates
@@ -508,7 +523,7 @@ def restored_diagnosis(stored: StoredDiagnosis, fit: Fit, extra: Sequence[Effect
         tuple(Nuisance(**n.model_dump()) for n in stored.nuisance),
         stored.next_experiment,
         tuple(residual_torques(fit)),
-        tuple(ripples(fit)),
+        tuple(angle_harmonics(fit)),
         tuple(whiteness(fit)),
         tuple(UpperLimit(**u.model_dump()) for u in stored.upper_limits),
         stored.form_limit,

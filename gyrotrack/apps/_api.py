@@ -73,7 +73,7 @@ def extract(
     VideoError
         The film cannot be decoded, or its capture rate is unknown.
     TrackingError
-        No markers, or not the body that was asked for.
+        No markers, or not the requested body.
     OutputError
         The output exists (see `force`) or cannot be written.
 

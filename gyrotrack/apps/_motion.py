@@ -1,4 +1,4 @@
-"""What the motion of one body is: a spin-down, an oscillation or a steady rotation, with honest uncertainties."""
+"""Kind of motion of one body (spin-down, oscillation or steady rotation) and its figures, with uncertainties."""
 
 from __future__ import annotations
 

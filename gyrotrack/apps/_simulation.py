@@ -40,7 +40,7 @@ _EXPOSURE = 0.4
 _STORED_FPS = 25.0
 _TILT = 0.06
 _POINTS_PER_SECOND = 500
-_CASING_SPEED = 100.0  # rad/s at which an added effect has the torque that is asked for
+_CASING_SPEED = 100.0  # rad/s at which an added effect has the requested torque
 
 
 def write_record(
@@ -250,7 +250,7 @@ class _Clip:
 
     @property
     def frames(self) -> int:
-        # the first frame is taken one frame after the start, and the last one must lie inside too
+        # the first frame is taken one frame after the start, and the last one must be inside too
         return int(self.length * self.fps) - 2
 
     @property

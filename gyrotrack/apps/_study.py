@@ -253,7 +253,7 @@ def latest_fits(runs: Sequence[Path]) -> dict[str, Entry]:
     Parameters
     ----------
     runs : sequence of Path
-        Cases, whose ledger is beside them, or ledgers.
+        Cases, whose ledger is next to them, or ledgers.
 
     Raises
     ------

@@ -40,7 +40,7 @@ _ALTERNATIVES = (GREEN, PURPLE, ORANGE)
 _STEPS = (GREEN, PURPLE, SKY, "#555555")
 _CLIPS = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY)
 _POWERS = {"": "1", "m": "10⁻³", "µ": "10⁻⁶", "n": "10⁻⁹", "p": "10⁻¹²"}
-# where the standard uncertainty of a torque exceeds its smallest value so many times, the data say little
+# where the standard uncertainty of a torque exceeds its smallest value by this factor, the data do not determine it
 _UNKNOWN = 3.0
 # residuals larger than this [σ] are drawn on a scale that is linear up to _LINEAR and logarithmic beyond
 _LARGE, _LINEAR = 20.0, 3.0
@@ -168,7 +168,7 @@ def _torque_scale(view: CaseView, body: str) -> tuple[float, str]:
 
 
 def _known(torque: Array, sigma: Array) -> tuple[Array, Array]:
-    """Return torque and standard uncertainty, nan where the data say little about them."""
+    """Return torque and standard uncertainty, nan where the data do not determine them."""
     known = sigma <= _UNKNOWN * sigma.min()
     return np.where(known, torque, np.nan), np.where(known, sigma, np.nan)
 
@@ -254,9 +254,9 @@ def torque_speed_chart(view: CaseView, names: Sequence[str] = NAMES, *, alternat
 
 def torque_angle_charts(fits: Sequence[Fit], names: Sequence[str] = NAMES) -> list[Chart]:
     """Return the harmonics of the unmodelled torque on the casing against its angle; none without angles."""
-    from fitting.discovery._residuals import ripples
+    from fitting.discovery._residuals import angle_harmonics
 
-    found = [(name, ripples(fit)[:1]) for name, fit in zip(names, fits, strict=False)]
+    found = [(name, angle_harmonics(fit)[:1]) for name, fit in zip(names, fits, strict=False)]
     curves = [(name, r[0]) for name, r in found if r]
     if not curves:
         return []

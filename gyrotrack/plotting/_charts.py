@@ -1,6 +1,6 @@
 """Charts: every curve is described once and drawn by matplotlib (files, PDF) or by uPlot (browser).
 
-A `Chart` holds traces (numbers, label, colour); it does not know who draws it. Its vertical scale follows the
+A `Chart` holds traces (numbers, label, colour); it is independent of what draws it. Its vertical scale follows the
 data: what the chart shows for reference only, or what carries no information (a band far wider than the curves, as
 an undetermined parameter makes it), has no influence on the scale.
 """

@@ -370,7 +370,7 @@ def formula(latex: str, name: str, *, size: float = 15.0, colour: str = "black")
         figure.text(0, 0, f"${text}$", fontsize=size, color=colour)
         try:
             return markup(figure, name, latex, tight=True)
-        except ValueError:  # mathtext does not know a command; the page prints the source
+        except ValueError:  # a command that mathtext does not support; the page prints the source
             return ""
 
 

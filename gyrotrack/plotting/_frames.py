@@ -1,7 +1,7 @@
 """Frames with detections drawn over them.
 
-A frame is addressed by its time stamp, which the recording holds: the film is wound back to a key frame before it
-and decoded up to it. Where stamps repeat or are missing, a frame is not found rather than another one shown.
+A frame is addressed by its timestamp, which the recording holds: the film is wound back to a key frame before it
+and decoded up to it. Where timestamps repeat or are missing, a frame is not found rather than another one shown.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _WORDS = {code: word for word, code in STATUS.items()}
 
 
 def drawn(frame: Frame, k: int, recording: Recording) -> Picture:
-    """Return a frame in colour (BGR) with everything that the recording knows of it, as frame `k`."""
+    """Return a frame in colour (BGR) with everything that the recording holds of it, as frame `k`."""
     picture = colour_picture(frame)
     centre = recording.centre[k]
     for marker in recording.markers.values():
@@ -92,7 +92,7 @@ def _point(place: npt.NDArray[np.float64]) -> tuple[int, int]:
     return round(float(place[0])), round(float(place[1]))
 
 
-# so many frames ahead are reached by decoding on, without winding
+# up to this many frames ahead are reached by decoding on, without seeking
 _AHEAD = 24
 _HASHED = 256 * 2**20
 
@@ -123,7 +123,7 @@ def _is_it(path: Path, recording: Recording) -> bool:
 
 
 class Film:
-    """The frames of a film, with what its recording knows drawn over them.
+    """The frames of a film, with the detections of its recording drawn over them.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ class Film:
 
     def __init__(self, path: Path, recording: Recording | None = None) -> None:
         self.recording = recording
-        self._manager = opened(path)  # after every winding more threads would have to fill up anew
+        self._manager = opened(path)  # after every seek more threads would have to fill up again
         self._stamps: npt.NDArray[np.floating[Any]] = (
             float(probe(path).time_base) * read_raw_stamps(path) if recording is None else recording.pts_time
         )
@@ -184,7 +184,7 @@ class Film:
         return None
 
     def _decoded(self, first: int) -> Iterator[Any]:
-        """Decode from here on; of what lies before the time stamp `first` only what later frames are made from."""
+        """Decode from here on; before the timestamp `first` only what later frames are made from."""
         decoder = self._stream.codec_context
         # in other codecs what counts as no reference may still be one for layers above it
         sure = decoder.codec.name == "h264"
@@ -247,7 +247,7 @@ def _chosen(video: Path, recording: Recording) -> list[tuple[int, Picture]]:
     found = frames_at(video, stamp.values())
     if all(stamp.get(k) in found for k in wanted):
         return [(k, drawn(found[stamp[k]], k, recording)) for k in wanted]
-    with Reader(video) as reader:  # no stamps to go by
+    with Reader(video) as reader:  # no timestamps
         return [(f.index, drawn(f, f.index, recording)) for f in reader if f.index in set(wanted)]
 
 
@@ -303,7 +303,7 @@ def check_overlay(path: Path, *, force: bool) -> None:
     Raises
     ------
     UsageError
-        If the name says neither a film (.mp4) nor a sheet (.png).
+        If the suffix is neither .mp4 (film) nor .png (sheet).
     OutputError
         If the file exists and `force` is not set.
     """

@@ -52,8 +52,16 @@ _AXES = {
     "delta": "angular rate of the bearing [rad/s]",
     "t": "time [s]",
     "psi_c": "angle of the casing [rad]",
+    "psi_r": "angle of the rotor [rad]",
 }
-_NAMES = {"omega_c": "ω casing", "omega_r": "ω rotor", "delta": "ω bearing", "t": "time", "psi_c": "ψ casing"}
+_NAMES = {
+    "omega_c": "ω casing",
+    "omega_r": "ω rotor",
+    "delta": "ω bearing",
+    "t": "time",
+    "psi_c": "ψ casing",
+    "psi_r": "ψ rotor",
+}
 
 
 def laws_picture(found: Laws, name: str = "laws") -> Picture:

@@ -16,6 +16,7 @@ from fitting.inference._speed_residuals import SpeedResidual, speed_residuals
 from gyrotrack.plotting._charts import Interval
 
 if TYPE_CHECKING:
+    from fitting.discovery._power import UpperLimit
     from fitting.discovery._residuals import Failure, ResidualTorque
     from fitting.discovery._select import Candidate
     from fitting.discovery._select import Step as FitStep
@@ -26,40 +27,11 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Residual = SpeedResidual
 
-_SEED = 1
 _BAND = 2.0  # sigma; as drawn
-_NORMAL = 0.6745  # median of the absolute value of a standard normal variable
-_THIRD_DIFFERENCE = 20.0  # 1 + 9 + 9 + 1: its variance for white noise of variance 1
 _MODEL_POINTS = 800
 _WINDOW_POINTS = 60
 _ENERGY_PIECES = 50
 _MOST_ALTERNATIVES = 3
-
-
-def smoothing_floor(fit: Fit) -> float:
-    """Return the rms error of the casing's smoothed speed that noise alone makes, over all cases [rad/s].
-
-    The smoothing of the paper has an error of its own, which no model lowers. It is found by putting the modelled
-    angle with added noise through the same smoothing. The noise level is that of third differences of the data,
-    whose rms is sqrt(20) times that of white noise.
-    """
-    return float(np.sqrt(np.mean([_floor(fit, i) ** 2 for i in range(len(fit.problem.data))])))
-
-
-def _floor(fit: Fit, case: int) -> float:
-    from fitting.dynamics._mesh import Sampler
-    from fitting.inference._record import Samples, speeds
-
-    record, path = fit.problem.data[case].record, fit.predictions[case].path
-    measured = record.casing
-    noise = float(np.median(np.abs(np.diff(measured.value, 3)))) / _NORMAL / np.sqrt(_THIRD_DIFFERENCE)
-    sampler = Sampler(path.mesh, measured.time)
-    omega = sampler.value(path.y[..., 1])
-    exact = sampler.integral(*path.angle(path.states[1])) if record.quantity == "angle" else omega
-    # a fixed seed, so that a report is the same in every run
-    noisy = exact + noise * np.random.default_rng(_SEED).standard_normal(len(exact))
-    time, smoothed = speeds(Samples(measured.time, noisy, measured.sigma), record.quantity)
-    return float(np.sqrt(np.mean((smoothed - np.interp(time, measured.time, omega)) ** 2)))
 
 
 def residual_rms(residuals: Sequence[Residual], noise: Sequence[Residual]) -> float:
@@ -350,7 +322,11 @@ class Step:
 
 @dataclass(frozen=True)
 class StudyView:
-    """What a report shows of the fits; `rmse_floor` is the noise limit of the casing's rms error [rad/s]."""
+    """What a report shows of the fits.
+
+    `rmse_floor` is the noise limit of the casing's rms error [rad/s]; `upper_limits` are the largest effects that the
+    final model could still lack, none where it has a significant lack of fit.
+    """
 
     steps: tuple[Step, ...]
     rmse_floor: float
@@ -362,6 +338,7 @@ class StudyView:
     candidates: tuple[Candidate, ...]
     next_experiment: str
     whiteness: tuple[tuple[str, float], ...]
+    upper_limits: tuple[UpperLimit, ...]
     cases: tuple[CaseView, ...]
 
     @property
@@ -411,7 +388,7 @@ def gather(history: Sequence[FitStep], diagnosis: Diagnosis | None) -> StudyView
         verdict = diagnosis.verdict
     return StudyView(
         steps=_steps(history),
-        rmse_floor=smoothing_floor(final),
+        rmse_floor=final.rmse_noise,
         base=base,
         final=final,
         added=tuple(n for n in final.model.names if n not in base.model.names),
@@ -420,8 +397,20 @@ def gather(history: Sequence[FitStep], diagnosis: Diagnosis | None) -> StudyView
         candidates=tuple(c for c in candidates if c.score > 0),
         next_experiment=diagnosis.next_experiment if diagnosis is not None else "",
         whiteness=tuple((w.label, w.p_value) for w in whiteness(final)),
+        upper_limits=_upper_limits(final, diagnosis if len(history) == 1 else None),
         cases=tuple(case_view(history, diagnosis, torques, i) for i in range(len(base.problem.data))),
     )
+
+
+def _upper_limits(final: Fit, diagnosis: Diagnosis | None) -> tuple[UpperLimit, ...]:
+    """Return the limits that the diagnosis of the final model has, or compute them."""
+    from fitting.discovery._criteria import DEFAULT
+    from fitting.discovery._power import largest_hidden
+    from fitting.discovery._select import fails
+
+    if diagnosis is not None:
+        return diagnosis.upper_limits
+    return () if not final.converged or fails(final, DEFAULT) else largest_hidden(final, (), DEFAULT)
 
 
 def _steps(history: Sequence[FitStep]) -> tuple[Step, ...]:

@@ -132,7 +132,7 @@ def plain(text: str, most: int = 34) -> str:
 
 
 def legend(axes: Axes, **changes: Any) -> None:
-    """Draw the legend above the axes, on the left, in sight on a narrow screen."""
+    """Draw the legend above the axes, on the left, visible on a narrow screen."""
     place = {
         "loc": "lower left",
         "bbox_to_anchor": (0.0, 1.0),

@@ -67,7 +67,7 @@ class Noise:
             self._banks.append(np.clip(grain, -127, 127).astype(np.int8))
 
     def on(self, picture: Frame) -> Frame:
-        """Return the picture with noise of its own."""
+        """Return the picture with independent noise."""
         if not self._banks:
             return picture
         bank = self._banks[int(self._rng.integers(BANKS))]

@@ -30,7 +30,7 @@ class Motion:
     omega_rotor, omega_casing : callable
         Angular velocity in rad/s.
     start, stop : float
-        The span of time in s in which the motion is known. A film must lie inside it.
+        The span of time in s in which the motion is known. A film must be inside it.
     """
 
     psi_rotor: Curve
@@ -161,7 +161,7 @@ def two_body_motion(
     extra_bearing: Torque | None = None,
     sample_rate: float = 2000.0,
 ) -> Motion:
-    r"""Integrate the two bodies of the paper, with torques of one's own beside the known ones.
+    r"""Integrate the two bodies of the paper, with further torques in addition to the known ones.
 
     .. math::
         I_r \dot\omega_r = -\tau - a_1\omega_r - a_2\omega_r|\omega_r| + T_r - T_b, \qquad

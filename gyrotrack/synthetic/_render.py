@@ -68,11 +68,11 @@ class PolarPicture:
         return self.columns / (2.0 * np.pi)
 
     def again(self) -> PolarPicture:
-        """Return the same picture with a memory of its own for another width of blur."""
+        """Return the same picture with a separate cache for another width of blur."""
         return PolarPicture(self.pixels, self.per_mm)
 
     def channel(self, index: int) -> PolarPicture:
-        """Return one channel as a picture of its own."""
+        """Return one channel as a separate picture."""
         return PolarPicture(np.ascontiguousarray(self.pixels[:, :, index : index + 1]), self.per_mm)
 
     def blurred(self, angle: float) -> Paint:
@@ -158,13 +158,13 @@ class Window:
     u, v : array
         Point of the table in mm that is seen at each pixel.
     table : (3, h, w) array
-        Light of the table, zero where the rotor lies over it.
+        Light of the table, zero where the rotor covers it.
     lamps, lamps_inside : array
         Steady brightness per stored unit of a polar picture; the second is zero outside the rotor.
     glint : array
         Light of reflections on bare metal, per stored unit.
     papers : array of bool
-        Where the papers of the rotor pass.
+        Where the markers of the rotor pass.
     """
 
     rows: slice
@@ -194,7 +194,7 @@ def cut_window(scene: Scene, camera: Camera, light: Light, table: Array) -> Wind
     x, y = np.meshgrid(np.arange(columns.start, columns.stop), np.arange(rows.start, rows.stop))
     u, v = camera.unproject(x, y)
     r = np.hypot(u, v)
-    inside = r < 0.5 * (scene.ring_inner + scene.ring_outer)  # its border lies under the ring
+    inside = r < 0.5 * (scene.ring_inner + scene.ring_outer)  # its border is under the ring
     lamps = light.field(camera)[rows, columns] / FULL
     near = min((m.near for m in scene.on("rotor")), default=np.inf)
     far = max((m.near + m.length for m in scene.on("rotor")), default=0.0)

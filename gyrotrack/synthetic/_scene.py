@@ -44,7 +44,7 @@ class Camera:
         axis ratio cos(tilt), short along the azimuth.
     roll : float
         Rotation in rad of the camera about its axis: everything appears turned counter-clockwise by it, so
-        that a body at angle ``psi`` seems to stand at ``psi + sense * roll``.
+        that a body at angle ``psi`` appears at ``psi + sense * roll``.
     perspective : float
         Inverse distance of the camera in 1/mm; 0 is orthographic.
     start, rate : float
@@ -52,7 +52,7 @@ class Camera:
         ``t = start + rate * k / fps`` is the middle of the exposure of frame k.
     readout : float
         Seconds of true time from the first to the last row (rolling shutter); 0 is a global shutter. The
-        nominal time belongs to the row in which the resting point lies.
+        nominal time belongs to the row that contains the resting point.
     sense : {-1, 1}
         -1: the bodies turn clockwise as seen, as in the paper.
     psf : float
@@ -154,7 +154,7 @@ class Light:
     flicker, flicker_hz, flicker_phase : float
         Relative amplitude, frequency in Hz and phase in rad of the brightness in true time.
     glint : float
-        Brightness of lamp reflections that stand still on the turning metal.
+        Brightness of lamp reflections that are fixed in space on the turning metal.
     shadow : float
         Depth, 0 to 1, of the shadows on the table and of the bar on the rotor.
     shadow_offset : tuple of float
@@ -213,7 +213,7 @@ class Marker:
     near, length, base : float
         Distance in mm of the near base from the axis, extent along the radius, length of the near base.
     skew : float
-        Rotation in rad about the middle of the near base: papers are glued on by hand.
+        Rotation in rad about the middle of the near base: markers are glued on by hand.
     """
 
     name: str
@@ -275,7 +275,7 @@ class Scene:
     Attributes
     ----------
     markers : tuple of Marker
-        The papers on both bodies.
+        The markers on both bodies.
     rotor_radius, ring_inner, ring_outer : float
         Radii in mm of the rotor disc and of the ring of the casing; the gap between them is dark.
     bar_width, hub_radius, circle_radius : float
@@ -286,7 +286,7 @@ class Scene:
     structure : float
         Relative depth of the slight structure of the metal.
     table : {"grey", "white", "wood"}
-        What the gyroscope stands on.
+        The table under the gyroscope.
     wobble : Wobble
         Circular motion of the whole gyroscope.
     """
@@ -306,11 +306,11 @@ class Scene:
     wobble: Wobble = Wobble()
 
     def on(self, body: str) -> tuple[Marker, ...]:
-        """Return the papers of one body."""
+        """Return the markers of one body."""
         return tuple(marker for marker in self.markers if marker.body == body)
 
     def casing_covers(self, x: Array, y: Array) -> NDArray[np.bool_]:
-        """Tell which points (mm, frame of the casing) lie under bar, hub, ring or a paper of the casing."""
+        """Return which points (mm, frame of the casing) are covered by bar, hub, ring or a marker of the casing."""
         r = np.hypot(x, y)
         covered = (r < self.hub_radius) | ((r >= self.ring_inner) & (r <= self.ring_outer))
         covered |= (np.abs(y) < 0.5 * self.bar_width) & (r <= self.ring_outer)

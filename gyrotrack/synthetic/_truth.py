@@ -1,6 +1,6 @@
 """The exact answers that belong to a rendered film.
 
-They are returned to whoever draws the film, and written to a file of their own only when that is asked for;
+They are returned to the caller that draws the film, and written to a separate file only on request;
 no command reads such a file by itself.
 """
 
@@ -117,7 +117,7 @@ def load_truth(path: Path) -> Truth:
 
 
 def find_truth(scene: Scene, motion: Motion, camera: Camera, frames: int) -> Truth:
-    """Compute the truth of a film of so many frames, without drawing it."""
+    """Compute the truth of a film with this number of frames, without drawing it."""
     time = camera.times(frames)
     shift = scene.wobble.shift(time)
     angle = {"rotor": motion.psi_rotor(time), "casing": motion.psi_casing(time)}
@@ -181,7 +181,7 @@ def _share_against_angle(scene: Scene, marker: Marker) -> Array:
 
 
 def _inside_picture(corners: Array, camera: Camera) -> Array:
-    """Share of each paper's picture that lies within the frame, (n,)."""
+    """Fraction of each marker's picture that is within the frame, (n,)."""
     low, high = np.array([-0.5, -0.5]), np.array([camera.width - 0.5, camera.height - 0.5])
     share = np.ones(len(corners))
     frame = np.array([low, [high[0], low[1]], high, [low[0], high[1]]], dtype=np.float32)
@@ -266,7 +266,7 @@ def render_clip(
 def _counted(
     pictures: Iterator[NDArray[np.uint8]], total: int, progress: Progress | None
 ) -> Iterator[NDArray[np.uint8]]:
-    """Pass pictures on and tell how many."""
+    """Pass pictures on and report their number."""
     for done, picture in enumerate(pictures, start=1):
         yield picture
         if progress is not None:

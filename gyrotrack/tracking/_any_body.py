@@ -53,6 +53,10 @@ _EXPLAINED = 0.4
 """Share of the change of brightness that a turning body must explain; below it nothing is tracked."""
 _OUTSIDE = 0.85
 """The same for a hub outside the picture that was not given: a body that slides looks much like one that turns."""
+_AS_GOOD = 0.8
+"""Share of the best reading's explained change from which another body beside it is as good."""
+_BESIDE = 0.2
+"""Area that moves beside the best reading, over that within it, from which another body is sought."""
 _STRETCH_SPAN = 3.0
 """Motion in rad from which the ellipse of a tilted camera is sought."""
 _STATIC_SPAN = 1.0
@@ -274,7 +278,33 @@ def _track(
             f"{100 * max(best.score, 0):.0f} % of the change of brightness, {100 * needed:.0f} % are needed",
             "give the centre of rotation with --hub X,Y",
         )
+    if hub is None and (other := _second_body(block, motion, best)) is not None:
+        (x, y), (u, v) = best.ring.hub, other.ring.hub
+        raise TrackingError(
+            f"two bodies turn in {film.path.name}: one about ({x:.0f}, {y:.0f}) px, one about ({u:.0f}, {v:.0f}) px",
+            "give the centre of the one to track with --hub X,Y",
+        )
     return _measure(film, usable, first, best, motion, progress)
+
+
+def _second_body(block: Sequence[Plane], motion: Motion, best: _Trial) -> _Trial | None:
+    """Return the reading of another body, beside the best one, that is as well explained; None if there is none.
+
+    What moves outside of the ring of the best reading is searched as if there were nothing else.
+    """
+    rows, columns = np.indices(motion.moving.shape)
+    distance = np.hypot(columns - best.ring.hub[0], rows - best.ring.hub[1])
+    beside = motion.moving & (distance > 1.1 * best.ring.outer)
+    if beside.sum() < _BESIDE * (motion.moving & ~beside).sum():
+        return None
+    rest = replace(motion, moving=beside)
+    trials = [trial for p in propose_hubs(block, rest) for trial in _trials(p, block, rest)]
+    if not trials:
+        return None
+    found = _refined_trial(max(trials, key=lambda t: t.score), block, motion.area, keep=False)
+    apart = math.dist(found.ring.hub, best.ring.hub)
+    separate = apart > best.ring.outer and apart > found.ring.outer
+    return found if separate and found.score > max(_EXPLAINED, _AS_GOOD * best.score) else None
 
 
 def _by_features(

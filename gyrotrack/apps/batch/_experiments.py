@@ -6,7 +6,7 @@ a film may state its capture rate, as in ``rotor_1_1000fps.mp4``.
 
 ::
 
-    [defaults]                      # for every case and film without values of its own
+    [defaults]                      # for every case and film without its own values
     casing_fps = 260
     rotor_fps = 1000
 
@@ -100,7 +100,7 @@ class Experiment:
 
 
 def named(experiments: Iterable[Experiment], where: Path) -> tuple[Experiment, ...]:
-    """Return the experiments with a folder each, inside the folder of the results whatever the label.
+    """Return the experiments with a folder each, inside the folder of the results for any label.
 
     Raises
     ------
@@ -326,7 +326,7 @@ class _Strict(BaseModel):
 
 
 class Defaults(_Strict):
-    """Values for every case and film without values of its own."""
+    """Values for every case and film without its own values."""
 
     casing_fps: float | None = Field(default=None, gt=0)
     rotor_fps: float | None = Field(default=None, gt=0)

@@ -108,7 +108,7 @@ class Child:
 
 
 def run_once(words: Sequence[str], timeout: float | None = None) -> bytes:
-    """Run one command in a process of its own and return its answer as JSON; a worker of a cluster is sent this."""
+    """Run one command in a separate process and return its answer as JSON; a worker of a cluster is sent this."""
     child = Child()
     try:
         return json.dumps(child.run(words, timeout)).encode()
@@ -198,7 +198,7 @@ class Workers(Protocol):
         """Begin a command; the answer is that of `Child.run`."""
 
     def close(self) -> None:
-        """End at once; running commands are stopped."""
+        """End without waiting; running commands are stopped."""
 
 
 class LocalWorkers:
@@ -234,7 +234,7 @@ class LocalWorkers:
     def close(self) -> None:
         """End the processes; their outputs are complete or absent."""
         self._pool.shutdown(wait=False, cancel_futures=True)
-        for child in self._children:  # all at once: each may take a moment to clean up
+        for child in self._children:  # in parallel: each may take a moment to clean up
             with suppress(OSError, ProcessLookupError):
                 if child.pid is not None:
                     os.kill(child.pid, signal.SIGTERM)
@@ -288,7 +288,7 @@ class Certificates:
 class ClusterWorkers:
     """The workers of a Dask cluster, which must have access to the same folders.
 
-    Each command runs in a process of its own on a worker, so that a crash does not end the worker; when a worker is
+    Each command runs in a separate process on a worker, so that a crash does not end the worker; when a worker is
     lost, the scheduler gives its commands to another. The name of a function and arguments are sent, JSON is returned.
     Dask's own messages are pickled, so the user must trust the scheduler: its address is never taken from the folder of
     the data, and with TLS both sides authenticate themselves.

@@ -140,16 +140,20 @@ def laws_comparison_table(found: Laws, fit_id: str) -> str:
     """
     lines = [*textwrap.wrap(found.sentence, 79), "", f"fit {fit_id}, verdict: {found.verdict}"]
     lines += _dependences(found.depends_on)
-    answer = found.answer
+    torques = found.torques
+    letters = {x.formula: chr(ord("a") + i % 26) for i, group in enumerate(torques) for x in group}
     unit, body = found.fit.torque_unit, found.fit.problem.data[0].record.body
     if found.laws:
-        lines += ["", f"laws ({found.trials} columns tried), * = the data cannot separate them:"]
+        lines += ["", f"laws ({found.trials} columns tried); a letter: the data cannot separate them,"]
+        lines.append("the same letter: the same torque along the recorded motion")
         lines.append(f"   {'':<3}{'dBIC':>10}{'rank':>8}{'p':>9}{'torque':>12}")
         for number, x in enumerate(found.laws[:_SHOWN], 1):
-            lines += _law(number, x, found.laws[0], in_answer=any(x is a for a in answer))
-    if len(answer) > 1:
-        lines += ["", f"where they differ from {answer[0].formula}:"]
-        for d in answer[0].differences:
+            lines += _law(number, x, found.laws[0], letters.get(x.formula, " "))
+    if len(torques) > 1:
+        best = torques[0][0]
+        firsts = {group[0].formula for group in torques[1:]}
+        lines += ["", f"where they differ from {best.formula}:"]
+        for d in (d for d in best.differences if d.formula in firsts):
             lines.append(f"  {d.formula}")
             lines.append(
                 f"      at most {d.torque_Nm:.1g} {unit} in {d.label}, {d.t_start:.0f} s to {d.t_stop:.0f} s, {body} "
@@ -169,12 +173,11 @@ def _dependences(depends_on: tuple[Dependence, ...]) -> list[str]:
     return lines
 
 
-def _law(number: int, x: Law, best: Law, *, in_answer: bool) -> list[str]:
+def _law(number: int, x: Law, best: Law, letter: str) -> list[str]:
     from fitting._numbers import rounded
 
-    mark = "*" if in_answer else " "
     worse = x.penalised - best.penalised
-    lines = [f"{mark} {number:>2} {x.formula}  ({x.form})"]
+    lines = [f"{letter} {number:>2} {x.formula}  ({x.form})"]
     lines.append(
         f"   {'':<3}{x.delta_bic:>10.1f}{'best' if worse == 0 else f'+{worse:.1f}':>8}{_p(x.p_value):>9}"
         f"{x.torque_rms_Nm:>8.2g} {x.fit.torque_unit}"
@@ -233,7 +236,7 @@ def plan_command(
 ) -> int:
     """Compute detection and upper limit of every effect, the runs needed, and the best next run.
 
-    A description of recordings is a TOML file; the guide plan-an-experiment has one.
+    A description of recordings is a TOML file; see the guide "Plan an experiment".
 
     Example: gyrotrack plan case1.h5 case2.h5 --picture plan.png
     """
@@ -396,8 +399,8 @@ def compare_command(
 ) -> None:
     """Compare the latest fits of runs: which parameters and effects differ, and by how many standard uncertainties.
 
-    Of three runs and more, each parameter has a mean and a spread between the runs (random effects). Runs are taken
-    as independent.
+    Each parameter has a mean and a spread between the runs (random effects); the total uncertainty of a single run
+    includes the spread. Runs are taken as independent.
 
     Example: gyrotrack compare left.h5 right.h5 --picture difference.png
     """
@@ -433,7 +436,9 @@ def _comparison_table(found: Comparison) -> str:
         size = f", {p.difference_sigma:+.1f} sigma" if p.difference_sigma is not None else ""
         lines.append(f"{p.name}  (p {probability(p.p_value)}{size})")
         width = max(len(r.run) for r in p.repeats)
-        lines += [f"  {r.run:<{width}}  {rounded(r.value, r.stderr, p.unit)}" for r in p.repeats]
+        for r in p.repeats:
+            total = f" (with the spread +- {p.total(r):.2g})" if p.spread > 0 else ""
+            lines.append(f"  {r.run:<{width}}  {rounded(r.value, r.stderr, p.unit)}{total}")
         spread = f"spread {p.spread:.2g} ({p.spread_interval[0]:.2g} to {p.spread_interval[1]:.2g}) {p.unit}"
         lines.append(f"  {'mean':<{width}}  {rounded(p.mean, p.mean_u, p.unit)}, {spread}")
     return "\n".join([*lines, *([""] if lines else []), *found.sentences])

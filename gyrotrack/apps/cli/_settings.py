@@ -54,7 +54,7 @@ _COMPUTE = (
     "torque_noise torque_time until verbose verify window window_length"
 )
 # options whose values are files to read or to write; a found file may name those in its own folder
-_PATHS = "clips contact_sheet csv effects film films folder latex ledger output overlay picture report"
+_PATHS = "clips contact_sheet csv effects film films folder latex ledger output overlay picture prior report"
 FOUND = frozenset(f"{_COMPUTE} {_PATHS}".split())
 # options that only the user may set: replacing or deleting results, addresses, certificates, ports, cores
 REFUSED = frozenset(
@@ -247,7 +247,7 @@ def load(entry: Entry) -> Any:
 
 
 def lazy_group(entries: tuple[Entry, ...]) -> type[TyperGroup]:
-    """Return a class of group that knows `entries` by name and loads them when they are asked to run."""
+    """Return a class of group that has `entries` by name and imports them when they run."""
     table = {entry.name: entry for entry in entries}
 
     class LazyGroup(TyperGroup):

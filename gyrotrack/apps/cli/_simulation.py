@@ -312,7 +312,7 @@ def _found(out: Output, case: Path) -> tuple[list[Step], Diagnosis, dict[str, An
     from gyrotrack.apps._study import open_study
 
     ledger = Ledger.beside(case).path
-    ledger.unlink(missing_ok=True)  # the demo begins anew each time
+    ledger.unlink(missing_ok=True)  # the demo starts from scratch each time
     study = open_study([case], None)
     out.show("\n3. The paper's reduced model", f"\n$ gyrotrack fit {case}\n")
     base = fit(Model.of(REDUCED), study.data)
@@ -359,7 +359,7 @@ def _find(clips: Path | None) -> Path:
 
 
 def _extract(out: Output, folder: Path, clips: Sequence[dict[str, Any]], output: Path) -> list[Path]:
-    """Track all clips, one per core at a time, each in a process of its own."""
+    """Track all clips, one per core at a time, each in a separate process."""
     jobs, targets = [], []
     for clip in clips:
         target = output / f"{Path(clip['file']).stem}.h5"

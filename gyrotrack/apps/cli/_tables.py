@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from fitting.study._paper import CurveBias
 
 
-_BAR = 24
+_BAR = 20
 _CANDIDATES = 8
 
 
@@ -139,7 +139,10 @@ def _range(t: ResidualTorque) -> str:
 
 def ladder_tables(steps: Sequence[dict[str, Any]], record: Record) -> list[str]:
     """Return a history of fits as lines, one bar per fit; `record` is that of any of the cases."""
-    lines = [f"{'fit':<5}{'rmse':>9} {'chi2/n':>9} {'cv error':>9} {'dBIC':>9}  {'':<{_BAR}}", ""]
+    lines = [
+        f"{'fit':<6}{'rmse':>9} {'chi2/n':>9} {'cv error':>9} {'BIC':>10} {'dBIC':>9}  {'':<{_BAR}}".rstrip(),
+        "",
+    ]
     sizes = [max(r["rmse_casing"], 1e-300) for r in steps]
     previous = ""
     for r, size in zip(steps, sizes, strict=True):
@@ -149,11 +152,11 @@ def ladder_tables(steps: Sequence[dict[str, Any]], record: Record) -> list[str]:
             added += f"  (from {r['parent']})"
         previous = r["fit_id"]
         lines.append(
-            f"{r['fit_id']:<5}{r['rmse_casing']:>9.4g} {r['reduced_chi2']:>9.3g}"
-            f" {r['held_out']:>9.3g} {r['delta_bic']:>9.1f}  {bar}"
+            f"{r['fit_id']:<6}{r['rmse_casing']:>9.4g} {r['reduced_chi2']:>9.3g} {r['held_out']:>9.3g} "
+            f"{_known(r.get('bic'), '.1f'):>10} {r['delta_bic']:>9.1f}  {bar}"
         )
         lines.append(
-            f"     {added}"
+            f"      {added}"
             + (
                 f"  (remainder: {r['torque_left_Nm']:.2g} {record.torque_unit})"
                 if r.get("torque_left_Nm")
@@ -161,13 +164,25 @@ def ladder_tables(steps: Sequence[dict[str, Any]], record: Record) -> list[str]:
             )
         )
         if comment := ": ".join(filter(None, (r.get("name"), r.get("note")))):
-            lines += [f"     {line}" for line in _wrapped(comment)]
+            lines += [f"      {line}" for line in _wrapped(comment)]
+    last = steps[-1]
+    counted = bool(last.get("samples"))
     lines += [
+        " ".join(
+            (
+                f"{'noise':<6}{_known(last.get('rmse_noise'), '.4g'):>9} {1:>9} {1:>9}",
+                f"{_known(last.get('bic_noise'), '.1f'):>10}  what noise alone would give",
+            )
+        ),
         "",
-        f"rmse of the angular rate of the {record.body} [rad/s];",
-        "cross-validation error in units of the noise (1 = noise limit)",
+        f"rmse of the angular rate of the {record.body} [rad/s]; cross-validation error in units",
+        "of the noise" + (f"; {last['samples']} samples, effectively {last['n_eff']:.0f}" if counted else ""),
     ]
     return ["\n".join(lines)]
+
+
+def _known(value: float | None, how: str) -> str:
+    return "-" if value is None or math.isnan(value) else format(value, how)
 
 
 def _wrapped(text: str) -> list[str]:

@@ -411,11 +411,11 @@ def spindown_command(
     *,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="FILE", help="Case to write; SOURCE.h5 if not given."),
+        typer.Option("-o", "--output", metavar="FILE", help="Case to write; by default SOURCE.h5."),
     ] = None,
     report: Annotated[
         Path | None,
-        typer.Option("--report", metavar="FILE", help="Report to write; beside the case if not given."),
+        typer.Option("--report", metavar="FILE", help="Report to write; by default next to the case."),
     ] = None,
     hub: Annotated[
         str | None,
@@ -423,9 +423,7 @@ def spindown_command(
     ] = None,
     profile: Annotated[
         Path | None,
-        typer.Option(
-            "--profile", metavar="P", help="Markers and colours of the film; found by itself if not given."
-        ),
+        typer.Option("--profile", metavar="P", help="Markers and colours of the film; by default detected."),
     ] = None,
     body: Annotated[
         SingleBody | None,
@@ -446,7 +444,7 @@ def spindown_command(
         bool, typer.Option("--keep-all", help="Keep the start, in which a hand or a motor drives the body.")
     ] = False,
     label: Annotated[
-        str, typer.Option("--label", metavar="L", help="Name of the case; the file's if not given.")
+        str, typer.Option("--label", metavar="L", help="Name of the case; by default that of the file.")
     ] = "",
     force: Force = False,
     as_json: Json = False,
@@ -454,7 +452,7 @@ def spindown_command(
 ) -> int:
     """Measure one rotating body: film or table to motion, torque law and report.
 
-    A film needs no marker: whatever turns about one hub is registered against its own mean picture. Without
+    A film needs no marker: a body that turns about one hub is registered against its own mean image. Without
     --inertia torques are per unit of inertia.
 
     Example: gyrotrack spindown wheel.mp4 --capture-fps 300

@@ -53,7 +53,7 @@ def contact_sheets(
     case : Case
         With its recordings.
     folders : sequence of Path
-        Where films may lie.
+        Folders that may hold the films.
     stretches : iterable of (float, float)
         Times of the case [s] from whose middle a frame is wanted, such as where a model fails.
     """

@@ -140,6 +140,7 @@ def report_parts(
         "history": history_picture(view),
         "candidates": candidates_picture(view.candidates),
         "candidate_rows": tables.candidate_rows(view),
+        "limit_rows": tables.limit_rows(view),
         "parameters": tables.parameter_rows(view),
         "correlation": correlation_picture(view),
         "plausibility": plausibility,

@@ -312,7 +312,7 @@ def write_figures(
     formats : sequence of {"pdf", "svg", "png"}
         In which formats each figure is written.
     films : sequence of Path
-        Folders where films may lie, for the figure of the gyroscope.
+        Folders that may hold the films, for the figure of the gyroscope.
     force : bool
         Replace existing files.
 
@@ -371,7 +371,7 @@ def _figures_tex(figures: Sequence[PaperFigure]) -> str:
 
 
 def _tables(scan: Scan) -> dict[str, str]:
-    """Return all tables in one file, and each in a file of its own."""
+    """Return all tables in one file, and each in a separate file."""
     from fitting.study._scan_tables import scan_latex
 
     whole = scan_latex(scan)

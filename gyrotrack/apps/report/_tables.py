@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting._numbers import probability, short, with_uncertainty
+from fitting._numbers import TORQUE, probability, scaled, short, unit_text, with_uncertainty
 from gyrotrack.plotting._study_data import StudyView
 
 if TYPE_CHECKING:
@@ -68,6 +68,16 @@ class CandidateRow:
     law: str
     svg: str
     significant: bool
+
+
+@dataclass(frozen=True)
+class LimitRow:
+    """95 % upper limit of an effect that was not found: its rms torque and its strength."""
+
+    effect: str
+    joint: str
+    torque: str
+    strength: str
 
 
 @dataclass(frozen=True)
@@ -167,6 +177,27 @@ def candidate_rows(view: StudyView) -> list[CandidateRow]:
     ]
 
 
+def limit_rows(view: StudyView) -> list[LimitRow]:
+    """Return the largest effects that the final model could still lack, the largest torque first."""
+    from fitting.effects._library import LIBRARY
+
+    joints, unit = JOINTS | {"casing": view.body}, view.final.torque_unit
+    rows = []
+    for u in view.upper_limits:
+        joint = LIBRARY[u.effect].joint if u.effect in LIBRARY else "–"
+        # per unit of inertia torques are angular accelerations, which take no prefix
+        factor, prefix = scaled(u.torque_Nm) if unit == TORQUE else (1.0, "")
+        rows.append(
+            LimitRow(
+                effect=u.effect,
+                joint=joints.get(joint, joint),
+                torque=f"< {short(factor * u.torque_Nm, 2 if prefix else 3)} {prefix}{unit_text(unit)}",
+                strength=f"{u.symbol} < {short(u.upper_limit, 3)} {unit_text(u.unit)}".rstrip(),
+            )
+        )
+    return rows
+
+
 def named(key: str, e: Estimate) -> str:
     """Return ``k = (9.996 ± 0.002) × 10⁻¹¹ N m s²`` for a parameter."""
     head, index = _split(key.partition("@")[0].rpartition(".")[2])
@@ -230,7 +261,7 @@ def _offset(p: Placement) -> str:
 
 _POINTS = 800
 _NEGLIGIBLE = 1e-3
-# an energy is distinguished from zero from so many standard uncertainties on
+# an energy is distinguished from zero from this number of standard uncertainties on
 _RESOLVED = 2.0
 
 

@@ -43,14 +43,14 @@ class _Clip:
 
 
 class Clips:
-    """The clips of a case; films are opened when a frame is first asked for.
+    """The clips of a case; films are opened when a frame is first requested.
 
     Parameters
     ----------
     case : Case or None
         The case with its recordings.
     folders : sequence of Path
-        Where films may lie.
+        Folders that may hold the films.
     """
 
     def __init__(self, case: Case | None, folders: Sequence[Path]) -> None:
@@ -65,7 +65,7 @@ class Clips:
         return next((c.path.resolve().parent for c in self._clips.values() if c.path is not None), None)
 
     def document(self) -> list[dict[str, Any]]:
-        """Return what the page needs to know of each clip."""
+        """Return the data of each clip that the page needs."""
         rows = []
         for key, clip in self._clips.items():
             r = clip.recording
@@ -262,7 +262,7 @@ def corrected(recording: Recording, marker: str, frame: int, place: Sequence[flo
 
 
 def _with_angle(track: MarkerTrack, frame: int, angle: float, sigma: float) -> MarkerTrack:
-    """Return a marker with another angle in one frame; its corners, which nobody has measured there, are unknown."""
+    """Return a marker with another angle in one frame; its corners, which are not measured there, are unknown."""
     changed: dict[str, Any] = {}
     for name in ("corner", "delta", "rho", "beta", "angle", "sigma", "u_r", "u_1", "u_2"):
         changed[name] = getattr(track, name).copy()
@@ -276,7 +276,7 @@ def _with_angle(track: MarkerTrack, frame: int, angle: float, sigma: float) -> M
 
 
 def _with_frame(body: BodyTrack, time: float, angle: float, sigma: float) -> BodyTrack:
-    """Return a body with another angle [rad] at one time, or without one if it is NaN; its speed is smoothed anew."""
+    """Return a body with another angle [rad] at one time, or without one if it is NaN; its speed is smoothed again."""
     names = ("time", "angle", "sigma", "sigma_paper", "n_markers")
     others = np.abs(body.time - time) > 1e-9
     kept: dict[str, Any] = {n: getattr(body, n)[others] for n in names}

@@ -112,7 +112,7 @@ class Jobs:
         words : sequence of str
             Arguments.
         finished : callable
-            Called in a thread of its own when the state is final.
+            Called in a separate thread when the state is final.
         module : str
             Module that is run.
         """

@@ -1,6 +1,6 @@
-"""The first seconds of a film, tracked at once: what a click on hub and markers gives, before all of it is tracked.
+"""Preview: the first seconds of a film, tracked after a click on hub and markers, before the whole film is tracked.
 
-A process of its own: ``python -m gyrotrack.apps.workbench._preview`` and a JSON request as its only argument. The
+A separate process: ``python -m gyrotrack.apps.workbench._preview`` and a JSON request as its only argument. The
 excerpt is copied without decoding into a temporary folder and tracked by the very functions that track the film.
 """
 

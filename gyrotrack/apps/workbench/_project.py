@@ -1,6 +1,6 @@
 """From films and tables to a case: what the start page of the workbench holds, step by step.
 
-Each step is a command of the program, which runs in a process of its own in the work folder and is shown as it is
+Each step is a command of the program, which runs in a separate process in the work folder and is shown as it is
 run. What was entered and what the steps answered is kept in ``workbench.json`` in that folder: closing the page or
 ending the program loses nothing, and an interrupted film is continued from its checkpoint.
 """
@@ -261,7 +261,7 @@ class Project:
             self._save()
 
     def add_samples(self) -> None:
-        """Add the sample clips with the notes beside them."""
+        """Add the sample clips with the notes next to them."""
         folder = _sample_clips()
         if folder is None:
             raise UsageError(
@@ -470,7 +470,7 @@ class Project:
             self.preview(key)
 
     def preview(self, key: str) -> None:
-        """Follow the markers through the first frames, in a process of its own."""
+        """Follow the markers through the first frames, in a separate process."""
         with self._lock:
             x = self.source(key)
             request = {

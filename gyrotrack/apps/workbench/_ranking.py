@@ -1,4 +1,4 @@
-"""Ranking of candidate effects in a process of its own, and the residual predicted while parameters are moved.
+"""Ranking of candidate effects in a separate process, and the residual predicted while parameters are moved.
 
 The process reads one JSON document a line (a model with its parameters, as a ledger keeps them), answers one line,
 and ends when its input ends.
@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 
 
 class Ranker:
-    """A process that ranks candidates for the latest model asked for.
+    """A process that ranks candidates for the latest requested model.
 
     Parameters
     ----------
@@ -48,12 +48,12 @@ class Ranker:
         self._closed = False
 
     def rank(self, model: dict[str, Any]) -> dict[str, Any]:
-        """Return the diagnosis of a model; a question that is still being answered is given up.
+        """Return the diagnosis of a model; a search that is still running is cancelled.
 
         Raises
         ------
         GyrotrackError
-            If it was given up for a newer one, or the process failed.
+            If it was cancelled for a newer one, or the process failed.
         """
         with self._lock:
             if self._busy:

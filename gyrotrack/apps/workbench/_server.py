@@ -141,7 +141,7 @@ _LONGEST_BODY = 64 * 1024
 
 
 async def body_of(request: Request) -> dict[str, Any]:
-    """Return what a request asks for; what is too long or no JSON object asks for nothing."""
+    """Return the content of a request; empty if it is too long or not a JSON object."""
     raw = bytearray()
     async for piece in request.stream():
         raw += piece
@@ -180,13 +180,13 @@ def refusal(error: Exception) -> Response:
 
 
 def text(asked: dict[str, Any], name: str) -> str:
-    """Return a text that is asked for; nothing, if it is none."""
+    """Return a requested text; empty if it is not one."""
     value = asked.get(name, "")
     return value if isinstance(value, str) else ""
 
 
 def whole(asked: dict[str, Any], name: str) -> int:
-    """Return a whole number that is asked for; -1, if there is none."""
+    """Return a requested integer; -1 if there is none."""
     try:
         return int(asked.get(name, -1))
     except (TypeError, ValueError, OverflowError):
@@ -194,7 +194,7 @@ def whole(asked: dict[str, Any], name: str) -> int:
 
 
 def number(asked: dict[str, Any], name: str) -> float:
-    """Return a place on a frame that is asked for, as a share of its width or height."""
+    """Return a requested position on a frame, as a fraction of its width or height."""
     try:
         value = float(asked.get(name, "nan"))
     except (TypeError, ValueError, OverflowError):
@@ -205,7 +205,7 @@ def number(asked: dict[str, Any], name: str) -> float:
 
 
 def numbers(asked: dict[str, Any], name: str) -> dict[str, float]:
-    """Return numbers by name that are asked for; nothing, if there are none."""
+    """Return requested numbers by name; empty if there are none."""
     found = asked.get(name)
     if not isinstance(found, dict):
         return {}
@@ -241,7 +241,7 @@ class Laboratory:
         films : sequence of Path
             Folders of its films.
         ledger : Path, optional
-            The history of fits; by default beside the case.
+            The history of fits; by default next to the case.
         start : str, optional
             Name of the fit.
         """
@@ -250,7 +250,7 @@ class Laboratory:
         entry = study.entry(start)
         base, fit_id = study.base(None) if entry is None else (entry.shown(study.data), entry.fit_id)
         session = Session(study.data[0], base, fit_id, study.ledger, tracked)
-        # what the page asks for first is ready, or nearly so, when it does
+        # the first request of the page is then answered at once
         Thread(target=session.state, kwargs={"whole": True}, daemon=True).start()
         jobs = Jobs(case.resolve().parent, 1)
         return cls(session, Clips(tracked, list(films)), Ranker(case), case.resolve(), ledger, jobs)
@@ -554,7 +554,7 @@ def serve(bench: Workbench, port: int, announce: Callable[[str], None], *, windo
     announce : callable
         Called with the page's address once the port is taken.
     window : bool
-        Show the page in a window of its own; the server ends when it is closed.
+        Show the page in a separate window; the server ends when it is closed.
 
     Raises
     ------

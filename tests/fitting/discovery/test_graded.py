@@ -139,6 +139,7 @@ def test_the_nuisance_interval_covers_in_repeated_recordings():
     assert 0.3 < math.sqrt(sum(p * p for p in pulls) / len(pulls)) < 2.0
 
 
+@pytest.mark.slow
 def test_the_document_has_the_grades_and_is_restored():
     found = answer("exponent")
     document = diagnosis_document(found, "f1")

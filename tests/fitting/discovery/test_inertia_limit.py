@@ -7,13 +7,22 @@ from types import SimpleNamespace
 import pytest
 import twobody
 
+from fitting._workers import WorkerPool
 from fitting.discovery._criteria import Criteria
-from fitting.discovery._verdict import diagnose, inertia_within_uncertainty
+from fitting.discovery._inertia import (
+    NAME,
+    InertiaRival,
+    inertia_within_uncertainty,
+    with_free_inertia,
+)
+from fitting.discovery._select import rank, select
+from fitting.discovery._verdict import diagnose
 from fitting.dynamics._model import Model
 from fitting.effects._library import LIBRARY, REDUCED
 from fitting.inference._fit import fit
 from fitting.inference._record import make_record
 from fitting.inference._result import Estimate
+from fitting.inference._simulation import Experiment, simulate
 
 
 def said(share, casing_u, rotor_u=math.nan, effect="setup.inertia"):
@@ -49,3 +58,49 @@ def test_a_casing_one_percent_too_light(u, verdict):
     found = diagnose(base)
     assert found.verdict == verdict
     assert ("within the uncertainty of the moments of inertia" in found.sentence) == (verdict == "adequate")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("factor", "u"), [(1.03, math.nan), (0.97, math.nan), (0.97, 0.02)])
+def test_a_wrong_inertia_is_told_beside_the_effect(factor, u):
+    """Quadratic drag and I_casing wrong by 3 %: the name stays, and the error is found with its uncertainty."""
+    model = Model.of(REDUCED).with_effect(LIBRARY["casing.air.quadratic"])
+    numbers = {
+        "rotor.air.quadratic.a2": 1.3e-10,
+        "touchpoint.constant.b1": 4e-6,
+        "casing.air.linear.b2": 5e-7,
+        "bearing.linear.d": 6e-8,
+        "bearing.power.f": 1.5e-7,
+        "bearing.power.g": 1.1,
+        "casing.air.quadratic.k": 1e-10,
+    }
+    experiment = Experiment(omega_rotor=620.0, duration=60.0, windows=(0.5, 24.0, 48.0))
+    record = simulate(model, numbers, experiment, seed=8, inertia_rotor=6.2e-5, inertia_casing=2.4e-5)
+    stated = factor * record.I_casing
+    base = fit(Model.of(REDUCED), [replace(record, I_casing=stated, I_casing_u=u * stated)])
+    found = diagnose(base)
+    assert found.verdict == "missing_effect"
+    assert found.candidates[0].effect.name == "casing.air.quadratic"
+    if math.isnan(u):
+        assert found.form != "exact"
+    selection = select(base, rank(base), (), Criteria(), WorkerPool(0))
+    rival = with_free_inertia(base, selection, (), Criteria())
+    if NAME in selection.end.model.names:
+        share = selection.end.estimates[f"{NAME}.eps"]
+        assert "second effect setup.inertia" in found.sentence
+    else:
+        share = rival.share
+        assert "check the moments of inertia" in found.sentence
+        assert rival.is_allowed(Criteria()) == (not math.isnan(u))
+    assert abs(share.value - (1 / factor - 1)) < 4 * share.stderr
+    assert share.stderr < 0.01
+
+
+def test_an_error_of_inertia_is_allowed_only_by_a_stated_uncertainty():
+    share = Estimate(0.03, 0.001, "1", at_bound=False)
+    rival = InertiaRival(share, 0.0, "bearing.constant", None, better=True)
+    assert not rival.is_allowed(Criteria())
+    assert "(no uncertainty stated)" in rival.sentence
+    assert "larger by 3.00 +- 0.10 %" in rival.sentence
+    assert replace(rival, stated=0.02).is_allowed(Criteria())
+    assert not replace(rival, stated=0.01).is_allowed(Criteria())

@@ -10,14 +10,17 @@ import twobody
 from cases import case, fitted
 
 from fitting._errors import EffectError
+from fitting.discovery import _dependence, _laws
+from fitting.discovery._criteria import DEFAULT
 from fitting.discovery._dependence import context_without, dependence
 from fitting.discovery._lack_of_fit import UNKNOWN_LAW
-from fitting.discovery._laws import laws, library_answer, ranges_of
+from fitting.discovery._laws import Law, Laws, laws, library_answer, ranges_of, with_classes
 from fitting.discovery._score import CaseColumns, ScoreContext
 from fitting.dynamics._model import Model
 from fitting.effects._library import REDUCED
 from fitting.effects._user import read_effects, resolve
 from fitting.inference._fit import fit
+from fitting.inference._noise import WHITE
 from fitting.inference._record import make_record
 from fitting.study._law_documents import check_name, laws_document, save_law
 
@@ -33,18 +36,58 @@ def saturating():
 
 
 @pytest.mark.parametrize(
-    ("form", "others", "stops"),
+    ("remainder", "others", "stops"),
     [
-        ("exact", (), True),
-        ("exact", ("a.b",), True),
-        ("exact", (UNKNOWN_LAW,), False),
-        ("approximate", (), False),
+        (None, (), True),
+        (None, ("a.b",), True),
+        (None, (UNKNOWN_LAW,), False),
+        ("a significant remainder", (), False),
     ],
 )
-def test_the_library_is_the_answer_only_if_no_unknown_law_explains_the_data_as_well(form, others, stops):
+def test_the_library_is_the_answer_only_if_no_unknown_law_explains_the_data_as_well(remainder, others, stops):
     candidate = SimpleNamespace(indistinguishable_from=others)
-    known = SimpleNamespace(verdict="missing_effect", form=form, candidates=(candidate,))
+    known = SimpleNamespace(verdict="missing_effect", remainder=remainder, candidates=(candidate,))
     assert (library_answer(known) is candidate) is stops
+
+
+def predicting(*rows, bic=0.0):
+    """Return what the grouping of laws knows of a fit: predicted rows in units of white noise, and one nuisance."""
+    nuisance = np.eye(4)[:, :1]
+    return SimpleNamespace(
+        problem=SimpleNamespace(data=[SimpleNamespace(nuisance=nuisance) for _ in rows]),
+        noise=[SimpleNamespace(whitener=WHITE) for _ in rows],
+        predictions=[SimpleNamespace(rows=np.array(r)) for r in rows],
+        bic=bic,
+    )
+
+
+def test_the_separation_of_two_fits_is_their_distance_in_sigma_squared_without_nuisance_parameters():
+    one = predicting([0.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 2.0])
+    other = predicting([500.0, 3.0, 0.0, 0.0], [0.0, 0.0, 4.0, 2.0])
+    assert _laws._separation(one, one) == 0
+    assert _laws._separation(one, other) == pytest.approx(3.0**2 + 4.0**2)
+
+
+def test_formulas_with_the_same_torque_along_the_motion_are_grouped(monkeypatch):
+    monkeypatch.setattr(_laws, "_difference", lambda one, other: None)
+
+    def law(formula, row, bic):
+        fit_ = predicting([0.0, row, 0.0, 0.0], bic=bic)
+        return Law(formula, "", (), 0.0, 0.0, 0.0, 0.0, 0.0, {}, (), (), (), fit_)
+
+    # the equivalence width is 10: the last one is outside; two deviances of less than 2 make the same torque
+    found = [
+        law("a", 0.0, 0.0),
+        law("b", 5.0, 1.0),
+        law("c", 1.3, 2.0),
+        law("d", 1.5, 3.0),
+        law("e", 0.0, 11.0),
+    ]
+    answer = Laws(None, "law", "", with_classes(found, DEFAULT), None, (), "", 0)
+    assert [x.formula for x in answer.answer] == ["a", "b", "c", "d"]
+    assert [[x.formula for x in group] for group in answer.torques] == [["a", "c"], ["b"], ["d"]]
+    assert answer.laws[2].same_torque_as == ("a",)
+    assert answer.laws[4].indistinguishable_from == ()
 
 
 @pytest.mark.slow
@@ -76,6 +119,53 @@ def test_the_torque_depends_on_the_speed_of_the_casing():
     assert np.all(np.abs(own.torque - true) < 4 * own.sigma + 0.03 * np.abs(true).max())
     assert np.median(own.sigma) < 0.2 * np.abs(true).max()
     assert all(d.explained < own.explained + 1e-3 for d in found.depends_on)
+
+
+@pytest.mark.slow
+def test_the_curve_follows_a_narrow_resonance():
+    """A peak of a twentieth of the range of speeds, in process noise: the band covers it and is not too wide."""
+
+    def peak(speed):
+        return -4e-6 / (1 + ((speed - 90.0) / 6.0) ** 2)
+
+    hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: peak(wc))
+    data = case({}, 3, "a", hidden=hidden, ou=3e-8)
+    law = resolve("casing: -k/(1 + ((omega_c - w)/u)**2)")
+    start = {f"{law.name}.k": 4e-6, f"{law.name}.w": 90.0, f"{law.name}.u": 6.0}
+    about = fit(Model.of(REDUCED).with_effect(law), [data], start=start)
+    (own,) = (
+        d for d in dependence(about, without=[law.name]) if (d.variable, d.body) == ("omega_c", "casing")
+    )
+    error = own.torque - own.comparable(peak(own.value))
+    top = np.abs(own.torque).max()
+    assert top > 2.5e-6
+    assert abs(own.value[np.argmin(own.torque)] - 90.0) < 3.0
+    assert np.sqrt(np.mean((error / own.sigma) ** 2)) < 2.0
+    assert np.abs(error).max() < 0.15 * top
+
+
+def test_the_prior_of_the_curve_is_a_covariance_whose_length_is_that_of_the_axis():
+    axis = _dependence._Axis(np.array([0.0, 50.0]), 36)
+    values = axis(np.linspace(0, 50, 9))
+    assert values.shape == (9, 36)
+    assert values.sum(axis=1) == pytest.approx(1.0)
+    for prior in axis.priors():
+        assert np.diag(prior) == pytest.approx(1.0)
+        assert np.linalg.eigvalsh(prior)[0] > -1e-9
+    # Matern 3/2 between two neighbours in the middle, 50/33 apart
+    q = math.sqrt(3) / 33 / _dependence._LENGTHS[0]
+    assert axis.priors()[0][17, 18] == pytest.approx((1 + q) * math.exp(-q))
+
+
+def test_the_angle_of_a_fast_rotor_is_not_tested():
+    """At 900 rad/s it turns by 3.5 rad between two frames of 260 Hz."""
+    assert _dependence._orders(fitted(), "psi_c") == (1, 2, 3, 4)
+    assert _dependence._orders(fitted(), "psi_r") == ()
+    slow = SimpleNamespace(
+        problem=fitted().problem,
+        predictions=[SimpleNamespace(path=SimpleNamespace(y=0.2 * p.path.y)) for p in fitted().predictions],
+    )
+    assert _dependence._orders(slow, "psi_r") == (1, 2)
 
 
 @pytest.mark.slow

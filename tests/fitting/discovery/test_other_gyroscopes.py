@@ -60,6 +60,7 @@ def test_a_refit_mends_at_least_what_its_score_promised(seed):
     assert heating.estimates["bearing.heating.tau_T"].value == pytest.approx(COOLING, rel=0.25)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_no_refit_is_worse_than_the_base_it_is_added_to(seed):
     base, candidates = ranked(seed)

@@ -181,6 +181,32 @@ def test_an_effect_that_drives_a_parameter_to_its_bound_is_seen_earlier(describe
 
 
 @pytest.mark.slow
+def test_a_less_certain_process_noise_needs_a_higher_score_and_has_less_power():
+    process = base().noise[0].process
+    known = replace(process, ratios=np.ones(1), weights=np.ones(1))
+    # with a probability of 10 % the variance of slow rows is eightfold
+    wide = replace(process, ratios=np.array([1.0, 8.0]), weights=np.array([0.9, 0.1]))
+
+    def of(*estimates):
+        return Search(replace_noise(base(), estimates[0]), draws=150, process=[(p,) for p in estimates[1:]])
+
+    both = of(known, wide)
+    (test,) = both._tests[DRAG.name]
+    assert test.thresholds.shape == (2,)
+    assert 2 * test.thresholds[0] < test.thresholds[1] < 9 * test.thresholds[0]
+    powers = [x.limits(DRAG, planned=True).curve for x in (of(known), both, of(wide))]
+    assert delta_of_power(powers[0]) < delta_of_power(powers[1]) <= delta_of_power(powers[2])
+    # half of the data sets have each threshold
+    half = np.interp(3.8, *powers[1].T)
+    assert half == pytest.approx(0.5 * (np.interp(3.8, *powers[0].T) + np.interp(3.8, *powers[2].T)), abs=0.1)
+
+
+def replace_noise(found, process):
+    """Return a fit whose process noise is known in another way."""
+    return replace(found, noise=tuple(replace(n, process=process) for n in found.noise))
+
+
+@pytest.mark.slow
 def test_upper_limits_cover_the_truth():
     """An effect of twice its standard error is below its limit in 95 % of recordings: at least 7 of 8."""
     limit, n = [], 8

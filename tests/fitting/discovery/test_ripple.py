@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import twobody
 
-from fitting.discovery._residuals import find_failures, residual_torques, ripples
+from fitting.discovery._residuals import angle_harmonics, find_failures, residual_torques
 from fitting.dynamics._model import Model
 from fitting.effects._library import REDUCED
 from fitting.inference._case_data import CaseData
@@ -23,7 +23,7 @@ def test_gravity_on_an_unbalance(order):
     found = fit(
         Model.of(REDUCED), [CaseData.of(make_record(**twobody.film(motion, seed=4, cameras=cameras)))]
     )
-    (ripple,) = ripples(found)
+    (ripple,) = angle_harmonics(found)
     once, sigma_once = ripple.size(1)
     _, sigma_twice = ripple.size(2)
     assert sigma_twice < 4
@@ -51,6 +51,6 @@ def test_what_is_missing_elsewhere_is_no_ripple(centre, width):
         Model.of(REDUCED), [CaseData.of(make_record(**twobody.film(motion, seed=4, cameras=cameras)))]
     )
     assert found.verdict == "misfit"
-    kinds = [f.kind for f in find_failures(found, residual_torques(found), ripples(found))]
+    kinds = [f.kind for f in find_failures(found, residual_torques(found), angle_harmonics(found))]
     assert kinds
     assert "ripple" not in kinds

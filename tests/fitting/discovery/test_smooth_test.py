@@ -58,6 +58,7 @@ def test_a_doubted_name_is_a_hypothesis():
     assert "hypothesis" in answer.sentence
 
 
+@pytest.mark.slow
 def test_what_follows_a_speed_is_told_though_no_law_of_the_library_is_like_it():
     answer = diagnose(found(5, DIP), candidates=[])
     assert answer.verdict == "unexplained"

@@ -1,5 +1,7 @@
 """The level of a small random torque, measured under angle noise that hides it in any single frame."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from cases import fitted
@@ -45,19 +47,24 @@ def test_without_process_noise_its_level_is_that_of_the_resolution(seed):
     assert noise.level < noise.pure
 
 
-def test_neither_model_nor_moments_of_inertia_change_the_process_noise():
+@pytest.mark.parametrize(
+    ("model", "casing", "rotor"),
+    [
+        (REDUCED, 1.03, 1.0),
+        pytest.param(REDUCED, 1.0, 0.97, marks=pytest.mark.slow),
+        pytest.param(LINEAR, 0.97, 1.03, marks=pytest.mark.slow),
+    ],
+)
+def test_neither_model_nor_moments_of_inertia_change_the_process_noise(model, casing, rotor):
     """The one number of a recording, as a ratio of torque to inertia."""
-    from dataclasses import replace
-
     base = fitted(seed=1, ou=1e-7, hidden="step")
     record = base.problem.data[0].record
-    for model, casing, rotor in ((REDUCED, 1.03, 1.0), (REDUCED, 1.0, 0.97), (LINEAR, 0.97, 1.03)):
-        other = replace(record, I_casing=casing * record.I_casing, I_rotor=rotor * record.I_rotor)
-        found = fit(Model.of(model), [other])
-        assert found.noise[0].pure == pytest.approx(casing * base.noise[0].pure, rel=1e-9)
-        if model is REDUCED:
-            assert found.cases[0].misfit == pytest.approx(base.cases[0].misfit, rel=0.5)
-            assert found.held_out == pytest.approx(base.held_out, rel=0.2)
+    other = replace(record, I_casing=casing * record.I_casing, I_rotor=rotor * record.I_rotor)
+    found = fit(Model.of(model), [other])
+    assert found.noise[0].pure == pytest.approx(casing * base.noise[0].pure, rel=1e-9)
+    if model is REDUCED:
+        assert found.cases[0].misfit == pytest.approx(base.cases[0].misfit, rel=0.5)
+        assert found.held_out == pytest.approx(base.held_out, rel=0.2)
 
 
 @pytest.mark.parametrize(("hidden", "seed"), [("step", 0), ("drag", 1)])

@@ -65,6 +65,22 @@ def test_parameters_and_errors(quantity):
     assert np.abs(pulls).max() < 4
 
 
+def test_a_short_film_of_one_turn_is_fitted():
+    """Its nuisance parameters describe all of it: nothing is left to tell noise from."""
+    time = np.arange(50) / 25
+    angle = 3.4 * time + np.random.default_rng(0).normal(0, 4e-4, 50)
+    record = make_record(
+        casing=(time, angle, np.full(50, 4e-4)),
+        rotor=[],
+        I_rotor=1.0,
+        I_casing=1.0,
+        single=True,
+        tracked=True,
+    )
+    found = fit(BASE, [record])
+    assert found.estimates["initial.omega_c@case"].value == pytest.approx(3.4, abs=0.1)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("quantity", ["omega", "angle"])
 def test_the_errors_are_those_of_many_wheels(quantity):
@@ -132,3 +148,11 @@ def test_two_wheels_together_but_no_wheel_with_a_gyroscope():
         fit(BASE, [w, gyroscope])
     with pytest.raises(RecordError, match="no rotor window"):
         make_record(casing=run, rotor=[], I_rotor=1e-5, I_casing=1e-5)
+
+
+def test_presliding_friction_is_no_candidate_of_a_body_that_never_reverses():
+    from fitting.discovery._select import applicable_effects
+
+    names = {e.name for e in applicable_effects(fit(BASE, [wheel()]), [])}
+    assert "casing.friction.presliding" not in names
+    assert "casing.brake.eddy" in names

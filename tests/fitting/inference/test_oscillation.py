@@ -40,6 +40,17 @@ def test_a_damped_oscillator_from_nothing_given(quantity):
     assert found.verdict == "adequate"
 
 
+@pytest.mark.parametrize("bias", [0.05, -0.3])
+def test_the_bias_of_a_gyroscope_moves_no_parameter(bias):
+    t, _, omega = oscillators.motion(lambda t, a, w: -9.0 * a - 0.05 * w, (1.0, 0.3), 30.0, 50.0)
+    found = fit(Model.of([SPRING, DRAG]), [oscillators.record(t, omega + bias, 0.01, 3, "omega")])
+    assert found.verdict == "adequate"
+    within(
+        found,
+        {f"{SPRING}.k": 9.0, f"{DRAG}.b2": 0.05, "initial.omega_c@body": 0.3, "initial.deflection@body": 1.0},
+    )
+
+
 def test_a_pendulum_of_large_amplitude():
     t, angle, _ = oscillators.motion(lambda t, a, w: -25 * np.sin(a) - 0.05 * w, (2.2, 0.0), 20.0)
     found = fit(Model.of(["casing.gravity", DRAG]), [oscillators.record(t, angle + 0.4, 1e-3, 1)])

@@ -28,6 +28,22 @@ def test_two_runs_differ_by_their_combined_uncertainty():
     weights = 1 / (np.array([0.03, 0.04]) ** 2 + p.spread**2)
     assert weights @ (np.array([1.0, 1.2]) - p.mean) ** 2 == pytest.approx(1.0)
     assert "4.0 standard uncertainties" in found.sentences[0]
+    # with the spread the runs agree, and a single run claims no more than its repeatability
+    totals = [p.total(r) for r in p.repeats]
+    assert totals == pytest.approx([math.hypot(0.03, p.spread), math.hypot(0.04, p.spread)])
+    assert 0.2 / math.hypot(*totals) < 1.1
+    assert found.document()["parameters"][KEY]["values"][0]["total"] == pytest.approx(totals[0])
+
+
+def test_times_at_which_a_law_sets_in_belong_to_their_run():
+    step = {"effects": ("touchpoint.step",)}
+    runs = {
+        "a": fitted(3.0, 0.1, name="touchpoint.step.t0", **step),
+        "b": fitted(90.0, 0.1, name="touchpoint.step.t0", **step),
+    }
+    assert compare(runs).parameters == ()
+    strengths = {n: fitted(3.0, 0.1, name="touchpoint.step.k", **step) for n in runs}
+    assert len(compare(strengths).parameters) == 1
 
 
 def test_equal_runs_have_no_spread_and_the_weighted_mean():

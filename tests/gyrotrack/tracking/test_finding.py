@@ -67,10 +67,11 @@ def test_the_papers_gyroscope_is_found_and_tracked_as_well(rotor_clip):
 @pytest.mark.parametrize(
     ("settings", "markers", "disc"),
     [
-        (
+        pytest.param(
             {"table": "wood", "red": ORANGE, "disc": ORANGE, "blue": MAGENTA, "green": CYAN, "glint": 0.6},
             {"orange": "casing", "magenta": "rotor", "cyan": "rotor", "white": "rotor"},
             "orange",
+            marks=pytest.mark.slow,
         ),
         pytest.param(
             {"red": BLUE, "disc": BLUE, "blue": RED, "green": YELLOW, "white": None, "sense": 1},

@@ -108,6 +108,19 @@ def test_sense_is_counter_clockwise_as_seen():
     assert found.angle[-1] < found.angle[0]  # from x to y is clockwise as seen
 
 
+def test_two_bodies_are_not_one():
+    left, right = renderer(40)[0], renderer(40, seed=3)[0]
+    angles = np.linspace(0.0, 14.0, 60)
+    frames = [
+        np.hstack([a, b])
+        for a, b in zip(
+            film_of(left, angles, 2.0).frames(), film_of(right, 0.4 - 0.6 * angles, 2.0).frames(), strict=True
+        )
+    ]
+    with pytest.raises(TrackingError, match="two bodies turn"):
+        track_body(Rendered(frames))
+
+
 def test_nothing_moves():
     draw, _ = renderer(60)
     with pytest.raises(TrackingError):

@@ -157,6 +157,7 @@ class TestVaryingRate:
         np.testing.assert_allclose(stamped.time, scale * SLOW, atol=2e-5)
         assert abs(scale - 1.0) < 0.03
 
+    @pytest.mark.slow
     def test_even_stamps_change_nothing(self, casing_clip):
         plain, counted = extract(casing_clip[0]), extract(casing_clip[0], times="frames")
         for name, body in plain.bodies.items():
@@ -187,11 +188,8 @@ class TestRepeatedFrames:
         assert not np.isin(np.flatnonzero(again), np.rint(recording.bodies["rotor"].time * FPS)).any()
         _check(recording, {"casing": 2e-3, "rotor": 2e-3})
 
-    @pytest.mark.parametrize(
-        "options",
-        [{}, pytest.param({"bf": "3"}, marks=pytest.mark.slow)],
-        ids=["as cameras write", "with B-frames"],
-    )
+    @pytest.mark.slow
+    @pytest.mark.parametrize("options", [{}, {"bf": "3"}], ids=["as cameras write", "with B-frames"])
     def test_those_of_a_conversion(self, shoot, options):
         film = shoot(f"converted{len(options)}.mp4", np.arange(N) / 240.0, CONVERTED, EVEN, **options)
         recording = extract(film)

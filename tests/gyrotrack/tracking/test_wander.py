@@ -36,6 +36,7 @@ def test_a_long_film_takes_little_memory():
     assert most < 25e6  # a matrix of all frames and knots has 77 MB
 
 
+@pytest.mark.slow
 def test_a_gap_leaves_the_rest_of_the_path_in_place():
     k = np.arange(2000)
     place = 200 + 85 * np.stack([np.cos(1.1 * k), -np.sin(1.1 * k)], axis=1)

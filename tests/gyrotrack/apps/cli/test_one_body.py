@@ -87,3 +87,45 @@ def test_prior_from_another_study(gyrotrack, wheel, tmp_path):
     said = gyrotrack("fit", second, "--prior", second)
     assert said.code == 2
     assert "counted twice" in said.err
+
+
+def pulses(path, per_turn, rng, start=60.0, slowing=1.5, last=20.0, jitter=1e-5):
+    """Write pulses of a wheel that slows down evenly; return turns, times without jitter and speeds."""
+    whole = (start**2 - last**2) / (2 * slowing) * per_turn / (2 * np.pi)
+    turned = 2 * np.pi * np.arange(int(whole)) / per_turn
+    omega = np.sqrt(start**2 - 2 * slowing * turned)
+    time = (start - omega) / slowing
+    path.write_text("t\n" + "".join(f"{x:.9f}\n" for x in time + jitter * rng.standard_normal(len(time))))
+    return turned, time, omega
+
+
+def information(time, omega, jitter=1e-5):
+    """Return the standard uncertainty of the deceleration, with start angle and start speed free [rad/s2]."""
+    design = np.stack([np.ones_like(time), time, -(time**2) / 2], axis=1) / (omega * jitter)[:, None]
+    return np.sqrt(np.linalg.inv(design.T @ design)[2, 2])
+
+
+@pytest.mark.parametrize("most", [100, pytest.param(1000, marks=pytest.mark.slow)])
+def test_pulses_once_and_many_times_per_turn(gyrotrack, tmp_path, most):
+    """Parameters agree, and their uncertainties are what the times of the pulses tell."""
+    rng = np.random.default_rng(11)
+    found, expected = {}, {}
+    for per_turn in (1, most):
+        table, case = tmp_path / f"p{per_turn}.csv", tmp_path / f"p{per_turn}.h5"
+        _, time, omega = pulses(table, per_turn, rng)
+        expected[per_turn] = information(time, omega)
+        said = gyrotrack(
+            "import", "--body", table, "--pulses-per-turn", per_turn, "--inertia", "1", "-o", case
+        )
+        assert said.code == 0, said.err
+        said = gyrotrack("fit", case, "--model", "linear", "--drop", "casing.air.linear", "--json")
+        found[per_turn] = said.json["parameters"]["touchpoint.constant.b1"]
+    one, many = found[1], found[most]
+    assert abs(one["value"] - 1.5) < 4 * one["stderr"]
+    assert abs(many["value"] - 1.5) < 4 * many["stderr"]
+    assert abs(one["value"] - many["value"]) < 4 * np.hypot(one["stderr"], many["stderr"])
+    assert one["stderr"] == pytest.approx(expected[1], rel=0.35)
+    assert many["stderr"] == pytest.approx(expected[most], rel=0.35)
+    ratio = expected[1] / expected[most]
+    assert ratio == pytest.approx(np.sqrt(most), rel=0.1)
+    assert one["stderr"] / many["stderr"] == pytest.approx(ratio, rel=0.4)

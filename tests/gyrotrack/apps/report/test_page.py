@@ -124,6 +124,7 @@ def test_page_tells_the_story(page):
         "1 σ = noise limit",
         "N m s²",
         "Where the base model fails",
+        "What could still be hidden",
         "gyrotrack report run.h5",
     ):
         assert words in text
@@ -222,6 +223,8 @@ def test_one_fit_alone_makes_a_report(story, tmp_path):
     text = " ".join(_Page(path.read_text("utf-8")).text.split())
     assert "Final model" not in text
     assert "Unexplained torque" in text
+    # of a model with a lack of fit there are no limits
+    assert "What could still be hidden" not in text
     # and the tracking behind it
     assert "85 % ok, 5 % occluded, 10 % lost" in text
     assert "rotor: 2.0 mrad" in text

@@ -6,7 +6,6 @@ from fitting.dynamics._model import Model
 from fitting.effects._library import REDUCED
 from fitting.inference._fit import fit
 from fitting.inference._speed_residuals import speed_residuals
-from gyrotrack.plotting._study_data import smoothing_floor
 
 
 def _mean_difference(path, other, state, misfit):
@@ -48,5 +47,13 @@ def test_band_is_as_wide_as_the_noise(record_of, story):
 def test_floor_is_the_rms_error_that_the_true_model_has(story):
     final = story.rungs[-1].fit
     rmse = final.cases[0].casing.rmse
-    assert 0.9 * rmse < smoothing_floor(final) < 1.1 * rmse
-    assert story.rungs[0].fit.cases[0].casing.rmse > 1.5 * smoothing_floor(final)
+    assert 0.9 * rmse < final.rmse_noise < 1.1 * rmse
+    assert story.rungs[0].fit.cases[0].casing.rmse > 1.5 * final.rmse_noise
+
+
+def test_bic_of_an_adequate_fit_is_that_of_noise_and_a_missing_effect_exceeds_it(story):
+    base, final = story.rungs[0].fit, story.rungs[-1].fit
+    # chi2 over `rows` has a standard deviation of sqrt(2 rows)
+    assert abs(final.bic - final.bic_noise) < 4 * np.sqrt(2 * final.rows)
+    assert base.bic - base.bic_noise > 100
+    assert final.samples == len(story.record.casing) + sum(map(len, story.record.rotor))

@@ -359,3 +359,23 @@ def test_broken_files_are_one_sentence(tmp_path, content, match):
     with pytest.raises(DatasetError, match=match) as caught:
         read_motion(write(tmp_path / "a", content))
     assert "\n" not in caught.value.message
+
+
+@pytest.mark.parametrize("step", [0.01, 1e-5])
+def test_rest_of_a_quantised_oscillation_is_left_out(tmp_path, step):
+    """Dry friction: amplitude 1 - 0.04 t until it rests at 25 s; the last deflection of two steps is before that."""
+    t = np.arange(0, 60, 0.01)
+    angle = np.maximum(1 - 0.04 * t, 0) * np.cos(2 * np.pi * 0.8 * t)
+    noise = np.random.default_rng(5).normal(0, 1e-3, len(t)) * (step < 1e-3)
+    path = tmp_path / "oscillation.csv"
+    rounded = np.round((angle + noise) / step) * step
+    path.write_text("t,angle\n" + "".join(f"{x:.2f},{y:.6f}\n" for x, y in zip(t, rounded, strict=True)))
+    case = import_body(path, 1.0)
+    cut = [w for w in case.warnings if "2 steps of the resolution" in w]
+    if step == 0.01:
+        assert len(cut) == 1
+        assert 23.0 < case.casing.time[-1] < 24.6
+    else:  # there the noise is larger than the step, and the mean over the rest is as good as it says
+        assert not cut
+        assert len(case.casing.time) == len(t)
+    assert len(import_body(path, 1.0, limits=Limits(keep_all=True)).casing.time) == len(t)

@@ -1,0 +1,197 @@
+"""Errors of the moments of inertia: a lack of fit that they explain, and names that change with them.
+
+Only ratios of torque to inertia are observable, and the torque between the bodies is seen on both: the data determine
+the ratio of the moments of inertia. A wrong ratio bends the base, so that another effect, or a wrong form of the right
+one, may describe the data best. So the list of candidates is scored once more with the ratio free, and the best one is
+refitted with it.
+"""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+from fitting._errors import FittingError
+from fitting._numbers import rounded
+from fitting.discovery._criteria import Criteria
+from fitting.discovery._refine import refit
+from fitting.discovery._select import Candidate, Selection, rank
+from fitting.effects._effect import Effect
+from fitting.effects._library import LIBRARY
+from fitting.inference._fit import fit
+from fitting.inference._result import Estimate, Fit
+
+NAME = "setup.inertia"
+# effects that are refitted with it
+_TRIED = 5
+_SHARE = f"{NAME}.eps"
+
+
+def relative_uncertainty(found: Fit) -> float:
+    """Return the relative standard uncertainty of I_casing/I_rotor, the smallest of all cases; 0 if none is stated."""
+    relative = []
+    for d in found.problem.data:
+        r = d.record
+        own = (r.I_casing_u / r.I_casing, r.I_rotor_u / r.I_rotor)
+        relative.append(math.hypot(*(u for u in own if math.isfinite(u))))
+    return min(relative)
+
+
+@dataclass(frozen=True)
+class InertiaRival:
+    """What describes the data better with the ratio of the moments of inertia free.
+
+    Attributes
+    ----------
+    share : Estimate
+        Relative error of I_casing/I_rotor.
+    stated : float
+        Its relative standard uncertainty; 0 if none is stated.
+    effect : str
+        The effect that is best with it.
+    fit : Fit
+        With both.
+    better : bool
+        It describes the data better than what was selected, and not just as well.
+    """
+
+    share: Estimate
+    stated: float
+    effect: str
+    fit: Fit
+    better: bool
+
+    def is_allowed(self, criteria: Criteria) -> bool:
+        """Return whether the stated uncertainty allows the error."""
+        allowed = criteria.inertia_sigma * math.hypot(self.stated, self.share.stderr)
+        return self.stated > 0 and abs(self.share.value) <= allowed
+
+    @property
+    def sentence(self) -> str:
+        """What error, and how it compares with what is stated."""
+        error = rounded(100 * self.share.value, 100 * self.share.stderr, "%")
+        stated = (
+            f"standard uncertainty {100 * self.stated:.2g} %" if self.stated > 0 else "no uncertainty stated"
+        )
+        return (
+            f"With I_casing/I_rotor larger by {error} than given ({stated}), {self.effect} describes the data "
+            f"{'better' if self.better else 'as well'}: check the moments of inertia."
+        )
+
+
+def with_free_inertia(
+    base: Fit, selection: Selection, extra: tuple[Effect, ...], criteria: Criteria
+) -> InertiaRival | None:
+    """Return the effect that describes the data as well as the selected ones, or better, with free inertia.
+
+    Parameters
+    ----------
+    base : Fit
+        The fit in question.
+    selection : Selection
+        The effects that were selected with the moments of inertia as given.
+    extra : tuple of Effect
+        Effects of the user.
+    criteria : Criteria
+        `shape_evidence`, `equivalence_width`, `inertia_sigma` and `inertia_largest`.
+
+    Returns
+    -------
+    InertiaRival or None
+        None if no effect does, or only with an error that is not credible; a law of an angle is not asked.
+    """
+    chosen = selection.chosen
+    single = base.problem.data[0].record.single
+    if chosen is None or not chosen.physical or chosen.effect.depends_on_angle or single:
+        return None
+    if NAME in selection.end.model.names:
+        return None
+    layout = base.problem.layout
+    with suppress(FittingError):
+        freed = fit(
+            base.model.with_effect(LIBRARY[NAME]),
+            base.problem.data,
+            share=[k for k in base.model.free if k not in layout.per_case] if len(layout.records) > 1 else (),
+            per_case=layout.per_case,
+            start={k: e.value for k, e in base.estimates.items()},
+            noise=base.noise,
+        )
+        ranked = rank(freed, extra, criteria=criteria, refitting=False)
+        usable = [c for c in ranked if c.physical and c.significant and not c.screened.absorbed][:_TRIED]
+        near = [c for c in usable if c.score > usable[0].score - criteria.equivalence_width]
+        refits = [(c.effect.name, refit(freed, c.screened, criteria)) for c in near]
+        best = min(
+            ((name, f) for name, f in refits if f is not None), key=lambda item: item[1].bic, default=None
+        )
+        if best is None:
+            return None
+        name, found = best
+        share, stated = found.estimates[_SHARE], relative_uncertainty(base)
+        largest = criteria.inertia_sigma * stated if stated > 0 else criteria.inertia_largest
+        credible = abs(share.value) <= largest + criteria.inertia_sigma * share.stderr
+        better = selection.end.bic - found.bic
+        least = criteria.shape_evidence if name == chosen.effect.name else -criteria.equivalence_width
+        if credible and better > least:
+            return InertiaRival(share, stated, name, found, better > criteria.shape_evidence)
+    return None
+
+
+def reselected(selection: Selection, rival: InertiaRival) -> Selection:
+    """Return the selection with the effect that is best with free inertia first, beside what was named without.
+
+    Parameters
+    ----------
+    selection : Selection
+        With the moments of inertia as given.
+    rival : InertiaRival
+        What describes the data better.
+    """
+    chosen = selection.chosen
+    if chosen is None or rival.effect == chosen.effect.name:
+        return selection._replace(end=rival.fit)
+    if not rival.better:
+        alike = (*chosen.indistinguishable_from, rival.effect)
+        first = replace(chosen, indistinguishable_from=tuple(dict.fromkeys(alike)))
+        kept = [first if c is chosen else c for c in selection.candidates]
+        return selection._replace(candidates=kept, chosen=first)
+    own = {k: e for k, e in rival.fit.estimates.items() if k.startswith(f"{rival.effect}.")}
+    (old,) = (c for c in selection.candidates if c.effect.name == rival.effect)
+    first = replace(
+        old,
+        fit=rival.fit,
+        estimates=own,
+        significant=True,
+        indistinguishable_from=(chosen.effect.name, *chosen.indistinguishable_from),
+    )
+    others = [c for c in selection.candidates if c is not old]
+    return selection._replace(candidates=[first, *others], chosen=first, named=rival.fit, end=rival.fit)
+
+
+def inertia_within_uncertainty(fit: Fit, named: list[Candidate], criteria: Criteria) -> str:
+    """Return a sentence if errors of the moments of inertia within their uncertainties explain a lack of fit, else "".
+
+    The data determine the ratio of the moments of inertia, so the relative uncertainties add in quadrature; one that is
+    not given counts as none.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit with the lack of fit.
+    named : list of Candidate
+        The effects that explain it, which the data cannot separate.
+    criteria : Criteria
+        `inertia_sigma`.
+    """
+    found = [e for c in named if c.effect.joint == "inertia" for e in c.estimates.values()]
+    u = relative_uncertainty(fit)
+    if not found or u <= 0:
+        return ""
+    share = found[0]
+    if abs(share.value) > criteria.inertia_sigma * math.hypot(u, share.stderr):
+        return ""
+    return (
+        f"The model is adequate within the uncertainty of the moments of inertia: I_casing/I_rotor larger by "
+        f"{rounded(100 * share.value, 100 * share.stderr, '%')} than given (standard uncertainty {100 * u:.2g} %) "
+        "explains the lack of fit."
+    )
