@@ -233,7 +233,7 @@ def draw(points: dict[str, list[tuple[float, bool]]]) -> None:
     ax.set_ylim(-3, 103)
     ax.set_xlabel("size of the hidden law beside the base model [sigma]")
     ax.set_ylabel("true form in the first five [%]")
-    ax.legend(frameon=False, fontsize=9, loc="upper left", bbox_to_anchor=(0.3, 0.72))
+    ax.legend(frameon=False, fontsize=9, loc="upper left", bbox_to_anchor=(0.42, 0.72))
     ax.grid(alpha=0.3)
     for side in ("top", "right"):
         ax.spines[side].set_visible(False)
