@@ -50,7 +50,7 @@ WORLDS = (
     World(SWING, "casing.spring.linear", {"k": 12.0}, (1.0, 0.0), 20.0),
     World(SWING | {"casing.spring.linear.k": 10.0}, "casing.spring.cubic", {"k": 1.5}, (1.0, 0.0), 20.0),
     World(SWING, "casing.gravity", {"k": 12.0}, (1.5, 0.0), 20.0),
-    World(SPIN, "casing.brake.eddy", {"k": 0.4, "w": 15.0}, (0.0, 60.0), 30.0),
+    World(SPIN, "casing.brake.eddy", {"k": 0.4, "w": 15.0}, (0.0, 60.0), 12.0),
     World(SPIN, "casing.seal.cooling", {"k": 0.3, "tau_T": 8.0}, (0.0, 60.0), 30.0),
     World(
         SWING | {"casing.spring.linear.k": 12.0},

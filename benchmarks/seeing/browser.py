@@ -233,13 +233,14 @@ def frames(browser: Any, case: Path, films: Path, folder: Path) -> dict[str, Any
           return { frames: last + 1, next, far };
         }"""
     )
+    found |= {"click": _clicks(page), **_slides(page)}
     server.end(page)
     page.close()
     return {
         "frames": found["frames"],
         **{
             f"{k}_{name}_ms": value
-            for k in ("next", "far")
+            for k in ("next", "far", "click", "linear", "exact")
             for name, value in (
                 ("median", statistics.median(found[k])),
                 ("p95", sorted(found[k])[int(0.95 * len(found[k]))]),
@@ -247,3 +248,61 @@ def frames(browser: Any, case: Path, films: Path, folder: Path) -> dict[str, Any
             )
         },
     }
+
+
+_ARRIVED = """
+(count) => new Promise((done) => {
+  const frame = document.getElementById("frame"), over = document.querySelectorAll("#board .u-over")[1];
+  const box = over.getBoundingClientRect(), times = [];
+  const next = (i) => {
+    if (i === count) { done(times); return; }
+    const x = box.left + (0.1 + 0.8 * ((i * 37) % count) / count) * box.width, y = box.top + box.height / 2;
+    const was = frame.dataset.shown, began = performance.now();
+    for (const type of ["mousemove", "mousedown", "mouseup", "click"])
+      over.dispatchEvent(new MouseEvent(type, { clientX: x, clientY: y, bubbles: true, button: 0 }));
+    const look = () => {
+      if (frame.dataset.shown !== was) { times.push(performance.now() - began); setTimeout(() => next(i + 1), 30); }
+      else if (performance.now() - began > 3000) { times.push(3000); next(i + 1); }
+      else requestAnimationFrame(look);
+    };
+    look();
+  };
+  next(0);
+})
+"""
+_SLID = """
+(count) => new Promise((done) => {
+  const board = document.getElementById("board"), found = { linear: [], exact: [] };
+  const sliders = [...document.querySelectorAll("#parameters input[type=range]")];
+  const next = (i) => {
+    if (i === count) { done(found); return; }
+    const s = sliders[i % sliders.length];
+    delete board.dataset.overlay;
+    const began = performance.now();
+    s.value = String(200 + (i * 61) % 600);
+    s.dispatchEvent(new Event("input", { bubbles: true }));
+    let linear = false;
+    const look = () => {
+      const now = performance.now() - began;
+      if (!linear && board.dataset.overlay) { linear = true; found.linear.push(now); }
+      if (board.dataset.overlay === "exact" || now > 5000) { found.exact.push(now); setTimeout(() => next(i + 1), 30); }
+      else requestAnimationFrame(look);
+    };
+    requestAnimationFrame(look);
+  };
+  next(0);
+})
+"""
+
+
+def _clicks(page: Any) -> list[float]:
+    """Click into the residual's chart at many times; return the time to the frame of each moment [ms]."""
+    page.wait_for_timeout(500)
+    return list(page.evaluate(_ARRIVED, 40))
+
+
+def _slides(page: Any) -> dict[str, list[float]]:
+    """Move the sliders of the parameters; return the times to the linearised and to the exact residual [ms]."""
+    page.locator("#tuning summary").click()
+    page.wait_for_selector("#parameters input[type=range]", timeout=60_000)
+    return dict(page.evaluate(_SLID, 40))

@@ -92,7 +92,7 @@ def workbench(folder: Path) -> dict[str, Any]:
 
 
 def film(folder: Path) -> dict[str, Any]:
-    """Ask for frames of the sample films."""
+    """Ask for frames of the sample films, click into a chart, move sliders."""
     case = folder / "demo" / "case.h5"
     if not case.exists():
         gyrotrack("demo", "-o", case.parent)
@@ -185,10 +185,16 @@ _SHARES = {"median": "median", "p95": "95 % within", "max": "at most"}
 def _frame_rows(r: dict[str, Any]) -> list[tuple[str, str]]:
     return [
         (
-            f"{what} with overlay, film of {r['frames']} frames",
+            f"{what}, film of {r['frames']} frames",
             ", ".join(f"{words} {r[f'{k}_{n}_ms']:.0f} ms" for n, words in _SHARES.items()),
         )
-        for k, what in (("next", "the next frame (N = 60)"), ("far", "a frame anywhere (N = 40)"))
+        for k, what in (
+            ("next", "the next frame (N = 60)"),
+            ("far", "a frame anywhere (N = 40)"),
+            ("click", "click into the residual to its frame (N = 40)"),
+            ("linear", "slider to the linearised residual (N = 40)"),
+            ("exact", "slider to the exact residual (N = 40)"),
+        )
     ]
 
 

@@ -30,7 +30,7 @@ import cv2
 import numpy as np
 from clips import CAMERAS, film, repeated
 
-from gyrotrack._native._kernels import loops
+from gyrotrack._native._kernels import COMPILED
 from gyrotrack.tracking._acquisition import acquire
 from gyrotrack.tracking._profile import PAPER
 from gyrotrack.tracking._scene import take_samples
@@ -167,7 +167,7 @@ def commit() -> str:
 
 def machine() -> str:
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
-    inner = "compiled" if loops else "not compiled"
+    inner = "compiled" if COMPILED else "not compiled"
     return f"{platform.machine()}, {os.cpu_count()} cores, load {load:.1f} at the start; inner loops {inner}"
 
 

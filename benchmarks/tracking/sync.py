@@ -89,7 +89,7 @@ class Kept:
 
 
 def runs():
-    path = Path(__file__).parents[2] / "tests" / "gyrotrack" / "sync" / "conftest.py"
+    path = Path(__file__).parents[2] / "tests" / "gyrotrack" / "synchronisation" / "conftest.py"
     spec = importlib.util.spec_from_file_location("runs", path)
     sys.modules["runs"] = module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

@@ -75,11 +75,11 @@ class Criteria:
     shape_share: float = _criterion(0.1, "share of the best score from which shapes are refined")
     refit_share: float = _criterion(0.1, "share of the best score from which candidates are refitted")
     refit_p: float = _criterion(0.5, "family-wise p-value above which candidates are not refitted")
-    refit_least: int = _criterion(4, "candidates that are refitted whatever their score")
+    refit_least: int = _criterion(4, "candidates that are refitted at any score")
     refit_most: int = _criterion(14, "candidates that are refitted at most")
     rival_share: float = _criterion(0.5, "share of the best score from which a poor refit is repeated")
     refit_shortfall: float = _criterion(10.0, "deviance by which a refit may fall short of its score", _KASS)
-    own_phase: float = _criterion(10.0, "deviance per case that justifies a phase of its own", _KASS)
+    own_phase: float = _criterion(10.0, "deviance per case that justifies a separate phase", _KASS)
     changepoint_score: float = _criterion(25.0, "score that moves a changepoint far away", "5 sigma")
     equation_error: float = _criterion(
         3.0, "error of the equations, over the least, up to which a spring is fitted"

@@ -195,7 +195,7 @@ def _parameter(symbol: str, keys: Mapping[str, Any], role: Role) -> Parameter:
     usual = min(max(1.0 if role == "shape" else 0.0, lower), upper)
     start = number("start", keys.get("start", usual))
     if not lower <= start <= upper:
-        raise EffectError(f"parameter {symbol}: start {start:g} lies outside {lower:g} to {upper:g}")
+        raise EffectError(f"parameter {symbol}: start {start:g} is outside {lower:g} to {upper:g}")
     given = tuple(number("grid", v) for v in keys.get("grid", ()))
     grid = given or (_default_grid(start) if role == "shape" else ())
     grid = tuple(v for v in grid if lower <= v <= upper)
@@ -334,7 +334,7 @@ def read_effects(path: Path) -> list[Effect]:
     names = [e.name for e in effects]
     for name in names:
         if names.count(name) > 1 or name in LIBRARY:
-            raise EffectError(f"{path}: there is another effect named {name!r}", "give it a name of its own")
+            raise EffectError(f"{path}: there is another effect named {name!r}", "give it another name")
     return effects
 
 

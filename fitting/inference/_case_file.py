@@ -36,7 +36,7 @@ def column(path: Path, file: Any, group: str, name: str) -> Array:
     for place in (group, f"{group}/{name}"):
         # a link that leads out of the file would read what its author chose, not what was measured
         if not isinstance(file.get(place, getlink=True), h5py.HardLink):
-            raise RecordError(f"{path} has no {place}", "`gyrotrack info` tells what it holds")
+            raise RecordError(f"{path} has no {place}", "`gyrotrack info` shows its contents")
     data = file[f"{group}/{name}"]
     if not isinstance(data, h5py.Dataset) or data.ndim != 1 or data.is_virtual or data.external:
         raise RecordError(f"{path}: {group}/{name} is not a plain column")
@@ -150,7 +150,7 @@ def read_record(path: str | Path) -> Record:
                 f"{path} is not an HDF5 file", "make a case with `gyrotrack sync` or `gyrotrack import`"
             ) from None
         raise RecordError(
-            f"{path} is damaged or incomplete: {fault}", "`gyrotrack info` tells what it holds"
+            f"{path} is damaged or incomplete: {fault}", "`gyrotrack info` shows its contents"
         ) from None
 
 

@@ -147,7 +147,7 @@ def simulate(
     random = np.random.default_rng(seed)
     values = {**model.constants, **numbers, INERTIA_ROTOR: inertia_rotor, INERTIA_CASING: inertia_casing}
     if any(w < 0 or w + experiment.window_length > experiment.duration for w in experiment.windows):
-        raise SimulationError("a rotor window lies outside the recording", "move it or record for longer")
+        raise SimulationError("a rotor window is outside the recording", "move it or record for longer")
     dynamics, path = simulate_path(model, values, experiment)
     # ripples hardly change how the speeds answer to a torque: the smooth motion stands in for the whole
     smooth = (

@@ -189,7 +189,7 @@ def bands(
     signature = f"f4[k,r,c] i8[n] f8[n,c] f8[n] f8[n] {last[0]} -> {last[1]}"
     _check(signature, (windows, which, light, offset, scale, mixing, out))
     _require(
-        not count or (which.min() >= 0 and which.max() < len(windows)), "an index lies outside the windows"
+        not count or (which.min() >= 0 and which.max() < len(windows)), "an index is outside the windows"
     )
     _kernel("bands")(windows, which, light, offset, scale, mixing, across, out)
     return out
@@ -347,5 +347,5 @@ def sample(
     inside = first.size == 0 or (
         first.min() >= 0 and first.max() < lengths["b"] and first.max() + lengths["o"] <= lengths["c"]
     )
-    _require(bool(inside), "a window lies outside the ring")
+    _require(bool(inside), "a window is outside the ring")
     _kernel("sample")(planes, weights, at, right, down, box, ground, first, score, out)

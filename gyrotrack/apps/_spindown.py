@@ -152,7 +152,7 @@ def _rate(film: Film, asked: float | None) -> tuple[float, str, list[str]]:
         return film.info.tag_fps, "tag of the camera", []
     fps = film.info.container_fps
     if not math.isfinite(fps):
-        raise VideoError(f"{film.path} does not say at what rate it was captured", "give --capture-fps")
+        raise VideoError(f"{film.path} does not state its capture rate", "give --capture-fps")
     slow = f"Time from the container's rate, {fps:g} frames/s; a film in slow motion needs --capture-fps."
     return fps, "container", [slow] if fps < SLOWEST_PLAIN_RATE else []
 

@@ -22,7 +22,7 @@ from gyrotrack._column_store import new_columns, stretches
 from gyrotrack._errors import TrackingError
 from gyrotrack._smoothing import spread
 from gyrotrack.tracking._hub import LEAST_SIGMA, CentrePath
-from gyrotrack.tracking._orbit import Orbit, common_centre, covered_angle
+from gyrotrack.tracking._orbit import Orbit, common_centre, covered_angle, orbits_about
 from gyrotrack.tracking._polar import Ring, boxed
 from gyrotrack.tracking._profile import Blob, MarkerProfile, Profile, chroma_direction, find_blobs, hue_score
 from gyrotrack.tracking._scene import Disc, Marker, Samples, Scene
@@ -491,7 +491,7 @@ def acquire(samples: Samples, profile: Profile, where: str) -> Scene:
     """
     orbit = _find_orbit(samples, profile)
     circle = chroma_direction(profile.circle_colour, profile.circle_hue)
-    disc = find_disc(samples, circle, orbit) if profile.centre == "circle" else None
+    disc = find_disc(samples, circle, orbit) if profile.centre == "circle" and profile.hub is None else None
     if disc is None and orbit is None:
         raise TrackingError(
             f"no markers found in {where}: nothing in the profile's colours turns about a centre",
@@ -507,7 +507,8 @@ def acquire(samples: Samples, profile: Profile, where: str) -> Scene:
             "check the profile's colours (--profile)",
         )
     missing = tuple(wanted.name for wanted in profile.marker if wanted.name not in markers)
-    warnings = (_NO_DISC,) if disc is None and profile.centre == "circle" else ()
+    sought = profile.centre == "circle" and profile.hub is None
+    warnings = (_NO_DISC,) if disc is None and sought else ()
     body_of: dict[str, str] = {wanted.name: wanted.body for wanted in profile.marker}
     return Scene(centre, disc, tuple(markers.values()), missing, warnings, offsets, body_of)
 
@@ -525,7 +526,10 @@ def _find_orbit(samples: Samples, profile: Profile) -> Orbit | None:
             group += [label] * len(blobs)
     if not points:
         return None
-    orbit = common_centre(np.array(points), np.array(group, dtype=np.int64))
+    place, label_of = np.array(points), np.array(group, dtype=np.int64)
+    if profile.hub is not None:
+        return orbits_about(place, label_of, profile.hub)
+    orbit = common_centre(place, label_of)
     enough = LEAST_AGREEMENT * max(len(points), chroma.shape[1])
     return orbit if orbit is not None and orbit.inliers > enough else None
 

@@ -16,7 +16,7 @@ from gyrotrack.tracking._acquisition import (
     is_marker_sized,
     search_ring,
 )
-from gyrotrack.tracking._orbit import Orbit, common_centre
+from gyrotrack.tracking._orbit import Orbit, common_centre, orbits_about
 from gyrotrack.tracking._polar import Ring
 from gyrotrack.tracking._profile import Blob, Hue, MarkerProfile, find_blobs, hue_score, nearest_colour
 from gyrotrack.tracking._scene import Disc, Samples
@@ -118,8 +118,10 @@ _OFF_CENTRE = 0.3
 """Share of the smallest orbit's radius by which a disc may lie beside the centre of the orbits."""
 
 
-def find_orbit(samples: Samples, moving: MovingColour) -> Orbit | None:
-    """Find the centre that coloured blobs circle, whatever else moves in the picture."""
+def find_orbit(
+    samples: Samples, moving: MovingColour, hub: tuple[float, float] | None = None
+) -> Orbit | None:
+    """Find the centre that coloured blobs circle, whatever else moves in the picture; or their circles about a hub."""
     points: list[tuple[float, float]] = []
     group: list[int] = []
     for label, hue in enumerate(moving.hues):
@@ -128,7 +130,10 @@ def find_orbit(samples: Samples, moving: MovingColour) -> Orbit | None:
             group += [label] * len(blobs)
     if not points:
         return None
-    return common_centre(np.array(points), np.array(group, dtype=np.int64), trials=TRIALS)
+    place, label_of = np.array(points), np.array(group, dtype=np.int64)
+    return (
+        common_centre(place, label_of, trials=TRIALS) if hub is None else orbits_about(place, label_of, hub)
+    )
 
 
 def _blobs(moving: MovingColour, hue: float) -> list[list[Blob]]:

@@ -88,6 +88,28 @@ def common_centre(points: Floats, group: Integers, *, seed: int = 0, trials: int
     return Orbit((float(centre[0]), float(centre[1])), radii, int(inlier.sum()), spread)
 
 
+def orbits_about(points: Floats, group: Integers, hub: tuple[float, float]) -> Orbit | None:
+    """Return the circles of groups of points about a hub that is known; None where they do not go round it.
+
+    Parameters
+    ----------
+    points, group : ndarray
+        See `common_centre`.
+    hub : tuple of float
+        (x, y) in px.
+    """
+    if not len(points):
+        return None
+    centre = np.array(hub, dtype=np.float64)
+    inlier = _agreeing(points, group, centre)
+    spread = covered_angle(_angles(points[inlier], centre)) if inlier.any() else 0.0
+    if inlier.sum() < 5 or spread < 0.5:
+        return None
+    away = np.hypot(*(points - centre).T)
+    radii = {int(g): float(np.median(away[inlier & (group == g)])) for g in np.unique(group[inlier])}
+    return Orbit(hub, radii, int(inlier.sum()), spread)
+
+
 def circumcentre(triple: Floats) -> Floats | None:
     """Return the centre of the circle through three points, (3, 2); None when they are close to a line."""
     a, b = triple[1] - triple[0], triple[2] - triple[0]

@@ -191,7 +191,7 @@ class Profile(BaseModel):
     """A scene: its markers, and what marks the centre.
 
     `centre` is the colour of a disc at the centre (or the word ``"circle"``, a red one), or ``"orbit"`` where
-    nothing marks it.
+    nothing marks it. With `hub`, (x, y) in px, it is known, and neither is sought.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -201,6 +201,7 @@ class Profile(BaseModel):
     centre: Literal["circle", "orbit"] = "circle"
     circle_colour: Colour = "red"
     circle_hue: float | None = Field(default=None, ge=0.0, lt=360.0)
+    hub: tuple[float, float] | None = None
     capture_fps: float | None = Field(default=None, gt=0.0, lt=1.0e7)
     sense: Literal[-1, 1] | None = None
     wander: bool | None = None
@@ -275,6 +276,8 @@ def to_toml(profile: Profile) -> str:
         lines.append(f'circle_colour = "{profile.circle_colour}"')
     if profile.circle_hue is not None:
         lines.append(f"circle_hue = {profile.circle_hue!r}")
+    if profile.hub is not None:
+        lines.append(f"hub = [{profile.hub[0]!r}, {profile.hub[1]!r}]")
     if profile.capture_fps is not None:
         lines.append(f"capture_fps = {profile.capture_fps!r}")
     if profile.sense is not None:

@@ -173,7 +173,9 @@ class Proposal:
     samples: Samples
 
 
-def propose(video: Path, *, capture_fps: float | None = None) -> Proposal:
+def propose(
+    video: Path, *, capture_fps: float | None = None, hub: tuple[float, float] | None = None
+) -> Proposal:
     """Find the markers of a film: their colours and bodies, and what marks the centre.
 
     Parameters
@@ -182,6 +184,8 @@ def propose(video: Path, *, capture_fps: float | None = None) -> Proposal:
         The film.
     capture_fps : float, optional
         Rate at which the camera captured [1/s], if the film does not state it.
+    hub : tuple of float, optional
+        Centre of rotation (x, y) [px], where it is not to be found by the markers.
 
     Raises
     ------
@@ -193,13 +197,14 @@ def propose(video: Path, *, capture_fps: float | None = None) -> Proposal:
     video = Path(video)
     samples = _samples(video)
     moving = moving_colour(samples)
-    orbit = find_orbit(samples, moving)
+    orbit = find_orbit(samples, moving, hub)
     if orbit is None:
         raise TrackingError(
-            f"no markers found in {video}: nothing coloured turns about a centre",
+            f"no markers found in {video}: nothing coloured turns about "
+            + ("a centre" if hub is None else f"({hub[0]:g}, {hub[1]:g}) px"),
             "film coloured markers on a turning body; where the film starts at rest, cut the start off",
         )
-    circle = find_circle(samples, orbit)
+    circle = find_circle(samples, orbit) if hub is None else None
     disc = circle.disc if circle else None
     ring, candidates = find_candidates(samples, moving, orbit, disc)
     groups, uneven = group_bodies(candidates, samples.head)
@@ -221,6 +226,7 @@ def propose(video: Path, *, capture_fps: float | None = None) -> Proposal:
         centre="circle" if circle else "orbit",
         circle_colour=nearest_colour(circle.hue) if circle else "red",
         circle_hue=round(circle.hue, 1) if circle else None,
+        hub=hub,
         capture_fps=capture_fps,
     )
     sound = _confirmed(video, profile, markers, notes)

@@ -112,7 +112,7 @@ def named(experiments: Iterable[Experiment], where: Path) -> tuple[Experiment, .
     for e in experiments:
         if e.label in labels:
             raise ConfigurationError(
-                f"{where}: two cases have the label '{e.label[:60]}'.", "Give each case a label of its own."
+                f"{where}: two cases have the label '{e.label[:60]}'.", "Give each case a different label."
             )
         labels.add(e.label)
         _check_films(e, where)

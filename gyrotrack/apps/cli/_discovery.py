@@ -247,7 +247,9 @@ def plan_command(
 
     described = [p for p in recordings if p.suffix.lower() == ".toml"]
     if described and len(recordings) > 1:
-        raise UsageError("A description stands alone.", "Give one PLAN.toml, or case files.")
+        raise UsageError(
+            "A description cannot be combined with other files.", "Give one PLAN.toml, or case files."
+        )
     if described and (start is not None or ledger is not None):
         raise UsageError(
             "--from and --ledger belong to case files; a description has no fits.", "Leave them out."

@@ -48,7 +48,7 @@ InertiaRotor = Annotated[
 ]
 InertiaCasing = Annotated[
     str | None,
-    typer.Option("--inertia-casing", metavar="I", help="Moment of inertia of the casing, written likewise."),
+    typer.Option("--inertia-casing", metavar="I", help="Moment of inertia of the casing, in the same form."),
 ]
 Label = Annotated[
     str | None, typer.Option("--label", metavar="L", help="Name of the case; by default that of the file.")

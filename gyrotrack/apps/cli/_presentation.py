@@ -171,7 +171,7 @@ def view_command(
         bool, typer.Option("--browser/--no-browser", help="Open the page in the browser of the desktop.")
     ] = True,
     window: Annotated[
-        bool, typer.Option("--window", help="Open the page in a window of its own (package pywebview).")
+        bool, typer.Option("--window", help="Open the page in a separate window (package pywebview).")
     ] = False,
     start: From = None,
     ledger: LedgerFile = None,
@@ -255,6 +255,6 @@ def _require_packages(*, window: bool) -> None:
         ) from None
     if window and find_spec("webview") is None:
         raise UsageError(
-            "A window of its own needs a package that is not installed.",
+            "A separate window needs a package that is not installed.",
             'Run: pip install "gyrotrack[window]", or leave out --window.',
         )

@@ -45,6 +45,10 @@ def profile_command(
         float | None,
         typer.Option("--capture-fps", metavar="N", help="Capture rate of the camera, for the profile [1/s]."),
     ] = None,
+    hub: Annotated[
+        str | None,
+        typer.Option("--hub", metavar="X,Y", help="Centre of rotation [px]; by default it is found."),
+    ] = None,
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -71,7 +75,7 @@ def profile_command(
     for path in (target, picture):
         if path is not None:
             refuse_existing(path, force=force)
-    found = propose(video, capture_fps=capture_fps)
+    found = propose(video, capture_fps=capture_fps, hub=_place(hub))
     comment = "".join(f"# {note}\n" for note in (f"found in {video.name} by gyrotrack profile", *found.notes))
     with all_or_nothing(target, picture):
         if picture is not None:  # the larger file first: if it cannot be written, an old profile stays
@@ -120,7 +124,10 @@ def _marker(marker: ProposedMarker) -> dict[str, Any]:
 
 def _profile_lines(target: Path, found: Proposal) -> str:
     x, y = found.centre
-    mark = f"a {found.profile.circle_colour} disc" if found.disc else "the markers' orbit"
+    given = found.profile.hub is not None
+    mark = (
+        "--hub" if given else f"a {found.profile.circle_colour} disc" if found.disc else "the markers' orbit"
+    )
     lines = [f"centre ({x:.1f}, {y:.1f}) px from {mark}"]
     lines.append(f"{'marker':<16}{'colour':<10}{'body':<8}{'radius [px]':>13}{'contrast':>10}{'seen':>7}")
     for m in map(_marker, found.markers):

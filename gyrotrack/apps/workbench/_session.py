@@ -140,7 +140,7 @@ class Session:
                 start |= values
                 words.append("other initial values")
             if not words:
-                raise GyrotrackError("Nothing was asked for.", "Type the name of an effect, or a law.")
+                raise GyrotrackError("No change was requested.", "Type the name of an effect, or a law.")
             noise = self.fit.noise
             try:
                 found = fit(model, [self._data], start=start, noise=noise, quick=True)

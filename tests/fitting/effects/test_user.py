@@ -190,7 +190,7 @@ HEAD = '[[effect]]\nname = "a"\nbody = "casing"\nlaw = "-k*omega_c"\n'
         (HEAD + "[effect.parameters.k]\nstart = true", "start must be a number"),
         (HEAD + "[effect.parameters.k]\nlower = nan", "lower must be a number"),
         (HEAD + "[effect.parameters.k]\nlower = 2\nupper = 1", "lower 2 must be less than upper 1"),
-        (HEAD + "[effect.parameters.k]\nstart = 2\nupper = 1", "start 2 lies outside"),
+        (HEAD + "[effect.parameters.k]\nstart = 2\nupper = 1", "start 2 is outside"),
         (
             HEAD.replace("-k*omega_c", "-k*omega_c*(omega_c + t)") + '[effect.parameters.k]\nunit = "N m"',
             "do not agree",

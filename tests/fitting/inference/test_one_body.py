@@ -148,3 +148,11 @@ def test_two_wheels_together_but_no_wheel_with_a_gyroscope():
         fit(BASE, [w, gyroscope])
     with pytest.raises(RecordError, match="no rotor window"):
         make_record(casing=run, rotor=[], I_rotor=1e-5, I_casing=1e-5)
+
+
+def test_presliding_friction_is_no_candidate_of_a_body_that_never_reverses():
+    from fitting.discovery._select import applicable_effects
+
+    names = {e.name for e in applicable_effects(fit(BASE, [wheel()]), [])}
+    assert "casing.friction.presliding" not in names
+    assert "casing.brake.eddy" in names

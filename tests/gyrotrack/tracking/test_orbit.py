@@ -1,7 +1,13 @@
 import numpy as np
 import pytest
 
-from gyrotrack.tracking._orbit import circumcentre, common_centre, covered_angle, fit_common_centre
+from gyrotrack.tracking._orbit import (
+    circumcentre,
+    common_centre,
+    covered_angle,
+    fit_common_centre,
+    orbits_about,
+)
 
 CENTRE = np.array([201.3, 148.7])
 
@@ -46,3 +52,14 @@ def test_what_does_not_go_round_has_no_centre():
 def test_covered_angle_is_a_turn_less_the_largest_gap():
     assert covered_angle(np.array([0.0, 1.0, 2.0])) == pytest.approx(2.0)
     assert covered_angle(np.array([-0.2, 0.2])) == pytest.approx(0.4)
+
+
+def test_circles_about_a_hub_that_is_given():
+    rng = np.random.default_rng(0)
+    points = np.concatenate([_on_circle(40, np.linspace(0, 2, 9)), _on_circle(75, np.linspace(3, 5, 7))])
+    points = np.concatenate([points, rng.uniform(0, 400, (2, 2))])
+    group = np.repeat([0, 1], [9, 9])
+    found = orbits_about(points, group, (201.3, 148.7))
+    assert found.centre == (201.3, 148.7)
+    assert found.radii == pytest.approx({0: 40.0, 1: 75.0})
+    assert orbits_about(points, group, (5.0, 5.0)) is None

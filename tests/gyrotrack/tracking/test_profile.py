@@ -94,3 +94,10 @@ def test_files_that_are_no_profiles(tmp_path, content, words):
     with pytest.raises(ProfileError, match=words) as caught:
         load(path)
     assert "p.toml" in caught.value.message
+
+
+def test_a_hub_given_by_hand_is_kept(tmp_path):
+    path = tmp_path / "p.toml"
+    profile = PAPER.model_copy(update={"hub": (304.5, 174.25), "centre": "orbit"})
+    path.write_text(to_toml(profile), encoding="utf-8")
+    assert load(path) == profile
