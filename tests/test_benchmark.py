@@ -1,5 +1,7 @@
 """The benchmark of discovery: physics against SciPy, oracle against differences, counting against known answers."""
 
+import ast
+import importlib
 import json
 import subprocess
 import sys
@@ -287,3 +289,16 @@ def test_the_score_is_what_the_oracle_foresaw():
     assert found["sigma"][0][1] > 8
     assert abs(np.sqrt(score) - found["sigma"][0][1]) < 4
     assert found["base"]["level"] == pytest.approx(plan.NOISE, rel=0.5)
+
+
+BENCHMARKS = HERE.parent
+
+
+@pytest.mark.parametrize("script", sorted(BENCHMARKS.rglob("*.py")), ids=lambda path: path.stem)
+def test_what_a_benchmark_imports_exists(script):
+    for node in ast.walk(ast.parse(script.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in {"fitting", "gyrotrack"}:
+            module = importlib.import_module(node.module)
+            for name in node.names:
+                if not hasattr(module, name.name):
+                    importlib.import_module(f"{node.module}.{name.name}")

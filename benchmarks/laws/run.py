@@ -24,6 +24,7 @@ import numpy as np
 from oracle import oracle
 from worlds import EFFECTS, LAWS, World, of_library, world
 
+from fitting._errors import FittingError
 from fitting._workers import WorkerPool
 from fitting.discovery._criteria import DEFAULT
 from fitting.discovery._laws import Law, Laws, _Search, _Steps, laws, with_classes
@@ -117,7 +118,11 @@ def third(found: Fit, data: CaseData) -> float:
 
     shared = {k: found.estimates[k].value for k in found.model.free if k in found.estimates}
     # of an event every recording has its own; there is none here
-    alone = fit(found.model.with_fixed(shared), [data])
+    try:
+        alone = fit(found.model.with_fixed(shared), [data])
+    except FittingError:
+        # at the other speed the law has no solution
+        return float("inf")
     return float(_prediction_error(alone.cases[0].casing))
 
 

@@ -41,6 +41,8 @@ are drawn by lot and integrated in plain Python (benchmarks/discovery); two reco
 - Oracle (oracle.py): size of the law in sigma beside the base; number of laws that data without noise would leave
   within the equivalence width; errors of the fit of one who knows the form.
 
+Each line of results.jsonl has the commit that was measured; those without process noise are older than those with it.
+
 The diagnosis that precedes the search in the command is left out here, but for the effects of the library: these are
 figures of the search alone. Most forms of the hidden laws are in the grammar; their constants, bodies and mixtures with
 the base are drawn.
@@ -100,7 +102,7 @@ def hidden(lines: list[Line], noise: float) -> list[str]:
              lambda x: x["form_of_torques"]),
             ("torque within 3 %, where the known form reaches it", torque, lambda x: x["torque_error"] < 0.03),
         ]  # fmt: skip
-    text += ["", "| share | |", "|---|---|"]
+    text += ["", f"{len(lines)} laws were run.", "", "| share | |", "|---|---|"]
     return [*text, *(f"| {words} | {Share(good(x) for x in some)} |" for words, some, good in rows), ""]
 
 
@@ -207,6 +209,7 @@ def draw(points: dict[str, list[tuple[float, bool]]]) -> None:
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
+    # the interval of the shares (95 %) is drawn for one method alone, for the sake of legibility
     figure, ax = plt.subplots(figsize=(8.0, 4.8), layout="constrained")
     colours = ("#0072B2", "#D55E00", "#E69F00", "#009E73", "#CC79A7")
     for place, (method, some) in enumerate(points.items()):
@@ -220,18 +223,17 @@ def draw(points: dict[str, list[tuple[float, bool]]]) -> None:
             y.append(100 * share.hits / share.n)
             low.append(y[-1] - 100 * share.interval[0])
             high.append(100 * share.interval[1] - y[-1])
+        ours = method == OURS
         ax.errorbar(
-            x, y, yerr=(low, high), marker="o", capsize=3, linewidth=2.4 if method == OURS else 1.2,
-            color=colours[place % len(colours)], label=f"{method} ({len(some)} laws)",
-            zorder=5 if method == OURS else 3,
+            x, y, yerr=(low, high) if ours else None, marker="o", capsize=3, linewidth=2.4 if ours else 1.2,
+            color=colours[place % len(colours)], label=f"{method} ({len(some)} laws)", zorder=5 if ours else 3,
         )  # fmt: skip
-    ax.axhline(80, color="#444444", linestyle="--", linewidth=1)
-    ax.annotate("80 %", (1.0, 80), xytext=(3, 3), textcoords="offset points", fontsize=9)
+    ax.axhline(80, color="#444444", linestyle="--", linewidth=1, label="80 %")
     ax.set_xscale("log")
     ax.set_ylim(-3, 103)
     ax.set_xlabel("size of the hidden law beside the base model [sigma]")
     ax.set_ylabel("true form in the first five [%]")
-    ax.legend(frameon=False, fontsize=9, loc="center right")
+    ax.legend(frameon=False, fontsize=9, loc="upper left", bbox_to_anchor=(0.3, 0.72))
     ax.grid(alpha=0.3)
     for side in ("top", "right"):
         ax.spines[side].set_visible(False)
