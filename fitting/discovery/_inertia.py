@@ -156,7 +156,9 @@ def reselected(selection: Selection, rival: InertiaRival) -> Selection:
         kept = [first if c is chosen else c for c in selection.candidates]
         return selection._replace(candidates=kept, chosen=first)
     own = {k: e for k, e in rival.fit.estimates.items() if k.startswith(f"{rival.effect}.")}
-    (old,) = (c for c in selection.candidates if c.effect.name == rival.effect)
+    old = next((c for c in selection.candidates if c.effect.name == rival.effect), None)
+    if old is None:  # the list of candidates was given, without it
+        return selection
     first = replace(
         old,
         fit=rival.fit,

@@ -251,6 +251,7 @@ def diagnose(
     curves, harmonics = workers.submit(residual_torques, fit), workers.submit(angle_harmonics, fit)
     ranked = rank(fit, extra, criteria=criteria, workers=workers) if candidates is None else candidates
     selection = select(fit, ranked, extra, criteria, workers)
+    as_given = selection.chosen
     rival = with_free_inertia(fit, selection, tuple(extra), criteria)
     selection = selection if rival is None else reselected(selection, rival)
     misfit = fails(selection.end, criteria)
@@ -277,7 +278,14 @@ def diagnose(
         # nothing is larger than what the uncertainty of the moments of inertia allows
         verdict, size = "adequate", Grade(None, None, None)
     if verdict == "missing_effect":
-        rivals = size.rivals or nonparametric_rivals(fit, selection.chosen, size.test, criteria)
+        # what is as good with another moment of inertia does not stand for an unknown law
+        same = (
+            as_given is not None
+            and selection.chosen is not None
+            and as_given.effect is selection.chosen.effect
+        )
+        chosen = as_given if same else selection.chosen
+        rivals = size.rivals or nonparametric_rivals(fit, chosen, size.test, criteria)
         selection = _with_rivals(selection, rivals)
     nuisance = nuisance_parameters(selection.end)
     torques, waves = curves.result(), harmonics.result()

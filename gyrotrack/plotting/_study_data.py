@@ -300,7 +300,7 @@ def _energy(fit: Fit, index: int) -> Energy:
     from fitting.inference._metrics import energy_balance
 
     balance = energy_balance(fit.problem.cases[index], fit.theta, fit.predictions[index].path)
-    drift = balance.energy / balance.energy[0] - 1
+    drift = balance.change
     mean = uniform_filter1d(drift, max(1, len(drift) // _ENERGY_PIECES), mode="nearest")
     return Energy(_measured(balance.time, mean), balance.drift)
 

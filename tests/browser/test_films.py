@@ -139,8 +139,8 @@ def test_a_cancelled_film_is_continued_from_its_checkpoint(open_page, tmp_path):
     page = open_page(str(tmp_path / "casing_260fps.mp4"))
     page.click("#track:enabled")
     page.locator("#tracking", has_text="of 7670 frames").wait_for(timeout=60_000)
-    for _ in range(100):  # beyond the first checkpoint
-        if int(page.locator("#tracking [data-name=state]").inner_text().split()[0]) > 2000:
+    for _ in range(200):  # beyond the first of four parts, of which two are tracked at a time
+        if int(page.locator("#tracking [data-name=state]").inner_text().split()[0]) > 4200:
             break
         page.wait_for_timeout(100)
     page.get_by_role("button", name="cancel tracking").click()

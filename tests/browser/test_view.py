@@ -181,7 +181,7 @@ def test_an_error_of_the_user_is_told_in_a_sentence(visit):
         ("no.such.effect", "no.such.effect"),
         ("bearing.linear", "in the model already"),
         (HOSTILE, "script"),
-        ("", "No change was requested for"),
+        ("", "No change was requested."),
     ):
         visit.fill("#wish", typed)
         visit.click("#add")

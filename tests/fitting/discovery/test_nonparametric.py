@@ -72,7 +72,7 @@ def test_a_sinusoid_of_a_period_may_be_any_slow_torque():
     answer = diagnose(found, candidates=[replace(slow, indistinguishable_from=())])
     assert answer.verdict == "missing_effect"
     assert UNKNOWN_IN_TIME in answer.candidates[0].indistinguishable_from
-    assert f"or {UNKNOWN_IN_TIME}; this data cannot separate them" in answer.sentence
+    assert f"{UNKNOWN_IN_TIME} is missing" in answer.sentence
 
 
 def test_laws_of_the_speed_are_no_rivals_of_themselves():

@@ -12,15 +12,17 @@ ROOT = Path(__file__).parents[3]
 WRITER = """
 import sys
 from pathlib import Path
+import numpy as np
 from fitting.study._history import Ledger
 import fitting.study._history as module
 
 class Found:
+    covariance = np.zeros((0, 0))
     class problem:
         class data:
             class record:
                 quantity, generated, digest, source = "angle", False, "0" * 64, ""
-        class layout: choices = (), ()
+        class layout: choices, names = ((), ()), ()
     class model: effects = ()
 
 Found.problem.data = (Found.problem.data,)

@@ -279,26 +279,3 @@ def test_film_with_the_papers_markers(tmp_path, monkeypatch, capsys):
     motion = json.loads(captured.out)["motion"]
     truth = np.genfromtxt(film.with_suffix(".csv"), delimiter=",", names=True)
     assert motion["omega_mean"]["value"] == pytest.approx(truth["omega_casing_rad_s"].mean(), rel=0.01)
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not (REAL / "torsion").is_dir(), reason="recordings made by others are absent")
-def test_torsion_pendulum_made_by_others(tmp_path, capsys):
-    """The spring is found; the frequency agrees with that of a damped sinusoid fitted to the same angles."""
-    table = REAL / "torsion" / "torsion_pendulum.csv"
-    target = ["-o", str(tmp_path / "t.h5"), "--report", str(tmp_path / "t.html"), "--json"]
-    assert app.run(["spindown", str(table), *target]) in (0, 3)
-    found = json.loads(capsys.readouterr().out)
-    assert found["motion"]["kind"] == "oscillation"
-    last = found["ladder"][-1]
-    assert any("casing.spring" in str(step["added"]) for step in found["ladder"])
-    assert last["rmse_casing"] < 0.5
-    t, angle = np.loadtxt(table, delimiter=",", skiprows=1).T
-    early = t < 160
-
-    def residual(c):
-        wave = c[2] * np.cos(2 * np.pi * c[0] * t) + c[3] * np.sin(2 * np.pi * c[0] * t)
-        return (np.exp(-c[1] * t) * wave + c[4] - angle)[early]
-
-    frequency = least_squares(residual, [0.559, 0.015, 1.7, 0.0, 0.0], x_scale=[1e-3, 1e-2, 1, 1, 0.1]).x[0]
-    assert 1 / found["motion"]["period"]["value"] == pytest.approx(frequency, rel=1e-3)

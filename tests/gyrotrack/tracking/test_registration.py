@@ -17,7 +17,7 @@ class Rendered:
     """Frames in memory with the interface of `Film`."""
 
     def __init__(self, frames):
-        self._frames = frames
+        self._frames, self._shake = frames, None
         self.path = Path("rendered.mp4")
         self.warnings = ()
         small = [f[::4, ::4].astype(float) for f in frames]
@@ -26,11 +26,17 @@ class Rendered:
     def __len__(self):
         return len(self._frames)
 
+    def stabilise(self, shake):
+        self._shake = shake
+
     def frames(self, first=0, stop=None):
-        return iter(self._frames[first:stop])
+        return iter(self.some(range(len(self))[first:stop]))
 
     def some(self, index):
-        return [self._frames[i] for i in index]
+        found = [self._frames[i] for i in index]
+        if self._shake is None:
+            return found
+        return [self._shake.stabilised(f, i) for f, i in zip(found, index, strict=True)]
 
 
 def renderer(radius, seed=0):

@@ -105,15 +105,18 @@ def information(time, omega, jitter=1e-5):
     return np.sqrt(np.linalg.inv(design.T @ design)[2, 2])
 
 
-@pytest.mark.parametrize("most", [100, pytest.param(1000, marks=pytest.mark.slow)])
-def test_pulses_once_and_many_times_per_turn(gyrotrack, tmp_path, most):
+# the errors of single pulses are well below the interval between them
+@pytest.mark.parametrize(
+    ("most", "jitter"), [(100, 1e-5), pytest.param(1000, 2e-6, marks=pytest.mark.slow)], ids=["100", "1000"]
+)
+def test_pulses_once_and_many_times_per_turn(gyrotrack, tmp_path, most, jitter):
     """Parameters agree, and their uncertainties are what the times of the pulses tell."""
     rng = np.random.default_rng(11)
     found, expected = {}, {}
     for per_turn in (1, most):
         table, case = tmp_path / f"p{per_turn}.csv", tmp_path / f"p{per_turn}.h5"
-        _, time, omega = pulses(table, per_turn, rng)
-        expected[per_turn] = information(time, omega)
+        _, time, omega = pulses(table, per_turn, rng, jitter=jitter)
+        expected[per_turn] = information(time, omega, jitter)
         said = gyrotrack(
             "import", "--body", table, "--pulses-per-turn", per_turn, "--inertia", "1", "-o", case
         )
@@ -125,7 +128,8 @@ def test_pulses_once_and_many_times_per_turn(gyrotrack, tmp_path, most):
     assert abs(many["value"] - 1.5) < 4 * many["stderr"]
     assert abs(one["value"] - many["value"]) < 4 * np.hypot(one["stderr"], many["stderr"])
     assert one["stderr"] == pytest.approx(expected[1], rel=0.35)
-    assert many["stderr"] == pytest.approx(expected[most], rel=0.35)
+    # more than the pulses alone tell, by the process noise that cannot be excluded
+    assert 0.65 < many["stderr"] / expected[most] < 1.5
     ratio = expected[1] / expected[most]
     assert ratio == pytest.approx(np.sqrt(most), rel=0.1)
-    assert one["stderr"] / many["stderr"] == pytest.approx(ratio, rel=0.4)
+    assert 0.6 < one["stderr"] / many["stderr"] / ratio < 1.4
