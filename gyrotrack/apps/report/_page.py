@@ -225,7 +225,11 @@ def _facts(view: StudyView) -> list[tuple[str, str]]:
             )
         )
     best = next((c for c in view.candidates if c.significant), None)
-    if best is not None:
+    if best is not None and view.verdict == "adequate":
+        strongest = f"{best.effect.name}, p {_equal(probability(best.p_value))}"
+        tested = f"{len(view.candidates)} candidate effects tested, none accepted; the strongest: {strongest}"
+        rows.append(("Significance", tested))
+    elif best is not None:
         certainty = f"ΔBIC {short(best.delta_bic)}, " if best.delta_bic == best.delta_bic else ""
         certainty += f"p {_equal(probability(best.p_value))}"
         if best.indistinguishable_from:
