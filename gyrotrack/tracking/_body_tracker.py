@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack.tracking._association import LONGEST_COAST, Motion, Prediction, find_lock, follow
-from gyrotrack.tracking._illumination import Occlusion
+from gyrotrack.tracking._illumination import AngleMap, Occlusion
 from gyrotrack.tracking._marker_tracker import MarkerTracker
 from gyrotrack.tracking._marker_window import MarkerStrip, MarkerWindow, common_columns
 from gyrotrack.tracking._observations import MarkerObservations
@@ -84,6 +84,11 @@ class BodyTracker:
         """Put all rings about a centre."""
         for tracker in self.markers.values():
             tracker.strip.aim(centre)
+
+    @property
+    def maps(self) -> list[AngleMap]:
+        """What was learnt of the light on each marker's ring, and of what hides the markers."""
+        return [*(tracker.light for tracker in self.markers.values()), self._cover.map]
 
     def take(self, frames: list[Frame], place: int, advance: Floats) -> None:
         """Follow the body through some consecutive frames and cut its markers out, from `place` of the batch on.

@@ -1,8 +1,10 @@
 """One pass through a film, part by part, in several processes.
 
-A film is split at key frames into parts that depend on the film alone. Each part is tracked by a copy of one new
-tracker, which knows the scene but nothing of the frames before: what a tracker learns on the way (templates, the light
-on the rings, the motion) stays in its part, and the result does not depend on how many processes share the parts.
+A film is split at key frames into parts that depend on the film alone. The light on the rings and the occlusion hold
+for all of the film, and are learnt from some frames of each part in a first pass: a part alone shows fewer passages of
+the markers, and its angles would be less precise. Each part is then tracked by a copy of the tracker that knows both,
+but nothing of the frames before: what it learns on the way (templates, the motion) stays in its part, and the result
+does not depend on how many processes share the parts.
 A part goes on for `OVERLAP` frames into the next one. These frames, seen by both, tell by how many turns the unwrapped
 angles of the two differ; of their measurements those of the earlier part are kept, whose tracker is not new any more.
 """
@@ -13,16 +15,16 @@ import os
 import pickle
 import signal
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from multiprocessing import get_context, parent_process
 from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 from threading import Lock, Thread
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -38,6 +40,7 @@ from gyrotrack.tracking._film_tracker import (
     Progress,
     Rows,
 )
+from gyrotrack.tracking._illumination import AngleMap
 from gyrotrack.tracking._observations import MarkerObservations
 from gyrotrack.tracking._profile import single_threaded
 from gyrotrack.tracking._scene import Scene
@@ -47,6 +50,7 @@ from gyrotrack.video._frames import RepeatDetector
 from gyrotrack.video._time_base import Timing
 
 Floats = npt.NDArray[np.float64]
+T = TypeVar("T")
 
 PART = 2500
 """Frames of a part at most, but for the distance of key frames."""
@@ -54,6 +58,8 @@ LEAST_PART = 400
 """Frames of a part at least: from fewer the light on a ring and the templates are not learnt."""
 OVERLAP = 64
 """Frames that two neighbouring parts share."""
+LEARNT = 256
+"""Frames at the beginning of each part from which light and occlusion are learnt before the parts are tracked."""
 _RATE = 24
 _STAMPS = "stamps"
 
@@ -105,7 +111,7 @@ class Film:
     timing : Timing
         Origin of its times.
     tracker : bytes
-        A new tracker of the scene, pickled.
+        A tracker of the scene, pickled, without a motion.
     """
 
     path: Path
@@ -142,7 +148,7 @@ class _Advance:
         return self._odd.get(frame.pts, 1.0) if frame.index else 0.0
 
 
-def track_part(film: Film, part: Part, threads: int, count: Any) -> PartRows:
+def track_part(film: Film, part: Part, threads: int, count: Callable[[int], None]) -> PartRows:
     """Track one part of a film.
 
     Parameters
@@ -155,24 +161,40 @@ def track_part(film: Film, part: Part, threads: int, count: Any) -> PartRows:
         Called with the number of frames of each batch that is done.
     """
     work: FilmTracker = pickle.loads(film.tracker)  # noqa: S301 - made by this process or its parent
-    work.repeats = RepeatDetector(film.packets)
     batches: list[Rows] = []
     with single_threaded(), Reader(film.path, threads, part) as reader:
-        clock = _Advance(film.packets.stamps, float(reader.info.time_base), film.timing)
-        for frame in reader:
-            work.keep(frame, clock.step(frame), stamped=clock.stamped)
-            if work.full:
-                work.take()
-            if work.filled == _film_tracker.BATCH:
-                batches.append(work.digest())
-                count(len(batches[-1]["again"]))
-        if work.held:
-            work.take()
-        if work.filled:
-            batches.append(work.digest())
-            count(len(batches[-1]["again"]))
+        for batch in _measured(work, film, reader):
+            batches.append(batch)
+            count(len(batch["again"]))
         rows = {name: np.concatenate([b[name] for b in batches]) for name in batches[0]} if batches else {}
         return PartRows(rows, reader.stamps, reader.bad_packets, reader.corrupt)
+
+
+def _measured(work: FilmTracker, film: Film, reader: Reader) -> Iterator[Rows]:
+    """Track the frames of a reader and yield the rows of each batch."""
+    work.repeats = RepeatDetector(film.packets)
+    clock = _Advance(film.packets.stamps, float(reader.info.time_base), film.timing)
+    for frame in reader:
+        work.keep(frame, clock.step(frame), stamped=clock.stamped)
+        if work.full:
+            work.take()
+        if work.filled == _film_tracker.BATCH:
+            yield work.digest()
+    if work.held:
+        work.take()
+    if work.filled:
+        yield work.digest()
+
+
+def learn_part(film: Film, part: Part, threads: int, _count: Callable[[int], None]) -> list[AngleMap]:
+    """Return what the first `LEARNT` frames of a part show of light and occlusion."""
+    work: FilmTracker = pickle.loads(film.tracker)  # noqa: S301 - made by this process or its parent
+    last = min(part.first + LEARNT, len(film.packets.stamps) - 1)
+    block = replace(part, stop=int(film.packets.stamps[last]))
+    with single_threaded(), Reader(film.path, threads, block) as reader:
+        for _ in _measured(work, film, reader):
+            pass
+    return work.maps
 
 
 _done: Synchronized[int] | None = None
@@ -198,8 +220,11 @@ def _count(frames: int) -> None:
             _done.value += frames
 
 
-def _track_in_worker(film: Film, part: Part) -> PartRows:
-    return track_part(film, part, 1, _count)
+Task = Callable[[Film, Part, int, Callable[[int], None]], T]
+
+
+def _run_in_worker(task: Task[T], film: Film, part: Part) -> T:
+    return task(film, part, 1, _count)
 
 
 class PartWorkers:
@@ -244,26 +269,35 @@ class PartWorkers:
             for process in processes if kind is not None else ():
                 process.terminate()
 
-    def track(
-        self, film: Film, todo: list[int], threads: int, told: Progress | None, done: int, total: int | None
-    ) -> Iterator[tuple[int, PartRows]]:
-        """Track some of the parts and yield (index, rows) of each as it is done.
+    def run(
+        self,
+        task: Task[T],
+        film: Film,
+        todo: list[int],
+        threads: int,
+        progress: Progress | None = None,
+        done: int = 0,
+        total: int | None = None,
+    ) -> Iterator[tuple[int, T]]:
+        """Do a task for some of the parts and yield (index, result) of each as it is done.
 
         Parameters
         ----------
+        task : callable
+            Called with (film, part, threads, count), count a function to call with the number of frames that are done.
         film : Film
             The film.
         todo : list of int
             Indices of the parts.
         threads : int
-            Threads of the decoder where one process tracks all.
-        told : callable, optional
+            Threads of the decoder where one process does all.
+        progress : callable, optional
             Called with (frames done, frames in all), from `done` on.
         """
-        waiting, futures, lock = deque(todo), dict[int, Future[PartRows]](), Lock()
+        waiting, futures, lock = deque(todo), dict[int, Future[T]](), Lock()
         own = 0
 
-        def submit_next(previous: Future[PartRows] | None = None) -> None:
+        def submit_next(previous: Future[T] | None = None) -> None:
             if previous is not None and (previous.cancelled() or previous.exception() is not None):
                 return
             with lock:
@@ -271,7 +305,7 @@ class PartWorkers:
                 if not waiting or executor is None:
                     return
                 try:
-                    future = executor.submit(_track_in_worker, film, self.parts[waiting[0]])
+                    future = executor.submit(_run_in_worker, task, film, self.parts[waiting[0]])
                 except (OSError, RuntimeError):  # broken or shut down
                     return
                 futures[waiting.popleft()] = future
@@ -280,13 +314,13 @@ class PartWorkers:
         def count(frames: int) -> None:
             nonlocal own
             own += frames
-            tell()
+            report()
 
-        def tell() -> None:
-            if told is not None:
+        def report() -> None:
+            if progress is not None:
                 others = self._done.value if self._done is not None else 0
                 whole = done + own + others
-                told(min(whole, total) if total else whole, total)
+                progress(min(whole, total) if total else whole, total)
 
         for _ in range(self.count - 1 if self._executor is not None and len(todo) > 1 else 0):
             submit_next()
@@ -295,22 +329,24 @@ class PartWorkers:
                 if not waiting:
                     break
                 index = waiting.pop()
-            yield index, track_part(film, self.parts[index], 1 if futures else threads, count)
+            yield index, task(film, self.parts[index], 1 if futures else threads, count)
         while futures:
             ready = [i for i, f in list(futures.items()) if f.done()]
             for index in ready:
-                yield index, self._result(film, index, futures.pop(index), count)
+                yield index, self._result(task, film, index, futures.pop(index), count)
             if not ready:
                 try:
                     next(iter(futures.values())).exception(timeout=0.1)
                 except TimeoutError:
-                    tell()
+                    report()
 
-    def _result(self, film: Film, index: int, future: Future[PartRows], count: Any) -> PartRows:
+    def _result(
+        self, task: Task[T], film: Film, index: int, future: Future[T], count: Callable[[int], None]
+    ) -> T:
         try:
             return future.result()
         except BrokenProcessPool:  # a worker was killed, as for want of memory
-            return track_part(film, self.parts[index], 1, count)
+            return task(film, self.parts[index], 1, count)
 
 
 def frames_done(journal: CheckpointFile) -> int:
@@ -361,7 +397,13 @@ def track_film(
     done = kept.frames
     if progress is not None and done:
         progress(done, total)
-    for index, found in workers.track(film, kept.todo, threads, progress, done, total):
+    if kept.todo and len(workers.parts) > 1:
+        learnt = dict(workers.run(learn_part, film, list(range(len(workers.parts))), threads))
+        for index in sorted(learnt):  # sums of floats depend on their order
+            for own, other in zip(work.maps, learnt[index], strict=True):
+                own.add(other)
+        film = replace(film, tracker=pickle.dumps(work, protocol=pickle.HIGHEST_PROTOCOL))
+    for index, found in workers.run(track_part, film, kept.todo, threads, progress, done, total):
         kept.add(index, found)
     if progress is not None:
         progress(kept.frames, total)

@@ -20,6 +20,7 @@ import numpy.typing as npt
 from gyrotrack.tracking._association import LEAST_SCATTER
 from gyrotrack.tracking._body_tracker import BodyTracker
 from gyrotrack.tracking._hub import DiscWindow
+from gyrotrack.tracking._illumination import AngleMap
 from gyrotrack.tracking._observations import MarkerObservations
 from gyrotrack.tracking._scene import Samples, Scene
 from gyrotrack.video._container import Frame
@@ -121,6 +122,11 @@ class FilmTracker:
         self.repeats: RepeatDetector | None = None
         self.owed = 0.0
         self.hold = int(np.clip(HELD_BYTES // (1.5 * samples.frames[0].y.size), 8, HOLD))
+
+    @property
+    def maps(self) -> list[AngleMap]:
+        """What was learnt of light and occlusion, which holds for all of the film."""
+        return [angle_map for body in self.bodies.values() for angle_map in body.maps]
 
     @property
     def full(self) -> bool:

@@ -44,6 +44,11 @@ class AngleMap:
         self._top[layer] += np.bincount(column, weighted, self.columns)
         self._bottom[layer] += np.bincount(column, expected * expected, self.columns)
 
+    def add(self, other: AngleMap) -> None:
+        """Add the passages of another map of the same marker."""
+        self._top += other._top
+        self._bottom += other._bottom
+
     def heights(self, blur: int, prior: float = 0.0) -> Floats:
         """Return the heights relative to their upper middle (layers, columns); NaN where nothing has passed.
 
@@ -166,7 +171,7 @@ class Occlusion:
 
     def __init__(self, step: float, offset: tuple[float, float] = (0.0, 0.0)) -> None:
         self._step, self._offset = step, offset
-        self._map = AngleMap(LAYERS, _COLUMNS)
+        self.map = AngleMap(LAYERS, _COLUMNS)
 
     def learn(self, look: MarkerWindow, expected: Floats, casing: Floats) -> None:
         """Add what the windows of a marker show; `expected` is its profile in them (n, m), `casing` (n,) in rad."""
@@ -174,7 +179,7 @@ class Occlusion:
         core = np.where(known & (expected > 0.7), expected, 0.0)
         column = self._relative(look, casing)
         for layer in range(look.layers.shape[1]):
-            self._map.learn(layer, column, core, np.clip(look.layers[:, layer], -0.2, 1.5))
+            self.map.learn(layer, column, core, np.clip(look.layers[:, layer], -0.2, 1.5))
 
     def open(self, look: MarkerWindow, casing: Floats | None, *, shadows: bool = False) -> Mask:
         """Return which samples of the windows nothing hides, (n, m); all, where the other body is unknown.
@@ -185,7 +190,7 @@ class Occlusion:
         if casing is None:
             return everything
         known = np.isfinite(casing)[:, None]
-        open_ = open_columns(self._map, shadows=shadows)
+        open_ = open_columns(self.map, shadows=shadows)
         return np.where(known, open_[self._relative(look, casing)], everything)
 
     def _relative(self, look: MarkerWindow, casing: Floats) -> Integers:

@@ -169,7 +169,7 @@ class MarkerTracker:
         self.strip = strip
         self._across: Floats | None = None
         self._along: Floats | None = None
-        self._light = AngleMap(1, strip.ring.columns, strip.ground if strip.white else None)
+        self.light = AngleMap(1, strip.ring.columns, strip.ground if strip.white else None)
 
     def look(self, coarse: Floats) -> MarkerWindow:
         """Take the windows about the coarse angles (rad, NaN: not followed) out of the buffer."""
@@ -185,7 +185,7 @@ class MarkerTracker:
         A shadow dims a colour with all that is seen of it; beside a white marker it darkens the metal, which pulls
         the marker's foot. Where nothing hides such a marker, only samples that are `clear` of shadows are used.
         """
-        dark = unlit(self._light)
+        dark = unlit(self.light)
         if dark.any():
             open_ = open_ & (look.here(dark) == 0)
         whole = (open_ | ~self._matters(look)).all(axis=1) & look.known
@@ -241,7 +241,7 @@ class MarkerTracker:
                 self._across = better if self._across is None or rounds > 1 else 0.5 * (self._across + better)
             if good.any():
                 self._learn_light(look, displaced(template, found.shift), found.offset, open_ & good[:, None])
-                look.apply_light(even_light(self._light, reach))
+                look.apply_light(even_light(self.light, reach))
             template = self.template(look.profile.shape[1])
             found = match(look.profile, template, found.shift, open_)
         return found
@@ -249,7 +249,7 @@ class MarkerTracker:
     def _learn_light(self, look: MarkerWindow, expected: Floats, offset: Floats, use: Mask) -> None:
         expected = np.where((expected > 0.4) & use, expected, 0.0)
         column = look.column(self.strip.ring.columns)
-        self._light.learn(0, column, expected, look.raw - offset[:, None])
+        self.light.learn(0, column, expected, look.raw - offset[:, None])
 
     def _matched_along(self, look: MarkerWindow, found: Match, whole: Mask) -> Match:
         columns = np.arange(look.window.shape[2]) - self.strip.half
