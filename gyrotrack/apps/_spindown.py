@@ -42,8 +42,8 @@ _FILMS = (".mp4", ".mov", ".mkv", ".webm", ".avi", ".m4v", ".3gp", ".mjpeg", ".m
 
 
 @dataclass(frozen=True)
-class Wish:
-    """What is asked of `spindown`.
+class SpindownOptions:
+    """Options of `spindown`.
 
     Attributes
     ----------
@@ -75,7 +75,9 @@ class Wish:
     body: str | None = None
 
 
-def read_source(source: Path, wish: Wish, progress: Progress | None = None) -> tuple[Case, Tracked | None]:
+def read_source(
+    source: Path, options: SpindownOptions, progress: Progress | None = None
+) -> tuple[Case, Tracked | None]:
     """Make a case of one body from a film, a recording or a table.
 
     Raises
@@ -83,25 +85,25 @@ def read_source(source: Path, wish: Wish, progress: Progress | None = None) -> t
     VideoError, TrackingError, DatasetError
         The source cannot be read, or shows no motion that can be measured.
     """
-    moment = Inertia(1.0) if wish.inertia is None else Inertia.of(wish.inertia)
+    moment = Inertia(1.0) if options.inertia is None else Inertia.of(options.inertia)
     if not source.is_file():
         raise DatasetError(f"There is no file {source}.", "Check the path.")
     tracked = None
-    if source.suffix.lower() in _FILMS and wish.pulses_per_turn is None:
-        recording, tracked = _film(source, wish, progress)
-        case = _recording_case(recording, moment.value, wish.body)
+    if source.suffix.lower() in _FILMS and options.pulses_per_turn is None:
+        recording, tracked = _film(source, options, progress)
+        case = _recording_case(recording, moment.value, options.body)
     elif source.suffix.lower() in (".h5", ".hdf5") and (found := _recording_in(source)) is not None:
-        case = _recording_case(found, moment.value, wish.body)
+        case = _recording_case(found, moment.value, options.body)
     else:
-        options = ReadOptions(pulses_per_turn=wish.pulses_per_turn, fps=wish.capture_fps)
-        case = import_body(source, moment.value, options=options, limits=Limits(keep_all=wish.keep_all))
-    case = replace(case, I_casing_u=moment.u, per_inertia=int(wish.inertia is None))
+        columns = ReadOptions(pulses_per_turn=options.pulses_per_turn, fps=options.capture_fps)
+        case = import_body(source, moment.value, options=columns, limits=Limits(keep_all=options.keep_all))
+    case = replace(case, I_casing_u=moment.u, per_inertia=int(options.inertia is None))
     warnings = list(case.warnings)
-    if wish.inertia is None:
+    if options.inertia is None:
         warnings.append("No inertia is given: torques are per unit of inertia, in rad/s2 (inertia 1).")
     series = case.casing
     table = not case.recordings  # its reader has cut it
-    first = 0 if wish.keep_all or table else start_of_motion(series.time, series.angle, series.sigma)
+    first = 0 if options.keep_all or table else start_of_motion(series.time, series.angle, series.sigma)
     if first:
         warnings.append(
             f"The body is driven until {series.time[first]:.3f} s (a hand or a motor); {first} samples before it are "
@@ -111,7 +113,7 @@ def read_source(source: Path, wish: Wish, progress: Progress | None = None) -> t
             k: getattr(series, k)[first:] for k in ("time", "angle", "sigma", "omega", "omega_sigma", "turn")
         }
         series = replace(series, **kept)
-    return replace(case, casing=series, warnings=tuple(warnings), label=wish.label or source.stem), tracked
+    return replace(case, casing=series, warnings=tuple(warnings), label=options.label or source.stem), tracked
 
 
 def _recording_in(path: Path) -> Recording | None:
@@ -121,33 +123,39 @@ def _recording_in(path: Path) -> Recording | None:
         return None
 
 
-def _film(source: Path, wish: Wish, progress: Progress | None) -> tuple[Recording, Tracked | None]:
+def _film(
+    source: Path, options: SpindownOptions, progress: Progress | None
+) -> tuple[Recording, Tracked | None]:
     """Track a film by its profile if one is given, else by the picture of the body, else by the paper's markers."""
-    if wish.profile is not None:
+    if options.profile is not None:
         return extract(
-            source, load(wish.profile), capture_fps=wish.capture_fps, body=wish.body, progress=progress
+            source,
+            load(options.profile),
+            capture_fps=options.capture_fps,
+            body=options.body,
+            progress=progress,
         ), None
     film = Film(source)
     try:
-        return film_recording(film, wish, progress)
+        return film_recording(film, options, progress)
     except TrackingError:
-        if wish.hub is not None:
+        if options.hub is not None:
             raise
-        fps, _, warnings = _rate(film, wish.capture_fps)
+        fps, _, warnings = _rate(film, options.capture_fps)
         with suppress(GyrotrackError):
-            found = extract(source, capture_fps=fps, body=wish.body, progress=progress)
+            found = extract(source, capture_fps=fps, body=options.body, progress=progress)
             if max(len(body.time) for body in found.bodies.values()) > _TRACKED * len(film):
                 note = "The paper's coloured markers are tracked; --profile or --hub X,Y names another body."
                 return replace(found, warnings=(*warnings, note, *found.warnings)), None
         raise
 
 
-def _rate(film: Film, asked: float | None) -> tuple[float, str, list[str]]:
+def _rate(film: Film, requested: float | None) -> tuple[float, str, list[str]]:
     """Return the capture rate of a film [1/s], where it is from, and a warning where it may be another one."""
-    if asked is not None:
-        if not (math.isfinite(asked) and asked > 0):
-            raise VideoError(f"a capture rate of {asked:g} fps is not possible", "give a positive number")
-        return asked, "asked for", []
+    if requested is not None:
+        if not (math.isfinite(requested) and requested > 0):
+            raise VideoError(f"a capture rate of {requested:g} fps is not possible", "give a positive number")
+        return requested, "asked for", []
     if film.info.tag_fps is not None:
         return film.info.tag_fps, "tag of the camera", []
     fps = film.info.container_fps
@@ -157,11 +165,13 @@ def _rate(film: Film, asked: float | None) -> tuple[float, str, list[str]]:
     return fps, "container", [slow] if fps < SLOWEST_PLAIN_RATE else []
 
 
-def film_recording(film: Film, wish: Wish, progress: Progress | None = None) -> tuple[Recording, Tracked]:
+def film_recording(
+    film: Film, options: SpindownOptions, progress: Progress | None = None
+) -> tuple[Recording, Tracked]:
     """Track one body in a film and make a recording of it."""
     source = film.path
-    fps, origin, warnings = _rate(film, wish.capture_fps)
-    tracked = track_body(film, wish.hub, progress)
+    fps, origin, warnings = _rate(film, options.capture_fps)
+    tracked = track_body(film, options.hub, progress)
     times = Timing("auto", fps).of(film.stamps, float(film.info.time_base))
     time_all = times.seconds(fps)
     time = time_all[tracked.frame]
@@ -200,7 +210,7 @@ def film_recording(film: Film, wish: Wish, progress: Progress | None = None) -> 
         centre_sigma=np.full(len(film), np.nan),
         markers={},
         bodies={"casing": body},
-        warnings=(*warnings, *tracked.warnings, *times.told),
+        warnings=(*warnings, *tracked.warnings, *times.warnings),
         extra={
             "times_from": "frames" if times.place is None else "stamps",
             "capture_rate_from": origin,
@@ -267,7 +277,7 @@ def spindown(
     source: Path,
     target: Path,
     report: Path | None,
-    wish: Wish,
+    options: SpindownOptions,
     *,
     command: str,
     force: bool = False,
@@ -281,7 +291,7 @@ def spindown(
         Film, recording or table.
     target, report : Path
         The case and the report to write; no report without its path.
-    wish : Wish
+    options : SpindownOptions
         Options.
     command : str
         The command line, for the case file.
@@ -301,14 +311,19 @@ def spindown(
     from fitting.discovery._verdict import diagnose
     from fitting.study._serialisation import diagnosis_document
 
-    case, tracked = read_source(source, wish, progress)
+    case, tracked = read_source(source, options, progress)
     series = case.casing
     motion = motion_of(series.time, series.angle, series.sigma)
     if tracked is not None:
         motion = _with_view(motion, series, case.recordings["casing"], tracked)
     if motion.turns * TURN < 10 * float(np.median(series.sigma)):
         raise TrackingError(f"nothing turns in {source}", "check that it is the right file")
-    settings = {"source": source, "hub": wish.hub, "capture_fps": wish.capture_fps, "inertia": wish.inertia}
+    settings = {
+        "source": source,
+        "hub": options.hub,
+        "capture_fps": options.capture_fps,
+        "inertia": options.inertia,
+    }
     write_case(target, case, command=command, settings=settings, force=force)
     picture = None
     if tracked is not None:

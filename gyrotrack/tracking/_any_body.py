@@ -60,7 +60,11 @@ _BESIDE = 0.2
 _STRETCH_SPAN = 3.0
 """Motion in rad from which the ellipse of a tilted camera is sought."""
 _STATIC_SPAN = 1.0
-"""Motion in rad from which the fixed picture is told from the body's."""
+"""Motion in rad from which a fixed picture is always part of the model ..."""
+_CLEARLY_BETTER = 0.02
+"""... and the share by which it must explain more where the body moves less, as a pendulum before a wall does."""
+_MANY_TURNS = 3.0
+"""Turns from which an error once a turn cannot be taken for a motion."""
 
 
 class NothingMovesError(TrackingError):
@@ -175,7 +179,11 @@ class Tracked:
 
 @dataclass(frozen=True)
 class _Trial:
-    """One reading of a film: a ring, a way to follow, and how well it explains what is seen."""
+    """One reading of a film: a ring, a way to follow, and how well it explains what is seen.
+
+    `static` tells that the mean picture is subtracted to follow the body, `separate` that a fixed picture is part of
+    the model.
+    """
 
     ring: Ring
     way: str
@@ -183,6 +191,7 @@ class _Trial:
     static: bool
     angle: Floats
     score: float
+    separate: bool
 
 
 def track_body(
@@ -303,8 +312,8 @@ def _second_body(block: Sequence[Plane], motion: Motion, best: _Trial) -> _Trial
         return None
     found = _refined_trial(max(trials, key=lambda t: t.score), block, motion.area, keep=False)
     apart = math.dist(found.ring.hub, best.ring.hub)
-    separate = apart > best.ring.outer and apart > found.ring.outer
-    return found if separate and found.score > max(_EXPLAINED, _AS_GOOD * best.score) else None
+    clear = apart > best.ring.outer and apart > found.ring.outer
+    return found if clear and found.score > max(_EXPLAINED, _AS_GOOD * best.score) else None
 
 
 def _by_features(
@@ -459,19 +468,21 @@ def _trials(proposal: Proposal, block: Sequence[Plane], motion: Motion) -> list[
             )
             if np.ptp(rough.angle) < 2e-3:
                 continue
-            score, _ = _score(polars, rough.angle, allowed, ring)
-            found.append(_Trial(ring, proposal.way, band, static, rough.angle, score))
+            separate = bool(np.ptp(rough.angle) > _STATIC_SPAN)
+            score, _ = _score(polars, rough.angle, allowed, ring, separate=separate)
+            if not separate:
+                other, _ = _score(polars, rough.angle, allowed, ring, separate=True)
+                separate = other > score + _CLEARLY_BETTER
+                score = other if separate else score
+            found.append(_Trial(ring, proposal.way, band, static, rough.angle, score, separate))
     return found
 
 
-def _separable(angle: Floats) -> bool:
-    """Tell whether a motion is large enough to tell the fixed picture from the body's."""
-    return float(np.ptp(angle)) > _STATIC_SPAN
-
-
-def _score(polars: Sequence[Picture], angle: Floats, allowed: Bools, ring: Ring) -> tuple[float, Floats]:
+def _score(
+    polars: Sequence[Picture], angle: Floats, allowed: Bools, ring: Ring, *, separate: bool
+) -> tuple[float, Floats]:
     use = slice(None, None, max(1, len(polars) // 100))
-    template = learn(polars[use], angle[use], allowed, ring, separate=_separable(angle), plain=True)
+    template = learn(polars[use], angle[use], allowed, ring, separate=separate, plain=True)
     return explained(polars, angle, template)
 
 
@@ -492,7 +503,7 @@ def _refined_trial(trial: _Trial, block: Sequence[Plane], area: Area, *, keep: b
     """Improve radii, hub and angles of a reading on its block of frames."""
     ring, angle = trial.ring, trial.angle
     polars = [ring.unwrap(frame) for frame in block]
-    _, rows = _score(polars, angle, ring.inside(area), ring)
+    _, rows = _score(polars, angle, ring.inside(area), ring, separate=trial.separate)
     ring = _trimmed(ring, rows)
     use = np.unique(np.linspace(0, len(block) - 1, 60).astype(int))
     few = [block[i] for i in use]
@@ -504,9 +515,9 @@ def _refined_trial(trial: _Trial, block: Sequence[Plane], area: Area, *, keep: b
             return -math.inf, angle
         polars = [there.unwrap(frame) for frame in few]
         for _ in range(2):
-            template = learn(polars, angle, allowed, there, separate=_separable(angle), plain=True)
+            template = learn(polars, angle, allowed, there, separate=trial.separate, plain=True)
             angle = np.array([register(p, template, a).angle for p, a in zip(polars, angle, strict=True)])
-        template = learn(polars, angle, allowed, there, separate=_separable(angle), plain=True)
+        template = learn(polars, angle, allowed, there, separate=trial.separate, plain=True)
         usable = (allowed * there.area).astype(np.float32)
         mean = np.mean(polars, axis=0)
         rest = sum(
@@ -522,7 +533,7 @@ def _refined_trial(trial: _Trial, block: Sequence[Plane], area: Area, *, keep: b
     free = _free(ring, angle, given=keep)
     for _ in range(6 if free else 0):
         change: Floats = np.zeros(4)
-        change[free] = ring_step(_placed(ring, place), few, angles, free, area)
+        change[free] = ring_step(_placed(ring, place), few, angles, free, area, separate=trial.separate)
         factor, before, start = 1.0, best, place
         while True:  # lengthen the step while that helps, for the learnt picture gives way
             value, there = tried(start + factor * change, angles)
@@ -537,10 +548,10 @@ def _refined_trial(trial: _Trial, block: Sequence[Plane], area: Area, *, keep: b
     ring = _placed(ring, place)
     polars = [ring.unwrap(frame) for frame in block]
     allowed = ring.inside(area)
-    template = learn([polars[i] for i in use], angles, allowed, ring, separate=_separable(angles), plain=True)
+    template = learn([polars[i] for i in use], angles, allowed, ring, separate=trial.separate, plain=True)
     offset = float(np.median(angles - angle[use]))
     angle = np.array([register(p, template, a + offset).angle for p, a in zip(polars, angle, strict=True)])
-    score, _ = _score(polars, angle, allowed, ring)
+    score, _ = _score(polars, angle, allowed, ring, separate=trial.separate)
     return replace(trial, ring=ring, angle=angle, score=score)
 
 
@@ -561,11 +572,13 @@ def _free(ring: Ring, angle: Floats, *, given: bool) -> list[int]:
     return ([] if given else [0, 1]) + ([2, 3] if stretch else [])
 
 
-def ring_step(ring: Ring, frames: Sequence[Plane], angles: Floats, free: Sequence[int], area: Area) -> Floats:
+def ring_step(
+    ring: Ring, frames: Sequence[Plane], angles: Floats, free: Sequence[int], area: Area, *, separate: bool
+) -> Floats:
     """Return the Gauss-Newton step in hub and stretch (x, y, p, q), the learnt picture and the angles projected out."""
     allowed = ring.inside(area)
     polars = [ring.unwrap(frame) for frame in frames]
-    template = learn(polars, angles, allowed, ring, separate=_separable(angles), plain=True)
+    template = learn(polars, angles, allowed, ring, separate=separate, plain=True)
     cos, sin = np.cos(ring.angle), np.sin(ring.angle)
     x, y = ring.radius[:, None] * cos, ring.radius[:, None] * sin
     kernel = (ring.outer - ring.inner) / ring.rows
@@ -642,13 +655,13 @@ def _measure(
         found[first:] = follow(polars[first:], weight, fixed, coarse, band=band).angle
         if first:
             found[first::-1] = follow(polars[first::-1], weight, fixed, coarse, band=band).angle
-        score, _ = _score(polars, found, allowed, coarse)
+        score, _ = _score(polars, found, allowed, coarse, separate=best.separate)
         if score > share:
             angle, share = found, score
         if share > 0.85 * best.score:
             break
-    angle = _settle(polars, angle, allowed, coarse)
-    share, _ = _score(polars, angle, allowed, coarse)
+    angle = _settle(polars, angle, allowed, coarse, separate=best.separate)
+    share, _ = _score(polars, angle, allowed, coarse, separate=best.separate)
     if share < _EXPLAINED:
         raise TrackingError(
             f"the body in {film.path.name} is followed through a part of the film only: its turning explains "
@@ -666,7 +679,7 @@ def _measure(
     limit = max(40, min(_LEARNT, int(400e6 / (4 * ring.rows * ring.columns))))
     chosen = np.unique(np.linspace(0, len(usable) - 1, limit).astype(int))
     pictures = film.some(usable[chosen])
-    separate = _separable(angle[chosen])
+    separate = best.separate
     free = _free(ring, angle, given=best.way == "given")
     for _ in range(2):
         shown = [ring.unwrap(picture) for picture in pictures]
@@ -676,7 +689,9 @@ def _measure(
         few = np.unique(np.linspace(0, len(chosen) - 1, 60).astype(int))
         if free:
             place = np.array([*ring.hub, *ring.stretch])
-            place[free] += ring_step(ring, [pictures[i] for i in few], angle[chosen][few], free, area)
+            place[free] += ring_step(
+                ring, [pictures[i] for i in few], angle[chosen][few], free, area, separate=separate
+            )
             ring = _placed(ring, place)
     shown = [ring.unwrap(picture) for picture in pictures]
     template = learn(shown, angle[chosen], allowed, ring, separate=separate, plain=True)
@@ -695,10 +710,12 @@ def _measure(
         halves[:, k] = [-register(polar, part, poses[-1].angle).angle for part in parts]
         if progress is not None:
             progress(k + 1, len(usable))
-    return _finish(film, usable, ring, template, poses, halves, best, angle)
+    return _finish(film, usable, ring, template, parts, poses, halves, best, angle)
 
 
-def _settle(polars: Sequence[Picture], angle: Floats, allowed: Bools, ring: Ring) -> Floats:
+def _settle(
+    polars: Sequence[Picture], angle: Floats, allowed: Bools, ring: Ring, *, separate: bool
+) -> Floats:
     """Improve the angles of all frames on the coarse ring."""
     for _ in range(2):
         use = np.unique(np.linspace(0, len(polars) - 1, _LEARNT).astype(int))
@@ -707,7 +724,7 @@ def _settle(polars: Sequence[Picture], angle: Floats, allowed: Bools, ring: Ring
             angle[use],
             allowed,
             ring,
-            separate=_separable(angle),
+            separate=separate,
             plain=True,
         )
         angle = np.array([register(p, template, a).angle for p, a in zip(polars, angle, strict=True)])
@@ -734,6 +751,7 @@ def _finish(
     usable: npt.NDArray[np.int64],
     ring: Ring,
     template: Template,
+    parts: tuple[Template, Template],
     poses: Sequence[Pose],
     halves: Floats,
     best: _Trial,
@@ -756,10 +774,16 @@ def _finish(
         warnings.append(
             f"{lost} of {len(kept)} frames do not show the body as the others do and are left out."
         )
+    correlated = hub_error(angle[kept], halves[:, kept], parts)
+    if correlated > float(np.median(scale * inflated[kept])):
+        warnings.append(
+            f"The inner and the outer half of the ring differ once a turn, as about a hub that is displaced: the "
+            f"uncertainty contains {1e3 * correlated:.2g} mrad for this."
+        )
     return Tracked(
         frame=usable[kept],
         angle=angle[kept],
-        sigma=scale * inflated[kept],
+        sigma=np.hypot(scale * inflated[kept], correlated),
         ring=ring,
         template=template,
         hub_path=np.array([p.shift for p in poses])[kept],
@@ -767,6 +791,46 @@ def _finish(
         way=best.way,
         scale=scale,
         halves=halves[:, kept],
-        correlated=0.0,
+        correlated=correlated,
         warnings=tuple(warnings),
     )
+
+
+def hub_error(angle: Floats, halves: Floats, parts: tuple[Template, Template]) -> float:
+    """Return the rms error of the angles that a displaced hub causes [rad], by the two halves of the ring.
+
+    Parameters
+    ----------
+    angle : ndarray, shape (n,)
+        Angles from the whole ring [rad].
+    halves : ndarray, shape (2, n)
+        Angles from its inner and its outer half alone [rad].
+    parts : tuple of Template
+        The halves.
+
+    Notes
+    -----
+    A hub displaced by e makes an error of e / r once a turn at the radius r, so that the halves at r1 and r2 differ by
+    e (1 / r1 - 1 / r2), as they also do in perspective. The difference is fitted by its first harmonic, its mean and
+    its trend; an amplitude below three standard errors counts as 0. Over less than half a turn the harmonic resembles
+    mean and trend, and over `_MANY_TURNS` it does not resemble a motion (fits take it as a nuisance): 0 is returned.
+    """
+    if not 0.5 * TURN < np.ptp(angle) < _MANY_TURNS * TURN:
+        return 0.0
+    r1, r2, r = (_radius_of(part) for part in (*parts, parts[0].whole()))
+    apart = halves[0] - halves[1]
+    time = np.linspace(-1.0, 1.0, len(angle))
+    rows = np.stack([np.cos(angle), np.sin(angle), np.ones_like(angle), time], axis=1)
+    found, *_ = np.linalg.lstsq(rows, apart, rcond=None)
+    rest = apart - rows @ found
+    variance = float(np.sum(np.linalg.inv(rows.T @ rows)[[0, 1], [0, 1]])) * float(np.var(rest))
+    size = math.hypot(float(found[0]), float(found[1]))
+    if size**2 < 9.0 * variance:
+        return 0.0
+    return size / max(abs(1.0 / r1 - 1.0 / r2), 1e-9) / r / math.sqrt(2.0)
+
+
+def _radius_of(part: Template) -> float:
+    """Return the radius at which a part of a ring measures the angle, weighted by its information [px]."""
+    known = part.information()
+    return float(np.sum(known * part.ring.radius) / max(float(np.sum(known)), 1e-12))

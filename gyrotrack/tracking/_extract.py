@@ -182,7 +182,7 @@ def extract(
     VideoError
         The film cannot be read, or its capture rate is unknown.
     TrackingError
-        No markers, or not the body that was asked for.
+        No markers, or not the requested body.
 
     Examples
     --------
@@ -251,9 +251,9 @@ def _recording(
     }
     still = _stillness(joint, info.path, marked=scene.disc is not None)
     of_rate = rate.warnings if seen.times.place is None else ()  # stamps have said how long a frame lasts
-    film = (*of_rate, *seen.warnings, *seen.times.told)
+    film = (*of_rate, *seen.warnings, *seen.times.warnings)
     doubts = _doubts(scene, bodies, len(time))
-    told = (*still, *film, *scene.warnings, *joint.warnings, *_odd_frames(markers), *doubts)
+    warnings = (*still, *film, *scene.warnings, *joint.warnings, *_odd_frames(markers), *doubts)
     return Recording(
         source=info.path.name,
         source_sha256=sha256,
@@ -272,7 +272,7 @@ def _recording(
         centre_sigma=joint.centre.sigma,
         markers=markers,
         bodies=bodies,
-        warnings=told,
+        warnings=warnings,
         extra={**_extra(scene, joint, rate.source, seen.times), "doubts": list(doubts)},
     )
 
@@ -320,7 +320,7 @@ def _doubts(scene: Scene, bodies: dict[str, BodyTrack], count: int) -> tuple[str
 
 
 def run_facts(video: Path, profile: Profile, body: str | None, times: str = "auto") -> dict[str, Any]:
-    """Return by what a run is known again: the film's content, what was asked for, and the program."""
+    """Return what identifies a run: the film's content, the settings, and the program."""
     probe(video)
     return {
         "film": file_sha256(video),

@@ -1,8 +1,7 @@
 """The tracker of a film: every frame unrolled, every batch of frames measured.
 
 The allocator of glibc keeps what is freed for later, and frames of some size that came and went leave it with a heap
-full of holes. At the few places where much is done with, it is asked to give back what it can; elsewhere nothing is
-done.
+full of holes. Where many frames have been processed, it returns to the system what it can.
 """
 
 from __future__ import annotations

@@ -29,8 +29,8 @@ Mask = npt.NDArray[np.bool_]
 AROUND = 20
 """Frames to each side from which the step of a body is known."""
 CLEAR = 6.0
-"""Standard deviations of its steps by which a body must move in a frame for a repetition to be told: half a step, below
-which it counts as still, is then three of them."""
+"""Standard deviations of its steps by which a body must move in a frame for a repetition to be detected: half a step,
+below which it counts as still, is then three of them."""
 FEWEST = 4
 
 
@@ -166,27 +166,31 @@ def without_repeats(
     if not found.again.any():
         return times, rate
     count, first = int(found.again.sum()), int(np.argmax(found.again))
-    told = f"{count} frames repeat the one before them, the first is frame {first}; they are left out"
+    warning = f"{count} frames repeat the one before them, the first is frame {first}; they are left out"
     if not found.inserted:
-        told += ", and fill the places of missing frames: the bodies have moved on after them"
+        warning += ", and fill the places of missing frames: the bodies have moved on after them"
     elif times.place is not None:
-        told += (
+        warning += (
             "; the bodies have not moved on after them, so that the timestamps are not the camera's, and times are "
             "wrong (--times frames counts the other frames)"
         )
     else:
         times = replace(times, number=times.number - np.cumsum(found.again))
         rate, more = _slower(rate, found, info)
-        told += f", and the others are counted without them: the bodies have not moved on after them; {more}"
-    return replace(times, again=found.again, told=(*times.told, told)), rate
+        warning += (
+            f", and the others are counted without them: the bodies have not moved on after them; {more}"
+        )
+    return replace(times, again=found.again, warnings=(*times.warnings, warning)), rate
 
 
 def _slower(rate: CaptureRate, found: Repetition, info: ClipInfo) -> tuple[CaptureRate, str]:
-    """Return the capture rate of a film with inserted frames, and what is to be told of it."""
+    """Return the capture rate of a film with inserted frames, and a warning about it."""
     stored, true = info.container_fps, info.container_fps * found.kept
     of_file = abs(rate.fps / stored - 1.0) < min(LIVE, np.nan_to_num(abs(rate.fps / true - 1.0), nan=np.inf))
     if of_file and np.isfinite(true):
-        told = f"a film of {true:.5g} frames/s was converted to {stored:.5g}, and times are from the former"
-        return CaptureRate(true, "repeated frames"), told
+        warning = (
+            f"a film of {true:.5g} frames/s was converted to {stored:.5g}, and times are from the former"
+        )
+        return CaptureRate(true, "repeated frames"), warning
     doubt = "; if that is not the camera's rate, give it with --capture-fps" if of_file else ""
     return rate, f"their rate is taken for {rate.fps:g} frames/s{doubt}"

@@ -16,11 +16,13 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import least_squares
 
 Floats = npt.NDArray[np.float64]
 Plane = npt.NDArray[np.uint8]
 
 _PAIRS = 40
+_LAGS = (1, 4, 16)
 _FEATURES = 400
 _STRAY = 8.0  # px from the similarity at which a feature is given up
 _NEAR = 640.0  # width of the picture over the distance from a similarity within which features agree with it
@@ -115,9 +117,10 @@ def propose_hubs(frames: Sequence[Plane], motion: Motion) -> list[Proposal]:
     """
     height, width = motion.mean.shape
     found: list[Proposal] = []
-    similarity = similarity_hub(frames, motion)
+    near_hub, far_hub = similarity_hubs(frames, motion)
     for way, place in (
-        ("features", similarity),
+        ("features", near_hub),
+        ("features of a distant body", far_hub),
         ("edges", edge_hub(motion)),
         ("orbit", orbit_hub(frames, motion)),
         ("middle of what moves", _middle(motion)),
@@ -186,22 +189,35 @@ def fit_circle(x: Floats, y: Floats) -> tuple[float, float] | None:
     return float(found.center[0]), float(found.center[1])
 
 
-def similarity_hub(frames: Sequence[Plane], motion: Motion) -> tuple[float, float] | None:
-    """Return the fixed point of the similarities between frames a few steps apart, from features that move."""
+def similarity_hubs(
+    frames: Sequence[Plane], motion: Motion
+) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
+    """Return the fixed point of the similarities between frames a few steps apart, from features that move.
+
+    Returns
+    -------
+    near, far : tuple of float or None
+        The hub (x, y) [px] that suits a body about it, and that of a body which moves at a distance from it.
+
+    Notes
+    -----
+    A similarity z -> a z + b about the hub h has b = (1 - a) h. Least squares in b suit a body that surrounds its hub.
+    A small body far from it, as a pendulum's ball, shows its displacement d = (1 - a)(h - c), c its centroid, precisely
+    and its rotation badly: errors of a pull the hub towards the body. There h is fitted to a = 1 - d / (h - c).
+    """
     mask = cv2.dilate(motion.moving.astype(np.uint8), np.ones((9, 9), np.uint8)).astype(np.uint8)
     if mask.sum() < 50:
-        return None
-    found: list[tuple[complex, complex]] = []
-    for lag in (1, 4):
+        return None, None
+    found: list[tuple[complex, complex, complex]] = []
+    for lag in _LAGS:
         starts = np.unique(np.linspace(0, len(frames) - 1 - lag, _PAIRS).astype(int))
         for i in starts[starts >= 0]:
             pair = similarity(frames[i], frames[i + lag], mask)
             if pair is not None:
                 found.append(pair)
     if len(found) < 4:
-        return None
-    turn = np.array([a for a, _ in found])
-    moved = np.array([b for _, b in found])
+        return None, None
+    turn, moved, centroid = (np.array(column, dtype=np.complex128) for column in zip(*found, strict=True))
     left = 1.0 - turn
     weight = np.abs(left) > np.median(np.abs(left)) * 0.5
     hub = complex(
@@ -214,11 +230,40 @@ def similarity_hub(frames: Sequence[Plane], motion: Motion) -> tuple[float, floa
         hub = complex(
             np.sum(np.conj(left) * moved * robust) / max(float(np.sum(np.abs(left) ** 2 * robust)), 1e-12)
         )
-    return hub.real, hub.imag
+    return (hub.real, hub.imag), distant_hub(hub, left, moved - left * centroid, centroid)
 
 
-def similarity(first: Plane, second: Plane, mask: Plane) -> tuple[complex, complex] | None:
-    """Return (a, b) of z -> a z + b, |a| = 1, between the moving features of two frames; None without agreement."""
+def distant_hub(
+    start: complex,
+    left: npt.NDArray[np.complex128],
+    shift: npt.NDArray[np.complex128],
+    centroid: npt.NDArray[np.complex128],
+) -> tuple[float, float] | None:
+    """Return the hub that makes 1 - a = d / (h - c) for all pairs of frames; None for a body about its hub."""
+    middle, spread = complex(np.median(centroid.real), np.median(centroid.imag)), float(np.abs(shift).max())
+    if abs(start - middle) < spread:
+        return None
+    scale = max(1.4826 * float(np.median(np.abs(left - shift / (start - centroid)))), 1e-5)
+
+    def residual(place: Floats) -> Floats:
+        away = complex(*place) - centroid
+        off = (left - shift / np.where(np.abs(away) < 1.0, 1.0, away)) / scale
+        return np.concatenate([off.real, off.imag])
+
+    fits = []
+    for factor in (1.0, 2.0, 4.0):
+        place = middle + factor * (start - middle)
+        size = abs(place - middle)
+        fits.append(least_squares(residual, [place.real, place.imag], loss="soft_l1", x_scale=size))
+    best = min(fits, key=lambda fit: float(fit.cost))
+    return float(best.x[0]), float(best.x[1])
+
+
+def similarity(first: Plane, second: Plane, mask: Plane) -> tuple[complex, complex, complex] | None:
+    """Return a, b of z -> a z + b, |a| = 1, between the moving features of two frames, and the centroid of these.
+
+    None where they do not agree.
+    """
     points = cv2.goodFeaturesToTrack(first, _FEATURES, 0.01, 5, mask=mask)
     if points is None or len(points) < 6:
         return None
@@ -243,7 +288,7 @@ def similarity(first: Plane, second: Plane, mask: Plane) -> tuple[complex, compl
     use = inside[:, 0] == 1
     z0 = start[moves][use] @ np.array([1, 1j])
     z1 = end[moves][use] @ np.array([1, 1j])
-    return a, complex(np.mean(z1) - a * np.mean(z0))
+    return a, complex(np.mean(z1) - a * np.mean(z0)), complex(np.mean(z0))
 
 
 def follow_features(

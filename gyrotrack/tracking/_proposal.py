@@ -98,7 +98,7 @@ def name_bodies(
 
 
 def name_markers(bodies: dict[Body, Group], notes: list[str]) -> list[ProposedMarker]:
-    """Give every marker a name; of two of one hue on one body neither can be told from the other."""
+    """Give every marker a name; of two of one hue on one body the two cannot be distinguished."""
     found: list[ProposedMarker] = []
     taken: set[str] = set()
     for body, group in bodies.items():

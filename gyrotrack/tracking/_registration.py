@@ -193,10 +193,19 @@ class Template:
             self._shifts.append(np.asarray(-(radial * sin + across * cos), dtype=np.float32))
         return self._shifts
 
+    def whole(self) -> Template:
+        """Return the same template with all of the ring."""
+        return replace(self, part=None)
+
+    def information(self) -> Floats:
+        """Return the information of each row about the angle, of arbitrary unit, shape (rows,)."""
+        known = self.ring.area * _slope(self.body) ** 2 / self.body_variance
+        used = known if self.part is None else known * self.part
+        return np.asarray(np.sum(used, axis=1), dtype=np.float64)
+
     def halves(self) -> tuple[Template, Template]:
         """Return the same template with the inner and with the outer half of the ring alone, of equal information."""
-        slope = _slope(self.body)
-        known = np.cumsum(np.sum(self.ring.area * slope**2 / self.body_variance, axis=1))
+        known = np.cumsum(self.information())
         row = int(np.clip(np.searchsorted(known, 0.5 * known[-1]), 1, len(known) - 1))
         inner = np.zeros_like(self.body)
         inner[:row] = 1.0
@@ -492,15 +501,19 @@ def explained(polars: Sequence[Picture], angles: Floats, template: Template) -> 
         float(np.mean([np.sum(usable * (polars[i + lag] - polars[i]) ** 2) for i in some])) for lag in lags
     ]
     lag = next(lag for lag, size in zip(lags, change, strict=True) if size >= 0.5 * max(change))
-    total, rest, noise = (np.zeros(len(usable)) for _ in range(3))
-    for i in range(0, len(polars) - lag, max(1, len(polars) // 100)):
+    total, rest = (np.zeros(len(usable)) for _ in range(2))
+    pairs = range(0, len(polars) - lag, max(1, len(polars) // 100))
+    # the learnt noise contains slow changes of the illumination, which over a short lag do not count
+    still = np.mean([(polars[i + lag] - polars[i]) ** 2 for i in pairs], axis=0)[usable > 0]
+    least = min(template.noise, 0.5 * float(np.quantile(still, 0.2))) if still.size else template.noise
+    noise = 2 * least * len(pairs) * usable.sum(axis=1)
+    for i in pairs:
         seen = polars[i + lag] - polars[i]
-        told = rolled(template.body, angles[i + lag] / template.ring.step) - rolled(
+        expected = rolled(template.body, angles[i + lag] / template.ring.step) - rolled(
             template.body, angles[i] / template.ring.step
         )
         total += (usable * seen**2).sum(axis=1)
-        rest += (usable * (seen - told) ** 2).sum(axis=1)
-        noise += 2 * template.noise * usable.sum(axis=1)
+        rest += (usable * (seen - expected) ** 2).sum(axis=1)
     rows = np.where(total > 1.1 * noise, 1.0 - (rest - noise).clip(0) / np.maximum(total - noise, 1e-9), 0.0)
     whole = float(total.sum() - noise.sum())
     if whole <= 0.1 * noise.sum():

@@ -196,7 +196,7 @@ class Residuals:
         return off
 
     def note_turns(self, short: Floats, smooth: Floats, half: int) -> None:
-        """Note where errors that repeat with the turn can be told from motion.
+        """Note where errors that repeat with the turn can be distinguished from motion.
 
         There the long window holds a whole turn, and its curve follows the motion: a sudden start is in no
         curve.

@@ -114,7 +114,7 @@ def _view(plane: Any) -> Plane:
 MAX_PIXELS = 64_000_000
 """Largest picture that is decoded: 8000 x 8000; a small file can declare far more than memory holds."""
 MIN_SIDE = 32
-"""Smallest side of a picture in which markers can be told apart."""
+"""Smallest side of a picture in which markers can be distinguished."""
 
 # Without these lists a text file named .mp4 can make the library open other files or the network.
 _CONTAINER_OPTIONS = {
@@ -211,7 +211,7 @@ def probe(path: Path) -> ClipInfo:
 
 
 def _declared_duration(container: Any, stream: Any) -> float:
-    """Return how long the pictures of a file last that does not count them [s], NaN where it is not told."""
+    """Return how long the pictures of a file last that does not count them [s], NaN where it is not stated."""
     if stream.frames or not container.duration or len(container.streams) != 1:
         return float("nan")  # beside a sound the whole may be longer than its pictures
     return float(container.duration / av.time_base)

@@ -135,7 +135,7 @@ class Reader:
     path : Path
         The film.
     threads : int
-        1: frames are decoded when they are asked for. More: a thread of its own decodes some frames ahead, and the
+        1: frames are decoded on demand. More: a thread of its own decodes some frames ahead, and the
         decoder uses so many threads (whole frames side by side).
     part : Part
         The frames to read; by default all.

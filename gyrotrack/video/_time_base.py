@@ -32,15 +32,15 @@ class CaptureRate:
     warnings: tuple[str, ...] = ()
 
 
-def capture_rate(info: ClipInfo, asked: float | None = None, profile: float | None = None) -> CaptureRate:
-    """Decide the capture rate: asked for, else the profile's, else the camera's tag, else the container's.
+def capture_rate(info: ClipInfo, requested: float | None = None, profile: float | None = None) -> CaptureRate:
+    """Decide the capture rate: the one requested, else the profile's, else the camera's tag, else the container's.
 
     Raises
     ------
     VideoError
         If nothing but a container rate below 100 fps is known, or a rate is not a positive number.
     """
-    for fps, source in ((asked, "asked for"), (profile, "profile"), (info.tag_fps, "tag of the camera")):
+    for fps, source in ((requested, "asked for"), (profile, "profile"), (info.tag_fps, "tag of the camera")):
         if fps is not None:
             if not (np.isfinite(fps) and fps > 0.0):
                 raise VideoError(f"a capture rate of {fps:g} fps is not possible", "give a positive number")
@@ -83,7 +83,7 @@ def frame_numbers(pts: npt.NDArray[np.float64], tick: float = COARSEST_TICK) -> 
     Notes
     -----
     The period is the median spacing. A step counts as a gap only beyond 1.5 periods and 1.1 ticks more than one,
-    because stamps in whole ticks jitter by one: in Matroska (1 ms) a single missing frame cannot be told above 900
+    because stamps in whole ticks jitter by one: in Matroska (1 ms) a single missing frame cannot be detected above 900
     frames/s. Films whose stamps are not evenly spaced
     otherwise (one step in ten is no whole number of periods), or that do not grow (one step in a hundred; AVI knows
     only when a frame is decoded, not when it is shown), are numbered without gaps.
@@ -112,11 +112,11 @@ def gap_warnings(number: npt.NDArray[np.int64]) -> tuple[str, ...]:
     """Tell of missing frames by the numbers of the others."""
     advance = np.diff(number)
     gaps = np.flatnonzero(advance > 1)
-    told = (
+    warnings = (
         f"timestamps show {int((advance - 1).sum())} missing frames at {len(gaps)} places, "
         f"the first after frame {int(gaps[0]) if len(gaps) else 0}; their times are left out"
     )
-    return (told,) if len(gaps) else ()
+    return (warnings,) if len(gaps) else ()
 
 
 def stamp_warnings(pts: npt.NDArray[np.float64]) -> tuple[str, ...]:
@@ -159,7 +159,7 @@ class FrameTimes:
         Standard deviation of a place, from the tick of the stamps; independent from frame to frame.
     smooth : ndarray, shape (n,), or None
         The places without what jitters from frame to frame beyond rounding, in case that is not the camera's.
-    told : tuple of str
+    warnings : tuple of str
         What the user should know.
     again : ndarray of bool, shape (n,), or None
         Frames that repeat the one before them; None if there are none.
@@ -169,20 +169,23 @@ class FrameTimes:
     place: Floats | None = None
     sigma: float = 0.0
     smooth: Floats | None = None
-    told: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     again: Mask | None = None
 
     def even(self) -> FrameTimes:
         """Return the same without what jitters, and say so."""
         if self.place is None or self.smooth is None:
             return self
-        told = (*self.told, "the markers move evenly where the stamps jitter; the stamps are smoothed")
-        return replace(self, place=self.smooth, sigma=0.0, smooth=None, told=told)
+        warnings = (
+            *self.warnings,
+            "the markers move evenly where the stamps jitter; the stamps are smoothed",
+        )
+        return replace(self, place=self.smooth, sigma=0.0, smooth=None, warnings=warnings)
 
     def at(self, index: Integers) -> FrameTimes:
         """Return the times of some frames, none of which repeats another."""
         some = (None if a is None else a[index] for a in (self.place, self.smooth))
-        return FrameTimes(self.number[index], next(some), self.sigma, next(some), self.told)
+        return FrameTimes(self.number[index], next(some), self.sigma, next(some), self.warnings)
 
     def seconds(self, fps: float) -> Floats:
         """Return the times in s at a capture rate, (n,).
@@ -227,7 +230,7 @@ class Timing:
         Raises
         ------
         VideoError
-            Stamps were asked for and cannot be had.
+            Timestamps are requested and not available.
         """
         grows = len(pts) > 2 and bool(np.isfinite(pts).all()) and _growing(np.diff(pts))
         usable = grows and bool((np.diff(pts) > 0.0).all())
@@ -241,8 +244,8 @@ class Timing:
         varied = grows and uneven(number, pts, tick)
         if self.source == "stamps" or (self.source == "auto" and usable and varied and self._live(pts)):
             return self._stamped(number, pts, tick, varied=varied)
-        told = (self._counted(pts),) if varied else ()
-        return FrameTimes(number, told=(*told, *gap_warnings(number)))
+        warnings = (self._counted(pts),) if varied else ()
+        return FrameTimes(number, warnings=(*warnings, *gap_warnings(number)))
 
     def _live(self, pts: Floats) -> bool:
         """Tell whether the film was not slowed down: its stamps come at about the capture rate."""
@@ -263,18 +266,18 @@ class Timing:
         scale = self.fps if self._live(pts) else 1.0 / float(line[0])
         place = (pts - pts[0]) * scale
         if not varied:
-            return FrameTimes(number, number * line[0] * scale, told=gap_warnings(number))
-        told = [_told(pts)]
+            return FrameTimes(number, number * line[0] * scale, warnings=gap_warnings(number))
+        warnings = [_stamps_used(pts)]
         if not self._live(pts):
-            told.append(
+            warnings.append(
                 f"the stamps, at {_rate(pts)}, are brought to the capture rate of {self.fps:g} frames/s"
             )
         best, sigma = _without_rounding(number, place, tick * scale)
         if best is not place:
-            return FrameTimes(number, best, sigma, told=(*told, *gap_warnings(number)))
+            return FrameTimes(number, best, sigma, warnings=(*warnings, *gap_warnings(number)))
         smooth = _without_jitter(number, place)
         jitters = float(np.std(place - smooth)) > max(0.5 * tick * scale, EVEN)
-        return FrameTimes(number, place, sigma, smooth if jitters else None, tuple(told))
+        return FrameTimes(number, place, sigma, smooth if jitters else None, tuple(warnings))
 
 
 def uneven(number: Integers, pts: Floats, tick: float) -> bool:
@@ -335,7 +338,7 @@ def _rate(pts: Floats) -> str:
     return f"{1.0 / float(np.diff(pts).mean()):.4g} frames/s"
 
 
-def _told(pts: Floats) -> str:
+def _stamps_used(pts: Floats) -> str:
     short, long = 1e3 * np.percentile(np.diff(pts), [1, 99])
     return (
         f"timestamps are spaced unevenly ({short:.3g} to {long:.3g} ms), as of a camera whose rate varied; "

@@ -464,7 +464,7 @@ def spindown_command(
 
     Example: gyrotrack spindown wheel.mp4 --capture-fps 300
     """
-    from gyrotrack.apps._spindown import Wish, spindown
+    from gyrotrack.apps._spindown import SpindownOptions, spindown
     from gyrotrack.io._atomic import refuse_existing
 
     out = Output(as_json=as_json, quiet=quiet)
@@ -474,7 +474,7 @@ def spindown_command(
     page = report if report is not None else target.with_suffix(".html")
     for path in (target, page):
         refuse_existing(path, force=force)
-    wish = Wish(
+    options = SpindownOptions(
         _place(hub),
         capture_fps,
         inertia,
@@ -486,7 +486,7 @@ def spindown_command(
     )
     with out.progress(f"tracking {source.name}", "frames") as progress:
         document = spindown(
-            source, target, page, wish, command=command_line(), force=force, progress=progress
+            source, target, page, options, command=command_line(), force=force, progress=progress
         )
     for warning in document["warnings"]:
         out.warn(warning)

@@ -19,7 +19,7 @@ import av
 import numpy as np
 
 from gyrotrack._errors import GyrotrackError, TrackingError
-from gyrotrack.apps._spindown import Wish, film_recording
+from gyrotrack.apps._spindown import SpindownOptions, film_recording
 from gyrotrack.io._records import Recording
 from gyrotrack.io._schema import STATUS
 from gyrotrack.tracking._any_body import Film, Tracked
@@ -98,7 +98,7 @@ def preview(
         excerpt = Path(folder) / f"excerpt{film.suffix.lower()}"
         copy_excerpt(film, excerpt, frames)
         if single:
-            recording, tracked = film_recording(Film(excerpt), Wish(hub, 1.0))
+            recording, tracked = film_recording(Film(excerpt), SpindownOptions(hub, 1.0))
             markers = _carried(recording, tracked, points)
         else:
             chosen = PAPER if profile is None else load(profile)

@@ -69,3 +69,13 @@ def test_where_a_marker_creeps_about_few_places_its_displacement_is_not_taken_fo
     slope = [even_light(light, r)[12] - even_light(light, r)[-12] for r in (REACH, max(REACH, apart // 2))]
     assert abs(slope[1]) < 0.7 * abs(slope[0])
     assert places_apart(np.random.default_rng(0).integers(0, COLUMNS, 512), COLUMNS) < 2 * REACH
+
+
+def test_maps_of_parts_of_a_film_add_up():
+    whole, first, second = (AngleMap(1, COLUMNS) for _ in range(3))
+    height = 1.0 + 0.3 * np.cos(np.deg2rad(np.arange(COLUMNS)))
+    for part in (first, second):
+        passages(part, height)
+        passages(whole, height)
+    first.add(second)
+    np.testing.assert_array_equal(first.heights(2, prior=1.0), whole.heights(2, prior=1.0))

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from gyrotrack._errors import TrackingError
-from gyrotrack.tracking._any_body import track_body
-from gyrotrack.tracking._hub_search import fit_circle
+from gyrotrack.tracking._any_body import hub_error, track_body
+from gyrotrack.tracking._hub_search import distant_hub, fit_circle
 from gyrotrack.tracking._registration import Ring, learn, register, rolled
 
 
@@ -166,6 +166,64 @@ def test_circle_through_an_arc_with_strays():
     x[::9] += 60
     centre = fit_circle(x + rng.normal(0, 0.05, 60), y + rng.normal(0, 0.05, 60))
     assert np.hypot(centre[0] - 500, centre[1] + 80) < 3
+
+
+def test_hub_of_a_ball_far_from_it_is_not_pulled_towards_the_ball():
+    """The rotation of a pendulum's ball is measured with errors as large as itself; its displacement is precise."""
+    rng = np.random.default_rng(5)
+    hub, angle = 300.0 - 700.0j, 0.1 * np.sin(0.2 * np.arange(160))
+    place = hub + 800j * np.exp(1j * angle)
+    turn = np.exp(1j * np.diff(angle))
+    shift = np.diff(place) + rng.normal(0, 0.1, (159, 2)) @ [1, 1j]
+    left = 1.0 - turn * np.exp(1j * rng.normal(0, 5e-3, 159))
+    # the body's rotation about its own centroid is that about the hub: b - (1 - a) c is the displacement
+    found = distant_hub(place.mean() - 300j, left, shift, place[:-1])
+    assert found is not None
+    assert abs(complex(*found) - hub) < 0.1 * 800
+    # a body about its hub is left to the other estimate
+    assert distant_hub(1.0 + 0.5j, left, shift, np.zeros(159, dtype=complex)) is None
+
+
+@pytest.mark.slow
+def test_a_pendulum_before_a_textured_wall():
+    """A ball on a rod that turns little before a wall with texture, its hub above: the wall is not the body's."""
+    rng = np.random.default_rng(7)
+    wall = 120 + 25 * cv2.GaussianBlur(rng.normal(size=(200, 200)), None, 3) * 6
+    hub, up = np.array([100.0, 30.0]), 8
+    angles = 0.2 * np.exp(-np.arange(90) / 200) * np.cos(2 * np.pi * np.arange(90) / 31)
+    frames = []
+    for angle in angles:
+        cover = np.zeros((200 * up, 200 * up), np.uint8)
+        end = hub + 130 * np.array([np.sin(angle), np.cos(angle)])
+        at = [tuple(int(v) for v in np.rint((p + 0.5) * up - 0.5)) for p in (hub, end)]
+        cv2.line(cover, at[0], at[1], 255, 2 * up)
+        cv2.circle(cover, at[1], 9 * up, 255, -1)
+        share = cv2.resize(cover, (200, 200), interpolation=cv2.INTER_AREA) / 255.0
+        shown = wall * (1 - share) + 30 * share + rng.normal(0, 2, wall.shape)
+        frames.append(np.clip(np.rint(shown), 0, 255).astype(np.uint8))
+    found = track_body(Rendered(frames))
+    expected = angles[found.frame]
+    scale = np.polyfit(expected, found.angle, 1)[0]
+    assert scale == pytest.approx(1.0, abs=0.03)
+    assert np.hypot(*(np.array(found.ring.hub) - hub)) < 5
+
+
+def test_halves_of_a_ring_show_a_displaced_hub():
+    """e / r is the error of an angle; the halves of the ring show it by their difference."""
+    ring = Ring((0.0, 0.0), 20, 60, 20, 256)
+    k = np.arange(256) * ring.step
+    body = np.outer(np.ones(20), 40 * np.cos(3 * k) + 20 * np.sin(7 * k + 1)).astype(np.float32)
+    turns = np.linspace(0, 7, 60)
+    polars = [rolled(body, a / ring.step) for a in turns]
+    parts = learn(polars, turns, np.ones((20, 256), dtype=bool), ring, separate=False, plain=True).halves()
+    radius = [float(np.average(ring.radius, weights=part.information())) for part in parts]
+    whole = float(np.average(ring.radius, weights=parts[0].whole().information()))
+    error = 0.5 * np.cos(turns - 0.4)
+    noise = np.random.default_rng(0).normal(0, 2e-4, (2, 60))
+    halves = turns + error / np.array(radius)[:, None] + noise
+    assert hub_error(turns, halves, parts) == pytest.approx(0.5 / whole / np.sqrt(2), rel=0.05)
+    assert hub_error(turns, turns + noise, parts) == 0.0
+    assert hub_error(10 * turns, halves, parts) == 0.0  # over many turns it resembles no motion
 
 
 @pytest.mark.slow

@@ -23,8 +23,8 @@ def test_even_stamps_are_counted(fps, tick):
     assert times.place is None
     np.testing.assert_array_equal(times.number, index)
     np.testing.assert_array_equal(times.seconds(fps), index / fps)
-    assert len(times.told) == 1
-    assert "3 missing frames" in times.told[0]
+    assert len(times.warnings) == 1
+    assert "3 missing frames" in times.warnings[0]
 
 
 @pytest.mark.parametrize(("tick", "limit"), [(TICK, 1e-5), (1e-3, 1.5e-4)])
@@ -33,7 +33,7 @@ def test_a_swinging_rate_is_taken_from_the_stamps(tick, limit):
     error = times.seconds(FPS) - VIEW_ERROR
     assert np.std(error) < limit  # 0.3 ms of rounding is less by its neighbours
     np.testing.assert_allclose(times.sigma / FPS, np.std(error), rtol=0.35)
-    assert "times are from the stamps" in times.told[0]
+    assert "times are from the stamps" in times.warnings[0]
 
 
 def test_stamps_that_were_copied_from_whole_milliseconds_are_no_finer():
@@ -50,24 +50,24 @@ def test_jitter_beyond_rounding_is_kept_with_the_uncertainty_of_rounding():
     assert times.sigma / FPS == pytest.approx(1e-3 / np.sqrt(12))
     even = times.even()
     assert np.std(even.seconds(FPS) - EVEN) < 1e-4
-    assert "the markers move evenly" in even.told[-1]
+    assert "the markers move evenly" in even.warnings[-1]
 
 
 def test_a_player_s_stamps_are_not_believed_unasked():
     stamps = _stamps(8.0 * VIEW_ERROR)
     times = Timing("auto", FPS).of(stamps, TICK)
     assert times.place is None
-    assert "a player's rate" in times.told[0]
+    assert "a player's rate" in times.warnings[0]
     asked = Timing("stamps", FPS).of(stamps, TICK)
     scale = np.polyfit(VIEW_ERROR, asked.seconds(FPS), 1)[0]
     np.testing.assert_allclose(asked.seconds(FPS), scale * (VIEW_ERROR - VIEW_ERROR[0]), atol=1e-5)
-    assert any("brought to the capture rate of 260" in text for text in asked.told)
+    assert any("brought to the capture rate of 260" in text for text in asked.warnings)
 
 
 def test_frames_are_counted_when_that_is_asked_for():
     times = Timing("frames", FPS).of(_stamps(VIEW_ERROR), TICK)
     np.testing.assert_array_equal(times.seconds(FPS), EVEN)
-    assert "times count decoded frames" in times.told[0]
+    assert "times count decoded frames" in times.warnings[0]
 
 
 def test_even_stamps_that_are_asked_for_give_the_stamps_own_rate():
@@ -86,7 +86,7 @@ def test_stamps_that_are_no_times_are_refused(fault):
 
 
 def test_few_frames_and_unknown_sources():
-    assert Timing("auto", FPS).of(np.zeros(0), TICK).told == ()
+    assert Timing("auto", FPS).of(np.zeros(0), TICK).warnings == ()
     assert Timing("auto", FPS).of(np.zeros(2), TICK).place is None
     with pytest.raises(UsageError, match="auto, stamps or frames"):
         Timing("clock", FPS)
