@@ -114,6 +114,7 @@ def test_sense_is_counter_clockwise_as_seen():
     assert found.angle[-1] < found.angle[0]  # from x to y is clockwise as seen
 
 
+@pytest.mark.slow
 def test_two_bodies_are_not_one():
     left, right = renderer(40)[0], renderer(40, seed=3)[0]
     angles = np.linspace(0.0, 14.0, 60)
