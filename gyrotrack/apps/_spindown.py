@@ -393,16 +393,17 @@ def _check_law(motion: BodyMotion, fit: Fit, *, final: bool = False) -> None:
 
 
 def _with_view(motion: BodyMotion, series: Series, recording: Recording, tracked: Tracked) -> BodyMotion:
-    """Add to the uncertainties half the difference of what the inner and the outer half of the ring show.
+    """Add to the uncertainties the difference of what the inner and the outer half of the ring show.
 
     The view (perspective, a displaced hub) and what is fixed in the image act on both differently; noise does not
-    average them out.
+    average them out. The error of a displaced hub is larger than the difference that it makes, by `hub_leverage`.
     """
+    leverage = max(0.5, tracked.hub_leverage)
     taken = np.isin(np.round(recording.bodies["casing"].time, 9), np.round(series.time, 9))
     inner, outer = (motion_of(series.time, half[taken], series.sigma) for half in tracked.halves)
 
     def wider(value: Value, a: Value | None, b: Value | None) -> Value:
-        apart = 0.0 if a is None or b is None else 0.5 * abs(abs(a.value) - abs(b.value))
+        apart = 0.0 if a is None or b is None else leverage * abs(abs(a.value) - abs(b.value))
         return replace(value, stderr=math.hypot(value.stderr, apart))
 
     return replace(

@@ -176,6 +176,11 @@ class Tracked:
     correlated: float
     warnings: tuple[str, ...]
 
+    @property
+    def hub_leverage(self) -> float:
+        """Error that a displaced hub causes over the difference that it makes between the halves of the ring."""
+        return hub_leverage(self.template.halves())
+
 
 @dataclass(frozen=True)
 class _Trial:
@@ -777,8 +782,8 @@ def _finish(
     correlated = hub_error(angle[kept], halves[:, kept], parts)
     if correlated > float(np.median(scale * inflated[kept])):
         warnings.append(
-            f"The inner and the outer half of the ring differ once a turn, as about a hub that is displaced: the "
-            f"uncertainty contains {1e3 * correlated:.2g} mrad for this."
+            f"The inner and the outer half of the ring differ as about a hub that is displaced: the uncertainty "
+            f"contains {1e3 * correlated:.2g} mrad for this."
         )
     return Tracked(
         frame=usable[kept],
@@ -812,22 +817,28 @@ def hub_error(angle: Floats, halves: Floats, parts: tuple[Template, Template]) -
     -----
     A hub displaced by e makes an error of e / r once a turn at the radius r, so that the halves at r1 and r2 differ by
     e (1 / r1 - 1 / r2), as they also do in perspective. The difference is fitted by its first harmonic, its mean and
-    its trend; an amplitude below three standard errors counts as 0. Over less than half a turn the harmonic resembles
-    mean and trend, and over `_MANY_TURNS` it does not resemble a motion (fits take it as a nuisance): 0 is returned.
+    its trend. Over less than half a turn the harmonic resembles mean and trend, and the difference is fitted by the
+    angle itself: a pendulum's hub that is too near makes all angles too large. What is below three standard errors
+    counts as 0. Over `_MANY_TURNS` the error does not resemble a motion (fits take it as a nuisance): 0 is returned.
     """
-    if not 0.5 * TURN < np.ptp(angle) < _MANY_TURNS * TURN:
+    if np.ptp(angle) > _MANY_TURNS * TURN:
         return 0.0
-    r1, r2, r = (_radius_of(part) for part in (*parts, parts[0].whole()))
     apart = halves[0] - halves[1]
-    time = np.linspace(-1.0, 1.0, len(angle))
-    rows = np.stack([np.cos(angle), np.sin(angle), np.ones_like(angle), time], axis=1)
+    columns = [np.cos(angle), np.sin(angle)] if np.ptp(angle) > 0.5 * TURN else [angle - angle.mean()]
+    free = len(columns)
+    rows = np.stack([*columns, np.ones_like(angle), np.linspace(-1.0, 1.0, len(angle))], axis=1)
     found, *_ = np.linalg.lstsq(rows, apart, rcond=None)
     rest = apart - rows @ found
-    variance = float(np.sum(np.linalg.inv(rows.T @ rows)[[0, 1], [0, 1]])) * float(np.var(rest))
-    size = math.hypot(float(found[0]), float(found[1]))
-    if size**2 < 9.0 * variance:
+    variance = np.linalg.pinv(rows.T @ rows)[:free, :free] * float(np.var(rest))
+    if float(np.sum(found[:free] ** 2)) < 9.0 * float(np.trace(variance)):
         return 0.0
-    return size / max(abs(1.0 / r1 - 1.0 / r2), 1e-9) / r / math.sqrt(2.0)
+    return float(np.std(rows[:, :free] @ found[:free])) * hub_leverage(parts)
+
+
+def hub_leverage(parts: tuple[Template, Template]) -> float:
+    """Return 1 / r over |1 / r1 - 1 / r2| for the radii of a ring and of its halves."""
+    r1, r2, r = (_radius_of(part) for part in (*parts, parts[0].whole()))
+    return 1.0 / r / max(abs(1.0 / r1 - 1.0 / r2), 1e-9)
 
 
 def _radius_of(part: Template) -> float:

@@ -224,6 +224,9 @@ def test_halves_of_a_ring_show_a_displaced_hub():
     halves = turns + error / np.array(radius)[:, None] + noise
     assert hub_error(turns, halves, parts) == pytest.approx(0.5 / whole / np.sqrt(2), rel=0.05)
     assert hub_error(turns, turns + noise, parts) == 0.0
+    swing = 0.1 * np.sin(3 * turns)
+    scaled = swing * (1 + 0.5 / np.array(radius))[:, None] + noise
+    assert hub_error(swing, scaled, parts) == pytest.approx(0.5 / whole * swing.std(), rel=0.1)
     assert hub_error(10 * turns, halves, parts) == 0.0  # over many turns it resembles no motion
 
 
