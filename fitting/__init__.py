@@ -22,7 +22,7 @@ if TYPE_CHECKING:
         RecordError,
         SimulationError,
     )
-    from fitting.discovery._criteria import Criteria
+    from fitting._criteria import Criteria
     from fitting.discovery._laws import laws
     from fitting.discovery._plan import plan
     from fitting.discovery._select import Candidate, improve
@@ -55,7 +55,7 @@ _MODULES = {
         "RecordError",
         "SimulationError",
     ),
-    "fitting.discovery._criteria": ("Criteria",),
+    "fitting._criteria": ("Criteria",),
     "fitting.discovery._laws": ("laws",),
     "fitting.discovery._plan": ("plan",),
     "fitting.discovery._select": ("Candidate", "improve"),

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 from fitting._errors import FittingError
 from fitting._numbers import rounded
-from fitting.discovery._criteria import Criteria
+from fitting._criteria import Criteria
 from fitting.discovery._refine import refit
 from fitting.discovery._select import Candidate, Selection, rank
 from fitting.effects._effect import Effect

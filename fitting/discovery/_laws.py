@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 
 from fitting._errors import FittingError
 from fitting._workers import WorkerPool, single_blas_thread
-from fitting.discovery._criteria import DEFAULT, Criteria
+from fitting._criteria import DEFAULT, Criteria
 from fitting.discovery._dependence import Dependence, context_without, dependence
 from fitting.discovery._grammar import LawForm, grammar
 from fitting.discovery._lack_of_fit import UNKNOWN_LAW

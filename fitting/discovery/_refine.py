@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import FittingError, SimulationError
-from fitting.discovery._criteria import DEFAULT, Criteria
+from fitting._criteria import DEFAULT, Criteria
 from fitting.discovery._score import CaseColumns, Score, ScoreContext, score_in_case
 from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect, Parameter

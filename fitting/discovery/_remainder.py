@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from fitting._errors import FittingError
 from fitting._numbers import rounded
-from fitting.discovery._criteria import Criteria
+from fitting._criteria import Criteria
 from fitting.discovery._form import FormTest, form_test
 from fitting.discovery._lack_of_fit import (
     HarmonicTest,
@@ -39,7 +39,7 @@ from fitting.dynamics._mesh import Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
 from fitting.effects._effect import Effect, Joint, Parameter
 from fitting.effects._expression import Tape, symbols
-from fitting.inference._case_data import CAMERA_COLUMNS
+from fitting.inference._case_data import CAMERA_COLUMNS, largest_speed
 from fitting.inference._fit import fit
 from fitting.inference._result import Fit
 
@@ -381,17 +381,15 @@ def _shape(fit: Fit, name: str, symbol: str) -> str:
 def nuisance_parameters(fit: Fit) -> list[Nuisance]:
     """Return the camera effects that every fit frees, with their amplitudes, case by case.
 
-    The columns of the cameras and the free parameters are estimated together by generalised least squares at the pure
-    noise; the amplitude is the root of the sum of the squares of its cosine and sine. Gaussian priors hold them to
-    what a camera can do where the data do not determine them, as a steady speed does not centre and shutter: a centre
-    within a third of the radius, a tilt below 0.6 rad, a shutter that takes no longer than a frame.
+    The columns of the cameras, with their priors, and the free parameters are estimated together by generalised least
+    squares at the pure noise; the amplitude is the root of the sum of the squares of its cosine and sine.
     """
     from fitting.effects._library import LIBRARY
 
     found = []
     moving = ~fit.problem.layout.at_bound(fit.theta)
     for data, p, n in zip(fit.problem.data, fit.predictions, fit.noise, strict=True):
-        if not data.is_angle:
+        if not data.slices["camera_prior"].stop > data.slices["camera_prior"].start:
             continue
         columns = np.concatenate([p.jacobian[:, moving], data.nuisance], axis=1)
         size = np.linalg.norm(columns, axis=0)
@@ -399,16 +397,8 @@ def nuisance_parameters(fit: Fit) -> list[Nuisance]:
         whitener = n.whitener.at(n.pure)
         white, r = whitener(columns / size), whitener(data.z - p.rows)
         first = columns.shape[1] - _camera_width()
-        speed = _scale(data.casing.samples.value, data.casing.samples.time)
-        frame = float(np.median(np.diff(data.casing.samples.time)))
-        known = np.zeros(columns.shape[1])
-        for name, limit in (
-            ("camera.centre", 0.15),
-            ("camera.tilt", 0.05),
-            ("camera.shutter", 0.5 * frame * speed),
-        ):
-            known[[first + i for i in CAMERA_COLUMNS[name]]] = 1.0 / limit
-        gram = np.linalg.pinv(white.T @ white + np.diag((known / size) ** 2), rcond=1e-12, hermitian=True)
+        speed = largest_speed(data.casing.samples)
+        gram = np.linalg.pinv(white.T @ white, rcond=1e-12, hermitian=True)
         value = (gram @ (white.T @ r)) / size
         covariance = gram / np.outer(size, size)
         for name, places in CAMERA_COLUMNS.items():
@@ -431,9 +421,3 @@ def nuisance_parameters(fit: Fit) -> list[Nuisance]:
 def _camera_width() -> int:
     return 1 + max(i for places in CAMERA_COLUMNS.values() for i in places)
 
-
-def _scale(psi: Array, time: Array) -> float:
-    """Return the speed by which the column of the rolling shutter was divided [rad/s]."""
-    width = min(25, len(psi) // 4)
-    knots = np.arange(0, len(psi), width)
-    return float(np.abs(np.gradient(psi[knots], time[knots])).max())

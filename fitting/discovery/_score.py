@@ -31,7 +31,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.discovery._criteria import Criteria
+from fitting._criteria import Criteria
 from fitting.dynamics._mesh import Sampler
 from fitting.dynamics._model import INERTIA_CASING
 from fitting.effects._effect import Effect, Parameter

@@ -20,7 +20,7 @@ from fitting._display import BLUE, block, draw_history, figure, figure_of, marku
 from fitting._errors import FittingError
 from fitting._numbers import short, unit_text
 from fitting._workers import WorkerPool, single_blas_thread
-from fitting.discovery._criteria import DEFAULT, Criteria
+from fitting._criteria import DEFAULT, Criteria
 from fitting.discovery._refine import (
     at_one_phase,
     fit_at,

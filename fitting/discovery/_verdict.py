@@ -25,7 +25,7 @@ from fitting._display import (
 )
 from fitting._numbers import probability, rounded, short, typeset, unit_text
 from fitting._workers import WorkerPool, single_blas_thread
-from fitting.discovery._criteria import DEFAULT, Criteria
+from fitting._criteria import DEFAULT, Criteria
 from fitting.discovery._form import FormTest
 from fitting.discovery._inertia import inertia_within_uncertainty, reselected, with_free_inertia
 from fitting.discovery._lack_of_fit import (

@@ -11,7 +11,7 @@ from cases import case, fitted
 
 from fitting._errors import EffectError
 from fitting.discovery import _dependence, _laws
-from fitting.discovery._criteria import DEFAULT
+from fitting._criteria import DEFAULT
 from fitting.discovery._dependence import context_without, dependence
 from fitting.discovery._lack_of_fit import UNKNOWN_LAW
 from fitting.discovery._laws import Law, Laws, laws, library_answer, ranges_of, with_classes

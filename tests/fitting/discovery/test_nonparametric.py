@@ -7,7 +7,7 @@ from functools import cache
 import pytest
 import twobody
 
-from fitting.discovery._criteria import DEFAULT
+from fitting._criteria import DEFAULT
 from fitting.discovery._form import form_test
 from fitting.discovery._lack_of_fit import (
     UNKNOWN_IN_TIME,

@@ -65,7 +65,7 @@ def test_study_as_prior_equals_the_joint_fit_of_both():
 
 def test_prior_enters_the_score_of_a_missing_effect():
     """Beside a free constant friction a second one is absorbed; a prior of the first determines it."""
-    from fitting.discovery._criteria import DEFAULT
+    from fitting._criteria import DEFAULT
     from fitting.discovery._score import CaseColumns, score
     from fitting.effects._library import LIBRARY
 
