@@ -220,7 +220,7 @@ def _noises(
 def _weights(logs: Floats, families: Sequence[int]) -> Floats:
     """Return the posterior of the noises; white noise is as likely beforehand as all the others together."""
     count = np.bincount(families)
-    beforehand = 1.0 / count[families]
-    beforehand[1:] /= max(np.count_nonzero(count) - 1, 1)
+    beforehand: Floats = 1.0 / count[np.asarray(families)]
+    beforehand[1:] /= max(int(np.count_nonzero(count)) - 1, 1)
     weights = np.exp(logs - logs.max()) * beforehand
     return np.asarray(weights / weights.sum())

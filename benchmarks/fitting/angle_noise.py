@@ -112,7 +112,9 @@ def main() -> None:
     options = parser.parse_args()
     output: Path = options.output
     lines = [json.loads(x) for x in output.read_text().splitlines()] if output.exists() else []
-    seeds = [s for s in range(options.start, options.start + options.count) if s not in {x["seed"] for x in lines}]
+    seeds = [
+        s for s in range(options.start, options.start + options.count) if s not in {x["seed"] for x in lines}
+    ]
     with ProcessPoolExecutor(options.jobs) as pool:
         for waiting in as_completed([pool.submit(run, s) for s in seeds]):
             line = waiting.result()

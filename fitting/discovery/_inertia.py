@@ -12,9 +12,9 @@ import math
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
+from fitting._criteria import Criteria
 from fitting._errors import FittingError
 from fitting._numbers import rounded
-from fitting._criteria import Criteria
 from fitting.discovery._refine import refit
 from fitting.discovery._select import Candidate, Selection, rank
 from fitting.effects._effect import Effect

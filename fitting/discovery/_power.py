@@ -36,8 +36,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting._numbers import PER_INERTIA, per_inertia
 from fitting._criteria import DEFAULT, Criteria
+from fitting._numbers import PER_INERTIA, per_inertia
 from fitting.discovery._score import (
     CaseColumns,
     FamilywiseNull,

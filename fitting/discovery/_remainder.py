@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting._criteria import Criteria
 from fitting._errors import FittingError
 from fitting._numbers import rounded
-from fitting._criteria import Criteria
 from fitting.discovery._form import FormTest, form_test
 from fitting.discovery._lack_of_fit import (
     HarmonicTest,
@@ -188,7 +188,7 @@ class Grade:
     """The size of an answer: form, explained share, remainder, and the rivals that explain as much.
 
     `unknown` is the speed of which a law outside the library explains more than the named effect does; `test` is how
-    well the data test the form, of a single name.
+    well the data test the form. Without form and remainder the residuals are consistent with noise; the form is open.
     """
 
     form: str | None
@@ -311,9 +311,9 @@ def grade(
     if chosen.physical and chosen.effect.mechanical and not chosen.effect.depends_on_angle:
         tested = form_test(selection.named, chosen.effect, criteria)
     if not significant and not others and not free:
-        alone = not chosen.indistinguishable_from and tested is not None
-        proven = not alone or tested is None or tested.is_strong(criteria)
-        return Grade("exact" if proven else "approximate", 1.0, None, test=tested)
+        # a form that these data could not refute is not proven, of a class as of a single name
+        proven = tested is None or (tested.is_strong(criteria) and not tested.any_in_time)
+        return Grade("exact" if proven else None, 1.0, None, test=tested)
     torques = Torques(base, end, residual=significant)
     share, rms = torques.remaining(selection.named)
     for e in free if not others else []:
@@ -349,6 +349,7 @@ def grade(
         c.effect.name
         for c in selection.candidates
         if c is not chosen and c.physical == chosen.physical and c.significant and c.fit is not None
+        if c.effect.name != chosen.effect.name
         if c.score > chosen.score - left and torques.remaining(c.fit)[0] < 2 * share
     )
     return Grade("approximate", 1 - share, remainder, rivals, test=tested)
@@ -420,4 +421,3 @@ def nuisance_parameters(fit: Fit) -> list[Nuisance]:
 
 def _camera_width() -> int:
     return 1 + max(i for places in CAMERA_COLUMNS.values() for i in places)
-

@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from fitting._criteria import DEFAULT, Criteria
 from fitting._display import BLUE, block, draw_history, figure, figure_of, markup_table
 from fitting._errors import FittingError
 from fitting._numbers import short, unit_text
 from fitting._workers import WorkerPool, single_blas_thread
-from fitting._criteria import DEFAULT, Criteria
 from fitting.discovery._refine import (
     at_one_phase,
     fit_at,

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from html import escape
 from typing import TYPE_CHECKING
 
+from fitting._criteria import DEFAULT, Criteria
 from fitting._display import (
     block,
     draw_candidates,
@@ -25,12 +26,11 @@ from fitting._display import (
 )
 from fitting._numbers import probability, rounded, short, typeset, unit_text
 from fitting._workers import WorkerPool, single_blas_thread
-from fitting._criteria import DEFAULT, Criteria
 from fitting.discovery._form import FormTest
 from fitting.discovery._inertia import inertia_within_uncertainty, reselected, with_free_inertia
 from fitting.discovery._lack_of_fit import (
     UNKNOWN_IN_TIME,
-    UNKNOWN_LAW,
+    UNKNOWN_LAWS,
     HarmonicTest,
     PeriodogramPeak,
     SmoothTest,
@@ -81,9 +81,10 @@ class Diagnosis:
     candidates : tuple of Candidate
         Candidate effects, best first.
     form : {"exact", "approximate", None}
-        "exact": the named effect, or class, leaves nothing significant, and of a single name the data would show a
-        deviation larger than an approximate answer may have. "approximate": it explains at least `Criteria.explained`
-        of the unmodelled torque. None where no effect explains that much by itself.
+        "exact": the named effect, or class, leaves nothing significant, and the data would show a deviation larger than
+        an approximate answer may have. "approximate": something significant remains, but the effect explains at least
+        `Criteria.explained` of the unmodelled torque. None where no effect explains that much by itself, or where
+        nothing significant remains but the data cannot test the form.
     explained : float or None
         Share of the mean square unmodelled torque that the best effect explains (0-1); None without one.
     remainder : Remainder or None
@@ -273,7 +274,8 @@ def diagnose(
         alone = significant_peak(fit, criteria)
         selection, doubt = (selection, doubt) if alone is None else (selection._replace(chosen=None), alone)
     verdict = _verdict(selection, size, significant=misfit or doubt is not None)
-    allowed = inertia_within_uncertainty(fit, _class_of(selection), criteria) if size.form == "exact" else ""
+    complete = verdict == "missing_effect" and size.remainder is None
+    allowed = inertia_within_uncertainty(fit, _class_of(selection), criteria) if complete else ""
     if allowed:
         # nothing is larger than what the uncertainty of the moments of inertia allows
         verdict, size = "adequate", Grade(None, None, None)
@@ -286,6 +288,8 @@ def diagnose(
         )
         chosen = as_given if same else selection.chosen
         rivals = size.rivals or nonparametric_rivals(fit, chosen, size.test, criteria)
+        if rivals and size.form == "exact":
+            size = replace(size, form=None)
         selection = _with_rivals(selection, rivals)
     nuisance = nuisance_parameters(selection.end)
     torques, waves = curves.result(), harmonics.result()
@@ -318,7 +322,7 @@ def _verdict(selection: Selection, size: Grade, *, significant: bool) -> str:
     """Return "adequate", "missing_effect" or "unexplained": a matter of size, not of significance alone."""
     if selection.chosen is None:
         return "unexplained" if significant else "adequate"
-    if size.form is not None:
+    if size.form is not None or (size.remainder is None and not significant):
         return "missing_effect"
     # a second effect of the library completes it; a law of another shape is none of the library's
     completed = set(selection.end.model.names) > set(selection.named.model.names)
@@ -329,7 +333,8 @@ def _with_rivals(selection: Selection, rivals: tuple[str, ...]) -> Selection:
     if selection.chosen is None or not rivals:
         return selection
     own = selection.chosen.indistinguishable_from
-    chosen = replace(selection.chosen, indistinguishable_from=tuple(dict.fromkeys((*own, *rivals))))
+    others = dict.fromkeys(n for n in (*own, *rivals) if n != selection.chosen.effect.name)
+    chosen = replace(selection.chosen, indistinguishable_from=tuple(others))
     ranked = [chosen if c is selection.chosen else c for c in selection.candidates]
     return selection._replace(candidates=ranked, chosen=chosen)
 
@@ -421,7 +426,7 @@ def _missing(selection: Selection, size: Grade, criteria: Criteria) -> list[str]
     names = [chosen.effect.name, *chosen.indistinguishable_from]
     what = "effect" if chosen.physical else "measurement effect"
     close = "close to " if size.form == "approximate" else ""
-    if names[1:] and {UNKNOWN_LAW, UNKNOWN_IN_TIME}.issuperset(names[1:]):
+    if names[1:] and {*UNKNOWN_LAWS.values(), UNKNOWN_IN_TIME}.issuperset(names[1:]):
         others = ", or ".join(names[1:])
         parts = [
             f"The missing effect is {close}{names[0]}{_strength(chosen)}, or {others}; this data cannot separate them."
@@ -439,7 +444,7 @@ def _missing(selection: Selection, size: Grade, criteria: Criteria) -> list[str]
         )
     if size.remainder is not None:
         parts.append(size.remainder.sentence)
-    elif size.form == "approximate" and size.test is not None and not size.test.is_strong(criteria):
+    elif size.form is None and size.test is not None:
         parts.append(_untested(size.test, criteria))
     return parts
 
@@ -450,6 +455,10 @@ def _untested(test: FormTest, criteria: Criteria) -> str:
         return (
             f"The form is not established: the residuals pull {', '.join(test.bounds)} beyond its bound "
             f"(p = {probability(test.bounds_p)})."
+        )
+    if test.is_strong(criteria):
+        return (
+            "The form is not established: any torque that changes slowly in time describes the data as well."
         )
     if not math.isfinite(test.limit):
         return "The form is not established: the other parameters absorb every deviation from it."

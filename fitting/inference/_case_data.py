@@ -40,10 +40,10 @@ from fitting.inference._oscillation import Oscillation, find_oscillation
 from fitting.inference._prior import Prior
 from fitting.inference._record import WIDTH, Record, Samples, initial_speeds, speeds
 from fitting.inference._recording_noise import (
+    FREE,
     AngleNoise,
     ProcessNoise,
     estimate_angle_noise,
-    FREE,
     estimate_process_noise,
     estimate_window_noise,
     mean_acceleration,
@@ -506,7 +506,9 @@ def _correlation(run: Compressed, noise: AngleNoise) -> float:
         return 1.0
     white = (run.scale * float(np.median(samples.sigma))) ** 2 * float(np.median(np.diff(samples.time)))
     turn = float(np.ptp(samples.value) / np.ptp(samples.time)) * noise.turn_time
-    return 1 + 2 * (noise.sigma**2 * noise.time + noise.turn_sigma**2 * noise.turn_time / (1 + turn**2)) / white
+    return (
+        1 + 2 * (noise.sigma**2 * noise.time + noise.turn_sigma**2 * noise.turn_time / (1 + turn**2)) / white
+    )
 
 
 def _gradients(speeds: Samples) -> Array:

@@ -15,18 +15,18 @@ an Ornstein-Uhlenbeck process of standard deviation a and correlation time T. Pr
     C = 1 + a^2 (P R P' - f 1) + s^2 K,
 
 P the projection, f the mean of P R P' in the band in which the white noise is measured (it is not counted twice), K the
-response to a random acceleration of rms s. a maximises the likelihood with process noise of any level and
-correlation time integrated out; angle noise is included if twice the log-likelihood ratio exceeds `Criteria.correlated_noise`. Rows that
-are slower than T see only a^2 T, faster ones only a^2 / T, so that T is known much less well than the noise of either:
-the covariance that every fit uses is the mean over the posterior of a and T, with priors uniform in ln a and ln T, which
-adds their uncertainty to that of all parameters.
+response to a random acceleration of rms s. a maximises the likelihood with process noise of any level and correlation
+time integrated out; angle noise is included if twice the log-likelihood ratio exceeds `Criteria.correlated_noise`. Rows
+that are slower than T see only a^2 T, faster ones only a^2 / T, so that T is known much less well than the noise of
+either: the covariance that every fit uses is the mean over the posterior of a and T, with priors uniform in ln a and ln
+T, which adds their uncertainty to that of all parameters.
 
 In a short record the two may fit equally well. Then process noise is accepted as long as its torque is smaller than the
 mean torque on the body; a random torque larger than the one that slows the body is not credible, and the deviations are
 angle noise.
 
-Where a block holds few turns, what repeats with the turn is seen in its rows: a hub that is displaced or a tilted camera
-(nuisance functions of every fit), and, if the camera or the hub moves slowly, harmonics whose amplitude wanders,
+Where a block holds few turns, what repeats with the turn is seen in its rows: a hub that is displaced or a tilted
+camera (nuisance functions of every fit), and, if the camera or the hub moves slowly, harmonics whose amplitude wanders,
 
     cov[n(t), n(t')] = b^2 cos(psi - psi') exp(-|t - t'| / T).
 
@@ -40,10 +40,11 @@ T. Level and time are the posterior means of s and ln T; no test decides whether
 at a given T is the positive half of a Student distribution with three degrees of freedom; its scale is the camera's
 resolution, the spectral density 2 s^2 T of an acceleration that is white for the rows and as large as their noise in
 half of them. So the level is never zero, and where the data contain no process noise it is a small part of that
-resolution. A random torque is not expected to exceed the mean torque that slows the body: the scale is at most the
-mean acceleration, which matters in records of a second or two. The prior of T is uniform in ln T from a thirty-second of a block, within which the noise is white for the
-rows, to three blocks, a twentieth of a long record. A stretch with a kink or a jump is far noisier than the others:
-the likelihood of a stretch is a mixture, with a share of a twentieth for a level of its own.
+resolution. A random torque is not expected to exceed the mean torque that slows the body: the scale is at most the mean
+acceleration, which matters in records of a second or two. The prior of T is uniform in ln T from a thirty-second of a
+block, within which the noise is white for the rows, to three blocks, a twentieth of a long record. A stretch with a
+kink or a jump is far noisier than the others: the likelihood of a stretch is a mixture, with a share of a twentieth for
+a level of its own.
 """
 
 from __future__ import annotations
@@ -256,7 +257,10 @@ def _with_turn(steady: _Component, turn: _Component, gain: Callable[[Array], flo
 
     A second kind needs a likelihood ratio of its own.
     """
-    alone = [(steady.times[0], 0.0, steady.covariances[0], s, b, r) for s, b, r in turn.points(_NEAR_LEVELS, _ALLOWED)]
+    alone = [
+        (steady.times[0], 0.0, steady.covariances[0], s, b, r)
+        for s, b, r in turn.points(_NEAR_LEVELS, _ALLOWED)
+    ]
     both = [
         (t, a, k, s, b, r)
         for t, a, k in steady.points(_LOWER_LEVELS)
@@ -275,11 +279,11 @@ def _with_turn(steady: _Component, turn: _Component, gain: Callable[[Array], flo
         total += w * (a**2 * k + b**2 * r)
     times, levels, _, slow, turns, _ = (list(c) for c in zip(*points, strict=True))
     found = _angle_noise(np.array(times), np.array(levels), weights, best, [total])
-    b = np.array(turns)
+    amplitudes = np.array(turns)
     return replace(
         found,
-        turn_sigma=float(np.sqrt(weights @ b**2)),
-        turn_sigma_u=float(np.sqrt(weights @ (b - weights @ b) ** 2)),
+        turn_sigma=float(np.sqrt(weights @ amplitudes**2)),
+        turn_sigma_u=float(np.sqrt(weights @ (amplitudes - weights @ amplitudes) ** 2)),
         turn_time=float(np.exp(weights @ np.log(slow))),
     )
 
@@ -442,7 +446,9 @@ class _WindowGroups:
         first = np.linspace(0, n, count + 1).astype(int)[:-1]
         weight = 1 / samples.sigma**2
         total = np.add.reduceat(weight, first)
-        self._time, value = (np.add.reduceat(v * weight, first) / total for v in (samples.time, samples.value))
+        self._time, value = (
+            np.add.reduceat(v * weight, first) / total for v in (samples.time, samples.value)
+        )
         self.width = float(np.ptp(samples.time)) / count
         self.white = 1 / total
         waves = np.add.reduceat(nuisance * weight[:, None], first, axis=0) / total[:, None]
@@ -774,10 +780,12 @@ class Stretch:
         x = 2 * (self._nodes - self._nodes.min()) / np.ptp(self._nodes) - 1
         powers = np.polynomial.legendre.legvander(x.ravel(), degree).reshape(*x.shape, -1)
         own = nuisance[self.rows]
-        free = np.block([
-            [self._seen(powers), own],
-            [np.zeros((own.shape[1], degree + 1)), np.eye(own.shape[1])],
-        ])
+        free = np.block(
+            [
+                [self._seen(powers), own],
+                [np.zeros((own.shape[1], degree + 1)), np.eye(own.shape[1])],
+            ]
+        )
         u, s, _ = np.linalg.svd(free / np.linalg.norm(free, axis=0), full_matrices=True)
         # the rows of the prior measure zero
         self._outside = u[: len(own), int((s > 1e-7 * s[0]).sum()) :]

@@ -318,7 +318,9 @@ class Fit(FitSummary):
         """One of "adequate", "misfit", "not determined" and "not converged"."""
         if not self.converged:
             return "not converged"
-        left = self.lack_of_fit.p_value < DEFAULT.lack_of_fit or any(c.misfit > DEFAULT.reduced_chi2 for c in self.cases)
+        left = self.lack_of_fit.p_value < DEFAULT.lack_of_fit or any(
+            c.misfit > DEFAULT.reduced_chi2 for c in self.cases
+        )
         if left:
             return "misfit"
         return "not determined" if self.undetermined else "adequate"
