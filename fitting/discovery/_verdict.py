@@ -445,25 +445,21 @@ def _missing(selection: Selection, size: Grade, criteria: Criteria) -> list[str]
     if size.remainder is not None:
         parts.append(size.remainder.sentence)
     elif size.form is None and size.test is not None:
-        parts.append(_untested(size.test, criteria))
+        parts += _untested(size.test, criteria)
     return parts
 
 
-def _untested(test: FormTest, criteria: Criteria) -> str:
-    """Return why a law that leaves nothing significant is not called exact."""
-    if test.bounds_p <= criteria.doubt_named:
-        return (
-            f"The form is not established: the residuals pull {', '.join(test.bounds)} beyond its bound "
-            f"(p = {probability(test.bounds_p)})."
-        )
+def _untested(test: FormTest, criteria: Criteria) -> list[str]:
+    """Return why the form of a law that leaves nothing significant is open."""
     if test.is_strong(criteria):
-        return (
-            "The form is not established: any torque that changes slowly in time describes the data as well."
-        )
+        return []  # the rivals say it
+    if test.bounds_p <= criteria.doubt_named:
+        pulled = f"the residuals pull {', '.join(test.bounds)} beyond its bound"
+        return [f"The form is not established: {pulled} (p = {probability(test.bounds_p)})."]
     if not math.isfinite(test.limit):
-        return "The form is not established: the other parameters absorb every deviation from it."
+        return ["The form is not established: the other parameters absorb every deviation from it."]
     limit = f"{100 * test.limit:.2g} % of its torque"
-    return f"The form is not established: only a deviation above {limit} would be detected."
+    return [f"The form is not established: only a deviation above {limit} would be detected."]
 
 
 def _active_bounds(fit: Fit) -> list[str]:

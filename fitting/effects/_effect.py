@@ -316,12 +316,6 @@ class Effect:
         return self.joint in {"casing", "camera.casing"} and not names & {"omega_r", "psi_r", "delta", "tau"}
 
     @cached_property
-    def of_casing_speed(self) -> bool:
-        """Whether it is a torque on the casing that depends on the casing's speed alone."""
-        own = {p.symbol for p in self.parameters}
-        return self.joint == "casing" and self.rate is None and symbols(self.expression) - own == {"omega_c"}
-
-    @cached_property
     def depends_on_angle(self) -> bool:
         """Whether the law is a function of an angle: a harmonic of psi."""
         names = symbols(self.expression)

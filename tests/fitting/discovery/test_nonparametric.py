@@ -75,12 +75,6 @@ def test_a_sinusoid_of_a_period_may_be_any_slow_torque():
     assert f"{UNKNOWN_IN_TIME} is missing" in answer.sentence
 
 
-def test_laws_of_the_speed_are_no_rivals_of_themselves():
-    own = {name for name, e in LIBRARY.items() if e.of_casing_speed}
-    assert own >= {"casing.air.quadratic", "touchpoint.stribeck", "casing.air.laminar"}
-    assert not own & {"touchpoint.step", "casing.precession", "casing.windage", "bearing.drift"}
-
-
 @pytest.mark.slow
 def test_what_swings_may_be_an_unknown_law(monkeypatch):
     """Where any law of the casing's speed does as well, the answer says so."""
