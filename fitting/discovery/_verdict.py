@@ -287,7 +287,9 @@ def diagnose(
             and as_given.effect is selection.chosen.effect
         )
         chosen = as_given if same else selection.chosen
-        rivals = size.rivals or nonparametric_rivals(fit, chosen, size.test, criteria)
+        rivals = size.rivals
+        if size.form != "approximate" or not rivals:
+            rivals = (*rivals, *nonparametric_rivals(fit, chosen, size.test, criteria))
         if rivals and size.form == "exact":
             size = replace(size, form=None)
         selection = _with_rivals(selection, rivals)
