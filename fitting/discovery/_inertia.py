@@ -99,7 +99,7 @@ def with_free_inertia(
     Returns
     -------
     InertiaRival or None
-        None if no effect does, or only with an error that is not credible; a law of an angle is not asked.
+        None if no effect does, or only with an error that is not credible; laws of an angle are not tried.
     """
     chosen = selection.chosen
     single = base.problem.data[0].record.single
@@ -138,7 +138,7 @@ def with_free_inertia(
 
 
 def reselected(selection: Selection, rival: InertiaRival) -> Selection:
-    """Return the selection with the effect that is best with free inertia first, beside what was named without.
+    """Return the selection with the effect that is best with free inertia first, and what was named without it.
 
     Parameters
     ----------

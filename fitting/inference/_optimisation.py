@@ -159,7 +159,7 @@ _ENOUGH_TO_RANK = 3e-3
 # chi2 per row above which a search is repeated from elsewhere
 _FAR = 10.0
 _PATIENCE = 60
-# steps tried at most where only an order is asked for
+# steps tried at most where only an order is needed
 _QUICK = 40
 # exponents tried for the slope of a law
 _POWERS = 241

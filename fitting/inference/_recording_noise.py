@@ -33,7 +33,7 @@ camera (nuisance functions of every fit), and, if the camera or the hub moves sl
 It is included, instead of the noise above or with it, by the same likelihood. In longer blocks it is orthogonal to the
 polynomials.
 
-The windows of the rotor are estimated together, (a, T) of one camera, with the process noise of the casing beside it.
+The windows of the rotor are estimated together, (a, T) of one camera, given the process noise of the casing.
 
 Process noise. A random acceleration of the casing, an Ornstein-Uhlenbeck process of rms s [rad/s2] and correlation time
 T. Level and time are the posterior means of s and ln T; no test decides whether there is process noise. The prior of s
@@ -832,7 +832,7 @@ class Stretch:
         return np.asarray(total / size), 1 / float(np.sqrt(size))
 
     def root(self, angle: Array | None) -> Array:
-        """Return what whitens the rows if they have this covariance beside unit white noise."""
+        """Return what whitens the rows if they have this covariance plus unit white noise."""
         m = len(self.seen)
         if angle is None:
             return np.eye(m)
