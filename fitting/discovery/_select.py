@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
 from typing import TYPE_CHECKING, NamedTuple
@@ -354,7 +354,15 @@ class Step:
 
 
 class History(list[Step]):
-    """The steps of `improve`, the base first; a notebook shows them as a table."""
+    """The steps of `improve`, the base first; a notebook shows them as a table.
+
+    Attributes
+    ----------
+    stopped : str
+        Why the search ended before its criteria did: the message of a fit that failed; "" if none did.
+    """
+
+    stopped: str = ""
 
     def __repr__(self) -> str:
         width = max((len(s.change) for s in self), default=0) + 2
@@ -524,6 +532,7 @@ def improve(
     progress: Callable[[int, int | None], None] | None = None,
     first: Sequence[Candidate] | None = None,
     workers: WorkerPool | None = None,
+    keep: Callable[[Step], object] | None = None,
 ) -> History:
     """Add the best effect while one is significant, free its shape constant if needed, drop what is not needed.
 
@@ -543,11 +552,13 @@ def improve(
         The ranking of the base, if it is known already.
     workers : WorkerPool, optional
         Processes that share the work.
+    keep : callable, optional
+        Called with each step after the base as soon as it is complete, so that a search that is ended loses none.
 
     Returns
     -------
     History
-        A list of steps, the base first, the final model last.
+        A list of steps, the base first, the final model last. A fit that fails ends it; the steps before it remain.
     """
     known = first if first is not None else rank(base, extra, criteria=criteria, workers=workers)
     history = History([Step("", base, tuple(known))])
@@ -555,20 +566,42 @@ def improve(
         chosen = best(history[-1].candidates, criteria)
         if chosen is None or chosen.fit is None:
             break
-        history.append(Step(f"+{chosen.effect.name}", refined(chosen.fit, criteria), ()))
-        last = _backward(history, criteria)
-        candidates = rank(last.fit, extra, criteria=criteria, workers=workers)
-        history[-1] = Step(last.change, last.fit, tuple(candidates))
-        general = _with_free_shape(last.fit, chosen, candidates, criteria)
-        if general is not None:
-            symbol = (
-                general.model.effects[general.model.names.index(chosen.effect.name)].parameters[-1].symbol
-            )
-            candidates = rank(general, extra, criteria=criteria, workers=workers)
-            history.append(Step(f"+{chosen.effect.name}.{symbol}", general, tuple(candidates)))
+        try:
+            for following in _steps(history, chosen, chosen.fit, extra, criteria, workers):
+                history.append(following)
+                if keep is not None:
+                    keep(following)
+        except FittingError as error:
+            history.stopped = f"{chosen.effect.name}: {error.message}"
+            break
         if progress is not None:
             progress(step + 1, None)
     return history
+
+
+def _steps(
+    history: Sequence[Step],
+    chosen: Candidate,
+    found: Fit,
+    extra: Sequence[Effect],
+    criteria: Criteria,
+    workers: WorkerPool | None,
+) -> Iterator[Step]:
+    """Yield the step that adds a candidate, whose refit is `found`, and the one that frees its shape constant."""
+    newest = Step(f"+{chosen.effect.name}", refined(found, criteria), ())
+    last = _backward([*history, newest], criteria)
+    try:
+        candidates = rank(last.fit, extra, criteria=criteria, workers=workers)
+    except FittingError:
+        yield last
+        raise
+    yield replace(last, candidates=tuple(candidates))
+    general = _with_free_shape(last.fit, chosen, candidates, criteria)
+    if general is None:
+        return
+    symbol = general.model.effects[general.model.names.index(chosen.effect.name)].parameters[-1].symbol
+    candidates = rank(general, extra, criteria=criteria, workers=workers)
+    yield Step(f"+{chosen.effect.name}.{symbol}", general, tuple(candidates))
 
 
 def _backward(history: Sequence[Step], criteria: Criteria) -> Step:

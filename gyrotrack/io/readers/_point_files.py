@@ -148,11 +148,17 @@ def read_matlab_hdf5(path: Path, sha256: str) -> RawTable:
                     held |= {} if name.startswith("#") else dict(value.items())
             arrays = {}
             for name, value in held.items():
-                if isinstance(value, h5py.Dataset) and value.dtype.kind in "iuf" and "MATLAB_empty" not in value.attrs:
+                if (
+                    isinstance(value, h5py.Dataset)
+                    and value.dtype.kind in "iuf"
+                    and "MATLAB_empty" not in value.attrs
+                ):
                     check_storage(value)
                     arrays[name] = np.asarray(load(value)).T
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
-        raise DatasetError(f"{path} is not a readable MATLAB file: {str(error)[:100]}.", "Save it with -v7.") from error
+        raise DatasetError(
+            f"{path} is not a readable MATLAB file: {str(error)[:100]}.", "Save it with -v7."
+        ) from error
     return table_of_arrays(path, sha256, arrays)
 
 

@@ -239,8 +239,12 @@ def read_text(path: Path, sha256: str, lines: Lines) -> RawTable:
 
 
 def _names_between_blanks(line: str, width: int) -> list[str]:
-    """Return names that contain blanks, ``t [s] angle [rad]`` or of a single column; none if their number is another."""
-    names = [line.strip().strip('"')] if width == 1 else re.findall(r"[^\s\[({]+(?:\s*[\[({][^\])}]*[\])}])?", line)
+    """Return names that contain blanks, ``t [s] angle [rad]`` or of one column; none if they are more or fewer."""
+    names = (
+        [line.strip().strip('"')]
+        if width == 1
+        else re.findall(r"[^\s\[({]+(?:\s*[\[({][^\])}]*[\])}])?", line)
+    )
     return names if len(names) == width else []
 
 

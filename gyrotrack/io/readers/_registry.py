@@ -66,7 +66,9 @@ FORMATS: tuple[Format, ...] = (
     ),
     Format("Tracker project", _is_project, lambda p, h, c, _: read_project(p, h, c)),
     Format("Excel or zipped CSV", lambda c: c.startswith(b"PK"), lambda p, h, c, _: read_zip(p, h, c)),
-    Format("Excel 97", lambda c: c.startswith(b"\xd0\xcf\x11\xe0"), lambda p, h, c, _: read_excel_97(p, h, c)),
+    Format(
+        "Excel 97", lambda c: c.startswith(b"\xd0\xcf\x11\xe0"), lambda p, h, c, _: read_excel_97(p, h, c)
+    ),
     Format("MATLAB 7.3", lambda c: c.startswith(b"MATLAB 7.3"), lambda p, h, *_: read_matlab_hdf5(p, h)),
     Format("MATLAB", lambda c: c.startswith(b"MATLAB 5.0"), lambda p, h, c, _: read_matlab(p, h, c)),
     Format("Parquet", lambda c: c.startswith(b"PAR1"), lambda p, h, c, _: read_parquet(p, h, c)),

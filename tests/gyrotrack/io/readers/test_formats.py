@@ -334,7 +334,7 @@ def test_matlab_7_3_as_matlab_writes_it(tmp_path):
         file["note"] = np.frombuffer("made by a rig".encode("utf-16-le"), dtype=np.uint16)[:, None]
         file["run/time"], file["run/psi"] = TIME[:50], ANGLE[:50]
         file.create_group("#refs#")["a"] = np.zeros(1000)
-    with open(tmp_path / "a.mat", "r+b") as file:
+    with (tmp_path / "a.mat").open("r+b") as file:
         file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
     read = read_motion(tmp_path / "a.mat")
     np.testing.assert_array_equal(read.time, TIME)
