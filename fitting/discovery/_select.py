@@ -451,6 +451,7 @@ def select(
     extra: Sequence[Effect],
     criteria: Criteria,
     workers: WorkerPool,
+    known: Sequence[Step] = (),
 ) -> Selection:
     """Return the effect to add to a fit, and the fit with it and with what else it needs.
 
@@ -462,6 +463,8 @@ def select(
         Its ranking.
     extra, criteria, workers
         As for `rank`.
+    known : sequence of Step
+        The history of an earlier `improve` of the same fit: its first steps are taken over if it added the same effect.
     """
     ranked = list(candidates)
     chosen = best(ranked, criteria)
@@ -477,8 +480,11 @@ def select(
             chosen, end = clearer, clearer.fit
     history = History()
     if quieter or fails(end, criteria):
-        history = improve(
-            base, extra, criteria=criteria, max_steps=1 + criteria.follow_up, first=ranked, workers=workers
+        most = 1 + criteria.follow_up
+        history = (
+            History(known[: 1 + most])
+            if len(known) > 1 and known[1].change == f"+{chosen.effect.name}"
+            else improve(base, extra, criteria=criteria, max_steps=most, first=ranked, workers=workers)
         )
         named, end = history[1].fit if len(history) > 1 else end, history[-1].fit
     else:

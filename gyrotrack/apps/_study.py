@@ -240,6 +240,8 @@ def open_study(
 
 
 def _prior_of(path: Path, data: Sequence[CaseData]) -> Prior:
+    from fitting._numbers import per_inertia
+
     (entry,) = latest_fits([path]).values()
     own = {d.record.digest for d in data}.intersection(entry.digests)
     if own:
@@ -247,7 +249,17 @@ def _prior_of(path: Path, data: Sequence[CaseData]) -> Prior:
             f"{path} is a fit of the same data, which would be counted twice.",
             "Give --prior a study of other recordings.",
         )
-    return entry.as_prior(path.name)
+    prior = entry.as_prior(path.name)
+    ratio = all(d.record.per_inertia for d in data)
+    for name in prior.names:
+        unit = entry.model.parameters[name].unit
+        expected = per_inertia(unit) if ratio else unit
+        if entry.estimates[name].unit != expected:
+            raise UsageError(
+                f"{path} gives {name} in {entry.estimates[name].unit}, these cases need {expected}.",
+                "Give --inertia for both studies, or for none of them.",
+            )
+    return prior
 
 
 def read_cases(
