@@ -414,8 +414,8 @@ _MAX_EVENTS = 2000
 _MANY = 3
 _MOST_STEPS = 25
 # share of the reversals that are tried together: of a motion near a known one, and of one near a measured one
-_NEARBY = (1.0, 0.97, 0.9)
-_SHARES = (*_NEARBY, 0.7, 0.4)
+_NEARBY = (1.0, 0.97)
+_SHARES = (*_NEARBY, 0.9, 0.7, 0.4)
 _SMALL = 1e-9
 _EXACT = 1e-13
 # farthest move of a reversal in a step, as a share of the time to its neighbours
@@ -470,13 +470,20 @@ def solve(
     known = guess.pieces() if guess is not None and guess.exact else []
     ready: list[Path] = []
     if dynamics.dry and guess is not None and len(guess.jumps) >= _MANY:
-        ready, guess = run.oscillating(y, guess), None
+        ready = run.oscillating(y, guess)
+        if len(guess.jumps) - len(ready) > most:
+            raise SimulationError(UNBOUNDED)
+        guess = None
     if ready and ready[0].sense[0] == sense:
         # one vector operation for hundreds of reversals
         jumps = run.turned_back([p for p in ready if p.mesh.edges[-1] < end])
         pieces, ready = ready[: len(jumps)], ready[len(jumps) :]
         if pieces:
-            y, time, sense = pieces[-1].edges[-1].copy(), float(pieces[-1].mesh.edges[-1]), -float(pieces[-1].sense[0])
+            y, time, sense = (
+                pieces[-1].edges[-1].copy(),
+                float(pieces[-1].mesh.edges[-1]),
+                -float(pieces[-1].sense[0]),
+            )
             y[_CASING] = 0.0
     while most >= 0 and len(pieces) < _MAX_EVENTS:
         alike = known[len(pieces)] if len(pieces) < len(known) else None

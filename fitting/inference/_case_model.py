@@ -148,7 +148,7 @@ _PER_REVERSAL = 5
 
 # reversals from which on a solution is followed through all of them at once, stretches that may be integrated singly
 # all the same, and how often the way to a trial is halved
-_MANY_REVERSALS, _FEW_SINGLE, _HALVINGS = 3, 6, 3
+_MANY_REVERSALS, _FEW_SINGLE, _HALVINGS = 3, 2, 2
 
 
 @dataclass(frozen=True)
@@ -220,7 +220,9 @@ class CaseModel:
         self._prior = (
             None
             if prior is None
-            else prior.whitened(layout.names, data.record.label, shared=layout.records[0].label == data.record.label)
+            else prior.whitened(
+                layout.names, data.record.label, shared=layout.records[0].label == data.record.label
+            )
         )
         self._last: tuple[Array, Path] | None = None
         self._columns: dict[str, tuple[Array, Array]] = {}
@@ -248,7 +250,7 @@ class CaseModel:
         trial of the search that is too far away even in short steps is refused instead.
         """
         try:
-            return self._solved(theta, known, most=_FEW_SINGLE + len(known.jumps) // 8)
+            return self._solved(theta, known, most=_FEW_SINGLE + len(known.jumps) // 25)
         except SimulationError:
             if not halvings:
                 raise

@@ -328,9 +328,7 @@ def spindown(
             if history.stopped:
                 warnings.append(f"The search ended at a fit that failed, {history.stopped}")
             _check_law(motion, history[-1].fit, final=True)
-            found = diagnose(
-                base, [], candidates=history[0].candidates, history=history, workers=workers
-            )
+            found = diagnose(base, [], candidates=history[0].candidates, history=history, workers=workers)
             study.keep_diagnosis(parent, found, [])
             diagnosis = diagnosis_document(found, parent)
             if report is not None:
