@@ -486,7 +486,7 @@ def select(
             if len(known) > 1 and known[1].change == f"+{chosen.effect.name}"
             else improve(base, extra, criteria=criteria, max_steps=most, first=ranked, workers=workers)
         )
-        named, end = history[1].fit if len(history) > 1 else end, history[-1].fit
+        named, end = (history[1].fit, history[-1].fit) if len(history) > 1 else (end, end)
     else:
         named = end
         end = _with_free_shape(end, chosen, (), criteria) or end
@@ -573,10 +573,13 @@ def improve(
         if chosen is None or chosen.fit is None:
             break
         try:
+            known_steps = len(history)
             for following in _steps(history, chosen, chosen.fit, extra, criteria, workers):
                 history.append(following)
                 if keep is not None:
                     keep(following)
+            if len(history) == known_steps:
+                break
         except FittingError as error:
             history.stopped = f"{chosen.effect.name}: {error.message}"
             break
@@ -594,7 +597,12 @@ def _steps(
     workers: WorkerPool | None,
 ) -> Iterator[Step]:
     """Yield the step that adds a candidate, whose refit is `found`, and the one that frees its shape constant."""
-    newest = Step(f"+{chosen.effect.name}", refined(found, criteria), ())
+    closer = refined(found, criteria)
+    # a search at a new noise level may end in another, worse minimum, most often of an oscillation with dry friction
+    found = closer if closer.bic < found.bic + criteria.evidence else found
+    if found.bic > history[-1].fit.bic - criteria.evidence:
+        return
+    newest = Step(f"+{chosen.effect.name}", found, ())
     last = _backward([*history, newest], criteria)
     try:
         candidates = rank(last.fit, extra, criteria=criteria, workers=workers)

@@ -299,6 +299,8 @@ def spindown(
     from fitting._workers import WorkerPool
     from fitting.discovery._select import improve
     from fitting.discovery._verdict import diagnose
+    from fitting.effects._library import REDUCED
+    from fitting.inference._fit import fit
     from fitting.study._serialisation import diagnosis_document
 
     case, tracked = read_source(source, wish, progress)
@@ -321,7 +323,9 @@ def spindown(
     try:
         study = open_study([target], None)
         with WorkerPool() as workers:
-            base, parent = study.base(None)
+            # a study of its own, whatever was fitted to this case before
+            base = fit(study.model(REDUCED), study.data)
+            parent = study.ledger.add(base).fit_id
             _check_law(motion, base)
             recorder = study.recorder(parent, base)
             history = improve(base, [], workers=workers, keep=recorder)
