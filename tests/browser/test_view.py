@@ -220,6 +220,15 @@ def test_a_click_on_the_residual_shows_the_frame_of_that_moment(visit):
     # a pixel is 60 s / 700: some twenty frames
     assert abs(frame - 65) < 40
     assert f"frame {frame}," in visit.locator("#where").inner_text()
+    # dragging the line of the shown moment scrubs and does not zoom
+    zoom, x, y = visit.locator(".shown").inner_text(), box["x"] + share * box["width"], box["y"] + 30
+    visit.mouse.move(x, y)
+    visit.mouse.down()
+    visit.mouse.move(x + 8, y, steps=4)
+    visit.mouse.up()
+    visit.wait_for_timeout(300)
+    assert _frame(visit) > frame
+    assert visit.locator(".shown").inner_text() == zoom
     # the film is in sight, wherever the charts are scrolled to
     for at in (0, 900):
         visit.evaluate("(y) => window.scrollTo(0, y)", at)
