@@ -1,4 +1,6 @@
-"""Draw docs/how-to/film.png, one good and five poor films of the same rotor: `python docs/make_film_guide.py`.
+"""Draw one good and five poor films of the same rotor: `python docs/make_film_guide.py`.
+
+The picture is shown by the start page of the workbench and by docs/how-to/film-an-experiment.md.
 
 Each film is rendered with one fault, tracked, and compared with the angle that was rendered. The text of a panel states
 the standard deviation of the error of the rotor's angle, without its constant, and the share of frames that have one.
@@ -19,7 +21,7 @@ from gyrotrack.synthetic._render import Renderer
 from gyrotrack.synthetic._scene import PAPERS, Camera, Light, Scene
 from gyrotrack.synthetic._truth import find_truth, render_clip
 
-TARGET = Path(__file__).parent / "how-to" / "film.png"
+TARGET = Path(__file__).parents[1] / "gyrotrack" / "apps" / "workbench" / "filming.jpg"
 FRAMES = 600
 MOTION = Motion.constant(omega_rotor=300.0, omega_casing=15.0)
 SCENE, LIGHT = Scene(table="grey"), Light(shadow=0.2)
@@ -68,7 +70,7 @@ def draw() -> None:
             axis.set_title(title, fontsize=10)
             axis.set_xlabel(measured(Path(place), number, scene, camera, light), fontsize=10)
             axis.set(xticks=[], yticks=[])
-    figure.savefig(TARGET, dpi=110)
+    figure.savefig(TARGET, dpi=100, pil_kwargs={"quality": 80})
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ import json
 import secrets
 import shlex
 import socket
+from base64 import b64encode
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
@@ -536,8 +537,14 @@ def page_text(label: str, *, has_case: bool, has_project: bool) -> tuple[str, st
     own = [folder.joinpath(n).read_text("utf-8") for n in ("client.js", "films.js", "view.js")]
     scripts = (*charts.scripts(), *own)
     style = charts.theme() + folder.joinpath("view.css").read_text("utf-8") + charts.style()
+    begins = has_project and not has_case
     page = template.render(
-        title=label, style=style, scripts=scripts, has_case=has_case, has_project=has_project
+        title=label,
+        style=style,
+        scripts=scripts,
+        has_case=has_case,
+        has_project=has_project,
+        filming=b64encode(folder.joinpath("filming.jpg").read_bytes()).decode() if begins else "",
     )
     return page, charts.content_policy(scripts, connect=True)
 
