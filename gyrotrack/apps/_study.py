@@ -235,7 +235,7 @@ def open_study(
     from fitting.study._history import Ledger
 
     read = read_cases(cases, data=data, rotor=rotor)
-    kept = Ledger(ledger) if ledger is not None else Ledger.beside(Path(cases[0]))
+    kept = Ledger(ledger) if ledger is not None else Ledger.default_for(Path(cases[0]))
     return Study(read, kept, _prior_of(prior, read) if prior is not None else None)
 
 
@@ -311,7 +311,7 @@ def latest_fits(runs: Sequence[Path]) -> dict[str, Entry]:
             from fitting.inference._case_file import read_record
 
             digest = read_record(path).digest
-            entries = [e for e in Ledger.beside(path).entries if e.digests == [digest]]
+            entries = [e for e in Ledger.default_for(path).entries if e.digests == [digest]]
         if not entries:
             raise DatasetError(f"{path} has no fit.", f"Run `gyrotrack improve {path}` first.")
         found[name] = entries[-1]

@@ -311,7 +311,7 @@ def _found(out: Output, case: Path) -> tuple[list[Step], Diagnosis, dict[str, An
     from fitting.study._serialisation import diagnosis_document, fit_document, history_verdict
     from gyrotrack.apps._study import open_study
 
-    ledger = Ledger.beside(case).path
+    ledger = Ledger.default_for(case).path
     ledger.unlink(missing_ok=True)  # the demo starts from scratch each time
     study = open_study([case], None)
     out.show("\n3. The paper's reduced model", f"\n$ gyrotrack fit {case}\n")
