@@ -52,7 +52,7 @@ from fitting.discovery._residuals import (
     residual_torques,
     whiteness,
 )
-from fitting.discovery._select import Candidate, Selection, fails, rank, select
+from fitting.discovery._select import Candidate, Selection, Step, fails, rank, select
 from fitting.effects._effect import Effect
 from fitting.inference._result import Fit
 
@@ -222,6 +222,7 @@ def diagnose(
     *,
     criteria: Criteria = DEFAULT,
     candidates: Sequence[Candidate] | None = None,
+    history: Sequence[Step] = (),
     workers: WorkerPool | None = None,
 ) -> Diagnosis:
     """Return where a fit fails and which effect is missing.
@@ -236,6 +237,8 @@ def diagnose(
         Thresholds of every decision.
     candidates : sequence of Candidate, optional
         The ranking of the fit, if it is known already.
+    history : sequence of Step
+        What `improve` found from the fit, if it is known already.
     workers : WorkerPool, optional
         Processes that share the work.
 
@@ -251,7 +254,7 @@ def diagnose(
     workers = workers or WorkerPool(0)
     curves, harmonics = workers.submit(residual_torques, fit), workers.submit(angle_harmonics, fit)
     ranked = rank(fit, extra, criteria=criteria, workers=workers) if candidates is None else candidates
-    selection = select(fit, ranked, extra, criteria, workers)
+    selection = select(fit, ranked, extra, criteria, workers, history)
     as_given = selection.chosen
     rival = with_free_inertia(fit, selection, tuple(extra), criteria)
     selection = selection if rival is None else reselected(selection, rival)

@@ -495,8 +495,8 @@ class CaseData:
 
 
 def with_prior(data: Sequence[CaseData], prior: Prior | None) -> tuple[CaseData, ...]:
-    """Return cases that are fitted together with a prior of what they share; it counts once, with the first case."""
-    return tuple(d.with_prior(None if i else prior) for i, d in enumerate(data))
+    """Return cases that are fitted together with a prior of their parameters."""
+    return tuple(d.with_prior(prior) for d in data)
 
 
 def _correlation(run: Compressed, noise: AngleNoise) -> float:

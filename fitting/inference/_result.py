@@ -188,7 +188,8 @@ def summary_lines(fit: FitSummary) -> list[str]:
         else None
     )
     if prior is not None:
-        used = [n for n in prior.names if n in fit.estimates]
+        known = {name.partition("@")[0] for name in fit.estimates}
+        used = [n for n in prior.names if n in known]
         lines += wrap(
             f"prior from {prior.source}: {', '.join(used) or 'none of its parameters is in the model'}",
             79,
