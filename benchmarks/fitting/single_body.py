@@ -24,7 +24,7 @@ import numpy as np
 import oscillators
 from scipy.integrate import solve_ivp
 
-from fitting.discovery._criteria import DEFAULT
+from fitting._criteria import DEFAULT
 from fitting.discovery._select import rank
 from fitting.dynamics._model import Model
 from fitting.inference._fit import fit
