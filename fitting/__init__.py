@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fitting._api import fit, load
+    from fitting._criteria import Criteria
     from fitting._errors import (
         EffectError,
         EstimationError,
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
         RecordError,
         SimulationError,
     )
-    from fitting.discovery._criteria import Criteria
     from fitting.discovery._laws import laws
     from fitting.discovery._plan import plan
     from fitting.discovery._select import Candidate, improve
@@ -55,7 +55,7 @@ _MODULES = {
         "RecordError",
         "SimulationError",
     ),
-    "fitting.discovery._criteria": ("Criteria",),
+    "fitting._criteria": ("Criteria",),
     "fitting.discovery._laws": ("laws",),
     "fitting.discovery._plan": ("plan",),
     "fitting.discovery._select": ("Candidate", "improve"),

@@ -79,11 +79,17 @@ class MetricsDocument(Document):
 
 
 class AngleNoiseDocument(Document):
-    """Correlated angle noise: standard deviation and its standard uncertainty [rad], correlation time [s]."""
+    """Correlated angle noise: standard deviation and its standard uncertainty [rad], correlation time [s].
+
+    The same of the part that repeats with the turn.
+    """
 
     sigma_rad: Number = Field(validation_alias=AliasChoices("sigma_rad", "sigma"))
     sigma_u_rad: Number = Field(validation_alias=AliasChoices("sigma_u_rad", "sigma_u"))
     time_s: Number = Field(validation_alias=AliasChoices("time_s", "time"))
+    turn_sigma_rad: Number = Field(0.0, validation_alias=AliasChoices("turn_sigma_rad", "turn_sigma"))
+    turn_sigma_u_rad: Number = Field(0.0, validation_alias=AliasChoices("turn_sigma_u_rad", "turn_sigma_u"))
+    turn_time_s: Number = Field(0.0, validation_alias=AliasChoices("turn_time_s", "turn_time"))
 
 
 class CaseDocument(MetricsDocument):

@@ -1,8 +1,13 @@
 """Least squares for samples whose errors are white and correlated, both of unknown size.
 
 Neighbouring frames of a film share a part of their error. The residuals are described by white noise and a part that
-is correlated over a time tau, K = s^2 (diag(sigma^2) + q exp(-|t - t'| / tau)); q and tau are averaged over their
-posterior on a grid, s^2 is estimated by restricted maximum likelihood (D. A. Harville, J. Am. Stat. Assoc. 72, 1977).
+is correlated over a time tau,
+
+    K = s^2 [diag(sigma^2) + q exp(-|t - t'| / tau) + p cos(psi - psi') exp(-|t - t'| / T)].
+
+The last term is for a body of known angle psi whose hub, or camera, moves slowly: a harmonic of the angle whose
+amplitude wanders. q, tau, p and T are averaged over their posterior on a grid, s^2 is estimated by restricted maximum
+likelihood (D. A. Harville, J. Am. Stat. Assoc. 72, 1977).
 """
 
 from __future__ import annotations
@@ -28,6 +33,8 @@ _SHARES = (
     100.0,
 )  # variance of the correlated part over that of a bin's white noise
 _TIMES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # its correlation time in bins
+_TURN_TIMES = (0.1, 0.3, 1.0, 3.0)  # of what repeats with the turn, in records
+_BINS_PER_TURN = 8  # fewest that resolve it
 
 
 @dataclass(frozen=True)
@@ -45,7 +52,13 @@ class Estimate:
 
 
 def least_squares_of(
-    t: Floats, design: Floats, y: Floats, sigma: Floats, models: Sequence[list[int]], prior: Floats
+    t: Floats,
+    design: Floats,
+    y: Floats,
+    sigma: Floats,
+    models: Sequence[list[int]],
+    prior: Floats,
+    psi: Floats | None = None,
 ) -> list[Estimate]:
     """Fit y by columns of a design, with white and correlated noise of unknown size.
 
@@ -59,6 +72,8 @@ def least_squares_of(
         The columns of each model.
     prior : ndarray, shape (p,)
         Standard deviations of Gaussian priors about zero, infinite for free coefficients.
+    psi : ndarray, shape (n,), optional
+        Smooth angle [rad] with which errors may repeat; they do not if it is not given.
 
     Returns
     -------
@@ -72,7 +87,10 @@ def least_squares_of(
     known = 1.0 / (prior * scale) ** 2
     plain = (both[:, :-1] / white[:, None]).T
     found: list[list[tuple[float, float, Floats, Floats]]] = [[] for _ in models]
-    for _, _, root in _noises(white, when):
+    turning = None if psi is None else np.interp(when, t, psi)
+    families = []
+    for family, _, _, root in _noises(white, when, turning):
+        families.append(family)
         noise = root @ root.T
         solved = solve_triangular(root, both, lower=True)
         log_noise = 2 * float(np.sum(np.log(np.diag(root))))
@@ -111,7 +129,7 @@ def least_squares_of(
             )
     estimates = []
     for model, kept in zip(models, found, strict=True):
-        weights = _weights(np.array([k[1] for k in kept]))
+        weights = _weights(np.array([k[1] for k in kept]), families)
         values = np.array([k[2] for k in kept])
         value = weights @ values
         spread = (weights[:, None] * (values - value)).T @ (values - value)
@@ -144,8 +162,9 @@ def slow_variance(t: Floats, design: Floats, residual: Floats, period: float) ->
     x = x[:, scale > 1e-9 * scale.max()] / scale[scale > 1e-9 * scale.max()]
     n = len(z)
     turn = min(2 * math.pi * float(np.median(np.diff(when))) / period, math.pi)
-    found = []
-    for share, length, root in _noises(white, when):
+    found, families = [], []
+    for family, share, length, root in _noises(white, when):
+        families.append(family)
         solved = solve_triangular(root, np.column_stack([x, z]), lower=True)
         gram = solved.T @ solved
         normal, right = gram[:-1, :-1], gram[:-1, -1]
@@ -158,7 +177,7 @@ def slow_variance(t: Floats, design: Floats, residual: Floats, period: float) ->
         slow = math.sinh(1 / length) / (math.cosh(1 / length) - math.cos(turn))
         total = size * (1 + share * slow)
         found.append((-0.5 * (free * math.log(size) + logs), total))
-    weights = _weights(np.array([f[0] for f in found]))
+    weights = _weights(np.array([f[0] for f in found]), families)
     return max(1.0, math.exp(float(weights @ np.log([f[1] for f in found]))))
 
 
@@ -172,17 +191,36 @@ def _binned(t: Floats, design: Floats, y: Floats, sigma: Floats) -> tuple[Floats
     return x, z, 1.0 / total, when
 
 
-def _noises(white: Floats, when: Floats) -> Iterator[tuple[float, float, Floats]]:
-    """Yield q, tau in bins, and the Cholesky factor of the noise, the white noise first."""
+def _noises(
+    white: Floats, when: Floats, psi: Floats | None = None
+) -> Iterator[tuple[int, float, float, Floats]]:
+    """Yield the family, q, tau in bins, and the Cholesky factor of the noise.
+
+    Families: 0 white, 1 correlated in time, 2 repeating with the turn, 3 both. The last two only where bins resolve the
+    turn.
+    """
     apart = np.abs(when[:, None] - when[None, :]) / float(np.median(np.diff(when)))
     level = float(np.median(white))
-    for share, length in [(0.0, 1.0), *((q, c) for q in _SHARES for c in _TIMES)]:
-        noise = np.diag(white) + share * level * np.exp(-apart / length)
-        yield share, length, np.asarray(np.linalg.cholesky(noise))
+    correlated = [(q, c) for q in _SHARES[1:] for c in _TIMES]
+    choices: list[tuple[int, float, float, float, float]] = [(0, 0.0, 1.0, 0.0, 1.0)]
+    choices += [(1, q, c, 0.0, 1.0) for q, c in correlated]
+    waves = np.zeros_like(apart)
+    if psi is not None and np.abs(np.diff(psi)).max() < 2 * math.pi / _BINS_PER_TURN:
+        waves = np.cos(psi[:, None] - psi)
+        repeating = [(p, c * len(when)) for p in _SHARES[1:] for c in _TURN_TIMES]
+        choices += [(2, 0.0, 1.0, p, c) for p, c in repeating]
+        choices += [(3, *first, *second) for first in correlated[::2] for second in repeating[::2]]
+    for family, q, tau, p, length in choices:
+        noise = np.diag(white) + level * (
+            q * np.exp(-apart / tau) + (p * waves * np.exp(-apart / length) if p else 0.0)
+        )
+        yield family, q, tau, np.asarray(np.linalg.cholesky(noise))
 
 
-def _weights(logs: Floats) -> Floats:
+def _weights(logs: Floats, families: Sequence[int]) -> Floats:
     """Return the posterior of the noises; white noise is as likely beforehand as all the others together."""
-    weights = np.exp(logs - logs.max())
-    weights[1:] /= len(weights) - 1
+    count = np.bincount(families)
+    beforehand: Floats = 1.0 / count[np.asarray(families)]
+    beforehand[1:] /= max(int(np.count_nonzero(count)) - 1, 1)
+    weights = np.exp(logs - logs.max()) * beforehand
     return np.asarray(weights / weights.sum())

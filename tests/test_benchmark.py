@@ -250,9 +250,9 @@ def test_the_oracle_sees_the_difference_that_the_effect_makes():
         # rows are in units of the noise that was measured, which is right to a few hundredths
         assert seen.whole == pytest.approx(whole, rel=0.03), name
         assert seen.beside_rival <= seen.beside_base <= seen.whole
-        same = oracle.beside(name, [world]).reach(name, [world])
+        same = oracle.default_for(name, [world]).reach(name, [world])
         assert same.beside_base < 1e-6 * seen.beside_base
-    both = oracle.beside("bearing.heating", [hidden.LIBRARY["bearing.heating"](1e-10, drawn)])
+    both = oracle.default_for("bearing.heating", [hidden.LIBRARY["bearing.heating"](1e-10, drawn)])
     alone, among = (
         o.reach("bearing.drift", [hidden.LIBRARY["bearing.drift"](1e-10, drawn)]) for o in (oracle, both)
     )

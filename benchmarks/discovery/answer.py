@@ -79,7 +79,7 @@ def _sizes(run: Planned, base: Fit) -> dict[str, Any]:
     for name in run.hidden:
         told = oracle
         for other in worlds.keys() - {name}:
-            told = told.beside(other, worlds[other])
+            told = told.default_for(other, worlds[other])
         found.append(told.reach(name, worlds[name]))
     return {
         "sigma": [[r.whole, r.beside_base, r.beside_rival] for r in found],

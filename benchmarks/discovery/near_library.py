@@ -96,6 +96,7 @@ def worlds() -> Iterator[World]:
         ("exp(-t/30)", "casing: -k*exp(-t/30)", 2e-6),
         ("t^2", "casing: -k*(t/100)**2", 2e-6),
         ("mixed friction of the bearing", "bearing: -2*k*exp(-delta/250)", 2e-6),
+        ("exp(-t/14) of the bearing", "bearing: k*exp(-t/14)", 2e-6),
         ("tanh(omega_r/300)", "rotor: -k*tanh(omega_r/300)", 2e-6),
     ):
         yield World("outside", name, law, size, ())
@@ -178,6 +179,7 @@ def table(lines: list[dict[str, Any]]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--start", type=int, default=0, help="first seed (0)")
     parser.add_argument("--seeds", type=int, default=1, help="number of seeds (1)")
     parser.add_argument("--jobs", type=int, default=1, help="processes (1)")
     parser.add_argument("--only", default="", help="part of the name or the group of a world")
@@ -190,7 +192,7 @@ def main() -> None:
     )
     plan = [
         (w, s)
-        for s in range(options.seeds)
+        for s in range(options.start, options.start + options.seeds)
         for w in worlds()
         if f"{w.name}|{s}" not in done and (options.only in w.name or options.only in w.group)
     ]
@@ -208,6 +210,8 @@ def main() -> None:
                 f"{line['seconds']:.0f} s",
                 flush=True,
             )
+    if options.output != LINES:
+        return
     lines = sorted((json.loads(x) for x in options.output.read_text().splitlines()), key=lambda x: x["group"])
     made = f"{len(lines)} worlds, made by `python benchmarks/discovery/near_library.py`."
     TABLE.write_text(f"# Laws near the library\n\n{made}\n\n{table(lines)}\n", encoding="utf-8")

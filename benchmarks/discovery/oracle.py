@@ -72,7 +72,7 @@ class Oracle:
         rival, apart = self._nearest(left, effect)
         return Reach(*(float(np.linalg.norm(x)) for x in (v, left)), apart, rival)
 
-    def beside(self, name: str, worlds: list[Hidden]) -> Oracle:
+    def default_for(self, name: str, worlds: list[Hidden]) -> Oracle:
         """Return an oracle for whom the strength of this effect, too, is free in the base."""
         more = copy(self)
         more._basis = _basis(np.column_stack([self._basis, self._seen(LIBRARY[name], worlds)]))  # noqa: SLF001

@@ -1,6 +1,6 @@
 """Correlated angle noise in both cameras: do 95 % intervals cover, and is anything missing where nothing is hidden?
 
-    python benchmarks/fitting/angle_noise.py --count 40 --jobs 2
+    python benchmarks/fitting/angle_noise.py --start 1000 --count 40 --jobs 2
 
 Each recording has the reduced model, white noise of 1 mrad, and in each camera an Ornstein-Uhlenbeck angle noise whose
 standard deviation (0.3 to 3 mrad) and correlation time (0.1 to 1 s) are drawn. The lines go to ``angle_noise.jsonl``
@@ -105,19 +105,27 @@ def table(lines: list[dict[str, Any]]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--start", type=int, default=0, help="first seed (0)")
     parser.add_argument("--count", type=int, default=40, help="number of recordings (40)")
     parser.add_argument("--jobs", type=int, default=1, help="processes (1)")
+    parser.add_argument("-o", "--output", type=Path, default=LINES, help="lines of results")
     options = parser.parse_args()
-    lines = [json.loads(x) for x in LINES.read_text().splitlines()] if LINES.exists() else []
-    seeds = [s for s in range(options.count) if s not in {x["seed"] for x in lines}]
+    output: Path = options.output
+    lines = [json.loads(x) for x in output.read_text().splitlines()] if output.exists() else []
+    seeds = [
+        s for s in range(options.start, options.start + options.count) if s not in {x["seed"] for x in lines}
+    ]
     with ProcessPoolExecutor(options.jobs) as pool:
         for waiting in as_completed([pool.submit(run, s) for s in seeds]):
             line = waiting.result()
             lines.append(line)
-            LINES.write_text(
+            output.write_text(
                 "".join(json.dumps(x) + "\n" for x in sorted(lines, key=lambda x: int(x["seed"])))
             )
             print(f"{line['seed']}: {line['verdict']} {line['named']} {line['seconds']:.0f} s", flush=True)
+    if output != LINES:
+        print(table(lines))
+        return
     made = f"{len(lines)} recordings, made by `python benchmarks/fitting/angle_noise.py`."
     TABLE.write_text(f"# Correlated angle noise\n\n{made}\n\n{table(lines)}\n", encoding="utf-8")
 

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 from worlds import World
 
+from fitting._criteria import DEFAULT
 from fitting._workers import WorkerPool
-from fitting.discovery._criteria import DEFAULT
 from fitting.discovery._grammar import LawForm
 from fitting.discovery._laws import _Chosen, _refined_shapes, _Scored, _Search, _Steps
 from fitting.discovery._score import CaseColumns, ScoreContext, score

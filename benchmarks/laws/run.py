@@ -24,9 +24,9 @@ import numpy as np
 from oracle import oracle
 from worlds import EFFECTS, LAWS, World, of_library, world
 
+from fitting._criteria import DEFAULT
 from fitting._errors import FittingError
 from fitting._workers import WorkerPool
-from fitting.discovery._criteria import DEFAULT
 from fitting.discovery._laws import Law, Laws, _Search, _Steps, laws, with_classes
 from fitting.discovery._verdict import diagnose
 from fitting.dynamics._mesh import Sampler

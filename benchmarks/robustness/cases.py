@@ -88,7 +88,7 @@ def run(case, stock, work):
             resource.setrlimit(getattr(resource, f"RLIMIT_{name}"), (value, value))
 
     began, used = time.monotonic(), resource.getrusage(resource.RUSAGE_CHILDREN)
-    context = case.beside(here) if case.beside else None
+    context = case.default_for(here) if case.beside else None
     if context is not None:
         context.__enter__()
     with (folder / "out").open("wb") as out, (folder / "err").open("wb") as err:

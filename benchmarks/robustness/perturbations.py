@@ -46,21 +46,43 @@ def step(width=0.0):
     return f"casing: -k*{shape}*sign(omega_c)", STRENGTH
 
 
-HIDDEN = {"casing.air.quadratic": drag, "touchpoint.step": step}
+def laminar():
+    """Return a laminar drag of the casing."""
+    return drag(1.5)
 
 
-def simulated(law, strength):
+def windage():
+    """Return the drag of the rotor's air on the casing."""
+    return "casing: k*omega_r**2", STRENGTH / 900.0**2
+
+
+def heating():
+    """Return a bearing torque that decays with time."""
+    return "bearing: k*exp(-t/20)", STRENGTH
+
+
+HIDDEN = {
+    "casing.air.quadratic": drag,
+    "touchpoint.step": step,
+    "casing.air.laminar": laminar,
+    "casing.windage": windage,
+    "decaying bearing torque": heating,
+}
+SEEDS = {"casing.air.laminar": 21, "casing.windage": 22, "decaying bearing torque": 23}
+
+
+def simulated(law, strength, seed=1):
     """Return a recording of 100 s with a hidden law."""
     effect = fitting.effect(law)
     model = fitting.Model.of("reduced").with_effect(effect)
     experiment = fitting.Experiment(duration=100.0, windows=(8.0, 50.0, 90.0))
-    return fitting.simulate(model, REDUCED | {f"{effect.name}.k": strength}, experiment, seed=1, **INERTIA)
+    return fitting.simulate(model, REDUCED | {f"{effect.name}.k": strength}, experiment, seed=seed, **INERTIA)
 
 
 @cache
 def of_name(name):
     """Return the recording of a name: a file, or a simulated one."""
-    return simulated(*HIDDEN[name]()) if name in HIDDEN else fitting.load(name)
+    return simulated(*HIDDEN[name](), SEEDS.get(name, 1)) if name in HIDDEN else fitting.load(name)
 
 
 def inertia(body, share, record):

@@ -203,7 +203,7 @@ def _redrawn(page: Any, what: str, words: str) -> float:
     if what == "drop":
         page.get_by_role("button", name=f"drop {words}").click()
     else:
-        page.fill("#wish", words)
+        page.fill("#effect", words)
         page.click("#add")
     page.locator("#ladder tr").nth(rungs).wait_for()
     page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")

@@ -226,8 +226,8 @@ def main() -> None:
         when = datetime.now(UTC).strftime("%Y-%m-%d")
         found[part] = {"when": when, "machine": _machine(), **PARTS[part](folder)}
         kept.write_text(json.dumps(found, indent=1) + "\n")
-        (HERE / "results.md").write_text(table({p: found[p] for p in PARTS if p in found}))
         print(part, json.dumps(found[part]))
+    (HERE / "results.md").write_text(table({p: found[p] for p in PARTS if p in found}))
     if not given:
         shutil.rmtree(folder)
 

@@ -31,7 +31,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.discovery._criteria import Criteria
+from fitting._criteria import Criteria
 from fitting.discovery._score import CaseColumns
 from fitting.effects._effect import Effect
 from fitting.effects._expression import symbols

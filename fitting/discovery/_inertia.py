@@ -12,9 +12,9 @@ import math
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
+from fitting._criteria import Criteria
 from fitting._errors import FittingError
 from fitting._numbers import rounded
-from fitting.discovery._criteria import Criteria
 from fitting.discovery._refine import refit
 from fitting.discovery._select import Candidate, Selection, rank
 from fitting.effects._effect import Effect
@@ -99,7 +99,7 @@ def with_free_inertia(
     Returns
     -------
     InertiaRival or None
-        None if no effect does, or only with an error that is not credible; a law of an angle is not asked.
+        None if no effect does, or only with an error that is not credible; laws of an angle are not tried.
     """
     chosen = selection.chosen
     single = base.problem.data[0].record.single
@@ -138,7 +138,7 @@ def with_free_inertia(
 
 
 def reselected(selection: Selection, rival: InertiaRival) -> Selection:
-    """Return the selection with the effect that is best with free inertia first, beside what was named without.
+    """Return the selection with the effect that is best with free inertia first, and what was named without it.
 
     Parameters
     ----------

@@ -29,7 +29,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.discovery._criteria import Criteria
+from fitting._criteria import Criteria
 from fitting.discovery._score import CaseColumns
 from fitting.dynamics._mesh import Sampler
 from fitting.dynamics._model import INERTIA_CASING

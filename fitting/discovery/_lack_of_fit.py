@@ -34,14 +34,15 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting._criteria import Criteria
 from fitting._numbers import TORQUE
-from fitting.discovery._criteria import Criteria
 from fitting.discovery._form import FormTest
 from fitting.discovery._residuals import format_torque
 from fitting.discovery._score import CaseColumns, ScoreContext, over_many_tests, score_of_columns
 from fitting.discovery._select import Candidate
 from fitting.dynamics._mesh import Sampler
-from fitting.effects._effect import Effect, Parameter
+from fitting.effects._effect import Effect, Joint, Parameter
+from fitting.effects._expression import symbols
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import Prediction
 from fitting.inference._metrics import orthonormal
@@ -66,27 +67,23 @@ def hats(speed: Array, knots: Array) -> Array:
     return np.stack([np.interp(speed, knots, row) for row in np.eye(len(knots))], axis=1)
 
 
-def nonparametric_casing_law(fit: Fit) -> float:
-    """Return the fall of the deviance by any smooth function of the casing's speed as a torque on the casing.
+def nonparametric_law(fit: Fit, joint: Joint, speed: str) -> float:
+    """Return the fall of the deviance by any smooth function of a speed as a torque on a body or in the bearing.
 
     The law is the same in all cases. It is scored like a candidate, without a refit.
     """
     cases = [CaseColumns(fit, i) for i in range(len(fit.predictions))]
     context = ScoreContext(fit, 1)
-    own = [c.along_motion("omega_c") for c in cases]
+    own = [c.along_motion(speed) for c in cases]
     least, most = min(float(x.min()) for x in own), max(float(x.max()) for x in own)
+    rotor, casing = {"rotor": (1.0, 0.0), "casing": (0.0, 1.0), "bearing": (-1.0, 1.0)}[joint]
     found = []
     for count in KNOTS:
         knots = np.linspace(least, most, count)
-        rows = [_rows(c, c.response.casing @ hats(x, knots)) for c, x in zip(cases, own, strict=True)]
+        shapes = [hats(x, knots) for x in own]
+        rows = [c.torque_rows(rotor * h, casing * h) for c, h in zip(cases, shapes, strict=True)]
         found.append(score_of_columns(context, np.concatenate(rows)))
     return max(found)
-
-
-def _rows(case: CaseColumns, smooth: Array) -> Array:
-    rows = np.zeros((len(case.case.data.z), smooth.shape[1]))
-    rows[: len(smooth)] = smooth
-    return rows
 
 
 _RANK = 1e-4
@@ -407,7 +404,8 @@ def harmonic_test(fit: Fit) -> HarmonicTest:
 
 
 # rivals that no library names
-UNKNOWN_LAW = "a law of omega_c that the library does not have"
+_SPEEDS: tuple[tuple[Joint, str], ...] = (("casing", "omega_c"), ("rotor", "omega_r"), ("bearing", "delta"))
+UNKNOWN_LAWS = {speed: f"a law of {speed} that the library does not have" for _, speed in _SPEEDS}
 UNKNOWN_IN_TIME = "a torque that changes slowly in time"
 
 
@@ -433,21 +431,18 @@ def contradiction(
         if harmonic.p_value < criteria.doubt_adequate:
             return harmonic
     # an equivalence class leaves the law open by itself
-    if chosen is not None and chosen.indistinguishable_from:
-        return None
+    open_ = chosen is None or bool(chosen.indistinguishable_from)
     test = smooth_test(end)
-    return (
-        test if test.p_value < (criteria.doubt_adequate if chosen is None else criteria.doubt_named) else None
-    )
+    return test if test.p_value < (criteria.doubt_adequate if open_ else criteria.doubt_named) else None
 
 
 def nonparametric_rivals(
     fit: Fit, chosen: Candidate | None, test: FormTest | None, criteria: Criteria
 ) -> tuple[str, ...]:
-    """Return the nonparametric torques that explain as much as a single named effect does.
+    """Return the nonparametric torques that explain as much as the named effect, or its class, does.
 
-    A periodic law, or one with a changepoint, can resemble a law of the casing's speed; one with a time constant or a
-    frequency of its own resembles any slow torque in time.
+    A law of one speed can resemble a law of another one, on another body; one with a time constant or a frequency of
+    its own resembles any slow torque in time.
 
     Parameters
     ----------
@@ -460,12 +455,18 @@ def nonparametric_rivals(
     criteria : Criteria
         `equivalence_width`.
     """
-    if chosen is None or chosen.indistinguishable_from or not chosen.physical:
+    if chosen is None or not chosen.physical:
         return ()
     least = max(chosen.score, chosen.screened.score) - criteria.equivalence_width
-    found = []
-    if not chosen.effect.of_casing_speed and nonparametric_casing_law(fit) > least:
-        found.append(UNKNOWN_LAW)
+    effect, single = chosen.effect, fit.problem.data[0].record.single
+    own = symbols(effect.expression) - {p.symbol for p in effect.parameters}
+    found = [
+        UNKNOWN_LAWS[speed]
+        for joint, speed in _SPEEDS
+        if not (effect.joint == joint and own <= {speed})
+        and not (single and joint != "casing")
+        and nonparametric_law(fit, joint, speed) > least
+    ]
     if test is not None and test.any_in_time:
         found.append(UNKNOWN_IN_TIME)
     return tuple(found)

@@ -35,12 +35,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting._criteria import DEFAULT, Criteria
 from fitting._errors import FittingError
 from fitting._workers import WorkerPool, single_blas_thread
-from fitting.discovery._criteria import DEFAULT, Criteria
 from fitting.discovery._dependence import Dependence, context_without, dependence
 from fitting.discovery._grammar import LawForm, grammar
-from fitting.discovery._lack_of_fit import UNKNOWN_LAW
+from fitting.discovery._lack_of_fit import UNKNOWN_LAWS
 from fitting.discovery._next_run import separating_run
 from fitting.discovery._refine import fit_at, refined, start_of
 from fitting.discovery._residuals import format_torque
@@ -303,7 +303,7 @@ def library_answer(known: Diagnosis) -> Candidate | None:
     if known.verdict != "missing_effect" or known.remainder is not None or not known.candidates:
         return None
     best = known.candidates[0]
-    return None if UNKNOWN_LAW in best.indistinguishable_from else best
+    return best if set(UNKNOWN_LAWS.values()).isdisjoint(best.indistinguishable_from) else None
 
 
 class _Steps:

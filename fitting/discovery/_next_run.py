@@ -25,8 +25,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting._criteria import Criteria
 from fitting._errors import FittingError
-from fitting.discovery._criteria import Criteria
 from fitting.discovery._information import MOST_RIVALS, Information, Rival, Run, schur
 from fitting.dynamics._mesh import Sampler
 from fitting.effects._effect import Effect

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
+from fitting._criteria import DEFAULT, Criteria
 from fitting._errors import EstimationError
 from fitting._workers import single_blas_thread
-from fitting.discovery._criteria import DEFAULT, Criteria
 from fitting.discovery._information import Information, rivals
 from fitting.discovery._next_run import Bounds, NextRun, next_run
 from fitting.discovery._planned_recordings import read_planned

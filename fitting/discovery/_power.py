@@ -36,8 +36,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting._criteria import DEFAULT, Criteria
 from fitting._numbers import PER_INERTIA, per_inertia
-from fitting.discovery._criteria import DEFAULT, Criteria
 from fitting.discovery._score import (
     CaseColumns,
     FamilywiseNull,
@@ -431,7 +431,7 @@ class Search:
         return self._holding[parameter]
 
     def _calibrated(self, free: Array) -> dict[str, list[_Test]]:
-        """Return the tests that the search makes for each effect beside some free columns, with their thresholds."""
+        """Return the tests that the search makes for each effect given some free columns, with their thresholds."""
         parts: list[tuple[Effect, tuple[_Responses, ...], Array, float, int]] = []
         for e in self.effects:
             common = self._responses(e, self._stacked(e), free)

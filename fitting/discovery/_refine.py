@@ -20,8 +20,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting._criteria import DEFAULT, Criteria
 from fitting._errors import FittingError, SimulationError
-from fitting.discovery._criteria import DEFAULT, Criteria
 from fitting.discovery._score import CaseColumns, Score, ScoreContext, score_in_case
 from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect, Parameter

@@ -13,7 +13,7 @@ with the mean over the record, the bodies and the cases. Laws of an angle enter 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -21,11 +21,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting._criteria import Criteria
 from fitting._errors import FittingError
 from fitting._numbers import rounded
-from fitting.discovery._criteria import Criteria
 from fitting.discovery._form import FormTest, form_test
 from fitting.discovery._lack_of_fit import (
+    UNKNOWN_LAWS,
     HarmonicTest,
     PeriodogramPeak,
     SmoothTest,
@@ -34,13 +35,14 @@ from fitting.discovery._lack_of_fit import (
 )
 from fitting.discovery._refine import with_shape_parameter
 from fitting.discovery._residuals import ResidualTorque, format_torque, residual_torques
-from fitting.discovery._select import Selection
+from fitting.discovery._select import Candidate, Selection
 from fitting.dynamics._mesh import Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
 from fitting.effects._effect import Effect, Joint, Parameter
 from fitting.effects._expression import Tape, symbols
-from fitting.inference._case_data import CAMERA_COLUMNS
+from fitting.inference._case_data import CAMERA_COLUMNS, largest_speed
 from fitting.inference._fit import fit
+from fitting.inference._noise import Noise
 from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
@@ -188,7 +190,7 @@ class Grade:
     """The size of an answer: form, explained share, remainder, and the rivals that explain as much.
 
     `unknown` is the speed of which a law outside the library explains more than the named effect does; `test` is how
-    well the data test the form, of a single name.
+    well the data test the form. Without form and remainder the residuals are consistent with noise; the form is open.
     """
 
     form: str | None
@@ -235,10 +237,19 @@ def better_law(base: Fit, named: Fit, end: Fit, effect: Effect, criteria: Criter
     str
         Empty if there is none.
     """
-    layout, found = base.problem.layout, []
+    bic, speed = min(
+        ((f.bic, speed) for f, speed in _with_smooth_laws(base, effect, base.noise)), default=(np.inf, "")
+    )
+    better = bic < min(named.bic - criteria.evidence, end.bic + criteria.equivalence_width)
+    return speed if better else ""
+
+
+def _with_smooth_laws(base: Fit, effect: Effect, noise: Sequence[Noise]) -> Iterator[tuple[Fit, str]]:
+    """Yield the fits with a smooth law in place of an effect, for each speed of which the effect is no law."""
+    layout = base.problem.layout
     for joint, speed, powers in _SMOOTH_LAWS:
         own = symbols(effect.expression) - {p.symbol for p in effect.parameters}
-        if (joint == effect.joint and own == {speed}) or (
+        if (joint == effect.joint and own <= {speed}) or (
             base.problem.data[0].record.single and joint != "casing"
         ):
             continue
@@ -247,21 +258,20 @@ def better_law(base: Fit, named: Fit, end: Fit, effect: Effect, criteria: Criter
             f"{law.name}.{p.symbol}": 0.0 for p in law.parameters
         }
         with suppress(FittingError):
-            other = fit(
-                base.model.with_effect(law),
-                base.problem.data,
-                share=[k for k in base.model.free if k not in layout.per_case]
-                if len(layout.records) > 1
-                else (),
-                per_case=layout.per_case,
-                start=start,
-                noise=base.noise,
-                quick=True,
+            yield (
+                fit(
+                    base.model.with_effect(law),
+                    base.problem.data,
+                    share=[k for k in base.model.free if k not in layout.per_case]
+                    if len(layout.records) > 1
+                    else (),
+                    per_case=layout.per_case,
+                    start=start,
+                    noise=noise,
+                    quick=True,
+                ),
+                speed,
             )
-            found.append((other.bic, speed))
-    bic, speed = min(found, default=(np.inf, ""))
-    better = bic < min(named.bic - criteria.evidence, end.bic + criteria.equivalence_width)
-    return speed if better else ""
 
 
 def _range(fit: Fit, speed: str) -> tuple[float, float]:
@@ -311,9 +321,7 @@ def grade(
     if chosen.physical and chosen.effect.mechanical and not chosen.effect.depends_on_angle:
         tested = form_test(selection.named, chosen.effect, criteria)
     if not significant and not others and not free:
-        alone = not chosen.indistinguishable_from and tested is not None
-        proven = not alone or tested is None or tested.is_strong(criteria)
-        return Grade("exact" if proven else "approximate", 1.0, None, test=tested)
+        return _complete(base, selection, chosen, tested, criteria)
     torques = Torques(base, end, residual=significant)
     share, rms = torques.remaining(selection.named)
     for e in free if not others else []:
@@ -349,9 +357,36 @@ def grade(
         c.effect.name
         for c in selection.candidates
         if c is not chosen and c.physical == chosen.physical and c.significant and c.fit is not None
+        if c.effect.name != chosen.effect.name
         if c.score > chosen.score - left and torques.remaining(c.fit)[0] < 2 * share
     )
     return Grade("approximate", 1 - share, remainder, rivals, test=tested)
+
+
+def _complete(
+    base: Fit, selection: Selection, chosen: Candidate, tested: FormTest | None, criteria: Criteria
+) -> Grade:
+    """Return the grade of an effect that leaves nothing significant.
+
+    Laws of other speeds, of any smooth form, are its rivals. A form that these data could not refute is not proven, of
+    a class as of a single name.
+    """
+    if tested is None:
+        return Grade("exact", 1.0, None)
+    named = selection.named
+    laws = list(_with_smooth_laws(base, chosen.effect, named.noise))
+    best, speed = min(laws, key=lambda item: item[0].bic, default=(named, ""))
+    if best.bic < named.bic - criteria.shape_evidence:
+        share, rms = Torques(base, best, residual=False).remaining(named)
+        words = (
+            f"Remainder {format_torque(rms, unit=base.torque_unit)} rms: a law of {speed} of another form."
+        )
+        p_value = _likelihood_ratio(named, best)
+        return Grade(None, 1 - share, Remainder(rms, share, p_value, words), unknown=speed, test=tested)
+    worst = named.deviance + criteria.equivalence_width
+    rivals = tuple(UNKNOWN_LAWS[speed] for f, speed in laws if f.deviance < worst)
+    proven = tested.is_strong(criteria) and not tested.any_in_time and not rivals
+    return Grade("exact" if proven else None, 1.0, None, rivals, test=tested)
 
 
 def _likelihood_ratio(smaller: Fit, larger: Fit) -> float:
@@ -381,17 +416,15 @@ def _shape(fit: Fit, name: str, symbol: str) -> str:
 def nuisance_parameters(fit: Fit) -> list[Nuisance]:
     """Return the camera effects that every fit frees, with their amplitudes, case by case.
 
-    The columns of the cameras and the free parameters are estimated together by generalised least squares at the pure
-    noise; the amplitude is the root of the sum of the squares of its cosine and sine. Gaussian priors hold them to
-    what a camera can do where the data do not determine them, as a steady speed does not centre and shutter: a centre
-    within a third of the radius, a tilt below 0.6 rad, a shutter that takes no longer than a frame.
+    The columns of the cameras, with their priors, and the free parameters are estimated together by generalised least
+    squares at the pure noise; the amplitude is the root of the sum of the squares of its cosine and sine.
     """
     from fitting.effects._library import LIBRARY
 
     found = []
     moving = ~fit.problem.layout.at_bound(fit.theta)
     for data, p, n in zip(fit.problem.data, fit.predictions, fit.noise, strict=True):
-        if not data.is_angle:
+        if not data.slices["camera_prior"].stop > data.slices["camera_prior"].start:
             continue
         columns = np.concatenate([p.jacobian[:, moving], data.nuisance], axis=1)
         size = np.linalg.norm(columns, axis=0)
@@ -399,16 +432,8 @@ def nuisance_parameters(fit: Fit) -> list[Nuisance]:
         whitener = n.whitener.at(n.pure)
         white, r = whitener(columns / size), whitener(data.z - p.rows)
         first = columns.shape[1] - _camera_width()
-        speed = _scale(data.casing.samples.value, data.casing.samples.time)
-        frame = float(np.median(np.diff(data.casing.samples.time)))
-        known = np.zeros(columns.shape[1])
-        for name, limit in (
-            ("camera.centre", 0.15),
-            ("camera.tilt", 0.05),
-            ("camera.shutter", 0.5 * frame * speed),
-        ):
-            known[[first + i for i in CAMERA_COLUMNS[name]]] = 1.0 / limit
-        gram = np.linalg.pinv(white.T @ white + np.diag((known / size) ** 2), rcond=1e-12, hermitian=True)
+        speed = largest_speed(data.casing.samples)
+        gram = np.linalg.pinv(white.T @ white, rcond=1e-12, hermitian=True)
         value = (gram @ (white.T @ r)) / size
         covariance = gram / np.outer(size, size)
         for name, places in CAMERA_COLUMNS.items():
@@ -430,10 +455,3 @@ def nuisance_parameters(fit: Fit) -> list[Nuisance]:
 
 def _camera_width() -> int:
     return 1 + max(i for places in CAMERA_COLUMNS.values() for i in places)
-
-
-def _scale(psi: Array, time: Array) -> float:
-    """Return the speed by which the column of the rolling shutter was divided [rad/s]."""
-    width = min(25, len(psi) // 4)
-    knots = np.arange(0, len(psi), width)
-    return float(np.abs(np.gradient(psi[knots], time[knots])).max())

@@ -21,8 +21,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting._criteria import DEFAULT, Criteria
 from fitting._numbers import PER_INERTIA, TORQUE
-from fitting.discovery._criteria import DEFAULT, Criteria
 from fitting.dynamics._mesh import Sampler
 from fitting.effects._library import LIBRARY
 from fitting.inference._case_data import CaseData

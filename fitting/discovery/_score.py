@@ -31,7 +31,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.discovery._criteria import Criteria
+from fitting._criteria import Criteria
 from fitting.dynamics._mesh import Sampler
 from fitting.dynamics._model import INERTIA_CASING
 from fitting.effects._effect import Effect, Parameter
@@ -212,6 +212,7 @@ class CaseColumns:
         self.numbers = fit.problem.layout.numbers(fit.theta, index)
         self.response = TorqueResponse(self.case.data, self.prediction.motion)
         path = self.prediction.path
+        self._restoring = fit.model.restoring
         y = Sampler(path.mesh, self.response.centres).value(path.y)
         self._known: dict[str, Any] = {name: y[:, i] for i, name in enumerate(path.states)}
         self._known |= {"t": self.response.centres, "delta": y[:, 0] - y[:, 1]}
@@ -229,6 +230,7 @@ class CaseColumns:
 
     def trials(self, effect: Effect, choices: list[dict[str, float]] | None = None) -> list[Trial]:
         """Return the columns of a candidate for every choice of its shape constants, or for the choices given."""
+        effect = effect.about_equilibrium if self._restoring else effect
         if not effect.mechanical or effect.depends_on_angle:
             sine, cosine = self.case.unit_columns(
                 effect, self.prediction.path, self.prediction.sensitivity, self.numbers

@@ -9,18 +9,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from fitting._criteria import DEFAULT, Criteria
 from fitting._display import BLUE, block, draw_history, figure, figure_of, markup_table
 from fitting._errors import FittingError
 from fitting._numbers import short, unit_text
 from fitting._workers import WorkerPool, single_blas_thread
-from fitting.discovery._criteria import DEFAULT, Criteria
 from fitting.discovery._refine import (
     at_one_phase,
     fit_at,
@@ -354,7 +354,15 @@ class Step:
 
 
 class History(list[Step]):
-    """The steps of `improve`, the base first; a notebook shows them as a table."""
+    """The steps of `improve`, the base first; a notebook shows them as a table.
+
+    Attributes
+    ----------
+    stopped : str
+        Why the search ended before its criteria did: the message of a fit that failed; "" if none did.
+    """
+
+    stopped: str = ""
 
     def __repr__(self) -> str:
         width = max((len(s.change) for s in self), default=0) + 2
@@ -443,6 +451,7 @@ def select(
     extra: Sequence[Effect],
     criteria: Criteria,
     workers: WorkerPool,
+    known: Sequence[Step] = (),
 ) -> Selection:
     """Return the effect to add to a fit, and the fit with it and with what else it needs.
 
@@ -454,6 +463,8 @@ def select(
         Its ranking.
     extra, criteria, workers
         As for `rank`.
+    known : sequence of Step
+        The history of an earlier `improve` of the same fit: its first steps are taken over if it added the same effect.
     """
     ranked = list(candidates)
     chosen = best(ranked, criteria)
@@ -469,10 +480,13 @@ def select(
             chosen, end = clearer, clearer.fit
     history = History()
     if quieter or fails(end, criteria):
-        history = improve(
-            base, extra, criteria=criteria, max_steps=1 + criteria.follow_up, first=ranked, workers=workers
+        most = 1 + criteria.follow_up
+        history = (
+            History(known[: 1 + most])
+            if len(known) > 1 and known[1].change == f"+{chosen.effect.name}"
+            else improve(base, extra, criteria=criteria, max_steps=most, first=ranked, workers=workers)
         )
-        named, end = history[1].fit if len(history) > 1 else end, history[-1].fit
+        named, end = (history[1].fit, history[-1].fit) if len(history) > 1 else (end, end)
     else:
         named = end
         end = _with_free_shape(end, chosen, (), criteria) or end
@@ -524,6 +538,7 @@ def improve(
     progress: Callable[[int, int | None], None] | None = None,
     first: Sequence[Candidate] | None = None,
     workers: WorkerPool | None = None,
+    keep: Callable[[Step], object] | None = None,
 ) -> History:
     """Add the best effect while one is significant, free its shape constant if needed, drop what is not needed.
 
@@ -543,11 +558,13 @@ def improve(
         The ranking of the base, if it is known already.
     workers : WorkerPool, optional
         Processes that share the work.
+    keep : callable, optional
+        Called with each step after the base as soon as it is complete, so that a search that is ended loses none.
 
     Returns
     -------
     History
-        A list of steps, the base first, the final model last.
+        A list of steps, the base first, the final model last. A fit that fails ends it; the steps before it remain.
     """
     known = first if first is not None else rank(base, extra, criteria=criteria, workers=workers)
     history = History([Step("", base, tuple(known))])
@@ -555,20 +572,50 @@ def improve(
         chosen = best(history[-1].candidates, criteria)
         if chosen is None or chosen.fit is None:
             break
-        history.append(Step(f"+{chosen.effect.name}", refined(chosen.fit, criteria), ()))
-        last = _backward(history, criteria)
-        candidates = rank(last.fit, extra, criteria=criteria, workers=workers)
-        history[-1] = Step(last.change, last.fit, tuple(candidates))
-        general = _with_free_shape(last.fit, chosen, candidates, criteria)
-        if general is not None:
-            symbol = (
-                general.model.effects[general.model.names.index(chosen.effect.name)].parameters[-1].symbol
-            )
-            candidates = rank(general, extra, criteria=criteria, workers=workers)
-            history.append(Step(f"+{chosen.effect.name}.{symbol}", general, tuple(candidates)))
+        try:
+            known_steps = len(history)
+            for following in _steps(history, chosen, chosen.fit, extra, criteria, workers):
+                history.append(following)
+                if keep is not None:
+                    keep(following)
+            if len(history) == known_steps:
+                break
+        except FittingError as error:
+            history.stopped = f"{chosen.effect.name}: {error.message}"
+            break
         if progress is not None:
             progress(step + 1, None)
     return history
+
+
+def _steps(
+    history: Sequence[Step],
+    chosen: Candidate,
+    found: Fit,
+    extra: Sequence[Effect],
+    criteria: Criteria,
+    workers: WorkerPool | None,
+) -> Iterator[Step]:
+    """Yield the step that adds a candidate, whose refit is `found`, and the one that frees its shape constant."""
+    closer = refined(found, criteria)
+    # a search at a new noise level may end in another, worse minimum, most often of an oscillation with dry friction
+    found = closer if closer.bic < found.bic + criteria.evidence else found
+    if found.bic > history[-1].fit.bic - criteria.evidence:
+        return
+    newest = Step(f"+{chosen.effect.name}", found, ())
+    last = _backward([*history, newest], criteria)
+    try:
+        candidates = rank(last.fit, extra, criteria=criteria, workers=workers)
+    except FittingError:
+        yield last
+        raise
+    yield replace(last, candidates=tuple(candidates))
+    general = _with_free_shape(last.fit, chosen, candidates, criteria)
+    if general is None:
+        return
+    symbol = general.model.effects[general.model.names.index(chosen.effect.name)].parameters[-1].symbol
+    candidates = rank(general, extra, criteria=criteria, workers=workers)
+    yield Step(f"+{chosen.effect.name}.{symbol}", general, tuple(candidates))
 
 
 def _backward(history: Sequence[Step], criteria: Criteria) -> Step:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from html import escape
 from typing import TYPE_CHECKING
 
+from fitting._criteria import DEFAULT, Criteria
 from fitting._display import (
     block,
     draw_candidates,
@@ -25,12 +26,11 @@ from fitting._display import (
 )
 from fitting._numbers import probability, rounded, short, typeset, unit_text
 from fitting._workers import WorkerPool, single_blas_thread
-from fitting.discovery._criteria import DEFAULT, Criteria
 from fitting.discovery._form import FormTest
 from fitting.discovery._inertia import inertia_within_uncertainty, reselected, with_free_inertia
 from fitting.discovery._lack_of_fit import (
     UNKNOWN_IN_TIME,
-    UNKNOWN_LAW,
+    UNKNOWN_LAWS,
     HarmonicTest,
     PeriodogramPeak,
     SmoothTest,
@@ -52,7 +52,7 @@ from fitting.discovery._residuals import (
     residual_torques,
     whiteness,
 )
-from fitting.discovery._select import Candidate, Selection, fails, rank, select
+from fitting.discovery._select import Candidate, Selection, Step, fails, rank, select
 from fitting.effects._effect import Effect
 from fitting.inference._result import Fit
 
@@ -81,9 +81,10 @@ class Diagnosis:
     candidates : tuple of Candidate
         Candidate effects, best first.
     form : {"exact", "approximate", None}
-        "exact": the named effect, or class, leaves nothing significant, and of a single name the data would show a
-        deviation larger than an approximate answer may have. "approximate": it explains at least `Criteria.explained`
-        of the unmodelled torque. None where no effect explains that much by itself.
+        "exact": the named effect, or class, leaves nothing significant, and the data would show a deviation larger than
+        an approximate answer may have. "approximate": something significant remains, but the effect explains at least
+        `Criteria.explained` of the unmodelled torque. None where no effect explains that much by itself, or where
+        nothing significant remains but the data cannot test the form.
     explained : float or None
         Share of the mean square unmodelled torque that the best effect explains (0-1); None without one.
     remainder : Remainder or None
@@ -221,6 +222,7 @@ def diagnose(
     *,
     criteria: Criteria = DEFAULT,
     candidates: Sequence[Candidate] | None = None,
+    history: Sequence[Step] = (),
     workers: WorkerPool | None = None,
 ) -> Diagnosis:
     """Return where a fit fails and which effect is missing.
@@ -235,6 +237,8 @@ def diagnose(
         Thresholds of every decision.
     candidates : sequence of Candidate, optional
         The ranking of the fit, if it is known already.
+    history : sequence of Step
+        What `improve` found from the fit, if it is known already.
     workers : WorkerPool, optional
         Processes that share the work.
 
@@ -250,7 +254,7 @@ def diagnose(
     workers = workers or WorkerPool(0)
     curves, harmonics = workers.submit(residual_torques, fit), workers.submit(angle_harmonics, fit)
     ranked = rank(fit, extra, criteria=criteria, workers=workers) if candidates is None else candidates
-    selection = select(fit, ranked, extra, criteria, workers)
+    selection = select(fit, ranked, extra, criteria, workers, history)
     as_given = selection.chosen
     rival = with_free_inertia(fit, selection, tuple(extra), criteria)
     selection = selection if rival is None else reselected(selection, rival)
@@ -273,7 +277,8 @@ def diagnose(
         alone = significant_peak(fit, criteria)
         selection, doubt = (selection, doubt) if alone is None else (selection._replace(chosen=None), alone)
     verdict = _verdict(selection, size, significant=misfit or doubt is not None)
-    allowed = inertia_within_uncertainty(fit, _class_of(selection), criteria) if size.form == "exact" else ""
+    complete = verdict == "missing_effect" and size.remainder is None
+    allowed = inertia_within_uncertainty(fit, _class_of(selection), criteria) if complete else ""
     if allowed:
         # nothing is larger than what the uncertainty of the moments of inertia allows
         verdict, size = "adequate", Grade(None, None, None)
@@ -285,7 +290,11 @@ def diagnose(
             and as_given.effect is selection.chosen.effect
         )
         chosen = as_given if same else selection.chosen
-        rivals = size.rivals or nonparametric_rivals(fit, chosen, size.test, criteria)
+        rivals = size.rivals
+        if size.form != "approximate" or not rivals:
+            rivals = (*rivals, *nonparametric_rivals(fit, chosen, size.test, criteria))
+        if rivals and size.form == "exact":
+            size = replace(size, form=None)
         selection = _with_rivals(selection, rivals)
     nuisance = nuisance_parameters(selection.end)
     torques, waves = curves.result(), harmonics.result()
@@ -318,7 +327,7 @@ def _verdict(selection: Selection, size: Grade, *, significant: bool) -> str:
     """Return "adequate", "missing_effect" or "unexplained": a matter of size, not of significance alone."""
     if selection.chosen is None:
         return "unexplained" if significant else "adequate"
-    if size.form is not None:
+    if size.form is not None or (size.remainder is None and not significant):
         return "missing_effect"
     # a second effect of the library completes it; a law of another shape is none of the library's
     completed = set(selection.end.model.names) > set(selection.named.model.names)
@@ -329,7 +338,8 @@ def _with_rivals(selection: Selection, rivals: tuple[str, ...]) -> Selection:
     if selection.chosen is None or not rivals:
         return selection
     own = selection.chosen.indistinguishable_from
-    chosen = replace(selection.chosen, indistinguishable_from=tuple(dict.fromkeys((*own, *rivals))))
+    others = dict.fromkeys(n for n in (*own, *rivals) if n != selection.chosen.effect.name)
+    chosen = replace(selection.chosen, indistinguishable_from=tuple(others))
     ranked = [chosen if c is selection.chosen else c for c in selection.candidates]
     return selection._replace(candidates=ranked, chosen=chosen)
 
@@ -421,7 +431,7 @@ def _missing(selection: Selection, size: Grade, criteria: Criteria) -> list[str]
     names = [chosen.effect.name, *chosen.indistinguishable_from]
     what = "effect" if chosen.physical else "measurement effect"
     close = "close to " if size.form == "approximate" else ""
-    if names[1:] and {UNKNOWN_LAW, UNKNOWN_IN_TIME}.issuperset(names[1:]):
+    if names[1:] and {*UNKNOWN_LAWS.values(), UNKNOWN_IN_TIME}.issuperset(names[1:]):
         others = ", or ".join(names[1:])
         parts = [
             f"The missing effect is {close}{names[0]}{_strength(chosen)}, or {others}; this data cannot separate them."
@@ -439,22 +449,22 @@ def _missing(selection: Selection, size: Grade, criteria: Criteria) -> list[str]
         )
     if size.remainder is not None:
         parts.append(size.remainder.sentence)
-    elif size.form == "approximate" and size.test is not None and not size.test.is_strong(criteria):
-        parts.append(_untested(size.test, criteria))
+    elif size.form is None and size.test is not None:
+        parts += _untested(size.test, criteria)
     return parts
 
 
-def _untested(test: FormTest, criteria: Criteria) -> str:
-    """Return why a law that leaves nothing significant is not called exact."""
+def _untested(test: FormTest, criteria: Criteria) -> list[str]:
+    """Return why the form of a law that leaves nothing significant is open."""
+    if test.is_strong(criteria):
+        return []  # the rivals say it
     if test.bounds_p <= criteria.doubt_named:
-        return (
-            f"The form is not established: the residuals pull {', '.join(test.bounds)} beyond its bound "
-            f"(p = {probability(test.bounds_p)})."
-        )
+        pulled = f"the residuals pull {', '.join(test.bounds)} beyond its bound"
+        return [f"The form is not established: {pulled} (p = {probability(test.bounds_p)})."]
     if not math.isfinite(test.limit):
-        return "The form is not established: the other parameters absorb every deviation from it."
+        return ["The form is not established: the other parameters absorb every deviation from it."]
     limit = f"{100 * test.limit:.2g} % of its torque"
-    return f"The form is not established: only a deviation above {limit} would be detected."
+    return [f"The form is not established: only a deviation above {limit} would be detected."]
 
 
 def _active_bounds(fit: Fit) -> list[str]:

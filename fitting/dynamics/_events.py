@@ -92,6 +92,24 @@ class Segments:
                 matrix[:, _CASING] -= (first - then) / first[_CASING]
         return matrix
 
+    def turned_back(self, pieces: Sequence[Path]) -> list[Array]:
+        """Return the saltation matrices after those first stretches at whose ends the casing turns back at once."""
+        ends = [p.edges[-1] for p in pieces]
+        if not ends:
+            return []
+        y, time = np.array(ends), np.array([float(p.mesh.edges[-1]) for p in pieces])
+        sense = np.array([float(p.sense[0]) for p in pieces])
+        y[:, _CASING] = 0.0
+        with np.errstate(all="ignore"):
+            before, after = (self.dynamics.rates(time, y, self.numbers, s) for s in (sense, -sense))
+        onward = np.append(sense[1:], -sense[-1]) == -sense
+        turns = onward & (sense != 0) & (-sense * after[:, _CASING] > 0) & (before[:, _CASING] != 0)
+        turns &= np.isfinite(before).all(axis=1) & np.isfinite(after).all(axis=1)
+        count = len(turns) if turns.all() else int(np.argmin(turns))
+        matrices = np.tile(np.eye(y.shape[1]), (count, 1, 1))
+        matrices[:, :, _CASING] -= ((before - after) / before[:, _CASING, None])[:count]
+        return list(matrices)
+
     def alike(
         self, start: Array, time: float, end: float, sense: float, known: Path, *, stops: bool
     ) -> Path | None:
@@ -155,7 +173,7 @@ class Segments:
             return []  # a law sets in before a reversal that came first, or after one that came later
         known = replace(known, mesh=known.mesh.moved(sorted(anchors), sorted(places)))
         at = sorted(known.jumps)
-        for share in _SHARES:
+        for share in _NEARBY if known.exact else _SHARES:
             count = math.ceil(share * len(at))
             path = known if count == len(at) else _until(known, at[count])
             path = replace(path, edges=path.edges.copy(), y=path.y.copy())
@@ -395,8 +413,9 @@ _MAX_EVENTS = 2000
 # reversals from which on all stretches of an oscillation are solved at once
 _MANY = 3
 _MOST_STEPS = 25
-# share of the reversals that are tried together
-_SHARES = (1.0, 0.9, 0.7, 0.4)
+# share of the reversals that are tried together: of a motion near a known one, and of one near a measured one
+_NEARBY = (1.0, 0.97)
+_SHARES = (*_NEARBY, 0.9, 0.7, 0.4)
 _SMALL = 1e-9
 _EXACT = 1e-13
 # farthest move of a reversal in a step, as a share of the time to its neighbours
@@ -410,6 +429,8 @@ def solve(
     start: Array,
     mesh: Mesh,
     guess: Path | None = None,
+    *,
+    most: int = _MAX_EVENTS,
 ) -> Path:
     """Integrate the equations of motion.
 
@@ -426,6 +447,8 @@ def solve(
         and where the casing stops, turns back or moves on.
     guess : Path, optional
         A solution for numbers near these, or what is measured.
+    most : int
+        Stretches between two events that are integrated one by one, where the motion has changed in kind.
 
     Returns
     -------
@@ -435,7 +458,7 @@ def solve(
     Raises
     ------
     SimulationError
-        If Newton's method does not converge or the states leave the finite numbers.
+        If Newton's method does not converge, the states leave the finite numbers, or `most` stretches are not enough.
     """
     breaks = tuple(numbers[k] for k in dynamics.breakpoints if mesh.edges[0] < numbers[k] < mesh.edges[-1])
     mesh = mesh.with_breakpoints(breaks)
@@ -447,14 +470,29 @@ def solve(
     known = guess.pieces() if guess is not None and guess.exact else []
     ready: list[Path] = []
     if dynamics.dry and guess is not None and len(guess.jumps) >= _MANY:
-        ready, guess = run.oscillating(y, guess), None
-    for _ in range(_MAX_EVENTS):
+        ready = run.oscillating(y, guess)
+        if len(guess.jumps) - len(ready) > most:
+            raise SimulationError(UNBOUNDED)
+        guess = None
+    if ready and ready[0].sense[0] == sense:
+        # one vector operation for hundreds of reversals
+        jumps = run.turned_back([p for p in ready if p.mesh.edges[-1] < end])
+        pieces, ready = ready[: len(jumps)], ready[len(jumps) :]
+        if pieces:
+            y, time, sense = (
+                pieces[-1].edges[-1].copy(),
+                float(pieces[-1].mesh.edges[-1]),
+                -float(pieces[-1].sense[0]),
+            )
+            y[_CASING] = 0.0
+    while most >= 0 and len(pieces) < _MAX_EVENTS:
         alike = known[len(pieces)] if len(pieces) < len(known) else None
         stops = len(pieces) + 1 < len(known)
         ready = ready if ready and ready[0].sense[0] == sense else []
         piece = ready.pop(0) if ready else None
         if piece is None and alike is not None:
             piece = run.alike(y, time, end, sense, alike, stops=stops)
+        most -= piece is None
         if piece is None:
             rest = mesh.between(time, end)
             piece = run.held(y, rest, guess) if sense == 0 else run.turning(y, rest, sense, guess)

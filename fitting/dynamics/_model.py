@@ -183,18 +183,23 @@ class Model:
 
     @cached_property
     def smooth(self) -> Model:
-        """The physical effects that do not depend on an angle."""
-        return Model(tuple(e for e in self.effects if e.mechanical and not e.depends_on_angle))
+        """The physical effects whose torque is a function of the states of the motion.
+
+        Where a torque restores an equilibrium, the angle of the casing is one of them.
+        """
+        physical = (e.about_equilibrium if self.restoring else e for e in self.effects if e.mechanical)
+        return Model(tuple(e for e in physical if not e.depends_on_angle))
 
     @cached_property
     def angle_dependent(self) -> tuple[Effect, ...]:
-        """The physical effects that follow an angle."""
-        return tuple(e for e in self.effects if e.mechanical and e.depends_on_angle)
+        """The physical effects that follow an angle which is no state of the motion."""
+        names = self.smooth.names
+        return tuple(e for e in self.effects if e.mechanical and e.name not in names)
 
     @cached_property
     def restoring(self) -> bool:
         """Whether a torque drives the casing back to an equilibrium: then its deflection is a state of the motion."""
-        return any(e.restoring for e in self.smooth.effects)
+        return any(e.restoring for e in self.effects if e.mechanical)
 
     @cached_property
     def measurement(self) -> tuple[Effect, ...]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -316,16 +316,21 @@ class Effect:
         return self.joint in {"casing", "camera.casing"} and not names & {"omega_r", "psi_r", "delta", "tau"}
 
     @cached_property
-    def of_casing_speed(self) -> bool:
-        """Whether it is a torque on the casing that depends on the casing's speed alone."""
-        own = {p.symbol for p in self.parameters}
-        return self.joint == "casing" and self.rate is None and symbols(self.expression) - own == {"omega_c"}
-
-    @cached_property
     def depends_on_angle(self) -> bool:
         """Whether the law is a function of an angle: a harmonic of psi."""
         names = symbols(self.expression)
         return bool(names & {"psi_r", "psi_c", "psi"})
+
+    @cached_property
+    def about_equilibrium(self) -> Effect:
+        """The law of an oscillating body: psi_c is its angle from the equilibrium, a state of the motion.
+
+        The response to a torque that follows the measured angle is of first order; through a hundred periods a change
+        of the frequency adds up to more than that.
+        """
+        if not self.mechanical or "psi_c" not in symbols(self.expression):
+            return self
+        return replace(self, law=re.sub(r"\bpsi_c\b", "deflection", self.law))
 
     @cached_property
     def restoring(self) -> bool:

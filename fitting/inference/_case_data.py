@@ -40,11 +40,13 @@ from fitting.inference._oscillation import Oscillation, find_oscillation
 from fitting.inference._prior import Prior
 from fitting.inference._record import WIDTH, Record, Samples, initial_speeds, speeds
 from fitting.inference._recording_noise import (
+    FREE,
     AngleNoise,
     ProcessNoise,
     estimate_angle_noise,
     estimate_process_noise,
     estimate_window_noise,
+    mean_acceleration,
 )
 from fitting.inference._spectral_lines import SpectralLine, line_rows, spectral_lines
 
@@ -223,11 +225,31 @@ class CaseData:
         prior = self.record.prior
         return 0 if prior is None else len(prior.names)
 
+    @cached_property
+    def row_count(self) -> int:
+        """Number of rows that measure something: harmonics that the polynomials of a block contain are empty."""
+        k = self.casing.lift.shape[1]
+        empty = sum(int((~operator[k:].any(axis=1)).sum()) for _, operator in self.casing.operators)
+        return len(self.z) - empty
+
     def _tail(self, harmonic: Array) -> Array:
-        """Return the rows after those of the polynomials: of harmonics, and zeros in the place of the prior."""
-        if not self.prior_rows:
-            return harmonic
-        return np.concatenate([harmonic, np.zeros((self.prior_rows, *harmonic.shape[1:]))])
+        """Return the rows after those of the polynomials: of harmonics, and zeros in the place of the priors."""
+        count = self.prior_rows + len(self._camera_prior)
+        return np.concatenate([harmonic, np.zeros((count, *harmonic.shape[1:]))]) if count else harmonic
+
+    @cached_property
+    def _camera_prior(self) -> Array:
+        """Standard deviations of the prior of the camera's nuisance functions, in units of `camera_columns`.
+
+        A centre within a third of the radius, a tilt below 0.6 rad, a shutter that takes no longer than a frame. Empty
+        where no such function is free.
+        """
+        # over a part of a turn a harmonic of the angle is a change of scale, which no table of angles has
+        if not self.is_angle or not (self.oscillation is None or self.record.tracked):
+            return np.zeros(0)
+        samples = self.casing.samples
+        frame = float(np.median(np.diff(samples.time)))
+        return np.repeat([_CENTRE, _TILT, 0.5 * frame * largest_speed(samples)], 2)
 
     @cached_property
     def angle_noise(self) -> AngleNoise:
@@ -252,7 +274,9 @@ class CaseData:
             return AngleNoise()
         # of two equal random torques on the casing and between the bodies, one acts on the rotor
         share = record.I_casing / record.I_rotor / math.sqrt(2)
-        return estimate_window_noise(self.rotor, share * self.process_noise.level, self.process_noise.time)
+        process = self.process_noise
+        waves = [camera_columns(w.samples) for w in self.rotor]
+        return estimate_window_noise(self.rotor, waves, share * process.level, process.time)
 
     @cached_property
     def process_noise(self) -> ProcessNoise:
@@ -263,8 +287,13 @@ class CaseData:
             if not self.is_angle:
                 bias = self.casing.at_nodes(np.ones((len(self.casing.node_times), 1)))
                 waves = np.concatenate([waves, bias], axis=1)
-            free = np.concatenate([free, waves], axis=1) if self.record.tracked else waves
-        return estimate_process_noise(self.casing, free, self.angle_noise, angle=self.is_angle)
+            free = np.concatenate([free, FREE * waves], axis=1)
+        # the mean acceleration of an oscillation is none of its torques
+        known = self.is_angle and self.oscillation is None
+        typical = mean_acceleration(self.casing) if known else math.inf
+        return estimate_process_noise(
+            self.casing, free, self.angle_noise, angle=self.is_angle, typical=typical
+        )
 
     @cached_property
     def spectral_lines(self) -> tuple[SpectralLine, ...]:
@@ -282,16 +311,20 @@ class CaseData:
     def _nuisance_rows(self) -> Array:
         """Polynomial rows of what is no noise: the camera's nuisance functions and spectral lines."""
         return np.concatenate(
-            [self._camera_rows, line_rows(self.casing, [line.rate for line in self.spectral_lines])], axis=1
+            [
+                self._camera_rows,
+                FREE * line_rows(self.casing, [line.rate for line in self.spectral_lines]),
+            ],
+            axis=1,
         )
 
     @cached_property
     def _camera_rows(self) -> Array:
-        """Polynomial rows of the camera's nuisance functions."""
-        if self.is_angle:
-            return self.casing.at_samples(camera_columns(self.casing.samples))[0]
+        """Polynomial rows of the camera's nuisance functions, at one standard deviation of their prior."""
+        if len(self._camera_prior):
+            return self.casing.at_samples(camera_columns(self.casing.samples))[0] * self._camera_prior
         if self.record.gradients:
-            return self.casing.at_samples(_gradients(self.casing.samples))[0]
+            return FREE * self.casing.at_samples(_gradients(self.casing.samples))[0]
         return np.zeros((len(self.casing.z), 0))
 
     def whitened(self, rows: Array) -> Array:
@@ -319,13 +352,16 @@ class CaseData:
 
     @cached_property
     def slices(self) -> dict[str, slice]:
-        """Where the rows of the casing, the rotor and the harmonics stand."""
+        """Where the rows of the casing, the rotor, the harmonics and the camera's priors stand."""
         a = len(self.casing.z)
         b = a + sum(len(w.z) for w in self.rotor)
         return {
             "casing": slice(0, a),
             "rotor": slice(a, b),
             "harmonic": slice(b, b + len(self.casing.harmonic)),
+            "camera_prior": slice(
+                b + len(self.casing.harmonic), b + len(self.casing.harmonic) + len(self._camera_prior)
+            ),
             "smooth": slice(0, b),
         }
 
@@ -377,9 +413,11 @@ class CaseData:
             for i in range(len(self.rotor)):
                 ones = [np.full(len(w.node_times), float(i == j)) for j, w in enumerate(self.rotor)]
                 columns.append(self.rows(np.zeros(nodes), ones))
-            # over a part of a turn a harmonic of the angle is a change of scale, which no table of angles has
-            if self.oscillation is None or self.record.tracked:
-                columns += list(self.casing_rows(camera_columns(self.casing.samples)).T)
+            if len(self._camera_prior):
+                camera = self.casing_rows(camera_columns(self.casing.samples))
+                first = self.slices["camera_prior"].start
+                camera[first : first + len(self._camera_prior)] = np.diag(1 / self._camera_prior)
+                columns += list(camera.T)
         elif self.record.gradients:
             # in the first slow turns what a camera adds to angles is as slow as physics
             columns += list(self.casing_rows(_gradients(self.casing.samples)).T)
@@ -457,17 +495,20 @@ class CaseData:
 
 
 def with_prior(data: Sequence[CaseData], prior: Prior | None) -> tuple[CaseData, ...]:
-    """Return cases that are fitted together with a prior of what they share; it counts once, with the first case."""
-    return tuple(d.with_prior(None if i else prior) for i, d in enumerate(data))
+    """Return cases that are fitted together with a prior of their parameters."""
+    return tuple(d.with_prior(prior) for d in data)
 
 
 def _correlation(run: Compressed, noise: AngleNoise) -> float:
     """Return the spectral density of all angle noise at low frequencies over that of the white noise alone."""
     samples = run.samples
-    if noise.sigma == 0 or len(samples.time) < 2:
+    if noise.is_white or len(samples.time) < 2:
         return 1.0
     white = (run.scale * float(np.median(samples.sigma))) ** 2 * float(np.median(np.diff(samples.time)))
-    return 1 + 2 * noise.sigma**2 * noise.time / white
+    turn = float(np.ptp(samples.value) / np.ptp(samples.time)) * noise.turn_time
+    return (
+        1 + 2 * (noise.sigma**2 * noise.time + noise.turn_sigma**2 * noise.turn_time / (1 + turn**2)) / white
+    )
 
 
 def _gradients(speeds: Samples) -> Array:
@@ -480,6 +521,8 @@ def _gradients(speeds: Samples) -> Array:
 # columns of `camera_columns` that belong to each nuisance effect, in the order of the library
 CAMERA_COLUMNS = {name: (2 * i, 2 * i + 1) for i, name in enumerate(NUISANCE)}
 _SMOOTHED = 25
+# standard deviations of a displaced centre, of the radius, and of the second harmonic of a tilt [rad]
+_CENTRE, _TILT = 0.15, 0.05
 # of a sine of the angle: less is rounding
 _ROUNDING = 1e-7
 
@@ -491,11 +534,20 @@ def camera_columns(samples: Samples) -> Array:
     visible, and the rounding errors of their sines grow with the angle like the motion itself.
     """
     psi = samples.value
-    width = min(_SMOOTHED, len(psi) // 4)
-    knots = np.arange(0, len(psi), width)
-    omega = np.interp(samples.time, samples.time[knots], np.gradient(psi[knots], samples.time[knots]))
-    omega = omega / np.abs(omega).max()
+    knots, speed = _rough_speeds(samples)
+    omega = np.interp(samples.time, samples.time[knots], speed) / np.abs(speed).max()
     once, twice = (np.stack([np.cos(m * psi), np.sin(m * psi)], axis=1) for m in (1, 2))
     for waves in (once, twice):
         waves *= (np.abs(waves).max(axis=0) > _ROUNDING) & (np.ptp(waves, axis=0).max() > _ROUNDING)
     return np.concatenate([once, twice, omega[:, None] * once], axis=1)
+
+
+def largest_speed(samples: Samples) -> float:
+    """Return the speed by which the columns of the rolling shutter are divided [rad/s]."""
+    return float(np.abs(_rough_speeds(samples)[1]).max())
+
+
+def _rough_speeds(samples: Samples) -> tuple[NDArray[np.int_], Array]:
+    width = min(_SMOOTHED, len(samples.value) // 4)
+    knots = np.arange(0, len(samples.value), width)
+    return knots, np.gradient(samples.value[knots], samples.time[knots])

@@ -56,7 +56,7 @@ def column(path: Path, file: Any, group: str, name: str) -> Array:
 
 
 def number(file: Any, group: str, name: str) -> float:
-    """Return a number that is told of a group; nan where there is none."""
+    """Return a numeric attribute of a group; nan where there is none."""
     import h5py
 
     parts = group.split("/")
@@ -90,8 +90,8 @@ def check_intact(path: Path) -> None:
     """
     content = path.read_bytes()
     seal = content[-_SEAL:]
-    told = seal[len(_MARK) : -1] if seal.startswith(_MARK) else None
-    if told is not None and told != hashlib.sha256(content[:-_SEAL]).hexdigest().encode():
+    stated = seal[len(_MARK) : -1] if seal.startswith(_MARK) else None
+    if stated is not None and stated != hashlib.sha256(content[:-_SEAL]).hexdigest().encode():
         raise RecordError(
             f"{path} is damaged: the checksum does not match the contents", "fetch a fresh copy"
         )

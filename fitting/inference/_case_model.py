@@ -10,7 +10,6 @@ and beside it what the measurement differs by, smoothed by cubics in as few piec
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,6 +19,7 @@ import numpy as np
 from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
+from fitting._errors import SimulationError
 from fitting.dynamics._events import solve
 from fitting.dynamics._mesh import Mesh, Path, Sampler, rule
 from fitting.dynamics._model import Dynamics
@@ -141,8 +141,14 @@ def _rotor_rows(data: CaseData, speed: Array, angle: Array) -> Array:
 Array = NDArray[np.float64]
 
 _INTERVALS = 12
-# intervals of the first mesh in each period of an oscillation
-_PER_PERIOD = 4
+# intervals of the first mesh between two reversals of an oscillation: of a sinusoid, ten nodes resolve a fifth of the
+# half period to 1e-11 (Bessel function J_8 of pi / 10), so that hardly any has to be halved
+_PER_REVERSAL = 5
+
+
+# reversals from which on a solution is followed through all of them at once, stretches that may be integrated singly
+# all the same, and how often the way to a trial is halved
+_MANY_REVERSALS, _FEW_SINGLE, _HALVINGS = 3, 2, 2
 
 
 @dataclass(frozen=True)
@@ -209,27 +215,64 @@ class CaseModel:
         self.places = np.concatenate([moving, layout.places(case, added)])
         self._own = {int(k): i for i, k in enumerate(self.places)}
         self._moving = len(moving)
-        # the prior is known of what all cases share, or of a case alone
         prior = data.record.prior
-        self._prior = None if prior is None else prior.whitened(layout.names)
-        self._guess: Path | None = None
+        # what all cases share is counted once, with the first of them
+        self._prior = (
+            None
+            if prior is None
+            else prior.whitened(
+                layout.names, data.record.label, shared=layout.records[0].label == data.record.label
+            )
+        )
+        self._last: tuple[Array, Path] | None = None
         self._columns: dict[str, tuple[Array, Array]] = {}
 
     def solve(self, theta: Array) -> Path:
         """Integrate the smooth part of the model."""
+        last = self._last
+        if last is not None and len(last[1].jumps) >= _MANY_REVERSALS:
+            path = self._followed(*last, theta, _HALVINGS)
+        else:
+            path = self._solved(theta, self._measured(theta) if last is None else last[1])
+        self._last = theta.copy(), path
+        return path
+
+    def _solved(self, theta: Array, guess: Path, **limits: int) -> Path:
         first = np.array([*self.layout.start(theta, self.case), *self.dynamics.start])
-        guess = self._guess or self._measured(first)
-        self._guess = solve(self.dynamics, self.layout.numbers(theta, self.case), first, self._mesh, guess)
-        return self._guess
+        numbers = self.layout.numbers(theta, self.case)
+        return solve(self.dynamics, numbers, first, self._mesh, guess, **limits)
+
+    def _followed(self, begin: Array, known: Path, theta: Array, halvings: int) -> Path:
+        """Return the solution at some variables from a known one at others, if need be by way of those between them.
+
+        Through hundreds of reversals a change of the frequency adds up, and Newton's method converges only where each
+        reversal is near its old time. To integrate from one reversal to the next takes a hundred times as long, so a
+        trial of the search that is too far away even in short steps is refused instead.
+        """
+        try:
+            return self._solved(theta, known, most=_FEW_SINGLE + len(known.jumps) // 25)
+        except SimulationError:
+            if not halvings:
+                raise
+        middle = 0.5 * (begin + theta)
+        path = self._followed(begin, known, middle, halvings - 1)
+        return self._followed(middle, path, theta, halvings - 1)
 
     @cached_property
     def _mesh(self) -> Mesh:
         oscillation = self.data.oscillation
-        needed = _INTERVALS if oscillation is None else math.ceil(_PER_PERIOD * oscillation.periods)
-        return Mesh.uniform(*self.data.record.span, max(_INTERVALS, needed))
+        first, last = self.data.record.span
+        if oscillation is None:
+            return Mesh.uniform(first, last, _INTERVALS)
+        turns = oscillation.reversals
+        ends = np.concatenate([[first], turns[(turns > first) & (turns < last)], [last]])
+        share = np.arange(_PER_REVERSAL) / _PER_REVERSAL
+        edges = (ends[:-1, None] + np.diff(ends)[:, None] * share).ravel()
+        return Mesh(np.append(edges, last))
 
-    def _measured(self, first: Array) -> Path:
+    def _measured(self, theta: Array) -> Path:
         """Return the measured motion as a first guess."""
+        first = np.array([*self.layout.start(theta, self.case), *self.dynamics.start])
         times, speeds = self.data.initial_speeds
         mesh, n = self._mesh, len(first)
         mesh, jumps, sense = self._reversals(mesh, first)

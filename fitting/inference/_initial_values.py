@@ -232,7 +232,7 @@ def _means(groups: NDArray[np.intp], columns: Array) -> Array:
 def _strengths(layout: ParameterLayout, parameters: Sequence[str]) -> list[str]:
     """Return the parameters in which the equations are linear, and which the data can tell apart so."""
     every = [k for k in parameters if layout.model.parameters[k].role == "amplitude"]
-    # linear in its strength, but hardly to be told from the linear law while its power is free
+    # linear in its strength, but hardly distinguishable from the linear law while its power is free
     curved = ("bearing.heating.", *(("bearing.power.",) if "bearing.power.g" in parameters else ()))
     linear = [k for k in every if not k.startswith(curved)] or every
     if not {"bearing.linear.d", "bearing.power.f"} & {*linear} and "bearing.power.f" in parameters:

@@ -285,7 +285,7 @@ def case_metrics(case: CaseModel, project: Projection, prediction: Prediction, t
         if body == "rotor" and data.record.generated:  # no noise to measure against
             reduced = outside[body] = float("nan")
         bodies[body] = BodyMetrics(r2, rmse, reduced, outside[body])
-    rows = max(1, len(data.z) - project.basis.shape[1])
+    rows = max(1, data.row_count - project.basis.shape[1])
     return CaseMetrics(
         data.record.label,
         bodies["casing"],

@@ -116,8 +116,8 @@ def minimise(
                     converged = True
                     break
                 damping *= 0.01
-        elif damping > 1e14:
-            # no step helps, however short: rounding has the last word
+        elif damping > 1e14 or (damping > 1 and predicted < 1e-3 * enough):
+            # no step helps, however short: the limit is rounding, or a kink where dry friction holds the body
             converged = _undamped(r, j, unit, lower - x, upper - x) < _WORTH_WHILE + enough
             break
         else:
@@ -159,7 +159,7 @@ _ENOUGH_TO_RANK = 3e-3
 # chi2 per row above which a search is repeated from elsewhere
 _FAR = 10.0
 _PATIENCE = 60
-# steps tried at most where only an order is asked for
+# steps tried at most where only an order is needed
 _QUICK = 40
 # exponents tried for the slope of a law
 _POWERS = 241

@@ -165,7 +165,7 @@ class ParameterLayout:
         return lower, upper
 
     def declared_bounds(self) -> tuple[Array, Array]:
-        """Return the bounds that effects declare, whatever range is asked for."""
+        """Return the bounds that effects declare, whatever range is given."""
         declared = [self.parameter(n) for n in self.names]
         return np.array([p.lower for p in declared]), np.array([p.upper for p in declared])
 

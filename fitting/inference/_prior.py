@@ -9,6 +9,9 @@ density, and (J'J)^-1 its covariance; in a linear model (J'J + C^-1)^-1 (J'z + C
 by generalised least squares (A. Gelman et al., Bayesian Data Analysis, 3rd ed., ch. 14.8). Because they are rows, the
 score test, the test for lack of fit and every refit take them into account.
 
+Where the cases of a joint fit have values of their own, the prior is about each of them: its uncertainty then has to
+include how much a run differs from the next.
+
 The studies have to be independent: a prior from the same data would count them twice.
 """
 
@@ -102,22 +105,30 @@ class Prior:
             source,
         )
 
-    def whitened(self, names: Sequence[str]) -> tuple[tuple[str, ...], Array, Array]:
-        """Return which parameters are among these names, their means, and L^-1 of their covariance.
+    def whitened(
+        self, names: Sequence[str], label: str = "", *, shared: bool = True
+    ) -> tuple[tuple[str, ...], Array, Array]:
+        """Return which variables of a fit the prior is about, their means, and L^-1 of their covariance.
 
         Parameters
         ----------
         names : sequence of str
-            The variables of a fit.
+            The variables of the fit.
+        label : str
+            A case: of a parameter with a value for each case the prior is about that of this one, ``name@label``.
+        shared : bool
+            Include the parameters that all cases share; each must be counted once.
 
         Returns
         -------
         tuple of str, ndarray (k,), ndarray (k, k)
         """
-        present = [i for i, name in enumerate(self.names) if name in names]
+        found = {}
+        for i, name in enumerate(self.names):
+            if name in names and shared:
+                found[i] = name
+            elif f"{name}@{label}" in names:
+                found[i] = f"{name}@{label}"
+        present = list(found)
         lower = np.linalg.cholesky(np.array(self.covariance)[np.ix_(present, present)])
-        return (
-            tuple(self.names[i] for i in present),
-            np.array(self.mean)[present],
-            np.linalg.inv(lower),
-        )
+        return tuple(found.values()), np.array(self.mean)[present], np.linalg.inv(lower)

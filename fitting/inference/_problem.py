@@ -130,7 +130,7 @@ class Problem:
     @property
     def rows(self) -> int:
         """Number of rows of all cases that nuisances leave."""
-        return sum(len(d.z) - p.basis.shape[1] for d, p in zip(self.data, self.projections, strict=True))
+        return sum(d.row_count - p.basis.shape[1] for d, p in zip(self.data, self.projections, strict=True))
 
     def __call__(self, u: Array) -> tuple[Array, Array]:
         """Return residuals and Jacobian by the straight variables u."""

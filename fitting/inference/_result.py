@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting._criteria import DEFAULT
 from fitting._display import (
     block,
     draw_speed,
@@ -175,7 +176,11 @@ def summary_lines(fit: FitSummary) -> list[str]:
         lines += wrap(text, 79, subsequent_indent="  ")
     for label, noise in _angle_noises(fit):
         level = rounded(1e3 * noise.sigma, 1e3 * noise.sigma_u, "mrad")
-        text = f"correlated angle noise{label}: {level}, correlation time {noise.time:.2g} s"
+        parts = [f"{level}, correlation time {noise.time:.2g} s"] if noise.sigma else []
+        if noise.turn_sigma:
+            level = rounded(1e3 * noise.turn_sigma, 1e3 * noise.turn_sigma_u, "mrad")
+            parts.append(f"{level} that repeats with the turn, changing in {noise.turn_time:.2g} s")
+        text = f"correlated angle noise{label}: {'; '.join(parts)}"
         lines += wrap(text, 79, subsequent_indent="  ")
     prior = (
         next((d.record.prior for d in fit.problem.data if d.record.prior), None)
@@ -183,7 +188,8 @@ def summary_lines(fit: FitSummary) -> list[str]:
         else None
     )
     if prior is not None:
-        used = [n for n in prior.names if n in fit.estimates]
+        known = {name.partition("@")[0] for name in fit.estimates}
+        used = [n for n in prior.names if n in known]
         lines += wrap(
             f"prior from {prior.source}: {', '.join(used) or 'none of its parameters is in the model'}",
             79,
@@ -215,7 +221,7 @@ def _angle_noises(fit: FitSummary) -> list[tuple[str, AngleNoise]]:
     for d in data:
         case = f" of {d.record.label}" if len(data) > 1 else ""
         found += [(case, d.angle_noise), (f"{case} in the rotor's windows", d.rotor_angle_noise)]
-    return [(label, noise) for label, noise in found if noise.sigma]
+    return [(label, noise) for label, noise in found if not noise.is_white]
 
 
 def not_determined(estimates: Mapping[str, Estimate]) -> list[str]:
@@ -225,14 +231,6 @@ def not_determined(estimates: Mapping[str, Estimate]) -> list[str]:
         for k, e in estimates.items()
         if not k.startswith("initial.") and math.isfinite(e.stderr) and e.stderr > abs(e.value)
     ]
-
-
-# chi2 per row that a model can reach, above which the lack of fit is significant (2000 rows: 1.0 +- 0.03)
-REDUCED_CHI2 = 1.4
-# p-value of the lack-of-fit test below which the lack of fit is significant
-LACK_OF_FIT_P = 1e-5
-# standard uncertainty over value above which a parameter is not determined, however good the fit
-UNDETERMINED = 100.0
 
 
 @dataclass(frozen=True)
@@ -321,7 +319,9 @@ class Fit(FitSummary):
         """One of "adequate", "misfit", "not determined" and "not converged"."""
         if not self.converged:
             return "not converged"
-        left = self.lack_of_fit.p_value < LACK_OF_FIT_P or any(c.misfit > REDUCED_CHI2 for c in self.cases)
+        left = self.lack_of_fit.p_value < DEFAULT.lack_of_fit or any(
+            c.misfit > DEFAULT.reduced_chi2 for c in self.cases
+        )
         if left:
             return "misfit"
         return "not determined" if self.undetermined else "adequate"
@@ -332,7 +332,7 @@ class Fit(FitSummary):
         return [
             k
             for k in not_determined(self.estimates)
-            if self.estimates[k].stderr > UNDETERMINED * abs(self.estimates[k].value)
+            if self.estimates[k].stderr > DEFAULT.undetermined * abs(self.estimates[k].value)
             and self.problem.layout.parameter(k).role != "phase"
         ]
 

@@ -26,8 +26,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting._criteria import DEFAULT
 from fitting.inference._compression import Compressed
-from fitting.inference._recording_noise import Stretch, binned_operators, stretches_of
+from fitting.inference._recording_noise import FREE, Stretch, binned_operators, stretches_of
 
 Array = NDArray[np.float64]
 
@@ -37,8 +38,6 @@ _PER_PEAK = 2
 _FINER = 16
 # highest frequency: radians per row
 _FASTEST = 2.5
-# p-value of a line, as of a test that contradicts an adequate fit
-_SIGNIFICANT = 1e-3
 _MOST = 4
 # share of its rows that a line must keep beyond the polynomials
 _RETAINED = 0.05
@@ -79,11 +78,11 @@ def spectral_lines(run: Compressed, nuisance: Array) -> tuple[SpectralLine, ...]
     run : Compressed
         Projected angles or speeds.
     nuisance : ndarray, shape (rows, columns)
-        Polynomial rows of the functions that are free in every fit.
+        Polynomial rows of the nuisance functions, at one standard deviation of their prior.
     """
     found: list[SpectralLine] = []
     while len(found) < _MOST:
-        free = np.concatenate([nuisance, line_rows(run, [line.rate for line in found])], axis=1)
+        free = np.concatenate([nuisance, FREE * line_rows(run, [line.rate for line in found])], axis=1)
         line = _strongest(run, stretches_of(run, free))
         if line is None:
             break
@@ -147,7 +146,7 @@ def _strongest(run: Compressed, stretches: Sequence[Stretch]) -> SpectralLine | 
     least = gain(fine)
     top = int(np.argmax(least))
     p_value = false_alarm_probability(float(least[top]), (highest - lowest) / (2 * np.pi), span)
-    if p_value >= _SIGNIFICANT:
+    if p_value >= DEFAULT.spectral_line:
         return None
     rows = line_rows(run, fine[[top]])
     white = np.concatenate([n[0][0] @ s.beyond(rows[s.rows]) for s, n in zip(stretches, noises, strict=True)])

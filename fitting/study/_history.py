@@ -183,7 +183,7 @@ class Ledger:
             self.entries = _read(path)
 
     @classmethod
-    def beside(cls, case: Path) -> Ledger:
+    def default_for(cls, case: Path) -> Ledger:
         """Return the ledger next to a case file: ``case1.h5`` has ``case1.fits.json``.
 
         Parameters

@@ -83,7 +83,7 @@ _FITS = 4
 
 
 def _angle_noise(noise: AngleNoise) -> AngleNoiseDocument | None:
-    return AngleNoiseDocument.model_validate(vars(noise)) if noise.sigma else None
+    return AngleNoiseDocument.model_validate(vars(noise)) if not noise.is_white else None
 
 
 def fit_document(fit: Fit, fit_id: str) -> dict[str, Any]:

@@ -127,7 +127,7 @@ def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[dict[str, float]
     design = np.concatenate([harmonics, x[:, None] ** np.arange(most + 1)], axis=1)
     prior = np.concatenate([np.repeat(VIEW, 2), np.full(most + 1, np.inf)])
     models = [list(range(view + order + 1)) for order in range(_ORDERS[0], most + 1)]
-    fits = least_squares_of(t, design, psi, sigma, models, prior)
+    fits = least_squares_of(t, design, psi, sigma, models, prior, smooth)
     order, fit = min(enumerate(fits, _ORDERS[0]), key=lambda pair: pair[1].criterion)
 
     def row(values: list[float]) -> Floats:

@@ -17,7 +17,7 @@ from gyrotrack._errors import DatasetError, GyrotrackError, TrackingError, Video
 from gyrotrack._inertia import Inertia
 from gyrotrack._smoothing import WIDTH, angular_velocity
 from gyrotrack.apps._motion import TURN, BodyMotion, Value, motion_of, start_of_motion
-from gyrotrack.apps._study import open_study
+from gyrotrack.apps._study import Recorder, open_study
 from gyrotrack.apps.report._page import write_report
 from gyrotrack.io._atomic import new_file
 from gyrotrack.io._hdf5 import read_case, read_recording, write_case
@@ -309,6 +309,8 @@ def spindown(
     from fitting._workers import WorkerPool
     from fitting.discovery._select import improve
     from fitting.discovery._verdict import diagnose
+    from fitting.effects._library import REDUCED
+    from fitting.inference._fit import fit
     from fitting.study._serialisation import diagnosis_document
 
     case, tracked = read_source(source, options, progress)
@@ -329,19 +331,23 @@ def spindown(
     if tracked is not None:
         picture = target.with_suffix(".png")
         _write_picture(picture, Film(source), tracked)
-    steps: list[Any] = []
+    recorder: Recorder | None = None
     diagnosis: dict[str, Any] | None = None
     warnings = list(case.warnings)
     written = None
     try:
         study = open_study([target], None)
         with WorkerPool() as workers:
-            base, parent = study.base(None)
+            # a study of its own, whatever was fitted to this case before
+            base = fit(study.model(REDUCED), study.data)
+            parent = study.ledger.add(base).fit_id
             _check_law(motion, base)
-            rungs = improve(base, [], workers=workers)
-            _check_law(motion, rungs[-1].fit, final=True)
-            steps = [entry.document["rung"] for entry in study.keep(rungs, parent)]
-            found = diagnose(base, [], candidates=rungs[0].candidates, workers=workers)
+            recorder = study.recorder(parent, base)
+            history = improve(base, [], workers=workers, keep=recorder)
+            if history.stopped:
+                warnings.append(f"The search ended at a fit that failed, {history.stopped}")
+            _check_law(motion, history[-1].fit, final=True)
+            found = diagnose(base, [], candidates=history[0].candidates, history=history, workers=workers)
             study.keep_diagnosis(parent, found, [])
             diagnosis = diagnosis_document(found, parent)
             if report is not None:
@@ -359,13 +365,14 @@ def spindown(
                 )
                 written = report
     except FittingError as error:
-        warnings.append(f"No torque law is fitted: {error.message.rstrip('.')}.")
+        missing = "diagnosis" if recorder is not None and len(recorder.entries) > 1 else "torque law"
+        warnings.append(f"No {missing}: {error.message.rstrip('.')}.")
     return {
         "case": target,
         "report": written,
         "picture": picture,
         "motion": motion,
-        "ladder": steps,
+        "ladder": [] if recorder is None else [entry.document["rung"] for entry in recorder.entries],
         "diagnosis": diagnosis,
         "warnings": warnings,
     }

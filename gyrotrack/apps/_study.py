@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -147,21 +146,17 @@ class Study:
         with suppress(LedgerError):
             self.ledger.keep_diagnosis(fit_id, found, extra)
 
-    def keep(self, steps: Sequence[Step], first: str) -> list[Entry]:
-        """Store the steps of a history whose first is the fit `first` of the ledger; return all entries.
+    def recorder(self, first: str, fit: Fit) -> Recorder:
+        """Return what stores the steps of a history that begins with a fit of the ledger.
 
         Parameters
         ----------
-        steps : sequence of Step
-            From `fitting.improve`.
         first : str
-            Name of the fit with which they begin.
+            Name of the fit.
+        fit : Fit
+            The fit.
         """
-        entries = [self.ledger.find(first)]
-        for before, step in pairwise(steps):
-            parent = entries[-1].fit_id
-            entries.append(self.ledger.add(step.fit, parent=parent, added=step.change, previous=before.fit))
-        return entries
+        return Recorder(self.ledger, [self.ledger.find(first)], fit)
 
     def base(self, fit_id: str | None) -> tuple[Fit, str]:
         """Return the fit of this name (by default the latest) and its name; without any, of the reduced model.
@@ -187,6 +182,31 @@ class Study:
         found = fit(entry.model, data, share=share, per_case=per_case, start=start)
         added = f"prior {self.prior.source}"
         return found, self.ledger.add(found, parent=entry.fit_id, added=added).fit_id
+
+
+@dataclass
+class Recorder:
+    """Stores each step of a history in the ledger when it is found, so that a search that ends early loses none.
+
+    Attributes
+    ----------
+    ledger : Ledger
+        Where the steps are stored.
+    entries : list of Entry
+        The entries so far, the first fit first.
+    fit : Fit
+        The fit of the latest entry.
+    """
+
+    ledger: Ledger
+    entries: list[Entry]
+    fit: Fit
+
+    def __call__(self, step: Step) -> None:
+        """Store the next step."""
+        parent = self.entries[-1].fit_id
+        self.entries.append(self.ledger.add(step.fit, parent=parent, added=step.change, previous=self.fit))
+        self.fit = step.fit
 
 
 def open_study(
@@ -215,11 +235,13 @@ def open_study(
     from fitting.study._history import Ledger
 
     read = read_cases(cases, data=data, rotor=rotor)
-    kept = Ledger(ledger) if ledger is not None else Ledger.beside(Path(cases[0]))
+    kept = Ledger(ledger) if ledger is not None else Ledger.default_for(Path(cases[0]))
     return Study(read, kept, _prior_of(prior, read) if prior is not None else None)
 
 
 def _prior_of(path: Path, data: Sequence[CaseData]) -> Prior:
+    from fitting._numbers import per_inertia
+
     (entry,) = latest_fits([path]).values()
     own = {d.record.digest for d in data}.intersection(entry.digests)
     if own:
@@ -227,7 +249,17 @@ def _prior_of(path: Path, data: Sequence[CaseData]) -> Prior:
             f"{path} is a fit of the same data, which would be counted twice.",
             "Give --prior a study of other recordings.",
         )
-    return entry.as_prior(path.name)
+    prior = entry.as_prior(path.name)
+    ratio = all(d.record.per_inertia for d in data)
+    for name in prior.names:
+        unit = entry.model.parameters[name].unit
+        expected = per_inertia(unit) if ratio else unit
+        if entry.estimates[name].unit != expected:
+            raise UsageError(
+                f"{path} gives {name} in {entry.estimates[name].unit}, these cases need {expected}.",
+                "Give --inertia for both studies, or for none of them.",
+            )
+    return prior
 
 
 def read_cases(
@@ -279,7 +311,7 @@ def latest_fits(runs: Sequence[Path]) -> dict[str, Entry]:
             from fitting.inference._case_file import read_record
 
             digest = read_record(path).digest
-            entries = [e for e in Ledger.beside(path).entries if e.digests == [digest]]
+            entries = [e for e in Ledger.default_for(path).entries if e.digests == [digest]]
         if not entries:
             raise DatasetError(f"{path} has no fit.", f"Run `gyrotrack improve {path}` first.")
         found[name] = entries[-1]

@@ -245,25 +245,25 @@ def history_finding(view: StudyView) -> str:
             f"One fit: rms error of the {view.body} {short(first.rmse)} rad/s, reduced χ² {short(first.reduced_chi2)}, "
             f"cross-validation error {short(first.held_out)} times the noise."
         )
-    said = []
+    parts = []
     for name, words, measure in _WORDS:
         unit = measure.replace("{torque}", view.torque_unit)
         before, after = getattr(first, name), getattr(last, name)
         if abs(before - after) > _CLEARLY * abs(before):
             end = "not resolved" if after == 0 else f"{short(after)}{unit}"
-            said.append(f"{words.replace('{body}', view.body)} {short(before)}{unit} → {end}")
+            parts.append(f"{words.replace('{body}', view.body)} {short(before)}{unit} → {end}")
     return (
-        f"With {_changes(view)}: " + ("; ".join(said) or "no figure of merit changes by more than 5 %") + "."
+        f"With {_changes(view)}: " + ("; ".join(parts) or "no figure of merit changes by more than 5 %") + "."
     )
 
 
 def _changes(view: StudyView) -> str:
     """Return what was added and dropped after the first step, in words."""
-    said = []
+    parts = []
     for step in view.steps[1:]:
         added, _, dropped = step.change.removeprefix("+").partition(" -")
-        said.append(added + (f" (without {dropped})" if dropped else ""))
-    return " and ".join([", ".join(said[:-1]), said[-1]] if len(said) > 1 else said)
+        parts.append(added + (f" (without {dropped})" if dropped else ""))
+    return " and ".join([", ".join(parts[:-1]), parts[-1]] if len(parts) > 1 else parts)
 
 
 _DPI = 150

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting._criteria import DEFAULT
 from fitting._numbers import unit_text
-from fitting.discovery._criteria import DEFAULT
 from fitting.inference._speed_residuals import SpeedResidual, speed_residuals
 from gyrotrack.plotting._charts import Interval
 
@@ -404,7 +404,7 @@ def gather(history: Sequence[FitStep], diagnosis: Diagnosis | None) -> StudyView
 
 def _upper_limits(final: Fit, diagnosis: Diagnosis | None) -> tuple[UpperLimit, ...]:
     """Return the limits that the diagnosis of the final model has, or compute them."""
-    from fitting.discovery._criteria import DEFAULT
+    from fitting._criteria import DEFAULT
     from fitting.discovery._power import largest_hidden
     from fitting.discovery._select import fails
 

@@ -2,7 +2,7 @@
 /* Dashboards of charts on one time axis, drawn by uPlot: common zoom and cursor, legend switches, shaded intervals
  * in which the model fails, keyboard, and export. Names from files only ever become text nodes. */
 const Charts = (() => {
-  const NONE = -32768, HEIGHT = 170;
+  const NONE = -32768, HEIGHT = 170, GRIP = 6;
   const DARK = { "#0072b2": "#56b4e9", "#d55e00": "#ff8f4a", "#009e73": "#35c79a", "#cc79a7": "#e39cc4", "#000000": "#f2f2f2",
     "#555555": "#b9b9b9", "#56b4e9": "#8fd0f5", "#e69f00": "#f0b429" };
   const dark = matchMedia("(prefers-color-scheme: dark)");
@@ -175,7 +175,7 @@ const Charts = (() => {
         width: Math.max(200, this.plot.clientWidth || 600), height: HEIGHT, series, bands, padding: [8, 10, 0, 0],
         legend: { show: false },
         cursor: { drag: { x: true, y: false, setScale: false }, sync: own ? { key: this.board.key } : undefined, points: { size: 6 },
-          bind: { dblclick: () => () => { this.board.show(...this.board.whole); if (!own) this.local = null; this.rescale(); return null; } } },
+          bind: { mousedown: (u, target, zoom) => (event) => { if (!this.overLine(event)) zoom(event); return null; }, dblclick: () => () => { this.board.show(...this.board.whole); if (!own) this.local = null; this.rescale(); return null; } } },
         scales: { x: { time: false, range: () => this.xRange() }, y: { range: () => limits([...this.traces, ...this.extra], ...this.xRange()) } },
         axes: [axis({ size: 30, values: own ? (u, splits) => number(u, splits).map((v) => `${v} s`) : number }), axis({ size: 62, values: number })],
         hooks: {
@@ -212,14 +212,32 @@ const Charts = (() => {
       let begin = null;
       const time = (event) => this.u.posToVal(event.clientX - over.getBoundingClientRect().left, "x");
       const use = (event) => { if (this.chart.is_time && this.board.options.click) this.board.options.click(time(event), this.chart.name); };
-      over.addEventListener("mousedown", (event) => { begin = event.clientX; });
+      const scrub = (event) => { event.preventDefault(); use(event); };
+      over.addEventListener("mousedown", (event) => {
+        if (event.button !== 0) return;
+        begin = event.clientX;
+        if (this.overLine(event)) {
+          document.addEventListener("mousemove", scrub);
+          document.addEventListener("mouseup", () => document.removeEventListener("mousemove", scrub), { once: true });
+        }
+      });
       over.addEventListener("mouseup", (event) => { if (begin !== null && Math.abs(event.clientX - begin) < 4) use(event); begin = null; });
-      over.addEventListener("mousemove", (event) => { if (event.shiftKey && !event.buttons) use(event); });
+      over.addEventListener("mousemove", (event) => {
+        if (event.shiftKey && !event.buttons) use(event);
+        over.style.cursor = this.overLine(event) ? "ew-resize" : "";
+      });
       over.addEventListener("wheel", (event) => {
         if (!this.chart.is_time || !(event.ctrlKey || event.metaKey)) return;
         event.preventDefault();
         this.board.scale(event.deltaY > 0 ? 1.25 : 0.8, time(event));
       }, { passive: false });
+    }
+
+    /* whether the pointer is over the line of the shown moment, which can be dragged */
+    overLine(event) {
+      if (!this.chart.is_time || this.board.cursor === null || !this.board.options.click) return false;
+      const x = this.u.valToPos(this.board.cursor, "x"), at = event.clientX - this.u.over.getBoundingClientRect().left;
+      return Math.abs(x - at) <= GRIP;
     }
 
     shadeIntervals(u, look) {

@@ -146,7 +146,7 @@ class BodyTracker:
         total, weight = np.zeros(len(coarse)), np.full(len(coarse), 1e-9)
         expected = np.nan_to_num(coarse)
         for strip in self._coloured:
-            off, height = strip.beside(expected + strip.marker.mount, place)
+            off, height = strip.default_for(expected + strip.marker.mount, place)
             own = np.where(height > SEEN, np.minimum(height, 1.2) ** 8, 0.0)
             total, weight = total + own * off, weight + own
         seen = (weight > 1e-6) & np.isfinite(coarse)

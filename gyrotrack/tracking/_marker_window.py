@@ -145,7 +145,7 @@ class MarkerStrip:
         seen = self.grid.turns(frames, self._every_second).mean(axis=1) - self._ground_mean
         return np.asarray(seen[:, : self.ring.columns])
 
-    def beside(self, angle: Floats, place: slice) -> tuple[Floats, Floats]:
+    def default_for(self, angle: Floats, place: slice) -> tuple[Floats, Floats]:
         """Return by how many columns the marker lies beside given angles (n,) [rad] in frames of the batch.
 
         It is looked for as far as the margin goes. The second array is its mean score there, 0 if the best place is

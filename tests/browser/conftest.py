@@ -40,7 +40,7 @@ class Visit:
         self.page.on("request", lambda r: self.hosts.add(r.url.split("/")[2] if "//" in r.url else ""))
 
     def _console(self, message):
-        # an answer of 400 is how a wish that cannot be met comes back; the page tells it
+        # an answer of 400 is how a request that cannot be fulfilled is answered; the page shows it
         if message.type == "error" and "status of 400" not in message.text:
             self.faults.append(message.text)
 

@@ -115,8 +115,8 @@ def test_opening_shows_the_case_and_its_name_as_text(visit, tmp_path):
 @pytest.mark.slow
 def test_the_history_is_annotated_undone_and_pruned(visit):
     count = _rungs(visit)
-    visit.fill("#wish", "casing.air.laminar")
-    _after(visit, lambda: visit.press("#wish", "Enter"))
+    visit.fill("#effect", "casing.air.laminar")
+    _after(visit, lambda: visit.press("#effect", "Enter"))
     visit.fill("#note", HOSTILE)
     visit.press("#note", "Enter")
     visit.locator("#ladder tr.now", has_text="alert(1)").wait_for()
@@ -164,11 +164,11 @@ def test_a_click_adds_what_the_ranking_puts_first(visit):
 @pytest.mark.slow
 def test_a_typed_law_is_fitted(visit):
     before = _rms(visit)
-    visit.fill("#wish", "casing: -k*omega_c**2")
-    _after(visit, lambda: visit.press("#wish", "Enter"))
+    visit.fill("#effect", "casing: -k*omega_c**2")
+    _after(visit, lambda: visit.press("#effect", "Enter"))
     assert _rms(visit) < before
     assert "casing: -k*omega_c**2" in visit.locator("#effects").inner_text()
-    assert visit.input_value("#wish") == ""
+    assert visit.input_value("#effect") == ""
     visit.locator("summary", has_text="Parameters").click()
     assert "N m s²" in visit.locator("#parameters").inner_text()
 
@@ -183,7 +183,7 @@ def test_an_error_of_the_user_is_told_in_a_sentence(visit):
         (HOSTILE, "script"),
         ("", "No change was requested."),
     ):
-        visit.fill("#wish", typed)
+        visit.fill("#effect", typed)
         visit.click("#add")
         visit.locator("#error", has_text=told).wait_for()
         assert visit.locator("#error").inner_text().endswith((".", "?"))
@@ -220,6 +220,15 @@ def test_a_click_on_the_residual_shows_the_frame_of_that_moment(visit):
     # a pixel is 60 s / 700: some twenty frames
     assert abs(frame - 65) < 40
     assert f"frame {frame}," in visit.locator("#where").inner_text()
+    # dragging the line of the shown moment scrubs and does not zoom
+    zoom, x, y = visit.locator(".shown").inner_text(), box["x"] + share * box["width"], box["y"] + 30
+    visit.mouse.move(x, y)
+    visit.mouse.down()
+    visit.mouse.move(x + 8, y, steps=4)
+    visit.mouse.up()
+    visit.wait_for_timeout(300)
+    assert _frame(visit) > frame
+    assert visit.locator(".shown").inner_text() == zoom
     # the film is in sight, wherever the charts are scrolled to
     for at in (0, 900):
         visit.evaluate("(y) => window.scrollTo(0, y)", at)
@@ -316,7 +325,7 @@ def test_a_fit_is_kept_in_the_ledger_and_quitting_leaves_nothing_behind(chromium
     page = found.page
     page.goto(server.url)
     page.locator("#effects li").first.wait_for()
-    page.fill("#wish", FOUND)
+    page.fill("#effect", FOUND)
     _after(page, lambda: page.click("#add"))
     page.click("#keep")
     page.locator("#ladder tr.now", has_text="(f2)").wait_for()

@@ -82,7 +82,7 @@ class Child:
                 "Raise the limits of processes and open files (`ulimit -u`, `ulimit -n`).",
             )
         try:
-            line = _asked(process, words)
+            line = _answer_of(process, words)
         finally:
             if timer is not None:
                 timer.cancel()
@@ -143,7 +143,7 @@ def end_process(process: subprocess.Popen[str]) -> None:
             process.wait()
 
 
-def _asked(process: subprocess.Popen[str], words: Sequence[str]) -> str:
+def _answer_of(process: subprocess.Popen[str], words: Sequence[str]) -> str:
     """Return the line that the process answers, or "" if it has ended."""
     assert process.stdin is not None  # noqa: S101
     assert process.stdout is not None  # noqa: S101

@@ -66,8 +66,8 @@ app = typer.Typer(
 )
 
 
-def _print_version(asked: bool) -> None:  # noqa: FBT001 - the signature of an option's callback
-    if asked:
+def _print_version(requested: bool) -> None:  # noqa: FBT001 - the signature of an option's callback
+    if requested:
         from gyrotrack._versions import versions
 
         typer.echo("\n".join(f"{name} {number}" for name, number in versions().items()))

@@ -364,14 +364,18 @@ def improve_command(
         progress(0, None)
         base, parent = study.base(start)
         own = own_effects(effects)
-        history = improve(base, own, progress=progress, workers=workers)
-        kept = study.keep(history, parent)
+        kept = study.recorder(parent, base)
+        history = improve(base, own, progress=progress, workers=workers, keep=kept)
         # a report asks for it next, and most of the work is done
         found = diagnose(base, own, candidates=history[0].candidates, workers=workers)
         study.keep_diagnosis(parent, found, own)
-    steps = [entry.document["rung"] for entry in kept]
+    steps = [entry.document["rung"] for entry in kept.entries]
     verdict = history_verdict(history)
-    out.result({"ladder": steps, "final": fit_document(history[-1].fit, kept[-1].fit_id), "verdict": verdict})
+    if history.stopped:
+        out.warn(f"The search ended at a fit that failed, {history.stopped}")
+    out.result(
+        {"ladder": steps, "final": fit_document(history[-1].fit, kept.entries[-1].fit_id), "verdict": verdict}
+    )
     out.show(*ladder_tables(steps, study.data[0].record), f"verdict: {_WORDS[verdict]}")
 
 

@@ -311,7 +311,7 @@ def _found(out: Output, case: Path) -> tuple[list[Step], Diagnosis, dict[str, An
     from fitting.study._serialisation import diagnosis_document, fit_document, history_verdict
     from gyrotrack.apps._study import open_study
 
-    ledger = Ledger.beside(case).path
+    ledger = Ledger.default_for(case).path
     ledger.unlink(missing_ok=True)  # the demo starts from scratch each time
     study = open_study([case], None)
     out.show("\n3. The paper's reduced model", f"\n$ gyrotrack fit {case}\n")
@@ -322,9 +322,9 @@ def _found(out: Output, case: Path) -> tuple[list[Step], Diagnosis, dict[str, An
     diagnosis = diagnose(base)
     out.show(*diagnosis_tables(diagnosis, first.fit_id))
     out.show("\n5. Add it and fit again", f"\n$ gyrotrack improve {case}\n")
-    steps_of_history = improve(base, first=diagnosis.candidates)
-    kept = study.keep(steps_of_history, first.fit_id)
-    steps = [entry.document["rung"] for entry in kept]
+    kept = study.recorder(first.fit_id, base)
+    steps_of_history = improve(base, first=diagnosis.candidates, keep=kept)
+    steps = [entry.document["rung"] for entry in kept.entries]
     out.show(*ladder_tables(steps, study.data[0].record))
     return (
         steps_of_history,
@@ -332,7 +332,7 @@ def _found(out: Output, case: Path) -> tuple[list[Step], Diagnosis, dict[str, An
         {
             "diagnosis": diagnosis_document(diagnosis, first.fit_id),
             "ladder": steps,
-            "final": fit_document(steps_of_history[-1].fit, kept[-1].fit_id),
+            "final": fit_document(steps_of_history[-1].fit, kept.entries[-1].fit_id),
             "verdict": history_verdict(steps_of_history),
         },
     )

@@ -206,8 +206,8 @@ def _headline(view: StudyView) -> tuple[str, str, str]:
     best = next((c for c in view.candidates if c.significant), None)
     names = view.added or ((best.effect.name,) if best is not None else ())
     rivals = {c.effect.name: c.indistinguishable_from for c in view.candidates}
-    said = [f"one of {', '.join((n, *rivals[n]))}" if rivals.get(n) else n for n in names]
-    return kind, sign, f"{words}: {' and '.join(said)}" if said else words
+    classes = [f"one of {', '.join((n, *rivals[n]))}" if rivals.get(n) else n for n in names]
+    return kind, sign, f"{words}: {' and '.join(classes)}" if classes else words
 
 
 def _facts(view: StudyView) -> list[tuple[str, str]]:

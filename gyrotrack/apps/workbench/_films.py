@@ -249,14 +249,14 @@ def corrected(recording: Recording, marker: str, frame: int, place: Sequence[flo
         c for c in recording.extra.get("corrections", []) if (c["marker"], c["frame"]) != (marker, frame)
     ]
     corrections = [*earlier, note]
-    told = [w for w in recording.warnings if "by hand" not in w]
+    notes = [w for w in recording.warnings if "by hand" not in w]
     count = len(corrections)
-    told.append(f"{count} frame{'s are' if count > 1 else ' is'} corrected by hand.")
+    notes.append(f"{count} frame{'s are' if count > 1 else ' is'} corrected by hand.")
     return replace(
         recording,
         markers={**recording.markers, marker: _with_angle(track, frame, angle, sigma)},
         bodies=bodies,
-        warnings=tuple(told),
+        warnings=tuple(notes),
         extra={**recording.extra, "corrections": corrections},
     )
 

@@ -178,7 +178,7 @@ class Jobs:
 
     def _follow(self, job: Job, process: subprocess.Popen[str]) -> None:
         """Read progress and the document of a process until it ends."""
-        assert process.stdout is not None and process.stderr is not None  # noqa: S101, PT018 - asked for as pipes
+        assert process.stdout is not None and process.stderr is not None  # noqa: S101, PT018 - opened as pipes
         progress = threading.Thread(target=_listen, args=(job, process.stderr), daemon=True)
         progress.start()
         answer = process.stdout.read(_LONGEST_ANSWER)

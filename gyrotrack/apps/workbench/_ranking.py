@@ -61,7 +61,7 @@ class Ranker:
             process = self._started()
             self._busy = True
         try:
-            assert process.stdin is not None and process.stdout is not None  # noqa: S101, PT018 - asked for as pipes
+            assert process.stdin is not None and process.stdout is not None  # noqa: S101, PT018 - opened as pipes
             process.stdin.write(json.dumps(model) + "\n")
             process.stdin.flush()
             line = process.stdout.readline()

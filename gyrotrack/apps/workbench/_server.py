@@ -12,6 +12,7 @@ import json
 import secrets
 import shlex
 import socket
+from base64 import b64encode
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
@@ -112,8 +113,8 @@ class Guard:
             return _FORBIDDEN
         given = [v for k, v in headers if k == TOKEN_HEADER]
         if scope["path"] in _PAGES and scope["method"] in {"GET", "HEAD"}:
-            asked = parse_qs(scope["query_string"], max_num_fields=8) if scope["query_string"] else {}
-            given += asked.get(b"token", [])
+            query = parse_qs(scope["query_string"], max_num_fields=8) if scope["query_string"] else {}
+            given += query.get(b"token", [])
         fits = any(hmac.compare_digest(g, self._token) for g in given)
         return _ACCEPTED if fits else _FORBIDDEN
 
@@ -179,24 +180,24 @@ def refusal(error: Exception) -> Response:
     return JSONResponse({"error": {"code": code, "message": message, "hint": str(hint)}}, 400)
 
 
-def text(asked: dict[str, Any], name: str) -> str:
+def text(query: dict[str, Any], name: str) -> str:
     """Return a requested text; empty if it is not one."""
-    value = asked.get(name, "")
+    value = query.get(name, "")
     return value if isinstance(value, str) else ""
 
 
-def whole(asked: dict[str, Any], name: str) -> int:
+def whole(query: dict[str, Any], name: str) -> int:
     """Return a requested integer; -1 if there is none."""
     try:
-        return int(asked.get(name, -1))
+        return int(query.get(name, -1))
     except (TypeError, ValueError, OverflowError):
         raise GyrotrackError(f"{name} is not a whole number.") from None
 
 
-def number(asked: dict[str, Any], name: str) -> float:
+def number(query: dict[str, Any], name: str) -> float:
     """Return a requested position on a frame, as a fraction of its width or height."""
     try:
-        value = float(asked.get(name, "nan"))
+        value = float(query.get(name, "nan"))
     except (TypeError, ValueError, OverflowError):
         value = float("nan")
     if not 0.0 <= value <= 1.0:
@@ -204,9 +205,9 @@ def number(asked: dict[str, Any], name: str) -> float:
     return value
 
 
-def numbers(asked: dict[str, Any], name: str) -> dict[str, float]:
+def numbers(query: dict[str, Any], name: str) -> dict[str, float]:
     """Return requested numbers by name; empty if there are none."""
-    found = asked.get(name)
+    found = query.get(name)
     if not isinstance(found, dict):
         return {}
     if not all(isinstance(v, int | float) for v in found.values()):
@@ -257,7 +258,7 @@ class Laboratory:
 
     @property
     def report(self) -> Path:
-        """Where the report is written: beside the case."""
+        """Where the report is written: next to the case."""
         return self.case.with_suffix(".report.html")
 
     def write_report(self) -> dict[str, Any]:
@@ -374,8 +375,8 @@ class Workbench:
 
     def _project_calls(self, p: Project) -> dict[str, Call]:
         def then(work: Call) -> Call:
-            def call(asked: dict[str, Any]) -> Any:
-                work(asked)
+            def call(query: dict[str, Any]) -> Any:
+                work(query)
                 return p.document()
 
             return call
@@ -437,15 +438,15 @@ class Workbench:
 
     def _get(self, work: Call) -> Endpoint:
         async def endpoint(request: Request) -> Response:
-            asked = dict(request.query_params)
-            return await answered(lambda: work(asked))
+            query = dict(request.query_params)
+            return await answered(lambda: work(query))
 
         return endpoint
 
     def _post(self, work: Call) -> Endpoint:
         async def endpoint(request: Request) -> Response:
-            asked = await body_of(request)
-            return await answered(lambda: work(asked))
+            query = await body_of(request)
+            return await answered(lambda: work(query))
 
         return endpoint
 
@@ -464,7 +465,7 @@ class Workbench:
             return refusal(UsageError("There is no report yet.", "Write it in the laboratory first."))
         return FileResponse(lab.report, media_type="text/html")
 
-    def _state(self, _asked: dict[str, Any]) -> dict[str, Any]:
+    def _state(self, _query: dict[str, Any]) -> dict[str, Any]:
         lab = self.laboratory
         return lab.session.state(whole=True) | {
             "clips": lab.clips.document(),
@@ -472,23 +473,23 @@ class Workbench:
         }
 
     async def _frame(self, request: Request) -> Response:
-        asked = dict(request.query_params)
+        query = dict(request.query_params)
         return await pictured(
             lambda: (
                 self.laboratory.clips.frame(
-                    asked.get("clip", ""), whole(asked, "index"), overlay=asked.get("overlay") != "0"
+                    query.get("clip", ""), whole(query, "index"), overlay=query.get("overlay") != "0"
                 ),
                 {},
             )
         )
 
     async def _source_frame(self, request: Request) -> Response:
-        asked = dict(request.query_params)
+        query = dict(request.query_params)
 
         def work() -> tuple[bytes, dict[str, str]]:
             assert self.project is not None  # noqa: S101 - the route exists only then
-            path = self.project.path(self.project.source(asked.get("key", "")))
-            picture = self._frames.picture(path, whole(asked, "index"))
+            path = self.project.path(self.project.source(query.get("key", "")))
+            picture = self._frames.picture(path, whole(query, "index"))
             size = {"x-gyrotrack-size": f"{picture.shape[1]},{picture.shape[0]}"}
             return jpeg(picture, SHOWN_WIDTH, QUALITY), size
 
@@ -506,7 +507,7 @@ class Workbench:
             return refusal(error)
         return JSONResponse(self.project.document())
 
-    def _quit(self, _asked: dict[str, Any]) -> dict[str, Any]:
+    def _quit(self, _query: dict[str, Any]) -> dict[str, Any]:
         self.stop()
         return {"stopped": True}
 
@@ -536,8 +537,14 @@ def page_text(label: str, *, has_case: bool, has_project: bool) -> tuple[str, st
     own = [folder.joinpath(n).read_text("utf-8") for n in ("client.js", "films.js", "view.js")]
     scripts = (*charts.scripts(), *own)
     style = charts.theme() + folder.joinpath("view.css").read_text("utf-8") + charts.style()
+    begins = has_project and not has_case
     page = template.render(
-        title=label, style=style, scripts=scripts, has_case=has_case, has_project=has_project
+        title=label,
+        style=style,
+        scripts=scripts,
+        has_case=has_case,
+        has_project=has_project,
+        filming=b64encode(folder.joinpath("filming.jpg").read_bytes()).decode() if begins else "",
     )
     return page, charts.content_policy(scripts, connect=True)
 

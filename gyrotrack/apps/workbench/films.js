@@ -8,7 +8,7 @@
   const RATES = [30, 60, 120, 240, 480, 960, 1000];
   const SHOWN = { casing: "casing", rotor: "rotor", single: "one body alone" };
   let project = null, chosen = null, size = [1, 1], index = 0, picture = null, mode = "hub", hub = null, disc = "", picks = [],
-    tracks = null, measured = null, running = false, timer = null, wantsLaboratory = false, cross = null, asked = 0, sending = 0, ended = false;
+    tracks = null, measured = null, running = false, timer = null, wantsLaboratory = false, cross = null, latest = 0, sending = 0, ended = false;
 
   const source = () => project?.sources.find((x) => x.key === chosen) || null;
   const active = (job) => Boolean(job) && (job.state === "waiting" || job.state === "running");
@@ -290,8 +290,8 @@
   }
 
   async function followed() {
-    const mine = ++asked, key = chosen, found = await act(`preview?key=${encodeURIComponent(key)}`);
-    if (mine !== asked || key !== chosen || !found || !found.frames) return;
+    const mine = ++latest, key = chosen, found = await act(`preview?key=${encodeURIComponent(key)}`);
+    if (mine !== latest || key !== chosen || !found || !found.frames) return;
     tracks = found;
     const kept = Object.entries(found.kept).map(([name, k]) => `${source().body === "single" ? "body" : name} in ${Math.round(100 * k)} % of ${found.frames} frames, \u00b1${found.sigma_mrad[name].toPrecision(2)} mrad`);
     at("followed").textContent = [`Followed: ${kept.join("; ")}.`, ...found.warnings.map(sentence)].join(" ");

@@ -180,8 +180,8 @@ const Laboratory = (() => {
     if (shown !== before) search();
   }
 
-  async function change(wish) {
-    const state = await act(() => ask("/api/change", wish));
+  async function change(request) {
+    const state = await act(() => ask("/api/change", request));
     if (!state) return false;
     render(state);
     search();
@@ -356,7 +356,7 @@ const Laboratory = (() => {
   at("glossary").replaceChildren(...GLOSSARY.flatMap(([term, text]) => [element("dt", {}, term), element("dd", {}, text)]));
   at("form").addEventListener("submit", async (event) => {
     event.preventDefault();
-    if (await change({ add: at("wish").value })) at("wish").value = "";
+    if (await change({ add: at("effect").value })) at("effect").value = "";
   });
   /* the report is written by a process; the fit that is shown is kept first */
   async function report() {
@@ -394,7 +394,7 @@ const Laboratory = (() => {
     if ((event.ctrlKey || event.metaKey) && event.key === "z" && !typing) { event.preventDefault(); if (undoable) apply("/api/undo", {}); return; }
     if (typing || event.ctrlKey || event.metaKey || event.altKey) return;
     const film = clip && clip.found, acts = {
-      "/": () => at("wish").focus(),
+      "/": () => at("effect").focus(),
       ",": () => film && (stop(), show(index - 1)),
       ".": () => film && (stop(), show(index + 1)),
     };

@@ -23,6 +23,7 @@ from gyrotrack.io._tables import check_storage, load
 from gyrotrack.io._validation import check_tree
 from gyrotrack.io.readers._points import Points
 from gyrotrack.io.readers._raw_table import RawTable, table_of
+from gyrotrack.io.readers._tables import table_of_arrays
 
 _MARK = object()
 _MOST = 10_000
@@ -125,6 +126,40 @@ def read_hdf5(path: Path, sha256: str, body: str = "") -> Points | RawTable:
     except (OSError, RuntimeError, KeyError, ValueError, TypeError, IndexError) as error:
         raise DatasetError(f"{path} cannot be read as points: {str(error)[:100]}.", _FOREIGN) from error
     raise DatasetError(f"{path} is an HDF5 file, but holds no points of a kind that is known.", _FOREIGN)
+
+
+def read_matlab_hdf5(path: Path, sha256: str) -> RawTable:
+    """Return the vectors of equal length, or the columns of the one matrix, in a MATLAB 7.3 file, which is HDF5.
+
+    MATLAB stores arrays by columns, HDF5 by rows: they come transposed. The fields of a struct are a group.
+
+    Raises
+    ------
+    DatasetError
+        The file is damaged, or has no such variables.
+    """
+    try:
+        with h5py.File(path, "r", locking=False) as file:
+            check_tree(file)
+            held = dict(file.items())
+            for name, value in list(held.items()):
+                if isinstance(value, h5py.Group):
+                    del held[name]
+                    held |= {} if name.startswith("#") else dict(value.items())
+            arrays = {}
+            for name, value in held.items():
+                if (
+                    isinstance(value, h5py.Dataset)
+                    and value.dtype.kind in "iuf"
+                    and "MATLAB_empty" not in value.attrs
+                ):
+                    check_storage(value)
+                    arrays[name] = np.asarray(load(value)).T
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
+        raise DatasetError(
+            f"{path} is not a readable MATLAB file: {str(error)[:100]}.", "Save it with -v7."
+        ) from error
+    return table_of_arrays(path, sha256, arrays)
 
 
 def _own(path: Path, sha256: str, file: Any, body: str) -> RawTable:

@@ -218,7 +218,10 @@ def read_text(path: Path, sha256: str, lines: Lines) -> RawTable:
         names, header_line = above[-1], lines[first - 1][0]
         if len(above) > 1 and len(above[-2]) == len(names) and _are_units(names):
             units, names, header_line = names, above[-2], lines[first - 2][0]
-    width = len(names) or max({len(r) for r in rows}, key=[len(r) for r in rows].count)
+    usual = max({len(r) for r in rows}, key=[len(r) for r in rows].count)
+    if delimiter is None and len(names) != usual:
+        names = _names_between_blanks(lines[first - 1][1], usual) or names
+    width = len(names) or usual
     rows, kept, notes = _even_rows(
         path, rows, np.array([n for n, _ in lines[first:]], dtype=np.int64), width, delimiter
     )
@@ -233,6 +236,16 @@ def read_text(path: Path, sha256: str, lines: Lines) -> RawTable:
         comma,
         tuple(notes),
     )
+
+
+def _names_between_blanks(line: str, width: int) -> list[str]:
+    """Return names that contain blanks, ``t [s] angle [rad]`` or of one column; none if they are more or fewer."""
+    names = (
+        [line.strip().strip('"')]
+        if width == 1
+        else re.findall(r"[^\s\[({]+(?:\s*[\[({][^\])}]*[\])}])?", line)
+    )
+    return names if len(names) == width else []
 
 
 def _are_units(cells: Sequence[str]) -> bool:

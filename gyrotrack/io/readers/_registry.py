@@ -21,11 +21,18 @@ from gyrotrack.io.readers._motion_table import (
     in_order,
     interpret,
 )
-from gyrotrack.io.readers._point_files import read_hdf5, read_project
+from gyrotrack.io.readers._point_files import read_hdf5, read_matlab_hdf5, read_project
 from gyrotrack.io.readers._points import Points, angle_of
 from gyrotrack.io.readers._pulses import counters_of, read_counter, read_pulses
 from gyrotrack.io.readers._raw_table import RawTable, content_lines, read_bytes, read_text
-from gyrotrack.io.readers._tables import read_json, read_matlab, read_parquet, read_point_table, read_zip
+from gyrotrack.io.readers._tables import (
+    read_excel_97,
+    read_json,
+    read_matlab,
+    read_parquet,
+    read_point_table,
+    read_zip,
+)
 
 Content = RawTable | Points
 
@@ -47,13 +54,6 @@ def _text(path: Path, sha256: str, content: bytes, options: ReadOptions) -> Cont
     return points if points is not None else read_text(path, sha256, lines)
 
 
-def _refused(reason: str, hint: str) -> Callable[[Path, str, bytes, ReadOptions], Content]:
-    def read(path: Path, *_: object) -> Content:
-        raise DatasetError(f"{path} {reason}.", hint)
-
-    return read
-
-
 def _is_project(content: bytes) -> bool:
     return content.lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"<") and b"cabrillo.tracker" in content[:5000]
 
@@ -67,15 +67,9 @@ FORMATS: tuple[Format, ...] = (
     Format("Tracker project", _is_project, lambda p, h, c, _: read_project(p, h, c)),
     Format("Excel or zipped CSV", lambda c: c.startswith(b"PK"), lambda p, h, c, _: read_zip(p, h, c)),
     Format(
-        "Excel 97",
-        lambda c: c.startswith(b"\xd0\xcf\x11\xe0"),
-        _refused("is an Excel 97 workbook (.xls)", "Save it as .xlsx or CSV."),
+        "Excel 97", lambda c: c.startswith(b"\xd0\xcf\x11\xe0"), lambda p, h, c, _: read_excel_97(p, h, c)
     ),
-    Format(
-        "MATLAB 7.3",
-        lambda c: c.startswith(b"MATLAB 7.3"),
-        _refused("is a MATLAB 7.3 file", "Save it with -v7."),
-    ),
+    Format("MATLAB 7.3", lambda c: c.startswith(b"MATLAB 7.3"), lambda p, h, *_: read_matlab_hdf5(p, h)),
     Format("MATLAB", lambda c: c.startswith(b"MATLAB 5.0"), lambda p, h, c, _: read_matlab(p, h, c)),
     Format("Parquet", lambda c: c.startswith(b"PAR1"), lambda p, h, c, _: read_parquet(p, h, c)),
     Format(

@@ -11,11 +11,12 @@ import json
 import math
 import re
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack.io._records import Floats
@@ -245,15 +246,49 @@ def _workbook(path: Path, sha256: str, content: bytes) -> RawTable:
     try:
         import openpyxl
     except ImportError:
-        raise UsageError(
-            "Excel workbooks need openpyxl, which is not installed.",
-            'Run: pip install "gyrotrack[tables]"; or export CSV.',
-        ) from None
+        raise _needs("Excel workbooks need openpyxl") from None
     try:
         book = openpyxl.load_workbook(io.BytesIO(content), read_only=True, data_only=True)
         sheets = [[list(row) for row in sheet.iter_rows(values_only=True)] for sheet in book.worksheets]
     except Exception as error:
         raise DatasetError(f"{path} is a damaged workbook: {str(error)[:100]}.", "Save it again.") from error
+    return _first_sheet(path, sha256, sheets)
+
+
+def read_excel_97(path: Path, sha256: str, content: bytes) -> RawTable:
+    """Return the first sheet with numbers of an Excel 97 workbook (.xls), as phyphox and older loggers write it.
+
+    Raises
+    ------
+    DatasetError, UsageError
+        The file is damaged or has no sheet with numbers, or xlrd is not installed.
+    """
+    try:
+        import xlrd
+    except ImportError:
+        raise _needs("Excel 97 workbooks need xlrd") from None
+
+    def value(cell: Any) -> Any:
+        if cell.ctype == xlrd.XL_CELL_DATE:
+            return xlrd.xldate.xldate_as_datetime(cell.value, book.datemode)
+        return cell.value if cell.ctype in {xlrd.XL_CELL_NUMBER, xlrd.XL_CELL_TEXT} else None
+
+    try:
+        book = xlrd.open_workbook(file_contents=content, logfile=io.StringIO())
+        sheets = [[[value(c) for c in row] for row in sheet.get_rows()] for sheet in book.sheets()]
+    except Exception as error:
+        raise DatasetError(f"{path} is a damaged workbook: {str(error)[:100]}.", "Save it again.") from error
+    return _first_sheet(path, sha256, sheets)
+
+
+def _needs(what: str) -> UsageError:
+    return UsageError(
+        f"{what}, which is not installed.", 'Run: pip install "gyrotrack[tables]"; or export CSV.'
+    )
+
+
+def _first_sheet(path: Path, sha256: str, sheets: list[list[list[Any]]]) -> RawTable:
+    """Return the first of several sheets with rows that are mostly numbers."""
     for rows in sheets:
         first = next(
             (
@@ -287,7 +322,7 @@ def _of_cells(path: Path, sha256: str, rows: list[list[Any]], first: int) -> Raw
 
 
 def read_matlab(path: Path, sha256: str, content: bytes) -> RawTable:
-    """Return the vectors of equal length, or the columns of the one matrix, in a MATLAB file (version 5 or older).
+    """Return the vectors of equal length, or the columns of the one matrix, in a MATLAB file (before version 7.3).
 
     Raises
     ------
@@ -307,6 +342,17 @@ def read_matlab(path: Path, sha256: str, content: bytes) -> RawTable:
         if value.dtype.names and value.size == 1:
             arrays |= {n: np.asarray(value[n].ravel()[0]) for n in value.dtype.names}
             del arrays[name]
+    return table_of_arrays(path, sha256, arrays)
+
+
+def table_of_arrays(path: Path, sha256: str, arrays: Mapping[str, npt.NDArray[Any]]) -> RawTable:
+    """Return the longest vectors of equal length, or the columns of the one matrix, among named arrays.
+
+    Raises
+    ------
+    DatasetError
+        There are neither.
+    """
     plain = {k: v for k, v in arrays.items() if v.dtype.kind in "iuf" and v.ndim <= 2 and v.size > 1}
     vectors = {k: v.ravel() for k, v in plain.items() if min(v.shape) == 1 or v.ndim == 1}
     if vectors:

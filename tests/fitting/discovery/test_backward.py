@@ -4,7 +4,7 @@ import pytest
 import twobody
 from swings import APART, records, unbalance
 
-from fitting.discovery._criteria import Criteria
+from fitting._criteria import Criteria
 from fitting.discovery._select import Step, _backward
 from fitting.dynamics._model import Model
 from fitting.effects._library import REDUCED

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import twobody
 
-from fitting.discovery._criteria import Criteria
+from fitting._criteria import Criteria
 from fitting.discovery._refine import distant_changepoints, local_changepoints
 from fitting.discovery._score import CaseColumns, score
 from fitting.discovery._select import found_starts

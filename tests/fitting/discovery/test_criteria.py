@@ -7,7 +7,7 @@ import pytest
 import twobody
 
 import fitting
-from fitting.discovery._criteria import Criteria
+from fitting._criteria import Criteria
 from fitting.discovery._select import best, rank
 from fitting.discovery._verdict import diagnose
 from fitting.dynamics._model import Model

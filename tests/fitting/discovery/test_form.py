@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import twobody
 
-from fitting.discovery._criteria import DEFAULT
+from fitting._criteria import DEFAULT
 from fitting.discovery._form import FormTest, form_test
 from fitting.discovery._lack_of_fit import UNKNOWN_IN_TIME
 from fitting.discovery._verdict import diagnose

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import pytest
 import twobody
 
+from fitting._criteria import Criteria
 from fitting._workers import WorkerPool
-from fitting.discovery._criteria import Criteria
 from fitting.discovery._inertia import (
     NAME,
     InertiaRival,

@@ -9,11 +9,11 @@ import pytest
 import twobody
 from cases import case, fitted
 
+from fitting._criteria import DEFAULT
 from fitting._errors import EffectError
 from fitting.discovery import _dependence, _laws
-from fitting.discovery._criteria import DEFAULT
 from fitting.discovery._dependence import context_without, dependence
-from fitting.discovery._lack_of_fit import UNKNOWN_LAW
+from fitting.discovery._lack_of_fit import UNKNOWN_LAWS
 from fitting.discovery._laws import Law, Laws, laws, library_answer, ranges_of, with_classes
 from fitting.discovery._score import CaseColumns, ScoreContext
 from fitting.dynamics._model import Model
@@ -40,7 +40,7 @@ def saturating():
     [
         (None, (), True),
         (None, ("a.b",), True),
-        (None, (UNKNOWN_LAW,), False),
+        (None, (UNKNOWN_LAWS["omega_c"],), False),
         ("a significant remainder", (), False),
     ],
 )

@@ -7,12 +7,12 @@ from functools import cache
 import pytest
 import twobody
 
-from fitting.discovery._criteria import DEFAULT
+from fitting._criteria import DEFAULT
 from fitting.discovery._form import form_test
 from fitting.discovery._lack_of_fit import (
     UNKNOWN_IN_TIME,
-    UNKNOWN_LAW,
-    nonparametric_casing_law,
+    UNKNOWN_LAWS,
+    nonparametric_law,
 )
 from fitting.discovery._select import rank
 from fitting.discovery._verdict import diagnose
@@ -47,13 +47,13 @@ def gain(name, effect, **start):
 def test_any_law_is_as_good_as_the_true_one():
     truth = gain("resonance", resolve(RESONANCE))
     assert truth > 30
-    assert nonparametric_casing_law(base("resonance")) == pytest.approx(truth, rel=0.2)
+    assert nonparametric_law(base("resonance"), "casing", "omega_c") == pytest.approx(truth, rel=0.2)
 
 
 @pytest.mark.slow
 def test_a_step_is_no_law_of_the_speed():
     step = gain("step", LIBRARY["touchpoint.step"], **{"touchpoint.step.t0": 88.0})
-    assert nonparametric_casing_law(base("step")) < 0.6 * step
+    assert nonparametric_law(base("step"), "casing", "omega_c") < 0.6 * step
     assert diagnose(base("step")).candidates[0].indistinguishable_from == ()
 
 
@@ -75,18 +75,15 @@ def test_a_sinusoid_of_a_period_may_be_any_slow_torque():
     assert f"{UNKNOWN_IN_TIME} is missing" in answer.sentence
 
 
-def test_laws_of_the_speed_are_no_rivals_of_themselves():
-    own = {name for name, e in LIBRARY.items() if e.of_casing_speed}
-    assert own >= {"casing.air.quadratic", "touchpoint.stribeck", "casing.air.laminar"}
-    assert not own & {"touchpoint.step", "casing.precession", "casing.windage", "bearing.drift"}
-
-
 @pytest.mark.slow
 def test_what_swings_may_be_an_unknown_law(monkeypatch):
     """Where any law of the casing's speed does as well, the answer says so."""
     found = base("step")
-    monkeypatch.setattr("fitting.discovery._lack_of_fit.nonparametric_casing_law", lambda _: 1e4)
+    monkeypatch.setattr(
+        "fitting.discovery._lack_of_fit.nonparametric_law",
+        lambda _, joint, speed: 1e4 if joint == "casing" else 0.0,
+    )
     doubtful = diagnose(found)
     assert doubtful.verdict == "missing_effect"
-    assert doubtful.candidates[0].indistinguishable_from == (UNKNOWN_LAW,)
-    assert f"or {UNKNOWN_LAW}; this data cannot separate them" in doubtful.sentence
+    assert doubtful.candidates[0].indistinguishable_from == (UNKNOWN_LAWS["omega_c"],)
+    assert f"or {UNKNOWN_LAWS['omega_c']}; this data cannot separate them" in doubtful.sentence

@@ -11,8 +11,8 @@ import twobody
 from scipy.stats import norm
 
 from fitting import Model, simulate
+from fitting._criteria import DEFAULT
 from fitting._errors import EstimationError
-from fitting.discovery._criteria import DEFAULT
 from fitting.discovery._information import Information, Run, rivals, schur, simulated
 from fitting.discovery._next_run import Bounds, next_run, separating_run
 from fitting.discovery._plan import plan

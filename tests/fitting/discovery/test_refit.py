@@ -3,7 +3,7 @@
 import pytest
 import twobody
 
-from fitting.discovery._criteria import Criteria
+from fitting._criteria import Criteria
 from fitting.discovery._refine import has_model_noise, refit, together
 from fitting.discovery._score import CaseColumns, score
 from fitting.dynamics._model import Model

@@ -64,10 +64,6 @@ def test_added_by_its_name_it_starts_where_the_screen_finds_it(base):
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    strict=True,
-    reason="improve adds the unbalance, but diagnose takes it for a spectral line and does not name it",
-)
 def test_what_it_hid_comes_to_light():
     fitted = fit(Model.of(REDUCED), [make_record(**twobody.film(motion(swing, unbalance)))])
     rungs = improve(fitted)

@@ -104,11 +104,15 @@ def test_what_is_not_known_does_not_contribute():
 
 @pytest.mark.slow
 def test_monte_carlo(found):
-    """Noise, inertias and clock drawn anew: the spread of 120 fits is the combined uncertainty (within 3 errors)."""
+    """Noise, inertias and clock drawn anew: six fits scatter as the combined uncertainties say.
+
+    The pulls of a fit are correlated, so their mean square has about 12 degrees of freedom.
+    `benchmarks/fitting/budget.py` has more draws.
+    """
     _, budgets = found
     rng = np.random.default_rng(5)
-    values = []
-    for i in range(120):
+    pulls = []
+    for i in range(6):
         rate = 1 + CLOCK * rng.standard_normal()
         r = record(1000 + i)
         casing, *rotor = (replace(s, time=s.time * rate) for s in (r.casing, *r.rotor))
@@ -116,7 +120,6 @@ def test_monte_carlo(found):
         r = replace(
             r, casing=casing, rotor=tuple(rotor), I_rotor=inertias[0], I_casing=inertias[1], digest=""
         )
-        values.append([fit(MODEL, [r]).estimates[name].value for name in budgets])
-    spread = np.std(values, axis=0, ddof=1)
-    for b, s in zip(budgets.values(), spread, strict=True):
-        assert b.u == pytest.approx(s, rel=3 / math.sqrt(2 * 120))
+        estimates = fit(MODEL, [r]).estimates
+        pulls.append([(estimates[k].value - truth) / budgets[k].u for k, truth in NUMBERS.items()])
+    assert 0.3 < np.mean(np.square(pulls)) < 2.5

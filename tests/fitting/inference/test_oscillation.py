@@ -4,6 +4,7 @@ import numpy as np
 import oscillators
 import pytest
 
+from fitting._errors import SimulationError
 from fitting.dynamics._events import solve
 from fitting.dynamics._mesh import Mesh, Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
@@ -55,6 +56,38 @@ def test_a_pendulum_of_large_amplitude():
     t, angle, _ = oscillators.motion(lambda t, a, w: -25 * np.sin(a) - 0.05 * w, (2.2, 0.0), 20.0)
     found = fit(Model.of(["casing.gravity", DRAG]), [oscillators.record(t, angle + 0.4, 1e-3, 1)])
     within(found, {"casing.gravity.k": 25.0, f"{DRAG}.b2": 0.05, "initial.deflection@body": 2.2})
+
+
+@pytest.mark.parametrize("dry", [0.0, pytest.param(0.03, marks=pytest.mark.slow)])
+def test_an_eccentric_torsion_pendulum_through_many_periods(dry):
+    """An unbalance shifts the frequency: through 14 periods by more than a response of first order describes."""
+    t, angle, _ = oscillators.motion(
+        lambda t, a, w: -12 * a - 0.03 * w + 0.7 * np.sin(a - 2.2), (1.6, 1.0), 25.0, 40.0, dry
+    )
+    dropped = {"touchpoint.constant.b1": dry} if dry else {}
+    model = Model.of([SPRING, DRAG, "casing.unbalance", *(["touchpoint.constant"] if dry else [])])
+    found = fit(model, [oscillators.record(t, angle, 2e-3, 4)])
+    truth = {f"{SPRING}.k": 12.0, f"{DRAG}.b2": 0.03, "casing.unbalance.k": 0.7, "casing.unbalance.phi": 2.2}
+    within(found, truth | dropped)
+    assert found.verdict == "adequate"
+
+
+@pytest.mark.slow
+def test_a_trial_far_away_is_refused_and_one_nearby_is_followed():
+    t, angle, _ = oscillators.motion(lambda t, a, w: -12 * a - 0.03 * w, (1.2, 0.5), 40.0, 40.0, 0.02)
+    found = fit(Model.of([SPRING, DRAG, "touchpoint.constant"]), [oscillators.record(t, angle, 2e-3, 5)])
+    (case,), k = found.problem.cases, found.problem.layout.index[f"{SPRING}.k"]
+    before = case.solve(found.theta)
+    for change in (1e-3, 4e-3):  # through 22 periods the latter is 0.3 rad of phase
+        theta = found.theta.copy()
+        theta[k] *= 1 + change
+        path = case.solve(theta)
+        assert len(path.jumps) == pytest.approx(len(before.jumps), abs=1)
+        case.solve(found.theta)
+    theta[k] = 40.0
+    with pytest.raises(SimulationError):
+        case.solve(theta)
+    np.testing.assert_allclose(case.solve(found.theta).edges[-1], before.edges[-1], atol=1e-7)
 
 
 def test_dry_friction_through_reversals_until_the_body_stays_at_rest():

@@ -63,9 +63,27 @@ def test_study_as_prior_equals_the_joint_fit_of_both():
         assert own.stderr == pytest.approx(together.stderr, rel=0.1)
 
 
+def test_prior_of_a_parameter_of_which_each_case_has_its_own():
+    """Each case is fitted as if it were alone with the prior; what the cases share is counted once."""
+    model = Model.of(["touchpoint.constant"])
+    runs = [coasting(5, label="a"), coasting(6, strength=0.402, label="b")]
+    prior = Prior(("touchpoint.constant.b1",), (STRENGTH,), ((1e-6,),))
+    joint = fit(model, with_prior(runs, prior), per_case=["touchpoint.constant.b1"])
+    for run in runs:
+        alone = fit(model, with_prior([run], prior)).estimates["touchpoint.constant.b1"]
+        own = joint.estimates[f"touchpoint.constant.b1@{run.record.label}"]
+        assert own.value == pytest.approx(alone.value, abs=0.05 * alone.stderr)
+        # the noise of each run is estimated anew
+        assert own.stderr == pytest.approx(alone.stderr, rel=0.15)
+    shared = fit(model, with_prior(runs, prior), share=["touchpoint.constant.b1"])
+    free = fit(model, runs, share=["touchpoint.constant.b1"]).estimates["touchpoint.constant.b1"]
+    expected = 1 / np.sqrt(1 / free.stderr**2 + 1e6)
+    assert shared.estimates["touchpoint.constant.b1"].stderr == pytest.approx(expected, rel=0.05)
+
+
 def test_prior_enters_the_score_of_a_missing_effect():
     """Beside a free constant friction a second one is absorbed; a prior of the first determines it."""
-    from fitting.discovery._criteria import DEFAULT
+    from fitting._criteria import DEFAULT
     from fitting.discovery._score import CaseColumns, score
     from fitting.effects._library import LIBRARY
 

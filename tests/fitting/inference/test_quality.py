@@ -64,7 +64,7 @@ def test_held_out_error_is_one_where_the_model_is_right_and_more_where_not():
 def test_folds_cover_everything_once():
     data = fitted(seed=0).problem.data[0]
     rows = np.concatenate([*_casing_folds(data), *_rotor_folds(data)])
-    assert sorted(rows.tolist()) == list(range(len(data.z)))
+    assert sorted(rows.tolist()) == list(range(data.slices["harmonic"].stop))  # and no prior
 
 
 def test_energy_of_a_right_model_balances():

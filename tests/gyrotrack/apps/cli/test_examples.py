@@ -22,7 +22,9 @@ LONG = {
     "improve",
     "scan",
     "figures",
-}  # minutes, or films
+    "laws",
+    "plan",
+}  # minutes, or films; test_laws.py and test_plan.py run their last two
 SERVED = {"view"}  # runs until it is stopped; it has tests of its own
 
 

@@ -3,6 +3,7 @@
 import html
 import re
 
+import h5py
 import numpy as np
 import pytest
 
@@ -87,6 +88,18 @@ def test_prior_from_another_study(gyrotrack, wheel, tmp_path):
     said = gyrotrack("fit", second, "--prior", second)
     assert said.code == 2
     assert "counted twice" in said.err
+
+
+def test_a_prior_in_other_units_is_refused(gyrotrack, wheel, tmp_path):
+    ratio, case = tmp_path / "ratio.h5", tmp_path / "case.h5"
+    assert gyrotrack("import", "--body", wheel, "--inertia", "2e-3", "-o", case, "--from", "15").code == 0
+    assert gyrotrack("import", "--body", wheel, "--inertia", "1", "-o", ratio, "--to", "15").code == 0
+    with h5py.File(ratio, "r+") as file:
+        file.attrs["per_inertia"] = 1
+    assert gyrotrack("fit", ratio).code == 0
+    said = gyrotrack("fit", case, "--prior", ratio)
+    assert said.code == 2
+    assert "in s-1, these cases need N m s" in said.err
 
 
 def pulses(path, per_turn, rng, start=60.0, slowing=1.5, last=20.0, jitter=1e-5):

@@ -19,7 +19,9 @@ def study(story, tmp_path_factory):
     path = tmp_path_factory.mktemp("study") / "run.fits.json"
     kept = Study((CaseData.of(story.record),), Ledger(path))
     first = kept.ledger.add(story.rungs[0].fit).fit_id
-    kept.keep(story.rungs, first)
+    recorder = kept.recorder(first, story.rungs[0].fit)
+    for step in story.rungs[1:]:
+        recorder(step)
     kept.keep_diagnosis(first, story.diagnosis)
     return Study(kept.data, Ledger(path))
 

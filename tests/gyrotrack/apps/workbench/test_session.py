@@ -94,11 +94,11 @@ def test_the_ledger_is_the_tree_and_keeps_names_notes_and_deletions(kept):
     assert session.steps[2].found is None  # restored only when it is shown
     session.annotate(1, name="drag", note="by hand")
     session.delete(2)
-    stored = {e.fit_id: e.stored for e in Ledger.beside(kept).entries}
+    stored = {e.fit_id: e.stored for e in Ledger.default_for(kept).entries}
     assert set(stored) == {"f1", "f2"}
     assert (stored["f2"].name, stored["f2"].note) == ("drag", "by hand")
     session.undo()
-    assert [e.fit_id for e in Ledger.beside(kept).entries] == ["f1", "f2", "f3"]
+    assert [e.fit_id for e in Ledger.default_for(kept).entries] == ["f1", "f2", "f3"]
     assert session.go(2)["effects"][-1]["name"] == "casing.air.laminar"
 
 
@@ -110,4 +110,4 @@ def test_the_command_names_annotates_and_deletes(kept, capsys):
         assert run(["ladder", str(kept), *words]) in (1, 2)
         assert kept.with_suffix(".fits.json").read_text() == before
     assert run(["ladder", str(kept), "--delete", "f3"]) == 0
-    assert [e.fit_id for e in Ledger.beside(kept).entries] == ["f1", "f2"]
+    assert [e.fit_id for e in Ledger.default_for(kept).entries] == ["f1", "f2"]

@@ -4,6 +4,7 @@ import io
 import json
 import zipfile
 
+import h5py
 import numpy as np
 import pytest
 
@@ -303,6 +304,57 @@ def test_matlab_and_excel(tmp_path):
         np.testing.assert_allclose(read.value, ANGLE)
 
 
+def test_excel_97_with_text_above_and_a_second_sheet(tmp_path):
+    pytest.importorskip("xlrd")
+    xlwt = pytest.importorskip("xlwt")
+    book = xlwt.Workbook()
+    book.add_sheet("Metadata").write(0, 0, "phone")
+    sheet = book.add_sheet("Raw Data", cell_overwrite_ok=True)
+    for column, name in enumerate(("Time (s)", "Angle (deg)")):
+        sheet.write(0, column, name)
+    for row, pair in enumerate(zip(TIME.tolist(), np.degrees(ANGLE).tolist(), strict=True), 1):
+        for column, value in enumerate(pair):
+            sheet.write(row, column, value)
+    sheet.write(3, 1, "")
+    stream = io.BytesIO()
+    book.save(stream)
+    read = read_motion(write(tmp_path / "a", stream.getvalue()))
+    kept = np.delete(np.arange(400), 2)
+    np.testing.assert_allclose(read.time, TIME[kept])
+    np.testing.assert_allclose(read.value, ANGLE[kept])
+    with pytest.raises(DatasetError, match="damaged workbook"):
+        read_motion(write(tmp_path / "b", stream.getvalue()[:3000]))
+
+
+def test_matlab_7_3_as_matlab_writes_it(tmp_path):
+    with h5py.File(tmp_path / "a.mat", "w", userblock_size=512) as file:
+        for name, values in (("t", TIME), ("angle", ANGLE)):
+            file[name] = values[None, :]  # a column vector of MATLAB: transposed in HDF5
+            file[name].attrs["MATLAB_class"] = np.bytes_("double")
+        file["note"] = np.frombuffer("made by a rig".encode("utf-16-le"), dtype=np.uint16)[:, None]
+        file["run/time"], file["run/psi"] = TIME[:50], ANGLE[:50]
+        file.create_group("#refs#")["a"] = np.zeros(1000)
+    with (tmp_path / "a.mat").open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
+    read = read_motion(tmp_path / "a.mat")
+    np.testing.assert_array_equal(read.time, TIME)
+    np.testing.assert_array_equal(read.value, ANGLE)
+
+
+@pytest.mark.parametrize(
+    ("head", "columns", "given"),
+    [
+        ("t [s]\n", (TIME,), {"pulses_per_turn": 2}),
+        ("time (s) angle (deg)\n", (TIME, np.degrees(ANGLE)), {}),
+        ("t [s]  omega [rad / s]\n", (TIME, ANGLE), {}),
+    ],
+)
+def test_names_with_blanks_between_columns_that_blanks_separate(tmp_path, head, columns, given):
+    read = read_motion(write(tmp_path / "a", head + rows(*columns, sep=" ")), options(**given))
+    np.testing.assert_allclose(read.time, TIME)
+    np.testing.assert_allclose(read.value, np.pi * np.arange(400) if given else ANGLE, atol=1e-9)
+
+
 def test_a_pose_file_of_movement(tmp_path):
     xr = pytest.importorskip("xarray")
     pytest.importorskip("h5netcdf")
@@ -346,9 +398,9 @@ def test_what_is_exported_is_imported(tmp_path, suffix):
     ("content", "match"),
     [
         (b"PK\x03\x04 broken", "damaged archive"),
-        (b"\xd0\xcf\x11\xe0\xa1\xb1", "Excel 97"),
+        (b"\xd0\xcf\x11\xe0\xa1\xb1", "workbook|Excel 97"),
         (b"MATLAB 5.0 MAT-file broken", "MATLAB file"),
-        (b"MATLAB 7.3 MAT-file", "MATLAB 7.3"),
+        (b"MATLAB 7.3 MAT-file", "MATLAB file"),
         (b"PAR1 broken", "Parquet"),
         (b"{", "not a JSON table"),
         (json.dumps({"a": 3}).encode(), "not a JSON table"),
@@ -356,7 +408,7 @@ def test_what_is_exported_is_imported(tmp_path, suffix):
     ],
 )
 def test_broken_files_are_one_sentence(tmp_path, content, match):
-    with pytest.raises(DatasetError, match=match) as caught:
+    with pytest.raises((DatasetError, UsageError), match=match) as caught:
         read_motion(write(tmp_path / "a", content))
     assert "\n" not in caught.value.message
 

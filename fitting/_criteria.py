@@ -1,6 +1,6 @@
 """Every threshold that decides an answer, in one record.
 
-`diagnose` and `improve` take a `Criteria`; no decision threshold exists elsewhere in the package.
+`diagnose` and `improve` take a `Criteria`; a fit's own verdict and the noise of a recording use the default.
 
 >>> from dataclasses import replace
 >>> strict = replace(Criteria(), significance=0.001)
@@ -15,7 +15,6 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from fitting._errors import EstimationError
-from fitting.inference._result import LACK_OF_FIT_P, REDUCED_CHI2
 
 _KASS = "Kass & Raftery 1995"
 _NULL = "Westfall & Young 1993"
@@ -59,10 +58,13 @@ class Criteria:
     max_steps: int = _criterion(5, "effects that `improve` adds at most")
     follow_up: int = _criterion(1, "further effects that `diagnose` adds at most")
     explained: float = _criterion(0.95, "share of unmodelled torque that an approximate answer explains")
-    lack_of_fit: float = _criterion(
-        LACK_OF_FIT_P, "p-value of slow torques below which a fit fails", "Draper 1998"
+    lack_of_fit: float = _criterion(1e-5, "p-value of slow torques below which a fit fails", "Draper 1998")
+    reduced_chi2: float = _criterion(1.4, "reduced chi2 of the fitted rows above which a fit fails")
+    undetermined: float = _criterion(
+        100.0, "standard uncertainty over value above which a parameter is undetermined"
     )
-    reduced_chi2: float = _criterion(REDUCED_CHI2, "reduced chi2 of the fitted rows above which a fit fails")
+    correlated_noise: float = _criterion(8.0, "deviance that correlated angle noise needs", "chi2, 2 dof")
+    spectral_line: float = _criterion(0.001, "p-value of a sinusoid that is no noise", "Baluev 2008")
     doubt_named: float = _criterion(0.01, "smooth-test p-value that contradicts a named effect", "Hart 1997")
     doubt_adequate: float = _criterion(
         0.001, "p-value of a test that contradicts an adequate fit", "Baluev 2008"
@@ -116,7 +118,7 @@ class Criteria:
 
 
 _AT_MOST_ONE = frozenset({
-    "significance", "collinearity", "explained", "lack_of_fit", "doubt_named", "doubt_adequate",
+    "significance", "collinearity", "explained", "lack_of_fit", "doubt_named", "doubt_adequate", "spectral_line",
     "shape_share", "refit_share", "refit_p", "rival_share", "quieter",
 })  # fmt: skip
 

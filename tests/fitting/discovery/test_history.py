@@ -1,0 +1,27 @@
+"""The history of `improve`: a fit that fails ends it and loses nothing."""
+
+import numpy as np
+import oscillators
+
+from fitting._errors import SimulationError
+from fitting.discovery import _select
+from fitting.dynamics._model import Model
+from fitting.inference._fit import fit
+
+
+def test_a_step_that_fails_keeps_the_steps_before_it(monkeypatch):
+    t = np.arange(0, 6, 0.02)
+    slowed = 20 / 0.3 * (1 - np.exp(-0.3 * t))
+    base = fit(Model.of(["touchpoint.constant"]), [oscillators.record(t, slowed, 1e-3, 1)])
+    ranked = _select.rank(base)
+
+    def failing(fit, *_args, **_kwargs):
+        raise SimulationError("the casing stops and starts too often to be followed")
+
+    monkeypatch.setattr(_select, "rank", failing)
+    kept = []
+    history = _select.improve(base, first=ranked, keep=kept.append)
+    assert len(history) == 2
+    assert kept == history[1:]
+    assert history[1].fit.deviance < base.deviance
+    assert "too often" in history.stopped
