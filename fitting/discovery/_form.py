@@ -53,7 +53,7 @@ _OWN_SPEED = {"rotor": "omega_r", "casing": "omega_c", "bearing": "delta", "fact
 
 @dataclass(frozen=True)
 class FormTest:
-    """What the data say about the form of a law.
+    """Information of the data on the form of a law.
 
     Attributes
     ----------

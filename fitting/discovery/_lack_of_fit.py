@@ -2,7 +2,7 @@
 
 A law of the wrong shape leaves a torque that is a smooth function of the speed on which the true law depends, the same
 in all cases; few numbers describe it. The model is extended by torques piecewise linear in the speed of the casing, the
-rotor or the bearing, acting on the casing or in the bearing, with 4 or 8 knots. Each choice S, besides the free
+rotor or the bearing, acting on the casing or in the bearing, with 4 or 8 knots. Each choice S, in addition to the free
 columns, lowers chi-square by
 
     chi2 = r'S (S'S)^-1 S'r   with rank(S) degrees of freedom
@@ -12,7 +12,7 @@ Springer (1997), ch. 5-7). The smallest p-value is calibrated on null data put t
 
 A sinusoidal torque in time (a vibrating table, a fan) is fast, so that process noise of short correlation time accounts
 for its variance, but not for its single frequency. The model is extended by a cosine and a sine of each frequency on
-the casing; with their whitened responses S, besides the free columns,
+the casing; with their whitened responses S, in addition to the free columns,
 
     chi2 = r'S (S'S)^-1 S'r   with 2 degrees of freedom
 

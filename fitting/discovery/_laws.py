@@ -417,7 +417,7 @@ class _Search:
         self.steps.next()
         significant = min(self._p(s) for s in scored.scores) < self.criteria.significance
         if not significant and not fails(self.base, self.criteria):
-            # about a base that fails by much, scores to first order say little
+            # about a base that fails by much, scores to first order are not reliable
             return []
         chosen = self._promising(scored, _FIRST)
         kept = self._promising(scored, _KEPT)
@@ -516,7 +516,7 @@ class _Search:
         return [_Refitted((c.law,), f) for c, f in zip(chosen, found, strict=True) if f is not None]
 
     def _with_second_term(self, best: _Refitted) -> list[_Refitted]:
-        """Return fits with a second law besides the best one."""
+        """Return fits with a second law in addition to the best one."""
         if len(best.terms) > 1:
             return []
         # there is one state variable, of one of the terms

@@ -1,4 +1,4 @@
-"""The next run, optimised: the initial conditions that tell most about rival explanations.
+"""The next run, optimised: the initial conditions that best separate rival explanations.
 
 Of two rivals a and b, sets of candidates with strengths g_a and g_b, the information that b leaves of a after a refit
 of the shared parameters and of its own strengths is
@@ -104,7 +104,7 @@ class Bounds:
 
 @dataclass(frozen=True)
 class NextRun:
-    """The proposed run and what it is expected to tell.
+    """The proposed run and its expected information.
 
     Attributes
     ----------

@@ -75,14 +75,14 @@ def plan(
     criteria: Criteria = DEFAULT,
     progress: Progress | None = None,
 ) -> Plan:
-    """Return what recordings can show of every effect, and the next run that tells most.
+    """Return what recordings can show of every effect, and the most informative next run.
 
     Parameters
     ----------
     recordings : Fit, str or Path
         A fit of the recordings at hand, or a TOML file that describes recordings to be made.
     extra : sequence of Effect
-        Effects of the user, besides the library.
+        Effects of the user, in addition to the library.
     size : float, optional
         Rms torque of an effect [N m] for `power` and `runs_needed`; by default 1 % of the rms torque of the bearing
         (for a single body, of the net torque).

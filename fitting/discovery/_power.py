@@ -366,7 +366,7 @@ class Search:
     fit : Fit
         The model with which the search begins.
     extra : sequence of Effect
-        Effects of the user, besides the library.
+        Effects of the user, in addition to the library.
     criteria : Criteria
         Thresholds.
     draws : int
@@ -694,7 +694,7 @@ def largest_hidden(
     fit : Fit
         An adequate fit.
     extra : sequence of Effect
-        Effects of the user, besides the library.
+        Effects of the user, in addition to the library.
     criteria : Criteria
         Thresholds.
     most : int

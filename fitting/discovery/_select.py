@@ -123,7 +123,7 @@ def rank(
     base : Fit
         The fit that may lack an effect.
     extra : sequence of Effect
-        Effects of the user, besides the library.
+        Effects of the user, in addition to the library.
     criteria : Criteria
         Thresholds.
     refitting : bool
@@ -146,7 +146,7 @@ def rank(
         worth = _worth_refitting(found, criteria)
         oscillation = base.problem.data[0].oscillation
         if oscillation is not None and not base.model.restoring:
-            # only a restoring torque makes a body oscillate, and scores about a motion that does not say little
+            # only a restoring torque makes a body oscillate, and scores about a motion that does not are not reliable
             data = base.problem.data
             error = {
                 c.effect.name: equation_error(base.model.with_effect(c.effect), data)
@@ -547,7 +547,7 @@ def improve(
     base : Fit
         The initial model, fitted.
     extra : sequence of Effect
-        Effects of the user, besides the library.
+        Effects of the user, in addition to the library.
     criteria : Criteria
         Thresholds of every decision.
     max_steps : int, optional

@@ -232,7 +232,7 @@ def diagnose(
     fit : Fit
         The fit in question.
     extra : sequence of Effect
-        Effects of the user, besides the library.
+        Effects of the user, in addition to the library.
     criteria : Criteria
         Thresholds of every decision.
     candidates : sequence of Candidate, optional
@@ -457,7 +457,7 @@ def _missing(selection: Selection, size: Grade, criteria: Criteria) -> list[str]
 def _untested(test: FormTest, criteria: Criteria) -> list[str]:
     """Return why the form of a law that leaves nothing significant is open."""
     if test.is_strong(criteria):
-        return []  # the rivals say it
+        return []  # stated with the rivals
     if test.bounds_p <= criteria.doubt_named:
         pulled = f"the residuals pull {', '.join(test.bounds)} beyond its bound"
         return [f"The form is not established: {pulled} (p = {probability(test.bounds_p)})."]

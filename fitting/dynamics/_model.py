@@ -293,7 +293,7 @@ class Dynamics:
     ----------
     states : tuple of str
         ``omega_r, omega_c``, then ``deflection`` if a torque depends on it, then states of effects, then the angles if
-        asked for.
+        requested.
     free_starts : int
         Number of states, from the first one on, whose initial values belong to the recording: the speeds and the
         deflection.

@@ -116,7 +116,7 @@ _WINDOW_ROWS = 8
 # of an oscillation: fewest samples of a block, rough speeds in each period
 _PERIOD_SAMPLES = 24
 _POINTS_PER_PERIOD = 24
-# speeds are smoothed: blocks long beside that, and in a lone window rows enough to see it
+# speeds are smoothed: blocks long compared with that, and in a lone window rows enough to see it
 SPEED_BLOCKS = 30
 SPEED_NOISE_ROWS = 28
 

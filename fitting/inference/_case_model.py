@@ -1,7 +1,7 @@
 """One case under one model: predicted rows and their derivatives.
 
 The noise of an angle, put into a sine of that very angle, is a torque that wanders. So the angle is that of the model,
-and beside it what the measurement differs by, smoothed by cubics in as few pieces as it allows,
+plus the deviation of the measurement, smoothed by cubics in as few pieces as it allows,
 
     BIC(pieces) = N log(sum of squares left) + 4 pieces log(N)
 

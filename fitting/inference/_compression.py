@@ -27,7 +27,7 @@ _MIN_INDEPENDENCE = 0.2
 def independent_harmonics(y: Array, polynomials: Array) -> Array:
     """Return cos y, sin y, cos 2y, sin 2y, with zeros for those that are nearly polynomials here.
 
-    In less than a turn a harmonic says nothing of its own; what is left of it beside the polynomials would
+    In less than a turn a harmonic has no information of its own; its part orthogonal to the polynomials would
     be the noise of y itself, which must not be taken for a signal. Of a casing at rest nothing else is left.
     """
     waves = np.stack([np.cos(y), np.sin(y), np.cos(2 * y), np.sin(2 * y)], axis=1)

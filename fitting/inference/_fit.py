@@ -399,7 +399,7 @@ def _pseudo(data: CaseData, case: int, found: Fit, psi: Psi) -> CaseData:
 
 
 def _predicted(data: CaseData, case: int, found: Fit) -> Iterator[Array]:
-    """Yield what the model with its nuisances says at every sample: of the casing, then of each window."""
+    """Yield the prediction of the model with its nuisances at every sample: of the casing, then of each window."""
     record, prediction = data.record, found.predictions[case]
     path = prediction.path
     project = found.problem.projections[case]

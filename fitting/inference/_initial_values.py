@@ -7,7 +7,7 @@ The laws are linear in their strengths gamma_k, so along the rough speeds
 and the same for the rotor: a linear least-squares problem with bounds.
 
 A law whose strength is nothing has no gradient by its shape, and from a wrong shape the search may not find back. So
-the model is fitted without the law; then, for every shape on a grid, the derivative of the rows by the strength tells
+the model is fitted without the law; then, for every shape on a grid, the derivative of the rows by the strength shows
 how far the deviance would fall (a score test), and the best shape is where the full search starts. The random torque
 that a model without the law is excused with would excuse any shape: its level competes with the law for what is left.
 """
@@ -151,7 +151,7 @@ def start_values(
     for case, (times, speeds) in enumerate(rough):
         keys, design, target = _equations(layout, case, times, speeds, deflections[case], theta)
         parts.append((layout.places(case, keys), design, target))
-    # what cases share is sought in all of them at once: a mean of what each says alone need not suit any
+    # what cases share is sought in all of them at once: a mean of the separate estimates need not suit any
     places, values = _regress(layout, parts)
     theta[places] = values
     for case, (_, speeds) in enumerate(rough):
@@ -202,7 +202,7 @@ def _equations(
         )
     integrals = _integral(times, rates)
     held = _integral(times, still[:, :2])
-    # while friction holds the casing its torque is what it has to be, and says nothing
+    # while friction holds the casing its torque is what it has to be, and carries no information
     everywhere = np.ones(len(times), dtype=bool)
     seen = [everywhere, everywhere if dynamics.free_starts > 2 else _turning(speeds[:, 1])]
     # the integral of a deflection from a wrong equilibrium drifts: the speed is free in each period
@@ -230,7 +230,7 @@ def _means(groups: NDArray[np.intp], columns: Array) -> Array:
 
 
 def _strengths(layout: ParameterLayout, parameters: Sequence[str]) -> list[str]:
-    """Return the parameters in which the equations are linear, and which the data can tell apart so."""
+    """Return the parameters in which the equations are linear, and which the data can separate so."""
     every = [k for k in parameters if layout.model.parameters[k].role == "amplitude"]
     # linear in its strength, but hardly distinguishable from the linear law while its power is free
     curved = ("bearing.heating.", *(("bearing.power.",) if "bearing.power.g" in parameters else ()))

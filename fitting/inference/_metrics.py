@@ -15,7 +15,7 @@ refitting without them, without refitting (leave-block-out; O. Dubrule, Math. Ge
 
 The test of lack of fit is one against any slow torque. Slow torques on the casing and in the bearing, piecewise linear
 in time with knots a twentieth of the record apart, are added to the fitted model all at once. With the whitened
-response S to them, besides all free parameters,
+response S to them, in addition to all free parameters,
 
     chi2 = r'S (S'S)^-1 S'r   with rank(S) degrees of freedom
 
@@ -79,7 +79,7 @@ def _velocities(samples: Samples, blocks: int) -> Samples:
 def median_noise(reach: Array) -> Array:
     """Return the slow noise of a running median of gradients, as a variance over that of one gradient.
 
-    Where the speed rises, sample j beside the middle counts as long as its noise does not lift it over the slope: in
+    Where the speed rises, sample j next to the middle counts as long as its noise does not lift it over the slope: in
     sums over many medians every gradient v counts as psi(v), cut off at c = slope x half the width. So the spectral
     density at frequency nothing is that of Huber's estimate,
 
@@ -406,7 +406,7 @@ def _case_by_case(
         rank += span.shape[1]
         left.append(np.concatenate([b, r[:, None]], axis=1) - span @ (span.T @ np.column_stack([b, r])))
     both = np.concatenate(left)
-    # what is left of a parameter beside slow torques, beside what there was of it
+    # share of a parameter's information that slow torques leave
     size = np.linalg.norm(np.concatenate(free), axis=0)
     for rows, sign in ((both, 1), (np.column_stack([np.concatenate(free), np.concatenate(residual)]), -1)):
         u, value, _ = np.linalg.svd(rows[:, :-1][:, size > 0] / size[size > 0], full_matrices=False)

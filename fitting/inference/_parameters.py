@@ -6,7 +6,7 @@ With X = x / x_ref they read T1 X^m + K (X^g - X^m) / (g - m), where T1 is the t
     T1 = d x_ref^m + f x_ref^g,    K = (g - m) f x_ref^g.
 
 So it is for the bearing's d D + f D^g, with m = 1, and for any power law that a user adds to a law of fixed power.
-A power law without such a one beside it has the torque F = f x_ref^g for f. Where d or f is held at a bound, the other
+A power law without one of the same body has the torque F = f x_ref^g for f. Where d or f is held at a bound, the other
 is replaced by T1, which the data know well.
 
 A law of strength k and phase phi is k [cos(phi) s + sin(phi) c] with its responses s and c at phase 0 and at a quarter
@@ -192,9 +192,9 @@ _SAME = 1e-9
 
 @dataclass(frozen=True)
 class PowerLaw:
-    """A power law, alone (d is None) or beside a law of fixed power m: places among the variables, x_ref, and m.
+    """A power law, alone (d is None) or together with a law of fixed power m: places among the variables, x_ref, and m.
 
-    `held` tells which of d and f stays what it is.
+    `held` names which of d and f is held.
     """
 
     d: int | None
@@ -387,7 +387,7 @@ class Sinusoid:
 def find_sinusoids(layout: ParameterLayout) -> tuple[Sinusoid, ...]:
     """Return the pairs of strength and phase that nothing holds or limits.
 
-    A law whose shape is free as well has none: about its shape the data say nothing while its strength is small. Nor
+    A law whose shape is free as well has none: the data do not determine its shape while its strength is small. Nor
     has one whose strength is each case's own while all share the phase, or the other way round.
     """
     found: dict[Sinusoid, None] = {}

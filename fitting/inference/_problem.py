@@ -191,7 +191,7 @@ _MATTERS = 0.2
 def surely_at_bound(
     layout: ParameterLayout, at_bound: NDArray[np.bool_], r: Array, j: Array
 ) -> NDArray[np.bool_]:
-    """Return which variables are known to be what their bound says.
+    """Return which variables are known to equal their bound.
 
     A friction whose best value is far below zero is nothing. One that is hardly below, or an exponent on the
     edge of what is tried, is not known to be there: the errors of all that goes with it must leave it free.

@@ -26,7 +26,7 @@ from fitting.inference._prior import Prior
 Array = NDArray[np.float64]
 Quantity = Literal["angle", "omega"]
 
-# an angle tells a speed only over several samples; a measured speed tells it at once
+# an angle gives a speed only over several samples, a measured speed at once
 # a block of the compression takes 12 samples for what a model does, and as many measure the noise
 _FEWEST_OF_BODY = 24
 _FEWEST: dict[str, int] = {"angle": 8, "omega": 1}
@@ -51,7 +51,7 @@ class Record:
     Parameters
     ----------
     label, surface : str
-        Names for people; the label tells the cases of a joint fit apart.
+        Names for people; the label distinguishes the cases of a joint fit.
     I_rotor, I_casing : float
         Moments of inertia [kg m2].
     I_rotor_u, I_casing_u : float
@@ -301,7 +301,7 @@ def _local(samples: Samples, count: int, is_angle: bool) -> Array:  # noqa: FBT0
     y = samples.value - np.repeat(samples.value[first], size)
     rows = np.full((len(first), 3), np.nan)
     rows[:, 0] = middle
-    # of one length, or of two that differ by a sample: the shortest says which degree all have
+    # of one length, or of two that differ by a sample: the shortest determines the degree of all
     degree = min(2 if is_angle else 1, int(size.min()) - 1)
     powers = [np.ones(len(x)), x, x * x][: degree + 1]
     gram = np.stack([np.stack([sums(p * q) for q in powers], axis=-1) for p in powers], axis=-1)

@@ -375,7 +375,7 @@ def estimate_window_noise(
 ) -> AngleNoise:
     """Estimate the correlated angle noise that all windows of the rotor have in common.
 
-    The few rows that a model sees say little about a correlation time. So the means of groups of samples are compared,
+    The few rows that a model sees hardly determine a correlation time. So the means of groups of samples are compared,
     many in each window, beyond a polynomial and the nuisance functions: white noise of variance s^2 sigma^2 and angle
     noise of variance rho s^2 and time T. s is integrated out with the prior 1 / s,
 

@@ -12,7 +12,7 @@ uncertainty of mu is the larger of sqrt(Q / (k - 1) / sum w_i) and 1 / sqrt(sum 
 quantiles of the chi-square distribution of k - 1 degrees of freedom (W. Viechtbauer, Stat. Med. 26, 37 (2007)); the
 p-value of equal parameters is that of Q(0).
 
-A single run does not tell how far its parameters scatter from run to run: as a statement about the body and not about
+A single run does not show how far its parameters scatter from run to run: as a statement about the body and not about
 that run, its standard uncertainty is the total sqrt(u_i^2 + tau^2). Times at which a law sets in belong to a run and
 are not compared.
 

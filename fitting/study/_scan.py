@@ -154,7 +154,7 @@ class Robustness:
     verdict : str
         By the larger of spread and shift "robust" (under a tenth), "varies" (under a half) or "unstable"; for a
         touch point by its shift alone, since surfaces may differ; "zero" or "not determined" where all separate
-        fits say so; "not known" for a single case.
+        fits agree; "not known" for a single case.
     """
 
     symbol: str
@@ -368,7 +368,7 @@ def _model(
 
 
 def _rows(runs: Sequence[Run], data: CaseData, noise: Noise, count: _Count) -> tuple[Row, ...]:
-    """Fit the runs of a table, the small ones first: a power law beside others is sought from what it extends."""
+    """Fit the runs of a table, the small ones first: a power law among others is sought from what it extends."""
     rows: dict[Run, Row] = {}
     for run in sorted(runs, key=lambda r: len(r.terms)):
         inner = [r.fit for r in rows.values() if r.fit is not None and set(r.run.terms) < set(run.terms)]

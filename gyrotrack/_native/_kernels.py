@@ -5,7 +5,7 @@ a letter stands for the same length wherever it occurs. An array of another type
 length or in non-contiguous memory is refused with `ValueError` before anything is computed. Arrays behind the arrow are
 written to.
 
-`COMPILED` tells which of the two is in use.
+`COMPILED` states which of the two is in use.
 """
 
 from __future__ import annotations

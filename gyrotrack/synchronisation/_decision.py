@@ -25,7 +25,7 @@ EXCLUDED = 25.0  # a rival this much worse in chi2 is out
 UNCERTAIN = 1e-3  # s; a start that is known no better is called ambiguous
 BELIEVED = 1e-3  # chance below which agreeing directions are no coincidence
 AGREE = 4.0  # sigma within which two directions agree
-RESOLVED = TURN / 10  # rad; a direction known better than this tells one turn from the next
+RESOLVED = TURN / 10  # rad; a direction known better than this identifies the turn
 COMBINATIONS = 64
 
 

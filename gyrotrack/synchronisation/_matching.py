@@ -6,7 +6,7 @@ sees the same, on its own clock, from its own direction, with harmonics of its o
     psi_B(s) + offset = psi(t0 + (1 + eps) s) + H_B
 
 Spline and harmonics are linear; they are eliminated, which leaves for each clip a 3 x 3 normal matrix of
-(t0, eps, offset). The clips of one camera are then solved together, with a common rate and, if asked for, a
+(t0, eps, offset). The clips of one camera are then solved together, with a common rate and, on request, a
 common offset, by Gauss-Newton steps. chi2 is that of the clips, given what the casing's camera saw.
 
 In a window about the clip the casing's true angle is a quintic spline psi(t), and the camera sees
@@ -174,7 +174,7 @@ HARMONICS = 4
 
 @dataclass(frozen=True)
 class Stretch:
-    """What the casing's samples in a window say about psi and H_A.
+    """Information of the casing's samples in a window on psi and H_A.
 
     Attributes
     ----------
@@ -389,7 +389,7 @@ def solve(
     Raises
     ------
     LinAlgError
-        A clip leaves its window, or the clips say nothing of some parameter.
+        A clip leaves its window, or a parameter is not determined by the clips.
     """
     shared = [turn is not None for turn in turns or [None] * len(pairs)]
     link = link_matrix(common_rate=common_rate, shared_angle=shared)

@@ -131,7 +131,7 @@ def _valleys(distance: Floats) -> list[int]:
 
 INTERVALS = (2, 4, 8, 16, 32)
 BIC_BLOCKS = 30
-PARAMETERS = 16  # beside the intervals: ends of the spline, harmonics, start, rate, direction
+PARAMETERS = 16  # in addition to the intervals: ends of the spline, harmonics, start, rate, direction
 ROUNDS = 2
 MISFIT = 0.015  # rad; two cameras that see the same motion agree better than this
 RATE_LIMIT = 5 * RATE_SIGMA
@@ -232,7 +232,7 @@ def _overlaps(pair: Pair, start: Start) -> bool:
 def _tuned(pair: Pair, start: Start) -> tuple[Pair, int]:
     """Drop outliers, give both cameras their true sigma, and choose the spline's intervals.
 
-    The noise is seen best under the most pliant spline. How pliant it need be, says the Bayesian information
+    The noise is estimated with the most flexible spline; how flexible it must be is decided by the Bayesian information
     criterion for block means, which are nearly independent where neighbouring frames are not (slow errors of tracking
     would make the spline follow them), and twice that is taken: a curve a little too stiff would bias the start within
     its error.

@@ -244,7 +244,7 @@ class Marker:
 
 @dataclass(frozen=True)
 class Wobble:
-    """The tiny circular motion of the whole gyroscope beside its rotation.
+    """The tiny circular motion of the whole gyroscope in addition to its rotation.
 
     The centre runs on a circle of ``radius`` mm at ``frequency`` Hz, in the sense in which the bodies turn
     (a negative frequency turns against it), from ``phase`` rad at t = 0.

@@ -6,7 +6,7 @@ unrolled about it, each marker with its radii, width and true shade (`find_marke
 
 A centre that is wrong by n makes a marker's radius wrong by -n . r, with r the direction of the marker: a marker on
 one side seems too near, one on the other too far. Encoders hold the disc at the centre in place while it creeps, and
-then its own image tells nothing, but the radii of all markers over some dozen frames do.
+then its own image has no information on it, but the radii of all markers over some dozen frames do.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Extent:
     half_width : float
         Half its width in rad.
     lean : int
-        Columns by which its middle lies beside the middle of the patch.
+        Columns by which its middle is displaced from the middle of the patch.
     foot : float
         Angle in rad from its middle to where it has fallen to a tenth of its height.
     """

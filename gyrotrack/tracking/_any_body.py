@@ -54,9 +54,9 @@ _EXPLAINED = 0.4
 _OUTSIDE = 0.85
 """The same for a hub outside the picture that was not given: a body that slides looks much like one that turns."""
 _AS_GOOD = 0.8
-"""Share of the best reading's explained change from which another body beside it is as good."""
-_BESIDE = 0.2
-"""Area that moves beside the best reading, over that within it, from which another body is sought."""
+"""Share of the best reading's explained change from which another body is as good."""
+_OUTSIDE = 0.2
+"""Area that moves outside the best reading, over that within it, from which another body is sought."""
 _STRETCH_SPAN = 3.0
 """Motion in rad from which the ellipse of a tilted camera is sought."""
 _STATIC_SPAN = 1.0
@@ -186,7 +186,7 @@ class Tracked:
 class _Trial:
     """One reading of a film: a ring, a way to follow, and how well it explains what is seen.
 
-    `static` tells that the mean picture is subtracted to follow the body, `separate` that a fixed picture is part of
+    `static` states that the mean picture is subtracted to follow the body, `separate` that a fixed picture is part of
     the model.
     """
 
@@ -302,16 +302,16 @@ def _track(
 
 
 def _second_body(block: Sequence[Plane], motion: Motion, best: _Trial) -> _Trial | None:
-    """Return the reading of another body, beside the best one, that is as well explained; None if there is none.
+    """Return the reading of another body, apart from the best one, that is as well explained; None if there is none.
 
     What moves outside of the ring of the best reading is searched as if there were nothing else.
     """
     rows, columns = np.indices(motion.moving.shape)
     distance = np.hypot(columns - best.ring.hub[0], rows - best.ring.hub[1])
-    beside = motion.moving & (distance > 1.1 * best.ring.outer)
-    if beside.sum() < _BESIDE * (motion.moving & ~beside).sum():
+    outside = motion.moving & (distance > 1.1 * best.ring.outer)
+    if outside.sum() < _OUTSIDE * (motion.moving & ~outside).sum():
         return None
-    rest = replace(motion, moving=beside)
+    rest = replace(motion, moving=outside)
     trials = [trial for p in propose_hubs(block, rest) for trial in _trials(p, block, rest)]
     if not trials:
         return None

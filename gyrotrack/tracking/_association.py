@@ -252,7 +252,7 @@ def find_rotation_sense(turns: dict[str, float], given: int | None) -> int:
     turns : dict of float
         By how much each body has turned as seen [rad].
     given : int or None
-        What the profile says; it is believed.
+        The body stated in the profile; it is not questioned.
 
     Notes
     -----

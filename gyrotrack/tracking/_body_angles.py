@@ -55,7 +55,7 @@ class BodyView:
 
     @property
     def coloured(self) -> tuple[str, ...]:
-        """The markers seen in the planes of colour, as the disc is; luma may lie beside by half a px."""
+        """The markers seen in the planes of colour, as the disc is; luma may be displaced by half a px."""
         return tuple(p.name for p in self.markers if p.colour != "white")
 
     def place(self, name: str, centre: Floats) -> Floats:
@@ -193,7 +193,7 @@ def error_by_place(body_view: BodyView, flat: Flattening, body: BodyAngles) -> f
 
 
 def axis_offset(body_view: BodyView, flat: Flattening, body: BodyAngles) -> Floats:
-    """Return how far in px the angles of a fast body say that its axis lies beside where its radii do, (2,), y up.
+    """Return how far in px the axis of a fast body by its angles differs from that by its radii, (2,), y up.
 
     Both err by place; what such errors would make is taken off.
     """
@@ -222,17 +222,17 @@ def separate_perspective(
     own, body_view, reference = flat["casing"], views["rotor"], flat["rotor"]
     if not own.offset or not any(m in reference.offset for m in body_view.coloured):
         return own
-    beside, error = axis_offset(body_view, reference, rotor), usual_error_by_place(body_view)
+    offset, error = axis_offset(body_view, reference, rotor), usual_error_by_place(body_view)
     # Perspective acts along the tilt; what the rotor shows across it is error.
     azimuth = 0.5 * np.arctan2(-reference.q, -reference.p)
     along = np.array([np.cos(azimuth), np.sin(azimuth)])
     off = [z * body_view.radius for m, z in rotor.axis_off.items() if m in reference.offset]
     if off:
         error = max(error, abs(along[0] * np.mean(off).imag - along[1] * np.mean(off).real))
-    beside = along * float(along @ beside)
-    axis = _beyond(reference.shift(body_view.coloured) + beside, error)
+    offset = along * float(along @ offset)
+    axis = _beyond(reference.shift(body_view.coloured) + offset, error)
     more = (views["casing"].radius / body_view.radius) ** 2
-    perspective = -more * beside
+    perspective = -more * offset
     size = _height_error(reference, views["casing"].radius)
     expected = np.stack([np.zeros(2), axis])
     if own.doubt:
@@ -295,7 +295,7 @@ def join_bodies(seen: FilmObservations, scene: Scene, profile: Profile, fps: flo
     """Find the centre's path, and join the markers of each body about it.
 
     Frames that are missing in the film get empty places, so that the motion is even in between; the result has
-    the film's frames only. A frame that repeats the one before it tells nothing new, and gets no angle.
+    the film's frames only. A frame that repeats the one before it has no new information, and gets no angle.
     """
     if seen.times.again is None:
         return _join_fresh(seen, scene, profile, fps)
@@ -407,8 +407,10 @@ def _followed(
             ),
             usual_error_by_place(views[name]),
         )
-        beside = np.hypot(np.nan_to_num(centre.sigma), offset_uncertainty(candidates[name], flattening[name]))
-        floor, axis = by_place / radius, beside / radius
+        off_axis = np.hypot(
+            np.nan_to_num(centre.sigma), offset_uncertainty(candidates[name], flattening[name])
+        )
+        floor, axis = by_place / radius, off_axis / radius
         coarse = seen.bodies[name].coarse
         return join(coarse, candidates[name], fps, other, floor, axis, above=above, time_base=time_base)
 

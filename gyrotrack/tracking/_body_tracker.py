@@ -1,7 +1,7 @@
 """One body: followed coarsely through its markers together, then each marker measured.
 
 Where the body will be is predicted, and only the neighbourhood of each marker is looked at. When the prediction
-is not sure enough, or its markers are not where it says, the whole rings are searched.
+is not sure enough, or its markers are not where it predicts them, the whole rings are searched.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Mask = npt.NDArray[np.bool_]
 SEEN = 0.4
 """Share of one marker's height that the score of a direction must reach."""
 MARGIN = 0.05
-"""By how much in rad a marker may lie beside its prediction."""
+"""Largest distance in rad of a marker from its prediction."""
 CHECK_EVERY = 2
 """Of so many frames one is looked at to see whether the body is where it was predicted."""
 SURE = 3.0

@@ -136,7 +136,7 @@ def _paper_sigma(own: list[Floats]) -> Floats:
 
 BODIES = (None, "casing", "rotor", "both")
 HARDLY = 0.5
-"""Turn in rad of all bodies up to which a film is said to show none."""
+"""Turn in rad of all bodies up to which a film is taken to show none."""
 
 
 def extract(
@@ -250,7 +250,7 @@ def _recording(
         name: body_track(name, found, markers, time, joint.sense) for name, found in joint.bodies.items()
     }
     still = _stillness(joint, info.path, marked=scene.disc is not None)
-    of_rate = rate.warnings if seen.times.place is None else ()  # stamps have said how long a frame lasts
+    of_rate = rate.warnings if seen.times.place is None else ()  # timestamps give the duration of each frame
     film = (*of_rate, *seen.warnings, *seen.times.warnings)
     doubts = _doubts(scene, bodies, len(time))
     warnings = (*still, *film, *scene.warnings, *joint.warnings, *_odd_frames(markers), *doubts)
@@ -364,7 +364,7 @@ def _stillness(joint: TrackedBodies, video: Path, *, marked: bool) -> tuple[str,
 
 
 def _odd_frames(markers: dict[str, Any]) -> tuple[str, ...]:
-    """Tell of a first frame in which nothing is where the motion says: a still before the film, a cut."""
+    """Report a first frame in which nothing is where the motion predicts it: a still before the film, a cut."""
     if any(len(m.status) < 10 for m in markers.values()):
         return ()
     first = [

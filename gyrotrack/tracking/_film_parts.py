@@ -5,8 +5,8 @@ for all of the film, and are learnt from some frames of each part in a first pas
 the markers, and its angles would be less precise. Each part is then tracked by a copy of the tracker that knows both,
 but nothing of the frames before: what it learns on the way (templates, the motion) stays in its part, and the result
 does not depend on how many processes share the parts.
-A part goes on for `OVERLAP` frames into the next one. These frames, seen by both, tell by how many turns the unwrapped
-angles of the two differ; of their measurements those of the earlier part are kept, whose tracker is not new any more.
+A part goes on for `OVERLAP` frames into the next one. From these frames follows by how many turns the unwrapped angles
+of the two differ; of their measurements those of the earlier part are kept, whose tracker is not new any more.
 """
 
 from __future__ import annotations
@@ -228,7 +228,7 @@ def _run_in_worker(task: Task[T], film: Film, part: Part) -> T:
 
 
 class PartWorkers:
-    """Processes that track parts of a film beside the calling one.
+    """Processes that track parts of a film in parallel with the calling one.
 
     Parameters
     ----------
@@ -350,7 +350,7 @@ class PartWorkers:
 
 
 def frames_done(journal: CheckpointFile) -> int:
-    """Return how many frames an unfinished run has done, as its journal says."""
+    """Return how many frames an unfinished run has done, according to its journal."""
     return sum(int(record.facts["frames"]) for record in journal.records())
 
 

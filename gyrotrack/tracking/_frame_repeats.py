@@ -1,7 +1,7 @@
 """Repeated frames: whether the bodies stand still in them.
 
 A picture that looks like the one before may do so because nothing turns. Where a body should have moved by more than
-its scatter, and has not, a frame is a repetition, and no measurement. The frame after it tells the rest. If the body
+its scatter, and has not, a frame is a repetition, and no measurement. The frame after it decides. If the body
 has moved on by the step of the repeated frame too, the repetition stands in the place of a frame that was missed, and
 all other times are right. If it has not, the repetition was put between two frames of the camera, as a conversion to a
 higher rate does: frames are then numbered without it.
@@ -83,8 +83,8 @@ def judge_repeats(seen: FilmObservations, scene: Scene) -> Repetition:
         return Repetition(again & False)
     steps = [_Steps(seen_angle(seen, scene, name), seen.again) for name in seen.bodies]
     for k in np.flatnonzero(again):
-        said = [body.still(int(k)) for body in steps if body.around(int(k))[1]]
-        again[k] = True in said or (None in said and False not in said)
+        answers = [body.still(int(k)) for body in steps if body.around(int(k))[1]]
+        again[k] = True in answers or (None in answers and False not in answers)
     runs = _runs(again)
     shares = [share for body in steps for share in body.shares(runs)]
     return Repetition(again, len(shares) > 0 and median_of(np.array(shares)) < 0.5, _period(runs))

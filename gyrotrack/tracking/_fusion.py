@@ -72,8 +72,8 @@ def closed_curve(angle: Floats, residual: Floats, weight: Floats) -> Floats:
         high_high += np.bincount(high, w * part**2, KNOTS)
         both += np.bincount(low, w * part * (1 - part), KNOTS)
         right += np.bincount(low, w * (1 - part) * r, KNOTS) + np.bincount(high, w * part * r, KNOTS)
-    beside = np.roll(np.diag(both), 1, axis=1)
-    normal = np.diag(low_low + high_high) + beside + beside.T
+    adjacent = np.roll(np.diag(both), 1, axis=1)
+    normal = np.diag(low_low + high_high) + adjacent + adjacent.T
     eye = np.eye(KNOTS)
     second = np.roll(eye, 1, axis=1) + np.roll(eye, -1, axis=1) - 2.0 * eye
     normal += second.T @ second / _BEND**2 + eye / _SIZE**2
@@ -97,7 +97,7 @@ def without_common_motion(curves: dict[str, Floats], mounts: dict[str, float]) -
 
 
 def once_a_turn(curve: Floats) -> complex:
-    """Return by how far the axis would have to lie beside the assumed one to make a curve: x + i y over the radius.
+    """Return the displacement of the axis from the assumed one that makes a curve: x + i y over the radius.
 
     A marker at v = e + r (cos a, sin a), y up, is seen about the axis assumed at 0 at the angle
     a + (e_y cos a - e_x sin a) / r.
@@ -137,7 +137,7 @@ def learn_neighbours(
     """Learn each marker's error by its angle to the other body (see the module docstring).
 
     Markers below it err where it hides a part of them. Markers above it (`above`) err wherever the other body's
-    own markers pass beside them; that is learnt where these pass so fast that no motion follows them. Where they
+    own markers pass next to them; that is learnt where these pass so fast that no motion follows them. Where they
     pass nearly in step with the frames, a curve over their angle may creep as slowly as a motion: what of it a
     local polynomial (`window`: half width and degree) can follow is taken for motion, and left in.
     """
@@ -146,13 +146,13 @@ def learn_neighbours(
     if above and passing.sum() <= ENOUGH * state.turning.sum():
         return
     for name, c in state.candidates.items():
-        beside = np.nan_to_num(c.angle - other)
+        difference = np.nan_to_num(c.angle - other)
         near = state.use[name] & np.isfinite(other)
         when = near & (passing if above else state.turning)
-        curve = _curve(state, name, beside, state.by_place[name], smooth, when)
+        curve = _curve(state, name, difference, state.by_place[name], smooth, when)
         for part in stretches(len(near)):
             shown = near[part] & (above | ~c.open[part])
-            state.by_neighbour[name][part] = np.where(shown, curve_at(curve, beside[part]), 0.0)
+            state.by_neighbour[name][part] = np.where(shown, curve_at(curve, difference[part]), 0.0)
         if above:
             slow, _ = local_fit(state.by_neighbour[name], near.astype(np.float64), *window)
             state.by_neighbour[name] -= np.where(near, np.nan_to_num(slow), 0.0)
@@ -167,7 +167,7 @@ def places_passed(state: Residuals) -> float:
 def place_error(state: Residuals) -> float:
     """Return the usual size of the errors by place that were learnt, of the marker that errs least [rad].
 
-    A marker that is faint or smeared errs more than the place makes it, and so does one beside a bar that stands
+    A marker that is faint or smeared errs more than the place makes it, and so does one next to a bar that stands
     nearly still, in some places only: then the core's standard deviation is taken. NaN if none could be learnt,
     or if the markers come back to the same few places.
     """
@@ -211,7 +211,7 @@ class BodyAngles:
     """A body: unwrapped angle as seen, uncertainty [rad], number of markers; NaN where none.
 
     `place_error` is the usual size of the errors by place that were learnt and taken out [rad], of the marker
-    that errs least; NaN if none could be. `axis_off` tells for each marker of a fast body how far beside the assumed
+    that errs least; NaN if none could be. `axis_off` gives for each marker of a fast body how far from the assumed
     axis it turns, x + i y (y up) over its radius.
     """
 

@@ -5,7 +5,7 @@ best is not the true path. The path is therefore taken as a slow curve (local pa
 by how well they predict points at least `HOLE` frames away) plus whatever stands out as a line in the
 spectrum of the rest: a precession or a wobble with the turn of the casing.
 
-The marker's position is c(t) + rho A (cos theta, sin theta) (see `_orbit`). Each observation tells where c(t)
+The marker's position is c(t) + rho A (cos theta, sin theta) (see `_orbit`). Each observation constrains where c(t)
 lies along its own radius; over half a turn that fixes both coordinates. c(t) is a broken line with about one
 knot a turn.
 """
@@ -229,7 +229,7 @@ def wandering_centre(
         solution, error = _robust(place, path, use, knots)
         for part, ends, share in _spans(n, knots):
             path[part] += _between(solution[: 2 * knots].reshape(knots, 2), ends, share)
-    # What is left of the radius tells how far the centre may still be off; sideways that turns the marker.
+    # The residual of the radius bounds the remaining error of the centre; sideways that turns the marker.
     return CentrePath(path, np.full(n, max(error, 1e-3)), n // max(knots - 1, 1))
 
 

@@ -1,7 +1,7 @@
 """Uneven illumination and occlusion of a marker at each angle.
 
 Both are learnt from the marker itself. When a marker with profile a T(x) passes an angle, the height that is
-seen there, relative to the expected one, tells how bright the light is (angles fixed in the picture) or
+seen there, relative to the expected one, gives the brightness of the light (angles fixed in the picture) or
 whether something stands before it (angles fixed on the other body): h = sum(a T p) / sum((a T)^2) over all
 passages.
 """
@@ -122,7 +122,7 @@ def open_columns(cover: AngleMap, *, shadows: bool) -> npt.NDArray[np.bool_]:
     """Return at which angles nothing stands before the marker, in any layer; unknown angles count as open.
 
     What is hidden is grown by a column, because an edge is never sharp; for a marker that `shadows` pull, as far as
-    the height beside it still rises.
+    the adjacent height still rises.
     """
     height = np.nan_to_num(cover.heights(1), nan=1.0)
     hidden, dim = (np.asarray((height < limit).any(axis=0)) for limit in (HIDDEN, CLEAR))

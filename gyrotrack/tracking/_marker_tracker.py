@@ -180,9 +180,9 @@ class MarkerTracker:
         return displaced(self.template(look.raw.shape[1]), look.fraction)
 
     def measure(self, look: MarkerWindow, open_: Mask, clear: Mask | None = None) -> MarkerObservations:
-        """Measure the marker; `open_` (n, columns of the window) tells which samples nothing hides.
+        """Measure the marker; `open_` (n, columns of the window) marks the samples that nothing occludes.
 
-        A shadow dims a colour with all that is seen of it; beside a white marker it darkens the metal, which pulls
+        A shadow dims a colour with all that is seen of it; next to a white marker it darkens the metal, which pulls
         the marker's foot. Where nothing hides such a marker, only samples that are `clear` of shadows are used.
         """
         dark = unlit(self.light)

@@ -49,7 +49,7 @@ class MarkerStrip:
     columns : int
         Samples in a full turn.
     margin : float
-        By how much in rad a marker may lie beside where it is expected.
+        Largest distance in rad of a marker from where it is expected.
     capacity : int
         Frames of a batch.
     """
@@ -146,7 +146,7 @@ class MarkerStrip:
         return np.asarray(seen[:, : self.ring.columns])
 
     def default_for(self, angle: Floats, place: slice) -> tuple[Floats, Floats]:
-        """Return by how many columns the marker lies beside given angles (n,) [rad] in frames of the batch.
+        """Return by how many columns the marker is displaced from given angles (n,) [rad] in frames of the batch.
 
         It is looked for as far as the margin goes. The second array is its mean score there, 0 if the best place is
         the farthest one.
@@ -179,7 +179,7 @@ class MarkerWindow:
     known : ndarray of bool, shape (n,)
         Frames in which the body was followed.
     start, fraction : ndarray, shape (n,)
-        Column in the middle of the window, and by how many columns beside it the marker is expected.
+        Column in the middle of the window, and by how many columns from it the marker is expected.
     first : ndarray of int, shape (n,)
         First column of the window, within the full turn.
     window : ndarray, shape (n, rows, m)

@@ -115,7 +115,7 @@ _DISC_HUES = range(0, 360, 30)
 _LEAST_DISC = 14.0
 """Chroma in grey levels that makes a disc: metal mirrors a tinge of its surroundings."""
 _OFF_CENTRE = 0.3
-"""Share of the smallest orbit's radius by which a disc may lie beside the centre of the orbits."""
+"""Share of the smallest orbit's radius by which a disc may be off the centre of the orbits."""
 
 
 def find_orbit(

@@ -110,7 +110,7 @@ def spread_out(values: npt.NDArray[Any], index: npt.NDArray[np.int64], count: in
 
 
 LARGEST = 24.0
-"""Excess of a squared misfit beyond which it tells no more."""
+"""Excess of a squared misfit beyond which it is not informative."""
 FEWEST = 30
 _SHARES = np.concatenate([[0.0], np.geomspace(0.01, 1.0, 21)])
 _FAULT = 5.0

@@ -3,7 +3,7 @@
 All points are (x, y) in px with y downwards; angles are counter-clockwise as seen.
 
 A circle seen from a slant is an ellipse, and a mark that lies higher than the disc at the centre circles a
-point beside it. With v = (x - cx, -(y - cy)) the position of a marker relative to the disc,
+point next to it. With v = (x - cx, -(y - cy)) the position of a marker relative to the disc,
 
     v = e + rho A (cos theta, sin theta),    A = [[1 + p, q], [q, 1 - p]],
 

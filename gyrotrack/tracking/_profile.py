@@ -8,7 +8,7 @@ TOML file::
     centre = "orbit"            # no mark at the centre: it is found from the markers' path
     capture_fps = 300           # optional
     sense = -1                  # optional: -1 turns clockwise as seen, +1 counter-clockwise
-    wander = false              # optional: does the centre of an orbit move? if not said, only when it moves far
+    wander = false              # optional: does the centre of an orbit move? by default only when it moves far
     tilt_correction = true      # optional: correct the angles for the slant of the camera
 
     [[marker]]

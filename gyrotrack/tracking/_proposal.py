@@ -118,7 +118,7 @@ def name_markers(bodies: dict[Body, Group], notes: list[str]) -> list[ProposedMa
                 name = f"{name}_{sum(t.startswith(name) for t in taken) + 1}"
             if candidate.twin:
                 notes.append(
-                    f"a second {colour} marker is there beside that on the {body}; they may be taken for each "
+                    f"a second {colour} marker is there in addition to that on the {body}; they may be taken for each "
                     "other: give one another colour"
                 )
             taken.add(name)
@@ -139,7 +139,7 @@ def left_out(candidate: Candidate) -> str:
 
 
 SPREAD = 24
-"""Frames from the whole film, beside its first ones: what rests at the start moves somewhere."""
+"""Frames from the whole film, in addition to its first ones: what rests at the start moves somewhere."""
 
 
 @dataclass(frozen=True)

@@ -328,7 +328,7 @@ def learn(
     ring : Ring
         The ring.
     separate : bool
-        Whether the motion is large enough (a turn and more) to tell the fixed picture from the body's.
+        Whether the motion is large enough (a turn and more) to distinguish the fixed picture from the body's.
     rounds : int
         How often body and fixed picture are improved in turn.
     counted : ndarray, shape (n,), optional
@@ -398,7 +398,7 @@ def _split(turned: float) -> tuple[int, float]:
 def correlation(first: Picture, second: Picture, *, band: str) -> Floats:
     """Return the correlation of two polar pictures over the shift in columns of the second against the first.
 
-    The result is normalised to the energies of both pictures. `band` says which details count, by their order k
+    The result is normalised to the energies of both pictures. `band` selects which details count, by their order k
     (cycles per turn): "low", "middle" or "high". High orders make the maximum narrow; low ones give no second maximum
     where details are periodic, such as spokes; the middle ones are blind to a small displacement of the hub.
     """

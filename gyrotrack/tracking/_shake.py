@@ -29,7 +29,7 @@ _OFTEN = 0.8
 _MOST_ROLL = 0.05
 """Roll [rad] of a camera that is held still, at most; a body that turns farther is not the background."""
 _APART = 0.15
-"""Distance of two features that tell the roll, in widths of the picture."""
+"""Distance of two features that determine the roll, in widths of the picture."""
 _TRIES = 300
 _WIDEST_BODY = 0.05
 """Share of the picture that the features must enclose: a pendulum's ball before a blank wall encloses less."""
@@ -171,7 +171,7 @@ def _wide(places: npt.NDArray[np.float32], shape: tuple[int, ...]) -> bool:
 
 
 def camera_shake(samples: Sequence[Plane], frames: Iterable[Plane]) -> Shake | None:
-    """Measure how a camera moves; None if it stands still, or no background is seen to tell.
+    """Measure how a camera moves; None if it stands still, or no background is visible.
 
     Parameters
     ----------

@@ -129,7 +129,7 @@ av.logging.set_level(None)
 
 @dataclass(frozen=True)
 class ClipInfo:
-    """What a film file says about itself; nothing of it is trusted for counting frames.
+    """What a film file declares about itself; nothing of it is trusted for counting frames.
 
     Attributes
     ----------
@@ -140,7 +140,7 @@ class ClipInfo:
     container_fps : float
         Frames per second of the container; NaN when it names none.
     frames_declared : int
-        Frames that the header promises; 0 when it does not say.
+        Frames that the header promises; 0 when it declares none.
     tag_fps : float or None
         Capture rate from the camera's own tag (slow motion), if there is one.
     codec, pixel_format : str
@@ -213,7 +213,7 @@ def probe(path: Path) -> ClipInfo:
 def _declared_duration(container: Any, stream: Any) -> float:
     """Return how long the pictures of a file last that does not count them [s], NaN where it is not stated."""
     if stream.frames or not container.duration or len(container.streams) != 1:
-        return float("nan")  # beside a sound the whole may be longer than its pictures
+        return float("nan")  # with a sound track the whole may be longer than its pictures
     return float(container.duration / av.time_base)
 
 
@@ -333,7 +333,7 @@ class Packets:
 
 
 def read_packets(path: Path) -> Packets:
-    """Read what a film's packets say of themselves, without decoding anything."""
+    """Read what a film's packets declare, without decoding anything."""
     with opened(path) as (container, stream):
         exact = any(name in str(container.format.name) for name in ("mp4", "matroska"))
         found = [(p.pts, p.size, p.is_keyframe) for p in packets_of(container.demux(stream))]

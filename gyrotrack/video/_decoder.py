@@ -143,7 +143,7 @@ class Reader:
     Notes
     -----
     A packet that cannot be decoded is skipped and counted; what stands before and after it is given. After
-    the iteration `decoded`, `pts` and `warnings` tell what was found.
+    the iteration `decoded`, `pts` and `warnings` state what was found.
     """
 
     def __init__(self, path: Path, threads: int = 1, part: Part = Part()) -> None:

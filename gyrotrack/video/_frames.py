@@ -86,7 +86,7 @@ def _decoded(packets: Iterator[tuple[int, Any]], first: int, stop: int, stream: 
 SAME = 0.3
 """Share of the usual difference between frames of late that a repeated frame may show."""
 SMALL = 0.35
-"""Share of the usual packet around it below which one has little to tell."""
+"""Share of the usual packet around it below which one has little information."""
 _AROUND = 31
 _LARGE = 80
 _ROWS = 12
@@ -163,7 +163,7 @@ def _rows(frame: Frame) -> Rows:
 
 
 def _uninformative(packets: Packets) -> npt.NDArray[np.int64]:
-    """Return which packets tell nothing new: much smaller than those around them, or no other than the last picture."""
+    """Return which packets add nothing: much smaller than those around them, or no other than the last picture."""
     from scipy.ndimage import percentile_filter
 
     if len(packets.size) < _AROUND:

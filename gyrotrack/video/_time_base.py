@@ -1,7 +1,7 @@
 """The time base of a film: when each frame was captured.
 
 A film in real time carries the camera's own clock in its stamps; one in slow motion carries a player's, which an
-editor may have made anew. Stamps that are even say nothing that counting does not, and frames are counted then.
+editor may have made anew. Even stamps add nothing to counting, and frames are counted then.
 
 A film of a constant rate is timed by counting: the time of a frame is its index divided by the capture rate.
 Slow-motion films are stored at a lower rate than they were captured with, so a container's rate below 100 fps is never
@@ -25,7 +25,7 @@ SLOWEST_PLAIN_RATE = 100.0
 
 @dataclass(frozen=True)
 class CaptureRate:
-    """Frames per second of the camera, where that number is from, and what to tell the user."""
+    """Frames per second of the camera, the origin of that number, and warnings for the user."""
 
     fps: float
     source: str
@@ -48,7 +48,7 @@ def capture_rate(info: ClipInfo, requested: float | None = None, profile: float 
     if not np.isfinite(info.container_fps) or info.container_fps < SLOWEST_PLAIN_RATE:
         rate = f"{info.container_fps:g} fps" if np.isfinite(info.container_fps) else "no rate"
         raise VideoError(
-            f"{info.path} is stored at {rate} and does not say at what rate it was captured",
+            f"{info.path} is stored at {rate} and does not state at what rate it was captured",
             "give the camera's rate with --capture-fps",
         )
     return CaptureRate(info.container_fps, "container")
@@ -62,7 +62,7 @@ def _differences(info: ClipInfo, fps: float, source: str) -> tuple[str, ...]:
             f"times are from the capture rate of {fps:g} fps ({source})"
         )
     if info.tag_fps is not None and abs(fps / info.tag_fps - 1.0) > 1.0e-3:
-        found.append(f"the camera's own tag says {info.tag_fps:g} fps, not {fps:g}")
+        found.append(f"the camera's own tag states {info.tag_fps:g} fps, not {fps:g}")
     return tuple(found)
 
 
@@ -173,7 +173,7 @@ class FrameTimes:
     again: Mask | None = None
 
     def even(self) -> FrameTimes:
-        """Return the same without what jitters, and say so."""
+        """Return the same without what jitters, with a warning."""
         if self.place is None or self.smooth is None:
             return self
         warnings = (
@@ -236,7 +236,7 @@ class Timing:
         usable = grows and bool((np.diff(pts) > 0.0).all())
         if self.source == "stamps" and not usable:
             raise VideoError(
-                "times from timestamps were asked for, but stamps are missing or do not grow",
+                "times from timestamps were requested, but stamps are missing or do not grow",
                 "leave out --times to count frames",
             )
         tick = _real_tick(pts, tick) if grows else tick

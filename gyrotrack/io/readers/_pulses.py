@@ -180,7 +180,7 @@ def from_counts(
 def mark_errors(time: Floats, count: Floats, per_turn: float, raw: RawTable, notes: list[str]) -> Floats:
     """Return the error of each pulse's mark, in pulses: the median over the turns of what repeats once per turn.
 
-    The times of mark 0, interpolated by a cubic spline, say where the other marks are.
+    The times of mark 0, interpolated by a cubic spline, locate the other marks.
     """
     marks = round(per_turn)
     none = np.zeros(len(time))

@@ -212,7 +212,7 @@ def _number(path: Path, line: int, cell: str, *, decimal: bool) -> float:
 
 
 def read_zip(path: Path, sha256: str, content: bytes) -> RawTable:
-    """Return the table of an Excel workbook, or of the one CSV in an archive (phyphox puts its data beside ``meta/``).
+    """Return the table of an Excel workbook, or of the one CSV in an archive (phyphox puts its data next to ``meta/``).
 
     Raises
     ------
@@ -398,7 +398,7 @@ def read_parquet(path: Path, sha256: str, content: bytes) -> RawTable:
 
 
 def read_json(path: Path, sha256: str, content: bytes) -> RawTable:
-    """Return the columns of a JSON table: an object of lists, or a list of objects; ``units`` beside it.
+    """Return the columns of a JSON table: an object of lists, or a list of objects; ``units`` next to it.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Units at the border: factors to s, rad and rad/s, and what a column's header says it is."""
+"""Units at the border: factors to s, rad and rad/s, and the quantity that a column's header names."""
 
 from __future__ import annotations
 
