@@ -7,10 +7,12 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+import pytest
 
 CLIPS = Path(__file__).parents[1] / "sample_clips"
 
 
+@pytest.mark.slow
 def test_story(tmp_path):
     """One run of the demo, in a process of its own (one test, so that parallel workers run it once)."""
     truth = json.loads((CLIPS / "truth.json").read_text(encoding="utf-8"))  # no command reads it

@@ -6,13 +6,16 @@ const Laboratory = (() => {
   const BODIES = ["rotor", "casing"];
   const COLOURS = ["red", "orange", "yellow", "green", "cyan", "blue", "magenta", "white"];
   let board = null, fixed = [], clips = [], clip = null, index = 0, playing = false, until = null, searches = 0,
-    free = new Set(), laws = new Map(), undoable = false, shown = 0;
+    free = new Set(), laws = new Map(), undoable = false, shown = 0, lastFit = NaN;
 
-  async function act(work) {
+  /* do something that may take a while; `expected` is how long it took the last time [s] */
+  async function act(work, expected = NaN) {
     complain(null);
     document.body.setAttribute("aria-busy", "true");
     const began = performance.now();
-    const clock = setInterval(() => { at("busy").textContent = `fitting \u2026 ${((performance.now() - began) / 1000).toFixed(0)} s`; }, 1000);
+    const usual = expected > 0.5 ? ` (the last fit took ${format(expected, 2)} s)` : "", passed = () => (performance.now() - began) / 1000;
+    if (usual) at("busy").textContent = `fitting \u2026${usual}`;
+    const clock = setInterval(() => { at("busy").textContent = `fitting \u2026 ${passed().toFixed(0)} s${usual}`; }, 1000);
     for (const b of document.querySelectorAll(".side button")) b.disabled = true;
     try {
       return await work();
@@ -181,8 +184,9 @@ const Laboratory = (() => {
   }
 
   async function change(request) {
-    const state = await act(() => ask("/api/change", request));
+    const began = performance.now(), state = await act(() => ask("/api/change", request), lastFit);
     if (!state) return false;
+    lastFit = (performance.now() - began) / 1000;
     render(state);
     search();
     return true;

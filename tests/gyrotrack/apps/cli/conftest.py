@@ -46,16 +46,21 @@ def gyrotrack(capsys):
 
 
 @pytest.fixture(scope="session")
-def simulated(tmp_path_factory):
+def simulated(made_once):
     """Cases made once: plain (nothing hidden), drag (quadratic drag hidden), other (plain, other start)."""
-    folder = tmp_path_factory.mktemp("simulated")
-    for name, settings in (
-        ("plain", ["--seed", "2"]),
-        ("drag", ["--seed", "1", "--add", "casing.air.quadratic", "--set", "casing.air.quadratic.k=5e-10"]),
-        ("other", ["--seed", "3", "--omega-rotor", "700", "--set", "touchpoint.constant.b1=5e-6"]),
-    ):
-        assert app.run(["simulate", "-o", str(folder / f"{name}.h5"), *LENGTH, *settings]) == 0
-    return folder
+
+    def make(folder):
+        for name, settings in (
+            ("plain", ["--seed", "2"]),
+            (
+                "drag",
+                ["--seed", "1", "--add", "casing.air.quadratic", "--set", "casing.air.quadratic.k=5e-10"],
+            ),
+            ("other", ["--seed", "3", "--omega-rotor", "700", "--set", "touchpoint.constant.b1=5e-6"]),
+        ):
+            assert app.run(["simulate", "-o", str(folder / f"{name}.h5"), *LENGTH, *settings]) == 0
+
+    return made_once("simulated", make)
 
 
 @pytest.fixture
@@ -69,12 +74,14 @@ def case(simulated, tmp_path):
 
 
 @pytest.fixture(scope="session")
-def studied(simulated, tmp_path_factory):
-    """The case `drag` with the ledger of `improve`: two rungs, made once."""
-    folder = tmp_path_factory.mktemp("studied")
-    path = shutil.copy(simulated / "drag.h5", folder / "drag.h5")
-    assert app.run(["improve", str(path), "-q"]) == 0
-    return folder
+def studied(simulated, made_once):
+    """The case `drag` with the ledger of `improve`: two steps, made once."""
+
+    def make(folder):
+        path = shutil.copy(simulated / "drag.h5", folder / "drag.h5")
+        assert app.run(["improve", str(path), "-q"]) == 0
+
+    return made_once("studied", make)
 
 
 @pytest.fixture

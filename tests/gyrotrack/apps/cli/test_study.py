@@ -3,6 +3,7 @@
 import contextlib
 import io
 import json
+import shutil
 import subprocess
 import sys
 
@@ -17,13 +18,14 @@ DRAG = 5e-10  # of the case `drag`
 
 
 @pytest.fixture(scope="module")
-def found(studied):
+def found(studied, tmp_path_factory):
     """The diagnosis of the first rung of the case with a hidden drag."""
+    folder = shutil.copytree(studied, tmp_path_factory.mktemp("found"), dirs_exist_ok=True)
     with (
         contextlib.redirect_stdout(io.StringIO()) as out,
         contextlib.redirect_stderr(io.StringIO()) as err,
     ):
-        code = app.run(["diagnose", str(studied / "drag.h5"), "--from", "f1", "--json"])
+        code = app.run(["diagnose", str(folder / "drag.h5"), "--from", "f1", "--json"])
     assert code == 0
     assert err.getvalue() == ""
     return json.loads(out.getvalue())
