@@ -148,7 +148,7 @@ _PER_REVERSAL = 5
 
 # reversals from which on a solution is followed through all of them at once, stretches that may be integrated singly
 # all the same, and how often the way to a trial is halved
-_MANY_REVERSALS, _FEW_SINGLE, _HALVINGS = 3, 2, 2
+_MANY_REVERSALS, _FEW_SINGLE, _HALVINGS = 3, 40, 2
 
 
 @dataclass(frozen=True)
