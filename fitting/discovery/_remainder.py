@@ -368,8 +368,9 @@ def _complete(
 ) -> Grade:
     """Return the grade of an effect that leaves nothing significant.
 
-    Laws of other speeds, of any smooth form, are its rivals. A form that these data could not refute is not proven, of
-    a class as of a single name.
+    Laws of other speeds, of any smooth form, are its rivals where BIC does not separate them. A form that these data
+    could not refute, or that such a law could replace at the price of more parameters, is not proven, of a class as of
+    a single name.
     """
     if tested is None:
         return Grade("exact", 1.0, None)
@@ -383,9 +384,10 @@ def _complete(
         )
         p_value = _likelihood_ratio(named, best)
         return Grade(None, 1 - share, Remainder(rms, share, p_value, words), unknown=speed, test=tested)
-    worst = named.deviance + criteria.equivalence_width
-    rivals = tuple(UNKNOWN_LAWS[speed] for f, speed in laws if f.deviance < worst)
-    proven = tested.is_strong(criteria) and not tested.any_in_time and not rivals
+    width = criteria.equivalence_width
+    rivals = tuple(UNKNOWN_LAWS[speed] for f, speed in laws if f.bic < named.bic + width)
+    replaceable = any(f.deviance < named.deviance + width for f, _ in laws)
+    proven = tested.is_strong(criteria) and not tested.any_in_time and not replaceable
     return Grade("exact" if proven else None, 1.0, None, rivals, test=tested)
 
 
