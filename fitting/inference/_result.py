@@ -259,6 +259,10 @@ class Estimate:
     min: float = -math.inf
     max: float = math.inf
 
+    @property
+    def expr(self) -> None:
+        """As in lmfit, the expression that a parameter follows: none, since no parameter is tied to others."""
+
 
 @dataclass(frozen=True, repr=False)
 class Fit(FitSummary):

@@ -187,8 +187,8 @@ def sample(
             picture = a * picture + b * planes[1][k][region].astype(np.float32)
         part = (slice(None), slice(begin, begin + width))
         x, y = (at[part] & 0xFFFF) - left, (at[part] >> 16) - top
-        below, right = np.minimum(y + 1, len(picture) - 1), np.minimum(x + 1, picture.shape[1] - 1)
+        below, after = np.minimum(y + 1, len(picture) - 1), np.minimum(x + 1, picture.shape[1] - 1)
         near = picture[y, x] + down[part] * (picture[below, x] - picture[y, x])
-        far = picture[y, right] + down[part] * (picture[below, right] - picture[y, right])
+        far = picture[y, after] + down[part] * (picture[below, after] - picture[y, after])
         found = near + right[part] * (far - near)
         out[k] = (found * a if len(planes) == 1 else found) - ground[part]

@@ -129,6 +129,26 @@ def residual_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> C
     )
 
 
+def difference_chart(view: CaseView, names: Sequence[str] = NAMES) -> list[Chart]:
+    """Return the modelled speed of the casing of the last model minus that of the first; none for a single model."""
+    if len(view.models) < 2:
+        return []
+    first, last = view.models[0].casing, view.models[-1].casing
+    difference = last.value - np.interp(last.time, first.time, first.value)
+    largest = float(np.abs(difference).max())
+    factor, prefix = scaled(largest)
+    title = f"{names[1]} minus {names[0]}"
+    return [
+        Chart(
+            "difference",
+            f"Modelled speed of the {view.body}, {title}",
+            f"{prefix}rad/s",
+            (Trace(title, last.time, factor * difference, _MODEL_STYLES[-1][0]),),
+            f"The modelled speeds of the {view.body} differ by at most {short(largest)} rad/s.",
+        )
+    ]
+
+
 def residual_finding(groups: Sequence[Sequence[Residual]], called: str) -> str:
     """Return the size of the residuals in units of the noise, before and after."""
     rms = [residual_rms(g, groups[-1]) for g in groups]

@@ -308,8 +308,6 @@ class Session:
 
     def state(self, *, whole: bool = False) -> dict[str, Any]:
         """Return what the page shows; with `whole` also the charts that no fit changes."""
-        from fitting._numbers import with_uncertainty
-
         with self._lock:
             step = self.steps[self.current]
             fit = step.fit
@@ -325,20 +323,31 @@ class Session:
                         {"name": e.name, "joint": e.joint, "law": e.law, "signature": e.signature}
                         for e in fit.model.effects
                     ],
-                    "parameters": [
-                        {
-                            "name": k,
-                            "value": with_uncertainty(e.value, e.stderr, e.unit),
-                            "at_bound": e.at_bound,
-                        }
-                        for k, e in fit.estimates.items()
-                    ],
+                    "parameters": self._parameters(step),
                     "ladder": [self._rung(i) for i, s in self._tree() if not s.is_deleted],
                     "compared": self._compared(step),
                     "can_undo": bool(self._undo),
                     "board": board,
                 }
             )
+
+    def _parameters(self, step: Step) -> list[dict[str, Any]]:
+        """Return the parameters of a fit, each with its value in the fit that it is compared with and the difference.
+
+        The difference is in standard uncertainties of the shown fit.
+        """
+        from fitting._numbers import with_uncertainty
+
+        compared = self._compared(step)
+        other = self.steps[compared].fit.estimates if compared >= 0 else {}
+        found = []
+        for name, e in step.fit.estimates.items():
+            row = {"name": name, "value": with_uncertainty(e.value, e.stderr, e.unit), "at_bound": e.at_bound}
+            if (o := other.get(name)) is not None:
+                row["other"] = with_uncertainty(o.value, o.stderr, o.unit)
+                row["difference_sigma"] = (e.value - o.value) / e.stderr if e.stderr > 0 else None
+            found.append(row)
+        return found
 
     def _rung(self, place: int) -> dict[str, Any]:
         from fitting.study._serialisation import step_document
@@ -385,7 +394,11 @@ class Session:
     def _board(self, step: Step, *, whole: bool) -> dict[str, Any]:
         from fitting.discovery._residuals import find_failures
         from fitting.discovery._select import Step as FitStep
-        from gyrotrack.plotting._case_charts import case_dashboard, torque_angle_charts
+        from gyrotrack.plotting._case_charts import (
+            case_dashboard,
+            difference_chart,
+            torque_angle_charts,
+        )
         from gyrotrack.plotting._study_data import case_view
         from gyrotrack.plotting._tracking import tracks_of
 
@@ -399,6 +412,7 @@ class Session:
         dashboard = case_dashboard(view, tracks, [s.change for s in steps], names=names)
         charts = list(dashboard.charts)
         charts[3:3] = torque_angle_charts([s.fit for s in steps], names)
+        charts[2:2] = difference_chart(view, names)
         board = dashboard_document(replace(dashboard, charts=tuple(charts)))
         failures = find_failures(step.fit, list(self._torques(step)))
         board["intervals"] = [interval_document(i) for i in view.failing(failures, view.models[-1])]

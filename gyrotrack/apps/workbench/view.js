@@ -56,7 +56,8 @@ const Laboratory = (() => {
       element("span", { class: "law" }, e.name === `${e.joint}: ${e.law}` ? "" : `${e.joint}: ${e.law}`),
       button("drop", `drop ${e.name}`, () => change({ drop: e.name })))));
     at("parameters").replaceChildren(...state.parameters.map((p) => element("tr", { "data-name": p.name },
-      element("th", { scope: "row" }, p.name), element("td", {}, p.value + (p.at_bound ? " (at a bound)" : "")), element("td", { class: "slide" }))));
+      element("th", { scope: "row" }, p.name), element("td", {}, p.value + (p.at_bound ? " (at a bound)" : ""),
+        element("span", { class: "more" }, p.other ? `fit ${state.compared + 1}: ${p.other}, difference ${format(p.difference_sigma, 2)} \u03c3` : "")), element("td", { class: "slide" }))));
     sliders = null;
     at("moved").textContent = "";
     at("from-here").disabled = at("reset").disabled = true;

@@ -211,7 +211,7 @@ def test_a_film_without_markers_is_refused(draw):
 
 def test_an_unknown_capture_rate_is_refused_before_tracking(draw):
     path, _ = draw(**{**SMALL, "frames": 10, "container_fps": 30.0})
-    with pytest.raises(VideoError, match="does not say at what rate"):
+    with pytest.raises(VideoError, match="does not state at what rate"):
         extract(path)
 
 

@@ -18,7 +18,7 @@ def test_a_fast_container_is_believed():
 
 
 def test_a_slow_container_says_nothing_about_the_camera():
-    with pytest.raises(VideoError, match="does not say at what rate") as caught:
+    with pytest.raises(VideoError, match="does not state at what rate") as caught:
         capture_rate(replace(INFO, container_fps=30.0))
     assert "--capture-fps" in caught.value.hint
 

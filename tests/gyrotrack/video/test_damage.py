@@ -90,7 +90,7 @@ def test_slow_motion_is_timed_by_the_cameras_tag_and_never_by_the_container(tmp_
     rate = capture_rate(tagged)
     assert (rate.fps, rate.source) == (1000.0, "tag of the camera")
     assert any("25 fps" in text for text in rate.warnings)
-    with pytest.raises(VideoError, match="does not say at what rate"):
+    with pytest.raises(VideoError, match="does not state at what rate"):
         capture_rate(probe(film(tmp_path / "p.mp4", range(30), 25)))
     assert capture_rate(probe(film(tmp_path / "f.mp4", range(30), 260))).source == "container"
 

@@ -111,3 +111,22 @@ def test_the_command_names_annotates_and_deletes(kept, capsys):
         assert kept.with_suffix(".fits.json").read_text() == before
     assert run(["ladder", str(kept), "--delete", "f3"]) == 0
     assert [e.fit_id for e in Ledger.default_for(kept).entries] == ["f1", "f2"]
+
+
+def test_two_fits_are_compared_by_their_parameters_and_their_difference(kept):
+    study = open_study([kept], None)
+    base, fit_id = study.base("f1")
+    session = Session(study.data[0], base, fit_id, study.ledger)
+    assert "other" not in session.state()["parameters"][0]
+    found = session.go(1)
+    later = session.fit.estimates
+    for row in found["parameters"]:
+        if row["name"] in base.estimates:
+            shift = later[row["name"]].value - base.estimates[row["name"]].value
+            if later[row["name"]].stderr > 0:
+                assert row["difference_sigma"] == pytest.approx(shift / later[row["name"]].stderr)
+        else:
+            assert row["name"].startswith("casing.air.quadratic")
+            assert "other" not in row
+    (chart,) = (c for c in found["board"]["charts"] if c["name"] == "difference")
+    assert "fit 2 minus fit 1" in chart["title"]
