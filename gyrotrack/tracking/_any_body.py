@@ -55,7 +55,7 @@ _OUTSIDE = 0.85
 """The same for a hub outside the picture that was not given: a body that slides looks much like one that turns."""
 _AS_GOOD = 0.8
 """Share of the best reading's explained change from which another body is as good."""
-_OUTSIDE = 0.2
+_ELSEWHERE = 0.2
 """Area that moves outside the best reading, over that within it, from which another body is sought."""
 _STRETCH_SPAN = 3.0
 """Motion in rad from which the ellipse of a tilted camera is sought."""
@@ -309,7 +309,7 @@ def _second_body(block: Sequence[Plane], motion: Motion, best: _Trial) -> _Trial
     rows, columns = np.indices(motion.moving.shape)
     distance = np.hypot(columns - best.ring.hub[0], rows - best.ring.hub[1])
     outside = motion.moving & (distance > 1.1 * best.ring.outer)
-    if outside.sum() < _OUTSIDE * (motion.moving & ~outside).sum():
+    if outside.sum() < _ELSEWHERE * (motion.moving & ~outside).sum():
         return None
     rest = replace(motion, moving=outside)
     trials = [trial for p in propose_hubs(block, rest) for trial in _trials(p, block, rest)]
