@@ -231,6 +231,7 @@ def simulated(fit: Fit, run: Run) -> Fit:
         record,
         compress(casing, degree=CASING_DEGREE, harmonics=False, blocks=_BLOCKS, noisy=False),
         tuple(compress(w, degree=ROTOR_DEGREE, harmonics=False, blocks=1, noisy=False) for w in windows),
+        noiseless=True,
     )
     problem = Problem.of(ParameterLayout.of(fit.model.smooth, [record]), [data])
     values = numbers | {START_ROTOR: run.omega_rotor, START_CASING: run.omega_casing}

@@ -150,12 +150,16 @@ _OSCILLATION_BLOCKS = (
 
 @dataclass(frozen=True)
 class CaseData:
-    """A record, projected once and used for every model."""
+    """A record, projected once and used for every model.
+
+    `noiseless` states that the values were computed for a planned run: no noise is estimated from them.
+    """
 
     record: Record
     casing: Compressed
     rotor: tuple[Compressed, ...]
     oscillation: Oscillation | None = None
+    noiseless: bool = False
 
     @classmethod
     def of(cls, record: Record) -> CaseData:
@@ -257,7 +261,7 @@ class CaseData:
 
         It differs from the motion by being faster; an oscillation is as fast, so there the noise is taken as white.
         """
-        if not self.is_angle or self.oscillation is not None:
+        if not self.is_angle or self.oscillation is not None or self.noiseless:
             return AngleNoise()
         return estimate_angle_noise(self.casing, self._nuisance_rows)
 
@@ -268,6 +272,7 @@ class CaseData:
         if (
             not self.is_angle
             or not self.rotor
+            or self.noiseless
             or record.generated
             or min(len(w.z) for w in self.rotor) < _WINDOW_ROWS
         ):
