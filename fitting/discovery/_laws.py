@@ -53,7 +53,7 @@ from fitting.discovery._score import (
     best_group,
     score,
 )
-from fitting.discovery._select import Candidate, fails
+from fitting.discovery._select import Candidate
 from fitting.discovery._verdict import Diagnosis, diagnose
 from fitting.dynamics._mesh import Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
@@ -416,7 +416,7 @@ class _Search:
         self._nulls, self._family = nulls, FamilywiseNull(list(nulls.values()))
         self.steps.next()
         significant = min(self._p(s) for s in scored.scores) < self.criteria.significance
-        if not significant and not fails(self.base, self.criteria):
+        if not significant and not self.base.fails(self.criteria):
             # about a base that fails by much, scores to first order are not reliable
             return []
         chosen = self._promising(scored, _FIRST)
@@ -448,7 +448,7 @@ class _Search:
         refits = [r for r in refits if r.fit.bic < self.base.bic - self.criteria.evidence]
         if not refits:
             return []
-        if fails(best.fit, self.criteria):
+        if best.fit.fails(self.criteria):
             # a second term that BIC does not ask for is a worse way to write the first one
             limit = best.penalised - self.criteria.evidence
             refits = [*refits, *(r for r in self._with_second_term(best) if r.penalised < limit)]

@@ -21,7 +21,6 @@ from fitting.discovery._information import Information, rivals
 from fitting.discovery._next_run import Bounds, NextRun, next_run
 from fitting.discovery._planned_recordings import read_planned
 from fitting.discovery._power import EffectLimits, Search
-from fitting.discovery._select import fails
 from fitting.effects._effect import Effect
 from fitting.inference._recording_noise import ProcessNoise
 from fitting.inference._result import Fit
@@ -164,7 +163,7 @@ def _classes(found: Sequence[EffectLimits]) -> tuple[tuple[str, ...], ...]:
 def _warning(fit: Fit, criteria: Criteria) -> str:
     if not fit.converged:
         return "The fit has not converged: the limits are not reliable."
-    if fails(fit, criteria):
+    if fit.fails(criteria):
         return (
             "The model has a significant lack of fit: limits hold for a model without it. "
             "Run `gyrotrack improve` first."

@@ -48,7 +48,7 @@ from fitting.discovery._score import (
     Trial,
     orthonormal,
 )
-from fitting.discovery._select import applicable_effects, fails
+from fitting.discovery._select import applicable_effects
 from fitting.effects._effect import Effect
 from fitting.inference._recording_noise import ProcessNoise
 from fitting.inference._result import Fit
@@ -395,7 +395,7 @@ class Search:
         self.cases = [CaseColumns(fit, i) for i in range(len(fit.problem.cases))]
         self._context = ScoreContext(fit, draws)
         # what a model fails to describe is no noise: a search that follows finds the data at the pure level
-        self._level = self._context.levels[0 if fails(fit, criteria) else -1]
+        self._level = self._context.levels[0 if fit.fails(criteria) else -1]
         self._trials = {e.name: self._all_trials(e) for e in self.effects}
         self._common = {e.name: self._responses(e, self._stacked(e), self._level.basis) for e in self.effects}
         self._tests = self._calibrated(self._level.basis) if draws > 1 else {}

@@ -163,11 +163,18 @@ class Torques:
 
     def _smooth(self, fit: Fit, case: int) -> tuple[Array, Array]:
         t, path = self._time[case], self._end.predictions[case].path
-        y = Sampler(path.mesh, t).value(path.y)[:, :2]
         own = fit.predictions[case].path
-        if own.y.shape[-1] > 2:
-            y = np.concatenate([y, Sampler(own.mesh, t).value(own.y)[:, 2:]], axis=1)
-        numbers = fit.problem.layout.numbers(fit.theta, case)
+        motion, states = Sampler(path.mesh, t).value(path.y), Sampler(own.mesh, t).value(own.y)
+        # the angle from the equilibrium belongs to the motion; states of friction are the fit's own
+        y = states.copy()
+        for i, name in enumerate(own.states[: states.shape[1]]):
+            if i < 2 or name == "deflection":
+                y[:, i] = motion[:, path.states.index(name)]
+        numbers = dict(fit.problem.layout.numbers(fit.theta, case))
+        if self._end.model.restoring and not fit.model.restoring:
+            # fitted to an oscillation without a restoring torque, the constants of the other laws mean nothing
+            known = self._end.problem.layout.numbers(self._end.theta, case)
+            numbers |= {k: v for k, v in known.items() if k in numbers}
         rates = fit.problem.cases[case].dynamics.rates(t, y, numbers)
         return numbers[INERTIA_ROTOR] * rates[:, 0], numbers[INERTIA_CASING] * rates[:, 1]
 

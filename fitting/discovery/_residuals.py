@@ -215,11 +215,11 @@ class AngleHarmonics:
 
 
 def angle_harmonics(fit: Fit) -> list[AngleHarmonics]:
-    """Return the harmonics of each case of a fit; none where speeds were measured and not angles."""
+    """Return the harmonics of each case of a fit; none where speeds were measured, or the body does not turn round."""
     found = []
     cases = zip(fit.problem.cases, fit.problem.projections, fit.predictions, strict=True)
     for index, (case, project, p) in enumerate(cases):
-        if not case.data.is_angle:
+        if not case.data.is_angle or case.data.oscillation is not None:
             continue
         numbers = fit.problem.layout.numbers(fit.theta, index)
         columns = [

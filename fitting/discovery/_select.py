@@ -131,7 +131,10 @@ def rank(
     workers : WorkerPool, optional
         Processes that run some of the refits.
     """
-    effects = applicable_effects(base, extra)
+    data = base.problem.data
+    # only a restoring torque makes a body oscillate, and scores about a motion that does not are not reliable
+    swings = data[0].oscillation is not None and not base.model.restoring
+    effects = [e for e in applicable_effects(base, extra) if e.restoring or not swings]
     cases = [CaseColumns(base, i) for i in range(len(base.problem.cases))]
     scores = score(base, effects, cases, criteria)
     nulls = {s.effect.name: NullDistribution(s) for s in scores}
@@ -142,19 +145,16 @@ def rank(
         p = family(null(s.score), null.weights)
         found.append(Candidate(s.effect, s.score, np.nan, p, np.nan, (), {}, p < criteria.significance, s))
     found.sort(key=lambda c: -c.score)
+    worth = _worth_refitting(found, criteria)
+    if swings:
+        error = {e.name: equation_error(base.model.with_effect(e), data) for e in effects}
+        most = criteria.equation_error * min(error.values(), default=math.inf)
+        worth = [error[c.effect.name] <= most for c in found]
+        found = [
+            c if w else replace(c, score=0.0, p_value=1.0, significant=False)
+            for c, w in zip(found, worth, strict=True)
+        ]
     if refitting:
-        worth = _worth_refitting(found, criteria)
-        oscillation = base.problem.data[0].oscillation
-        if oscillation is not None and not base.model.restoring:
-            # only a restoring torque makes a body oscillate, and scores about a motion that does not are not reliable
-            data = base.problem.data
-            error = {
-                c.effect.name: equation_error(base.model.with_effect(c.effect), data)
-                for c in found
-                if c.effect.restoring
-            }
-            most = criteria.equation_error * min(error.values())
-            worth = [error.get(c.effect.name, math.inf) <= most for c in found]
         best_score = max((c.score for c, w in zip(found, worth, strict=True) if w), default=0.0)
         promising = [
             _Promising(c, nulls[c.effect.name], family, criteria, c.score > criteria.rival_share * best_score)
@@ -479,7 +479,7 @@ def select(
         if clearer is not None and clearer.fit is not None:
             chosen, end = clearer, clearer.fit
     history = History()
-    if quieter or fails(end, criteria):
+    if quieter or end.fails(criteria):
         most = 1 + criteria.follow_up
         history = (
             History(known[: 1 + most])
@@ -510,22 +510,13 @@ def _with_free_shape(
     """
     if chosen.effect not in found.model.effects:
         return None
-    if chosen.indistinguishable_from and not fails(found, criteria):
+    if chosen.indistinguishable_from and not found.fails(criteria):
         return None
     general = freed(found, chosen.effect, criteria)
     rival = best(following, criteria) if general is not None else None
     if general is None or rival is None or rival.fit is None:
         return general
     return general if general.bic < refined(rival.fit, criteria).bic else None
-
-
-def fails(found: Fit, criteria: Criteria) -> bool:
-    """Return whether a converged fit has a significant lack of fit."""
-    if not found.converged:
-        return False
-    return found.lack_of_fit.p_value < criteria.lack_of_fit or any(
-        c.misfit > criteria.reduced_chi2 for c in found.cases
-    )
 
 
 @single_blas_thread()

@@ -52,7 +52,7 @@ from fitting.discovery._residuals import (
     residual_torques,
     whiteness,
 )
-from fitting.discovery._select import Candidate, Selection, Step, fails, rank, select
+from fitting.discovery._select import Candidate, Selection, Step, rank, select
 from fitting.effects._effect import Effect
 from fitting.inference._result import Fit
 
@@ -258,7 +258,7 @@ def diagnose(
     as_given = selection.chosen
     rival = with_free_inertia(fit, selection, tuple(extra), criteria)
     selection = selection if rival is None else reselected(selection, rival)
-    misfit = fails(selection.end, criteria)
+    misfit = selection.end.fails(criteria)
     doubt = contradiction(selection.chosen, selection.end, criteria) if not misfit else None
     if misfit and any(d.spectral_lines for d in fit.problem.data):
         # a sinusoidal torque is no noise, and no effect of the library

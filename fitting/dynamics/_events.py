@@ -155,18 +155,22 @@ class Segments:
         braked = self.push(stop, y, sense) * sense < 0
         return bool(stop < end and not between and braked and abs(y[_CASING]) <= _STOPPED * largest)
 
-    def oscillating(self, start: Array, known: Path) -> list[Path]:
+    def oscillating(self, start: Array, sense: float, known: Path) -> list[Path]:
         """Return the stretches of a motion through many reversals, as far as it goes like one nearby.
 
         Parameters
         ----------
         start : ndarray, shape (states,)
             State at the first edge.
+        sense : float
+            Sense of motion there.
         known : Path
             A solution for numbers nearby, or what was measured: its jumps give the edges at which the casing reverses.
         """
-        if np.sign(start[_CASING]) != known.sense[0] or len(known.breaks) != len(self.breaks):
+        begun = self._begun(start, sense, known)
+        if begun is None or len(begun.breaks) != len(self.breaks):
             return []
+        known = begun
         anchors = [*known.mesh.edges[[0, *sorted(known.jumps), -1]].tolist(), *known.breaks]
         places = [*anchors[: len(anchors) - len(known.breaks)], *sorted(self.breaks)]
         if np.any(np.argsort(anchors) != np.argsort(places)):
@@ -185,6 +189,48 @@ class Segments:
             # the last stretch of a part ends before its event
             return self._kept(found if count == len(at) else found[:-1])
         return []
+
+    def _begun(self, start: Array, sense: float, known: Path) -> Path | None:
+        """Return a known motion with another beginning: with the first reversal that follows from the initial speed.
+
+        A body that is released nearly at rest first moves on or back, as the sign of its small speed is; all later
+        reversals are the same.
+        """
+        known = replace(known, kinks=known.breaks)
+        at, edges = sorted(known.jumps), known.mesh.edges
+        if len(at) > 1 and edges[at[0]] - edges[0] < _BRIEF * (edges[at[1]] - edges[at[0]]):
+            first, last = float(edges[0]), float(edges[-1])
+            later = Mesh(edges[at[0] :]).moved(
+                [float(edges[at[0]]), float(edges[at[1]]), last], [first, float(edges[at[1]]), last]
+            )
+            known = replace(
+                known,
+                mesh=later,
+                y=known.y[at[0] :],
+                edges=known.edges[at[0] :],
+                sense=known.sense[at[0] :],
+                jumps={i - at[0]: known.jumps[i] for i in at[1:]},
+            )
+        if sense == known.sense[0] or not known.jumps:
+            return known if sense == known.sense[0] else None
+        first, turn, last = (float(known.mesh.edges[i]) for i in (0, min(known.jumps), -1))
+        rate = float(self.push(first, start, sense))
+        delay = -float(start[_CASING]) / rate if rate else math.inf
+        if not 0 < delay < _LONGEST_BEGINNING * (turn - first):
+            return None
+        later = known.mesh.moved([first, turn, last], [first + delay, turn, last])
+        mesh = Mesh(np.concatenate([[first], later.edges]))
+        turned = start.copy()
+        turned[_CASING] = 0.0
+        share = (mesh.times[0] - first) / delay
+        return replace(
+            known,
+            mesh=mesh,
+            y=np.concatenate([(start + share[:, None] * (turned - start))[None], known.y]),
+            edges=np.concatenate([start[None], turned[None], known.edges[1:]]),
+            sense=np.concatenate([[sense], known.sense]),
+            jumps={1: np.eye(len(start))} | {i + 1: m for i, m in known.jumps.items()},
+        )
 
     def _resolved(self, path: Path) -> Path:
         for _ in range(40):
@@ -416,6 +462,8 @@ _MOST_STEPS = 25
 # share of the reversals that are tried together: of a motion near a known one, and of one near a measured one
 _NEARBY = (1.0, 0.97)
 _SHARES = (*_NEARBY, 0.9, 0.7, 0.4)
+# first stretches that are sought anew, as a share of the second one, and longest that is put before a known motion
+_BRIEF, _LONGEST_BEGINNING = 0.1, 0.3
 _SMALL = 1e-9
 _EXACT = 1e-13
 # farthest move of a reversal in a step, as a share of the time to its neighbours
@@ -470,7 +518,7 @@ def solve(
     known = guess.pieces() if guess is not None and guess.exact else []
     ready: list[Path] = []
     if dynamics.dry and guess is not None and len(guess.jumps) >= _MANY:
-        ready = run.oscillating(y, guess)
+        ready = run.oscillating(y, sense, guess)
         if len(guess.jumps) - len(ready) > most:
             raise SimulationError(UNBOUNDED)
         guess = None

@@ -293,7 +293,12 @@ class CaseModel:
         mesh = mesh.with_breakpoints(times)
         at = np.searchsorted(mesh.edges, times)
         turned = np.searchsorted(at, np.arange(len(mesh.edges) - 1), side="right")
-        sense: Array = np.asarray((np.sign(first[1]) or 1.0) * (-1.0) ** turned)
+        begins = np.sign(first[1]) or 1.0
+        if oscillation is not None and len(times):
+            # the initial speed of a body that is released at rest may have either sign
+            ends = np.interp([mesh.edges[0], times[0]], oscillation.time, oscillation.deflection)
+            begins = np.sign(ends[1] - ends[0]) or begins
+        sense: Array = np.asarray(begins * (-1.0) ** turned)
         return mesh, {int(i): np.eye(len(first)) for i in at}, sense
 
     def predict(self, theta: Array) -> Prediction:

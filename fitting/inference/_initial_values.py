@@ -32,7 +32,7 @@ from fitting.inference._case_model import Prediction
 from fitting.inference._noise import Noise
 from fitting.inference._noise_level import measure_noise
 from fitting.inference._optimisation import minimise, search
-from fitting.inference._parameters import ParameterLayout, is_power_law
+from fitting.inference._parameters import START_CASING, START_DEFLECTION, ParameterLayout, is_power_law
 from fitting.inference._problem import Problem, r_factor, reference_speed
 from fitting.inference._record import Record, Samples
 
@@ -51,15 +51,27 @@ def initial_values(problem: Problem, given: Mapping[str, float] | None) -> Array
     """Return where a fit starts: what was given, and the start values of all else."""
     layout = problem.layout
     known = dict(given or {})
+    swings = layout.model.restoring
+    if swings and any(k in known for k in layout.names if _is(START_CASING, k)):
+        if not any(k in known for k in layout.names if _is(START_DEFLECTION, k)):
+            # values of a model that does not oscillate
+            known = {}
+        else:
+            # a start too far from the minimum slips by periods: new laws begin with no strength
+            known = {n: 0.0 for n in layout.names if layout.parameter(n).role == "amplitude"} | known
     if not set(layout.names) <= set(known):
         rough = [d.initial_speeds for d in problem.data]
         deflections = [_deflection(d, times) for d, (times, _) in zip(problem.data, rough, strict=True)]
         found = start_values(layout, problem.reference, rough, deflections)
-        if layout.model.restoring and not known:
+        if swings and not known:
             found = _period_by_period(problem, found)
         guessed = dict(zip(layout.names, found.tolist(), strict=True))
         known = guessed | {k: v for k, v in known.items() if k in guessed}
     return np.array([known[n] for n in layout.names])
+
+
+def _is(start: str, name: str) -> bool:
+    return name.partition("@")[0] == start
 
 
 def equation_error(model: Model, data: Sequence[CaseData]) -> float:

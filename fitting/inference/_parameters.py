@@ -306,7 +306,9 @@ def find_power_laws(layout: ParameterLayout, rough: Sequence[tuple[Array, Array]
 def exponent(effect: Effect) -> Parameter | None:
     """Return the parameter of an effect that may be the exponent of its law: its only shape, a pure number."""
     shapes = [p for p in effect.parameters if p.role == "shape"]
-    if effect.state or effect.joint not in {"rotor", "casing", "bearing"} or effect.depends_on_angle:
+    if effect.state or effect.joint not in {"rotor", "casing", "bearing"}:
+        return None
+    if effect.depends_on_angle or effect.restoring:
         return None
     if len(effect.parameters) != 2 or len(shapes) != 1 or shapes[0].unit != "1" or effect.amplitude is None:
         return None
@@ -342,7 +344,9 @@ def _base(effect: Effect, known: dict[str, Array]) -> Array | None:
 
 def _order(power: Effect, straight: Effect, known: dict[str, Array]) -> float | None:
     """Return the exponent m at which a power law is the other law, or None."""
-    if straight.joint != power.joint or straight.state or straight.depends_on_angle:
+    if straight.joint != power.joint or straight.state:
+        return None
+    if straight.depends_on_angle or straight.restoring:
         return None
     if len(straight.parameters) != 1 or straight.amplitude is None or _base(power, known) is None:
         return None

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting._criteria import DEFAULT
+from fitting._criteria import DEFAULT, Criteria
 from fitting._display import (
     block,
     draw_speed,
@@ -323,12 +323,22 @@ class Fit(FitSummary):
         """One of "adequate", "misfit", "not determined" and "not converged"."""
         if not self.converged:
             return "not converged"
-        left = self.lack_of_fit.p_value < DEFAULT.lack_of_fit or any(
-            c.misfit > DEFAULT.reduced_chi2 for c in self.cases
-        )
-        if left:
+        if self.fails():
             return "misfit"
         return "not determined" if self.undetermined else "adequate"
+
+    def fails(self, criteria: Criteria = DEFAULT) -> bool:
+        """Return whether the fit converged and has a significant lack of fit.
+
+        Parameters
+        ----------
+        criteria : Criteria
+            Its `lack_of_fit` bounds the p-value of slow torques, its `reduced_chi2` that of each case.
+        """
+        return self.converged and (
+            self.lack_of_fit.p_value < criteria.lack_of_fit
+            or any(c.misfit > criteria.reduced_chi2 for c in self.cases)
+        )
 
     @property
     def undetermined(self) -> list[str]:

@@ -20,6 +20,9 @@ VIEW = (0.02, 0.02, 0.005)
 camera tilted by 0.28 rad, and perspective on it."""
 _FEWEST = 12
 _ORDERS = range(2, 7)
+_WAVES = ((1, 1), (3, 2), (5, 3), (8, 4))
+"""Highest powers of time in phase and logarithm of the amplitude of an oscillation, of which one pair is chosen."""
+_FOLLOWED, _FIRST_PERIODS, _LARGEST = 2, 1.5, 50.0
 
 
 @dataclass(frozen=True)
@@ -85,7 +88,9 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
     three harmonics of the angle, which a displaced hub and a tilted camera add. The harmonics have a Gaussian prior of
     `VIEW`, so that over less than two turns, where they resemble the polynomial, they enter the uncertainty with their
     plausible size. A rotation is steady where the angular acceleration is less than three standard errors from zero.
-    An oscillation is a exp(-d t) cos(2 pi t / P + phi) about a mean that may drift.
+    An oscillation is a exp(-d t) cos(2 pi t / P + phi) about a mean that may drift; where the criterion asks for it,
+    phase and logarithm of the amplitude are polynomials in time of higher order, and period, amplitude and decay are
+    those at the middle of the record.
 
     Raises
     ------
@@ -139,46 +144,105 @@ def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[dict[str, float]
     return {"first": ends[0], "last": ends[1]}, mean, alpha
 
 
+@dataclass(frozen=True)
+class _Wave:
+    """A damped oscillation about a drifting mean.
+
+    With t = 0 at the middle of the record and x = t / half
+
+        exp(-d t - sum d_k x^k) [a cos phi + b sin phi] + m + n t,  phi = 2 pi f t + sum c_k x^k,
+
+    k from 2 to `phase` in phi and to `envelope` in the exponent. Frequency and rate of decay depend on the amplitude
+    where the restoring torque is not linear, or the friction is not.
+    """
+
+    half: float
+    phase: int
+    envelope: int
+
+    @property
+    def size(self) -> int:
+        return 4 + self.phase + self.envelope
+
+    def _parts(self, c: Floats, t: Floats) -> tuple[Floats, Floats, Floats]:
+        x, split = t / self.half, 5 + self.phase
+        phi = TURN * c[0] * t + sum(a * x**k for k, a in enumerate(c[6:split], 2))
+        decay = c[1] * t + sum(a * x**k for k, a in enumerate(c[split:], 2))
+        return np.exp(np.clip(-decay, -_LARGEST, _LARGEST)), np.cos(phi), np.sin(phi)
+
+    def __call__(self, c: Floats, t: Floats) -> Floats:
+        size, cos, sin = self._parts(c, t)
+        return np.asarray(size * (c[2] * cos + c[3] * sin) + c[4] + c[5] * t)
+
+    def jacobian(self, c: Floats, t: Floats) -> Floats:
+        """Return the derivatives by the parameters, shape (n, parameters)."""
+        size, cos, sin = self._parts(c, t)
+        by_phase, by_decay = size * (c[3] * cos - c[2] * sin), -size * (c[2] * cos + c[3] * sin)
+        powers = [(t / self.half) ** k for k in range(2, max(self.phase, self.envelope) + 1)]
+        first = [TURN * t * by_phase, t * by_decay, size * cos, size * sin, np.ones_like(t), t]
+        later = [by_phase * x for x in powers[: self.phase - 1]] + [
+            by_decay * x for x in powers[: self.envelope - 1]
+        ]
+        return np.stack([*first, *later], axis=1)
+
+    def extended(self, c: Floats, other: _Wave) -> Floats:
+        """Return the parameters of this wave for those of another one: those that it lacks are zero."""
+        split = 5 + other.phase
+        phase = np.zeros(self.phase - 1)
+        envelope = np.zeros(self.envelope - 1)
+        phase[: min(len(phase), other.phase - 1)] = c[6:split][: len(phase)]
+        envelope[: min(len(envelope), other.envelope - 1)] = c[split:][: len(envelope)]
+        return np.concatenate([c[:6], phase, envelope])
+
+    def fitted(self, c: Floats, t: Floats, angle: Floats, sigma: Floats) -> Floats:
+        """Return the parameters of least squares near some others."""
+        span = np.ptp(t)
+        lower, upper = np.full(self.size, -np.inf), np.full(self.size, np.inf)
+        lower[:2], upper[:2] = (0.5 * c[0], -5.0 / span), (2.0 * c[0], 20.0 / span)
+        c = np.clip(c, lower + 1e-12, upper - 1e-12)
+        scale = np.maximum(np.abs(c), 1e-3)
+        scale[6:] = np.maximum(scale[6:], 1.0)
+
+        def residual(c: Floats) -> Floats:
+            return (self(c, t) - angle) / sigma
+
+        def slopes(c: Floats) -> Floats:
+            return self.jacobian(c, t) / sigma[:, None]
+
+        found = least_squares(residual, c, slopes, x_scale=scale, bounds=(lower, upper), max_nfev=60)
+        return np.asarray(found.x)
+
+
 def _oscillation(
     t: Floats, angle: Floats, sigma: Floats
 ) -> tuple[Value, Value, Value, dict[str, float], float] | None:
     """Fit a damped oscillation about a drifting mean; None where there is none."""
-    even = np.linspace(t[0], t[-1], len(t))
-    value = np.interp(even, t, angle)
-    value = value - np.polyval(np.polyfit(even, value, 1), even)
-    power = np.abs(np.fft.rfft(value * np.hanning(len(value)), 8 * len(value))) ** 2
-    frequency = np.fft.rfftfreq(8 * len(value), even[1] - even[0])
-    valid = frequency > 0.7 / np.ptp(t)
-    if not valid.any():
+    start = _frequency(t, angle)
+    if start is None:
         return None
-    start = float(frequency[valid][np.argmax(power[valid])])
-
-    def model(c: Floats, t: Floats) -> Floats:
-        wave = c[2] * np.cos(TURN * c[0] * t) + c[3] * np.sin(TURN * c[0] * t)
-        return np.asarray(np.exp(-c[1] * t) * wave + c[4] + c[5] * t)
-
-    c0 = np.array([start, 0.0, 0.0, 0.0, 0.0, 0.0])
-    linear = np.stack([np.cos(TURN * start * t), np.sin(TURN * start * t), np.ones_like(t), t], axis=1)
-    c0[2:] = np.linalg.lstsq(linear, angle, rcond=None)[0]
-    limit = 5.0 / np.ptp(t)
-    lower = [0.5 * start, -limit, *[-np.inf] * 4]
-    upper = [2 * start, 4 * limit, *[np.inf] * 4]
-
-    def residual(c: Floats) -> Floats:
-        return (model(c, t) - angle) / sigma
-
-    found = least_squares(residual, c0, x_scale=np.maximum(np.abs(c0), 1e-3), bounds=(lower, upper))
-    c, rest = found.x, angle - model(found.x, t)
-    jacobian: Floats = np.asarray(found.jac, dtype=np.float64) * sigma[:, None]
-    free = np.full(6, np.inf)
-    (fit,) = least_squares_of(t, jacobian, rest, sigma, [list(range(6))], free)
+    half = 0.5 * float(np.ptp(t))
+    waves = [_Wave(half, *orders) for orders in _WAVES]
+    trials = [(waves[0], waves[0].fitted(_first(start, t, angle), t, angle, sigma))]
+    middle = waves[_FOLLOWED]
+    followed = _followed(middle, start, t, angle, sigma)
+    if followed is not None:
+        trials += [(w, w.fitted(w.extended(followed, middle), t, angle, sigma)) for w in waves[1:]]
+    best = None
+    for wave, c in trials:
+        rest = angle - wave(c, t)
+        free = np.full(wave.size, np.inf)
+        (fit,) = least_squares_of(t, wave.jacobian(c, t), rest, sigma, [list(range(wave.size))], free)
+        if best is None or fit.criterion < best[0]:
+            best = fit.criterion, wave, c, rest, fit
+    assert best is not None  # noqa: S101 - there is one trial at least
+    _, wave, c, rest, fit = best
     c = c + fit.value
     size = float(np.hypot(c[2], c[3]))
-    one = np.eye(6)
+    one = np.eye(wave.size)
     frequency_error, decay = fit.of(one[0])[1], Value(float(c[1]), fit.of(one[1])[1])
     amplitude = Value(size, fit.of((c[2] * one[2] + c[3] * one[3]) / max(size, 1e-300))[1])
     short = 1e-4 / float(c[0])
-    first, last = ((model(c, e + short) - model(c, e - short)) / (2 * short) for e in (t[0], t[-1]))
+    first, last = ((wave(c, e + short) - wave(c, e - short)) / (2 * short) for e in (t[0], t[-1]))
     ends = {"first": float(first), "last": float(last)}
     return (
         Value(1 / float(c[0]), frequency_error / float(c[0]) ** 2),
@@ -187,6 +251,43 @@ def _oscillation(
         ends,
         float(np.var(rest)),
     )
+
+
+def _frequency(t: Floats, angle: Floats) -> float | None:
+    """Return the frequency of the largest peak of the spectrum; None if less than 0.7 periods were recorded."""
+    even = np.linspace(t[0], t[-1], len(t))
+    value = np.interp(even, t, angle)
+    value = value - np.polyval(np.polyfit(even, value, 1), even)
+    power = np.abs(np.fft.rfft(value * np.hanning(len(value)), 8 * len(value))) ** 2
+    frequency = np.fft.rfftfreq(8 * len(value), even[1] - even[0])
+    valid = frequency > 0.7 / np.ptp(t)
+    return float(frequency[valid][np.argmax(power[valid])]) if valid.any() else None
+
+
+def _first(frequency: float, t: Floats, angle: Floats) -> Floats:
+    """Return the parameters of an undamped sinusoid of a frequency."""
+    arc = TURN * frequency * t
+    linear = np.stack([np.cos(arc), np.sin(arc), np.ones_like(t), t], axis=1)
+    return np.concatenate([[frequency, 0.0], np.linalg.lstsq(linear, angle, rcond=None)[0]])
+
+
+def _followed(wave: _Wave, frequency: float, t: Floats, angle: Floats, sigma: Floats) -> Floats | None:
+    """Return the parameters of an oscillation that is followed from the middle of the record to both of its ends.
+
+    Within a few periods the phase of a sinusoid does not slip, whatever frequency and amplitude do later.
+    """
+    reach = _FIRST_PERIODS / frequency
+    plain = _Wave(wave.half, 1, 1)
+    inside = np.abs(t) <= reach
+    if reach >= wave.half or inside.sum() < 2 * wave.size:
+        return None
+    c = plain.fitted(_first(frequency, t[inside], angle[inside]), t[inside], angle[inside], sigma[inside])
+    c = wave.extended(c, plain)
+    while reach < wave.half:
+        reach *= 1.5
+        inside = np.abs(t) <= reach
+        c = wave.fitted(c, t[inside], angle[inside], sigma[inside])
+    return c
 
 
 def start_of_motion(time: Floats, angle: Floats, sigma: Floats) -> int:

@@ -29,7 +29,7 @@ from gyrotrack.plotting._style import (
 from gyrotrack.plotting._tracking import Tracks, centre_finding, sigma_finding
 
 if TYPE_CHECKING:
-    from fitting.inference._result import Fit
+    from fitting.discovery._residuals import AngleHarmonics
 
 Array = NDArray[np.float64]
 
@@ -272,12 +272,21 @@ def torque_speed_chart(view: CaseView, names: Sequence[str] = NAMES, *, alternat
     )
 
 
-def torque_angle_charts(fits: Sequence[Fit], names: Sequence[str] = NAMES) -> list[Chart]:
-    """Return the harmonics of the unmodelled torque on the casing against its angle; none without angles."""
-    from fitting.discovery._residuals import angle_harmonics
+def torque_angle_charts(
+    harmonics: Sequence[Sequence[AngleHarmonics]], names: Sequence[str], body: str, unit: str
+) -> list[Chart]:
+    """Return the harmonics of the unmodelled torque of one or two fits against the angle of the body.
 
-    found = [(name, angle_harmonics(fit)[:1]) for name, fit in zip(names, fits, strict=False)]
-    curves = [(name, r[0]) for name, r in found if r]
+    Parameters
+    ----------
+    harmonics : sequence of sequence of AngleHarmonics
+        Those of each fit, of which the first case is drawn; none of a fit without angles, which is left out.
+    names : sequence of str
+        Names of the fits.
+    body, unit : str
+        The body, and the unit of the torque.
+    """
+    curves = [(name, r[0]) for name, r in zip(names, harmonics, strict=False) if r]
     if not curves:
         return []
     factor, prefix = scaled(max(float(np.abs(r.torque).max()) for _, r in curves))
@@ -285,16 +294,15 @@ def torque_angle_charts(fits: Sequence[Fit], names: Sequence[str] = NAMES) -> li
         Trace(name, r.angle, factor * r.torque, colour, factor * r.sigma)
         for (name, r), (colour, _) in zip(curves, _MODEL_STYLES, strict=False)
     ]
-    called = fits[0].problem.data[0].record.body
     sizes = ", ".join(f"{n}: {r.size(1)[1]:.1f} and {r.size(2)[1]:.1f} σ" for n, r in curves)
     return [
         Chart(
             "torque-angle",
             "Unmodelled torque in the angle",
-            f"{prefix}{unit_text(fits[0].torque_unit)}",
+            f"{prefix}{unit_text(unit)}",
             tuple(traces),
-            f"First and second harmonic of the unmodelled torque in the angle of the {called}, {sizes}.",
-            x_label=f"angle of the {called} [rad]",
+            f"First and second harmonic of the unmodelled torque in the angle of the {body}, {sizes}.",
+            x_label=f"angle of the {body} [rad]",
         )
     ]
 

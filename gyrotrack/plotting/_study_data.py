@@ -404,13 +404,11 @@ def gather(history: Sequence[FitStep], diagnosis: Diagnosis | None) -> StudyView
 
 def _upper_limits(final: Fit, diagnosis: Diagnosis | None) -> tuple[UpperLimit, ...]:
     """Return the limits that the diagnosis of the final model has, or compute them."""
-    from fitting._criteria import DEFAULT
     from fitting.discovery._power import largest_hidden
-    from fitting.discovery._select import fails
 
     if diagnosis is not None:
         return diagnosis.upper_limits
-    return () if not final.converged or fails(final, DEFAULT) else largest_hidden(final, (), DEFAULT)
+    return () if not final.converged or final.fails() else largest_hidden(final, (), DEFAULT)
 
 
 def _steps(history: Sequence[FitStep]) -> tuple[Step, ...]:

@@ -62,7 +62,7 @@ def profile_command(
     """
     from gyrotrack._errors import UsageError
     from gyrotrack.io._atomic import new_file, refuse_existing
-    from gyrotrack.plotting._tracking import write_picture
+    from gyrotrack.plotting._proposal import write_picture
     from gyrotrack.tracking._profile import to_toml
     from gyrotrack.tracking._proposal import propose
 

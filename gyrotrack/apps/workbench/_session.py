@@ -12,7 +12,7 @@ from gyrotrack._errors import GyrotrackError
 from gyrotrack.plotting._charts import dashboard_document, interval_document
 
 if TYPE_CHECKING:
-    from fitting.discovery._residuals import ResidualTorque
+    from fitting.discovery._residuals import AngleHarmonics, ResidualTorque
     from fitting.inference._case_data import CaseData
     from fitting.inference._result import Fit
     from fitting.study._history import Ledger
@@ -44,6 +44,7 @@ class Step:
     fit_id: str = ""
     sharp: bool = True
     torques: tuple[ResidualTorque, ...] | None = None
+    harmonics: tuple[AngleHarmonics, ...] | None = None
     prediction: Prediction | None = None
     name: str = ""
     note: str = ""
@@ -90,6 +91,8 @@ class Session:
         # the step with which the current one is compared; its parent if negative
         self.reference = -1
         self._undo: list[Callable[[], None]] = []
+        # charts of the first view, which are made while the browser still loads the page
+        self._first: tuple[tuple[int, ...], dict[str, Any]] | None = None
         # parameters that the last search found for each candidate, as initial values
         self.found: dict[str, dict[str, float]] = {}
 
@@ -272,7 +275,7 @@ class Session:
         from fitting.discovery._refine import refined
 
         if not step.sharp:
-            step.found, step.sharp, step.torques = refined(step.fit), True, None
+            step.found, step.sharp, step.torques, step.harmonics = refined(step.fit), True, None, None
             step.prediction = None
 
     def remember(self, answer: dict[str, Any]) -> dict[str, Any]:
@@ -311,7 +314,7 @@ class Session:
         with self._lock:
             step = self.steps[self.current]
             fit = step.fit
-            board = self._board(step, whole=whole)
+            board = self._whole_board(step) if whole else self._board(step, whole=False)
             return _document(
                 {
                     "label": self._data.record.label,
@@ -391,6 +394,12 @@ class Session:
             self.reference if self.reference >= 0 and self.steps[self.reference] is not step else step.parent
         )
 
+    def _whole_board(self, step: Step) -> dict[str, Any]:
+        shown = (self.current, self._compared(step), id(step.fit))
+        if self._first is None or self._first[0] != shown:
+            self._first = shown, self._board(step, whole=True)
+        return self._first[1]
+
     def _board(self, step: Step, *, whole: bool) -> dict[str, Any]:
         from fitting.discovery._residuals import find_failures
         from fitting.discovery._select import Step as FitStep
@@ -411,7 +420,9 @@ class Session:
         names = (f"fit {compared + 1}", f"fit {self.current + 1}") if before is not None else ("fit 1",)
         dashboard = case_dashboard(view, tracks, [s.change for s in steps], names=names)
         charts = list(dashboard.charts)
-        charts[3:3] = torque_angle_charts([s.fit for s in steps], names)
+        charts[3:3] = torque_angle_charts(
+            [self._harmonics(s) for s in steps], names, self._data.record.body, step.fit.torque_unit
+        )
         charts[2:2] = difference_chart(view, names)
         board = dashboard_document(replace(dashboard, charts=tuple(charts)))
         failures = find_failures(step.fit, list(self._torques(step)))
@@ -424,6 +435,13 @@ class Session:
         if step.torques is None:
             step.torques = tuple(residual_torques(step.fit))
         return step.torques
+
+    def _harmonics(self, step: Step) -> tuple[AngleHarmonics, ...]:
+        from fitting.discovery._residuals import angle_harmonics
+
+        if step.harmonics is None:
+            step.harmonics = tuple(angle_harmonics(step.fit))
+        return step.harmonics
 
 
 def _steps_of(data: CaseData, ledger: Ledger | None) -> list[Step]:

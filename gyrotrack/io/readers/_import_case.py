@@ -15,7 +15,7 @@ from gyrotrack._smoothing import angular_velocity, median_smooth
 from gyrotrack.io._records import Case, Floats, Series
 from gyrotrack.io.readers._motion_table import MotionTable, ReadOptions
 from gyrotrack.io.readers._registry import read_motion
-from gyrotrack.io.readers._run import Limits, limited, run_of
+from gyrotrack.io.readers._run import Limits, limited, run_of, turns_back
 from gyrotrack.io.readers._scatter import pieces, scatter
 from gyrotrack.io.readers._units import TURN
 
@@ -281,8 +281,9 @@ def import_body(
     read, value = run_of(read, unwrapped(read, notes), limits)
     notes = [*read.notes, *notes]
     parts = pieces_of(read, value, notes)
-    sense = 1 if sum(p.angle[-1] - p.angle[0] for p in parts) >= 0 else -1
-    if sense < 0:
+    sense = 1
+    if not turns_back(read, value) and sum(p.angle[-1] - p.angle[0] for p in parts) < 0:
+        sense = -1
         notes.append("the body turns in the negative sense: all signs were reversed (sense -1)")
     body = replace(series_of(parts, sense), window=None, sigma_source=_sigma_source([read]))
     return Case(

@@ -114,8 +114,7 @@ def run_of(table: MotionTable, value: Floats, limits: Limits) -> tuple[MotionTab
     time, speed, error = speeds(table, value)
     if len(time) < 12:
         return table, value
-    sense = np.sign(speed[np.abs(speed) > 0.1 * np.abs(speed).max()])
-    if np.count_nonzero(np.diff(sense)) > 1:
+    if _oscillates(speed):
         return _without_rest(table, value)
     speed = np.abs(median_filter(speed, 5, mode="nearest"))
     begin, driven = _release(time, speed)
@@ -139,6 +138,16 @@ def run_of(table: MotionTable, value: Floats, limits: Limits) -> tuple[MotionTab
             "left out (--keep-all keeps them)"
         )
     return table.only(keep, *notes), value[keep]
+
+
+def turns_back(table: MotionTable, value: Floats) -> bool:
+    """Return whether a body changes its sense of rotation more than once."""
+    return _oscillates(speeds(table, value)[1])
+
+
+def _oscillates(speed: Floats) -> bool:
+    sense = np.sign(speed[np.abs(speed) > 0.1 * np.abs(speed).max()])
+    return bool(np.count_nonzero(np.diff(sense)) > 1)
 
 
 def _without_rest(table: MotionTable, value: Floats) -> tuple[MotionTable, Floats]:

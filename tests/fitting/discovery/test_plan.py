@@ -369,17 +369,6 @@ class TestDescription:
         with pytest.raises(EstimationError, match="cannot be read"):
             read_planned(tmp_path / "no.toml")
 
-    @pytest.mark.slow
-    def test_a_plan_of_it(self, described):
-        steps = []
-        found = plan(described(), progress=lambda done, total: steps.append((done, total)))
-        assert found.planned
-        limits = {e.effect.name: e for e in found.effects}
-        assert limits["casing.air.quadratic"].upper_limit < limits["casing.air.quadratic"].detection_limit
-        assert found.next_run is not None
-        assert steps == sorted(steps)
-        assert steps[-1][0] <= steps[-1][1]
-
 
 @pytest.mark.parametrize("size", [0.0, -1e-6, math.nan, math.inf])
 def test_a_size_that_is_no_torque_is_refused(size):

@@ -5,9 +5,12 @@ import oscillators
 import pytest
 
 from fitting._errors import SimulationError
+from fitting.discovery._select import improve
 from fitting.dynamics._events import solve
 from fitting.dynamics._mesh import Mesh, Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
+from fitting.effects._library import LIBRARY
+from fitting.effects._user import resolve
 from fitting.inference._fit import fit
 from fitting.inference._oscillation import find_oscillation, turning_points
 
@@ -70,6 +73,43 @@ def test_an_eccentric_torsion_pendulum_through_many_periods(dry):
     truth = {f"{SPRING}.k": 12.0, f"{DRAG}.b2": 0.03, "casing.unbalance.k": 0.7, "casing.unbalance.phi": 2.2}
     within(found, truth | dropped)
     assert found.verdict == "adequate"
+
+
+@pytest.mark.parametrize("dry", [0.0, 0.02])
+def test_the_motion_of_a_body_released_at_rest_does_not_depend_on_the_sign_of_its_speed(dry):
+    """One reversal more or less at the very start: the trials of a search pass from one sign to the other."""
+    t, angle, _ = oscillators.motion(lambda t, a, w: -12 * a - 0.03 * w, (1.2, 0.0), 20.0, 40.0, dry)
+    model = Model.of([SPRING, DRAG, "touchpoint.constant"])
+    found = fit(model, [oscillators.record(t, angle, 1e-3, 5)])
+    within(found, {f"{SPRING}.k": 12.0, f"{DRAG}.b2": 0.03, "initial.omega_c@body": 0.0})
+    (case,), place = found.problem.cases, found.problem.layout.index["initial.omega_c@body"]
+    rows = []
+    for speed in (0.0, 1e-6, -1e-6, 3e-3, -3e-3, 0.05, -0.05, 0.0):
+        theta = found.theta.copy()
+        theta[place] = speed
+        rows.append(case.predict(theta).rows)
+    assert np.abs(rows[0] - rows[-1]).max() < 1e-6
+    assert np.abs(rows[1] - rows[2]).max() < 1e-2
+    middle = 0.5 * (rows[3] + rows[4])
+    assert np.abs(middle - rows[0]).max() < 0.01 * np.abs(rows[3] - rows[0]).max()
+
+
+@pytest.mark.slow
+def test_quadratic_drag_of_a_pendulum_released_at_rest_is_the_second_effect():
+    t, angle, _ = oscillators.motion(
+        lambda t, a, w: -12 * np.sin(a) - 0.01 * w - 0.008 * w * abs(w), (1.3, 0.0), 40.0, 50.0
+    )
+    history = improve(fit(Model.of(["touchpoint.constant", DRAG]), [oscillators.record(t, angle, 2e-3, 6)]))
+    assert [s.change for s in history[1:3]] == ["+casing.gravity", "+casing.air.quadratic"]
+    within(history[2].fit, {"casing.gravity.k": 12.0, f"{DRAG}.b2": 0.01, "casing.air.quadratic.k": 0.008})
+    assert {c.effect.name for c in history[0].candidates} <= {n for n, e in LIBRARY.items() if e.restoring}
+
+
+def test_a_spring_is_no_power_of_a_speed():
+    t, angle, _ = oscillators.motion(lambda t, a, w: -12 * a - 0.03 * w, (1.2, 0.3), 10.0, 40.0)
+    power = resolve("casing: -k*abs(omega_c)**n*sign(omega_c)")
+    found = fit(Model.of([SPRING]).with_effect(power), [oscillators.record(t, angle, 1e-3, 7)])
+    assert found.estimates[f"{SPRING}.k"].value == pytest.approx(12.0, abs=0.05)
 
 
 @pytest.mark.slow
@@ -166,8 +206,6 @@ def test_a_step_of_friction_between_reversals():
 )
 def test_the_restoring_torque_is_found_without_being_named(name, law):
     """From dry friction and drag, the model with which every study of a single body begins."""
-    from fitting.discovery._select import improve
-
     t, angle, _ = oscillators.motion(law, (1.3, 0.0), 15.0, rate=50.0)
     base = fit(Model.of(["touchpoint.constant", DRAG]), [oscillators.record(t, angle, 2e-3, 4)])
     steps = improve(base, max_steps=1)

@@ -15,6 +15,8 @@ from fitting.inference._fit import fit
 from fitting.inference._simulation import Experiment, simulate, simulate_path
 from fitting.inference._speed_residuals import CASING, ROTOR, modelled_speed
 
+pytestmark = pytest.mark.slow
+
 HOSTILE = "<script>alert(1)</script> $x_ & \"q\" 'q'"
 NUMBERS = {
     "rotor.air.quadratic.a2": 9.97e-11,

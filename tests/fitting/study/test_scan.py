@@ -25,6 +25,8 @@ from fitting.study._scan_tables import (
     three_digits,
 )
 
+pytestmark = pytest.mark.slow
+
 CAMERAS = twobody.Cameras(span=60.0, windows=(2.0, 25.0, 50.0), window_length=2.0)
 
 

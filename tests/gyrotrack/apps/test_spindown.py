@@ -6,10 +6,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq, least_squares
 
 from gyrotrack.apps._motion import motion_of, start_of_motion
 from gyrotrack.apps.cli import _app as app
+from gyrotrack.io.readers._import_case import import_body
 from gyrotrack.tracking._any_body import Film
 
 REAL = Path(__file__).parents[4] / "shared" / "real"
@@ -51,6 +53,40 @@ def test_oscillation():
     quality = found.quality_factor
     assert quality.value == pytest.approx(np.pi / (0.01 * 1.47), abs=4 * quality.stderr)
     assert quality.stderr / quality.value == pytest.approx(found.decay.stderr / found.decay.value, rel=0.01)
+
+
+@pytest.mark.parametrize(("rate", "amplitude", "drag"), [(12.0, 1.3, 0.02), (40.0, 2.2, 0.05)])
+def test_a_pendulum_whose_period_changes_with_its_amplitude(rate, amplitude, drag):
+    """The phase of a sinusoid of one frequency slips by turns; period and decay at the middle are exact ones."""
+    exact = solve_ivp(
+        lambda t, y: [y[1], -rate * np.sin(y[0]) - drag * y[1]],
+        (0, 60),
+        [amplitude, 0],
+        rtol=1e-10,
+        atol=1e-12,
+        dense_output=True,
+    ).sol
+    t = np.arange(0, 60, 0.02)
+    angle, sigma = noisy(t, exact(t)[0], 2e-3, 4)
+    found = motion_of(t, angle, sigma)
+    assert found.kind == "oscillation"
+    fine = np.linspace(0, 60, 120_001)
+    crossing = np.flatnonzero(np.diff(np.sign(exact(fine)[0])))
+    at = np.array([brentq(lambda x: exact(x)[0], fine[i], fine[i + 1]) for i in crossing])
+    phase = np.polynomial.Polynomial.fit(at, 0.5 * np.arange(len(at)), 9)
+    assert found.period.value == pytest.approx(1 / phase.deriv()(t[-1] / 2), rel=2e-4)
+    assert found.period.stderr < 2e-4 * found.period.value
+
+
+def test_an_oscillation_keeps_its_sign(tmp_path):
+    t = np.arange(0, 20, 0.02)
+    angle = np.cos(3.2 * t) * np.exp(-0.02 * t)
+    assert angle[-1] < angle[0]
+    path = tmp_path / "swing.csv"
+    np.savetxt(path, np.c_[t, angle], delimiter=",", header="t [s],angle [rad]", comments="")
+    case = import_body(path, 1.0)
+    assert case.extra["sense"] == 1
+    assert not any("negative sense" in w for w in case.warnings)
 
 
 @pytest.mark.slow

@@ -220,7 +220,7 @@ def test_killed_at_random_moments_it_ends_with_the_same_numbers(long_film, tmp_p
     whole = content(target)
     rng = np.random.default_rng(0)
     kills = kept = 0
-    while kills < 12:
+    while kills < 7:
         target.unlink()
         while True:
             with subprocess.Popen([*words, "--resume"], stdout=subprocess.DEVNULL) as process:
@@ -233,7 +233,7 @@ def test_killed_at_random_moments_it_ends_with_the_same_numbers(long_film, tmp_p
             kept += checkpoint_path(target).exists()
         assert content(target) == whole
         assert not checkpoint_path(target).exists()
-    assert kept > 2
+    assert kept > 1
 
 
 # A child's `ru_maxrss` starts at what its parent held when it was started; VmHWM is its own.

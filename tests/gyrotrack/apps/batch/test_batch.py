@@ -14,6 +14,8 @@ from gyrotrack.apps.batch._workers import Child, LocalWorkers, checked, run_once
 from gyrotrack.apps.cli import _app as app
 from gyrotrack.io._hdf5 import read_recording
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def films(casing_clip, rotor_clip, tmp_path_factory):

@@ -1,5 +1,7 @@
 """The program as a user runs it, and small simulated cases whose answers are known."""
 
+import contextlib
+import io
 import json
 import shutil
 from dataclasses import dataclass
@@ -75,11 +77,14 @@ def case(simulated, tmp_path):
 
 @pytest.fixture(scope="session")
 def studied(simulated, made_once):
-    """The case `drag` with the ledger of `improve`: two steps, made once."""
+    """The case `drag`, diagnosed (diagnosis.json) and fitted with the effect that was named: two steps, made once."""
 
     def make(folder):
         path = shutil.copy(simulated / "drag.h5", folder / "drag.h5")
-        assert app.run(["improve", str(path), "-q"]) == 0
+        with contextlib.redirect_stdout(io.StringIO()) as out:
+            assert app.run(["diagnose", str(path), "--json"]) == 0
+        (folder / "diagnosis.json").write_text(out.getvalue(), encoding="utf-8")
+        assert app.run(["fit", str(path), "--from", "f1", "--add", "casing.air.quadratic", "-q"]) == 0
 
     return made_once("studied", make)
 

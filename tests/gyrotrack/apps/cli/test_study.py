@@ -1,9 +1,6 @@
 """`diagnose`, `improve`, `ladder`, `effects` and `simulate` as a user runs them."""
 
-import contextlib
-import io
 import json
-import shutil
 import subprocess
 import sys
 
@@ -12,23 +9,14 @@ import numpy as np
 import pytest
 
 from fitting.effects._library import LIBRARY
-from gyrotrack.apps.cli import _app as app
 
 DRAG = 5e-10  # of the case `drag`
 
 
-@pytest.fixture(scope="module")
-def found(studied, tmp_path_factory):
-    """The diagnosis of the first rung of the case with a hidden drag."""
-    folder = shutil.copytree(studied, tmp_path_factory.mktemp("found"), dirs_exist_ok=True)
-    with (
-        contextlib.redirect_stdout(io.StringIO()) as out,
-        contextlib.redirect_stderr(io.StringIO()) as err,
-    ):
-        code = app.run(["diagnose", str(folder / "drag.h5"), "--from", "f1", "--json"])
-    assert code == 0
-    assert err.getvalue() == ""
-    return json.loads(out.getvalue())
+@pytest.fixture
+def found(studied):
+    """The diagnosis of the case with a hidden drag."""
+    return json.loads((studied / "diagnosis.json").read_text(encoding="utf-8"))
 
 
 class TestDiagnose:

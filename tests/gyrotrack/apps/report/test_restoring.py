@@ -13,6 +13,8 @@ from fitting.study._history import Ledger
 from gyrotrack.apps._study import Study
 from gyrotrack.plotting._study_data import gather
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def study(story, tmp_path_factory):
