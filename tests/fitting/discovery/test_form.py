@@ -30,6 +30,7 @@ def drag(torque):
     return fit(Model.of(REDUCED).with_effect(DRAG), [CaseData.of(make_record(**film))])
 
 
+@pytest.mark.slow
 def test_the_limit_is_inversely_proportional_to_the_torque():
     strong, weak = (form_test(drag(k), DRAG, DEFAULT) for k in (2e-6, 2e-7))
     assert strong.variable == "omega_c"

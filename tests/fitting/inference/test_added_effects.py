@@ -47,6 +47,7 @@ ADDED = {
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=pytest.mark.slow) if n == "casing.windage" else n for n in ADDED]
 )
+@pytest.mark.slow
 def test_an_added_effect_is_recovered(name):
     hidden, own, shapes = ADDED[name]
     measured = case({}, 31, "case1", hidden=hidden)

@@ -50,6 +50,7 @@ def test_joint_fit_of_two_surfaces():
 
 
 @pytest.mark.parametrize("free", [["d"], pytest.param(["d", "f", "g"], marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_a_bearing_of_its_own_in_each_case(free):
     """Two bearings: the straight variables are those of each."""
     other = {"d": 1.3e-7, "f": 1.0e-8, "g": 1.34} if len(free) > 1 else {"d": 1.4e-7}

@@ -46,6 +46,7 @@ def test_two_lines_are_found():
     assert sorted(line.rate for line in data.spectral_lines) == pytest.approx([4.3, 6.1], abs=0.3 / SPAN)
 
 
+@pytest.mark.slow
 def test_neither_noise_nor_a_jump_is_a_line():
     """One in a thousand recordings may have one; a jump of the friction has a broad spectrum in one stretch."""
     assert not any(recording(seed).spectral_lines for seed in range(10, 22))

@@ -50,6 +50,7 @@ def test_a_longer_film_takes_hardly_more_memory():
     assert (long - short) / 18_000 < 240.0  # bytes a frame: some dozen numbers, not hundreds
 
 
+@pytest.mark.slow
 def test_columns_in_files_give_what_columns_in_memory_give(monkeypatch):
     found = []
     for least in (0, 1 << 40):

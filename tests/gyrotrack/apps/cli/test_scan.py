@@ -20,6 +20,7 @@ def scanned(simulated, tmp_path_factory, request):
     return code, document, folder
 
 
+@pytest.mark.slow
 def test_tables_files_and_document(scanned):
     code, document, folder = scanned
     assert code == 0

@@ -15,6 +15,7 @@ def test_picture_is_drawn_and_stays_the_same(story, tmp_path, suffix):
     assert images[0].startswith(b"\x89PNG" if suffix == ".png" else b"<?xml")
 
 
+@pytest.mark.slow
 def test_other_names_and_existing_files_are_refused(story, tmp_path):
     with pytest.raises(OutputError, match="Unknown picture format"):
         story_picture(story.rungs, story.diagnosis, tmp_path / "story.gif")
