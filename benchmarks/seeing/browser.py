@@ -15,6 +15,7 @@ from time import perf_counter, sleep
 from typing import Any
 
 VISITS = 10
+_PATIENCE = 60
 _PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
 # the first picture in which a plot of the run is drawn and its zoom answers, in ms since navigation
 _USABLE = """
@@ -39,6 +40,10 @@ addEventListener("DOMContentLoaded", () => {
   };
   requestAnimationFrame(look);
 });
+"""
+# the charts of a run are drawn when their part of the report is opened
+_OPEN_RUN = """
+addEventListener("DOMContentLoaded", () => { document.getElementById("run").closest("details").open = true; });
 """
 # while something goes on: tasks longer than 50 ms (what browsers call long), and the time from picture to picture
 _WATCH = """
@@ -72,7 +77,7 @@ def page_of_report(browser: Any, report: Path) -> dict[str, Any]:
     opened = []
     for _ in range(3):
         page = browser.new_page(viewport={"width": 1280, "height": 900})
-        page.add_init_script(_USABLE)
+        page.add_init_script(_USABLE + _OPEN_RUN)
         page.goto(report.as_uri())
         opened.append(_usable(page))
         if len(opened) < 3:
@@ -90,7 +95,10 @@ def page_of_report(browser: Any, report: Path) -> dict[str, Any]:
 
 def _usable(page: Any) -> float:
     # asked again and again from outside: the page's own policy forbids a function that waits inside
+    began = perf_counter()
     while (found := page.evaluate("window.usable")) is None:
+        if perf_counter() - began > _PATIENCE:
+            raise SystemExit(f"no plot can be used after {_PATIENCE} s: {page.url}")
         page.wait_for_timeout(10)
     return float(found)
 
