@@ -260,6 +260,10 @@ def separating_run(
     smooth = [x for x in explanations if not any(e.depends_on_angle for e in x[1])][:MOST_RIVALS]
     if len(smooth) < 2:
         return ""
+    if fit.problem.data[0].oscillation is not None:
+        # what is planned is a run that begins at given speeds, not a release from an angle
+        restoring = [x for x in smooth if any(e.restoring for e in x[1])]
+        return _LARGER_AMPLITUDE if len(restoring) > 1 else ""
     terms = [(e, _mean_values(e, estimates)) for _, effects, estimates in smooth for e in effects]
     information = Information(
         fit, [(e, {p.symbol: v[p.symbol] for p in e.parameters if p.role == "shape"}) for e, v in terms]
@@ -272,6 +276,11 @@ def separating_run(
         first += len(effects)
     found = next_run(information, alternatives, criteria, Bounds.of(fit), evaluations=_FEW)
     return "" if found is None else found.sentence
+
+
+_LARGER_AMPLITUDE = (
+    "Release the body from a larger angle: there the restoring torques of these laws differ more."
+)
 
 
 def _mean_values(effect: Effect, estimates: Mapping[str, Estimate]) -> dict[str, float]:

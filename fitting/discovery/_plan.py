@@ -107,6 +107,11 @@ def plan(
     truth: dict[str, float] = {}
     process: list[tuple[ProcessNoise, ...]] = []
     if isinstance(recordings, Fit):
+        if recordings.problem.data[0].oscillation is not None:
+            raise EstimationError(
+                "a plan is made for runs that begin at given speeds, and this body oscillates about an equilibrium",
+                "release it from a larger angle, or record it for longer: both tell restoring torques apart",
+            )
         fit, fits = recordings, [recordings]
     else:
         described = read_planned(recordings)

@@ -133,7 +133,7 @@ def rank(
     """
     data = base.problem.data
     # only a restoring torque makes a body oscillate, and scores about a motion that does not are not reliable
-    swings = data[0].oscillation is not None and not base.model.restoring
+    swings = base.lacks_restoring_torque
     effects = [e for e in applicable_effects(base, extra) if e.restoring or not swings]
     cases = [CaseColumns(base, i) for i in range(len(base.problem.cases))]
     scores = score(base, effects, cases, criteria)
@@ -146,6 +146,9 @@ def rank(
         found.append(Candidate(s.effect, s.score, np.nan, p, np.nan, (), {}, p < criteria.significance, s))
     found.sort(key=lambda c: -c.score)
     worth = _worth_refitting(found, criteria)
+    if base.model.restoring:
+        # through many periods a refit is long, and of a law that the score does not ask for it is degenerate
+        worth = [w and c.p_value < _WORTH_OF_OSCILLATIONS for w, c in zip(worth, found, strict=True)]
     if swings:
         error = {e.name: equation_error(base.model.with_effect(e), data) for e in effects}
         most = criteria.equation_error * min(error.values(), default=math.inf)
@@ -166,6 +169,12 @@ def rank(
     return arranged(found, criteria)
 
 
+# range of an oscillation over which a law that repeats with the turn can be told from its Taylor series [rad]
+_LEAST_ARC = 1.0
+# family-wise p-value above which a law of an oscillation is not refitted
+_WORTH_OF_OSCILLATIONS = 0.1
+
+
 def _measured(fit: Fit) -> Sequence[CaseData]:
     return fit.problem.data
 
@@ -182,8 +191,12 @@ def _is_applicable(effect: Effect, base: Fit) -> bool:
         return False
     # a contact that turns on in one sense has yielded within its first angle: what remains is constant friction
     reversing = effect.restoring or (effect.state is not None and effect.state.symbol == "strain")
-    if reversing and base.problem.data[0].oscillation is None:
+    oscillation = base.problem.data[0].oscillation
+    if reversing and oscillation is None:
         return False
+    # over a small part of a turn a law that repeats with the turn is a constant and a spring
+    if oscillation is not None and effect.about_equilibrium is not effect:
+        return bool(np.ptp(oscillation.deflection) > _LEAST_ARC)
     if not effect.mechanical:
         return base.problem.data[0].is_angle
     return not (effect.joint == "factor" and not any(e.joint == "bearing" for e in base.model.effects))

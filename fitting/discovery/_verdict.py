@@ -298,6 +298,8 @@ def diagnose(
         selection = _with_rivals(selection, rivals)
     nuisance = nuisance_parameters(selection.end)
     torques, waves = curves.result(), harmonics.result()
+    if fit.lacks_restoring_torque:
+        torques = []
     hidden = largest_hidden(fit, extra, criteria) if verdict == "adequate" else ()
     failures = find_failures(fit, torques, waves, criteria) if verdict != "adequate" else []
     return Diagnosis(
@@ -463,6 +465,8 @@ def _untested(test: FormTest, criteria: Criteria) -> list[str]:
         return [f"The form is not established: {pulled} (p = {probability(test.bounds_p)})."]
     if not math.isfinite(test.limit):
         return ["The form is not established: the other parameters absorb every deviation from it."]
+    if test.limit >= 1:
+        return ["The form is not established: no deviation smaller than its torque itself would be detected."]
     limit = f"{100 * test.limit:.2g} % of its torque"
     return [f"The form is not established: only a deviation above {limit} would be detected."]
 

@@ -248,7 +248,6 @@ class CaseData:
         A centre within a third of the radius, a tilt below 0.6 rad, a shutter that takes no longer than a frame. Empty
         where no such function is free.
         """
-        # over a part of a turn a harmonic of the angle is a change of scale, which no table of angles has
         if not self.is_angle or not (self.oscillation is None or self.record.tracked):
             return np.zeros(0)
         samples = self.casing.samples
@@ -324,10 +323,24 @@ class CaseData:
         )
 
     @cached_property
+    def camera_columns(self) -> Array:
+        """The camera's nuisance functions at the samples, (samples, 6).
+
+        Those of an oscillation without their part that is linear in the angle: over a part of a turn that is a change
+        of scale, which would turn any motion into none.
+        """
+        columns = camera_columns(self.casing.samples)
+        if self.oscillation is None:
+            return columns
+        psi = self.casing.samples.value
+        linear = np.stack([np.ones_like(psi), psi - psi.mean()], axis=1)
+        return np.asarray(columns - linear @ np.linalg.lstsq(linear, columns, rcond=None)[0])
+
+    @cached_property
     def _camera_rows(self) -> Array:
         """Polynomial rows of the camera's nuisance functions, at one standard deviation of their prior."""
         if len(self._camera_prior):
-            return self.casing.at_samples(camera_columns(self.casing.samples))[0] * self._camera_prior
+            return self.casing.at_samples(self.camera_columns)[0] * self._camera_prior
         if self.record.gradients:
             return FREE * self.casing.at_samples(_gradients(self.casing.samples))[0]
         return np.zeros((len(self.casing.z), 0))
@@ -419,7 +432,7 @@ class CaseData:
                 ones = [np.full(len(w.node_times), float(i == j)) for j, w in enumerate(self.rotor)]
                 columns.append(self.rows(np.zeros(nodes), ones))
             if len(self._camera_prior):
-                camera = self.casing_rows(camera_columns(self.casing.samples))
+                camera = self.casing_rows(self.camera_columns)
                 first = self.slices["camera_prior"].start
                 camera[first : first + len(self._camera_prior)] = np.diag(1 / self._camera_prior)
                 columns += list(camera.T)

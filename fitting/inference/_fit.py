@@ -31,7 +31,7 @@ from fitting._errors import EstimationError, FittingError
 from fitting.dynamics._mesh import Sampler
 from fitting.dynamics._model import Model
 from fitting.effects._expression import Expr, Tape, divisors, symbols
-from fitting.inference._case_data import CaseData, camera_columns
+from fitting.inference._case_data import CaseData
 from fitting.inference._initial_values import initial_shapes, initial_values, unknown_shapes
 from fitting.inference._noise import Noise
 from fitting.inference._noise_level import first_noise, measure_noise, raised_noise, refine_level
@@ -417,5 +417,5 @@ def _predicted(data: CaseData, case: int, found: Fit) -> Iterator[Array]:
             continue
         angle = sampler.integral(*path.angle(state)) + coefficients[i]
         if i == 0:
-            angle = angle + camera_columns(own.casing.samples) @ coefficients[1 + len(record.rotor) :]
+            angle = angle + own.camera_columns @ coefficients[1 + len(record.rotor) :]
         yield angle

@@ -327,6 +327,11 @@ class Fit(FitSummary):
             return "misfit"
         return "not determined" if self.undetermined else "adequate"
 
+    @property
+    def lacks_restoring_torque(self) -> bool:
+        """Whether the body oscillates but no torque of the model drives it back: residuals and torques mean nothing."""
+        return self.problem.data[0].oscillation is not None and not self.model.restoring
+
     def fails(self, criteria: Criteria = DEFAULT) -> bool:
         """Return whether the fit converged and has a significant lack of fit.
 

@@ -11,6 +11,7 @@ from scipy.optimize import least_squares
 
 from gyrotrack._correlated_noise import least_squares_of
 from gyrotrack._errors import DatasetError
+from gyrotrack.io.readers._run import start_of_oscillation
 
 Floats = npt.NDArray[np.float64]
 
@@ -294,7 +295,8 @@ def start_of_motion(time: Floats, angle: Floats, sigma: Floats) -> int:
     """Return the first sample of the free motion: what a hand or a motor speeds up before it is left out.
 
     The speed over windows of a fiftieth of the record (5 samples at least) rises to its largest in the first half of
-    the record by more than 5 % and 5 standard errors; an oscillation is never cut.
+    the record by more than 5 % and 5 standard errors; an oscillation begins where its periods and amplitudes are
+    those of a free one.
     """
     width = max(5, len(time) // 50)
     edges = np.arange(0, len(time) - width + 1, width)
@@ -309,7 +311,7 @@ def start_of_motion(time: Floats, angle: Floats, sigma: Floats) -> int:
         and speed.max() > 5 * error
         and min(-speed.min(), speed.max()) > 0.2 * size.max()
     ):
-        return 0
+        return start_of_oscillation(time, angle)
     top = int(np.argmax(size))
     late = float(np.median(size[len(size) // 2 :]))
     rises = size[top] - size[0] > max(0.05 * size[top], 5 * error)

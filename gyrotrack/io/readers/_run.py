@@ -5,8 +5,9 @@ before it the speed is held or grows, after it the body slows down; a brake by a
 it and more, to the end of the motion; rest by a speed that is not distinguishable from zero; a disturbance by a speed
 that grows again. A body that does not slow down between drive and end is not cut.
 
-Of a body that changes its sense of rotation more than once only rest at the end is cut, and only where the resolution
-of the file exceeds the noise. The error of a quantised value is white while the value passes through several steps; at
+Of a body that changes its sense of rotation more than once the start is cut where a hand holds or moves it: periods and
+amplitudes that do not continue the later ones smoothly. Rest at the end is cut only where the resolution of the file
+exceeds the noise. The error of a quantised value is white while the value passes through several steps; at
 rest it is one constant, up to half a step, in every sample, and no average reduces it (B. Widrow, I. Kollar,
 Quantization Noise, 2008).
 """
@@ -15,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -30,6 +32,10 @@ _STEEPER = 3.0
 """Ratio of decelerations from which the later one is a brake."""
 _SIGNIFICANT = 6.0
 """Standard errors by which the slopes before and after a drive's end differ."""
+_FEWEST_PASSAGES = 12
+"""Periods from which on irregular ones can be told."""
+_IRREGULAR = np.array([0.01, 0.05])
+"""Least relative deviations of a period and of an amplitude that count."""
 _STEPS = 2
 """Steps of the resolution that a deflection has to exceed for its errors to be independent."""
 
@@ -115,7 +121,7 @@ def run_of(table: MotionTable, value: Floats, limits: Limits) -> tuple[MotionTab
     if len(time) < 12:
         return table, value
     if _oscillates(speed):
-        return _without_rest(table, value)
+        return _without_rest(*_without_hand(table, value))
     speed = np.abs(median_filter(speed, 5, mode="nearest"))
     begin, driven = _release(time, speed)
     end, stopped = _arrest(time, speed, error, begin)
@@ -148,6 +154,69 @@ def turns_back(table: MotionTable, value: Floats) -> bool:
 def _oscillates(speed: Floats) -> bool:
     sense = np.sign(speed[np.abs(speed) > 0.1 * np.abs(speed).max()])
     return bool(np.count_nonzero(np.diff(sense)) > 1)
+
+
+def _without_hand(table: MotionTable, value: Floats) -> tuple[MotionTable, Floats]:
+    """Return an oscillation from the moment at which it swings freely."""
+    first = start_of_oscillation(table.time, value)
+    if not first:
+        return table, value
+    keep = np.arange(len(value)) >= first
+    note = (
+        f"{table.path.name}: before {table.time[first]:.2f} s the body is at rest or is moved (its periods or "
+        f"amplitudes do not continue those that follow); {first} samples were left out (--keep-all keeps them)"
+    )
+    return table.only(keep, note), value[keep]
+
+
+def start_of_oscillation(time: Floats, value: Floats) -> int:
+    """Return the first sample of the free part of an oscillation, 0 if it is free from the beginning.
+
+    Period and logarithm of the amplitude of a free oscillation are smooth functions of time. Polynomials are fitted to
+    those of all periods but the ones, among the first quarter, that are off by more than six times the scatter and by
+    more than 1 % of the period or 5 % of the amplitude.
+
+    Parameters
+    ----------
+    time, value : ndarray, shape (n,)
+        Time [s], and angle or angular velocity.
+    """
+    value = value - 0.5 * (np.quantile(value, 0.05) + np.quantile(value, 0.95))
+    passages = _upward_passages(value)
+    if len(passages) < _FEWEST_PASSAGES:
+        return 0
+    below, above = value[passages - 1], value[passages]
+    at = time[passages] - np.diff(time)[passages - 1] * above / (above - below)
+    size = np.array([np.ptp(value[a:b]) for a, b in pairwise(passages)])
+    curves = np.stack([np.log(np.diff(at)), np.log(size)], axis=1)
+    x = 2 * (at[:-1] - at[0]) / (at[-2] - at[0]) - 1
+    design = np.polynomial.chebyshev.chebvander(x, min(5, len(x) // 4))
+    early = np.arange(len(x)) < len(x) // 4
+    free = np.ones(len(x), dtype=bool)
+    weight = (size / size.max())[:, None]  # noise moves passages and extremes of a small oscillation by more
+    for _ in range(len(x) // 4):
+        fitted = np.linalg.lstsq((weight * design)[free], (weight * curves)[free], rcond=None)[0]
+        rest = np.abs(curves - design @ fitted)
+        noise = 1.483 * np.median((weight * rest)[free], axis=0) / weight
+        off = (rest > np.maximum(_SIGNIFICANT * noise, _IRREGULAR)).any(axis=1) & early
+        beginning = np.arange(len(x)) <= (int(np.flatnonzero(off)[-1]) if off.any() else -1)
+        if (beginning == ~free).all():
+            break
+        free = ~beginning
+    if free[0]:
+        held = time[passages[0]] - time[0] > 1.5 * np.median(np.diff(at))
+        return int(passages[1]) if held else 0
+    return int(passages[int(np.argmax(free))])
+
+
+def _upward_passages(value: Floats) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+    """Return the samples at which a curve passes zero upwards, having been clearly below it before."""
+    least = 0.02 * float(np.ptp(value))
+    state = np.where(value > least, 1, np.where(value < -least, -1, 0))
+    clear = np.flatnonzero(state)
+    rising = clear[1:][(state[clear[1:]] > 0) & (state[clear[:-1]] < 0)]
+    below = np.flatnonzero(value <= 0)
+    return np.asarray(below[np.searchsorted(below, rising) - 1] + 1, dtype=np.intp)
 
 
 def _without_rest(table: MotionTable, value: Floats) -> tuple[MotionTable, Floats]:

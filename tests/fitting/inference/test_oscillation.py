@@ -1,11 +1,15 @@
 """Oscillators fitted from nothing given, against independent integration and the analytic damped oscillator."""
 
+from dataclasses import replace
+
 import numpy as np
 import oscillators
 import pytest
 
-from fitting._errors import SimulationError
+from fitting._errors import EstimationError, SimulationError
+from fitting.discovery._plan import plan
 from fitting.discovery._select import improve
+from fitting.discovery._verdict import diagnose
 from fitting.dynamics._events import solve
 from fitting.dynamics._mesh import Mesh, Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
@@ -103,6 +107,32 @@ def test_quadratic_drag_of_a_pendulum_released_at_rest_is_the_second_effect():
     assert [s.change for s in history[1:3]] == ["+casing.gravity", "+casing.air.quadratic"]
     within(history[2].fit, {"casing.gravity.k": 12.0, f"{DRAG}.b2": 0.01, "casing.air.quadratic.k": 0.008})
     assert {c.effect.name for c in history[0].candidates} <= {n for n, e in LIBRARY.items() if e.restoring}
+
+
+@pytest.mark.parametrize("amplitude", [0.03, 0.3])
+def test_the_view_of_a_camera_does_not_explain_an_oscillation_on_film(amplitude):
+    """Over a part of a turn a displaced hub is a change of scale: one of minus one would explain any motion."""
+    t, angle, _ = oscillators.motion(lambda t, a, w: -25.6 * a - 0.02 * w, (amplitude, 0.0), 20.0, 30.0)
+    record = replace(oscillators.record(t, angle, 6e-4, 8), tracked=True)
+    base = fit(Model.of(["touchpoint.constant", DRAG]), [record])
+    assert base.verdict == "misfit"
+    assert base.lacks_restoring_torque
+    found = fit(Model.of([SPRING, "touchpoint.constant", DRAG]), [record])
+    within(found, {f"{SPRING}.k": 25.6, "initial.deflection@body": amplitude})
+    assert found.verdict in {"adequate", "not determined"}
+    with pytest.raises(EstimationError, match="oscillates"):
+        plan(found)
+
+
+@pytest.mark.slow
+def test_small_oscillations_separate_no_restoring_torques_and_a_larger_release_would():
+    t, angle, _ = oscillators.motion(lambda t, a, w: -25.6 * a - 0.02 * w, (0.03, 0.0), 20.0, 30.0)
+    base = fit(Model.of(["touchpoint.constant", DRAG]), [oscillators.record(t, angle, 6e-4, 8)])
+    found = diagnose(base)
+    first = found.candidates[0]
+    assert {first.effect.name, *first.indistinguishable_from} == {SPRING, "casing.gravity"}
+    assert "larger angle" in found.next_experiment
+    assert found.failures == ()
 
 
 def test_a_spring_is_no_power_of_a_speed():
