@@ -149,6 +149,7 @@ def rank(
     if base.model.restoring:
         # through many periods a refit is long, and of a law that the score does not ask for it is degenerate
         worth = [w and c.p_value < _WORTH_OF_OSCILLATIONS for w, c in zip(worth, found, strict=True)]
+        worth = [w and sum(worth[:i]) < criteria.refit_least for i, w in enumerate(worth)]
     if swings:
         error = {e.name: equation_error(base.model.with_effect(e), data) for e in effects}
         most = criteria.equation_error * min(error.values(), default=math.inf)

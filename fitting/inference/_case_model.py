@@ -144,11 +144,12 @@ _INTERVALS = 12
 # intervals of the first mesh between two reversals of an oscillation: of a sinusoid, ten nodes resolve a fifth of the
 # half period to 1e-11 (Bessel function J_8 of pi / 10), so that hardly any has to be halved
 _PER_REVERSAL = 5
-
-
-# reversals from which on a solution is followed through all of them at once, stretches that may be integrated singly
-# all the same, and how often the way to a trial is halved
-_MANY_REVERSALS, _FEW_SINGLE, _HALVINGS = 3, 40, 2
+# reversals from which on a solution is followed through all of them at once
+_MANY_REVERSALS = 3
+# stretches between reversals that may be integrated one by one all the same: each takes as long as all of them at once
+_FEW_SINGLE = 40
+# how often the way to a trial is halved
+_HALVINGS = 2
 
 
 @dataclass(frozen=True)

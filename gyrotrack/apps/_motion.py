@@ -23,7 +23,12 @@ _FEWEST = 12
 _ORDERS = range(2, 7)
 _WAVES = ((1, 1), (3, 2), (5, 3), (8, 4))
 """Highest powers of time in phase and logarithm of the amplitude of an oscillation, of which one pair is chosen."""
-_FOLLOWED, _FIRST_PERIODS, _LARGEST = 2, 1.5, 50.0
+_FOLLOWED = _WAVES[2]
+"""Those with which an oscillation is followed; beyond the samples, higher powers leave all bounds."""
+_FIRST_PERIODS = 1.5
+"""Half the length of its first part."""
+_LARGEST = 50.0
+"""Bound of the logarithm of the amplitude."""
 
 
 @dataclass(frozen=True)
@@ -224,7 +229,7 @@ def _oscillation(
     half = 0.5 * float(np.ptp(t))
     waves = [_Wave(half, *orders) for orders in _WAVES]
     trials = [(waves[0], waves[0].fitted(_first(start, t, angle), t, angle, sigma))]
-    middle = waves[_FOLLOWED]
+    middle = _Wave(half, *_FOLLOWED)
     followed = _followed(middle, start, t, angle, sigma)
     if followed is not None:
         trials += [(w, w.fitted(w.extended(followed, middle), t, angle, sigma)) for w in waves[1:]]
