@@ -290,6 +290,10 @@ def _range(fit: Fit, speed: str) -> tuple[float, float]:
     return min(ends), max(ends)
 
 
+# share of the mean square torque below which the named effect and the most complete fit have the same torque
+_NO_TORQUE = 1e-12
+
+
 def grade(
     base: Fit,
     selection: Selection,
@@ -343,10 +347,13 @@ def grade(
         parts.append(
             f"it {test.words}" if test.p_value < criteria.doubt_named else "a lack of fit of unknown form"
         )
-    words = (
-        f"Remainder {format_torque(rms, unit=base.torque_unit)} rms, {100 * share:.2g} % of the mean square "
-        f"unmodelled torque: {'; '.join(parts)}."
+    # a doubt alone, such as a sinusoid, tells its own size
+    size = (
+        f" {format_torque(rms, unit=base.torque_unit)} rms, {100 * share:.2g} % of the mean square unmodelled torque"
+        if share > _NO_TORQUE
+        else ""
     )
+    words = f"Remainder{size}: {'; '.join(parts)}."
     remainder = Remainder(rms, share, p, words)
     if 1 - share < criteria.explained:
         return Grade(None, 1 - share, remainder, test=tested)
