@@ -14,9 +14,11 @@ _HEAD = """# Effects
 This page is made from the library itself by `docs/make_effects.py`; a test compares the two. `gyrotrack effects NAME`
 shows one effect, with its bounds under `--json`.
 
-A law is a torque in N m. One on the rotor or the casing acts on that body; one in the bearing is +law on the casing and
--law on the rotor; a *factor* multiplies the whole bearing torque. `delta` is omega_r - omega_c. A law of a camera is an
-angle [rad] added to what it sees, with `psi` and `omega` those of the filmed body: an artefact, never physics.
+A law is a torque in N m. One on the rotor or the casing acts on that body; one in the bearing is +law on the casing
+and -law on the rotor; one in a contact, of the ratio n, is law on the rotor and -n law on the casing, `slip` is
+omega_r - n omega_c, and the discovery does not try it; a *factor* multiplies the whole bearing torque. `delta` is
+omega_r - omega_c. A law of a camera is an angle [rad] added to what it sees, with `psi` and `omega` those of the
+filmed body: an artefact, never physics.
 
 A name in the first column is what `gyrotrack fit --add` takes and what `gyrotrack diagnose` answers. A law of your own
 may contain t, omega_r, omega_c, psi_r, psi_c and delta; any other name in it is a parameter. A moment, as t0 in
@@ -26,6 +28,7 @@ may contain t, omega_r, omega_c, psi_r, psi_c and delta; any other name in it is
 _JOINTS = {
     "rotor": "On the rotor",
     "bearing": "Between rotor and casing",
+    "contact": "Where rotor and casing touch",
     "factor": "Factors of the bearing torque",
     "casing": "On the casing",
     "inertia": "Of the experimenter (measurement): a factor of the casing's acceleration",

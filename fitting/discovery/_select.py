@@ -188,7 +188,7 @@ def applicable_effects(base: Fit, extra: Sequence[Effect]) -> list[Effect]:
 
 
 def _is_applicable(effect: Effect, base: Fit) -> bool:
-    if base.problem.data[0].record.single and not effect.single_body:
+    if not effect.searched or (base.problem.data[0].record.single and not effect.single_body):
         return False
     # a contact that turns on in one sense has yielded within its first angle: what remains is constant friction
     reversing = effect.restoring or (effect.state is not None and effect.state.symbol == "strain")

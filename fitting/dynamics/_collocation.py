@@ -42,6 +42,7 @@ _MEASURED = 1e-6
 # intervals this far below the tolerance are resolved at twice their length too: by 2^9 and more
 _THIN = 1e-14
 _FEWEST = 12
+_NEVER = 1e12
 
 
 def collocate(
@@ -174,6 +175,9 @@ def runge_kutta(
 
     It ends with the interval in which the casing comes to rest.
     """
+    if dynamics.relaxation:
+        # a slip that settles within a step would make explicit steps unstable
+        numbers = {**numbers, dynamics.relaxation: _NEVER}
     times = np.concatenate([mesh.edges[:-1, None], mesh.times], axis=1)
     width = times.shape[1]
     times = np.append(times.ravel(), mesh.edges[-1])

@@ -22,12 +22,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fitting._errors import EffectError
-from fitting.effects._effect import Effect, Parameter
+from fitting.effects._effect import RATIO, Effect, Parameter
 from fitting.effects._expression import (
     ONE,
     ZERO,
     Expr,
     Tape,
+    add,
     call,
     derivative,
     div,
@@ -202,6 +203,11 @@ class Model:
         return any(e.restoring for e in self.effects if e.mechanical)
 
     @cached_property
+    def rigid_contact(self) -> Effect | None:
+        """The contact without slip in which the bodies roll on each other, if there is one."""
+        return next((e for e in self.effects if e.rigid), None)
+
+    @cached_property
     def measurement(self) -> tuple[Effect, ...]:
         """What the cameras add to the angles."""
         return tuple(e for e in self.effects if not e.mechanical)
@@ -214,7 +220,7 @@ class Model:
         single : bool
             There is one body only; return its equation.
         """
-        laws: dict[str, list[str]] = {"rotor": [], "casing": [], "bearing": [], "factor": []}
+        laws: dict[str, list[str]] = {"rotor": [], "casing": [], "bearing": [], "factor": [], "contact": []}
         for e in self.effects:
             if e.joint in laws:
                 laws[e.joint].append(latex(e.expression))
@@ -227,9 +233,12 @@ class Model:
         tau = join(laws["bearing"]) or "0"
         if laws["factor"]:
             tau = rf"\left({tau}\right) " + " ".join(rf"\left({f}\right)" for f in laws["factor"])
-        rotor = join([r"-\tau_{cr}", *laws["rotor"]])
-        casing = join([r"\tau_{cr}", *laws["casing"]])
-        return (rf"I_r \dot\omega_r = {rotor}", rf"I_c \dot\omega_c = {casing}", rf"\tau_{{cr}} = {tau}")
+        bearing = bool(laws["bearing"]) or not laws["contact"]
+        rotor = join([*([r"-\tau_{cr}"] if bearing else []), *laws["rotor"], *laws["contact"]])
+        casing = join([*([r"\tau_{cr}"] if bearing else []), *laws["casing"]])
+        casing += "".join(rf" - n \left({c}\right)" for c in laws["contact"])
+        lines = (rf"I_r \dot\omega_r = {rotor}", rf"I_c \dot\omega_c = {casing}")
+        return (*lines, rf"\tau_{{cr}} = {tau}") if bearing else lines
 
 
 def _holding(effect: Effect, held: Mapping[str, float]) -> Effect:
@@ -299,6 +308,8 @@ class Dynamics:
         deflection.
     parameters : tuple of str
         Keys of the parameters whose derivatives are given.
+    ratio : str or None
+        Key of the ratio of a contact without slip: the initial omega_r is then ratio times that of the casing.
     dry : bool
         Whether a torque jumps where the casing stops: then rates are given for one sense of its motion.
     """
@@ -316,6 +327,11 @@ class Dynamics:
             *(("psi_r", "psi_c") if angles else ()),
         )
         self.start = tuple(s.start for _, s in own)
+        rigid = model.rigid_contact
+        self.ratio = None if rigid is None else f"{rigid.name}.{RATIO}"
+        self.relaxation = "" if rigid is None else f"{rigid.name}.T"
+        # what stands still while friction holds the casing
+        self._held = slice(_CASING, _CASING + 1) if rigid is None else slice(0, _CASING + 1)
         self.parameters = tuple(f"{e.name}.{p.symbol}" for e in physical for p in e.free)
         self.breakpoints = tuple(f"{e.name}.{e.breakpoint}" for e in physical if e.breakpoint)
         self.constants = {
@@ -346,12 +362,20 @@ class Dynamics:
         return places
 
     def _rates(self, physical: list[Effect]) -> list[Expr]:
-        laws: dict[str, list[Expr]] = {"rotor": [], "casing": [], "bearing": [], "factor": [], "inertia": []}
+        laws: dict[str, list[Expr]] = {j: [] for j in ("rotor", "casing", "bearing", "factor", "inertia")}
+        inverse_rotor, inverse_casing = (div(ONE, sym(k)) for k in (INERTIA_ROTOR, INERTIA_CASING))
         difference = {"delta": sub(sym("omega_r"), sym("omega_c"))}
         own: list[Expr] = []
+        contacts: list[tuple[Expr, Expr, Expr]] = []
         for e in physical:
             rename = {p.symbol: sym(f"{e.name}.{p.symbol}") for p in e.parameters} | difference
-            laws[e.joint].append(substitute(e.expression, rename))
+            if e.joint != "contact":
+                laws[e.joint].append(substitute(e.expression, rename))
+                continue
+            n = rename[RATIO]
+            rename["slip"] = sub(sym("omega_r"), mul(n, sym("omega_c")))
+            rename["inertia_slip"] = div(ONE, total([inverse_rotor, mul(mul(n, n), inverse_casing)]))
+            contacts.append((n, rename["inertia_slip"], substitute(e.expression, rename)))
         tau = total(laws["bearing"])
         for factor in laws["factor"]:
             tau = mul(tau, factor)
@@ -361,9 +385,12 @@ class Dynamics:
                     {p.symbol: sym(f"{e.name}.{p.symbol}") for p in e.parameters} | difference | {"tau": tau}
                 )
                 own.append(substitute(e.rate, rename))
-        inverse_rotor, inverse_casing = (div(ONE, sym(k)) for k in (INERTIA_ROTOR, INERTIA_CASING))
         rotor = mul(total([neg(tau), *laws["rotor"]]), inverse_rotor)
         casing = mul(total([tau, *laws["casing"]]), inverse_casing)
+        for n, inertia, law in contacts:
+            torque = substitute(law, {"torque_held": mul(inertia, sub(mul(n, casing), rotor))})
+            rotor = add(rotor, mul(torque, inverse_rotor))
+            casing = sub(casing, mul(mul(n, torque), inverse_casing))
         for factor in laws["inertia"]:
             casing = mul(casing, factor)
         self.bearing_torque = tau
@@ -374,6 +401,17 @@ class Dynamics:
         for i, name in enumerate(self.states):
             values[name] = y[..., i]
         return values
+
+    def constraint(self, numbers: Mapping[str, float]) -> Array | None:
+        """Return the matrix that turns the accelerations of free bodies into those of bodies that roll on each other.
+
+        Torques tau_r and tau_c give omega_c' = (tau_c + n tau_r) / (I_c + n^2 I_r) and omega_r' = n omega_c'.
+        None where the bodies may slip.
+        """
+        if self.ratio is None:
+            return None
+        n, rotor, casing = numbers[self.ratio], numbers[INERTIA_ROTOR], numbers[INERTIA_CASING]
+        return np.outer([n, 1.0], [n * rotor, casing]) / (casing + n**2 * rotor)
 
     def _sense(self, y: Array, sense: ArrayLike | None) -> Array:
         return np.asarray(np.sign(y[..., _CASING]) if sense is None else sense, dtype=np.float64)
@@ -400,7 +438,7 @@ class Dynamics:
         for i, value in enumerate(outputs):
             f[..., i] = value
         if self.dry:
-            f[..., _CASING] *= np.abs(sense)
+            f[..., self._held] *= np.abs(sense)[..., None]
         return f
 
     def tangent(
@@ -421,8 +459,8 @@ class Dynamics:
             a[..., i, j] = outputs[k]
         if self.dry and not sense.all():
             turning = np.abs(sense)
-            f[..., _CASING] *= turning
-            a[..., _CASING, :] *= turning[..., None]
+            f[..., self._held] *= turning[..., None]
+            a[..., self._held, :] *= turning[..., None, None]
         return f, a
 
     def linearised(
@@ -436,7 +474,7 @@ class Dynamics:
         for i, j, k in self._sensitivity_at:
             b[..., i, j] = outputs[k]
         if self.dry and not sense.all():
-            b[..., _CASING, :] *= np.abs(sense)[..., None]
+            b[..., self._held, :] *= np.abs(sense)[..., None, None]
         return f, a, b
 
 

@@ -55,11 +55,19 @@ class Propagator:
         Matrices by which a deviation changes at some edges: there the torque jumps with the state.
     defect : ndarray, shape (intervals, nodes, n), optional
         One right-hand side that is known already: `response` is its `nodes`, at less cost.
+    constraint : ndarray, shape (2, 2), optional
+        What a contact makes of the accelerations that a torque would give free bodies.
     """
 
     def __init__(
-        self, mesh: Mesh, a: Array, jumps: Mapping[int, Array] | None = None, defect: Array | None = None
+        self,
+        mesh: Mesh,
+        a: Array,
+        jumps: Mapping[int, Array] | None = None,
+        defect: Array | None = None,
+        constraint: Array | None = None,
     ) -> None:
+        self.constraint = constraint
         intervals, k, n = a.shape[:3]
         self._mesh, self._half, self._a, self._jumps = mesh, mesh.half, a, jumps or {}
         scaled = (-mesh.half[..., None, None] * a).transpose(0, 2, 1, 3)
@@ -196,7 +204,7 @@ class LinearMotion:
     """
 
     def __init__(self, path: Path, propagator: Propagator) -> None:
-        self._sense, self._mesh = path.sense, path.mesh
+        self._sense, self._mesh, self._constraint = path.sense, path.mesh, propagator.constraint
         dying: list[int] = []
         self._nodes = _fundamental(propagator)
         if not _independent(self._nodes):
@@ -224,8 +232,9 @@ class LinearMotion:
     def _kicks(self, sampler: Sampler, direction: Array) -> Array:
         phi = sampler.value(self._nodes)
         pushes = np.zeros(phi.shape[:2])
-        pushes[:, 0] = direction[0]
-        pushes[:, 1] = direction[1] * np.abs(self._sense[sampler.index])
+        pushes[:, :2] = self.accelerations(direction)
+        held = slice(1, 2) if self._constraint is None else slice(0, 2)
+        pushes[:, held] *= np.abs(self._sense[sampler.index])[:, None]
         try:
             return np.asarray(np.linalg.solve(phi, pushes[..., None])[..., 0])
         except np.linalg.LinAlgError:
@@ -233,6 +242,10 @@ class LinearMotion:
             if not np.isfinite(phi).all():
                 raise SimulationError(UNBOUNDED) from None
             return np.asarray((np.linalg.pinv(phi) @ pushes[..., None])[..., 0])
+
+    def accelerations(self, direction: Array) -> Array:
+        """Return the rates that a unit torque gives bodies that may be in contact, from those of free bodies."""
+        return direction if self._constraint is None else self._constraint @ direction
 
     def moving(self, times: Array) -> Array:
         """Return 1 where the casing answers to a torque, 0 where friction holds it."""
@@ -308,8 +321,8 @@ def _independent(phi: Array) -> bool:
 class Sensitivity:
     """Derivatives of the states at nodes and edges, last axis the columns.
 
-    Columns are the parameters of the dynamics, then the initial values of the speeds, and of the deflection if it is a
-    state.
+    Columns are the parameters of the dynamics, then the initial values of the speeds (of the casing alone in a contact
+    without slip), and of the deflection if it is a state.
     """
 
     nodes: Array
@@ -320,11 +333,18 @@ class Sensitivity:
 def sensitivities(dynamics: Dynamics, numbers: Mapping[str, float], path: Path) -> Sensitivity:
     """Return the derivatives of a solution by parameters and by the initial values that belong to the recording."""
     _, a, b = dynamics.linearised(path.mesh.times, path.y, numbers, path.sense[:, None])
-    propagator = Propagator(path.mesh, a, path.jumps)
-    n, p, starts = len(dynamics.states), len(dynamics.parameters), dynamics.free_starts
+    propagator = Propagator(path.mesh, a, path.jumps, constraint=dynamics.constraint(numbers))
+    n, p, n0 = len(dynamics.states), len(dynamics.parameters), dynamics.free_starts
+    starts = n0 if dynamics.ratio is None else n0 - 1
     forcing = np.concatenate([b, np.zeros((*b.shape[:3], starts))], axis=3)
     first = np.zeros((n, p + starts))
-    first[np.arange(starts), p + np.arange(starts)] = 1.0
+    if dynamics.ratio is None:
+        first[np.arange(starts), p + np.arange(starts)] = 1.0
+    else:
+        first[np.arange(1, n0), p + np.arange(starts)] = 1.0
+        first[0, p] = numbers[dynamics.ratio]
+        if dynamics.ratio in dynamics.parameters:
+            first[0, dynamics.parameters.index(dynamics.ratio)] = path.edges[0, 1]
     kicks = _kicks(dynamics, numbers, path, p + starts)
     nodes, edges = _march(path, propagator, forcing, first, kicks)
     return Sensitivity(nodes, edges, propagator)

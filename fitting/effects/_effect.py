@@ -135,12 +135,14 @@ def _to_power(a: Dimension, n: float) -> Dimension:
     return (a[0] * n, a[1] * n, a[2] * n, a[3] * n)
 
 
-Joint = Literal["rotor", "casing", "bearing", "factor", "inertia", "camera.casing", "camera.rotor"]
+Joint = Literal["rotor", "casing", "bearing", "contact", "factor", "inertia", "camera.casing", "camera.rotor"]
 Kind = Literal["physical", "measurement"]
 Role = Literal["amplitude", "shape", "phase", "fixed"]
 
 # The variables of a law, with their units. `tau` is the whole bearing torque, for states that it feeds; `deflection` is
-# the angle of the casing, or of the single body, from its equilibrium.
+# the angle of the casing, or of the single body, from its equilibrium. Of a contact with the ratio n, `slip` is
+# omega_r - n omega_c, `inertia_slip` what a torque in it accelerates, 1 / (1 / I_r + n^2 / I_c), and `torque_held` the
+# torque on the rotor that keeps the slip constant under all other torques.
 VARIABLES: dict[str, str] = {
     "t": "s",
     "omega_r": "s-1",
@@ -157,6 +159,8 @@ VARIABLES: dict[str, str] = {
     "psi": "1",
     "omega": "s-1",
 }
+# Those of a law in a contact alone.
+_CONTACT_VARIABLES: dict[str, str] = {"slip": "s-1", "inertia_slip": "kg m2", "torque_held": "N m"}
 # changepoints to try, as shares of the length of the recording
 MOMENTS = tuple(round(0.04 + 0.02 * i, 3) for i in range(47))
 # the unit in which the law of each joint comes out
@@ -164,11 +168,14 @@ _RESULT: dict[Joint, str] = {
     "rotor": "N m",
     "casing": "N m",
     "bearing": "N m",
+    "contact": "N m",
     "factor": "1",
     "inertia": "1",
     "camera.casing": "1",
     "camera.rotor": "1",
 }
+# symbol of the ratio omega_r / omega_c of a contact without slip
+RATIO = "n"
 _CAMERAS: dict[Joint, Literal["casing", "rotor"]] = {"camera.casing": "casing", "camera.rotor": "rotor"}
 
 
@@ -223,7 +230,8 @@ class Effect:
     """A law that acts on a body, between the bodies, or on the angles that a camera measures.
 
     The law is written once, as a formula. With joint ``rotor`` or ``casing`` it is the torque on that
-    body; with ``bearing`` the torque +tau on the casing and -tau on the rotor; with ``factor`` it
+    body; with ``bearing`` the torque +tau on the casing and -tau on the rotor; with ``contact`` (rims that touch,
+    gears, a belt) the torque tau on the rotor and -n tau on the casing, n its ratio; with ``factor`` it
     multiplies the whole bearing torque, with ``inertia`` the casing's acceleration; with
     ``camera.casing`` or ``camera.rotor`` it is an angle added to those that the camera measures (psi and
     omega are then those of the body filmed).
@@ -261,6 +269,10 @@ class Effect:
         The discovery always fits it and marginalises over it.
     equivalent : tuple of str
         Effects that no recording of the usual motion separates from it.
+    searched : bool
+        Whether the discovery tries it. What touches what is seen on the apparatus, not in the residuals.
+    rigid : bool
+        A contact that rolls: it has a torque_held, and one initial speed follows from the other.
     """
 
     name: str
@@ -277,6 +289,8 @@ class Effect:
     per_surface: bool = False
     nuisance: bool = False
     equivalent: tuple[str, ...] = ()
+    searched: bool = True
+    rigid: bool = False
 
     @cached_property
     def expression(self) -> Expr:
@@ -352,14 +366,17 @@ class Effect:
         """
         own = {p.symbol for p in self.parameters}
         used = symbols(self.expression) | (symbols(self.rate) if self.rate else set())
-        unknown = used - own - set(VARIABLES)
+        variables = VARIABLES | (_CONTACT_VARIABLES if self.joint == "contact" else {})
+        unknown = used - own - set(variables)
+        if self.joint == "contact" and RATIO not in own:
+            raise EffectError(f"{self.name!r} acts in a contact but has no ratio {RATIO}", f"declare {RATIO}")
         if unknown:
             raise EffectError(
                 f"the law of {self.name!r} has undeclared names: {', '.join(sorted(unknown))}",
-                "variables: " + ", ".join(VARIABLES),
+                "variables: " + ", ".join(variables),
             )
         exponents = {p.symbol: p.start for p in self.parameters if p.unit in {"1", "rad"}}
-        units: dict[str, Dimension] = {name: parse_unit(unit) for name, unit in VARIABLES.items()}
+        units: dict[str, Dimension] = {name: parse_unit(unit) for name, unit in variables.items()}
         units |= {p.symbol: parse_unit(p.unit, exponents) for p in self.parameters}
         result = dimension(self.expression, units, exponents)
         expected = parse_unit(_RESULT[self.joint])

@@ -17,8 +17,8 @@ from types import MappingProxyType
 from typing import Any
 
 from fitting._errors import EffectError
-from fitting.effects._effect import MOMENTS, Effect, Parameter, State
-from fitting.effects._expression import Tape
+from fitting.effects._effect import MOMENTS, RATIO, Effect, Parameter, State
+from fitting.effects._expression import Tape, latex, substitute, sym
 
 _DISC = "von Karman 1921"
 
@@ -40,6 +40,16 @@ AIR = (
         signature="the rotor slows most while it is fast",
         confused_with=("rotor.air.disk", "rotor.air.turbulent"),
         source="term a2 of the paper",
+    ),
+    Effect(
+        "rotor.support",
+        "rotor",
+        "-k*sign(omega_r)",
+        (Parameter("k", "N m", meaning="dry friction of the rotor's own bearings"),),
+        signature="a rotor that does not turn in the casing slows at a constant rate",
+        confused_with=("rotor.air.linear",),
+        source="Coulomb friction in bearings that are fixed to the laboratory",
+        searched=False,
     ),
     Effect(
         "rotor.air.disk",
@@ -511,8 +521,52 @@ SETUP = (
 )
 
 
+_RATIO = Parameter(
+    RATIO,
+    "1",
+    "shape",
+    _ANY,
+    math.inf,
+    1.0,
+    meaning="ratio omega_r / omega_c without slip; negative: opposite senses",
+)
+
+CONTACT = (
+    Effect(
+        "contact.rolling",
+        "contact",
+        "torque_held*(1 - c*inertia_slip*abs(omega_r)/T) - inertia_slip*slip/T",
+        (
+            _RATIO,
+            Parameter(
+                "c", "N-1 m-1", meaning="creep: relative slip for a unit torque that the contact passes on"
+            ),
+            Parameter("T", "s", "fixed", 1e-3, math.inf, 0.1, meaning="time in which the slip settles"),
+        ),
+        signature="both bodies keep a fixed ratio of speeds",
+        source="the constraint omega_r = n omega_c, stabilised as by J. Baumgarte, Comput. Methods Appl. Mech. Eng. 1, "
+        "1 (1972), and linear creep: K. L. Johnson, Contact Mechanics (1985), ch. 8",
+        searched=False,
+        rigid=True,
+    ),
+    Effect(
+        "contact.sliding",
+        "contact",
+        "-k*tanh(slip/w)",
+        (
+            Parameter("k", "N m", meaning="torque of the sliding contact on the rotor"),
+            _RATIO,
+            Parameter("w", "s-1", "fixed", 1e-9, math.inf, 1.0, meaning="slip from which the contact slides"),
+        ),
+        signature="the faster rim loses speed to the slower one at a constant rate until both roll",
+        source="Coulomb friction of two rims, regularised at small slip",
+        searched=False,
+    ),
+)
+
+
 LIBRARY = MappingProxyType(
-    {e.name: e for e in (*AIR, *BEARING, *TOUCHPOINT, *CASING, *OSCILLATOR, *CAMERA, *SETUP)}
+    {e.name: e for e in (*AIR, *BEARING, *TOUCHPOINT, *CASING, *OSCILLATOR, *CONTACT, *CAMERA, *SETUP)}
 )
 # the effects that the discovery always fits and marginalises over
 NUISANCE = tuple(e.name for e in LIBRARY.values() if e.nuisance)
@@ -557,6 +611,19 @@ INERTIA_ROTOR, INERTIA_CASING = 5.54e-5, 2.06e-5
 _BUDGET = 1e-4
 
 
+def of_the_rotor(effect: Effect) -> Effect | None:
+    """Return the effect of the rotor whose law is that of a body alone, or None."""
+
+    def law(e: Effect) -> tuple[str, ...]:
+        own = {p.symbol: sym(f"p{i}") for i, p in enumerate(e.parameters)}
+        tree = substitute(e.expression, own | {"omega_c": sym("omega_r"), "psi_c": sym("psi_r")})
+        return latex(tree), str(len(own))
+
+    if not effect.single_body or effect.state is not None or effect.camera:
+        return None
+    return next((e for e in LIBRARY.values() if e.joint == "rotor" and law(e) == law(effect)), None)
+
+
 def typical_values(
     effect: Effect, share: float, *, duration: float, speeds: Mapping[str, float]
 ) -> dict[str, float]:
@@ -580,7 +647,9 @@ def typical_values(
             values[p.symbol] = middle * duration if p.relative else middle
         else:
             values[p.symbol] = 1.0 if p.role == "amplitude" else p.start
-    amplitude = next(p.symbol for p in effect.parameters if p.role == "amplitude")
+    amplitude = next((p.symbol for p in effect.parameters if p.role == "amplitude"), None)
+    if amplitude is None:
+        return {f"{effect.name}.{k}": v for k, v in values.items()}
     at: dict[str, Any] = {
         **values,
         **speeds,
@@ -592,6 +661,9 @@ def typical_values(
         "psi": 1.0,
         "omega": speeds["omega_c"],
         "tau": _BUDGET,
+        "slip": speeds["omega_r"],
+        "torque_held": _BUDGET,
+        "inertia_slip": INERTIA_ROTOR,
     }
     if effect.state is not None:
         at[effect.state.symbol] = 1.0

@@ -264,7 +264,12 @@ class CaseModel:
         oscillation = self.data.oscillation
         first, last = self.data.record.span
         if oscillation is None:
-            return Mesh.uniform(first, last, _INTERVALS)
+            mesh = Mesh.uniform(first, last, _INTERVALS)
+            if not self.dynamics.relaxation:
+                return mesh
+            settling = self.layout.model.constants[self.dynamics.relaxation]
+            doublings = np.arange(-1, np.log2(np.ptp(mesh.edges[:2]) / settling))
+            return mesh.with_breakpoints((first + settling * 2.0**doublings).tolist())
         turns = oscillation.reversals
         ends = np.concatenate([[first], turns[(turns > first) & (turns < last)], [last]])
         share = np.arange(_PER_REVERSAL) / _PER_REVERSAL

@@ -25,14 +25,20 @@ from numpy.typing import NDArray
 
 from fitting._errors import EstimationError, SimulationError
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
-from fitting.effects._effect import Effect
+from fitting.effects._effect import RATIO, Effect
 from fitting.effects._library import LIBRARY
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import Prediction
 from fitting.inference._noise import Noise
 from fitting.inference._noise_level import measure_noise
 from fitting.inference._optimisation import minimise, search
-from fitting.inference._parameters import START_CASING, START_DEFLECTION, ParameterLayout, is_power_law
+from fitting.inference._parameters import (
+    START_CASING,
+    START_DEFLECTION,
+    START_ROTOR,
+    ParameterLayout,
+    is_power_law,
+)
 from fitting.inference._problem import Problem, r_factor, reference_speed
 from fitting.inference._record import Record, Samples
 
@@ -41,6 +47,8 @@ Array = NDArray[np.float64]
 _FIRST_SHARE = 0.1
 # a casing slower than this share of its largest speed is taken to stand still, for start values
 _AT_REST = 0.01
+# part of a run that is its end
+_END = 10
 # of an oscillation: periods of the first search, samples that it takes at least, steps
 _FIRST_PERIODS = 2.0
 _FEWEST_SAMPLES = 24
@@ -62,12 +70,17 @@ def initial_values(problem: Problem, given: Mapping[str, float] | None) -> Array
     if not set(layout.names) <= set(known):
         rough = [d.initial_speeds for d in problem.data]
         deflections = [_deflection(d, times) for d, (times, _) in zip(problem.data, rough, strict=True)]
-        found = start_values(layout, problem.reference, rough, deflections)
+        found = start_values(layout, problem.reference, rough, deflections, _prior_means(problem))
         if swings and not known:
             found = _period_by_period(problem, found)
         guessed = dict(zip(layout.names, found.tolist(), strict=True))
         known = guessed | {k: v for k, v in known.items() if k in guessed}
     return np.array([known[n] for n in layout.names])
+
+
+def _prior_means(problem: Problem) -> dict[str, float]:
+    priors = [d.record.prior for d in problem.data if d.record.prior is not None]
+    return {k: v for p in priors for k, v in zip(p.names, p.mean, strict=True)}
 
 
 def _is(start: str, name: str) -> bool:
@@ -144,6 +157,7 @@ def start_values(
     reference: float,
     rough: Sequence[tuple[Array, Array]],
     deflections: Sequence[Array],
+    prior: Mapping[str, float] | None = None,
 ) -> Array:
     """Return start values of all variables.
 
@@ -157,18 +171,31 @@ def start_values(
         Speed difference [rad/s] at which a power law starts with a tenth of the linear law's torque.
     deflections : sequence of ndarray
         Angle of each case from its equilibrium at the same times [rad].
+    prior : mapping, optional
+        Values of parameters that are known beforehand, by key: the others are found for these.
     """
-    theta = np.array([_resting(layout, name) for name in layout.names])
+    prior = prior or {}
+    theta = np.array([prior.get(name.partition("@")[0], _resting(layout, name)) for name in layout.names])
+    for e in layout.model.effects:
+        if e.joint == "contact" and RATIO in {p.symbol for p in e.free}:
+            for case, (_, speeds) in enumerate(rough):
+                theta[layout.places(case, [f"{e.name}.{RATIO}"])] = _ratio(speeds, rigid=e.rigid)
     parts = []
     for case, (times, speeds) in enumerate(rough):
         keys, design, target = _equations(layout, case, times, speeds, deflections[case], theta)
-        parts.append((layout.places(case, keys), design, target))
+        free = [i for i, k in enumerate(keys) if k not in prior]
+        known = design @ np.array([prior.get(k, 0.0) for k in keys])
+        parts.append((layout.places(case, [keys[i] for i in free]), design[:, free], target - known))
     # what cases share is sought in all of them at once: a mean of the separate estimates need not suit any
     places, values = _regress(layout, parts)
     theta[places] = values
     for case, (_, speeds) in enumerate(rough):
-        first = [*speeds[0], deflections[case][0]]
-        theta[layout.places(case, layout.starts)] = first[: len(layout.starts)]
+        first = {
+            START_ROTOR: speeds[0, 0],
+            START_CASING: speeds[0, 1],
+            START_DEFLECTION: deflections[case][0],
+        }
+        theta[layout.places(case, layout.starts)] = [first[k] for k in layout.starts]
     pair = ("bearing.linear.d", "bearing.power.f", "bearing.power.g")
     if all(k in layout.model.free for k in pair):
         # each bearing once, however many cases share it
@@ -179,6 +206,13 @@ def start_values(
             theta[f] = _FIRST_SHARE * torque / reference ** theta[g]
             theta[d] = (1 - _FIRST_SHARE) * torque / reference
     return theta
+
+
+def _ratio(speeds: Array, *, rigid: bool) -> float:
+    """Return the ratio of the speeds: of all the run if there is no slip, else of its end, where slip has decayed."""
+    rotor, casing = (speeds if rigid else speeds[-(len(speeds) // _END) - 1 :]).T
+    turning = np.abs(casing) > _AT_REST * np.abs(casing).max(initial=0.0)
+    return float(np.median(rotor[turning] / casing[turning])) if turning.any() else 1.0
 
 
 def _resting(layout: ParameterLayout, name: str) -> float:
@@ -195,6 +229,9 @@ def _equations(
     """Return the strengths of one case, and the linear equations for them with both start speeds free."""
     dynamics = Dynamics(layout.model.smooth)
     numbers = layout.numbers(theta, case)
+    if dynamics.ratio is not None:
+        # with errors of their own the two speeds would separate laws of the two bodies that only differ by a factor
+        speeds = np.column_stack([numbers[dynamics.ratio] * speeds[:, 1], speeds[:, 1]])
     state = np.concatenate([speeds, np.zeros((len(times), len(dynamics.states) - 2))], axis=1)
     if dynamics.free_starts > 2:
         state[:, 2] = deflection
@@ -220,9 +257,16 @@ def _equations(
     # the integral of a deflection from a wrong equilibrium drifts: the speed is free in each period
     free = _periods(deflection) if dynamics.free_starts > 2 else None
     blocks, targets = [], []
-    for i in (0, 1):
-        columns = np.column_stack([integrals[:, i], speeds[:, i] - held[:, i]])[seen[i]] * weight[i]
-        columns = columns - (columns.mean(axis=0) if free is None else _means(free[seen[i]], columns))
+    balances = [
+        (np.column_stack([integrals[:, i], speeds[:, i] - held[:, i]]) * weight[i], seen[i]) for i in (0, 1)
+    ]
+    if dynamics.ratio is not None:
+        # the torque of a contact without slip is what it has to be: it drops out of rotor times ratio plus casing
+        (rotor, _), (casing, moving) = balances
+        balances = [(numbers[dynamics.ratio] * rotor + casing, moving)]
+    for columns, chosen in balances:
+        columns = columns[chosen]
+        columns = columns - (columns.mean(axis=0) if free is None else _means(free[chosen], columns))
         blocks.append(columns[:, :-1])
         targets.append(columns[:, -1])
     return linear, np.concatenate(blocks), np.concatenate(targets)
@@ -311,7 +355,7 @@ def unknown_shapes(layout: ParameterLayout, given: Mapping[str, float] | None) -
         alone = e.joint == "bearing" and sum(o.joint == "bearing" for o in layout.model.effects) == 1
         searched = (
             not alone and e.name != "bearing.power" and "phase" not in roles and e.amplitude is not None
-        )
+        ) and e.joint != "contact"
         if shapes and searched and not known.intersection(shapes):
             effects.append(e)
     return effects

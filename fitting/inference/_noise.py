@@ -328,7 +328,7 @@ def _impulses(data: CaseData, motion: LinearMotion, cells: Array, direction: Arr
         # within its own cell a torque has acted for a part of the cell only
         cell = np.clip(np.searchsorted(cells, times, side="right") - 1, 0, len(centres) - 1)
         since = times - cells[cell]
-        answers = direction[state] * (motion.moving(times) if state else 1.0)
+        answers = motion.accelerations(direction)[state] * (motion.moving(times) if state else 1.0)
         answer[np.arange(len(times)), cell] = answers * (0.5 * since**2 if data.is_angle else since)
         parts.append(answer)
     return data.rows(parts[0], parts[1:])

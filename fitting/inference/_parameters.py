@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from fitting._errors import EffectError
 from fitting._numbers import PER_INERTIA, TORQUE, per_inertia
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
-from fitting.effects._effect import Effect, Parameter
+from fitting.effects._effect import RATIO, Effect, Parameter
 from fitting.effects._expression import Tape
 from fitting.inference._record import Record
 
@@ -116,8 +116,12 @@ class ParameterLayout:
 
     @property
     def starts(self) -> tuple[str, ...]:
-        """The initial values that each case has: both speeds, and the deflection if a torque depends on it."""
-        return (START_ROTOR, START_CASING, START_DEFLECTION)[: 3 if self.model.restoring else 2]
+        """The initial values that each case has: both speeds, and the deflection if a torque depends on it.
+
+        In a contact without slip the rotor's speed is that of the casing times the ratio.
+        """
+        first = 0 if self.model.rigid_contact is None else 1
+        return (START_ROTOR, START_CASING, START_DEFLECTION)[first : 3 if self.model.restoring else 2]
 
     @cached_property
     def index(self) -> dict[str, int]:
@@ -138,7 +142,11 @@ class ParameterLayout:
 
     def start(self, theta: Array, case: int) -> Array:
         """Return the initial values of one case: speeds [rad/s], and the deflection [rad] if it is a state."""
-        return np.asarray(theta[self.places(case, self.starts)])
+        own = theta[self.places(case, self.starts)]
+        rigid = self.model.rigid_contact
+        if rigid is None:
+            return np.asarray(own)
+        return np.concatenate([[own[0] * self.numbers(theta, case)[f"{rigid.name}.{RATIO}"]], own])
 
     def parameter(self, name: str) -> Parameter:
         """Return the declaration behind a name."""

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
@@ -103,6 +103,38 @@ class Prior:
             tuple(float(estimates[names[i]].value) for i in kept),
             tuple(tuple(row) for row in matrix.tolist()),
             source,
+        )
+
+    def renamed(self, names: Mapping[str, str]) -> Self:
+        """Return the prior about parameters of other names; those without one are left out."""
+        kept = [i for i, name in enumerate(self.names) if name in names]
+        covariance = tuple(tuple(self.covariance[i][j] for j in kept) for i in kept)
+        new = tuple(names[self.names[i]] for i in kept)
+        return replace(self, names=new, mean=tuple(self.mean[i] for i in kept), covariance=covariance)
+
+    def joined(self, other: Self) -> Self:
+        """Return both priors, of independent studies, as one.
+
+        Raises
+        ------
+        EstimationError
+            If a parameter is in both.
+        """
+        twice = sorted({*self.names} & {*other.names})
+        if twice:
+            raise EstimationError(
+                f"{self.source} and {other.source} both have the parameter {twice[0]}",
+                "Leave one of them out.",
+            )
+        from scipy.linalg import block_diag
+
+        covariance = block_diag(np.array(self.covariance), np.array(other.covariance))
+        return replace(
+            self,
+            names=(*self.names, *other.names),
+            mean=(*self.mean, *other.mean),
+            covariance=tuple(map(tuple, covariance.tolist())),
+            source=f"{self.source} and {other.source}",
         )
 
     def whitened(

@@ -274,16 +274,26 @@ def running_median(value: Array, width: int) -> Array:
 
 
 _POINTS = 160
+_MOST_OF_THE_RUN = 0.5
 
 
 def initial_speeds(record: Record, points: int = _POINTS, samples: int = 12) -> tuple[Array, Array]:
     """Return times and speeds of rotor and casing (points, 2) from local straight lines of so many samples at least."""
-    casing = _local(record.casing, min(points, len(record.casing) // samples), record.quantity == "angle")
-    windows = np.array([_local(w, 1, record.quantity == "angle")[0] for w in record.rotor])
+    is_angle = record.quantity == "angle"
+    casing = _local(record.casing, min(points, len(record.casing) // samples), is_angle)
+    windows = np.concatenate(
+        [np.zeros((0, 3)), *(_local(w, _pieces(w, record, points, samples), is_angle) for w in record.rotor)]
+    )
     times = np.linspace(*record.span, points)
     omega_c = np.interp(times, casing[:, 0], casing[:, 1])
     omega_r = np.zeros(points) if record.single else _rotor_curve(windows, times)
     return times, np.stack([omega_r, omega_c], axis=1)
+
+
+def _pieces(window: Samples, record: Record, points: int, samples: int) -> int:
+    """Return the number of straight lines of a rotor window: one, unless it is no short film but most of the run."""
+    share = (window.time[-1] - window.time[0]) / (record.span[1] - record.span[0])
+    return min(round(points * share), len(window) // samples) if share > _MOST_OF_THE_RUN else 1
 
 
 def _local(samples: Samples, count: int, is_angle: bool) -> Array:  # noqa: FBT001

@@ -332,7 +332,11 @@ def draw_effect(present: Sequence[str], random: Any) -> Effect:
     names = [
         n
         for n, e in LIBRARY.items()
-        if e.kind == "physical" and not e.restoring and n not in present and n not in _NOT_DRAWN
+        if e.kind == "physical"
+        and e.searched
+        and not e.restoring
+        and n not in present
+        and n not in _NOT_DRAWN
     ]
     return LIBRARY[names[int(random.integers(len(names)))]]
 

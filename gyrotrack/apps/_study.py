@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -216,6 +217,7 @@ def open_study(
     data: str | None = None,
     rotor: str = "windows",
     prior: Path | None = None,
+    prior_rotor: Path | None = None,
 ) -> Study:
     """Read cases and their ledger.
 
@@ -231,16 +233,22 @@ def open_study(
         Fit the films of the rotor, or one curve through them as the paper does.
     prior : Path, optional
         Another study, by its case or ledger: the parameters of its latest fit are the prior of fits of this one.
+    prior_rotor : Path, optional
+        A study of the single body that is the rotor here.
     """
     from fitting.study._history import Ledger
 
     read = read_cases(cases, data=data, rotor=rotor)
     kept = Ledger(ledger) if ledger is not None else Ledger.default_for(Path(cases[0]))
-    return Study(read, kept, _prior_of(prior, read) if prior is not None else None)
+    from fitting.inference._prior import Prior
+
+    known = [_prior_of(p, read, rotor=p is not prior) for p in (prior, prior_rotor) if p is not None]
+    return Study(read, kept, reduce(Prior.joined, known) if known else None)
 
 
-def _prior_of(path: Path, data: Sequence[CaseData]) -> Prior:
+def _prior_of(path: Path, data: Sequence[CaseData], *, rotor: bool) -> Prior:
     from fitting._numbers import per_inertia
+    from fitting.effects._library import of_the_rotor
 
     (entry,) = latest_fits([path]).values()
     own = {d.record.digest for d in data}.intersection(entry.digests)
@@ -259,7 +267,20 @@ def _prior_of(path: Path, data: Sequence[CaseData]) -> Prior:
                 f"{path} gives {name} in {entry.estimates[name].unit}, these cases need {expected}.",
                 "Give --inertia for both studies, or for none of them.",
             )
-    return prior
+    if not rotor:
+        return prior
+    renamed: dict[str, str] = {}
+    for effect in entry.model.effects:
+        same = of_the_rotor(effect)
+        if same is not None:
+            pairs = zip(effect.parameters, same.parameters, strict=True)
+            renamed |= {f"{effect.name}.{p.symbol}": f"{same.name}.{q.symbol}" for p, q in pairs}
+    if not renamed.keys() & set(prior.names):
+        raise UsageError(
+            f"{path} determines no law that the library has for the rotor.",
+            "Laws of the rotor: drag of the air and dry friction of its support.",
+        )
+    return prior.renamed(renamed)
 
 
 def read_cases(

@@ -54,7 +54,8 @@ def import_command(
         typer.Option(
             "--column",
             metavar="QUANTITY=COLUMN",
-            help="Meaning of a column, by header or number: t=Zeit, 'angle=phi [deg]', 't=1 [us]', revolutions=3.",
+            help="Meaning of a column, by header or number: t=Zeit, 'angle=phi [deg]', 't=1 [us]', revolutions=3; "
+            "of one body only: casing.revolutions=5.",
         ),
     ] = None,
     marker: Annotated[
@@ -138,10 +139,11 @@ def import_command(
             f"There are {len(rotor)} files of the rotor but {len(starts)} starts.",
             "Give --rotor-start once per file.",
         )
-    names, title = read_names(columns or ()), output.stem if label is None else label
+    title = output.stem if label is None else label
+    names = {part: read_names(columns or (), part) or None for part in ("casing", "rotor")}
     options = [
-        ReadOptions(names or None, marker, centre, fps, begin, likelihood, pulses_per_turn)
-        for fps, begin in [(casing_fps, 0.0), *((rotor_fps, t) for t in starts)]
+        ReadOptions(names[part], marker, centre, fps, begin, likelihood, pulses_per_turn)
+        for part, fps, begin in [("casing", casing_fps, 0.0), *(("rotor", rotor_fps, t) for t in starts)]
     ]
     limits = Limits(start, stop, read_cuts(cut or ()), keep_all)
     if body is not None and inertia is not None and casing is None and not rotor:

@@ -19,6 +19,7 @@ from gyrotrack.apps.cli._options import (
     From,
     Json,
     LedgerFile,
+    PriorRotor,
     PriorStudy,
     Quiet,
     RotorKind,
@@ -91,6 +92,7 @@ def fit_command(
         bool, typer.Option("--hold-out", help="Also predict each case from a fit of the others.")
     ] = False,
     prior: PriorStudy = None,
+    prior_rotor: PriorRotor = None,
     start: From = None,
     ledger: LedgerFile = None,
     as_json: Json = False,
@@ -120,7 +122,7 @@ def fit_command(
     )
     documents = []
     for group in groups:
-        study = open_study(group, ledger, data=data, rotor=rotor, prior=prior)
+        study = open_study(group, ledger, data=data, rotor=rotor, prior=prior, prior_rotor=prior_rotor)
         with out.progress("fitting") as progress:
             progress(0, None)
             found, fit_id = request.fit(study, start)
@@ -312,6 +314,7 @@ def diagnose_command(
     *,
     effects: EffectsFile = None,
     prior: PriorStudy = None,
+    prior_rotor: PriorRotor = None,
     start: From = None,
     ledger: LedgerFile = None,
     as_json: Json = False,
@@ -328,7 +331,7 @@ def diagnose_command(
     from fitting.study._serialisation import diagnosis_document
 
     out = Output(as_json=as_json, quiet=quiet)
-    study = open_study(cases, ledger, prior=prior)
+    study = open_study(cases, ledger, prior=prior, prior_rotor=prior_rotor)
     with WorkerPool() as workers, out.progress("scoring effects") as progress:
         progress(0, None)
         fit, fit_id = study.base(start)
@@ -344,6 +347,7 @@ def improve_command(
     *,
     effects: EffectsFile = None,
     prior: PriorStudy = None,
+    prior_rotor: PriorRotor = None,
     start: From = None,
     ledger: LedgerFile = None,
     as_json: Json = False,
@@ -359,7 +363,7 @@ def improve_command(
     from fitting.study._serialisation import fit_document, history_verdict
 
     out = Output(as_json=as_json, quiet=quiet)
-    study = open_study(cases, ledger, prior=prior)
+    study = open_study(cases, ledger, prior=prior, prior_rotor=prior_rotor)
     with WorkerPool() as workers, out.progress("adding effects") as progress:
         progress(0, None)
         base, parent = study.base(start)

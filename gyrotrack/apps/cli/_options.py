@@ -72,6 +72,14 @@ PriorStudy = Annotated[
         help="Case or ledger of other recordings; the parameters of its latest fit become a prior.",
     ),
 ]
+PriorRotor = Annotated[
+    Path | None,
+    typer.Option(
+        "--prior-rotor",
+        metavar="STUDY",
+        help="The same of a study of the rotor alone; its parameters are matched by their laws.",
+    ),
+]
 LedgerFile = Annotated[
     Path | None,
     typer.Option("--ledger", metavar="FILE", help="File of the fits; by default next to the first case."),

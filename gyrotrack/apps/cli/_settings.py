@@ -54,7 +54,10 @@ _COMPUTE = (
     "torque_noise torque_time until verbose verify window window_length"
 )
 # options whose values are files to read or to write; a found file may name those in its own folder
-_PATHS = "clips contact_sheet csv effects film films folder latex ledger output overlay picture prior report"
+_PATHS = (
+    "clips contact_sheet csv effects film films folder latex ledger output overlay picture prior "
+    "prior_rotor report"
+)
 FOUND = frozenset(f"{_COMPUTE} {_PATHS}".split())
 # options that only the user may set: replacing or deleting results, addresses, certificates, ports, cores
 REFUSED = frozenset(

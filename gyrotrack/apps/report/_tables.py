@@ -28,6 +28,7 @@ JOINTS = {
     "rotor": "rotor",
     "casing": "casing",
     "bearing": "both bodies",
+    "contact": "both bodies",
     "factor": "bearing × factor",
     "camera.casing": "camera (casing)",
     "camera.rotor": "camera (rotor)",

@@ -103,8 +103,10 @@ class MotionTable:
         )
 
 
-def read_names(given: Iterable[str]) -> Names:
-    """Return what options such as ``t=Zeit``, ``angle=phi [deg]`` or ``t=1 [us]`` mean.
+def read_names(given: Iterable[str], body: str = "casing") -> Names:
+    """Return what options such as ``t=Zeit``, ``angle=phi [deg]`` or ``t=1 [us]`` mean for one body.
+
+    An option that begins with ``casing.`` or ``rotor.`` is for the file of that body only.
 
     Raises
     ------
@@ -114,11 +116,15 @@ def read_names(given: Iterable[str]) -> Names:
     names: dict[str, tuple[str, str]] = {}
     for option in given:
         ours, equals, theirs = (part.strip() for part in option.partition("="))
+        whose, dot, quantity = ours.partition(".")
+        ours = quantity if dot and whose in {"casing", "rotor"} else ours
         if not equals or ours not in ROLES or not theirs:
             raise UsageError(
                 f"{option[:60]!r}: unknown column.",
                 f"Write for example t=Zeit; quantities are {', '.join(ROLES)}.",
             )
+        if ours == quantity and whose != body:
+            continue
         names[theirs.casefold()] = (ours, "")
         bare, unit = header_of(theirs) if theirs.endswith(("]", ")")) else (theirs, "")
         if unit:

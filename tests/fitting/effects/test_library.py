@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
-from fitting.effects._effect import parse_unit
+from fitting.effects._effect import RATIO, parse_unit
 from fitting.effects._expression import Tape, derivative, parse, symbols
 from fitting.effects._library import GENERAL, LIBRARY, LINEAR, REDUCED, find
 
@@ -116,7 +116,23 @@ TABLE = {
 
 
 # beyond the table: not a law of a body, but a factor of the casing's acceleration
-BEYOND = {"setup.inertia": ("inertia", lambda v: 1 / (1 + v["eps"]) + 0 * v["t"], {"eps": "1"})}
+BEYOND = {
+    "setup.inertia": ("inertia", lambda v: 1 / (1 + v["eps"]) + 0 * v["t"], {"eps": "1"}),
+    "rotor.support": ("rotor", lambda v: -v["k"] * sgn(v["omega_r"]), {"k": "N m"}),
+    "contact.rolling": (
+        "contact",
+        lambda v: (
+            v["torque_held"] * (1 - v["c"] * v["inertia_slip"] * abs(v["omega_r"]) / v["T"])
+            - v["inertia_slip"] * v["slip"] / v["T"]
+        ),
+        {"n": "1", "c": "N-1 m-1", "T": "s"},
+    ),
+    "contact.sliding": (
+        "contact",
+        lambda v: -v["k"] * np.tanh(v["slip"] / v["w"]),
+        {"k": "N m", "n": "1", "w": "s-1"},
+    ),
+}
 
 
 EFFECTS = pytest.mark.parametrize("effect", LIBRARY.values(), ids=LIBRARY)
@@ -135,6 +151,9 @@ def places(effect, n=200, seed=0):
         "chirp": rng.uniform(0, 500, n),
         "strain": rng.uniform(-1, 1, n),
         "deflection": rng.uniform(-2, 2, n),
+        "slip": rng.uniform(-20, 20, n),
+        "torque_held": rng.uniform(-1, 1, n),
+        "inertia_slip": 0.3,
         "tau": rng.uniform(-1e-4, 1e-4, n),
         "psi": rng.uniform(0, 1e4, n),
         "omega": rng.uniform(-200, 200, n),
@@ -183,14 +202,16 @@ def test_declaration_is_sound(effect):
     assert effect.signature
     assert effect.source
     assert set(effect.confused_with) <= set(LIBRARY) - {effect.name}
-    assert {p.symbol for p in effect.parameters} <= symbols(effect.expression) | symbols(
+    # the ratio of a contact is in its slip
+    assert {p.symbol for p in effect.parameters} - {RATIO} <= symbols(effect.expression) | symbols(
         effect.rate or parse("0")
     )
     for p in effect.parameters:
         assert p.lower < p.upper
         assert p.lower <= p.start <= p.upper
         assert p.meaning
-        if p.role == "shape":
+        # the ratio of a contact is found from the speeds
+        if p.role == "shape" and p.symbol != RATIO:
             assert p.grid
             assert list(p.grid) == sorted(p.grid)
             assert all(p.relative or p.lower <= v <= p.upper for v in p.grid)

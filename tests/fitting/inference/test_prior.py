@@ -13,6 +13,17 @@ from tests.fitting.oscillators import record
 RATE, STRENGTH, START, SIGMA = 20.0, 0.4, 60.0, 0.5
 
 
+def test_priors_of_two_studies_are_independent_and_have_other_names():
+    drum = Prior(("a.k", "b.k"), (1.0, 2.0), ((4.0, 1.0), (1.0, 9.0)), "drum")
+    wheel = Prior(("c.k",), (3.0,), ((16.0,),), "wheel")
+    both = drum.renamed({"b.k": "d.k"}).joined(wheel)
+    assert (both.names, both.mean) == (("d.k", "c.k"), (2.0, 3.0))
+    assert both.covariance == ((9.0, 0.0), (0.0, 16.0))
+    assert both.source == "drum and wheel"
+    with pytest.raises(EstimationError, match=r"both have the parameter a\.k"):
+        drum.joined(drum)
+
+
 def coasting(seed, strength=STRENGTH, span=40.0, label="run", drag=0.0):
     """Speeds of a body under a constant torque, linear in the start and in the strength; or under drag as well."""
     t = np.arange(0.0, span, 1 / RATE)

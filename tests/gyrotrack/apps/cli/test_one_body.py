@@ -90,6 +90,62 @@ def test_prior_from_another_study(gyrotrack, wheel, tmp_path):
     assert "counted twice" in said.err
 
 
+@pytest.mark.slow
+def test_a_wheel_that_rolls_with_the_priors_of_each_body(gyrotrack, tmp_path):
+    """Drum and wheel alone, then in contact: the drag of the wheel is known, the rolling resistance is found."""
+    rng = np.random.default_rng(5)
+    drum, wheel, n = 2.0, 0.1, 2.5
+
+    def table(name, **columns):
+        path = tmp_path / name
+        lines = [
+            ",".join(columns),
+            *(",".join(f"{v:.6f}" for v in row) for row in zip(*columns.values(), strict=True)),
+        ]
+        path.write_text("\n".join(lines), encoding="utf-8")
+        return path
+
+    def noisy(angle):
+        return angle + 2e-3 * rng.standard_normal(len(angle))
+
+    def coast(t, start, inertia, friction, drag):
+        held, rate = friction / drag, drag / inertia
+        return (start + held) * (1 - np.exp(-rate * t)) / rate - held * t
+
+    t = np.arange(0.0, 60.0, 0.05)
+    alone = {
+        "drum": (table("drum.csv", t=t, angle=noisy(coast(t, 30.0, drum, 0.1, 0.01))), drum),
+        "wheel": (table("wheel.csv", t=t, angle=noisy(coast(t, 80.0, wheel, 0.01, 1e-3))), wheel),
+    }
+    for name, (path, inertia) in alone.items():
+        case = tmp_path / f"{name}.h5"
+        assert (
+            gyrotrack("import", "--body", path, "--inertia", str(inertia), "-o", case, "--keep-all").code == 0
+        )
+        assert gyrotrack("fit", case).code == 0
+    rolled = coast(t, 30.0, drum + n**2 * wheel, 0.1 + n * (0.01 + 0.05), 0.01 + n**2 * 1e-3)
+    both = table("both.csv", t=t, slow=noisy(rolled), fast=noisy(n * rolled))
+    case = tmp_path / "both.h5"
+    names = ["casing.angle=slow", "rotor.angle=fast", "t=t"]
+    options = [word for name in names for word in ("--column", name)]
+    inertias = ("--inertia-casing", str(drum), "--inertia-rotor", str(wheel))
+    said = gyrotrack("import", "--casing", both, "--rotor", both, *options, *inertias, "-o", case)
+    assert said.code == 0, said.err
+    model = tmp_path / "rolling.toml"
+    effects = ["contact.rolling", "rotor.air.linear", "touchpoint.constant", "casing.air.linear"]
+    law = '[[effect]]\nname = "resistance"\nbody = "rotor"\nlaw = "-k*sign(omega_r)"\n'
+    model.write_text(f"effects = {effects}\n".replace("'", '"') + law, encoding="utf-8")
+    priors = ("--prior", tmp_path / "drum.h5", "--prior-rotor", tmp_path / "wheel.h5")
+    said = gyrotrack("fit", case, "--model", model, *priors, "--json")
+    assert said.code == 0, said.err
+    assert "drum.h5 (f1) and wheel.h5 (f1)" in said.json["prior"]["source"]
+    assert "rotor.air.linear.a1" in said.json["prior"]["names"]
+    found = said.json["parameters"]
+    for key, true in {"contact.rolling.n": n, "resistance.k": 0.06, "rotor.air.linear.a1": 1e-3}.items():
+        assert abs(found[key]["value"] - true) < 4 * found[key]["stderr"], key
+    assert found["resistance.k"]["stderr"] < 0.01
+
+
 def test_a_prior_in_other_units_is_refused(gyrotrack, wheel, tmp_path):
     ratio, case = tmp_path / "ratio.h5", tmp_path / "case.h5"
     assert gyrotrack("import", "--body", wheel, "--inertia", "2e-3", "-o", case, "--from", "15").code == 0
