@@ -26,7 +26,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "discovery"))
 
-from experiment import CASES, Hidden, record, together
+from experiment import CASES, Hidden, integrate, record, shake, together
 from hidden import LIBRARY as HIDDEN
 from hidden import Draw
 from judge import both
@@ -37,6 +37,9 @@ from fitting import Model, fit, improve, make_record, plan
 from fitting.discovery._information import Run
 from fitting.discovery._next_run import Bounds
 from fitting.effects._library import REDUCED
+
+# time before the end of the simulated motion at which a recording stops [s]
+_MARGIN = 2.0
 
 
 def main() -> None:
@@ -119,6 +122,11 @@ def _third(run: Planned, wanted: Run) -> Any:
             case["span"], np.random.default_rng([seed, 0, key]), np.random.default_rng([seed, 1, key, 2])
         )
         worlds.append(HIDDEN[name](run.strength * budget(run.gyroscopes[0]), draw))
+    # the independent simulation ends where the casing is slow, and shifts each window by up to its length
+    quiet = integrate(case, together(worlds), shake(case["span"], 0.0, 1.0, np.random.default_rng(0)))
+    end = min(wanted.duration, float(quiet.time[-1]) - _MARGIN)
+    starts = [min(w, end - 2 * wanted.window_length) for w in wanted.windows]
+    case |= {"span": end, "windows": tuple(w / end for w in starts)}
     made = record(
         case, together(worlds), torque_noise=run.noise, torque_time=run.noise_time,
         rng=np.random.default_rng([seed, 2, 2]), label="case3",

@@ -73,6 +73,8 @@ _DRAWS = 1000
 _FIRST, _LATER, _KEPT = 5, 9, 48
 _SEARCHES = 3
 _POINTS = 1000
+# standard uncertainties of the pure process noise by which that of a fit may exceed it
+_EXCUSED = 4.0
 # share of the best law's fall of the deviance from which an effect of the library is fitted at the same noise
 _AS_GOOD = 0.8
 # difference of explained shares below which two variables explain as much
@@ -302,8 +304,12 @@ def library_answer(known: Diagnosis) -> Candidate | None:
     """
     if known.verdict != "missing_effect" or known.remainder is not None or not known.candidates:
         return None
-    best = known.candidates[0]
-    return best if set(UNKNOWN_LAWS.values()).isdisjoint(best.indistinguishable_from) else None
+    best = next((c for c in known.candidates if c.physical and c.significant), known.candidates[0])
+    if not set(UNKNOWN_LAWS.values()).isdisjoint(best.indistinguishable_from):
+        return None
+    # a fit that needs more process noise than the most flexible motion shows describes the data by that noise
+    noise = () if best.fit is None else best.fit.noise
+    return None if any(n.level > n.pure + _EXCUSED * n.pure_u for n in noise) else best
 
 
 class _Steps:

@@ -36,17 +36,25 @@ def saturating():
 
 
 @pytest.mark.parametrize(
-    ("remainder", "others", "stops"),
+    ("remainder", "others", "level", "stops"),
     [
-        (None, (), True),
-        (None, ("a.b",), True),
-        (None, (UNKNOWN_LAWS["omega_c"],), False),
-        ("a significant remainder", (), False),
+        (None, (), 1e-9, True),
+        (None, ("a.b",), 1e-9, True),
+        (None, (), 6e-9, True),
+        (None, (), 3e-8, False),
+        (None, (UNKNOWN_LAWS["omega_c"],), 1e-9, False),
+        ("a significant remainder", (), 1e-9, False),
     ],
 )
-def test_the_library_is_the_answer_only_if_no_unknown_law_explains_the_data_as_well(remainder, others, stops):
-    candidate = SimpleNamespace(indistinguishable_from=others)
-    known = SimpleNamespace(verdict="missing_effect", remainder=remainder, candidates=(candidate,))
+def test_the_library_is_the_answer_only_if_no_unknown_law_explains_the_data_as_well(
+    remainder, others, level, stops
+):
+    """Neither an unknown law nor process noise beyond what the recording shows may stand in for it."""
+    noise = (SimpleNamespace(level=level, pure=2e-9, pure_u=2e-9),)
+    known_fit = SimpleNamespace(noise=noise)
+    artefact = SimpleNamespace(indistinguishable_from=(), fit=None, physical=False, significant=True)
+    candidate = SimpleNamespace(indistinguishable_from=others, fit=known_fit, physical=True, significant=True)
+    known = SimpleNamespace(verdict="missing_effect", remainder=remainder, candidates=(artefact, candidate))
     assert (library_answer(known) is candidate) is stops
 
 
