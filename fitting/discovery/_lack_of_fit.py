@@ -189,6 +189,10 @@ _FINER = 16
 _RETAINED = 1e-3
 
 
+# share of the square of its own frequency that an oscillator's response to a drive is at least off resonance
+_NEAR_RESONANCE = 0.01
+
+
 @dataclass(frozen=True)
 class PeriodogramPeak:
     """The highest peak of the periodogram of the residual torque on one body.
@@ -263,8 +267,13 @@ def _peaks(fit: Fit) -> Iterator[PeriodogramPeak | None]:
         power, torque = periodogram(fine)
         top = int(np.argmax(power))
         k, rate = float(torque[top]), float(fine[top])
-        angle = k / (data.record.I_casing * rate**2)
+        swing = data.oscillation
+        # the response of a driven oscillator far from resonance, of a free body without one
+        stiffness = 0.0 if swing is None else (2 * np.pi / swing.period) ** 2
+        angle = k / (data.record.I_casing * max(abs(stiffness - rate**2), _NEAR_RESONANCE * stiffness))
         shown = not data.record.tracked or angle > float(np.median(data.record.casing.sigma))
+        # a model that loses the phase fails by the whole motion, which no torque beside it explains
+        shown = shown and (swing is None or angle < 0.5 * float(np.ptp(swing.deflection)))
         share = periodogram.share(rate)
         chances = [
             false_alarm_probability(

@@ -297,6 +297,7 @@ def diagnose(
             size = replace(size, form=None)
         selection = _with_rivals(selection, rivals)
     nuisance = nuisance_parameters(selection.end)
+    swings = any(d.oscillation is not None for d in fit.problem.data)
     torques, waves = curves.result(), harmonics.result()
     if fit.lacks_restoring_torque:
         torques = []
@@ -306,7 +307,10 @@ def diagnose(
         fit,
         verdict,
         allowed
-        or _sentence(fit, verdict, selection, failures, doubt, size, nuisance, criteria, hidden)
+        # harmonics of the angle of an oscillation are its own motion first
+        or _sentence(
+            fit, verdict, selection, failures, doubt, size, () if swings else nuisance, criteria, hidden
+        )
         + (f" {rival.sentence}" if rival is not None else ""),
         tuple(failures),
         tuple(selection.candidates),
