@@ -114,8 +114,8 @@ def whole(lines: list[Line]) -> list[str]:
     text = [
         "## Hidden laws, the whole command, no process noise",
         "",
-        "Other gyroscopes and constants than above. Where the library has the law, or one of the same torque beside the",
-        "base, its name is the answer.",
+        "Other gyroscopes and constants than above. Where the library has the law, or one of the same torque beside",
+        "the base, its name is the answer.",
         "",
         "| hidden | answer | true form | torque error | third | CPU s |",
         "|---|---|---|---|---|---|",
