@@ -90,7 +90,7 @@ class Oracle:
     def _nearest(self, left: np.ndarray, effect: Effect) -> tuple[str, float]:
         same = frozenset({effect.name}).union(*(t for t in TWINS if effect.name in t))
         best = ("", float(np.linalg.norm(left)))
-        for rival in LIBRARY.values():
+        for rival in (e for e in LIBRARY.values() if e.searched):
             if (
                 rival.name in same
                 or rival.name in self._base.model.names

@@ -191,7 +191,7 @@ def candidates(repeats: int) -> list[str]:
     data = CaseData.of(recording("glass"))
     base = fit(Model.of(REDUCED), [data])
     start = {k: e.value for k, e in base.estimates.items()}
-    names = [n for n, e in LIBRARY.items() if n not in REDUCED and e.mechanical][:25]
+    names = [n for n, e in LIBRARY.items() if n not in REDUCED and e.mechanical and e.searched][:25]
     names += [n for n, e in LIBRARY.items() if n not in REDUCED and not e.mechanical][: 25 - len(names)]
 
     def work():
