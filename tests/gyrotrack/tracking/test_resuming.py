@@ -211,6 +211,9 @@ def long_film(draw, tmp_path):
     return lambda rounds: repeated(film, tmp_path / f"{rounds}.mp4", rounds)
 
 
+_KILLS = 7
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs SIGKILL")
 def test_killed_at_random_moments_it_ends_with_the_same_numbers(long_film, tmp_path):
@@ -220,12 +223,13 @@ def test_killed_at_random_moments_it_ends_with_the_same_numbers(long_film, tmp_p
     whole = content(target)
     rng = np.random.default_rng(0)
     kills = kept = 0
-    while kills < 7:
+    while kills < _KILLS:
         target.unlink()
         while True:
             with subprocess.Popen([*words, "--resume"], stdout=subprocess.DEVNULL) as process:
                 try:
-                    assert process.wait(rng.uniform(0.3, 5.0)) == 0
+                    # a slow machine, which comes less far between two kills, is left alone at last
+                    assert process.wait(rng.uniform(0.3, 5.0) if kills < _KILLS else None) == 0
                     break
                 except subprocess.TimeoutExpired:
                     process.send_signal(signal.SIGKILL)
