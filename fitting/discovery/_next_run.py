@@ -264,6 +264,9 @@ def separating_run(
         # what is planned is a run that begins at given speeds, not a release from an angle
         restoring = [x for x in smooth if any(e.restoring for e in x[1])]
         return _LARGER_AMPLITUDE if len(restoring) > 1 else ""
+    if fit.model.rigid_contact is not None:
+        # nor are bodies that touch, whose initial speeds are not independent
+        return ""
     terms = [(e, _mean_values(e, estimates)) for _, effects, estimates in smooth for e in effects]
     information = Information(
         fit, [(e, {p.symbol: v[p.symbol] for p in e.parameters if p.role == "shape"}) for e, v in terms]

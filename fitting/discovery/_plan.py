@@ -112,6 +112,11 @@ def plan(
                 "a plan is made for runs that begin at given speeds, and this body oscillates about an equilibrium",
                 "release it from a larger angle, or record it for longer: both tell restoring torques apart",
             )
+        if recordings.model.rigid_contact is not None:
+            raise EstimationError(
+                "a plan is made for runs whose initial speeds are independent, and these bodies roll on each other",
+                "plan the run of each body alone, from its own study",
+            )
         fit, fits = recordings, [recordings]
     else:
         described = read_planned(recordings)

@@ -42,6 +42,7 @@ _MEASURED = 1e-6
 # intervals this far below the tolerance are resolved at twice their length too: by 2^9 and more
 _THIN = 1e-14
 _FEWEST = 12
+# time in which a slip does not settle within any record [s]
 _NEVER = 1e12
 
 

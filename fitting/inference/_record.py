@@ -274,6 +274,7 @@ def running_median(value: Array, width: int) -> Array:
 
 
 _POINTS = 160
+# share of a run from which on a rotor window is a recording of its own and no short film
 _MOST_OF_THE_RUN = 0.5
 
 

@@ -236,13 +236,21 @@ def open_study(
     prior_rotor : Path, optional
         A study of the single body that is the rotor here.
     """
+    from fitting.inference._prior import Prior
     from fitting.study._history import Ledger
 
     read = read_cases(cases, data=data, rotor=rotor)
     kept = Ledger(ledger) if ledger is not None else Ledger.default_for(Path(cases[0]))
-    from fitting.inference._prior import Prior
-
-    known = [_prior_of(p, read, rotor=p is not prior) for p in (prior, prior_rotor) if p is not None]
+    if prior is not None and prior_rotor is not None and prior.resolve() == prior_rotor.resolve():
+        raise UsageError(
+            f"{prior} is given as the study of both bodies.",
+            "Give --prior-rotor the study of the rotor alone.",
+        )
+    known = [
+        _prior_of(path, read, rotor=of_rotor)
+        for path, of_rotor in ((prior, False), (prior_rotor, True))
+        if path is not None
+    ]
     return Study(read, kept, reduce(Prior.joined, known) if known else None)
 
 

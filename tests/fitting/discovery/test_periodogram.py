@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import twobody
+from oscillators import motion, record
 from scipy import stats
 
 from fitting.discovery._lack_of_fit import periodogram_peak
@@ -41,6 +42,17 @@ def test_a_sinusoidal_torque_is_found_and_is_no_process_noise(shaken):
     assert line.rate == pytest.approx(RATE, abs=0.3 / (span[1] - span[0]))
     assert line.torque == pytest.approx(TORQUE, rel=0.1)
     assert line.angle == pytest.approx(TORQUE / (twobody.I_CASING * RATE**2), rel=0.1)
+
+
+def test_a_drive_of_an_oscillator_moves_it_by_torque_over_stiffness_and_inertia():
+    """Off resonance the amplitude is k / |kappa - I rate^2|; larger than the motion itself it would be no finding."""
+    own, rate, drive = 25.0, 2.0, 0.2
+    t, angle, _ = motion(lambda t, x, v: -own * x - 0.02 * v + drive * math.cos(rate * t), (0.3, 0.0), 60.0)
+    data = record(t, angle, 2e-4, 1)
+    line = periodogram_peak(fit(Model.of(["casing.spring.linear", "casing.air.linear"]), [data]))
+    assert line.rate == pytest.approx(rate, abs=0.05)
+    assert line.angle == pytest.approx(drive / (own - rate**2), rel=0.1)
+    assert line.p_value < 1e-6
 
 
 @pytest.mark.slow

@@ -144,6 +144,12 @@ def test_a_wheel_that_rolls_with_the_priors_of_each_body(gyrotrack, tmp_path):
     for key, true in {"contact.rolling.n": n, "resistance.k": 0.06, "rotor.air.linear.a1": 1e-3}.items():
         assert abs(found[key]["value"] - true) < 4 * found[key]["stderr"], key
     assert found["resistance.k"]["stderr"] < 0.01
+    said = gyrotrack("fit", case, "--prior", tmp_path / "drum.h5", "--prior-rotor", tmp_path / "drum.h5")
+    assert said.code == 2
+    assert "study of both bodies" in said.err
+    said = gyrotrack("plan", case)
+    assert said.code == 1
+    assert "roll on each other" in said.err
 
 
 def test_a_prior_in_other_units_is_refused(gyrotrack, wheel, tmp_path):
