@@ -303,19 +303,12 @@ def start_of_motion(time: Floats, angle: Floats, sigma: Floats) -> int:
     the record by more than 5 % and 5 standard errors; an oscillation begins where its periods and amplitudes are
     those of a free one.
     """
-    width = max(5, len(time) // 50)
-    edges = np.arange(0, len(time) - width + 1, width)
-    if len(edges) < 8:
+    windows = _speeds(time, angle, sigma)
+    if windows is None:
         return 0
-    speed = np.array([np.polyfit(time[i : i + width], angle[i : i + width], 1)[0] for i in edges])
-    duration = float(np.median(np.diff(time))) * width
-    error = float(np.median(sigma)) * math.sqrt(12 / width) / duration
+    edges, speed, error = windows
     size = np.abs(speed)
-    if (
-        speed.min() < -5 * error
-        and speed.max() > 5 * error
-        and min(-speed.min(), speed.max()) > 0.2 * size.max()
-    ):
+    if _turns_back(speed, error):
         return start_of_oscillation(time, angle)
     top = int(np.argmax(size))
     late = float(np.median(size[len(size) // 2 :]))
@@ -323,3 +316,36 @@ def start_of_motion(time: Floats, angle: Floats, sigma: Floats) -> int:
     if top == 0 or top > len(size) // 2 or not rises or late > 0.98 * size[top]:
         return 0
     return int(edges[top])
+
+
+def end_of_motion(time: Floats, angle: Floats, sigma: Floats) -> int:
+    """Return the sample from which a body that does not turn back is at rest to the end, else their number.
+
+    At rest the speed over every window of a fiftieth of the record is below 2 % of its largest, or below 5 standard
+    errors. Rest of less than a twentieth of the record counts as motion.
+    """
+    windows = _speeds(time, angle, sigma)
+    if windows is None or _turns_back(*windows[1:]):
+        return len(time)
+    edges, speed, error = windows
+    size = np.abs(speed)
+    moving = np.flatnonzero(size > max(0.02 * size.max(), 5 * error))
+    last = int(edges[moving[-1] + 1]) if len(moving) and moving[-1] + 1 < len(edges) else len(time)
+    return last if len(time) - last > len(time) / 20 and last >= _FEWEST else len(time)
+
+
+def _speeds(time: Floats, angle: Floats, sigma: Floats) -> tuple[npt.NDArray[np.int64], Floats, float] | None:
+    """Return first samples of windows, the speeds in them [rad/s], and their standard error; None for few samples."""
+    width = max(5, len(time) // 50)
+    edges = np.arange(0, len(time) - width + 1, width)
+    if len(edges) < 8:
+        return None
+    speed = np.array([np.polyfit(time[i : i + width], angle[i : i + width], 1)[0] for i in edges])
+    duration = float(np.median(np.diff(time))) * width
+    return edges, speed, float(np.median(sigma)) * math.sqrt(12 / width) / duration
+
+
+def _turns_back(speed: Floats, error: float) -> bool:
+    """Tell whether a body turns in both senses, beyond errors and a fifth of its largest speed."""
+    fastest = float(np.abs(speed).max())
+    return bool(min(-speed.min(), speed.max()) > max(5 * error, 0.2 * fastest))

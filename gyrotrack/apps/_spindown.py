@@ -16,7 +16,7 @@ import numpy.typing as npt
 from gyrotrack._errors import DatasetError, GyrotrackError, TrackingError, VideoError
 from gyrotrack._inertia import Inertia
 from gyrotrack._smoothing import WIDTH, angular_velocity
-from gyrotrack.apps._motion import TURN, BodyMotion, Value, motion_of, start_of_motion
+from gyrotrack.apps._motion import TURN, BodyMotion, Value, end_of_motion, motion_of, start_of_motion
 from gyrotrack.apps._study import Recorder, open_study
 from gyrotrack.apps.report._page import write_report
 from gyrotrack.io._atomic import new_file
@@ -25,9 +25,12 @@ from gyrotrack.io._records import BodyTrack, Case, Placement, Recording, Series
 from gyrotrack.io.readers._import_case import import_body, no_series
 from gyrotrack.io.readers._motion_table import ReadOptions
 from gyrotrack.io.readers._run import Limits
-from gyrotrack.tracking._any_body import Film, Tracked, track_body
+from gyrotrack.tracking._any_body import track_body
 from gyrotrack.tracking._extract import extract
+from gyrotrack.tracking._film import Film
+from gyrotrack.tracking._moving_hub import track_free_body
 from gyrotrack.tracking._profile import load
+from gyrotrack.tracking._tracked import Tracked
 from gyrotrack.video._container import file_sha256
 from gyrotrack.video._time_base import SLOWEST_PLAIN_RATE, Timing
 
@@ -56,7 +59,7 @@ class SpindownOptions:
     pulses_per_turn : float, optional
         The table is one column of times of pulses, so many of them a turn.
     keep_all : bool
-        Keep the start of the record even where a hand or a motor drives the body.
+        Keep the start of the record even where a hand or a motor drives the body, and rest at its end.
     label : str
         Name of the case.
     profile : Path, optional
@@ -103,16 +106,21 @@ def read_source(
         warnings.append("No inertia is given: torques are per unit of inertia, in rad/s2 (inertia 1).")
     series = case.casing
     table = not case.recordings  # its reader has cut it
-    first = 0 if options.keep_all or table else start_of_motion(series.time, series.angle, series.sigma)
-    if first:
-        warnings.append(
-            f"The body is driven until {series.time[first]:.3f} s (a hand or a motor); {first} samples before it are "
-            "left out. --keep-all keeps them."
-        )
-        kept = {
-            k: getattr(series, k)[first:] for k in ("time", "angle", "sigma", "omega", "omega_sigma", "turn")
-        }
-        series = replace(series, **kept)
+    if not (options.keep_all or table):
+        whole = (series.time, series.angle, series.sigma)
+        first, last = start_of_motion(*whole), end_of_motion(*whole)
+        if first:
+            warnings.append(
+                f"The body is driven until {series.time[first]:.3f} s (a hand or a motor); {first} samples before it "
+                "are left out. --keep-all keeps them."
+            )
+        if last < len(series.time):
+            warnings.append(
+                f"The body is at rest from {series.time[last]:.3f} s; {len(series.time) - last} samples after it are "
+                "left out. --keep-all keeps them."
+            )
+        names = ("time", "angle", "sigma", "omega", "omega_sigma", "turn")
+        series = replace(series, **{name: getattr(series, name)[first:last] for name in names})
     return replace(case, casing=series, warnings=tuple(warnings), label=options.label or source.stem), tracked
 
 
@@ -126,7 +134,10 @@ def _recording_in(path: Path) -> Recording | None:
 def _film(
     source: Path, options: SpindownOptions, progress: Progress | None
 ) -> tuple[Recording, Tracked | None]:
-    """Track a film by its profile if one is given, else by the picture of the body, else by the paper's markers."""
+    """Track a film by its profile if one is given, else by the first of these that succeeds.
+
+    The picture of a body about its hub; the paper's markers, unless a hub is given; a body that moves across the image.
+    """
     if options.profile is not None:
         return extract(
             source,
@@ -139,14 +150,17 @@ def _film(
     try:
         return film_recording(film, options, progress)
     except TrackingError:
-        if options.hub is not None:
-            raise
-        fps, _, warnings = _rate(film, options.capture_fps)
-        with suppress(GyrotrackError):
-            found = extract(source, capture_fps=fps, body=options.body, progress=progress)
-            if max(len(body.time) for body in found.bodies.values()) > _TRACKED * len(film):
-                note = "The paper's coloured markers are tracked; --profile or --hub X,Y names another body."
-                return replace(found, warnings=(*warnings, note, *found.warnings)), None
+        if options.hub is None:
+            fps, _, warnings = _rate(film, options.capture_fps)
+            with suppress(GyrotrackError):
+                found = extract(source, capture_fps=fps, body=options.body, progress=progress)
+                if max(len(body.time) for body in found.bodies.values()) > _TRACKED * len(film):
+                    note = (
+                        "The paper's coloured markers are tracked; --profile or --hub X,Y names another body."
+                    )
+                    return replace(found, warnings=(*warnings, note, *found.warnings)), None
+        with suppress(TrackingError):
+            return film_recording(film, options, progress, free=True)
         raise
 
 
@@ -166,12 +180,12 @@ def _rate(film: Film, requested: float | None) -> tuple[float, str, list[str]]:
 
 
 def film_recording(
-    film: Film, options: SpindownOptions, progress: Progress | None = None
+    film: Film, options: SpindownOptions, progress: Progress | None = None, *, free: bool = False
 ) -> tuple[Recording, Tracked]:
-    """Track one body in a film and make a recording of it."""
+    """Track one body in a film, on a hub or `free` to move across the picture, and make a recording of it."""
     source = film.path
     fps, origin, warnings = _rate(film, options.capture_fps)
-    tracked = track_body(film, options.hub, progress)
+    tracked = (track_free_body if free else track_body)(film, options.hub, progress)
     times = Timing("auto", fps).of(film.stamps, float(film.info.time_base))
     time_all = times.seconds(fps)
     time = time_all[tracked.frame]

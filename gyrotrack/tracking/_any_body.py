@@ -8,16 +8,17 @@ measurement itself.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._errors import TrackingError, UsageError
-from gyrotrack.tracking._hub_search import Motion, Proposal, follow_features, propose_hubs, still_point
+from gyrotrack.tracking._film import Film, Plane, fresh_frames
+from gyrotrack.tracking._hub_search import Motion, Proposal, propose_hubs, ring_for
+from gyrotrack.tracking._moving_hub import track_by_features
 from gyrotrack.tracking._registration import (
     TURN,
     Area,
@@ -32,23 +33,16 @@ from gyrotrack.tracking._registration import (
     rolled,
 )
 from gyrotrack.tracking._shake import Shake, camera_shake
-from gyrotrack.video._decoder import Reader
+from gyrotrack.tracking._tracked import Tracked, hub_error, white_noise
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
-Plane = npt.NDArray[np.uint8]
 Progress = Callable[[int, int | None], None]
 
-_HELD = (
-    600_000_000  # bytes of decoded pictures kept in memory; beyond it a film is decoded again for each pass
-)
 _TRIAL = 300  # frames on which a hub is tried
 _LEARNT = 300  # frames from which the body's picture is learnt
 _COARSE = 48.0
-_MIDDLE = 100.0
 _FINE = 200.0
-_SETTLING = 10  # times that picture and angles are estimated in turn, at most ...
-_SETTLED = 1e-3  # ... until the angles change by less than this share of the motion
 _EXPLAINED = 0.4
 """Share of the change of brightness that a turning body must explain; below it nothing is tracked."""
 _OUTSIDE = 0.85
@@ -63,123 +57,10 @@ _STATIC_SPAN = 1.0
 """Motion in rad from which a fixed picture is always part of the model ..."""
 _CLEARLY_BETTER = 0.02
 """... and the share by which it must explain more where the body moves less, as a pendulum before a wall does."""
-_MANY_TURNS = 3.0
-"""Turns from which an error once a turn cannot be taken for a motion."""
 
 
 class NothingMovesError(TrackingError):
     """No part of the picture changes by more than noise."""
-
-
-class Film:
-    """The luma of a film's frames, kept in memory where it fits, else decoded again for each pass."""
-
-    def __init__(self, path: Path, threads: int = 2) -> None:
-        self.path = path
-        self._threads = threads
-        self._shake: Shake | None = None
-        self._kept: list[Plane] | None = []
-        held = 0
-        seen: list[Plane] = []
-        self.repeats: list[bool] = []
-        before: npt.NDArray[np.int16] | None = None
-        changes = []
-        with Reader(path, threads) as reader:
-            for frame in reader:
-                plane = np.ascontiguousarray(frame.y)
-                small = plane[::4, ::4].astype(np.int16)
-                changes.append(255.0 if before is None else float(np.mean(np.abs(small - before))))
-                before = small
-                held += plane.nbytes
-                if held <= _HELD:
-                    seen.append(plane.copy())
-            self.info = reader.info
-            self.stamps = reader.pts_seconds()
-            self.warnings = reader.warnings
-            self.count = reader.decoded
-        self._kept = seen if held <= _HELD else None
-        self.changes = np.array(changes)
-
-    def __len__(self) -> int:
-        return self.count
-
-    def stabilise(self, shake: Shake | None) -> None:
-        """Take the motion of the camera out of all frames from now on; None: leave the frames as they are."""
-        self._shake = shake
-
-    def frames(self, first: int = 0, stop: int | None = None) -> Iterator[Plane]:
-        """Give the luma of frames `first` to before `stop`."""
-        stop = self.count if stop is None else min(stop, self.count)
-        if self._kept is not None:
-            for index, plane in enumerate(self._kept[first:stop], first):
-                yield self._still(plane, index)
-            return
-        with Reader(self.path, self._threads) as reader:
-            for frame in reader:
-                if frame.index >= stop:
-                    return
-                if frame.index >= first:
-                    yield self._still(np.ascontiguousarray(frame.y), frame.index)
-
-    def _still(self, plane: Plane, index: int) -> Plane:
-        return plane if self._shake is None else self._shake.stabilised(plane, index)
-
-    def some(self, index: Sequence[int] | npt.NDArray[np.int64]) -> list[Plane]:
-        """Return chosen frames, in the order of their numbers."""
-        if self._kept is not None:
-            return [self._still(self._kept[i], int(i)) for i in index]
-        wanted = {int(i) for i in index}
-        return [f.copy() for i, f in enumerate(self.frames(0, max(wanted) + 1)) if i in wanted]
-
-
-@dataclass(frozen=True)
-class Tracked:
-    """The motion of one body in a film.
-
-    Attributes
-    ----------
-    frame : ndarray of int, shape (m,)
-        Frames in which it was measured.
-    angle, sigma : ndarray, shape (m,)
-        Unwrapped angle, counter-clockwise as seen, and its standard uncertainty [rad].
-    ring : Ring
-        Where it was measured.
-    template : Template
-        What was learnt.
-    hub_path : ndarray, shape (m, 2)
-        Displacement of the hub [px].
-    explained : float
-        Share of the change of brightness that the motion explains, 0 to 1.
-    way : str
-        How the hub was found.
-    scale : float
-        Measured scatter of the angles over the Cramer-Rao bound.
-    halves : ndarray, shape (2, m)
-        The angle from the inner and from the outer half of the ring alone [rad]; their difference is due to the view
-        (perspective, a hub that is displaced) and to what is fixed in the image.
-    correlated : float
-        Uncertainty that frames share, from the difference of two ways to measure [rad]; 0 where there is one.
-    warnings : tuple of str
-        What was not as it should be.
-    """
-
-    frame: npt.NDArray[np.int64]
-    angle: Floats
-    sigma: Floats
-    ring: Ring
-    template: Template
-    hub_path: Floats
-    explained: float
-    way: str
-    scale: float
-    halves: Floats
-    correlated: float
-    warnings: tuple[str, ...]
-
-    @property
-    def hub_leverage(self) -> float:
-        """Error that a displaced hub causes over the difference that it makes between the halves of the ring."""
-        return hub_leverage(self.template.halves())
 
 
 @dataclass(frozen=True)
@@ -268,7 +149,7 @@ def _track(
         if not all(math.isfinite(v) for v in hub):
             raise UsageError("The hub is not a place.", "Give it as --hub X,Y in px.")
         proposals = [Proposal(hub, "given")]
-    elif (loose := _by_features(film, usable, motion, progress)) is not None:
+    elif (loose := track_by_features(film, usable, motion, progress)) is not None:
         return loose
     else:
         proposals = propose_hubs(block, motion)
@@ -319,140 +200,6 @@ def _second_body(block: Sequence[Plane], motion: Motion, best: _Trial) -> _Trial
     apart = math.dist(found.ring.hub, best.ring.hub)
     clear = apart > best.ring.outer and apart > found.ring.outer
     return found if clear and found.score > max(_EXPLAINED, _AS_GOOD * best.score) else None
-
-
-def _by_features(
-    film: Film, usable: npt.NDArray[np.int64], motion: Motion, progress: Progress | None
-) -> Tracked | None:
-    """Track a body without an axle, such as a hanging table, by its features; None for any other film.
-
-    A body on an axle is left to registration, which uses the whole picture: features are for a hub that moves by more
-    than a pixel and a turn of less than a radian to both sides.
-    """
-    wanted = set(usable.tolist())
-    found = follow_features((f for i, f in enumerate(film.frames()) if i in wanted), motion)
-    if found is None:
-        return None
-    turn, moved, _ = found
-    theta = np.unwrap(np.angle(turn))
-    if not 0.01 < np.ptp(theta) < 2.0:
-        return None
-    start = complex(*still_point(turn, moved))
-    path = turn * start + moved
-    hub = complex(np.mean(path))
-    if np.abs(path - hub).std() < 0.5 and np.abs(path - hub).max() < 2.0:
-        return None
-    ring = ring_for((hub.real, hub.imag), motion, _COARSE)
-    if ring is None:
-        return None
-    shift = np.stack([(path - hub).real, (path - hub).imag], axis=1)
-    use = np.unique(np.linspace(0, len(usable) - 1, 150).astype(int))
-    pictures = film.some(usable[use])
-    for again in range(2):
-        polars = [ring.unwrap(f, tuple(shift[k])) for k, f in zip(use, pictures, strict=True)]
-        allowed = ring.inside(motion.area)
-        template = learn(polars, theta[use], allowed, ring, separate=False, plain=True)
-        share, rows = explained(polars, theta[use], template)
-        if not again:
-            ring = _trimmed(ring, rows)
-    if share < _EXPLAINED:
-        return None
-    # features at the body's edge are dragged by the background: the whole picture decides, and the difference between
-    # the two is an uncertainty that neighbouring frames share
-    of_features = -theta.copy()
-    ring = Ring.about(ring.hub, ring.inner, ring.outer, finest=_MIDDLE, start=ring.start, span=ring.span)
-    allowed = ring.inside(motion.area)
-    for _ in range(_SETTLING):
-        polars = [ring.unwrap(f, tuple(shift[k])) for k, f in zip(use, pictures, strict=True)]
-        template = learn(polars, theta[use], allowed, ring, separate=False, plain=True)
-        poses = [register(p, template, theta[k], move=True) for k, p in zip(use, polars, strict=True)]
-        before = theta[use]
-        theta[use] = [p.angle for p in poses]
-        shift[use] += np.array([p.shift for p in poses]).clip(-2.0, 2.0)
-        if np.std(theta[use] - before) < _SETTLED * np.std(theta):
-            break
-    polars = [ring.unwrap(f, tuple(shift[k])) for k, f in zip(use, pictures, strict=True)]
-    # samples keep equal variances: over a small turn flat parts of the body, in which only shading that is fixed in the
-    # image changes, would seem the most precise ones
-    template = learn(polars, theta[use], allowed, ring, separate=False, plain=True)
-    parts = template.halves()
-    every: list[Pose] = []
-    halves = np.empty((2, len(theta)))
-    for k, frame in enumerate(f for i, f in enumerate(film.frames()) if i in wanted):
-        pose = register(ring.unwrap(frame, tuple(shift[k])), template, theta[k], move=True)
-        shift[k] += np.clip(pose.shift, -2.0, 2.0)
-        polar = ring.unwrap(frame, tuple(shift[k]))
-        every.append(register(polar, template, pose.angle, move=True))
-        halves[:, k] = [-register(polar, part, pose.angle, move=True).angle for part in parts]
-        if progress is not None:
-            progress(k + 1, len(usable))
-    share, _ = explained(polars, theta[use], template)
-    angle = -np.array([p.angle for p in every])
-    formal = np.array([p.formal for p in every])
-    scale = max(white_noise(angle) / float(np.median(formal)), 1.0)  # no estimator is better than its bound
-    correlated = float((angle - of_features).std())
-    repeated = len(film) - len(usable)
-    warnings = [
-        *film.warnings,
-        (
-            f"The hub moves by {float(np.abs(path - hub).std()):.1f} px rms and is measured; features and "
-            f"registration of the picture differ by {1e3 * correlated:.2g} mrad rms, which the uncertainty contains."
-        ),
-    ]
-    if repeated:
-        warnings.append(f"{repeated} of {len(film)} frames repeat the one before them and are left out.")
-    return Tracked(
-        frame=usable,
-        angle=angle,
-        sigma=np.hypot(scale * formal, correlated),
-        ring=ring,
-        template=template,
-        hub_path=shift,
-        explained=share,
-        way="features",
-        scale=scale,
-        halves=halves,
-        correlated=correlated,
-        warnings=tuple(warnings),
-    )
-
-
-def fresh_frames(film: Film) -> npt.NDArray[np.int64]:
-    """Return the numbers of the frames that are no repetition of the one before."""
-    change = film.changes
-    usual = float(np.median(change[1:])) if len(change) > 1 else 0.0
-    return np.flatnonzero(~(change < 0.1 * usual)).astype(np.int64) if usual > 0 else np.arange(len(change))
-
-
-def ring_for(hub: tuple[float, float], motion: Motion, finest: float) -> Ring | None:
-    """Return the ring about a hub in which the picture moves, an arc if most of it is outside the picture."""
-    height, width = motion.mean.shape
-    y, x = np.mgrid[0:height, 0:width]
-    distance = np.hypot(x - hub[0], y - hub[1])
-    bins = np.minimum(distance.astype(int), int(distance.max()))
-    count = np.bincount(bins.ravel())
-    share = np.bincount(bins.ravel(), motion.moving.ravel().astype(float)) / np.maximum(count, 1)
-    share = np.convolve(share, np.ones(3) / 3, mode="same")
-    enough = count >= 20
-    if not enough.any():
-        return None
-    level = 0.2 * float(np.quantile(share[enough], 0.9))
-    good = np.flatnonzero(enough & (share > max(level, 0.01)))
-    if len(good) < 4:
-        return None
-    outer = float(good[-1]) + 2.0
-    inside = 0 <= hub[0] < width and 0 <= hub[1] < height
-    if inside:
-        inner = max(3.0, 0.06 * outer, float(good[0]) - 2.0)
-        return Ring.about(hub, inner, outer, finest=finest) if outer > inner + 5 else None
-    inner = max(float(good[0]) - 2.0, float(distance.min()))
-    towards = math.atan2(height / 2 - hub[1], width / 2 - hub[0])
-    angle = np.arctan2(y - hub[1], x - hub[0]) - towards
-    angle = ((angle + np.pi) % TURN - np.pi)[motion.moving & (distance > inner) & (distance < outer)]
-    low, high = float(np.quantile(angle, 0.002)), float(np.quantile(angle, 0.998))
-    margin = 0.6 * (high - low)
-    span = min(high - low + 2 * margin, TURN)
-    return Ring.about(hub, inner, outer, finest=finest, start=towards + low - margin, span=span)
 
 
 def _trials(proposal: Proposal, block: Sequence[Plane], motion: Motion) -> list[_Trial]:
@@ -509,7 +256,7 @@ def _refined_trial(trial: _Trial, block: Sequence[Plane], area: Area, *, keep: b
     ring, angle = trial.ring, trial.angle
     polars = [ring.unwrap(frame) for frame in block]
     _, rows = _score(polars, angle, ring.inside(area), ring, separate=trial.separate)
-    ring = _trimmed(ring, rows)
+    ring = ring.trimmed(rows, finest=_COARSE)
     use = np.unique(np.linspace(0, len(block) - 1, 60).astype(int))
     few = [block[i] for i in use]
 
@@ -558,17 +305,6 @@ def _refined_trial(trial: _Trial, block: Sequence[Plane], area: Area, *, keep: b
     angle = np.array([register(p, template, a + offset).angle for p, a in zip(polars, angle, strict=True)])
     score, _ = _score(polars, angle, allowed, ring, separate=trial.separate)
     return replace(trial, ring=ring, angle=angle, score=score)
-
-
-def _trimmed(ring: Ring, rows: Floats) -> Ring:
-    """Return the part of a coarse ring in which the turning explains what changes."""
-    good = np.flatnonzero(np.convolve(rows, np.ones(3) / 3, mode="same") > 0.3 * rows.max())
-    if len(good) < 4:
-        return ring
-    step = (ring.outer - ring.inner) / ring.rows
-    inner = max(ring.inner + step * (good[0] - 1), 2.0)
-    outer = ring.inner + step * (good[-1] + 2)
-    return Ring.about(ring.hub, inner, outer, finest=_COARSE, start=ring.start, span=ring.span)
 
 
 def _free(ring: Ring, angle: Floats, *, given: bool) -> list[int]:
@@ -621,16 +357,6 @@ def _placed(ring: Ring, place: Floats) -> Ring:
     """Return a ring with another hub (x, y) and stretch (p, q)."""
     x, y, p, q = (float(v) for v in place)
     return replace(ring, hub=(x, y), stretch=(p, q))
-
-
-def white_noise(value: Floats) -> float:
-    """Return the standard deviation of the white part of a series, the least of its differences of order 2 to 6."""
-    found = [
-        1.4826 * float(np.median(np.abs(np.diff(value, order)))) / math.sqrt(math.comb(2 * order, order))
-        for order in range(2, 7)
-        if len(value) > 3 * order
-    ]
-    return min(found) if found else float("nan")
 
 
 def _measure(
@@ -799,49 +525,3 @@ def _finish(
         correlated=correlated,
         warnings=tuple(warnings),
     )
-
-
-def hub_error(angle: Floats, halves: Floats, parts: tuple[Template, Template]) -> float:
-    """Return the rms error of the angles that a displaced hub causes [rad], by the two halves of the ring.
-
-    Parameters
-    ----------
-    angle : ndarray, shape (n,)
-        Angles from the whole ring [rad].
-    halves : ndarray, shape (2, n)
-        Angles from its inner and its outer half alone [rad].
-    parts : tuple of Template
-        The halves.
-
-    Notes
-    -----
-    A hub displaced by e makes an error of e / r once a turn at the radius r, so that the halves at r1 and r2 differ by
-    e (1 / r1 - 1 / r2), as they also do in perspective. The difference is fitted by its first harmonic, its mean and
-    its trend. Over less than half a turn the harmonic resembles mean and trend, and the difference is fitted by the
-    angle itself: a pendulum's hub that is too near makes all angles too large. What is below three standard errors
-    counts as 0. Over `_MANY_TURNS` the error does not resemble a motion (fits take it as a nuisance): 0 is returned.
-    """
-    if np.ptp(angle) > _MANY_TURNS * TURN:
-        return 0.0
-    apart = halves[0] - halves[1]
-    columns = [np.cos(angle), np.sin(angle)] if np.ptp(angle) > 0.5 * TURN else [angle - angle.mean()]
-    free = len(columns)
-    rows = np.stack([*columns, np.ones_like(angle), np.linspace(-1.0, 1.0, len(angle))], axis=1)
-    found, *_ = np.linalg.lstsq(rows, apart, rcond=None)
-    rest = apart - rows @ found
-    variance = np.linalg.pinv(rows.T @ rows)[:free, :free] * float(np.var(rest))
-    if float(np.sum(found[:free] ** 2)) < 9.0 * float(np.trace(variance)):
-        return 0.0
-    return float(np.std(rows[:, :free] @ found[:free])) * hub_leverage(parts)
-
-
-def hub_leverage(parts: tuple[Template, Template]) -> float:
-    """Return 1 / r over |1 / r1 - 1 / r2| for the radii of a ring and of its halves."""
-    r1, r2, r = (_radius_of(part) for part in (*parts, parts[0].whole()))
-    return 1.0 / r / max(abs(1.0 / r1 - 1.0 / r2), 1e-9)
-
-
-def _radius_of(part: Template) -> float:
-    """Return the radius at which a part of a ring measures the angle, weighted by its information [px]."""
-    known = part.information()
-    return float(np.sum(known * part.ring.radius) / max(float(np.sum(known)), 1e-12))

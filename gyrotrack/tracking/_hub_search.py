@@ -18,6 +18,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 
+from gyrotrack.tracking._registration import TURN, Ring
+
 Floats = npt.NDArray[np.float64]
 Plane = npt.NDArray[np.uint8]
 
@@ -64,7 +66,7 @@ class Motion:
             square += shown**2
         mean = total / len(frames)
         deviation = np.sqrt(np.maximum(square / len(frames) - mean**2, 0.0))
-        noise = max(min(float(np.quantile(deviation, 0.3)), _spatial_noise(frames)), 0.5)
+        noise = max(min(float(np.quantile(deviation, 0.3)), spatial_noise(frames)), 0.5)
         smooth = cv2.blur(deviation, (3, 3))
         moving = cv2.morphologyEx(
             (smooth > 4.0 * noise).astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8)
@@ -87,7 +89,7 @@ def _without_bars(mean: Floats, deviation: Floats) -> tuple[int, int]:
     return ends[0], len(uniform) - ends[1]
 
 
-def _spatial_noise(frames: Sequence[Plane]) -> float:
+def spatial_noise(frames: Sequence[Plane]) -> float:
     """Return the noise of single frames by the difference of two Laplacians (Immerkaer 1996)."""
     kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float64)
     found = [
@@ -103,6 +105,37 @@ class Proposal:
 
     hub: tuple[float, float]
     way: str
+
+
+def ring_for(hub: tuple[float, float], motion: Motion, finest: float) -> Ring | None:
+    """Return the ring about a hub in which the picture moves, an arc if most of it is outside the picture."""
+    height, width = motion.mean.shape
+    y, x = np.mgrid[0:height, 0:width]
+    distance = np.hypot(x - hub[0], y - hub[1])
+    bins = np.minimum(distance.astype(int), int(distance.max()))
+    count = np.bincount(bins.ravel())
+    share = np.bincount(bins.ravel(), motion.moving.ravel().astype(float)) / np.maximum(count, 1)
+    share = np.convolve(share, np.ones(3) / 3, mode="same")
+    enough = count >= 20
+    if not enough.any():
+        return None
+    level = 0.2 * float(np.quantile(share[enough], 0.9))
+    good = np.flatnonzero(enough & (share > max(level, 0.01)))
+    if len(good) < 4:
+        return None
+    outer = float(good[-1]) + 2.0
+    inside = 0 <= hub[0] < width and 0 <= hub[1] < height
+    if inside:
+        inner = max(3.0, 0.06 * outer, float(good[0]) - 2.0)
+        return Ring.about(hub, inner, outer, finest=finest) if outer > inner + 5 else None
+    inner = max(float(good[0]) - 2.0, float(distance.min()))
+    towards = math.atan2(height / 2 - hub[1], width / 2 - hub[0])
+    angle = np.arctan2(y - hub[1], x - hub[0]) - towards
+    angle = ((angle + np.pi) % TURN - np.pi)[motion.moving & (distance > inner) & (distance < outer)]
+    low, high = float(np.quantile(angle, 0.002)), float(np.quantile(angle, 0.998))
+    margin = 0.6 * (high - low)
+    span = min(high - low + 2 * margin, TURN)
+    return Ring.about(hub, inner, outer, finest=finest, start=towards + low - margin, span=span)
 
 
 def propose_hubs(frames: Sequence[Plane], motion: Motion) -> list[Proposal]:

@@ -78,6 +78,24 @@ class Ring:
         columns = cv2.getOptimalDFTSize(max(64, round(outer * span / step)))
         return cls(hub, inner, outer, rows, columns, start, span, stretch)
 
+    def trimmed(self, share: Floats, *, finest: float) -> Ring:
+        """Return the part of the ring whose rows explain at least 0.3 of what the best one does.
+
+        Parameters
+        ----------
+        share : ndarray, shape (rows,)
+            Share of the change of brightness that the rotation explains in each row.
+        finest : float
+            Samples of a radius, at most.
+        """
+        good = np.flatnonzero(np.convolve(share, np.ones(3) / 3, mode="same") > 0.3 * share.max())
+        if len(good) < 4:
+            return self
+        step = (self.outer - self.inner) / self.rows
+        inner = max(self.inner + step * (good[0] - 1), 2.0)
+        outer = self.inner + step * (good[-1] + 2)
+        return Ring.about(self.hub, inner, outer, finest=finest, start=self.start, span=self.span)
+
     @property
     def radius(self) -> Floats:
         """Radii of the rows [px], shape (rows,)."""

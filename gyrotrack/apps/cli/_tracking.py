@@ -448,7 +448,11 @@ def spindown_command(
         typer.Option("--pulses-per-turn", metavar="N", help="SOURCE is a column of times of pulses [s]."),
     ] = None,
     keep_all: Annotated[
-        bool, typer.Option("--keep-all", help="Keep the start, in which a hand or a motor drives the body.")
+        bool,
+        typer.Option(
+            "--keep-all",
+            help="Keep the start, in which a hand or a motor drives the body, and rest at the end.",
+        ),
     ] = False,
     label: Annotated[
         str, typer.Option("--label", metavar="L", help="Name of the case; by default that of the file.")
@@ -472,6 +476,11 @@ def spindown_command(
     if target.resolve() == source.resolve():
         target = target.with_name(f"{target.stem}_case.h5")
     page = report if report is not None else target.with_suffix(".html")
+    if page.resolve() in (target.resolve(), source.resolve()):
+        raise UsageError(
+            f"{page} would be case and report at once.",
+            "Name the case with -o FILE.h5 and the report with --report.",
+        )
     for path in (target, page):
         refuse_existing(path, force=force)
     options = SpindownOptions(

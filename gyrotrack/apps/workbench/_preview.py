@@ -22,9 +22,10 @@ from gyrotrack._errors import GyrotrackError, TrackingError
 from gyrotrack.apps._spindown import SpindownOptions, film_recording
 from gyrotrack.io._records import Recording
 from gyrotrack.io._schema import STATUS
-from gyrotrack.tracking._any_body import Film, Tracked
 from gyrotrack.tracking._extract import extract
+from gyrotrack.tracking._film import Film
 from gyrotrack.tracking._profile import PAPER, load
+from gyrotrack.tracking._tracked import Tracked
 from gyrotrack.video._container import opened, orientation_of, packets_of
 
 FRAMES = 500

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from gyrotrack._errors import TrackingError
-from gyrotrack.tracking._any_body import hub_error, track_body
+from gyrotrack.tracking._any_body import track_body
 from gyrotrack.tracking._hub_search import distant_hub, fit_circle
 from gyrotrack.tracking._registration import Ring, learn, register, rolled
+from gyrotrack.tracking._tracked import hub_error
 
 
 class Rendered:

@@ -7,7 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from gyrotrack.tracking._any_body import Film, track_body
+from gyrotrack.tracking._any_body import track_body
+from gyrotrack.tracking._film import Film
 from gyrotrack.tracking._shake import camera_shake
 
 REAL = Path(__file__).parents[4] / "shared" / "real"

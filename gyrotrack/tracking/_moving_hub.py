@@ -1,0 +1,420 @@
+"""Tracking of a body whose hub moves: a table that hangs on threads, a puck that slides, a cylinder that rolls.
+
+The path of the hub is found first: from the features of a body that stays in its place, or from the outlines of what
+differs from the still background. The picture of the body about this path is then registered against its own learnt
+mean, which measures the angle and the rest of the displacement together.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack._errors import TrackingError
+from gyrotrack.tracking._film import Film, fresh_frames
+from gyrotrack.tracking._hub_search import Motion, follow_features, ring_for, spatial_noise, still_point
+from gyrotrack.tracking._registration import Area, Picture, Pose, Ring, explained, follow, learn, register
+from gyrotrack.tracking._tracked import Tracked, white_noise
+
+Floats = npt.NDArray[np.float64]
+Frames = npt.NDArray[np.int64]
+Bools = npt.NDArray[np.bool_]
+Plane = npt.NDArray[np.uint8]
+Progress = Callable[[int, int | None], None]
+
+_EXPLAINED = 0.4
+"""Share of the change of brightness about the path that the rotation must explain."""
+_COARSE = 48.0
+_MIDDLE = 100.0
+_LEARNT = 150  # frames from which the body's picture is learnt
+_ROUNDS = 10  # times that picture and poses are estimated in turn, at most ...
+_SETTLED = 1e-3  # ... until the angles change by less than this share of the motion
+_HIDDEN = 6.0  # mean square residual over its median from which a frame does not show the body
+_LARGEST_STEP = 2.0  # px that a registration may correct the path by
+
+_BACKGROUND = 60  # frames of which the background is the median
+_LAG = 4  # frames between which the picture of a moving body changes
+_CONTRAST = 6.0  # standard deviations of the noise by which a body differs from the background at least ...
+_FAINTEST = 0.1  # ... and the share of the strongest contrast
+_FEWEST = 12  # frames of a path
+_SMALLEST = 24.0  # area of a body [px2]
+_LOST = 5  # frames after which a body that is not seen is given up; bodies that collide start new paths
+_AREA = 0.3  # relative change of the area from which bodies touch each other or are hidden
+_GATE = 0.7  # diameters between a body and where it is expected
+_TRAVEL = 0.5  # diameters that a free body moves at least
+_SLIDING = 1.0  # px in `_LAG` frames from which a body is in motion, or ...
+_TURNING = 3.0  # ... rms change of its picture over the noise, and ...
+_TURNED = 0.2  # ... over its largest change: what a codec makes of a body at rest is larger than the noise
+_STEADY = 9  # frames of which most show the motion
+_WITHIN = 0.9  # share of the radius within which the picture is that of the body alone
+_BODIES = 4  # paths of which the rotation is measured, at most
+_TURNS = 5.0
+"""Standard uncertainties of one angle by which the angles of a body that turns scatter at least."""
+
+
+def track_by_features(
+    film: Film, usable: Frames, motion: Motion, progress: Progress | None = None
+) -> Tracked | None:
+    """Track a body without an axle, such as a hanging table, by its features; None for any other film.
+
+    A body on an axle is left to registration, which uses the whole picture: features are for a hub that moves by more
+    than a pixel and a turn of less than a radian to both sides.
+    """
+    wanted = set(usable.tolist())
+    found = follow_features((f for i, f in enumerate(film.frames()) if i in wanted), motion)
+    if found is None:
+        return None
+    turn, moved, _ = found
+    theta = np.unwrap(np.angle(turn))
+    if not 0.01 < np.ptp(theta) < 2.0:
+        return None
+    start = complex(*still_point(turn, moved))
+    path = turn * start + moved
+    hub = complex(np.mean(path))
+    if np.abs(path - hub).std() < 0.5 and np.abs(path - hub).max() < 2.0:
+        return None
+    ring = ring_for((hub.real, hub.imag), motion, _COARSE)
+    if ring is None:
+        return None
+    shift = np.stack([(path - hub).real, (path - hub).imag], axis=1)
+    use = np.unique(np.linspace(0, len(usable) - 1, _LEARNT).astype(int))
+    pictures = film.some(usable[use])
+    for again in range(2):
+        polars = [ring.unwrap(f, tuple(shift[k])) for k, f in zip(use, pictures, strict=True)]
+        allowed = ring.inside(motion.area)
+        template = learn(polars, theta[use], allowed, ring, separate=False, plain=True)
+        share, rows = explained(polars, theta[use], template)
+        if not again:
+            ring = ring.trimmed(rows, finest=_COARSE)
+    if share < _EXPLAINED:
+        return None
+    tracked = _along_path(film, usable, ring, theta, shift, motion.area, progress)
+    # features at the body's edge are dragged by the background: the whole picture decides, and the difference between
+    # the two is an uncertainty that neighbouring frames share
+    correlated = float((tracked.angle + theta[np.isin(usable, tracked.frame)]).std())
+    repeated = len(film) - len(usable)
+    warnings = [
+        *film.warnings,
+        *tracked.warnings,
+        (
+            f"The hub moves by {float(np.abs(path - hub).std()):.1f} px rms and is measured; features and "
+            f"registration of the picture differ by {1e3 * correlated:.2g} mrad rms, which the uncertainty contains."
+        ),
+    ]
+    if repeated:
+        warnings.append(f"{repeated} of {len(film)} frames repeat the one before them and are left out.")
+    return replace(
+        tracked,
+        sigma=np.hypot(tracked.sigma, correlated),
+        correlated=correlated,
+        way="features",
+        warnings=tuple(warnings),
+    )
+
+
+def track_free_body(
+    film: Film, near: tuple[float, float] | None = None, progress: Progress | None = None
+) -> Tracked:
+    """Track the rotation of a body that moves across the picture before a still background.
+
+    Parameters
+    ----------
+    film : Film
+        The film.
+    near : tuple of float, optional
+        A point (x, y) [px] that the body passes, to choose one of several. Without it the body that turns furthest is
+        tracked.
+    progress : callable, optional
+        Called with (frames done, frames in all).
+
+    Raises
+    ------
+    TrackingError
+        No body moves across the picture, or none of them turns measurably.
+    """
+    usable = fresh_frames(film)
+    noise = max(spatial_noise(film.some(usable[:: max(1, len(usable) // 8)])), 0.5)
+    paths = find_paths(film, usable, noise)
+    if near is not None:
+        paths = [p for p in paths if np.hypot(*(p.place - np.array(near)).T).min() < 2 * p.radius]
+    starts = [start for path in paths[:_BODIES] if (start := _rotation(film, path, noise)) is not None]
+    starts.sort(key=lambda start: -float(np.ptp(start[2])))
+    for n, (path, ring, theta, shift) in enumerate(starts):
+        tracked = _along_path(film, path.frame, ring, theta, shift, None, progress)
+        if tracked.explained < _EXPLAINED or np.std(tracked.angle) < _TURNS * np.median(tracked.sigma):
+            continue
+        apart = tracked.halves[0] - tracked.halves[1]
+        correlated = 0.5 * math.sqrt(max(float(np.var(apart)) - white_noise(apart) ** 2, 0.0))
+        warnings = [
+            *film.warnings,
+            *tracked.warnings,
+            (
+                f"The body moves across the picture by {np.hypot(*np.ptp(path.place, axis=0)):.0f} px; the centroid of "
+                f"its outline is the centre of rotation, seen whole in {len(path.frame)} of {len(film)} frames."
+            ),
+        ]
+        for other, *_ in starts[n + 1 :]:
+            x, y = other.place[0]
+            warnings.append(f"Another body moves, too: --hub {x:.0f},{y:.0f} tracks it.")
+        return replace(
+            tracked,
+            sigma=np.hypot(tracked.sigma, correlated),
+            correlated=correlated,
+            way="outline",
+            warnings=tuple(warnings),
+        )
+    raise TrackingError(
+        f"no body that turns while it moves across the picture is found in {film.path.name}",
+        "give the centre of rotation, or a point that the body passes, with --hub X,Y",
+    )
+
+
+@dataclass(frozen=True)
+class Path:
+    """The path of a body.
+
+    Attributes
+    ----------
+    frame : ndarray of int, shape (m,)
+        Frames in which the outline is whole.
+    place : ndarray, shape (m, 2)
+        Centroid of the outline (x, y) [px].
+    radius : float
+        Radius of a circle of the same area [px].
+    """
+
+    frame: Frames
+    place: Floats
+    radius: float
+
+
+@dataclass
+class _Outline:
+    """A body in one frame: centroid (x, y) [px] and area [px2]."""
+
+    place: Floats
+    area: float
+
+
+@dataclass
+class _Link:
+    """The outlines of one body, frame by frame."""
+
+    frame: list[int] = field(default_factory=list)
+    outline: list[_Outline] = field(default_factory=list)
+
+    def area(self) -> float:
+        return float(np.median([o.area for o in self.outline[-10:]]))
+
+    def expected(self, frame: int) -> Floats:
+        """Return where the body is expected at the velocity of its last steps."""
+        last = self.outline[-1].place
+        if len(self.frame) < 3:
+            return last
+        step = (last - self.outline[-3].place) / (self.frame[-1] - self.frame[-3])
+        return np.asarray(last + step * (frame - self.frame[-1]))
+
+
+def find_paths(film: Film, usable: Frames, noise: float) -> list[Path]:
+    """Return the paths of all bodies that move across the picture, the one with the largest area swept first.
+
+    The background is the median of frames between which the picture changes equally, so that a body which comes to
+    rest does not become a part of it.
+    """
+    moved = np.cumsum(_changed(film, usable, _CONTRAST * noise))
+    steps = np.searchsorted(moved, np.linspace(0.0, moved[-1], _BACKGROUND + 2)[1:-1])
+    sample = film.some(usable[np.unique(np.minimum(steps, len(usable) - 1))])
+    background = np.median(sample, axis=0).astype(np.float32)
+    away = max(float(np.quantile(np.abs(frame - background), 0.999)) for frame in sample)
+    limit = max(_CONTRAST * noise, _FAINTEST * away)
+    links: list[_Link] = []
+    wanted = set(usable.tolist())
+    for index, frame in enumerate(film.frames()):
+        if index in wanted:
+            _link(links, index, _outlines(np.abs(frame - background) > limit))
+    found = []
+    for link in links:
+        area = np.array([o.area for o in link.outline])
+        whole = np.abs(area / np.median(area) - 1.0) < _AREA
+        place = np.array([o.place for o in link.outline])[whole]
+        radius = math.sqrt(float(np.median(area)) / math.pi)
+        if len(place) >= _FEWEST and np.hypot(*np.ptp(place, axis=0)) > _TRAVEL * 2 * radius:
+            found.append(Path(np.array(link.frame, dtype=np.int64)[whole], place, radius))
+    return sorted(found, key=lambda p: -p.radius * float(np.hypot(*np.diff(p.place, axis=0).T).sum()))
+
+
+def _changed(film: Film, usable: Frames, limit: float) -> Floats:
+    """Return the area [px2] that differs by more than a limit between each frame and one a few frames before."""
+    wanted = set(usable.tolist())
+    before: deque[Plane] = deque(maxlen=_LAG)
+    area = []
+    for frame in (f for i, f in enumerate(film.frames()) if i in wanted):
+        smooth = np.asarray(cv2.blur(frame, (3, 3)), dtype=np.uint8)
+        area.append(float(np.count_nonzero(cv2.absdiff(smooth, before[0]) > limit)) if before else 0.0)
+        before.append(smooth)
+    return np.array(area)
+
+
+def _outlines(differs: Bools) -> list[_Outline]:
+    """Return what differs from the background, without what the edge of the picture cuts."""
+    closed = cv2.morphologyEx(differs.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+    contours, _ = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    height, width = differs.shape
+    found = []
+    for contour in contours:
+        left, top, wide, high = cv2.boundingRect(contour)
+        if left < 1 or top < 1 or left + wide > width - 1 or top + high > height - 1:
+            continue
+        sums = cv2.moments(contour)
+        if sums["m00"] >= _SMALLEST:
+            place = np.array([sums["m10"], sums["m01"]]) / sums["m00"]
+            found.append(_Outline(place, float(sums["m00"])))
+    return found
+
+
+def _link(links: list[_Link], index: int, outlines: Sequence[_Outline]) -> None:
+    """Join the outlines of a frame to the bodies of the frames before, the nearest pair first."""
+    recent = [link for link in links if index - link.frame[-1] <= _LOST]
+    pairs = []
+    for link in recent:
+        expected, area = link.expected(index), link.area()
+        gate = _GATE * 2 * math.sqrt(area / math.pi) + 2.0
+        for n, outline in enumerate(outlines):
+            miss = min(math.dist(outline.place, expected), math.dist(outline.place, link.outline[-1].place))
+            if miss < gate and abs(outline.area / area - 1.0) < _AREA:
+                pairs.append((miss, n, link))
+    joined: set[int] = set()
+    grown: set[int] = set()
+    for _, n, link in sorted(pairs, key=lambda pair: pair[0]):
+        if n not in joined and id(link) not in grown:
+            joined.add(n)
+            grown.add(id(link))
+            link.frame.append(index)
+            link.outline.append(outlines[n])
+    links += [_Link([index], [o]) for n, o in enumerate(outlines) if n not in joined]
+
+
+def _rotation(film: Film, path: Path, noise: float) -> tuple[Path, Ring, Floats, Floats] | None:
+    """Follow the angle of a body along its path; None where rotation does not explain how its picture changes."""
+    hub = path.place.mean(axis=0)
+    ring = Ring.about(
+        (float(hub[0]), float(hub[1])), max(1.0, 0.1 * path.radius), _WITHIN * path.radius, finest=_COARSE
+    )
+    shift = path.place - hub
+    where = {int(frame): k for k, frame in enumerate(path.frame)}
+    polars = [ring.unwrap(f, tuple(shift[where[i]])) for i, f in enumerate(film.frames()) if i in where]
+    # before it starts and after it has come to rest a body says nothing, and a codec copies it without noise
+    turning = np.array([float(np.std(b - a)) for a, b in zip(polars, polars[_LAG:], strict=False)])
+    sliding = np.hypot(*(path.place[_LAG:] - path.place[:-_LAG]).T)
+    least = max(_TURNING * noise, _TURNED * float(np.quantile(turning, 0.95)))
+    moving = ((turning > least) | (sliding > _SLIDING)).astype(float)
+    moves = np.flatnonzero(np.convolve(moving, np.ones(_STEADY) / _STEADY, mode="same") > 0.5)
+    if len(moves) < _FEWEST - _LAG:
+        return None
+    kept = slice(moves[0], moves[-1] + _LAG + 1)
+    path = replace(path, frame=path.frame[kept], place=path.place[kept])
+    polars, shift = polars[kept], shift[kept]
+    allowed = np.ones((ring.rows, ring.columns), dtype=bool)
+    nothing = np.zeros((ring.rows, ring.columns), dtype=np.float32)
+    weight = np.broadcast_to(ring.area, nothing.shape).astype(np.float32)
+    best, angle = 0.0, np.zeros(len(polars))
+    some = slice(None, None, max(1, len(polars) // 100))
+    for band in ("low", "middle", "high"):
+        rough = follow(polars, weight, nothing, ring, band=band).angle
+        template = learn(polars[some], rough[some], allowed, ring, separate=False, plain=True)
+        share, _ = explained(polars, rough, template)
+        if share > best:
+            best, angle = share, rough
+    return (path, ring, angle, shift) if best > 0.5 * _EXPLAINED else None
+
+
+def _along_path(
+    film: Film,
+    frames: Frames,
+    ring: Ring,
+    theta: Floats,
+    shift: Floats,
+    area: Area | None,
+    progress: Progress | None,
+) -> Tracked:
+    """Register a body about a path that is roughly known, the angle and the displacement of the hub together.
+
+    Parameters
+    ----------
+    film : Film
+        The film.
+    frames : ndarray of int, shape (m,)
+        Frames of the path.
+    ring : Ring
+        Ring about the mean place of the hub.
+    theta, shift : ndarray, shape (m,) and (m, 2)
+        Rough angles [rad], from x to y, and displacements of the hub [px].
+    area : tuple of int, optional
+        The part of the picture that is used, for a hub that moves little; without it the body is inside the picture.
+    progress : callable, optional
+        Called with (frames done, frames in all).
+    """
+    theta, shift = theta.copy(), shift.copy()
+    use = np.unique(np.linspace(0, len(frames) - 1, _LEARNT).astype(int))
+    pictures = film.some(frames[use])
+    ring = Ring.about(ring.hub, ring.inner, ring.outer, finest=_MIDDLE, start=ring.start, span=ring.span)
+    allowed = np.ones((ring.rows, ring.columns), dtype=bool) if area is None else ring.inside(area)
+
+    def unwrapped() -> list[Picture]:
+        return [ring.unwrap(f, tuple(shift[k])) for k, f in zip(use, pictures, strict=True)]
+
+    for _ in range(_ROUNDS):
+        polars = unwrapped()
+        template = learn(polars, theta[use], allowed, ring, separate=False, plain=True)
+        poses = [register(p, template, theta[k], move=True) for k, p in zip(use, polars, strict=True)]
+        before = theta[use]
+        theta[use] = [p.angle for p in poses]
+        shift[use] += np.array([p.shift for p in poses]).clip(-_LARGEST_STEP, _LARGEST_STEP)
+        if np.std(theta[use] - before) < _SETTLED * np.std(theta):
+            break
+    polars = unwrapped()
+    # samples keep equal variances: over a small turn flat parts of the body, in which only shading that is fixed in the
+    # image changes, would seem the most precise ones
+    template = learn(polars, theta[use], allowed, ring, separate=False, plain=True)
+    parts = template.halves()
+    every: list[Pose] = []
+    halves = np.empty((2, len(theta)))
+    where = {int(frame): k for k, frame in enumerate(frames)}
+    for k, frame in ((where[i], f) for i, f in enumerate(film.frames()) if i in where):
+        pose = register(ring.unwrap(frame, tuple(shift[k])), template, theta[k], move=True)
+        shift[k] += np.clip(pose.shift, -_LARGEST_STEP, _LARGEST_STEP)
+        polar = ring.unwrap(frame, tuple(shift[k]))
+        every.append(register(polar, template, pose.angle, move=True))
+        halves[:, k] = [-register(polar, part, pose.angle, move=True).angle for part in parts]
+        if progress is not None:
+            progress(k + 1, len(frames))
+    share, _ = explained(polars, theta[use], template)
+    angle = -np.array([p.angle for p in every])
+    misfit = np.array([p.misfit for p in every])
+    usual = float(np.median(misfit))
+    kept = misfit < _HIDDEN * usual
+    formal = np.array([p.formal for p in every]) * np.sqrt(np.maximum(misfit / usual, 1.0))
+    # no estimator is better than its bound
+    scale = max(white_noise(angle[kept]) / float(np.median(formal[kept])), 1.0)
+    lost = int((~kept).sum())
+    text = f"{lost} of {len(kept)} frames do not show the body as the others do and are left out."
+    return Tracked(
+        frame=frames[kept],
+        angle=angle[kept],
+        sigma=(scale * formal)[kept],
+        ring=ring,
+        template=template,
+        hub_path=shift[kept],
+        explained=share,
+        way="",
+        scale=scale,
+        halves=halves[:, kept],
+        correlated=0.0,
+        warnings=(text,) if lost else (),
+    )

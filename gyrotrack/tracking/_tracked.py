@@ -1,0 +1,122 @@
+"""The motion of one tracked body, and the part of its uncertainty that a displaced hub causes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack.tracking._registration import TURN, Ring, Template
+
+Floats = npt.NDArray[np.float64]
+
+_MANY_TURNS = 3.0
+"""Turns from which an error once a turn cannot be taken for a motion."""
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """The motion of one body in a film.
+
+    Attributes
+    ----------
+    frame : ndarray of int, shape (m,)
+        Frames in which it was measured.
+    angle, sigma : ndarray, shape (m,)
+        Unwrapped angle, counter-clockwise as seen, and its standard uncertainty [rad].
+    ring : Ring
+        Where it was measured.
+    template : Template
+        What was learnt.
+    hub_path : ndarray, shape (m, 2)
+        Displacement of the hub [px].
+    explained : float
+        Share of the change of brightness that the motion explains, 0 to 1.
+    way : str
+        How the hub was found.
+    scale : float
+        Measured scatter of the angles over the Cramer-Rao bound.
+    halves : ndarray, shape (2, m)
+        The angle from the inner and from the outer half of the ring alone [rad]; their difference is due to the view
+        (perspective, a hub that is displaced) and to what is fixed in the image.
+    correlated : float
+        Uncertainty that frames share, from the difference of two ways to measure [rad]; 0 where there is one.
+    warnings : tuple of str
+        What was not as it should be.
+    """
+
+    frame: npt.NDArray[np.int64]
+    angle: Floats
+    sigma: Floats
+    ring: Ring
+    template: Template
+    hub_path: Floats
+    explained: float
+    way: str
+    scale: float
+    halves: Floats
+    correlated: float
+    warnings: tuple[str, ...]
+
+    @property
+    def hub_leverage(self) -> float:
+        """Error that a displaced hub causes over the difference that it makes between the halves of the ring."""
+        return hub_leverage(self.template.halves())
+
+
+def white_noise(value: Floats) -> float:
+    """Return the standard deviation of the white part of a series, the least of its differences of order 2 to 6."""
+    found = [
+        1.4826 * float(np.median(np.abs(np.diff(value, order)))) / math.sqrt(math.comb(2 * order, order))
+        for order in range(2, 7)
+        if len(value) > 3 * order
+    ]
+    return min(found) if found else float("nan")
+
+
+def hub_error(angle: Floats, halves: Floats, parts: tuple[Template, Template]) -> float:
+    """Return the rms error of the angles that a displaced hub causes [rad], by the two halves of the ring.
+
+    Parameters
+    ----------
+    angle : ndarray, shape (n,)
+        Angles from the whole ring [rad].
+    halves : ndarray, shape (2, n)
+        Angles from its inner and its outer half alone [rad].
+    parts : tuple of Template
+        The halves.
+
+    Notes
+    -----
+    A hub displaced by e makes an error of e / r once a turn at the radius r, so that the halves at r1 and r2 differ by
+    e (1 / r1 - 1 / r2), as they also do in perspective. The difference is fitted by its first harmonic, its mean and
+    its trend. Over less than half a turn the harmonic resembles mean and trend, and the difference is fitted by the
+    angle itself: a pendulum's hub that is too near makes all angles too large. What is below three standard errors
+    counts as 0. Over `_MANY_TURNS` the error does not resemble a motion (fits take it as a nuisance): 0 is returned.
+    """
+    if np.ptp(angle) > _MANY_TURNS * TURN:
+        return 0.0
+    apart = halves[0] - halves[1]
+    columns = [np.cos(angle), np.sin(angle)] if np.ptp(angle) > 0.5 * TURN else [angle - angle.mean()]
+    free = len(columns)
+    rows = np.stack([*columns, np.ones_like(angle), np.linspace(-1.0, 1.0, len(angle))], axis=1)
+    found, *_ = np.linalg.lstsq(rows, apart, rcond=None)
+    rest = apart - rows @ found
+    variance = np.linalg.pinv(rows.T @ rows)[:free, :free] * float(np.var(rest))
+    if float(np.sum(found[:free] ** 2)) < 9.0 * float(np.trace(variance)):
+        return 0.0
+    return float(np.std(rows[:, :free] @ found[:free])) * hub_leverage(parts)
+
+
+def hub_leverage(parts: tuple[Template, Template]) -> float:
+    """Return 1 / r over |1 / r1 - 1 / r2| for the radii of a ring and of its halves."""
+    r1, r2, r = (_radius_of(part) for part in (*parts, parts[0].whole()))
+    return 1.0 / r / max(abs(1.0 / r1 - 1.0 / r2), 1e-9)
+
+
+def _radius_of(part: Template) -> float:
+    """Return the radius at which a part of a ring measures the angle, weighted by its information [px]."""
+    known = part.information()
+    return float(np.sum(known * part.ring.radius) / max(float(np.sum(known)), 1e-12))

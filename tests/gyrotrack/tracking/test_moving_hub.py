@@ -1,0 +1,145 @@
+"""Bodies that move across the picture, against an independent renderer: angle, claimed uncertainty, refusals."""
+
+import itertools
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from gyrotrack._errors import TrackingError
+from gyrotrack.tracking._moving_hub import track_free_body
+
+HEIGHT, WIDTH, UP = 150, 300, 4
+
+
+class Rendered:
+    """Frames in memory with the interface of `Film`."""
+
+    def __init__(self, frames):
+        self._frames = frames
+        self.path = Path("rendered.mp4")
+        self.warnings = ()
+        self.changes = np.array([255.0] + [np.abs(b - a + 0.0).mean() for a, b in itertools.pairwise(frames)])
+
+    def __len__(self):
+        return len(self._frames)
+
+    def frames(self, first=0, stop=None):
+        return iter(self._frames[first:stop])
+
+    def some(self, index):
+        return [self._frames[i] for i in index]
+
+
+def disc(radius, marks):
+    """Return picture and coverage of a bright disc with two dark dots of different size, `UP` times enlarged."""
+    n = round(2.4 * radius * UP)
+    y, x = (np.indices((n, n)) - (n - 1) / 2) / UP
+    bright = np.full((n, n), 190.0)
+    if marks:
+        bright[np.hypot(x - 0.55 * radius, y) < 0.22 * radius] = 50.0
+        bright[np.hypot(x + 0.5 * radius, y - 0.1 * radius) < 0.16 * radius] = 70.0
+    return bright.astype(np.float32), (np.hypot(x, y) < radius).astype(np.float32)
+
+
+def table(rng):
+    coarse = cv2.GaussianBlur(rng.normal(0, 1, (HEIGHT, WIDTH)), (0, 0), 4)
+    return 60 + 12 * coarse / coarse.std()
+
+
+def film(path, angle, *, radius=14.0, marks=True, noise=2.0, seed=0, second=None):
+    """Draw a disc at places (n, 2) [px] and angles (n,) [rad], counter-clockwise as seen."""
+    rng = np.random.default_rng(seed)
+    background = table(rng)
+    bright, cover = disc(radius, marks)
+    n = len(bright)
+    frames = []
+    for k, theta in enumerate(angle):
+        picture = background.copy()
+        bodies = [(path[k], theta)] + ([(second, 0.3)] if second is not None else [])
+        for place, turn in bodies:
+            c, s = np.cos(-turn), np.sin(-turn)
+            move = np.array([[c, -s, 0], [s, c, 0]])
+            # pixel centres of both scales: x_large = (x_small + 0.5) UP - 0.5
+            large = (np.asarray(place) + 0.5) * UP - 0.5
+            move[:, 2] = large - move[:, :2] @ [(n - 1) / 2, (n - 1) / 2]
+            size = (WIDTH * UP, HEIGHT * UP)
+            over, mask = (cv2.warpAffine(p, move, size, flags=cv2.INTER_LINEAR) for p in (bright, cover))
+            over, mask = (
+                cv2.resize(p, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA) for p in (over * mask, mask)
+            )
+            picture = picture * (1 - mask) + over
+        frames.append(np.clip(picture + rng.normal(0, noise, picture.shape), 0, 255).astype(np.uint8))
+    return Rendered(frames)
+
+
+def sliding(count=120, turns=3.0):
+    """Return a path that ends at rest and an angle that does so too, as dry friction makes them."""
+    left = 1.0 - np.linspace(0, 1, count)
+    path = np.stack([40 + 210 * (1 - left**2), 50 + 55 * (1 - left**2)], axis=1)
+    return path, turns * (1 - left**2)
+
+
+def error_of(tracked, angle):
+    """Return the deviations from the truth, without their mean."""
+    off = tracked.angle - angle[tracked.frame]
+    return off - off.mean()
+
+
+@pytest.mark.parametrize("turns", [3.0, -0.8])
+def test_the_angle_of_a_puck_is_that_of_the_renderer_within_its_uncertainty(turns):
+    path, angle = sliding(turns=turns)
+    tracked = track_free_body(film(path, angle))
+    off = error_of(tracked, angle)
+    assert len(tracked.frame) > 100
+    assert np.std(off) < 0.01
+    assert 0.6 < np.sqrt(np.mean((off / tracked.sigma) ** 2)) < 1.4
+    place = np.array(tracked.ring.hub) + tracked.hub_path
+    assert np.abs(place - path[tracked.frame]).max() < 0.5
+    assert tracked.way == "outline"
+
+
+def test_a_body_that_rests_for_most_of_the_film_is_no_background():
+    path, angle = sliding(60)
+    rest = 240
+    path = np.concatenate([path, np.repeat(path[-1:], rest, axis=0)])
+    angle = np.concatenate([angle, np.full(rest, angle[-1])])
+    tracked = track_free_body(film(path, angle))
+    assert np.ptp(tracked.angle) == pytest.approx(np.ptp(angle), abs=0.1)
+    assert np.std(error_of(tracked, angle)) < 0.01
+
+
+def test_frames_in_which_the_body_is_hidden_are_left_out():
+    path, angle = sliding()
+    cover = (176.0, 83.0)
+    tracked = track_free_body(film(path, angle, second=cover))
+    assert np.hypot(*(path[tracked.frame] - cover).T).min() > 14.0
+    assert np.std(error_of(tracked, angle)) < 0.02
+
+
+def test_a_point_on_its_path_chooses_a_body():
+    path, angle = sliding()
+    shown = film(path, angle)
+    assert len(track_free_body(shown, near=tuple(path[30])).frame) > 100
+    with pytest.raises(TrackingError, match="no body that turns"):
+        track_free_body(shown, near=(20.0, 130.0))
+
+
+@pytest.mark.parametrize("marks", [True, False])
+def test_a_body_that_slides_without_turning_is_refused(marks):
+    path, angle = sliding(turns=0.0)
+    with pytest.raises(TrackingError, match="no body that turns"):
+        track_free_body(film(path, angle, marks=marks))
+
+
+def test_a_blank_disc_that_turns_is_refused():
+    path, angle = sliding()
+    with pytest.raises(TrackingError, match="no body that turns"):
+        track_free_body(film(path, angle, marks=False))
+
+
+def test_a_film_in_which_nothing_moves_is_refused():
+    path, _ = sliding()
+    with pytest.raises(TrackingError):
+        track_free_body(film(np.repeat(path[:1], 60, axis=0), np.zeros(60)))
