@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -19,12 +18,12 @@ from gyrotrack._smoothing import WIDTH, angular_velocity
 from gyrotrack.apps._motion import TURN, BodyMotion, Value, end_of_motion, motion_of, start_of_motion
 from gyrotrack.apps._study import Recorder, open_study
 from gyrotrack.apps.report._page import write_report
-from gyrotrack.io._atomic import new_file
 from gyrotrack.io._hdf5 import read_case, read_recording, write_case
 from gyrotrack.io._records import BodyTrack, Case, Placement, Recording, Series
 from gyrotrack.io.readers._import_case import import_body, no_series
 from gyrotrack.io.readers._motion_table import ReadOptions
 from gyrotrack.io.readers._run import Limits
+from gyrotrack.plotting._proposal import write_body_picture
 from gyrotrack.tracking._any_body import track_body
 from gyrotrack.tracking._extract import extract
 from gyrotrack.tracking._film import Film
@@ -344,7 +343,7 @@ def spindown(
     picture = None
     if tracked is not None:
         picture = target.with_suffix(".png")
-        _write_picture(picture, Film(source), tracked)
+        write_body_picture(picture, Film(source), tracked, force=True)
     recorder: Recorder | None = None
     diagnosis: dict[str, Any] | None = None
     warnings = list(case.warnings)
@@ -435,38 +434,3 @@ def _with_view(motion: BodyMotion, series: Series, recording: Recording, tracked
         amplitude=motion.amplitude and wider(motion.amplitude, inner.amplitude, outer.amplitude),
         decay=motion.decay and wider(motion.decay, inner.decay, outer.decay),
     )
-
-
-def _write_picture(path: Path, film: Film, tracked: Tracked) -> None:
-    """Draw hub, ring and angle into four frames, with the learnt picture of the body below them."""
-    ring = tracked.ring
-    index = np.linspace(0, len(tracked.frame) - 1, 4).astype(int)
-    tiles = []
-    for k, picture in zip(index, film.some(np.unique(tracked.frame[index])), strict=False):
-        tile: Any = cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR)
-        phi = np.linspace(ring.start, ring.start + ring.span, 200)
-        p, q = ring.stretch
-        for radius in (ring.inner, ring.outer):
-            x = ring.hub[0] + radius * ((1 + p) * np.cos(phi) + q * np.sin(phi))
-            y = ring.hub[1] + radius * (q * np.cos(phi) + (1 - p) * np.sin(phi))
-            points = np.stack([x, y], axis=1).clip(-30000, 30000).round().astype(np.int32)
-            cv2.polylines(tile, [points], isClosed=False, color=(0, 255, 255), thickness=1)
-        theta = -tracked.angle[k] + ring.start
-        cos, sin = math.cos(theta), math.sin(theta)
-        ends = [
-            (
-                round(float(np.clip(ring.hub[0] + r * ((1 + p) * cos + q * sin), -30000, 30000))),
-                round(float(np.clip(ring.hub[1] + r * (q * cos + (1 - p) * sin), -30000, 30000))),
-            )
-            for r in (ring.inner, ring.outer)
-        ]
-        cv2.line(tile, ends[0], ends[1], (0, 0, 255), 2)
-        tiles.append(tile)
-    row: Any = np.hstack(tiles)
-    scale = 1600 / row.shape[1]
-    row = cv2.resize(row, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    learnt: Any = np.clip(tracked.template.body, 0, 255).astype(np.uint8)
-    learnt = cv2.resize(cv2.cvtColor(learnt, cv2.COLOR_GRAY2BGR), (row.shape[1], 200))
-    encoded = cv2.imencode(".png", np.vstack([row, learnt]))[1]
-    with new_file(path, force=True) as stream:
-        stream.write(encoded.tobytes())

@@ -1,7 +1,8 @@
-"""A proposed profile drawn into a frame of its film."""
+"""What was found in a film, drawn into its frames: markers of a proposed profile, or a body and its hub."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,17 +16,35 @@ from gyrotrack.plotting._frames import colour_picture
 from gyrotrack.tracking._polar import CHROMA_SHIFT
 
 if TYPE_CHECKING:
+    from gyrotrack.tracking._film import Film
     from gyrotrack.tracking._proposal import Proposal, ProposedMarker
     from gyrotrack.tracking._scene import Marker
+    from gyrotrack.tracking._tracked import Tracked
     from gyrotrack.video._container import Frame
+
+Floats = npt.NDArray[np.float64]
 
 _LEAST_WIDTH, _MOST_WIDTH, _PANEL = 800, 1400, 430
 _INK, _FAINT, _MARK, _EDGE = (30, 30, 30), (110, 110, 110), (255, 255, 255), (0, 0, 0)
+_RING, _HAND = (0, 200, 255), (0, 0, 255)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
-def write_picture(path: Path, proposal: Proposal, *, force: bool = False) -> None:
+def write_picture(
+    path: Path, proposal: Proposal, *, body: tuple[Film, Tracked] | None = None, force: bool = False
+) -> None:
     """Write a PNG of the frame that shows most markers, with all that was chosen, and a swatch of each colour.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    proposal : Proposal
+        The markers.
+    body : tuple of Film and Tracked, optional
+        Another reading of the film, drawn below: the picture of a body that turns about a hub.
+    force : bool
+        Replace an existing file.
 
     Raises
     ------
@@ -48,10 +67,62 @@ def write_picture(path: Path, proposal: Proposal, *, force: bool = False) -> Non
         _draw_marker(big, marker, frame, float(marker.angle[index]), proposal.centre, scale)
     _draw_centre(big, proposal, scale)
     panel = _panel(proposal, colours, big.shape[0])
-    body = np.hstack([_filled(big, panel.shape[0]), panel])
-    _, encoded = cv2.imencode(".png", np.vstack([body, _notes_panel(proposal, body.shape[1])]))
+    rows = [np.hstack([_filled(big, panel.shape[0]), panel])]
+    width = rows[0].shape[1]
+    if body is not None:
+        rows += _body_rows(*body, width)
+    _, encoded = cv2.imencode(".png", np.vstack([*rows, _notes_panel(proposal.notes, width)]))
     with new_file(path, force=force) as stream:
         stream.write(encoded.tobytes())
+
+
+def write_body_picture(path: Path, film: Film, tracked: Tracked, *, force: bool = False) -> None:
+    """Write a PNG of four frames with hub, ring and angle of a body, and its learnt polar picture below.
+
+    Raises
+    ------
+    OutputError
+        The file exists and `force` is not set, or cannot be written.
+    """
+    _, encoded = cv2.imencode(".png", np.vstack(_body_rows(film, tracked, 1600)))
+    with new_file(path, force=force) as stream:
+        stream.write(encoded.tobytes())
+
+
+def _body_rows(film: Film, tracked: Tracked, width: int) -> list[Pixels]:
+    ring = tracked.ring
+    p, q = ring.stretch
+    index = np.linspace(0, len(tracked.frame) - 1, 4).astype(int)
+    tiles = []
+
+    def places(hub: Floats, radius: float | Floats, phi: float | Floats) -> npt.NDArray[np.int32]:
+        x = hub[0] + radius * ((1 + p) * np.cos(phi) + q * np.sin(phi))
+        y = hub[1] + radius * (q * np.cos(phi) + (1 - p) * np.sin(phi))
+        return np.stack([x, y], axis=-1).clip(-30000, 30000).round().astype(np.int32)
+
+    for k in index:
+        (picture,) = film.some(tracked.frame[k : k + 1])
+        tile = np.asarray(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
+        hub = np.array(ring.hub) + tracked.hub_path[k]
+        for radius in (ring.inner, ring.outer):
+            around = places(hub, radius, np.linspace(ring.start, ring.start + ring.span, 200))
+            cv2.polylines(tile, [around], isClosed=False, color=_RING, thickness=1)
+        cv2.drawMarker(tile, places(hub, 0.0, 0.0).tolist(), _RING, cv2.MARKER_CROSS, 12, 1)
+        theta = -tracked.angle[k] + ring.start
+        hand = places(hub, np.array([ring.inner, ring.outer]), theta)
+        cv2.line(tile, hand[0].tolist(), hand[1].tolist(), _HAND, 2)
+        tiles.append(tile)
+    row = np.hstack(tiles)
+    size = (width, round(row.shape[0] * width / row.shape[1]))
+    row = np.asarray(cv2.resize(row, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    learnt = np.clip(tracked.template.body, 0, 255).astype(np.uint8)
+    learnt = np.asarray(cv2.resize(cv2.cvtColor(learnt, cv2.COLOR_GRAY2BGR), (width, 160)), dtype=np.uint8)
+    x, y = ring.hub
+    text = (
+        f"picture of a body about ({x:.0f}, {y:.0f}) px, radius {ring.inner:.0f} to {ring.outer:.0f} px; its rotation "
+        f"explains {100 * tracked.explained:.0f} % of the change of brightness. Below: its polar picture."
+    )
+    return [_text_panel([text], width), row, learnt]
 
 
 def _mean_colour(
@@ -173,10 +244,10 @@ def _panel(proposal: Proposal, colours: dict[str, tuple[int, int, int]], height:
     return panel
 
 
-def _notes_panel(proposal: Proposal, width: int) -> Pixels:
+def _notes_panel(notes: Sequence[str], width: int) -> Pixels:
     """Draw what is in doubt below the picture, wrapped."""
     lines: list[str] = []
-    for note in proposal.notes:
+    for note in notes:
         line = "-"
         for word in note.split():
             if 8.2 * (len(line) + len(word)) > width - 40:
@@ -184,6 +255,10 @@ def _notes_panel(proposal: Proposal, width: int) -> Pixels:
                 line = " "
             line += " " + word
         lines.append(line)
+    return _text_panel(lines, width)
+
+
+def _text_panel(lines: Sequence[str], width: int) -> Pixels:
     strip = np.full((20 * len(lines) + (16 if lines else 0), width, 3), 255, dtype=np.uint8)
     for k, line in enumerate(lines):
         _write(strip, line, (16, 22 + 20 * k), _INK)

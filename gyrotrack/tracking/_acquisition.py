@@ -235,7 +235,12 @@ def _refined(profile: Strips, angle: Floats, half_width: float, ring: Ring) -> F
 
 
 def find_white(
-    samples: Samples, frames: Sequence[int], ring: Ring, wanted: MarkerProfile, others: list[SampledMarker]
+    samples: Samples,
+    frames: Sequence[int],
+    ring: Ring,
+    wanted: MarkerProfile,
+    others: list[SampledMarker],
+    least: float = LEAST_CONTRAST,
 ) -> Marker | None:
     """Find a white marker by the coloured markers of the same body, `others`, as found in the samples `frames`.
 
@@ -254,7 +259,7 @@ def find_white(
     turned -= np.median(turned, axis=1, keepdims=True)
     for seen in others:
         _blank(turned, ring, seen.marker)
-    return _brightest_place(turned, ring, wanted, others)
+    return _brightest_place(turned, ring, wanted, others, least)
 
 
 def _body_angles(others: list[SampledMarker], count: int) -> Floats:
@@ -272,7 +277,7 @@ def _blank(turned: Floats, ring: Ring, marker: Marker) -> None:
 
 
 def _brightest_place(
-    turned: Floats, ring: Ring, wanted: MarkerProfile, others: list[SampledMarker]
+    turned: Floats, ring: Ring, wanted: MarkerProfile, others: list[SampledMarker], least: float
 ) -> Marker | None:
     """Pick the bright patch that is most like the body's other markers in size and radius."""
     inner = min(seen.marker.inner for seen in others)
@@ -288,7 +293,7 @@ def _brightest_place(
     if extent is None or extent.half_width > 2.5 * half_width + 0.05:
         return None
     contrast = float(patch[extent.core(patch.shape[1], ring.step)].mean())
-    if contrast < max(LEAST_CONTRAST, 1.5 * float(np.std(turned[rows]))):
+    if contrast < max(least, 1.5 * float(np.std(turned[rows]))):
         return None
     return Marker(
         name=wanted.name,

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +19,7 @@ import numpy.typing as npt
 from gyrotrack._errors import TrackingError, UsageError
 from gyrotrack.tracking._film import Film, Plane, fresh_frames
 from gyrotrack.tracking._hub_search import Motion, Proposal, propose_hubs, ring_for
-from gyrotrack.tracking._moving_hub import track_by_features
+from gyrotrack.tracking._moving_hub import track_by_features, track_free_body
 from gyrotrack.tracking._registration import (
     TURN,
     Area,
@@ -40,6 +41,7 @@ Bools = npt.NDArray[np.bool_]
 Progress = Callable[[int, int | None], None]
 
 _TRIAL = 300  # frames on which a hub is tried
+_EXCERPT = 300  # frames from which a reading of a film is proposed
 _LEARNT = 300  # frames from which the body's picture is learnt
 _COARSE = 48.0
 _FINE = 200.0
@@ -119,6 +121,27 @@ def track_body(
             return _with_shake(found, shake)
         film.stabilise(None)
     return _track(film, usable, sample, hub, progress)
+
+
+def read_excerpt(
+    path: Path, hub: tuple[float, float] | None = None, progress: Progress | None = None
+) -> tuple[Film, Tracked] | None:
+    """Track a body by its picture through the first frames of a film; None where no body is found.
+
+    Parameters
+    ----------
+    path : Path
+        The film.
+    hub : tuple of float, optional
+        Centre of rotation (x, y) [px].
+    progress : callable, optional
+        Called with (frames done, frames in all).
+    """
+    film = Film(path, most=_EXCERPT)
+    for track in (track_body, track_free_body):
+        with suppress(TrackingError):
+            return film, track(film, hub, progress)
+    return None
 
 
 def _with_shake(found: Tracked, shake: Shake) -> Tracked:
@@ -493,7 +516,7 @@ def _finish(
     misfit = np.array([p.misfit for p in poses])
     usual = float(np.median(misfit))
     kept = (misfit < 6 * usual) & (np.abs(angle + rough) < 4 * ring.step + 0.1)
-    scatter = white_noise(angle[kept])
+    scatter = white_noise(angle[kept], usable[kept])
     inflated = formal * np.sqrt(np.maximum(misfit / usual, 1.0))
     scale = max(scatter / float(np.median(inflated[kept])), 1.0)  # no estimator is better than its bound
     warnings = list(film.warnings)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -19,9 +20,19 @@ _HELD = (
 
 
 class Film:
-    """The luma of a film's frames, kept in memory where it fits, else decoded again for each pass."""
+    """The luma of a film's frames, kept in memory where it fits, else decoded again for each pass.
 
-    def __init__(self, path: Path, threads: int = 2) -> None:
+    Parameters
+    ----------
+    path : Path
+        The film.
+    threads : int
+        Threads of the decoder.
+    most : int, optional
+        Frames after which the film is taken to end.
+    """
+
+    def __init__(self, path: Path, threads: int = 2, most: int | None = None) -> None:
         self.path = path
         self._threads = threads
         self._shake: Shake | None = None
@@ -32,7 +43,7 @@ class Film:
         before: npt.NDArray[np.int16] | None = None
         changes = []
         with Reader(path, threads) as reader:
-            for frame in reader:
+            for frame in islice(reader, most):
                 plane = np.ascontiguousarray(frame.y)
                 small = plane[::4, ::4].astype(np.int16)
                 changes.append(255.0 if before is None else float(np.mean(np.abs(small - before))))

@@ -326,21 +326,23 @@ def similarity(first: Plane, second: Plane, mask: Plane) -> tuple[complex, compl
 
 def follow_features(
     frames: Iterable[Plane], motion: Motion
-) -> tuple[npt.NDArray[np.complex128], npt.NDArray[np.complex128], Floats] | None:
+) -> tuple[npt.NDArray[np.complex128], npt.NDArray[np.complex128], npt.NDArray[np.int64]] | None:
     """Follow the features of a body by optical flow from frame to frame; None where too few are left.
 
     Returns
     -------
-    a, b, sigma : ndarray, shape (n,)
-        z -> a z + b, |a| = 1, from the first frame to each, and the formal uncertainty of arg a [rad] from the scatter
-        of the features.
+    a, b : ndarray, shape (n,)
+        z -> a z + b, |a| = 1, from the first frame to each.
+    since : ndarray of int, shape (n,)
+        Frame in which the features that are followed were chosen: new ones continue with the error of the last ones.
     """
     smooth = cv2.blur(motion.deviation, (5, 5))
     strong = motion.moving & (smooth > float(np.median(smooth[motion.moving])))
     mask = cv2.dilate(strong.astype(np.uint8), np.ones((5, 5), np.uint8)).astype(np.uint8)
     flow: Any = cv2.calcOpticalFlowPyrLK
     options: dict[str, Any] = {"winSize": (21, 21), "maxLevel": 3}
-    turn, moved, sigma = [], [], []
+    turn, moved, since = [], [], []
+    chosen = 0
     before: Plane | None = None
     start: Any = None
     now: Any = None
@@ -355,7 +357,7 @@ def follow_features(
             before = frame.copy()
             turn.append(1.0 + 0.0j)
             moved.append(0.0 + 0.0j)
-            sigma.append(np.nan)
+            since.append(chosen)
             continue
         there, status, _ = flow(before, frame, now, None, **options)
         back, again, _ = flow(frame, before, there, None, **options)
@@ -386,18 +388,16 @@ def follow_features(
             (now[:, 0] - start[:, 0]) @ np.array([1, 1j]) - (a - 1) * (start[:, 0] @ np.array([1, 1j])) - b
         )
         start, now = start[far < _STRAY], now[far < _STRAY]
-        spread = float(np.sqrt(np.average(rest**2, weights=weight) / 2))
-        arm = float(np.sqrt(np.sum(weight * np.abs(z0 - middle_0) ** 2)))
-        sigma.append(spread / max(arm, 1e-12))
         turn.append(a * base_a)
         moved.append(a * base_b + b)
+        since.append(chosen)
         if (use.sum() < 0.5 * _FEATURES and use.sum() < 60) or len(start) < 2 * _FEWEST:
             fresh = cv2.goodFeaturesToTrack(frame, _FEATURES, 0.01, 7, mask=mask)
             if fresh is not None and len(fresh) > len(start):
                 start = now = fresh
                 base_a, base_b = turn[-1], moved[-1]
-    sigma[0] = float(np.nanmedian(sigma))
-    return np.array(turn), np.array(moved), np.array(sigma)
+                chosen = len(turn)
+    return np.array(turn), np.array(moved), np.array(since, dtype=np.int64)
 
 
 def still_point(turn: npt.NDArray[np.complex128], moved: npt.NDArray[np.complex128]) -> tuple[float, float]:

@@ -70,7 +70,7 @@ def track_by_features(
     found = follow_features((f for i, f in enumerate(film.frames()) if i in wanted), motion)
     if found is None:
         return None
-    turn, moved, _ = found
+    turn, moved, followed = found
     theta = np.unwrap(np.angle(turn))
     if not 0.01 < np.ptp(theta) < 2.0:
         return None
@@ -96,8 +96,12 @@ def track_by_features(
         return None
     tracked = _along_path(film, usable, ring, theta, shift, motion.area, progress)
     # features at the body's edge are dragged by the background: the whole picture decides, and the difference between
-    # the two is an uncertainty that neighbouring frames share
-    correlated = float((tracked.angle + theta[np.isin(usable, tracked.frame)]).std())
+    # the two is an uncertainty that neighbouring frames share; new features continue with the error of the last ones
+    kept = np.isin(usable, tracked.frame)
+    apart, followed = tracked.angle + theta[kept], followed[kept]
+    for start in np.unique(followed):
+        apart[followed == start] -= apart[followed == start].mean()
+    correlated = float(apart.std())
     repeated = len(film) - len(usable)
     warnings = [
         *film.warnings,
@@ -150,7 +154,7 @@ def track_free_body(
         if tracked.explained < _EXPLAINED or np.std(tracked.angle) < _TURNS * np.median(tracked.sigma):
             continue
         apart = tracked.halves[0] - tracked.halves[1]
-        correlated = 0.5 * math.sqrt(max(float(np.var(apart)) - white_noise(apart) ** 2, 0.0))
+        correlated = 0.5 * math.sqrt(max(float(np.var(apart)) - white_noise(apart, tracked.frame) ** 2, 0.0))
         warnings = [
             *film.warnings,
             *tracked.warnings,
@@ -401,7 +405,7 @@ def _along_path(
     kept = misfit < _HIDDEN * usual
     formal = np.array([p.formal for p in every]) * np.sqrt(np.maximum(misfit / usual, 1.0))
     # no estimator is better than its bound
-    scale = max(white_noise(angle[kept]) / float(np.median(formal[kept])), 1.0)
+    scale = max(white_noise(angle[kept], frames[kept]) / float(np.median(formal[kept])), 1.0)
     lost = int((~kept).sum())
     text = f"{lost} of {len(kept)} frames do not show the body as the others do and are left out."
     return Tracked(

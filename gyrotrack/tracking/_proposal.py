@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._errors import TrackingError
-from gyrotrack.tracking._acquisition import acquire, find_white, is_marker_sized, placed
+from gyrotrack.tracking._acquisition import LEAST_CONTRAST, acquire, find_white, is_marker_sized, placed
 from gyrotrack.tracking._moving_colours import (
     Candidate,
     Circle,
@@ -138,6 +138,7 @@ def left_out(candidate: Candidate) -> str:
     return f"something {candidate.colour} moves, but not evenly about the centre; it is left out"
 
 
+_FAINT = 0.3  # share of the least contrast from which a white patch is worth a note
 SPREAD = 24
 """Frames from the whole film, in addition to its first ones: what rests at the start moves somewhere."""
 
@@ -218,8 +219,14 @@ def propose(
     notes += [left_out(c) for c in uneven]
     markers = name_markers(named, notes)
     white = _white(samples, ring, named)
-    if white is not None:
+    if isinstance(white, ProposedMarker):
         markers.append(white)
+    elif white is not None:
+        notes.append(
+            f"something faint and white turns with the rotor at a radius of {white.radius:.0f} px, "
+            f"{white.contrast[0]:.1f} grey levels above its ground; {LEAST_CONTRAST:g} are needed and it is left out: "
+            "light it better, or shield it from glare, which sets the exposure"
+        )
     profile = Profile(
         name=video.stem,
         marker=tuple(m.profile for m in markers),
@@ -245,26 +252,29 @@ def _samples(video: Path) -> Samples:
     return Samples((*first.frames[: first.head], *keys), first.head)
 
 
-def _white(samples: Samples, ring: Ring, bodies: dict[Body, Group]) -> ProposedMarker | None:
-    """Look for a white marker on the rotor, which has no colour to be found by."""
+def _white(samples: Samples, ring: Ring, bodies: dict[Body, Group]) -> ProposedMarker | Marker | None:
+    """Look for a white marker on the rotor, which has no colour to be found by; a faint one is only described."""
     group = bodies.get("rotor")
     if group is None:
         return None
     others = placed([c.sampled for c in group.members])
     proposed = MarkerProfile(name="white", colour="white", body="rotor")
-    marker = find_white(samples, range(samples.head), ring, proposed, others)
-    if marker is None or not is_marker_sized(marker):
-        return None
     lengths = [s.marker.outer - s.marker.inner for s in others]
     widths = [s.marker.half_width for s in others]
-    alike = 0.4 < (marker.outer - marker.inner) / float(np.median(lengths)) < 2.5
-    alike &= 0.4 < marker.half_width / float(np.median(widths)) < 2.5
-    first = others[0]  # the marker itself was seen on the average of frames only
-    return (
-        ProposedMarker(proposed, marker, first.angle + marker.mount, first.clear, group.rotation.step)
-        if alike
-        else None
-    )
+    for least in (LEAST_CONTRAST, _FAINT * LEAST_CONTRAST):
+        marker = find_white(samples, range(samples.head), ring, proposed, others, least)
+        if marker is None or not is_marker_sized(marker):
+            continue
+        alike = 0.4 < (marker.outer - marker.inner) / float(np.median(lengths)) < 2.5
+        alike &= 0.4 < marker.half_width / float(np.median(widths)) < 2.5
+        if alike and least < LEAST_CONTRAST:
+            return marker
+        if alike:
+            first = others[0]  # the marker itself was seen on the average of frames only
+            return ProposedMarker(
+                proposed, marker, first.angle + marker.mount, first.clear, group.rotation.step
+            )
+    return None
 
 
 def _confirmed(video: Path, profile: Profile, markers: list[ProposedMarker], notes: list[str]) -> bool:

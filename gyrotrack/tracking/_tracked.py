@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,13 +65,32 @@ class Tracked:
         return hub_leverage(self.template.halves())
 
 
-def white_noise(value: Floats) -> float:
-    """Return the standard deviation of the white part of a series, the least of its differences of order 2 to 6."""
-    found = [
-        1.4826 * float(np.median(np.abs(np.diff(value, order)))) / math.sqrt(math.comb(2 * order, order))
-        for order in range(2, 7)
-        if len(value) > 3 * order
-    ]
+def white_noise(value: Floats, at: npt.ArrayLike | None = None) -> float:
+    """Return the standard deviation of the white part of a series, the least by its differences of order 2 to 6.
+
+    Parameters
+    ----------
+    value : ndarray, shape (n,)
+        The series.
+    at : array_like, shape (n,), optional
+        Where it was sampled, in increasing order; evenly without it.
+
+    Notes
+    -----
+    A divided difference of order m has the weights 1 / prod_k (x_j - x_k), which cancel polynomials up to order m - 1;
+    scaled to unit norm, it has the variance of the noise. The scale is robust: 1.4826 times the median of the moduli.
+    """
+    x = np.arange(len(value), dtype=np.float64) if at is None else np.asarray(at, dtype=np.float64)
+    found = []
+    for order in range(2, 7):
+        if len(value) <= 3 * order:
+            continue
+        places = np.lib.stride_tricks.sliding_window_view(x, order + 1)
+        apart = places[:, :, None] - places[:, None, :] + np.eye(order + 1)
+        weight = 1.0 / np.prod(apart, axis=2)
+        weight /= np.sqrt(np.sum(weight**2, axis=1, keepdims=True))
+        difference = np.sum(weight * np.lib.stride_tricks.sliding_window_view(value, order + 1), axis=1)
+        found.append(1.4826 * float(np.median(np.abs(difference))))
     return min(found) if found else float("nan")
 
 

@@ -28,7 +28,9 @@ if TYPE_CHECKING:
     from gyrotrack.io._records import Recording
     from gyrotrack.synchronisation._decision import Match
     from gyrotrack.tracking._extract import ExtractionJob
+    from gyrotrack.tracking._film import Film
     from gyrotrack.tracking._proposal import Proposal, ProposedMarker
+    from gyrotrack.tracking._tracked import Tracked
 
 
 def profile_command(
@@ -56,13 +58,15 @@ def profile_command(
     """Find the markers of a film and write a profile that `extract --profile` reads.
 
     Searches for colours that turn about a common centre, groups them by body, and takes the faster body for the
-    rotor. Doubts are reported; the profile is a text file and can be edited.
+    rotor. Doubts are reported; the profile is a text file and can be edited. Where no markers or those of one body are
+    found, the picture of a body that turns about a hub is another reading of the film, which `spindown` measures.
 
     Example: gyrotrack profile rotor_1.mp4 -o mine.toml --picture mine.png
     """
-    from gyrotrack._errors import UsageError
+    from gyrotrack._errors import TrackingError, UsageError
     from gyrotrack.io._atomic import new_file, refuse_existing
-    from gyrotrack.plotting._proposal import write_picture
+    from gyrotrack.plotting._proposal import write_body_picture, write_picture
+    from gyrotrack.tracking._any_body import read_excerpt
     from gyrotrack.tracking._profile import to_toml
     from gyrotrack.tracking._proposal import propose
 
@@ -75,18 +79,63 @@ def profile_command(
     for path in (target, picture):
         if path is not None:
             refuse_existing(path, force=force)
-    found = propose(video, capture_fps=capture_fps, hub=_place(hub))
+    place = _place(hub)
+    body: tuple[Film, Tracked] | None = None
+    try:
+        found = propose(video, capture_fps=capture_fps, hub=place)
+    except TrackingError:
+        with out.progress(f"searching a body in {video.name}", "frames") as progress:
+            body = read_excerpt(video, place, progress)
+        if body is None:
+            raise
+        if picture is not None:
+            write_body_picture(picture, *body, force=force)
+        reading = _body_reading(body[1])
+        out.result({"output": None, "picture": picture, "verdict": "no_markers", "readings": [reading]})
+        out.show(f"No coloured markers were found. {_body_sentence(reading, video)}")
+        return NOT_TRUSTED
+    if len({m.profile.body for m in found.markers}) == 1:
+        with out.progress(f"searching a body in {video.name}", "frames") as progress:
+            body = read_excerpt(video, place, progress)
     comment = "".join(f"# {note}\n" for note in (f"found in {video.name} by gyrotrack profile", *found.notes))
     with all_or_nothing(target, picture):
         if picture is not None:  # the larger file first: if it cannot be written, an old profile stays
-            write_picture(picture, found, force=force)
+            write_picture(picture, found, body=body, force=force)
         with new_file(target, force=force) as stream:
             stream.write((comment + to_toml(found.profile)).encode())
     for note in found.notes:
         out.warn(note)
-    out.result(_profile_document(target, picture, found))
-    out.show(_profile_lines(target, found))
+    document = _profile_document(target, picture, found)
+    lines = [_profile_lines(target, found)]
+    if body is not None:
+        document["readings"] = [_body_reading(body[1])]
+        lines.append(f"Another reading: {_body_sentence(document['readings'][0], video)}")
+    out.result(document)
+    out.show(*lines)
     return None if found.sound else NOT_TRUSTED
+
+
+def _body_reading(tracked: Tracked) -> dict[str, Any]:
+    return {
+        "kind": "picture of a body",
+        "hub_px": list(tracked.ring.hub),
+        "hub_from": tracked.way,
+        "ring_px": [tracked.ring.inner, tracked.ring.outer],
+        "explained": tracked.explained,
+    }
+
+
+def _body_sentence(reading: dict[str, Any], video: Path) -> str:
+    x, y = reading["hub_px"]
+    where = (
+        f"A body turns while it moves across the picture, near ({x:.0f}, {y:.0f}) px"
+        if reading["hub_from"] == "outline"
+        else f"One body turns about ({x:.1f}, {y:.1f}) px"
+    )
+    return (
+        f"{where}; its rotation explains {100 * reading['explained']:.0f} % of the change of brightness.\n"
+        f"`gyrotrack spindown {video.name}` measures it without markers."
+    )
 
 
 def _profile_document(target: Path, picture: Path | None, found: Proposal) -> dict[str, Any]:

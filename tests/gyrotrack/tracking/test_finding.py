@@ -111,6 +111,15 @@ def test_two_markers_of_one_colour_are_told(draw):
 
 
 @pytest.mark.slow
+def test_a_faint_white_marker_is_named(draw):
+    table = propose(draw(**{**FAST, "white": None})[0])
+    assert not any("faint" in note for note in table.notes)
+    faint = propose(draw(**{**FAST, "white": (126, 126, 126)})[0])
+    assert set(chosen(faint)) == {"red", "blue", "green"}
+    assert any("faint and white" in note for note in faint.notes)
+
+
+@pytest.mark.slow
 def test_one_colour_on_both_bodies_is_told(draw):
     path, _ = draw(**{**FAST, "blue": RED})
     found = propose(path)

@@ -1,13 +1,16 @@
 """Bodies that move across the picture, against an independent renderer: angle, claimed uncertainty, refusals."""
 
 import itertools
+import json
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 import pytest
 
 from gyrotrack._errors import TrackingError
+from gyrotrack.apps.cli._app import run
 from gyrotrack.tracking._moving_hub import track_free_body
 
 HEIGHT, WIDTH, UP = 150, 300, 4
@@ -143,3 +146,41 @@ def test_a_film_in_which_nothing_moves_is_refused():
     path, _ = sliding()
     with pytest.raises(TrackingError):
         track_free_body(film(np.repeat(path[:1], 60, axis=0), np.zeros(60)))
+
+
+@pytest.fixture(scope="module")
+def puck(tmp_path_factory):
+    """A file with the film of a puck."""
+    target = tmp_path_factory.mktemp("puck") / "puck.mp4"
+    path, angle = sliding()
+    with av.open(str(target), "w") as container:
+        stream = container.add_stream("libx264", rate=240)
+        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
+        for picture in film(path, angle).frames():
+            frame = av.VideoFrame.from_ndarray(picture, format="gray")
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+    return target, angle
+
+
+@pytest.mark.slow
+def test_spindown_measures_a_puck(puck, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    source, angle = puck
+    assert run(["spindown", str(source), "--capture-fps", "240", "--json"]) in (0, 3)
+    document = json.loads(capsys.readouterr().out)
+    assert document["motion"]["kind"] == "spin-down"
+    assert document["motion"]["turns"] == pytest.approx(np.ptp(angle) / (2 * np.pi), rel=0.12)  # rest is cut
+    assert any("moves across the picture" in w for w in document["warnings"])
+    assert Path(document["picture"]).is_file()
+
+
+@pytest.mark.slow
+def test_profile_shows_a_body_where_there_are_no_markers(puck, tmp_path, capsys):
+    target, picture = tmp_path / "puck.toml", tmp_path / "puck.png"
+    assert run(["profile", str(puck[0]), "-o", str(target), "--picture", str(picture), "--json"]) == 3
+    document = json.loads(capsys.readouterr().out)
+    assert document["verdict"] == "no_markers"
+    assert document["readings"][0]["hub_from"] == "outline"
+    assert cv2.imread(str(picture)).shape[1] == 1600
+    assert not target.exists()
