@@ -43,7 +43,7 @@ class Inspection:
     ----------
     kind : str
         "recording" or "case".
-    holds : dict
+    summary : dict
         Summary of the contents, serialisable as JSON.
     problems : tuple of str
         Inconsistencies; empty for a consistent file.
@@ -54,7 +54,7 @@ class Inspection:
     path: Path
     kind: str
     provenance: dict[str, Any]
-    holds: dict[str, Any]
+    summary: dict[str, Any]
     problems: tuple[str, ...]
     datasets_verified: int = 0
     chunks_verified: int = 0
@@ -83,16 +83,16 @@ def inspect_file(path: Path, *, verify: bool = False) -> Inspection:
         content: Recording | Case
         if kind == layout.CASE:
             content = load_case(file)
-            holds, problems = describe_case(content), _case_problems(content)
+            summary, problems = describe_case(content), _case_problems(content)
         else:
             content = load_recording(file)
-            holds, problems = describe_recording(content), _recording_problems(content)
+            summary, problems = describe_recording(content), _recording_problems(content)
         verified = [_chunks(dataset) for dataset in _datasets(file, set())] if verify else []
     return Inspection(
         path=Path(path),
         kind=kind,
         provenance=provenance,
-        holds=holds,
+        summary=summary,
         problems=tuple(problems),
         datasets_verified=len(verified),
         chunks_verified=sum(verified),
@@ -202,10 +202,10 @@ def _case_problems(case: Case) -> list[str]:
 
 def _motion_problems(name: str, time: Floats, angle: Floats, sigma: Floats) -> list[str]:
     found = _time_problems(name, time)
-    seen = np.isfinite(angle)
-    if not seen.any():
+    valid = np.isfinite(angle)
+    if not valid.any():
         found.append(f"{name} has no angles")
-    elif not (sigma[seen] > 0).all():
+    elif not (sigma[valid] > 0).all():
         found.append(f"{name} has angles without a positive uncertainty")
     return found
 

@@ -287,10 +287,10 @@ def added_torque(name: str, base: Fit, other: Fit, index: int) -> AddedTorque | 
     time = np.linspace(path.mesh.edges[0], path.mesh.edges[-1], _MODEL_POINTS)
     state = Sampler(path.mesh, time).value(path.y)
     inertia = np.array([new.data.record.I_rotor, new.data.record.I_casing])
-    gained = new.dynamics.rates(time, state, other.problem.layout.numbers(other.theta, index))[:, :2]
-    seen = state[:, [path.states.index(s) for s in old.dynamics.states]]
-    had = old.dynamics.rates(time, seen, base.problem.layout.numbers(base.theta, index))[:, :2]
-    torque = (gained - had) * inertia
+    after = new.dynamics.rates(time, state, other.problem.layout.numbers(other.theta, index))[:, :2]
+    shared = state[:, [path.states.index(s) for s in old.dynamics.states]]
+    before = old.dynamics.rates(time, shared, base.problem.layout.numbers(base.theta, index))[:, :2]
+    torque = (after - before) * inertia
     return AddedTorque(name, time, state[:, 1].copy(), torque[:, 0].copy(), torque[:, 1].copy())
 
 

@@ -125,8 +125,8 @@ def casing_curve(recording: Recording, name: str) -> Curve:
             f"{name} does not show the casing.",
             "Clips are synchronised by the casing: track its marker in every clip.",
         )
-    seen = np.isfinite(body.angle) & np.isfinite(body.time) & (body.sigma > 0)
-    curve = Curve(body.time[seen], body.angle[seen], body.sigma[seen])
+    valid = np.isfinite(body.angle) & np.isfinite(body.time) & (body.sigma > 0)
+    curve = Curve(body.time[valid], body.angle[valid], body.sigma[valid])
     if len(curve.time) < MIN_FRAMES or curve.duration < MIN_DURATION:
         raise SyncError(
             f"{name} shows the casing in only {len(curve.time)} frames.",
@@ -229,15 +229,15 @@ def fit_casing(casing: Curve, edges: tuple[float, float], intervals: int) -> Cas
     LinAlgError
         There are too few samples.
     """
-    seen = casing.between(*edges)
-    if len(seen.time) < 2 * DEGREE:
+    record = casing.between(*edges)
+    if len(record.time) < 2 * DEGREE:
         raise np.linalg.LinAlgError("too few samples of the casing")
     knots = np.linspace(edges[0], edges[1], intervals + 1)
     knots = np.concatenate([np.repeat(knots[0], DEGREE), knots, np.repeat(knots[-1], DEGREE)])
-    reference = np.polynomial.Polynomial.fit(seen.time, seen.angle, 4)
-    spline = BSpline.design_matrix(seen.time, knots, DEGREE).toarray()
-    rows = np.hstack([spline, harmonics(seen.angle)]) / seen.sigma[:, None]
-    left = (seen.angle - reference(seen.time)) / seen.sigma
+    reference = np.polynomial.Polynomial.fit(record.time, record.angle, 4)
+    spline = BSpline.design_matrix(record.time, knots, DEGREE).toarray()
+    rows = np.hstack([spline, harmonics(record.angle)]) / record.sigma[:, None]
+    left = (record.angle - reference(record.time)) / record.sigma
     size = spline.shape[1]
     information = rows.T @ rows + np.diag(
         np.repeat([SPLINE_SIGMA**-2, HARMONIC_SIGMA**-2], [size, HARMONICS])

@@ -131,7 +131,7 @@ def _minima(distance: Floats) -> list[int]:
 
 INTERVALS = (2, 4, 8, 16, 32)
 BIC_BLOCKS = 30
-PARAMETERS = 16  # besides the intervals: ends of the spline, harmonics, start, rate, direction
+PARAMETERS = 16  # in addition to one per interval: ends of the spline, harmonics, start, rate, direction
 ROUNDS = 2
 MAX_MISFIT = 0.015  # largest difference of the cameras beyond noise [rad]
 RATE_LIMIT = 5 * RATE_SIGMA
@@ -189,8 +189,8 @@ def _mismatch(casing: Curve, clip: Curve, name: str, why: str) -> SyncError:
 
 def _initial_value(casing: Curve, clip: Curve, offset: float) -> Start:
     middle = (clip.time[0] + clip.time[-1]) / 2
-    seen = np.interp(middle, clip.time, clip.angle)
-    return Start(offset, 0.0, float(np.interp(offset + middle, casing.time, casing.angle) - seen))
+    measured = np.interp(middle, clip.time, clip.angle)
+    return Start(offset, 0.0, float(np.interp(offset + middle, casing.time, casing.angle) - measured))
 
 
 def _distinct(pair: Pair, starts: list[Start], rate_limit: float = RATE_LIMIT) -> list[Solution]:
@@ -226,9 +226,9 @@ def _refine(pair: Pair, start: Start, rate_limit: float) -> Solution | None:
 
 def _is_covered(pair: Pair, start: Start) -> bool:
     first, last = start.casing_times(pair.clip.time[[0, -1]])
-    seen = pair.casing.between(first, last)
+    record = pair.casing.between(first, last)
     interval = float(np.median(np.diff(pair.casing.time)))
-    return bool(len(seen.time) > 0.5 * (last - first) / interval)
+    return bool(len(record.time) > 0.5 * (last - first) / interval)
 
 
 def _calibrated(pair: Pair, start: Start) -> tuple[Pair, int]:
@@ -253,7 +253,7 @@ def _calibrated(pair: Pair, start: Start) -> tuple[Pair, int]:
 def _with_slow_noise(pair: Pair, start: Start) -> Pair:
     """Increase the sigmas to those of slow errors of tracking, which averages do not reduce."""
     left, casing = _residuals(pair, start), casing_around(pair, start)
-    seen = pair.casing.between(*window(*start.casing_times(pair.clip.time[[0, -1]])))
+    record = pair.casing.between(*window(*start.casing_times(pair.clip.time[[0, -1]])))
     moment = start.casing_times(pair.clip.time)
     speed = casing.speed(moment)
     change = np.column_stack([speed, speed * pair.clip.time, np.ones_like(speed), harmonics(pair.clip.angle)])
@@ -261,7 +261,7 @@ def _with_slow_noise(pair: Pair, start: Start) -> Pair:
     return replace(
         pair,
         casing=pair.casing.scaled(
-            np.sqrt(slow_variance(seen.time, casing.rows, left.residual_casing, pair.clip.duration))
+            np.sqrt(slow_variance(record.time, casing.rows, left.residual_casing, pair.clip.duration))
         ),
         clip=pair.clip.scaled(
             np.sqrt(slow_variance(pair.clip.time, rows, left.residual_clip, pair.clip.duration))

@@ -272,7 +272,7 @@ def _document(found: Inspection) -> dict[str, Any]:
         "warnings": found.warnings,
         "verified": {"datasets": found.datasets_verified, "chunks": found.chunks_verified},
         **found.provenance,
-        **found.holds,
+        **found.summary,
     }
 
 
@@ -285,7 +285,7 @@ def _verdict(found: Inspection) -> list[str]:
 
 
 def _contents(found: Inspection) -> list[str]:
-    lines = ["", *(_case_lines(found.holds) if found.kind == "case" else _recording_lines(found.holds))]
+    lines = ["", *(_case_lines(found.summary) if found.kind == "case" else _recording_lines(found.summary))]
     version = found.provenance["software_version"]
     lines += ["", f"written by gyrotrack {version}, layout {found.provenance['format_version']}, "]
     lines[-1] += found.provenance["created"]
@@ -295,18 +295,18 @@ def _contents(found: Inspection) -> list[str]:
     return lines
 
 
-def _case_lines(holds: dict[str, Any]) -> list[str]:
-    surface = f", on {holds['surface']}" if holds["surface"] else ""
+def _case_lines(summary: dict[str, Any]) -> list[str]:
+    surface = f", on {summary['surface']}" if summary["surface"] else ""
     lines = [
-        f"label    {holds['label'] or '-'}{surface}",
-        f"inertia  {_inertia(holds)}",
-        f"measured {'angles' if holds['quantity'] == 'angle' else 'angular velocities'}",
+        f"label    {summary['label'] or '-'}{surface}",
+        f"inertia  {_inertia(summary)}",
+        f"measured {'angles' if summary['quantity'] == 'angle' else 'angular velocities'}",
         "",
-        _HEADER if holds["quantity"] == "angle" else _HEADER.replace("  sigma [mrad]", "sigma [mrad/s]"),
-        _motion_line("casing" if holds["bodies"] == "two" else "body", holds["casing"]),
+        _HEADER if summary["quantity"] == "angle" else _HEADER.replace("  sigma [mrad]", "sigma [mrad/s]"),
+        _motion_line("casing" if summary["bodies"] == "two" else "body", summary["casing"]),
     ]
-    lines += [_motion_line(f"rotor {w['window']}", w) for w in holds["rotor"]["windows"]]
-    for name, clip in holds["recordings"].items():
+    lines += [_motion_line(f"rotor {w['window']}", w) for w in summary["rotor"]["windows"]]
+    for name, clip in summary["recordings"].items():
         lines += ["", f"clip '{name}'"]
         if "placement" in clip:
             lines.append(_placement_line(clip["placement"]))
@@ -314,14 +314,14 @@ def _case_lines(holds: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _inertia(holds: dict[str, Any]) -> str:
-    if holds["bodies"] == "one":
+def _inertia(summary: dict[str, Any]) -> str:
+    if summary["bodies"] == "one":
         return (
             "unknown; torques are per unit of inertia"
-            if holds["per_inertia"]
-            else f"{holds['I_casing']:.4g} kg m2"
+            if summary["per_inertia"]
+            else f"{summary['I_casing']:.4g} kg m2"
         )
-    return f"rotor {holds['I_rotor']:.4g}, casing {holds['I_casing']:.4g} kg m2"
+    return f"rotor {summary['I_rotor']:.4g}, casing {summary['I_casing']:.4g} kg m2"
 
 
 def _placement_line(p: dict[str, Any]) -> str:
@@ -335,19 +335,20 @@ def _placement_line(p: dict[str, Any]) -> str:
     )
 
 
-def _recording_lines(holds: dict[str, Any]) -> list[str]:
-    turning = "clockwise" if holds["sense"] < 0 else "counter-clockwise"
-    stamped = ", times from the timestamps" if holds["times_from"] == "stamps" else ""
+def _recording_lines(summary: dict[str, Any]) -> list[str]:
+    size = f"{summary['width']} x {summary['height']} px"
+    turning = "clockwise" if summary["sense"] < 0 else "counter-clockwise"
+    stamped = ", times from the timestamps" if summary["times_from"] == "stamps" else ""
     lines = [
-        f"film     {holds['source']}, {holds['width']} x {holds['height']} px, {holds['capture_fps']:g} fps{stamped}",
-        f"frames   {holds['frames']} in {holds['duration_s']:.3f} s, rotation {turning} in the image",
+        f"film     {summary['source']}, {size}, {summary['capture_fps']:g} fps{stamped}",
+        f"frames   {summary['frames']} in {summary['duration_s']:.3f} s, rotation {turning} in the image",
     ]
-    if holds["markers"]:
+    if summary["markers"]:
         lines += ["", f"{'marker':<10}{'body':<10}" + "".join(f"{word:>9}" for word in _WORDS)]
-    for name, marker in holds["markers"].items():
+    for name, marker in summary["markers"].items():
         lines.append(f"{name:<10}{marker['body']:<10}" + "".join(f"{marker[w]:>9}" for w in _WORDS.values()))
     lines += ["", _HEADER]
-    lines += [_motion_line(name, body) for name, body in holds["bodies"].items()]
+    lines += [_motion_line(name, body) for name, body in summary["bodies"].items()]
     return lines
 
 

@@ -396,8 +396,8 @@ def _samples(data: CaseData) -> str:
         )
     rotor = f"rotor {sum(len(w) for w in r.rotor)} in {len(r.rotor)} windows"
     inertia = f"I_rotor {short(r.I_rotor, 4)}, I_casing {short(r.I_casing, 4)} kg m²"
-    seen = f"casing {len(r.casing)}, {rotor}; {data.n_effective:.0f} effective"
-    return f"{seen}; {inertia}; measured: {r.quantity}"
+    samples = f"casing {len(r.casing)}, {rotor}; {data.n_effective:.0f} effective"
+    return f"{samples}; {inertia}; measured: {r.quantity}"
 
 
 def _versions() -> list[tuple[str, str]]:

@@ -396,21 +396,21 @@ class Project:
             raise
 
     def _upload_target(self, name: str, declared: int) -> Path:
-        plain = re.sub(r"[^\w .+()-]", "_", name.replace("\\", "/").rpartition("/")[2]).strip(" .")[-120:]
-        suffix = Path(plain).suffix.lower()
-        if plain.startswith("-") or not (suffix in FILMS | TABLES | _DATASETS or plain == "study.toml"):
+        safe = re.sub(r"[^\w .+()-]", "_", name.replace("\\", "/").rpartition("/")[2]).strip(" .")[-120:]
+        suffix = Path(safe).suffix.lower()
+        if safe.startswith("-") or not (suffix in FILMS | TABLES | _DATASETS or safe == "study.toml"):
             raise UsageError(
-                f"{plain[:60] or 'The file'} is not a film, table, recording or study.toml.",
+                f"{safe[:60] or 'The file'} is not a film, table, recording or study.toml.",
                 "Choose another file.",
             )
         if not 0 < declared <= LARGEST_UPLOAD:
             raise UsageError(
-                f"{plain} has {declared} bytes; 1 to {LARGEST_UPLOAD} are accepted.",
+                f"{safe} has {declared} bytes; 1 to {LARGEST_UPLOAD} are accepted.",
                 "Copy larger films to the work folder and select them there.",
             )
         if shutil.disk_usage(self.folder).free < 1.1 * declared:
-            raise OutputError(f"There is not enough space for {plain} in {self.folder}.", "Free some space.")
-        return self.folder / self._unused_name(plain)
+            raise OutputError(f"There is not enough space for {safe} in {self.folder}.", "Free some space.")
+        return self.folder / self._unused_name(safe)
 
     def _unused_name(self, name: str) -> str:
         """Return a name that is not used by a file in the work folder or a planned output."""

@@ -116,20 +116,20 @@ def read_names(given: Iterable[str], body: str = "casing") -> Names:
     """
     names: dict[str, tuple[str, str]] = {}
     for option in given:
-        ours, equals, theirs = (part.strip() for part in option.partition("="))
-        whose, dot, quantity = ours.partition(".")
-        ours = quantity if dot and whose in {"casing", "rotor"} else ours
-        if not equals or ours not in ROLES or not theirs:
+        role_name, equals, column = (part.strip() for part in option.partition("="))
+        prefix, dot, quantity = role_name.partition(".")
+        role_name = quantity if dot and prefix in {"casing", "rotor"} else role_name
+        if not equals or role_name not in ROLES or not column:
             raise UsageError(
                 f"{option[:60]!r}: unknown column.",
                 f"Write for example t=Zeit; quantities: {', '.join(ROLES)}.",
             )
-        if ours == quantity and whose != body:
+        if role_name == quantity and prefix != body:
             continue
-        names[theirs.casefold()] = (ours, "")
-        bare, unit = header_of(theirs) if theirs.endswith(("]", ")")) else (theirs, "")
+        names[column.casefold()] = (role_name, "")
+        base, unit = header_of(column) if column.endswith(("]", ")")) else (column, "")
         if unit:
-            names.setdefault(bare.casefold(), (ours, clean(unit)))
+            names.setdefault(base.casefold(), (role_name, clean(unit)))
     return names
 
 
@@ -147,11 +147,11 @@ def find_columns(raw: RawTable, options: ReadOptions) -> tuple[dict[str, int], d
     found: dict[str, list[int]] = {}
     units: dict[int, str] = {}
     for index, name in enumerate(raw.names):
-        bare, unit = header_of(name)
+        base, unit = header_of(name)
         units[index] = clean(raw.units[index] or unit)
-        role = role_of(bare) if name and not options.names else None
+        role = role_of(base) if name and not options.names else None
         if options.names:
-            for text in (name.casefold(), bare.casefold(), str(index + 1)):
+            for text in (name.casefold(), base.casefold(), str(index + 1)):
                 if text and text in options.names:
                     role, given = options.names[text]
                     units[index] = given or units[index]
@@ -373,20 +373,20 @@ def checked(
         notes.append(
             f"{name}: {absent.sum()} rows without a time were excluded (first: line {line[absent][0]})"
         )
-    seen = np.isfinite(value) & ~absent
+    valid = np.isfinite(value) & ~absent
     if sigma is not None:
-        _raise_if(raw, seen & np.isnan(sigma), "the sigma is missing", "Add it, or remove the column.")
-        _raise_if(raw, seen & ~(sigma > 0), "the sigma is not positive", "Correct it, or remove the column.")
-    lost = int((~seen & ~absent).sum())
+        _raise_if(raw, valid & np.isnan(sigma), "the sigma is missing", "Add it, or remove the column.")
+        _raise_if(raw, valid & ~(sigma > 0), "the sigma is not positive", "Correct it, or remove the column.")
+    lost = int((~valid & ~absent).sum())
     if lost:
         notes.append(f"{name}: {lost} rows without a value were excluded")
-    if seen.sum() < fewest:
+    if valid.sum() < fewest:
         raise DatasetError(
-            f"{raw.path} has {seen.sum()} samples with a value; at least {fewest} are needed.",
+            f"{raw.path} has {valid.sum()} samples with a value; at least {fewest} are needed.",
             "Give a longer recording.",
         )
     made = MotionTable(
-        raw.path, raw.sha256, quantity, time[seen], value[seen], None if sigma is None else sigma[seen], line[seen],
+        raw.path, raw.sha256, quantity, time[valid], value[valid], None if sigma is None else sigma[valid], line[valid],
         (), least_sigma,
     )  # fmt: skip
     made = in_order(made, notes)

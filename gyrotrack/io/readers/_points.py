@@ -72,10 +72,10 @@ def angle_of(points: Points, options: ReadOptions) -> PointAngle:
     place = np.where(_is_likely(points, name, options), points.places[name].T, np.nan).T
     centre, where = _centre(points, options, named_centre, place)
     arm = place - centre
-    seen = np.isfinite(arm).all(axis=1)
-    if seen.sum() < MIN_SAMPLES:
+    valid = np.isfinite(arm).all(axis=1)
+    if valid.sum() < MIN_SAMPLES:
         raise DatasetError(
-            f"{points.path}: '{name[:40]}' is tracked in {seen.sum()} frames; at least {MIN_SAMPLES} are needed.",
+            f"{points.path}: '{name[:40]}' is tracked in {valid.sum()} frames; at least {MIN_SAMPLES} are needed.",
             "Check the name of the point and --likelihood.",
         )
     length = np.hypot(*arm.T)

@@ -148,12 +148,12 @@ def _rows_of_body(raw: RawTable, options: ReadOptions) -> RawTable:
 
 def _from_points(points: Points, options: ReadOptions) -> MotionTable:
     found = angle_of(points, options)
-    seen = np.isfinite(found.angle) & np.isfinite(found.time)
-    lost = int((~seen).sum())
+    valid = np.isfinite(found.angle) & np.isfinite(found.time)
+    lost = int((~valid).sum())
     notes = [*found.notes]
     if lost:
         notes.append(f"{points.path.name}: {lost} frames without the marker were excluded")
-    rows = np.flatnonzero(seen)
+    rows = np.flatnonzero(valid)
     made = MotionTable(
         points.path, points.sha256, "angle", found.time[rows], found.angle[rows], None, rows + 1, ()
     )
