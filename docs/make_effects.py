@@ -11,18 +11,18 @@ TARGET = Path(__file__).parent / "reference" / "effects.md"
 
 _HEAD = """# Effects
 
-This page is made from the library itself by `docs/make_effects.py`; a test compares the two. `gyrotrack effects NAME`
-shows one effect, with its bounds under `--json`.
+This page is generated from the library by `docs/make_effects.py`. `gyrotrack effects NAME` shows one effect, and its
+bounds with `--json`.
 
-A law is a torque in N m. One on the rotor or the casing acts on that body; one in the bearing is +law on the casing
-and -law on the rotor; one in a contact, of the ratio n, is law on the rotor and -n law on the casing, `slip` is
-omega_r - n omega_c, and the discovery does not try it; a *factor* multiplies the whole bearing torque. `delta` is
-omega_r - omega_c. A law of a camera is an angle [rad] added to what it sees, with `psi` and `omega` those of the
-filmed body: an artefact, never physics.
+A law is a torque in N m. An effect on the rotor or the casing acts on that body. An effect in the bearing acts on the
+casing with +law and on the rotor with -law, where `delta` is omega_r - omega_c. An effect in a contact of ratio n acts
+on the rotor with law and on the casing with -n law, where `slip` is omega_r - n omega_c; the discovery does not include
+contacts. A *factor* multiplies the whole bearing torque. The law of a camera is an error [rad] added to the measured
+angle, a function of the angle `psi` and the angular velocity `omega` of the filmed body; it does not act on the motion.
 
-A name in the first column is what `gyrotrack fit --add` takes and what `gyrotrack diagnose` answers. A law of your own
-may contain t, omega_r, omega_c, psi_r, psi_c and delta; any other name in it is a parameter. A moment, as t0 in
-`heaviside(t - t0)` or in `exp(-((t - t0)/w)**2)`, is sought in the whole record.
+`gyrotrack fit --add` and `gyrotrack diagnose` use the names in the first column. User-defined laws may contain t,
+omega_r, omega_c, psi_r, psi_c and delta; any other name is a parameter. Times of events, such as t0
+in `heaviside(t - t0)` or `exp(-((t - t0)/w)**2)`, are searched for in the whole record.
 """
 
 _JOINTS = {
@@ -31,21 +31,23 @@ _JOINTS = {
     "contact": "Where rotor and casing touch",
     "factor": "Factors of the bearing torque",
     "casing": "On the casing",
-    "inertia": "Of the experimenter (measurement): a factor of the casing's acceleration",
-    "camera.rotor": "Of the rotor's camera (measurement)",
-    "camera.casing": "Of the casing's camera (measurement)",
+    "inertia": "On the moment of inertia (measurement): a factor of the casing's acceleration",
+    "camera.rotor": "On the rotor camera (measurement)",
+    "camera.casing": "On the casing camera (measurement)",
 }
 
 
 def page() -> str:
-    """Return the page as it should be."""
+    """Return the text of the page."""
     parts = [_HEAD]
     unnamed = {e.joint for e in LIBRARY.values()} - set(_JOINTS)
     if unnamed:
-        raise LookupError(f"give these joints a title: {sorted(unnamed)}")
+        raise LookupError(f"these joints have no title: {sorted(unnamed)}")
     for joint, title in _JOINTS.items():
         parts.append(f"## {title}\n")
-        parts.append("| name | law | parameters | seen as | looks like |\n|---|---|---|---|---|")
+        parts.append(
+            "| name | law | parameters | observable effect | similar effects |\n|---|---|---|---|---|"
+        )
         parts += [_row(e) for e in LIBRARY.values() if e.joint == joint]
         parts.append("")
     parts.append("## Models\n")
@@ -60,8 +62,8 @@ def page() -> str:
 def _row(e: Effect) -> str:
     law = f"`{e.law}`" + (f"; d({e.state.symbol})/dt = `{e.state.rate}`" if e.state else "")
     parameters = ", ".join(f"{p.symbol} [{p.unit}]" for p in e.parameters)
-    looks_like = ", ".join(e.confused_with) or "-"
-    return f"| {e.name} | {law} | {parameters} | {e.signature} | {looks_like} |".replace("||", "\\|\\|")
+    similar = ", ".join(e.confused_with) or "-"
+    return f"| {e.name} | {law} | {parameters} | {e.signature} | {similar} |".replace("||", "\\|\\|")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """From films of rotating bodies to their equations of motion.
 
-The way from film to case::
+From film to case::
 
     import gyrotrack
 
@@ -9,9 +9,9 @@ The way from film to case::
     case = gyrotrack.sync(casing, [rotor], "case1.h5", inertia_rotor=5.54e-5, inertia_casing=2.06e-5)
     gyrotrack.read("case1.h5")
 
-The package `fitting` goes on from the case to the model.
+The package `fitting` fits models to the case.
 
-Public names are imported on first use; ``import gyrotrack`` alone imports nothing else.
+Public names are imported on first use, so that ``import gyrotrack`` is fast.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ _MODULES = {
     "gyrotrack.tracking._profile": ("Profile",),
     "gyrotrack.tracking._proposal": ("Proposal", "propose"),
 }
-_PLACES = {name: module for module, names in _MODULES.items() for name in names}
+_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
     "BodyTrack",
@@ -106,10 +106,10 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name where it is first used."""
-    if name not in _PLACES:
+    """Import a public name on first use."""
+    if name not in _MODULE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = globals()[name] = getattr(import_module(_PLACES[name]), name)
+    value = globals()[name] = getattr(import_module(_MODULE_OF[name]), name)
     return value
 
 

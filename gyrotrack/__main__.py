@@ -1,4 +1,4 @@
-"""``python -m gyrotrack`` is `gyrotrack`."""
+"""Entry point of ``python -m gyrotrack``."""
 
 from gyrotrack.apps.cli._app import main
 

@@ -1,8 +1,8 @@
-"""Long columns in an unnamed memory-mapped file, so that memory does not grow with the length of the film.
+"""Long columns in an anonymous memory-mapped file, so that memory use does not grow with the length of the film.
 
 The columns are ordinary arrays, but only the pages in use occupy memory: `set_down` releases the pages that were read
-or written, and the system reads them again from the file on the next access. Columns of short films, and all
-columns where the system has no such files, are plain arrays.
+or written, and the operating system reads them from the file again on the next access. Columns of short films, and all
+columns where the system does not support such files, are plain arrays.
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ import numpy.typing as npt
 Array = npt.NDArray[Any]
 
 LEAST_BYTES = 1 << 18
-"""Size [bytes] from which a table is kept in a file."""
+"""Smallest size of a table that is kept in a file [bytes]."""
 STRETCH = 4096
-"""Rows that are processed together."""
-_TOGETHER = 8
-"""Blocks of rows after which pages are released; each release takes time."""
+"""Rows of a block; columns are processed in blocks."""
+_BLOCKS_PER_RELEASE = 8
+"""Blocks of rows between two releases of pages; each release takes time."""
 MOST_FILES = 128
-"""Largest number of files: each takes a file handle."""
-_ALIGNED = 64
-_LEAVE: int | None = getattr(mmap, "MADV_DONTNEED", None)  # not on Windows
+"""Largest number of files; each needs a file handle."""
+_ALIGNMENT = 64
+_DONTNEED: int | None = getattr(mmap, "MADV_DONTNEED", None)  # not on Windows
 _files: WeakSet[mmap.mmap] = WeakSet()
 
 
 def new_columns(rows: int, kinds: Mapping[str, tuple[tuple[int, ...], npt.DTypeLike]]) -> dict[str, Array]:
-    """Return columns of undefined values.
+    """Return columns with undefined values.
 
     Parameters
     ----------
     rows : int
-        Length of all of them.
+        Length of every column.
     kinds : mapping
         Shape of one row and type, by name.
     """
@@ -46,7 +46,7 @@ def new_columns(rows: int, kinds: Mapping[str, tuple[tuple[int, ...], npt.DTypeL
     for name, (shape, kind) in kinds.items():
         places[name] = end
         size = rows * int(np.prod(shape, dtype=np.int64)) * np.dtype(kind).itemsize
-        end += -(-size // _ALIGNED) * _ALIGNED
+        end += -(-size // _ALIGNMENT) * _ALIGNMENT
     file = _mapped(end) if end >= LEAST_BYTES else None
     if file is None:
         return {name: np.empty((rows, *shape), kind) for name, (shape, kind) in kinds.items()}
@@ -67,29 +67,28 @@ def put_away(columns: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def stretches(rows: int) -> Iterator[slice]:
-    """Yield slices of `STRETCH` rows that cover all rows, and release pages after every few of them."""
+    """Yield slices of `STRETCH` rows that cover all rows; release pages after every few slices."""
     for count, start in enumerate(range(0, rows, STRETCH), start=1):
         yield slice(start, min(start + STRETCH, rows))
-        if count % _TOGETHER == 0:
+        if count % _BLOCKS_PER_RELEASE == 0:
             set_down()
 
 
 def set_down() -> None:
     """Release the memory of all columns; their values remain in the file."""
     for file in list(_files):
-        if _LEAVE is not None:
-            file.madvise(_LEAVE)
+        if _DONTNEED is not None:
+            file.madvise(_DONTNEED)
 
 
 def _mapped(size: int) -> mmap.mmap | None:
-    """Return a memory-mapped unnamed file of this size; None if the system has none, or no space."""
-    if _LEAVE is None or len(_files) >= MOST_FILES or not hasattr(os, "posix_fallocate"):
+    """Return an anonymous memory-mapped file of this size; None without support by the system, or without space."""
+    if _DONTNEED is None or len(_files) >= MOST_FILES or not hasattr(os, "posix_fallocate"):
         return None
     try:
         with TemporaryFile(prefix="gyrotrack-") as stream:
-            os.posix_fallocate(
-                stream.fileno(), 0, size
-            )  # a page without room behind it would end the process
+            # without reserved space, writing to a page on a full disk would end the process (SIGBUS)
+            os.posix_fallocate(stream.fileno(), 0, size)
             file = mmap.mmap(stream.fileno(), size)
     except OSError:
         return None

@@ -1,12 +1,11 @@
-"""Least squares for samples whose errors are white and correlated, both of unknown size.
+"""Least squares for samples with white and correlated noise, both of unknown variance.
 
-Neighbouring frames of a film share a part of their error. The residuals are described by white noise and a part that
-is correlated over a time tau,
+The errors of neighbouring frames of a film are correlated. The covariance of the residuals is
 
     K = s^2 [diag(sigma^2) + q exp(-|t - t'| / tau) + p cos(psi - psi') exp(-|t - t'| / T)].
 
-The last term is for a body of known angle psi whose hub, or camera, moves slowly: a harmonic of the angle whose
-amplitude wanders. q, tau, p and T are averaged over their posterior on a grid, s^2 is estimated by restricted maximum
+The last term is for a body of known angle psi whose hub, or camera, moves slowly: a harmonic of the angle with a slowly
+varying amplitude. q, tau, p and T are averaged over their posterior on a grid, s^2 is estimated by restricted maximum
 likelihood (D. A. Harville, J. Am. Stat. Assoc. 72, 1977).
 """
 
@@ -22,24 +21,16 @@ from scipy.linalg import solve_triangular
 
 Floats = npt.NDArray[np.float64]
 
-_BINS = 150  # means of neighbouring samples that a fit uses at most
-_SHARES = (
-    0.0,
-    0.1,
-    0.3,
-    1.0,
-    3.0,
-    10.0,
-    100.0,
-)  # variance of the correlated part over that of a bin's white noise
-_TIMES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # its correlation time in bins
-_TURN_TIMES = (0.1, 0.3, 1.0, 3.0)  # of what repeats with the turn, in records
-_BINS_PER_TURN = 8  # fewest that resolve it
+_MAX_BINS = 150  # bins of neighbouring samples, each replaced by its mean
+_VARIANCE_RATIOS = (0.1, 0.3, 1.0, 3.0, 10.0, 100.0)  # q and p, over the white variance of a bin
+_TIMES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # tau [bins]
+_HARMONIC_TIMES = (0.1, 0.3, 1.0, 3.0)  # T [lengths of the record]
+_MIN_BINS_PER_TURN = 8
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Coefficients of a linear model, their covariance, and the criterion (BIC) of the model."""
+    """Coefficients of a linear model, their covariance, and the Bayesian information criterion of the model."""
 
     value: Floats
     covariance: Floats
@@ -51,7 +42,7 @@ class Estimate:
         return float(combination @ self.value), math.sqrt(max(variance, 0.0))
 
 
-def least_squares_of(
+def correlated_least_squares(
     t: Floats,
     design: Floats,
     y: Floats,
@@ -60,20 +51,20 @@ def least_squares_of(
     prior: Floats,
     psi: Floats | None = None,
 ) -> list[Estimate]:
-    """Fit y by columns of a design, with white and correlated noise of unknown size.
+    """Fit y by the columns of a design matrix, with white and correlated noise of unknown variance.
 
     Parameters
     ----------
     t, y, sigma : ndarray, shape (n,)
         Time [s], values, and their relative standard uncertainties.
     design : ndarray, shape (n, p)
-        Columns.
+        Design matrix.
     models : sequence of list of int
-        The columns of each model.
+        Indices of the columns of each model.
     prior : ndarray, shape (p,)
         Standard deviations of Gaussian priors about zero, infinite for free coefficients.
     psi : ndarray, shape (n,), optional
-        Smooth angle [rad] with which errors may repeat; they do not if it is not given.
+        Smooth angle [rad]; with it, noise that is harmonic in the angle is considered.
 
     Returns
     -------
@@ -87,9 +78,9 @@ def least_squares_of(
     known = 1.0 / (prior * scale) ** 2
     plain = (both[:, :-1] / white[:, None]).T
     found: list[list[tuple[float, float, Floats, Floats]]] = [[] for _ in models]
-    turning = None if psi is None else np.interp(when, t, psi)
+    psi_binned = None if psi is None else np.interp(when, t, psi)
     families = []
-    for family, _, _, root in _noises(white, when, turning):
+    for family, _, _, root in _noise_models(white, when, psi_binned):
         families.append(family)
         noise = root @ root.T
         solved = solve_triangular(root, both, lower=True)
@@ -98,9 +89,8 @@ def least_squares_of(
         for model, kept in zip(models, found, strict=True):
             normal, right, rest = gram[np.ix_(model, model)], gram[model, -1], gram[-1, -1]
             size, ridge = 1.0, 1e-12 * np.trace(normal) * np.eye(len(model))
-            for _ in range(
-                3 if known[model].any() else 1
-            ):  # the prior is in units of y, the noise in units of its unknown size
+            # the prior is in units of y, the noise in units of its unknown variance
+            for _ in range(3 if known[model].any() else 1):
                 precision = normal + np.diag(known[model] * size)
                 inverse = np.linalg.inv(precision + ridge)
                 c = inverse @ right
@@ -109,8 +99,8 @@ def least_squares_of(
             likelihood = -0.5 * (n * math.log(size * free / n) + log_noise)
             log_normal = float(np.linalg.slogdet(precision)[1])
             restricted = -0.5 * (free * math.log(size) + log_noise + log_normal)
-            # the coefficients are those of least squares, which do not depend on the form of the noise; their
-            # covariance is that of this noise
+            # the coefficients are those of weighted least squares, independent of the noise model; their covariance
+            # is that under this noise model
             of_noise = plain[model] @ noise @ plain[model].T
             plain_normal = plain[model] @ both[:, model]
             weak = 1e-12 * np.trace(plain_normal) * np.eye(len(model))
@@ -140,22 +130,22 @@ def least_squares_of(
 
 
 def slow_variance(t: Floats, design: Floats, residual: Floats, period: float) -> float:
-    """Return the spectral density of residuals at a low frequency over that of independent ones of unit variance.
+    """Return the spectral density of residuals at a low frequency over that of white noise of unit variance.
 
     Parameters
     ----------
     t, residual : ndarray, shape (n,)
         Time [s] and residuals in units of their uncertainty.
     design : ndarray, shape (n, p)
-        The columns that were fitted, in the same units; what they take from the residuals is allowed for.
+        The columns that were fitted, in the same units; the lost degrees of freedom are accounted for.
     period : float
-        One over the frequency [s].
+        Period at which the density is evaluated [s].
 
     Returns
     -------
     float
         At least 1: s^2 (1 + q sinh(1 / tau) / (cosh(1 / tau) - cos(2 pi / period))), times in bins; the geometric mean
-        over the posterior of q and tau, whose tail is long.
+        over the posterior of q and tau, which has a long tail.
     """
     x, z, white, when = _binned(t, design, residual, np.ones(len(t)))
     scale = np.linalg.norm(x, axis=0)
@@ -163,7 +153,7 @@ def slow_variance(t: Floats, design: Floats, residual: Floats, period: float) ->
     n = len(z)
     turn = min(2 * math.pi * float(np.median(np.diff(when))) / period, math.pi)
     found, families = [], []
-    for family, share, length, root in _noises(white, when):
+    for family, share, length, root in _noise_models(white, when):
         families.append(family)
         solved = solve_triangular(root, np.column_stack([x, z]), lower=True)
         gram = solved.T @ solved
@@ -183,7 +173,7 @@ def slow_variance(t: Floats, design: Floats, residual: Floats, period: float) ->
 
 def _binned(t: Floats, design: Floats, y: Floats, sigma: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Return columns, values, variances and times of the weighted means of neighbouring samples."""
-    edges = np.linspace(0, len(t), min(len(t), _BINS) + 1).astype(int)[:-1]
+    edges = np.linspace(0, len(t), min(len(t), _MAX_BINS) + 1).astype(int)[:-1]
     weight = 1.0 / sigma**2
     total = np.add.reduceat(weight, edges)
     x = np.add.reduceat(design * weight[:, None], edges, axis=0) / total[:, None]
@@ -191,36 +181,36 @@ def _binned(t: Floats, design: Floats, y: Floats, sigma: Floats) -> tuple[Floats
     return x, z, 1.0 / total, when
 
 
-def _noises(
+def _noise_models(
     white: Floats, when: Floats, psi: Floats | None = None
 ) -> Iterator[tuple[int, float, float, Floats]]:
     """Yield the family, q, tau in bins, and the Cholesky factor of the noise.
 
-    Families: 0 white, 1 correlated in time, 2 repeating with the turn, 3 both. The last two only where bins resolve the
-    turn.
+    Families: 0 white, 1 correlated in time, 2 harmonic in the angle, 3 both. The last two are yielded only where the
+    bins resolve a turn.
     """
-    apart = np.abs(when[:, None] - when[None, :]) / float(np.median(np.diff(when)))
+    lag = np.abs(when[:, None] - when[None, :]) / float(np.median(np.diff(when)))
     level = float(np.median(white))
-    correlated = [(q, c) for q in _SHARES[1:] for c in _TIMES]
+    correlated = [(q, c) for q in _VARIANCE_RATIOS for c in _TIMES]
     choices: list[tuple[int, float, float, float, float]] = [(0, 0.0, 1.0, 0.0, 1.0)]
     choices += [(1, q, c, 0.0, 1.0) for q, c in correlated]
-    waves = np.zeros_like(apart)
-    if psi is not None and np.abs(np.diff(psi)).max() < 2 * math.pi / _BINS_PER_TURN:
-        waves = np.cos(psi[:, None] - psi)
-        repeating = [(p, c * len(when)) for p in _SHARES[1:] for c in _TURN_TIMES]
-        choices += [(2, 0.0, 1.0, p, c) for p, c in repeating]
-        choices += [(3, *first, *second) for first in correlated[::2] for second in repeating[::2]]
+    cosine = np.zeros_like(lag)
+    if psi is not None and np.abs(np.diff(psi)).max() < 2 * math.pi / _MIN_BINS_PER_TURN:
+        cosine = np.cos(psi[:, None] - psi)
+        harmonic = [(p, c * len(when)) for p in _VARIANCE_RATIOS for c in _HARMONIC_TIMES]
+        choices += [(2, 0.0, 1.0, p, c) for p, c in harmonic]
+        choices += [(3, *first, *second) for first in correlated[::2] for second in harmonic[::2]]
     for family, q, tau, p, length in choices:
         noise = np.diag(white) + level * (
-            q * np.exp(-apart / tau) + (p * waves * np.exp(-apart / length) if p else 0.0)
+            q * np.exp(-lag / tau) + (p * cosine * np.exp(-lag / length) if p else 0.0)
         )
         yield family, q, tau, np.asarray(np.linalg.cholesky(noise))
 
 
 def _weights(logs: Floats, families: Sequence[int]) -> Floats:
-    """Return the posterior of the noises; white noise is as likely beforehand as all the others together."""
+    """Return the posterior of the noise models; the prior probability of white noise is that of all others together."""
     count = np.bincount(families)
-    beforehand: Floats = 1.0 / count[np.asarray(families)]
-    beforehand[1:] /= max(int(np.count_nonzero(count)) - 1, 1)
-    weights = np.exp(logs - logs.max()) * beforehand
+    prior: Floats = 1.0 / count[np.asarray(families)]
+    prior[1:] /= max(int(np.count_nonzero(count)) - 1, 1)
+    weights = np.exp(logs - logs.max()) * prior
     return np.asarray(weights / weights.sum())

@@ -1,4 +1,4 @@
-"""Exceptions of the package `gyrotrack`, one tree.
+"""Exceptions of the package `gyrotrack`, all derived from `GyrotrackError`.
 
 ::
 
@@ -7,8 +7,8 @@
     ├── ProfileError               "profile": a profile that is not valid
     ├── ConfigurationError         "configuration": a manifest, study or settings file that is not valid
     ├── TrackingError              "tracking": no markers, no centre, no angle
-    ├── DatasetError               "dataset": an HDF5 or CSV file that is not ours or not sound
-    ├── SyncError                  "sync":    clips that do not belong together
+    ├── DatasetError               "dataset": a data file of another program, damaged or incomplete
+    ├── SyncError                  "sync":    clips that do not belong to one run
     ├── OutputError                "output":  a result that cannot be written
     └── UsageError                 "usage":   options that contradict each other; exit code 2
 
@@ -57,7 +57,7 @@ class ConfigurationError(GyrotrackError):
 
 
 class TrackingError(GyrotrackError):
-    """A sound film in which no marker, centre or angle is found."""
+    """A readable film in which no marker, centre or angle is found."""
 
     code = "tracking"
 

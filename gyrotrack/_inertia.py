@@ -1,4 +1,4 @@
-"""A moment of inertia with its unit and its standard uncertainty, as people write it."""
+"""A moment of inertia, parsed from a text with optional unit and standard uncertainty."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _UNIT = re.compile(r"(kg|g|mg)\s*[*·. ]?\s*(m|cm|mm)\s*(?:\^|\*\*)?\s*(?:2|²)")
 _EXAMPLE = 'Write it as "5.54e-5 +- 0.06e-5" (kg m2) or "554 g cm2"; the uncertainty is optional.'
 
-# a body that is filmed on a table: a speck of a milligram at 1 mm, a tonne at 10 m
+# limits of plausible values: 1 mg at a radius of 1 mm, 1 t at 10 m
 SMALLEST, LARGEST = 1e-12, 1e5
 
 
@@ -47,12 +47,12 @@ class Inertia:
             A number in kg m2, or a text with optional uncertainty and unit: "5.54e-5 +- 0.06e-5", "554 g cm2",
             "(554 +- 6) g cm2". Masses in kg, g, mg; lengths in m, cm, mm.
         body : str
-            Whose it is, for messages.
+            Name of the body, for messages.
 
         Raises
         ------
         UsageError
-            It cannot be read, is not positive, or cannot be that of a body that is filmed.
+            It cannot be parsed, or is not plausible (`SMALLEST`, `LARGEST`).
 
         Examples
         --------
@@ -66,7 +66,7 @@ class Inertia:
         if found is None or unit is None:
             raise UsageError(f"'{str(text)[:40]}' is not a moment of inertia of the {body}.", _EXAMPLE)
         factor = _MASS[unit[1]] * _LENGTH[unit[2]] ** 2
-        # two roundings instead of three: 554 g cm2 is 5.54e-5 to the last digit
+        # rounded, so that 554 g cm2 is exactly 5.54e-5 kg m2
         value = float(f"{float(found['value']) * factor:.15g}")
         u = float(f"{float(found['u']) * factor:.15g}") if found["u"] else math.nan
         if not SMALLEST <= value <= LARGEST:

@@ -1,10 +1,10 @@
-"""Local polynomials, smooth motion on even and uneven time bases, angular velocities.
+"""Local polynomials, robust scatter, smooth motion on uniform and non-uniform time bases, angular velocities.
 
-The paper takes the median over 51 points of the angles, differentiates, takes the median over 51 points of
-the velocities, and drops the first and last 50.
+As in the paper, angular velocities are central differences of the running median of the angles over 51 points, smoothed
+by a second such median, without the first and last 50 points.
 
-On an uneven time base a body's path is made from the coarse angles by parabolas in time about each frame. The residuals
-of a marker from it are small: each is assigned to the nearest point of an even grid and smoothed there with the path.
+On a non-uniform time base, the path of a body is a fit of local parabolas in time to the coarse angles. The residuals
+of a marker from it are small: each is assigned to the nearest point of a uniform grid and smoothed there with the path.
 """
 
 from __future__ import annotations
@@ -18,12 +18,33 @@ from gyrotrack._column_store import stretches
 from gyrotrack._native import _kernels as kernels
 
 Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
+
+WIDTH = 51
+"""Points of the paper's running medians."""
+HALF_WINDOW = 20
+"""Half width of the window in which the motion of a body is approximated by a parabola [frames]."""
+FAR = 6.0
+"""Standard deviations beyond which an observation is an outlier."""
+FEWEST = 8
+"""Smallest number of residuals of which a scatter is estimated."""
+_MIN_PATH = 6
+"""Smallest number of known angles of which a path is made."""
+_SIGNIFICANT = 3.5
+"""Standard deviations beyond which a correlation is significant."""
+_MIN_NU, _MAX_NU = 5.0, 1e3
+_BORROWED_NU = 4.0
+"""Degrees of freedom of an uncertainty that was taken from other bodies (relative uncertainty about 1/3)."""
+_BLOCK = 1024
+_MIN_JITTER_SHARE = 0.5
+_MAX_SHARE_SIGMA = 0.2
 
 
 def local_fit(
     value: Floats, weight: Floats, half: int, degree: int = 2, hole: int = -1
 ) -> tuple[Floats, Floats]:
-    """Fit a polynomial about every point of an even series, over `half` points to both sides.
+    """Fit a polynomial about every point of a uniformly sampled series, over `half` points to both sides.
 
     Parameters
     ----------
@@ -34,19 +55,19 @@ def local_fit(
     half : int
         Half width of the window; its weights are (1 - (x/(half + 1))^2).
     degree : int
-        Of the polynomial.
+        Degree of the polynomial.
     hole : int
-        Points up to this distance are excluded, to predict each point from others; -1: none.
+        Points up to this distance are excluded, to predict each point from the others; -1: none.
 
     Returns
     -------
     smooth, leverage : ndarray, shape (n,)
-        The fitted value, and the share with which a point of weight 1 enters its own fitted value. NaN where
-        the window holds too few points.
+        The fitted value, and the weight of a point in its own fitted value. NaN where the window contains too few
+        points.
     """
     n = len(value)
     smooth, leverage = np.empty(n), np.empty(n)
-    for part in stretches(n):  # a fit needs some dozen numbers for each point
+    for part in stretches(n):  # in blocks: a fit stores dozens of numbers per point
         around = slice(max(part.start - half, 0), min(part.stop + half, n))
         beyond = (half - (part.start - around.start), half - (around.stop - part.stop))
         padded = np.pad(value[around], beyond), np.pad(weight[around], beyond)
@@ -55,35 +76,25 @@ def local_fit(
 
 
 def spread(residual: Floats) -> float:
-    """Return the standard deviation of the core of a sample, 1.4826 times its median absolute value."""
+    """Return the robust standard deviation of a sample about zero, 1.4826 times its median absolute value."""
     known = residual[np.isfinite(residual)]
     return 1.4826 * median_of(np.abs(known)) if len(known) else float("nan")
 
 
 def median_of(values: Floats) -> float:
-    """Return the median of some numbers, none of them NaN; faster than `np.median` for a few numbers."""
+    """Return the median of numbers without NaN; faster than `np.median` for short arrays."""
     ranks = (values.size - 1) // 2, values.size // 2
     ordered = np.partition(values, ranks, axis=None)
     return float(0.5 * (ordered[ranks[0]] + ordered[ranks[1]]))
 
 
-FAR = 6.0
-"""Standard deviations beyond which an observation is an outlier."""
-FEWEST = 8
-STANDS_OUT = 3.5
-"""Standard deviations beyond which a correlation is significant."""
-_LIGHTEST, _HEAVIEST = 1e3, 5.0
-_BORROWED = 4.0
-"""Degrees of freedom of an uncertainty that was taken from other bodies: it is known to about a third."""
-
-
 def core_scatter(off: Floats, otherwise: float) -> float:
-    """Return the standard deviation of the core of residuals; `otherwise`, if there are too few of them."""
+    """Return the robust standard deviation of residuals; `otherwise` if there are too few of them."""
     return max(spread(off), 1e-5) if np.isfinite(off).sum() >= FEWEST else otherwise
 
 
 def excess(off: Floats) -> float:
-    """Return the root mean square of normalised residuals: 1 if their uncertainty is right.
+    """Return the root mean square of normalised residuals: 1 if their uncertainties are correct.
 
     Outliers are clipped at `FAR`; the result is between 0.5 and 3, and 1 if there are too few residuals.
     """
@@ -95,9 +106,9 @@ def excess(off: Floats) -> float:
 
 
 def tail_factor(off: Floats) -> Floats:
-    """Return the factor by which each residual raises its own uncertainty where large ones are too frequent, (n,).
+    """Return the factor by which each residual increases its own uncertainty if the distribution has long tails, (n,).
 
-    The noise is normal with its own variance in each frame, inverse-gamma distributed: residuals then follow
+    The noise is normal with an inverse-gamma distributed variance in each frame: residuals then follow
     Student's t with nu degrees of freedom, their excess kurtosis is 6 / (nu - 4), and given a residual of r standard
     deviations the expected variance is (nu - 2 + r^2) / (nu - 1) of the mean one. Where there is no residual (NaN) the
     factor is 1.
@@ -116,15 +127,15 @@ def tail_factor(off: Floats) -> Floats:
     if len(known) < FEWEST:
         return np.ones(len(off))
     kurtosis = float(np.mean(known**4) / max(np.mean(known**2), 1e-12) ** 2 - 3.0)
-    nu = float(np.clip(4.0 + 6.0 / max(kurtosis, 1e-6), _HEAVIEST, _LIGHTEST))
+    nu = float(np.clip(4.0 + 6.0 / max(kurtosis, 1e-6), _MIN_NU, _MAX_NU))
     return np.asarray(np.where(np.isfinite(off), np.sqrt((nu - 2.0 + off**2) / (nu - 1.0)), 1.0))
 
 
 def correlation_factor(residual: Floats) -> float:
-    """Return the factor by which correlation raises the variance of averages: 1 + 2 sum of autocorrelations.
+    """Return the variance inflation of averages by correlation: 1 + 2 times the sum of the autocorrelations.
 
-    The sum ends where a pair of neighbouring lags is no longer positive (Geyer's initial sequence); a factor within
-    3.5 sigma of that of independent samples is 1.
+    The sum ends at the first pair of lags that is not positive (Geyer's initial sequence); a factor within 3.5 sigma
+    of that of independent samples is replaced by 1.
     """
     size = len(residual)
     power = np.abs(np.fft.rfft(residual - residual.mean(), 2 * size))
@@ -136,15 +147,15 @@ def correlation_factor(residual: Floats) -> float:
     pairs = rho[: len(rho) // 2 * 2].reshape(-1, 2).sum(axis=1)
     positive = int(np.argmax(pairs <= 0)) if (pairs <= 0).any() else len(pairs)
     factor = 1 + 2 * float(pairs[:positive].sum())
-    return factor if factor > 1 + 2 * STANDS_OUT / np.sqrt(size) else 1.0
+    return factor if factor > 1 + 2 * _SIGNIFICANT / np.sqrt(size) else 1.0
 
 
 def share_of_floor(off: Floats, sigma: Floats, floor: float, places: float) -> float:
-    """Return the share, 0 to 1, of the expected repeatable errors that a body's own residuals confirm.
+    """Return the fraction, 0 to 1, of the expected repeatable errors that the residuals of a body confirm.
 
-    Errors that repeat with the angle show as residuals from the smooth motion while the body passes an arc. These
-    residuals and the expected value are two estimates of one variance, each with its degrees of freedom. Larger
-    residuals may be motion and do not raise the share above 1.
+    Errors that repeat with the angle appear as residuals from the smooth motion. These residuals and the expected value
+    are two estimates of one variance, each with its degrees of freedom. Larger residuals may be motion and do not
+    increase the fraction above 1.
 
     Parameters
     ----------
@@ -153,29 +164,23 @@ def share_of_floor(off: Floats, sigma: Floats, floor: float, places: float) -> f
     floor : float
         Expected standard deviation of the repeatable errors [rad].
     places : float
-        Number of independent repeatable errors that were passed, less those to which the smooth motion could adapt.
+        Number of independent repeatable errors on the arc, less those that the smooth motion can absorb.
     """
     known = np.isfinite(off) & np.isfinite(sigma)
     if known.sum() < FEWEST or floor <= 0.0 or places <= 0.0:
         return 1.0
     own = np.minimum(np.abs(off[known]), FAR * np.hypot(sigma[known], floor))
     seen = max(float(np.mean(own**2) - np.mean(sigma[known] ** 2)), 0.0)
-    return float(np.sqrt(min((_BORROWED + places * seen / floor**2) / (_BORROWED + places), 1.0)))
-
-
-Mask = npt.NDArray[np.bool_]
-
-HALF_WINDOW = 20
-"""Frames to each side over which a body's motion is a parabola."""
+    return float(np.sqrt(min((_BORROWED_NU + places * seen / floor**2) / (_BORROWED_NU + places), 1.0)))
 
 
 def smooth_path(coarse: Floats) -> Floats:
     """Smooth a coarse path by local parabolas.
 
-    They replace it only where they are within 0.3 rad of it, so that the number of turns is kept.
+    Values that differ by more than 0.3 rad from the coarse path are not used, so that the number of turns is kept.
     """
     known = np.isfinite(coarse)
-    if known.sum() < 8:
+    if known.sum() < FEWEST:
         return coarse
     trend = line_through(coarse)
     smooth, _ = local_fit(coarse - trend, known.astype(float), HALF_WINDOW)
@@ -186,8 +191,8 @@ def smooth_path(coarse: Floats) -> Floats:
 def learning_window(path: Floats) -> tuple[int, int]:
     """Return half width and degree of the local polynomials from which repeatable errors are estimated.
 
-    The window extends a little more than a turn to each side, so that it averages errors that repeat with the turn. It
-    has a minimum length, because near a rational ratio of turn and frame rate such errors vary slowly.
+    The window extends 1.2 turns to each side, so that it averages errors that repeat with the turn. It has a minimum
+    length, because such errors vary slowly if the ratio of rotation and frame rate is close to a rational number.
     """
     step = np.abs(np.diff(path))
     step = step[np.isfinite(step)]
@@ -197,9 +202,9 @@ def learning_window(path: Floats) -> tuple[int, int]:
 
 
 def whole_turns(path: Floats, half: int) -> Mask:
-    """Return where `half` frames to both sides contain a whole turn, which reveals errors that repeat with it.
+    """Return where `half` frames to both sides contain a whole turn, so that errors that repeat with it are seen.
 
-    Nowhere in a path of less than two turns: nothing repeats there.
+    False everywhere in a path of less than two turns.
     """
     known = path[np.isfinite(path)]
     if len(known) == 0 or np.ptp(known) < 4.0 * np.pi:
@@ -212,15 +217,12 @@ def whole_turns(path: Floats, half: int) -> Mask:
 
 
 def line_through(path: Floats) -> Floats:
-    """Return the straight line through a path, to keep numbers small."""
+    """Return the values of a straight line fitted to a path."""
     known = np.isfinite(path)
     if known.sum() < 2:
         return np.zeros(len(path))
     index = np.arange(len(path), dtype=np.float64)
     return np.asarray(np.polyval(np.polyfit(index[known], path[known], 1), index))
-
-
-WIDTH = 51
 
 
 def median_smooth(x: npt.ArrayLike, width: int = WIDTH) -> Floats:
@@ -236,7 +238,7 @@ def median_smooth(x: npt.ArrayLike, width: int = WIDTH) -> Floats:
     Returns
     -------
     ndarray, shape (n,)
-        The median of the `width` points around each point; beyond an end the end point is repeated.
+        The median of the `width` points around each point; the series is extended by its end points.
 
     Raises
     ------
@@ -258,7 +260,7 @@ def median_smooth(x: npt.ArrayLike, width: int = WIDTH) -> Floats:
 def angular_velocity(
     time: npt.ArrayLike, angle: npt.ArrayLike, sigma: npt.ArrayLike, width: int = WIDTH
 ) -> tuple[Floats, Floats]:
-    """Return the paper's angular velocity of one piece without large gaps, and its uncertainty.
+    """Return the angular velocity of a record without large gaps, smoothed as in the paper, and its uncertainty.
 
     The uncertainty is that of a running median of central differences d_i = (x_{i+1} - x_{i-1}) / 2 dt with a
     trend from one to the next: var = N / D^2, with D the sum of the densities of d_i at the median and N the
@@ -303,7 +305,7 @@ def _median_sigma(sigma: Floats, trend: Floats, width: int) -> Floats:
 
     half = width // 2
     out = np.full_like(sigma, np.nan)
-    for start in range(0, len(sigma), 512):  # 512 x 51 values at a time
+    for start in range(0, len(sigma), 512):  # in blocks, to limit memory
         part = slice(start, start + 512)
         u = np.outer(trend[part] / sigma[part], np.arange(-half, half + 1))
         p, density = ndtr(u), np.exp(-(u**2) / 2) / np.sqrt(2 * np.pi)
@@ -315,16 +317,8 @@ def _median_sigma(sigma: Floats, trend: Floats, width: int) -> Floats:
     return out
 
 
-Integers = npt.NDArray[np.int64]
-
-_FEWEST = 6
-_SOME = 1024
-_REAL = 0.5
-_CLEAR = 5.0
-
-
 class TimeBase:
-    """An uneven time base: the times at which the frames of a film were taken.
+    """A non-uniform time base: the times at which the frames of a film were taken.
 
     Parameters
     ----------
@@ -343,9 +337,9 @@ class TimeBase:
         return np.asarray(np.rint(self.place), dtype=np.int64)
 
     def path(self, coarse: Floats) -> tuple[Floats, Floats]:
-        """Smooth a coarse path: values at the frames (n,), NaN where it has none, and on the even grid [rad]."""
+        """Smooth a coarse path: values at the frames (n,), NaN where it is unknown, and on the uniform grid [rad]."""
         known = np.isfinite(coarse)
-        if known.sum() < _FEWEST:
+        if known.sum() < _MIN_PATH:
             return coarse, np.zeros(int(self._slot[-1]) + 1)
         from scipy.interpolate import CubicHermiteSpline
 
@@ -358,7 +352,7 @@ class TimeBase:
         return path, np.asarray(CubicHermiteSpline(place, value, slope)(even))
 
     def speed(self, path: Floats) -> Floats:
-        """Return the change of a path per period, (n,); NaN where the path is not known."""
+        """Return the change of a path per period, (n,); NaN where the path is unknown."""
         known = np.isfinite(path)
         out = np.full(len(path), np.nan)
         if known.sum() > 1:
@@ -373,9 +367,9 @@ class TimeBase:
         Parameters
         ----------
         off, weight : ndarray, shape (n,)
-            Residuals [rad] and their weights, 0 where there is none.
+            Residuals [rad] and their weights, 0 for a missing residual.
         bend : ndarray
-            The path on the even grid, less a straight line [rad].
+            The path on the uniform grid, less a straight line [rad].
         half, degree : int
             See `local_fit`; in periods.
         """
@@ -388,12 +382,12 @@ class TimeBase:
 
 
 def local_parabola(place: Floats, value: Floats, half: int = HALF_WINDOW) -> tuple[Floats, Floats]:
-    """Fit a parabola about every point of an uneven series, over `half` points to both sides: value and slope, (n,)."""
+    """Fit a parabola about every point of a non-uniform series, `half` points to both sides: value and slope, (n,)."""
     out = np.empty((2, len(place)))
     reach = np.arange(-half, half + 1)
     bell = 1.0 - (reach / (half + 1.0)) ** 2
-    for start in range(0, len(place), _SOME):
-        i = np.arange(start, min(start + _SOME, len(place)))
+    for start in range(0, len(place), _BLOCK):
+        i = np.arange(start, min(start + _BLOCK, len(place)))
         j = i[:, None] + reach
         weight = np.where((j >= 0) & (j < len(place)), bell, 0.0)
         j = np.clip(j, 0, len(place) - 1)
@@ -407,20 +401,20 @@ def local_parabola(place: Floats, value: Floats, half: int = HALF_WINDOW) -> tup
 
 
 def jitter_is_real(place: Floats, smooth: Floats, angle: Floats) -> bool:
-    """Return whether the jitter of the timestamps is real: whether a body moves on in frames that are late.
+    """Return whether the jitter of the timestamps is that of the exposures: whether the angle follows it.
 
     Parameters
     ----------
     place, smooth : ndarray, shape (n,)
         Times of the frames, and the same without jitter.
     angle : ndarray, shape (n,)
-        Unwrapped angle of a body, NaN where it is not known [rad].
+        Unwrapped angle of a body, NaN where it is unknown [rad].
 
     Notes
     -----
-    The residual of an angle from a parabola in the smooth times is b w (place - smooth), with w the speed. The least
-    squares estimate of b is near 1 if the camera was late, and near 0 if only the timestamp is. Where its standard
-    uncertainty exceeds 0.2 the timestamps are kept.
+    The residual of an angle from a parabola in the smooth times is b w (place - smooth), with w the angular rate. The
+    least-squares estimate of b is close to 1 if the exposure was late, and to 0 if only the timestamp was. Where its
+    standard uncertainty exceeds 0.2, the timestamps are used.
     """
     known = np.isfinite(angle)
     if known.sum() < 2 * HALF_WINDOW:
@@ -429,8 +423,8 @@ def jitter_is_real(place: Floats, smooth: Floats, angle: Floats) -> bool:
     late = place[known] - smooth[known]
     late = slope * (late - local_parabola(smooth[known], late)[0])
     off = angle[known] - value
-    core = np.abs(off) < 6.0 * 1.4826 * median_of(np.abs(off)) + 1e-9
+    core = np.abs(off) < FAR * 1.4826 * median_of(np.abs(off)) + 1e-9
     power = float(np.sum(late[core] ** 2))
     share = float(np.sum(late[core] * off[core])) / max(power, 1e-30)
     scatter = float(np.std(off[core] - share * late[core]))
-    return scatter / np.sqrt(max(power, 1e-30)) > 1.0 / _CLEAR or share > _REAL
+    return scatter / np.sqrt(max(power, 1e-30)) > _MAX_SHARE_SIGMA or share > _MIN_JITTER_SHARE

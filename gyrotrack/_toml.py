@@ -1,4 +1,4 @@
-"""TOML files written by users: size-limited, validated, every fault reported with line and key."""
+"""TOML files written by users: limited in size, validated, every error reported with line and key."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ def line_of(text: str, location: tuple[int | str, ...]) -> int | None:
     text : str
         Valid TOML.
     location : tuple of int or str
-        Keys, and indices in arrays of tables, as ``("clip", 1, "file")``.
+        Keys, and indices in arrays of tables, for example ``("clip", 1, "file")``.
 
     Notes
     -----
-    A scan by line, not a parser: keys of inline tables are found as the line of the table, and a line within a
-    multi-line string may be taken for a key; the fault itself is named by its path in any case.
+    This is a scan by line, not a parser: for keys of inline tables the line of the table is returned, and a line within
+    a multi-line string may be mistaken for a key.
     """
     places: dict[tuple[int | str, ...], int] = {}
     counts: dict[tuple[str, ...], int] = {}
@@ -41,14 +41,14 @@ def line_of(text: str, location: tuple[int | str, ...]) -> int | None:
             names = _parts(head[2])
             if head[1] == "[[":
                 counts[names] = counts.get(names, -1) + 1
-                # a new element begins with its own arrays
+                # nested arrays of a new element are counted from zero
                 for inner in [n for n in counts if n[: len(names)] == names and n != names]:
                     del counts[inner]
             table = _within(names, counts)
             places.setdefault(table, number)
         elif (key := _KEY.match(line)) is not None:
             places.setdefault((*table, *_parts(key[1])), number)
-    # an array as a value has one line for all its elements
+    # elements of an inline array have the line of the array
     known = [location[:n] for n in range(len(location), 0, -1)]
     return next((places[k] for k in known if k in places), None)
 
@@ -91,14 +91,14 @@ def read_document(
     Raises
     ------
     GyrotrackError
-        Of the class `error`: the file is missing, no TOML, or holds keys or values that are not understood; all
-        of them are named at once, each with its line.
+        Of the class `error`: the file is missing, is not TOML, or contains invalid keys or values, each of which is
+        named with its line.
     """
     text = read_text(path, what=what, error=error)
     try:
         data = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as fault:
-        raise error(f"{path} is not valid TOML: {str(fault)[:200]}.", "Correct the line named.") from fault
+        raise error(f"{path} is not valid TOML: {str(fault)[:200]}.", "Correct this line.") from fault
     return check(data, model, what=what, where=str(path), text=text, error=error)
 
 
@@ -106,7 +106,7 @@ def read_text(path: Path, *, what: str, error: type[GyrotrackError]) -> str:
     """Return the text of a file of moderate size; errors as for `read_document`."""
     try:
         status = path.stat()
-        if not stat.S_ISREG(status.st_mode):  # a named pipe would be waited for without end
+        if not stat.S_ISREG(status.st_mode):  # reading a named pipe could block for ever
             raise error(f"{path} is not a regular file.", f"Give a {what} in TOML.")
         if status.st_size > MOST_BYTES:
             raise error(f"{path} is too large to be a {what}.", "Check the name of the file.")
@@ -126,7 +126,7 @@ def check(
     text: str = "",
     error: type[GyrotrackError] = ConfigurationError,
 ) -> Model:
-    """Return `data` as `model`; `text` is the TOML that it came from, to name lines."""
+    """Validate `data` against `model`; `text` is its TOML source, to report lines."""
     try:
         return model.model_validate(data)
     except ValidationError as fault:

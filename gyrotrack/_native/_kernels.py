@@ -1,11 +1,10 @@
-"""The kernels of tracking: one dispatcher between the compiled extension and its NumPy reference.
+"""The kernels of tracking: a dispatcher to the compiled extension, or to its NumPy reference.
 
 Each kernel has a signature such as ``"f8[n,m] f8[k] -> f8[n,5]"``: element type and dimensions of its arrays in order;
-a letter stands for the same length wherever it occurs. An array of another type, another number of dimensions, another
-length or in non-contiguous memory is refused with `ValueError` before anything is computed. Arrays behind the arrow are
-written to.
+a letter denotes the same length wherever it occurs. An array of another type, number of dimensions or length, or in
+non-contiguous memory, raises `ValueError` before anything is computed. Arrays after the arrow are written to.
 
-`COMPILED` states which of the two is in use.
+`COMPILED` is true where the extension is in use.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ import numpy.typing as npt
 from gyrotrack._native import _reference
 
 ABI = 6
-"""Version of the interface that this source expects; an extension built from another source is not used."""
+"""Version of the interface; an extension of another version is not used."""
 
 Array = npt.NDArray[Any]
 
@@ -54,7 +53,7 @@ def _terms(signature: str) -> tuple[tuple[str, tuple[str, ...], bool], ...]:
 
 
 def _check(signature: str, arrays: tuple[Array, ...]) -> dict[str, int]:
-    """Compare arrays with a signature and return the lengths of its letters."""
+    """Check arrays against a signature and return the lengths of its letters."""
     lengths: dict[str, int] = {}
     for number, ((kind, expected, written), array) in enumerate(
         zip(_terms(signature), arrays, strict=True), 1
@@ -96,7 +95,7 @@ def likelihood(squares: Array, excess: Array, shares: Array, clip: float) -> Arr
     shares : ndarray of float64, shape (m,)
         Values of q [1].
     clip : float
-        Squares beyond `clip` times their median count as that.
+        Squares are clipped at `clip` times their median.
 
     Returns
     -------
@@ -132,7 +131,7 @@ def match(
     limit, stride : float
         Largest displacement and largest step [samples].
     rounds : int
-        Iterations at most.
+        Largest number of iterations.
     fineness : float
         The template is evaluated at multiples of 1/`fineness` samples.
 
@@ -196,7 +195,7 @@ def bands(
 
 
 def crossings(curves: Array, first: int, step: int, level: float, least: float) -> Array:
-    """Return where curves fall below a level, in samples from `first` on; NaN if never, or if they begin below it.
+    """Return where curves fall below a level, in samples from `first`; NaN if never, or if they begin below it.
 
     Parameters
     ----------
@@ -209,7 +208,7 @@ def crossings(curves: Array, first: int, step: int, level: float, least: float) 
     level : float
         The level; the crossing is interpolated linearly.
     least : float
-        Smallest fall between two samples by which is divided.
+        Lower limit of the decrease between two samples, a divisor.
 
     Returns
     -------
@@ -237,22 +236,24 @@ def local_polynomials(
     degree : int
         0 to 3.
     hole : int
-        Points up to this distance are left out; -1 for none.
+        Points up to this distance are excluded; -1 for none.
     smooth, leverage : ndarray of float64, shape (n,)
-        Written to: fitted value, and its derivative by the value at the point itself. NaN where the window holds too
-        few points.
+        Written to: fitted value, and its derivative with respect to the value at the point itself. NaN where the window
+        contains too few points.
     """
     lengths = _check("f8[m] f8[m] -> f8[n] f8[n]", (value, weight, smooth, leverage))
     fits = lengths["m"] == lengths["n"] + 2 * half and 1 <= half <= 1 << 20
-    _require(fits and 0 <= degree <= 3 and -1 <= hole < half, "window, degree or hole do not suit the series")
+    _require(
+        fits and 0 <= degree <= 3 and -1 <= hole < half, "window, degree or hole do not match the series"
+    )
     _kernel("local_polynomials")(value, weight, half, degree, hole, smooth, leverage)
 
 
 def discs(pixels: Array, weights: tuple[float, float], radius: float) -> Array:
-    """Return the centroid of a bright disc in each window [px of the window]; NaN where it is hidden.
+    """Return the centroid of a bright disc in each window [px of the window]; NaN where it is occluded.
 
-    Level and background are quantiles of each window; a soft mask between 30 % and 70 % of the step counts pixels at
-    the edge by the share that the disc covers.
+    Foreground and background levels are quantiles of each window; a soft mask between 30 % and 70 % of their difference
+    weights pixels at the edge by the fraction that the disc covers.
 
     Parameters
     ----------
@@ -275,7 +276,7 @@ def discs(pixels: Array, weights: tuple[float, float], radius: float) -> Array:
 
 
 def locate(windows: Array, column: Array, rows: tuple[int, int, int], half: int, reach: int) -> Array:
-    """Return how far a marker lies from its expected column, and its mean score there; 0 at the end of the search.
+    """Return the displacement of a marker from its expected column, and its mean score; score 0 at the search limit.
 
     Parameters
     ----------
@@ -302,7 +303,7 @@ def locate(windows: Array, column: Array, rows: tuple[int, int, int], half: int,
     fits = 0 <= begin < end <= windows.shape[1] and step >= 1
     room = windows.shape[2] - 2 * half - 2 * reach - 2
     _require(
-        fits and half >= 0 and reach >= 1 and room >= 0, "rows, marker or search do not suit the windows"
+        fits and half >= 0 and reach >= 1 and room >= 0, "rows, marker or search do not match the windows"
     )
     _kernel("locate")(windows, column, rows, half, reach, out)
     return out
@@ -312,7 +313,7 @@ def sample(
     planes: tuple[list[Array], ...], weights: tuple[float, float], places: tuple[Array, Array, Array],
     box: Array, ground: Array, first: Array, score: Array, out: Array,
 ) -> None:  # fmt: skip
-    """Sample windows of a polar grid from planes of frames by bilinear interpolation, less a background.
+    """Sample windows of a polar grid from planes of frames by bilinear interpolation, and subtract a background.
 
     Parameters
     ----------
@@ -324,13 +325,13 @@ def sample(
         Pixel above and to the left of each sample as int32 (row in the upper, column in the lower 16 bits), and the
         distances to the right and down as float32 [px].
     box : ndarray of int32, shape (starts, 4)
-        Left, right, top and bottom edge of what a window that begins at a column touches.
+        Left, right, top and bottom edge of the pixels of a window that begins at a column.
     ground : ndarray of float32, shape (rows, columns)
         Background.
     first : ndarray of int64, shape (n,)
         First column of the window in each frame.
     score : ndarray of float32, shape (height, width)
-        Scratch.
+        Work array.
     out : ndarray of float32, shape (n, rows, width)
         Written to.
     """

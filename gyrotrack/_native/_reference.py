@@ -1,7 +1,7 @@
-"""The kernels of tracking in NumPy: what `kernels.c` computes, and what runs where it was not compiled.
+"""NumPy reference of the kernels in `kernels.c`, used where they are not compiled.
 
-Every function writes into its last arguments, as the compiled kernel of the same name does. Types and shapes are
-checked by `gyrotrack._native._kernels`, whose docstrings state what each kernel computes.
+Every function writes to its last arguments, as the compiled kernel of the same name does. `gyrotrack._native._kernels`
+checks types and shapes and documents the kernels.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ Floats = npt.NDArray[np.float64]
 Array = npt.NDArray[Any]
 
 _DISC_BATCH = 64
-"""Windows whose scores are held at once."""
+"""Windows that are processed together."""
 
 
 def likelihood(squares: Floats, excess: Floats, shares: Floats, clip: float, out: Floats) -> None:
@@ -176,7 +176,7 @@ def sample(
     box: Array, ground: Array, first: Array, score: Array, out: Array,
 ) -> None:  # fmt: skip
     """See `gyrotrack._native._kernels.sample`."""
-    del score  # scratch of the compiled kernel
+    del score  # work array of the compiled kernel only
     width = out.shape[2]
     a, b = (np.float32(w) for w in weights)
     for k, begin in enumerate(first.tolist()):

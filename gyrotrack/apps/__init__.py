@@ -1,1 +1,1 @@
-"""Applications: command line, report, workbench, batch. Here tracking and fitting meet."""
+"""Applications: command line, report, workbench, batch. They combine tracking and fitting."""

@@ -20,8 +20,8 @@ from gyrotrack.tracking._profile import PAPER, Profile, load
 Progress = Callable[[int, int | None], None]
 
 
-def _silent(*_: object) -> None:
-    """Report nothing."""
+def _ignore(*_: object) -> None:
+    """Discard progress and messages."""
 
 
 def extract(
@@ -100,9 +100,9 @@ def extract(
 
     @contextmanager
     def bar() -> Iterator[Progress]:
-        yield progress or _silent
+        yield progress or _ignore
 
-    recording, _ = task.run(command="gyrotrack.extract", bar=bar, tell=_silent, resume=resume, force=force)
+    recording, _ = task.run(command="gyrotrack.extract", bar=bar, tell=_ignore, resume=resume, force=force)
     return recording
 
 
@@ -143,7 +143,7 @@ def sync(
     -------
     Case
         ``case.casing`` and ``case.rotor`` have the arrays time [s], angle [rad], sigma [rad], omega [rad/s];
-        ``case.placements`` the start and the clock rate of each clip with uncertainties.
+        ``case.placements`` has the start and the clock rate of each clip with uncertainties.
 
     Raises
     ------
@@ -216,7 +216,7 @@ def read(path: str | Path) -> Recording | Case:
     Raises
     ------
     DatasetError
-        The file does not exist, is damaged, or is not one of gyrotrack.
+        The file does not exist, is damaged, or was not written by gyrotrack.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Kind of motion of one body (spin-down, oscillation or steady rotation) and its figures, with uncertainties."""
+"""Kind of motion of one body (spin-down, oscillation or steady rotation) and its parameters, with uncertainties."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 
-from gyrotrack._correlated_noise import least_squares_of
+from gyrotrack._correlated_noise import correlated_least_squares
 from gyrotrack._errors import DatasetError
 from gyrotrack.io.readers._run import start_of_oscillation
 
@@ -17,18 +17,17 @@ Floats = npt.NDArray[np.float64]
 
 TURN = 2 * math.pi
 VIEW = (0.02, 0.02, 0.005)
-"""Prior standard deviations of the first three harmonics of the angle in rad: a hub displaced by 2 % of the radius, a
-camera tilted by 0.28 rad, and perspective on it."""
-_FEWEST = 12
+"""Prior standard deviations of the first three harmonics of the angle [rad]: a hub displaced by 2 % of the radius, a
+camera tilt of 0.28 rad, and its perspective."""
+_MIN_SAMPLES = 12
 _ORDERS = range(2, 7)
-_WAVES = ((1, 1), (3, 2), (5, 3), (8, 4))
-"""Highest powers of time in phase and logarithm of the amplitude of an oscillation, of which one pair is chosen."""
-_FOLLOWED = _WAVES[2]
-"""Those with which an oscillation is followed; beyond the samples, higher powers leave all bounds."""
+_WAVE_ORDERS = ((1, 1), (3, 2), (5, 3), (8, 4))
+"""Candidate degrees of the polynomials in time for phase and logarithm of the amplitude of an oscillation."""
+_TRACKED_ORDERS = _WAVE_ORDERS[2]
+"""Degrees for the fit in growing windows; polynomials of higher degree extrapolate badly."""
 _FIRST_PERIODS = 1.5
-"""Half the length of its first part."""
-_LARGEST = 50.0
-"""Bound of the logarithm of the amplitude."""
+"""Half length of the first window [periods]."""
+_MAX_LOG_AMPLITUDE = 50.0
 
 
 @dataclass(frozen=True)
@@ -46,9 +45,9 @@ class BodyMotion:
     Attributes
     ----------
     kind : {"spin-down", "oscillation", "steady"}
-        What the motion is.
+        Kind of motion.
     turns : float
-        Distance between the extreme angles in turns.
+        Range of the angle [turns].
     omega : dict
         Angular velocity at the "first" and the "last" sample [rad/s].
     omega_mean : Value
@@ -56,9 +55,9 @@ class BodyMotion:
     alpha : Value
         Angular acceleration at the middle of the record [rad/s2].
     period, amplitude, decay : Value or None
-        Of an oscillation: period [s], amplitude at the middle of the record [rad], rate of decay [1/s].
+        Of an oscillation: period [s], amplitude at the middle of the record [rad], decay rate [1/s].
     quality_factor : Value or None
-        Of an oscillation that decays: pi / (decay period), 2 pi times the energy over its loss in a period [1].
+        Of a decaying oscillation: pi / (decay rate x period) [1].
     """
 
     kind: str
@@ -90,22 +89,22 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
 
     Notes
     -----
-    A rotation is fitted by a polynomial in time (of order 2 to 6, by the Bayesian information criterion) and the first
-    three harmonics of the angle, which a displaced hub and a tilted camera add. The harmonics have a Gaussian prior of
-    `VIEW`, so that over less than two turns, where they resemble the polynomial, they enter the uncertainty with their
-    plausible size. A rotation is steady where the angular acceleration is less than three standard errors from zero.
-    An oscillation is a exp(-d t) cos(2 pi t / P + phi) about a mean that may drift; where the criterion asks for it,
-    phase and logarithm of the amplitude are polynomials in time of higher order, and period, amplitude and decay are
-    those at the middle of the record.
+    A rotation is fitted by a polynomial in time (of degree 2 to 6, by the Bayesian information criterion) and the first
+    three harmonics of the angle, which a displaced hub and a tilted camera cause. The harmonics have Gaussian priors of
+    widths `VIEW`: over less than two turns, where they are nearly collinear with the polynomial, they contribute to the
+    uncertainty with a plausible size. A rotation is steady if the angular acceleration is consistent with zero (three
+    standard errors). An oscillation is a exp(-d t) cos(2 pi t / P + phi) about a mean that may drift; phase and
+    logarithm of the amplitude are polynomials in time of a higher degree if the criterion selects it, and period,
+    amplitude and decay rate are those at the middle of the record.
 
     Raises
     ------
     DatasetError
         There are fewer than 12 samples.
     """
-    if len(time) < _FEWEST:
+    if len(time) < _MIN_SAMPLES:
         raise DatasetError(
-            f"The motion has {len(time)} samples; {_FEWEST} are needed.", "Give a longer record."
+            f"The motion has {len(time)} samples; {_MIN_SAMPLES} are needed.", "Give a longer record."
         )
     t = time - 0.5 * (time[0] + time[-1])
     turns = float(np.ptp(angle)) / TURN
@@ -121,7 +120,7 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
 
 
 def _reverses(t: Floats, angle: Floats, period: float) -> bool:
-    """Tell whether the body turns back at least twice, and does not get ahead while it does."""
+    """Return whether the motion reverses repeatedly without net rotation."""
     net, path = abs(angle[-1] - angle[0]), float(np.abs(np.diff(angle)).sum())
     return bool(np.ptp(t) > 1.2 * period and net < 0.6 * path)
 
@@ -130,7 +129,7 @@ def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[dict[str, float]
     half = max(abs(t[0]), abs(t[-1]))
     x = t / half
     psi = angle - angle[len(angle) // 2]
-    # of the smooth motion: a harmonic of the measured angle would contain that angle's own noise
+    # harmonics of the smooth angle: those of the measured angle would be correlated with its noise
     smooth = np.polynomial.Polynomial.fit(x, psi, min(6, len(t) // 3))(x)
     harmonics = np.stack([f(k * smooth) for k in range(1, len(VIEW) + 1) for f in (np.cos, np.sin)], axis=1)
     most = max(order for order in _ORDERS if order == _ORDERS[0] or len(t) >= 2 * (order + 1))
@@ -138,7 +137,7 @@ def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[dict[str, float]
     design = np.concatenate([harmonics, x[:, None] ** np.arange(most + 1)], axis=1)
     prior = np.concatenate([np.repeat(VIEW, 2), np.full(most + 1, np.inf)])
     models = [list(range(view + order + 1)) for order in range(_ORDERS[0], most + 1)]
-    fits = least_squares_of(t, design, psi, sigma, models, prior, smooth)
+    fits = correlated_least_squares(t, design, psi, sigma, models, prior, smooth)
     order, fit = min(enumerate(fits, _ORDERS[0]), key=lambda pair: pair[1].criterion)
 
     def row(values: list[float]) -> Floats:
@@ -158,8 +157,8 @@ class _Wave:
 
         exp(-d t - sum d_k x^k) [a cos phi + b sin phi] + m + n t,  phi = 2 pi f t + sum c_k x^k,
 
-    k from 2 to `phase` in phi and to `envelope` in the exponent. Frequency and rate of decay depend on the amplitude
-    where the restoring torque is not linear, or the friction is not.
+    k from 2 to `phase` in phi and to `envelope` in the exponent. Frequency and decay rate depend on the amplitude if
+    the restoring torque or the friction is not linear.
     """
 
     half: float
@@ -174,14 +173,14 @@ class _Wave:
         x, split = t / self.half, 5 + self.phase
         phi = TURN * c[0] * t + sum(a * x**k for k, a in enumerate(c[6:split], 2))
         decay = c[1] * t + sum(a * x**k for k, a in enumerate(c[split:], 2))
-        return np.exp(np.clip(-decay, -_LARGEST, _LARGEST)), np.cos(phi), np.sin(phi)
+        return np.exp(np.clip(-decay, -_MAX_LOG_AMPLITUDE, _MAX_LOG_AMPLITUDE)), np.cos(phi), np.sin(phi)
 
     def __call__(self, c: Floats, t: Floats) -> Floats:
         size, cos, sin = self._parts(c, t)
         return np.asarray(size * (c[2] * cos + c[3] * sin) + c[4] + c[5] * t)
 
     def jacobian(self, c: Floats, t: Floats) -> Floats:
-        """Return the derivatives by the parameters, shape (n, parameters)."""
+        """Return the derivatives with respect to the parameters, shape (n, parameters)."""
         size, cos, sin = self._parts(c, t)
         by_phase, by_decay = size * (c[3] * cos - c[2] * sin), -size * (c[2] * cos + c[3] * sin)
         powers = [(t / self.half) ** k for k in range(2, max(self.phase, self.envelope) + 1)]
@@ -192,7 +191,7 @@ class _Wave:
         return np.stack([*first, *later], axis=1)
 
     def extended(self, c: Floats, other: _Wave) -> Floats:
-        """Return the parameters of this wave for those of another one: those that it lacks are zero."""
+        """Convert the parameters of another model of this class; additional ones are zero."""
         split = 5 + other.phase
         phase = np.zeros(self.phase - 1)
         envelope = np.zeros(self.envelope - 1)
@@ -201,7 +200,7 @@ class _Wave:
         return np.concatenate([c[:6], phase, envelope])
 
     def fitted(self, c: Floats, t: Floats, angle: Floats, sigma: Floats) -> Floats:
-        """Return the parameters of least squares near some others."""
+        """Return the least-squares parameters, with the initial values `c`."""
         span = np.ptp(t)
         lower, upper = np.full(self.size, -np.inf), np.full(self.size, np.inf)
         lower[:2], upper[:2] = (0.5 * c[0], -5.0 / span), (2.0 * c[0], 20.0 / span)
@@ -222,25 +221,25 @@ class _Wave:
 def _oscillation(
     t: Floats, angle: Floats, sigma: Floats
 ) -> tuple[Value, Value, Value, dict[str, float], float] | None:
-    """Fit a damped oscillation about a drifting mean; None where there is none."""
+    """Fit a damped oscillation about a drifting mean; None if the record is too short for one."""
     start = _frequency(t, angle)
     if start is None:
         return None
     half = 0.5 * float(np.ptp(t))
-    waves = [_Wave(half, *orders) for orders in _WAVES]
-    trials = [(waves[0], waves[0].fitted(_first(start, t, angle), t, angle, sigma))]
-    middle = _Wave(half, *_FOLLOWED)
-    followed = _followed(middle, start, t, angle, sigma)
-    if followed is not None:
-        trials += [(w, w.fitted(w.extended(followed, middle), t, angle, sigma)) for w in waves[1:]]
+    waves = [_Wave(half, *orders) for orders in _WAVE_ORDERS]
+    trials = [(waves[0], waves[0].fitted(_sinusoid(start, t, angle), t, angle, sigma))]
+    middle = _Wave(half, *_TRACKED_ORDERS)
+    tracked = _tracked_oscillation(middle, start, t, angle, sigma)
+    if tracked is not None:
+        trials += [(w, w.fitted(w.extended(tracked, middle), t, angle, sigma)) for w in waves[1:]]
     best = None
     for wave, c in trials:
         rest = angle - wave(c, t)
         free = np.full(wave.size, np.inf)
-        (fit,) = least_squares_of(t, wave.jacobian(c, t), rest, sigma, [list(range(wave.size))], free)
+        (fit,) = correlated_least_squares(t, wave.jacobian(c, t), rest, sigma, [list(range(wave.size))], free)
         if best is None or fit.criterion < best[0]:
             best = fit.criterion, wave, c, rest, fit
-    assert best is not None  # noqa: S101 - there is one trial at least
+    assert best is not None  # noqa: S101 - there is at least one trial
     _, wave, c, rest, fit = best
     c = c + fit.value
     size = float(np.hypot(c[2], c[3]))
@@ -260,7 +259,7 @@ def _oscillation(
 
 
 def _frequency(t: Floats, angle: Floats) -> float | None:
-    """Return the frequency of the largest peak of the spectrum; None if less than 0.7 periods were recorded."""
+    """Return the frequency of the largest peak of the spectrum above 0.7 periods per record; None without one."""
     even = np.linspace(t[0], t[-1], len(t))
     value = np.interp(even, t, angle)
     value = value - np.polyval(np.polyfit(even, value, 1), even)
@@ -270,25 +269,27 @@ def _frequency(t: Floats, angle: Floats) -> float | None:
     return float(frequency[valid][np.argmax(power[valid])]) if valid.any() else None
 
 
-def _first(frequency: float, t: Floats, angle: Floats) -> Floats:
-    """Return the parameters of an undamped sinusoid of a frequency."""
+def _sinusoid(frequency: float, t: Floats, angle: Floats) -> Floats:
+    """Return the least-squares parameters of an undamped sinusoid of a given frequency."""
     arc = TURN * frequency * t
     linear = np.stack([np.cos(arc), np.sin(arc), np.ones_like(t), t], axis=1)
     return np.concatenate([[frequency, 0.0], np.linalg.lstsq(linear, angle, rcond=None)[0]])
 
 
-def _followed(wave: _Wave, frequency: float, t: Floats, angle: Floats, sigma: Floats) -> Floats | None:
-    """Return the parameters of an oscillation that is followed from the middle of the record to both of its ends.
+def _tracked_oscillation(
+    wave: _Wave, frequency: float, t: Floats, angle: Floats, sigma: Floats
+) -> Floats | None:
+    """Fit an oscillation in a window about the middle of the record that grows to both ends; None if it is too short.
 
-    Within a few periods the phase of a sinusoid does not slip, whatever frequency and amplitude do later.
+    In a window of a few periods the phase is unambiguous, also where frequency and amplitude change later.
     """
     reach = _FIRST_PERIODS / frequency
-    plain = _Wave(wave.half, 1, 1)
+    first = _Wave(wave.half, 1, 1)
     inside = np.abs(t) <= reach
     if reach >= wave.half or inside.sum() < 2 * wave.size:
         return None
-    c = plain.fitted(_first(frequency, t[inside], angle[inside]), t[inside], angle[inside], sigma[inside])
-    c = wave.extended(c, plain)
+    c = first.fitted(_sinusoid(frequency, t[inside], angle[inside]), t[inside], angle[inside], sigma[inside])
+    c = wave.extended(c, first)
     while reach < wave.half:
         reach *= 1.5
         inside = np.abs(t) <= reach
@@ -297,11 +298,11 @@ def _followed(wave: _Wave, frequency: float, t: Floats, angle: Floats, sigma: Fl
 
 
 def start_of_motion(time: Floats, angle: Floats, sigma: Floats) -> int:
-    """Return the first sample of the free motion: what a hand or a motor speeds up before it is left out.
+    """Return the first sample of the free motion, after a drive by hand or motor.
 
-    The speed over windows of a fiftieth of the record (5 samples at least) rises to its largest in the first half of
-    the record by more than 5 % and 5 standard errors; an oscillation begins where its periods and amplitudes are
-    those of a free one.
+    A rotation is driven up to the maximum of its speed (means over 1/50 of the record, at least 5 samples) if it is in
+    the first half and exceeds the initial speed by more than 5 % and 5 standard errors. An oscillation is free where
+    its periods and amplitudes are those of a free one.
     """
     windows = _speeds(time, angle, sigma)
     if windows is None:
@@ -331,7 +332,7 @@ def end_of_motion(time: Floats, angle: Floats, sigma: Floats) -> int:
     size = np.abs(speed)
     moving = np.flatnonzero(size > max(0.02 * size.max(), 5 * error))
     last = int(edges[moving[-1] + 1]) if len(moving) and moving[-1] + 1 < len(edges) else len(time)
-    return last if len(time) - last > len(time) / 20 and last >= _FEWEST else len(time)
+    return last if len(time) - last > len(time) / 20 and last >= _MIN_SAMPLES else len(time)
 
 
 def _speeds(time: Floats, angle: Floats, sigma: Floats) -> tuple[npt.NDArray[np.int64], Floats, float] | None:

@@ -1,8 +1,8 @@
 """Simulated runs as case files and films, and sealed challenges: runs with a hidden effect.
 
-The answer to a challenge is committed to by SHA-256 of a random salt and the answer's text; the commitment is stored in
-the case file and in the seal, so that neither can be changed afterwards. The seal holds the answer scrambled with a
-stream made from the salt: this prevents reading it by accident, not on purpose.
+The commitment to an answer is the SHA-256 of a random salt and the text of the answer; it is stored in the case file
+and in the seal, so that neither can be changed afterwards. The seal contains the answer, XORed with a stream derived
+from the salt: this prevents reading it by accident, not on purpose.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def _series(runs: list[Samples]) -> Series:
 
 @dataclass(frozen=True)
 class SimulatedRun:
-    """All that a simulated run comes from.
+    """The complete input of a simulated run.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class SimulatedRun:
     numbers : mapping of str to float
         Its parameters [SI].
     experiment : Experiment
-        How it is started and filmed.
+        Initial motion, cameras and noise.
     inertias : tuple of float
         Moments of inertia of rotor and casing [kg m2].
     seed : int
@@ -119,31 +119,31 @@ class SimulatedRun:
         seed: int,
         given: Sequence[str] = (),
     ) -> SimulatedRun:
-        """Choose typical parameters for what is not given.
+        """Use typical values for parameters that are not given.
 
         Parameters
         ----------
         strength : float
-            Torque of added effects over the budget of 1e-4 N m.
+            Torque of added effects [1e-4 N m].
         given : sequence of str
             Parameters as ``casing.air.quadratic.k=1e-9``.
 
         Raises
         ------
         UsageError
-            The model has effects of the measurement, or a given parameter is not one of the model.
+            The model contains measurement effects, or a given parameter is not in the model.
         """
         if model.measurement:
             raise UsageError(
-                "Measurement effects cannot be simulated this way.",
-                "For a centre offset give --centre-offset.",
+                "Measurement effects cannot be added to a simulation.",
+                "Use --centre-offset for a centre offset.",
             )
         speeds = {"omega_r": 0.6 * experiment.omega_rotor, "omega_c": _CASING_SPEED}
         numbers = typical_of_model(model.effects, strength, duration=experiment.duration, speeds=speeds)
         return cls(model, numbers | _given(given, numbers), experiment, inertias, seed)
 
     def record(self, label: str) -> Record:
-        """Integrate the motion and measure it, with all noise.
+        """Integrate the motion and simulate its measurement, with all noise.
 
         Parameters
         ----------
@@ -161,12 +161,12 @@ class SimulatedRun:
         )
 
     def film_files(self, folder: Path) -> list[Path]:
-        """Return the names of the films: the casing's, then those of the rotor.
+        """Return the paths of the films: that of the casing, then those of the rotor.
 
         Parameters
         ----------
         folder : Path
-            Where the films are.
+            Folder of the films.
         """
         return [folder / clip.name for clip in _clips(self.experiment)]
 
@@ -177,16 +177,16 @@ class SimulatedRun:
         force: bool = False,
         progress: Callable[[int, int | None], None] | None = None,
     ) -> list[Path]:
-        """Draw the casing clip and the rotor clips.
+        """Render the casing clip and the rotor clips.
 
         Parameters
         ----------
         folder : Path
-            Where the films are written.
+            Folder of the films.
         force : bool
             Replace existing films.
         progress : callable, optional
-            Called with the number of frames done and in all.
+            Called with (frames done, frames in total).
 
         Returns
         -------
@@ -229,7 +229,8 @@ def _given(items: Sequence[str], numbers: Mapping[str, float]) -> dict[str, floa
         key = key.strip()
         if not equals or key not in numbers:
             raise UsageError(
-                f"{item[:60]!r} does not set a parameter of the model.", f"Parameters: {', '.join(numbers)}."
+                f"{item[:60]!r} is not an assignment to a parameter of the model.",
+                f"Parameters: {', '.join(numbers)}.",
             )
         try:
             given[key] = float(value)
@@ -240,7 +241,7 @@ def _given(items: Sequence[str], numbers: Mapping[str, float]) -> dict[str, floa
 
 @dataclass(frozen=True)
 class _Clip:
-    """One film of an experiment: name, capture rate and stored rate [1/s], when it starts and its length [s]."""
+    """One film of an experiment: name, capture rate and stored rate [1/s], start and length [s]."""
 
     name: str
     fps: float
@@ -250,7 +251,7 @@ class _Clip:
 
     @property
     def frames(self) -> int:
-        # the first frame is taken one frame after the start, and the last one must be inside too
+        # the first frame is one period after the start; the exposure of the last one must end in time
         return int(self.length * self.fps) - 2
 
     @property
@@ -277,14 +278,14 @@ def _motion(model: Model, values: Mapping[str, float], experiment: Experiment) -
 
 
 FORMAT = "gyrotrack seal"
-# laws outside the library: the right answer is "unexplained", or a law of the user
+# laws that are not in the library: the correct answer is "unexplained", or a user-defined law
 OUTSIDE = (
     "casing: -k*omega_c**3",
     "casing: -k*exp(-((omega_c - 110)/12)**2)",
     "bearing: k*log(abs(delta)/100)",
     "rotor: -k*omega_r**3",
 )
-_FROM_OUTSIDE = 0.2
+_P_OUTSIDE = 0.2
 _NOT_DRAWN = {"external.constant", "bearing.power", "casing.friction.presliding"}
 
 
@@ -298,7 +299,7 @@ class Hidden:
     seed: int
 
     def seal(self, path: Path, numbers: Mapping[str, float], *, force: bool = False) -> str:
-        """Seal the effect with its values among the `numbers` of the model; return the commitment."""
+        """Write the effect with its parameters, a part of `numbers`, to a seal; return the commitment."""
         own = {k: v for k, v in numbers.items() if k.startswith(f"{self.effect.name}.")}
         return seal(path, self.effect.name, own, force=force)
 
@@ -322,12 +323,12 @@ class Score:
 
 
 def draw_effect(present: Sequence[str], random: Any) -> Effect:
-    """Draw an effect from the library (without those present) or, with probability 0.2, from outside.
+    """Draw a random effect from the library (without those present) or, with probability 0.2, one outside of it.
 
-    Effects that a casing which keeps its sense of rotation cannot show are not drawn: restoring torques, and those
-    that are dry friction while nothing reverses.
+    Effects that need a reversal of the casing to be observable are not drawn: restoring torques, and friction laws that
+    equal dry friction without a reversal.
     """
-    if random.random() < _FROM_OUTSIDE:
+    if random.random() < _P_OUTSIDE:
         return resolve(OUTSIDE[int(random.integers(len(OUTSIDE)))])
     names = [
         n
@@ -342,7 +343,7 @@ def draw_effect(present: Sequence[str], random: Any) -> Effect:
 
 
 def hide_effect(model: Model, strength: float) -> Hidden:
-    """Add a random effect to a model, with half to twice the given strength."""
+    """Add a random effect to a model; its strength is between half and twice the given one."""
     seed = secrets.randbits(48)
     random = np.random.default_rng(seed)
     effect = draw_effect(model.names, random)
@@ -366,7 +367,7 @@ def seal(path: Path, effect: str, parameters: Mapping[str, float], *, force: boo
         "format": FORMAT,
         "commitment": commitment,
         "salt": salt,
-        "sealed": base64.b64encode(_scramble(answer.encode(), salt)).decode(),
+        "sealed": base64.b64encode(_xor_with_salt(answer.encode(), salt)).decode(),
     }
     with new_file(path, force=force) as stream:
         stream.write(json.dumps(document, indent=1).encode())
@@ -379,13 +380,13 @@ def unseal(path: Path) -> Seal:
     Raises
     ------
     DatasetError
-        If the file is not a seal, or its answer is not the one that was committed to.
+        The file is not a seal, or its answer does not match the commitment.
     """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
         sealed = base64.b64decode(document["sealed"], validate=True)
         salt, commitment = str(document["salt"]), str(document["commitment"])
-        answer = _scramble(sealed, salt).decode()
+        answer = _xor_with_salt(sealed, salt).decode()
         content = json.loads(answer)
         effect, parameters = (
             str(content["effect"]),
@@ -395,7 +396,7 @@ def unseal(path: Path) -> Seal:
         raise DatasetError(f"{path} does not exist.", "Check the name.") from None
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         raise DatasetError(
-            f"{path} is not a seal of gyrotrack.", "Seals are made by `gyrotrack simulate --hide`."
+            f"{path} is not a sealed file.", "Sealed files are made by `gyrotrack simulate --hide`."
         ) from None
     if hashlib.sha256(f"{salt}{answer}".encode()).hexdigest() != commitment:
         raise DatasetError(
@@ -407,7 +408,7 @@ def unseal(path: Path) -> Seal:
 def answer_of(entries: Sequence[Entry]) -> tuple[list[str], dict[str, tuple[float, float]]]:
     """Return the effects that a history of fits added, and the parameters of the last fit with standard errors.
 
-    A history that ends with significant lack of fit answers nothing: the effects it added are hypotheses.
+    If the last fit has significant lack of fit, no effect is returned: those that were added are hypotheses.
     """
     first, last = entries[0].document, entries[-1].document
     named = [n for n in last["model"] if n not in first["model"]] if last["verdict"] == "adequate" else []
@@ -420,9 +421,9 @@ def grade(truth: Seal, named: Sequence[str], found: Mapping[str, tuple[float, fl
     Parameters
     ----------
     truth : Seal
-        The open seal.
+        Content of the opened seal.
     named : sequence of str
-        The effect answered, then those indistinguishable from it; empty for "none".
+        The answer, then the effects indistinguishable from it; empty for "none".
     found : mapping of str to (value, error)
         Parameters of the answer by key, with standard errors.
     """
@@ -443,6 +444,6 @@ def grade(truth: Seal, named: Sequence[str], found: Mapping[str, tuple[float, fl
     return Score(word, f"Hidden effect: {truth.effect}. Answer: {answer} ({word}).", pulls)
 
 
-def _scramble(data: bytes, salt: str) -> bytes:
+def _xor_with_salt(data: bytes, salt: str) -> bytes:
     stream = b"".join(hashlib.sha256(f"{salt}{i}".encode()).digest() for i in range(len(data) // 32 + 1))
     return bytes(a ^ b for a, b in zip(data, stream, strict=False))

@@ -1,4 +1,4 @@
-"""One body, from a film or a table to its motion, its torque law and a report."""
+"""Analysis of one body: from a film or a table to its motion, its torque law and a report."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
-_TRACKED = 0.8  # share of the frames in which markers must be found where the body's own picture is not
+_MIN_TRACKED = 0.8  # fraction of the frames in which the paper's markers must be found to be used
 _FILMS = (".mp4", ".mov", ".mkv", ".webm", ".avi", ".m4v", ".3gp", ".mjpeg", ".mjpg")
 
 
@@ -56,15 +56,15 @@ class SpindownOptions:
     inertia : str, optional
         Moment of inertia [kg m2], such as "5.5e-5 +- 0.1e-5"; without it torques are per unit of inertia [rad/s2].
     pulses_per_turn : float, optional
-        The table is one column of times of pulses, so many of them a turn.
+        Number of pulses per turn; the table is one column of times of pulses.
     keep_all : bool
-        Keep the start of the record even where a hand or a motor drives the body, and rest at its end.
+        Keep the start of the record also if a hand or a motor drives the body, and rest at its end.
     label : str
         Name of the case.
     profile : Path, optional
-        Markers and colours of a film; without it the picture of the body itself is tracked, or the paper's markers.
+        Markers and colours of a film; without it, the texture of the body is tracked, or else the paper's markers.
     body : str, optional
-        The body, "casing" or "rotor", of a film or recording that holds both.
+        Body to analyse, "casing" or "rotor", in a film or recording of both.
     """
 
     hub: tuple[float, float] | None = None
@@ -85,7 +85,7 @@ def read_source(
     Raises
     ------
     VideoError, TrackingError, DatasetError
-        The source cannot be read, or shows no motion that can be measured.
+        The source cannot be read, or contains no measurable motion.
     """
     moment = Inertia(1.0) if options.inertia is None else Inertia.of(options.inertia)
     if not source.is_file():
@@ -104,19 +104,19 @@ def read_source(
     if options.inertia is None:
         warnings.append("No inertia is given: torques are per unit of inertia, in rad/s2 (inertia 1).")
     series = case.casing
-    table = not case.recordings  # its reader has cut it
-    if not (options.keep_all or table):
+    is_table = not case.recordings  # the reader of tables has removed drive and rest already
+    if not (options.keep_all or is_table):
         whole = (series.time, series.angle, series.sigma)
         first, last = start_of_motion(*whole), end_of_motion(*whole)
         if first:
             warnings.append(
-                f"The body is driven until {series.time[first]:.3f} s (a hand or a motor); {first} samples before it "
-                "are left out. --keep-all keeps them."
+                f"The body is driven until {series.time[first]:.3f} s (by hand or motor); the {first} samples before "
+                "are excluded. --keep-all keeps them."
             )
         if last < len(series.time):
             warnings.append(
                 f"The body is at rest from {series.time[last]:.3f} s; {len(series.time) - last} samples after it are "
-                "left out. --keep-all keeps them."
+                "excluded. --keep-all keeps them."
             )
         names = ("time", "angle", "sigma", "omega", "omega_sigma", "turn")
         series = replace(series, **{name: getattr(series, name)[first:last] for name in names})
@@ -135,7 +135,7 @@ def _film(
 ) -> tuple[Recording, Tracked | None]:
     """Track a film by its profile if one is given, else by the first of these that succeeds.
 
-    The picture of a body about its hub; the paper's markers, unless a hub is given; a body that moves across the image.
+    The texture of a body about its hub; the paper's markers, unless a hub is given; a body that moves across the image.
     """
     if options.profile is not None:
         return extract(
@@ -153,10 +153,8 @@ def _film(
             fps, _, warnings = _rate(film, options.capture_fps)
             with suppress(GyrotrackError):
                 found = extract(source, capture_fps=fps, body=options.body, progress=progress)
-                if max(len(body.time) for body in found.bodies.values()) > _TRACKED * len(film):
-                    note = (
-                        "The paper's coloured markers are tracked; --profile or --hub X,Y names another body."
-                    )
+                if max(len(body.time) for body in found.bodies.values()) > _MIN_TRACKED * len(film):
+                    note = "The paper's coloured markers are tracked; give --profile or --hub X,Y for another body."
                     return replace(found, warnings=(*warnings, note, *found.warnings)), None
         with suppress(TrackingError):
             return film_recording(film, options, progress, free=True)
@@ -164,17 +162,17 @@ def _film(
 
 
 def _rate(film: Film, requested: float | None) -> tuple[float, str, list[str]]:
-    """Return the capture rate of a film [1/s], where it is from, and a warning where it may be another one."""
+    """Return the capture rate of a film [1/s], its origin, and a warning if it is uncertain."""
     if requested is not None:
         if not (math.isfinite(requested) and requested > 0):
-            raise VideoError(f"a capture rate of {requested:g} fps is not possible", "give a positive number")
+            raise VideoError(f"Invalid capture rate: {requested:g} fps.", "Give a positive number.")
         return requested, "asked for", []
     if film.info.tag_fps is not None:
         return film.info.tag_fps, "tag of the camera", []
     fps = film.info.container_fps
     if not math.isfinite(fps):
-        raise VideoError(f"{film.path} does not state its capture rate", "give --capture-fps")
-    slow = f"Time from the container's rate, {fps:g} frames/s; a film in slow motion needs --capture-fps."
+        raise VideoError(f"{film.path} does not state its capture rate.", "Give --capture-fps.")
+    slow = f"The capture rate is that of the container, {fps:g} fps; a slow-motion film needs --capture-fps."
     return fps, "container", [slow] if fps < SLOWEST_PLAIN_RATE else []
 
 
@@ -182,7 +180,6 @@ def film_recording(
     film: Film, options: SpindownOptions, progress: Progress | None = None, *, free: bool = False
 ) -> tuple[Recording, Tracked]:
     """Track one body in a film, on a hub or `free` to move across the picture, and make a recording of it."""
-    source = film.path
     fps, origin, warnings = _rate(film, options.capture_fps)
     tracked = (track_free_body if free else track_body)(film, options.hub, progress)
     times = Timing("auto", fps).of(film.stamps, float(film.info.time_base))
@@ -206,8 +203,8 @@ def film_recording(
     centre[tracked.frame] = np.array(tracked.ring.hub) + tracked.hub_path
     height, width = next(iter(film.frames(0, 1))).shape
     recording = Recording(
-        source=source.name,
-        source_sha256=file_sha256(source),
+        source=film.path.name,
+        source_sha256=file_sha256(film.path),
         width=width,
         height=height,
         capture_fps=fps,
@@ -244,11 +241,13 @@ def film_recording(
 
 
 def _recording_case(recording: Recording, inertia: float, name: str | None = None) -> Case:
-    """Put one body of a recording, the one with most samples if none is named, in the casing's place."""
+    """Make a case of one body of a recording, by default the one with most samples, in the role of the casing."""
     if name is not None and name not in recording.bodies:
-        raise DatasetError(f"{recording.source} shows no {name}.", f"It shows {', '.join(recording.bodies)}.")
+        raise DatasetError(
+            f"{recording.source} does not contain the {name}.", f"It contains: {', '.join(recording.bodies)}."
+        )
     if not recording.bodies:
-        raise DatasetError(f"{recording.source} holds no body.", "Track the film again.")
+        raise DatasetError(f"{recording.source} contains no body.", "Track the film again.")
     count = {key: len(body.time) for key, body in recording.bodies.items()}
     name = name or max(
         count, key=lambda key: (count[key] > 0.9 * max(count.values()), key == recording.body, count[key])
@@ -256,7 +255,7 @@ def _recording_case(recording: Recording, inertia: float, name: str | None = Non
     if len(recording.bodies) > 1:
         other = next(key for key in recording.bodies if key != name)
         text = (
-            f"Of {len(recording.bodies)} bodies the {name} is analysed; --body {other} takes the other one."
+            f"Of {len(recording.bodies)} bodies the {name} is analysed; --body {other} selects the other one."
         )
         recording = replace(recording, warnings=(*recording.warnings, text))
     body = recording.bodies[name]
@@ -296,14 +295,14 @@ def spindown(
     force: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Measure, fit, diagnose, improve and report the motion of one body.
+    """Measure the motion of one body, fit, diagnose and improve a model, and write a report.
 
     Parameters
     ----------
     source : Path
         Film, recording or table.
     target, report : Path
-        The case and the report to write; no report without its path.
+        The case and the report to write; without a path no report is written.
     options : SpindownOptions
         Options.
     command : str
@@ -311,7 +310,7 @@ def spindown(
     force : bool
         Replace existing outputs.
     progress : callable, optional
-        Called with (frames done, frames in all) while a film is tracked.
+        Called with (frames done, frames in total) while a film is tracked.
 
     Returns
     -------
@@ -330,9 +329,9 @@ def spindown(
     series = case.casing
     motion = motion_of(series.time, series.angle, series.sigma)
     if tracked is not None:
-        motion = _with_view(motion, series, case.recordings["casing"], tracked)
+        motion = _with_view_errors(motion, series, case.recordings["casing"], tracked)
     if motion.turns * TURN < 10 * float(np.median(series.sigma)):
-        raise TrackingError(f"nothing turns in {source}", "check that it is the right file")
+        raise TrackingError(f"No rotation was found in {source}.", "Check that it is the right file.")
     settings = {
         "source": source,
         "hub": options.hub,
@@ -351,14 +350,14 @@ def spindown(
     try:
         study = open_study([target], None)
         with WorkerPool() as workers:
-            # a study of its own, whatever was fitted to this case before
+            # a new history, independent of earlier fits of this case
             base = fit(study.model(REDUCED), study.data)
             parent = study.ledger.add(base).fit_id
             _check_law(motion, base)
             recorder = study.recorder(parent, base)
             history = improve(base, [], workers=workers, keep=recorder)
             if history.stopped:
-                warnings.append(f"The search ended at a fit that failed, {history.stopped}")
+                warnings.append(f"The search stopped at a failed fit, {history.stopped}")
             _check_law(motion, history[-1].fit, final=True)
             found = diagnose(base, [], candidates=history[0].candidates, history=history, workers=workers)
             study.keep_diagnosis(parent, found, [])
@@ -392,7 +391,7 @@ def spindown(
 
 
 def _check_law(motion: BodyMotion, fit: Fit, *, final: bool = False) -> None:
-    """Refuse to explain a rotation without acceleration, or an oscillation without a restoring torque."""
+    """Raise an error for a rotation without acceleration, or an oscillation without a restoring torque."""
     from fitting._errors import FittingError
 
     if motion.kind == "steady" and abs(motion.alpha.value) < 3 * motion.alpha.stderr:
@@ -403,34 +402,34 @@ def _check_law(motion: BodyMotion, fit: Fit, *, final: bool = False) -> None:
     if motion.kind != "oscillation":
         return
     if fit.problem.data[0].oscillation is None:
-        raise FittingError(
-            "the motion is an oscillation of too few turning points to fit a restoring torque."
-        )
+        raise FittingError("the oscillation has too few turning points to fit a restoring torque.")
     if final and not fit.model.restoring:
         raise FittingError(
             "the motion is an oscillation, and no restoring torque of the library describes it."
         )
 
 
-def _with_view(motion: BodyMotion, series: Series, recording: Recording, tracked: Tracked) -> BodyMotion:
-    """Add to the uncertainties the difference of what the inner and the outer half of the ring show.
+def _with_view_errors(
+    motion: BodyMotion, series: Series, recording: Recording, tracked: Tracked
+) -> BodyMotion:
+    """Add the difference between the inner and the outer half of the ring to the uncertainties.
 
-    The view (perspective, a displaced hub) and what is fixed in the image act on both differently; noise does not
-    average them out. The error of a displaced hub is larger than the difference that it makes, by `hub_leverage`.
+    Perspective, a displaced hub and objects fixed in the image affect both halves differently; these errors are
+    systematic. The error by a displaced hub is `hub_leverage` times the difference that it causes.
     """
     leverage = max(0.5, tracked.hub_leverage)
     taken = np.isin(np.round(recording.bodies["casing"].time, 9), np.round(series.time, 9))
     inner, outer = (motion_of(series.time, half[taken], series.sigma) for half in tracked.halves)
 
-    def wider(value: Value, a: Value | None, b: Value | None) -> Value:
-        apart = 0.0 if a is None or b is None else leverage * abs(abs(a.value) - abs(b.value))
-        return replace(value, stderr=math.hypot(value.stderr, apart))
+    def widened(value: Value, a: Value | None, b: Value | None) -> Value:
+        difference = 0.0 if a is None or b is None else leverage * abs(abs(a.value) - abs(b.value))
+        return replace(value, stderr=math.hypot(value.stderr, difference))
 
     return replace(
         motion,
-        omega_mean=wider(motion.omega_mean, inner.omega_mean, outer.omega_mean),
-        alpha=wider(motion.alpha, inner.alpha, outer.alpha),
-        period=motion.period and wider(motion.period, inner.period, outer.period),
-        amplitude=motion.amplitude and wider(motion.amplitude, inner.amplitude, outer.amplitude),
-        decay=motion.decay and wider(motion.decay, inner.decay, outer.decay),
+        omega_mean=widened(motion.omega_mean, inner.omega_mean, outer.omega_mean),
+        alpha=widened(motion.alpha, inner.alpha, outer.alpha),
+        period=motion.period and widened(motion.period, inner.period, outer.period),
+        amplitude=motion.amplitude and widened(motion.amplitude, inner.amplitude, outer.amplitude),
+        decay=motion.decay and widened(motion.decay, inner.decay, outer.decay),
     )

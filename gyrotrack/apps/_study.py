@@ -1,4 +1,4 @@
-"""Cases studied together, the history of their fits, and requests for the next fit.
+"""Cases that are analysed together, the history of their fits, and requests for the next fit.
 
 `fitting` is imported where it is needed, so that commands start fast.
 """
@@ -35,9 +35,9 @@ class Study:
     data : tuple of CaseData
         The cases, compressed for fitting.
     ledger : Ledger
-        Their fits so far, and those of other sets of cases in the same file.
+        Their fits, and those of other sets of cases in the same file.
     prior : Prior, optional
-        Parameters of another study, for fits from now on; without it a fit keeps the prior of the one it is made from.
+        Parameters of another study, used for new fits; without it, a fit has the prior of the fit that it starts from.
     """
 
     data: tuple[CaseData, ...]
@@ -45,7 +45,7 @@ class Study:
     prior: Prior | None = None
 
     def entry(self, fit_id: str | None) -> Entry | None:
-        """Return the fit of this name, by default the latest of these cases; None if there is none.
+        """Return the fit with this name, by default the latest of these cases; None if there is none.
 
         Parameters
         ----------
@@ -56,7 +56,7 @@ class Study:
             found = self.ledger.find(fit_id)
             if sorted(found.digests) != sorted(d.record.digest for d in self.data):
                 raise UsageError(
-                    f"The fit {fit_id} is of other cases.",
+                    f"The fit {fit_id} belongs to other cases.",
                     "`gyrotrack ladder` lists the fits of these cases.",
                 )
             return found
@@ -64,7 +64,7 @@ class Study:
         return entries[-1] if entries else None
 
     def model(self, names: Iterable[str]) -> Model:
-        """Return the model of these effects; for a recording of one body the part that applies to it.
+        """Return the model with these effects; for a recording of one body, the part that applies to it.
 
         Parameters
         ----------
@@ -77,7 +77,7 @@ class Study:
         return whole.alone if self.data[0].record.single else whole
 
     def steps_to(self, fit_id: str | None) -> list[Step]:
-        """Return the history that ends with a fit (by default the latest), the first fit first.
+        """Return the history that ends with a fit (by default the latest), oldest first.
 
         Parameters
         ----------
@@ -93,7 +93,7 @@ class Study:
         return [Step(str(e.document.get("added", "")), e.shown(self.data), ()) for e in reversed(chain)]
 
     def _chain(self, fit_id: str | None) -> list[Entry]:
-        """Return an entry (by default the latest) and its ancestors, the first one last."""
+        """Return an entry (by default the latest) and its ancestors, oldest last."""
         entry = self.entry(fit_id)
         if entry is None:
             return []
@@ -115,9 +115,9 @@ class Study:
         fit_id : str or None
             The last fit of the history, as for `steps_to`.
         fit : Fit
-            The fit of the first.
+            The first fit of the history.
         extra : sequence of Effect
-            Effects of the user in addition to the library.
+            User-defined effects, in addition to the library.
         workers : WorkerPool, optional
             Worker processes.
         """
@@ -131,7 +131,7 @@ class Study:
         return found
 
     def keep_diagnosis(self, fit_id: str, found: Diagnosis, extra: Sequence[Effect] = ()) -> None:
-        """Store a diagnosis with its fit; where the ledger cannot be written, nothing is stored.
+        """Store a diagnosis with its fit, if the ledger can be written.
 
         Parameters
         ----------
@@ -140,7 +140,7 @@ class Study:
         found : Diagnosis
             Its diagnosis.
         extra : sequence of Effect
-            Own effects that were tested with the library.
+            User-defined effects that were tested with the library.
         """
         from fitting._errors import LedgerError
 
@@ -148,7 +148,7 @@ class Study:
             self.ledger.keep_diagnosis(fit_id, found, extra)
 
     def recorder(self, first: str, fit: Fit) -> Recorder:
-        """Return what stores the steps of a history that begins with a fit of the ledger.
+        """Return a recorder for the steps that follow a fit of the ledger.
 
         Parameters
         ----------
@@ -160,7 +160,7 @@ class Study:
         return Recorder(self.ledger, [self.ledger.find(first)], fit)
 
     def base(self, fit_id: str | None) -> tuple[Fit, str]:
-        """Return the fit of this name (by default the latest) and its name; without any, of the reduced model.
+        """Return a fit (by default the latest) and its name; if there is none, the reduced model is fitted.
 
         Parameters
         ----------
@@ -187,14 +187,14 @@ class Study:
 
 @dataclass
 class Recorder:
-    """Stores each step of a history in the ledger when it is found, so that a search that ends early loses none.
+    """Stores each step of a search in the ledger immediately, so that an interrupted search loses none.
 
     Attributes
     ----------
     ledger : Ledger
-        Where the steps are stored.
+        The history of fits.
     entries : list of Entry
-        The entries so far, the first fit first.
+        The entries, oldest first.
     fit : Fit
         The fit of the latest entry.
     """
@@ -226,13 +226,13 @@ def open_study(
     cases : sequence of Path
         Case files (HDF5).
     ledger : Path or None
-        The history of fits; by default next to the first case.
+        File of the fits; by default next to the first case.
     data : {"angle", "velocity"}, optional
-        Fit the measured angles, or smoothed velocities as the paper does.
+        Fit the measured angles, or smoothed velocities as in the paper.
     rotor : {"windows", "generated"}
-        Fit the films of the rotor, or one curve through them as the paper does.
+        Fit the rotor data as measured, or one curve through them as in the paper.
     prior : Path, optional
-        Another study, by its case or ledger: the parameters of its latest fit are the prior of fits of this one.
+        Case or ledger of another study; the parameters of its latest fit are a prior for this one.
     prior_rotor : Path, optional
         A study of the single body that is the rotor here.
     """
@@ -262,7 +262,7 @@ def _prior_of(path: Path, data: Sequence[CaseData], *, rotor: bool) -> Prior:
     own = {d.record.digest for d in data}.intersection(entry.digests)
     if own:
         raise UsageError(
-            f"{path} is a fit of the same data, which would be counted twice.",
+            f"{path} is a fit of the same data, which would be used twice.",
             "Give --prior a study of other recordings.",
         )
     prior = entry.as_prior(path.name)
@@ -273,7 +273,7 @@ def _prior_of(path: Path, data: Sequence[CaseData], *, rotor: bool) -> Prior:
         if entry.estimates[name].unit != expected:
             raise UsageError(
                 f"{path} gives {name} in {entry.estimates[name].unit}, these cases need {expected}.",
-                "Give --inertia for both studies, or for none of them.",
+                "Give --inertia for both studies, or for neither.",
             )
     if not rotor:
         return prior
@@ -285,8 +285,8 @@ def _prior_of(path: Path, data: Sequence[CaseData], *, rotor: bool) -> Prior:
             renamed |= {f"{effect.name}.{p.symbol}": f"{same.name}.{q.symbol}" for p, q in pairs}
     if not renamed.keys() & set(prior.names):
         raise UsageError(
-            f"{path} determines no law that the library has for the rotor.",
-            "Laws of the rotor: drag of the air and dry friction of its support.",
+            f"No law in {path} can be applied to the rotor.",
+            "These laws can: air drag, and dry friction of the support.",
         )
     return prior.renamed(renamed)
 
@@ -298,8 +298,8 @@ def read_cases(
     from fitting.inference._case_data import CaseData
     from fitting.inference._case_file import read_record
 
-    _known("--data", data or "angle", ("angle", "velocity"))
-    _known("--rotor", rotor, ("windows", "generated"))
+    _require_choice("--data", data or "angle", ("angle", "velocity"))
+    _require_choice("--rotor", rotor, ("windows", "generated"))
     records = [read_record(path) for path in cases]
     if data is not None or rotor != "windows":
         from fitting.study._paper import prepared
@@ -309,17 +309,19 @@ def read_cases(
 
 
 def latest_fits(runs: Sequence[Path]) -> dict[str, Entry]:
-    """Return the latest fit of each run by the run's name.
+    """Return the latest fit of each run, by name of the run.
 
     Parameters
     ----------
     runs : sequence of Path
-        Cases, whose ledger is next to them, or ledgers.
+        Cases with ledgers next to them, or ledgers.
 
     Raises
     ------
     UsageError
-        A run is named twice, or has no fit.
+        A run is given twice.
+    DatasetError
+        A file does not exist, or has no fit.
     """
     from fitting.study._history import Ledger
 
@@ -331,7 +333,7 @@ def latest_fits(runs: Sequence[Path]) -> dict[str, Entry]:
         name = path.name.removesuffix(".fits.json").removesuffix(".h5")
         whole = path.resolve().with_name(name)
         if whole in seen:
-            raise UsageError(f"{path} is named twice.", "Name each run once.")
+            raise UsageError(f"{path} is given twice.", "Give each run once.")
         seen.add(whole)
         name = str(whole) if name in found else name
         if path.suffix == ".json":
@@ -347,7 +349,7 @@ def latest_fits(runs: Sequence[Path]) -> dict[str, Entry]:
     return found
 
 
-def _known(option: str, word: str, words: tuple[str, ...]) -> None:
+def _require_choice(option: str, word: str, words: tuple[str, ...]) -> None:
     if word not in words:
         raise UsageError(f"Unknown value {word[:40]!r} of {option}.", f"Use one of: {', '.join(words)}.")
 
@@ -362,16 +364,16 @@ class FitRequest:
     Attributes
     ----------
     model : str, optional
-        reduced, general, linear, or the name of a TOML file. Without it the request changes an earlier fit, and if
-        there is none the reduced model.
+        reduced, general, linear, or the name of a TOML file. Without it the request modifies an earlier fit, or else
+        the reduced model.
     add, drop : tuple of str
         Effects by name, and for `add` also laws such as ``casing: -k*omega_c**3``.
     own : sequence of Effect
-        Effects of the user, which `add` may name.
+        User-defined effects, which `add` may contain.
     share, per_case : tuple of str
-        Parameters with one value for all cases, or with one for each.
+        Parameters with one value for all cases, or one per case.
     held : mapping
-        Values of parameters that are held fixed [SI].
+        Values of fixed parameters [SI].
     loss : str
         linear, huber or cauchy.
     """
@@ -393,7 +395,7 @@ class FitRequest:
         study : Study
             The cases.
         start : str, optional
-            Name of the fit that is changed; by default the latest.
+            Name of the fit that is modified; by default the latest.
 
         Returns
         -------
@@ -403,7 +405,7 @@ class FitRequest:
         Raises
         ------
         UsageError
-            The model is unknown, or the fit `start` is not one of these cases.
+            The model is unknown, or the fit `start` belongs to other cases.
         """
         from fitting.inference._case_data import with_prior
 
@@ -419,7 +421,7 @@ class FitRequest:
         if prior is not None and not set(prior.names) & set(wanted.free):
             raise UsageError(
                 f"No parameter of the prior from {prior.source} is in the model.",
-                f"It has {', '.join(prior.names)}; the model {', '.join(wanted.free)}.",
+                f"Parameters of the prior: {', '.join(prior.names)}; of the model: {', '.join(wanted.free)}.",
             )
         options: dict[str, Any] = {"share": share, "per_case": per_case, "ranges": ranges}
         found = self._fitted(with_prior(study.data, prior), wanted, values, options)
@@ -446,13 +448,13 @@ class FitRequest:
         try:
             return robust_fit(wanted, data, self.loss, start=start, **options)
         except FittingError:
-            # the parent's values can be poor initial values of the new model: use the program's own
+            # the values of the previous fit can be poor initial values of the new model: use the defaults
             if start is None:
                 raise
             return robust_fit(wanted, data, self.loss, **options)
 
     def _choices(self, entry: Entry | None, wanted: Model) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Return parameters that are shared and per case: as in the fit that is changed, unless requested otherwise."""
+        """Return the shared and the per-case parameters: those of the modified fit, unless requested otherwise."""
         if entry is None:
             return self.share, self.per_case
         from fitting.inference._parameters import covers
@@ -467,7 +469,7 @@ class FitRequest:
 
     @property
     def change(self) -> str:
-        """The request as a short text, for the history."""
+        """Short description of the request, for the history."""
         steps = [
             *(f"+{a}" for a in self.add),
             *(f"-{d}" for d in self.drop),
@@ -477,7 +479,7 @@ class FitRequest:
         return " ".join(steps) or (self.model or "")
 
     def _wanted(self, study: Study, start: str | None) -> tuple[Model, Entry | None]:
-        """Return the model, and the entry of the ledger that it changes."""
+        """Return the model, and the entry of the ledger that it modifies."""
         from fitting.effects._library import REDUCED
 
         follows = self.model is None and (self.add or self.drop or start)
@@ -505,7 +507,7 @@ class FitRequest:
 
 
 def changed(model: Model, add: Sequence[str], drop: Sequence[str], own: Sequence[Effect]) -> Model:
-    """Return a model with effects added (by name or as `body: law`) and dropped."""
+    """Return a model with effects added (by name or as `body: law`) and removed."""
     from fitting.effects._user import resolve
 
     known = {e.name: e for e in own}

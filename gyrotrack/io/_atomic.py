@@ -1,8 +1,8 @@
-"""Atomic writing of every output file, and locks.
+"""Atomic writing of output files, and locks.
 
-An output is written to ``<name>.part`` in the same folder, flushed to the disk, and moved over the target. A killed
-process, a full disk, a file size limit or an interrupt leaves the old file, or none. The lock of a file is in the
-system's temporary folder, so that no lock file remains next to the data.
+An output is written to ``<name>.part`` in the same folder, flushed to the disk, and moved over the target. After a
+kill, an interrupt, or with a full disk, the old file is unchanged. The lock of a file is in the temporary folder of
+the system, so that no lock file remains next to the data.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ from filelock import FileLock, Timeout
 from gyrotrack._errors import DatasetError, GyrotrackError, OutputError
 
 LOCK_TIMEOUT = 10.0
-"""Time [s] after which waiting for a lock ends with an error."""
+"""Longest time to wait for a lock [s]."""
 
 
 @contextmanager
 def locked(path: Path, timeout: float | None = None) -> Iterator[None]:
-    """Hold the lock of `path` against other processes while the block runs.
+    """Hold the lock of `path` against other processes within the context.
 
     Parameters
     ----------
     path : Path
-        The file or folder; it need not exist, and is not touched.
+        The file or folder; it need not exist, and is not changed.
     timeout : float
         Longest time to wait [s]; `LOCK_TIMEOUT` by default.
 
     Raises
     ------
     OutputError
-        Another program holds the lock. A system without locks is no error.
+        Another program holds the lock. If the system does not support locks, there is no error.
     """
     timeout = LOCK_TIMEOUT if timeout is None else timeout
     with ExitStack() as stack:
@@ -53,7 +53,7 @@ def locked(path: Path, timeout: float | None = None) -> Iterator[None]:
 
 
 def _lock_of(path: Path) -> FileLock:
-    """Return the lock of a path, in a folder of the system's temporary one that belongs to this user alone."""
+    """Return the lock of a path, in a folder of this user in the temporary folder of the system."""
     user = getattr(os, "getuid", lambda: "")()
     folder = Path(tempfile.gettempdir()) / f"gyrotrack-locks-{user}"
     folder.mkdir(mode=0o700, exist_ok=True)
@@ -74,10 +74,10 @@ def busy(path: Path, waited: float = 0.0) -> OutputError:
 
 
 def refusal(path: Path, error: OSError) -> OutputError:
-    """Return the error with the reason why the system refuses to write `path`."""
+    """Return the error for a failed write, with its reason."""
     if error.errno in {errno.ENOSPC, errno.EDQUOT}:
         return OutputError(
-            f"{path} cannot be written: the disk is full.", "Free space, or choose another disk."
+            f"{path} cannot be written: the disk is full.", "Free some space, or use another disk."
         )
     if error.errno == errno.EFBIG:
         return OutputError(
@@ -108,25 +108,23 @@ def refuse_special(path: Path, error: type[GyrotrackError] = DatasetError) -> No
 
 
 def refuse_existing(path: Path, *, force: bool) -> None:
-    """Raise `OutputError` if `path` cannot be written: not a regular file, no folder, or it exists without `force`."""
+    """Raise `OutputError` if `path` is not a regular file, has no folder, or exists and `force` is not set."""
     refuse_special(path, OutputError)
     if not path.parent.is_dir():
         raise OutputError(f"The folder {path.parent} does not exist.", "Create it, or choose another folder.")
     if not force and (path.exists() or path.is_symlink()):
-        raise OutputError(f"{path} exists already.", "Use --force to replace it, or -o for another name.")
+        raise OutputError(f"{path} already exists.", "Use --force to replace it, or -o for another name.")
 
 
 @contextmanager
 def new_path(path: Path, *, force: bool = False) -> Iterator[Path]:
-    """Yield an empty temporary file, and move it to `path` when the block ends without an error.
-
-    For libraries that write to a name; `new_file` gives a stream.
+    """Yield the path of an empty temporary file, and move it to `path` when the context ends without an error.
 
     Raises
     ------
     OutputError
-        The target exists and `force` is not set, the folder does not exist, another program writes the same output,
-        or the system refuses to write.
+        The target exists and `force` is not set, its folder does not exist, another program writes the same output,
+        or the write fails.
     """
     path = Path(path)
     refuse_existing(path, force=force)
@@ -134,7 +132,7 @@ def new_path(path: Path, *, force: bool = False) -> Iterator[Path]:
     try:
         with locked(path, 0.0):
             refuse_special(part, OutputError)
-            part.unlink(missing_ok=True)  # of a killed process
+            part.unlink(missing_ok=True)  # remains of a killed process
             part.open("xb").close()
             own = part.stat().st_ino
             try:
@@ -155,14 +153,14 @@ def _publish(part: Path, path: Path, own: int, *, force: bool) -> None:
             raise busy(path)
     except FileNotFoundError:
         raise OutputError(
-            f"{path} cannot be written: its folder or drive is no longer there.",
+            f"{path} cannot be written: its folder or drive was removed.",
             "Reconnect the drive and run the command again.",
         ) from None
     with part.open("rb+") as stream:
         os.fsync(stream.fileno())
     refuse_existing(path, force=force)
     part.replace(path)
-    with suppress(OSError):  # makes the rename durable, where the system supports it
+    with suppress(OSError):  # makes the rename durable, if supported
         folder = os.open(path.parent, os.O_RDONLY)
         try:
             os.fsync(folder)
@@ -172,7 +170,7 @@ def _publish(part: Path, path: Path, own: int, *, force: bool) -> None:
 
 @contextmanager
 def new_file(path: Path, *, force: bool = False) -> Iterator[BinaryIO]:
-    """Yield a binary stream, and publish its content at `path` when the block ends without an error.
+    """Yield a binary stream, and move its content to `path` when the context ends without an error.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Checkpoint of a long run: the file from which a killed run resumes.
+"""Checkpoint of a long run: a file from which a killed run resumes.
 
 The file is an append-only log::
 
@@ -6,9 +6,9 @@ The file is an append-only log::
     record          length (8 bytes), CRC-32 (4 bytes), content       little endian
     content         length of the manifest (4 bytes), manifest, arrays
 
-The manifest is JSON: the facts of the record and name, type and shape of its arrays, whose bytes follow in that
-order. The first record identifies the run. A record cut short by a kill fails its checksum: it and what follows are
-dropped. HDF5 is not used because an HDF5 file does not survive a kill.
+The manifest is JSON: the metadata of the record ("facts"), and name, type and shape of its arrays, whose bytes follow
+in that order. The first record identifies the run. A truncated record fails its checksum and is dropped with all that
+follow. HDF5 is not used because a kill can make an HDF5 file unreadable.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ _LINE = b"gyrotrack journal 1\n"
 _HEAD = struct.Struct("<QI")
 _SIZE = struct.Struct("<I")
 _TYPES = frozenset({"<f8", "<f4", "<i8", "<i4", "<i2", "<u2", "|u1", "|i1", "|b1"})
-_LARGEST = 1 << 31
+_MAX_RECORD = 1 << 31
 
 
 @dataclass(frozen=True)
 class Record:
-    """One entry: facts as JSON holds them, and arrays by name."""
+    """One record: metadata of JSON types, and arrays by name."""
 
     facts: dict[str, Any]
     arrays: Arrays
@@ -59,7 +59,7 @@ class CheckpointFile:
     Parameters
     ----------
     output : Path
-        The output of the run; the checkpoint is a file in the same folder.
+        Output of the run; the checkpoint is in the same folder.
     facts : mapping
         Identity of the run: film, settings, version.
     resume : bool
@@ -68,12 +68,12 @@ class CheckpointFile:
     Attributes
     ----------
     other : bool
-        A checkpoint of another run has been replaced.
+        Whether a checkpoint of another run was replaced.
 
     Raises
     ------
     OutputError
-        Another program writes the same output, or the system refuses to write.
+        Another program writes the same output, or the write fails.
     """
 
     def __init__(self, output: Path, facts: Mapping[str, Any], *, resume: bool = False) -> None:
@@ -87,7 +87,7 @@ class CheckpointFile:
             try:
                 handle = os.open(self.path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666)
                 self._stream = stack.enter_context(os.fdopen(handle, "r+b"))
-                if not (resume and self._read_in()):
+                if not (resume and self._restore()):
                     self._start()
             except OSError as error:
                 raise refusal(self.path, error) from error
@@ -102,14 +102,14 @@ class CheckpointFile:
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close the file; remove it if no run can resume from it (no records, or an error of the input)."""
-        hopeless = isinstance(value, GyrotrackError) and not isinstance(value, OutputError)
-        if not len(self) or hopeless:
+        """Close the file; remove it if it has no records, or after an error of the input."""
+        unusable = isinstance(value, GyrotrackError) and not isinstance(value, OutputError)
+        if not len(self) or unusable:
             self.discard()
         self._open.close()
 
     def append(self, facts: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> None:
-        """Add a record; after this it survives a kill of the process."""
+        """Add a record and flush it."""
         try:
             self._stream.seek(self._ends[-1])
             self._stream.write(_packed(facts, arrays))
@@ -146,8 +146,8 @@ class CheckpointFile:
         self._stream.flush()
         self._ends = [self._stream.tell()]
 
-    def _read_in(self) -> bool:
-        """Find the whole records of an earlier run; False if there is none, or it was of another run."""
+    def _restore(self) -> bool:
+        """Find the complete records of an earlier run; False if there are none, or they are of another run."""
         size = os.fstat(self._stream.fileno()).st_size
         if not size or self._stream.read(len(_LINE)) != _LINE:
             self.other = size > 0
@@ -170,7 +170,7 @@ class CheckpointFile:
         if len(head) < _HEAD.size:
             return None
         length, check = _HEAD.unpack(head)
-        if not _SIZE.size <= length <= _LARGEST:
+        if not _SIZE.size <= length <= _MAX_RECORD:
             return None
         content = self._stream.read(length)
         return content if len(content) == length and zlib.crc32(content) == check else None

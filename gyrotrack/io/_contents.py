@@ -1,6 +1,6 @@
-"""Contents of a file: their consistency (`info`), and their export to other programs.
+"""Contents of a file: consistency check (`info`), and export to other programs.
 
-Exports are CSV, Parquet, netCDF, JSON, and text of OSP Tracker; `import` reads all of them back.
+The export formats are CSV, Parquet, netCDF, JSON and text of OSP Tracker; `import` reads all of them.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from gyrotrack.io._hdf5 import (
     read_kind,
     read_recording,
 )
-from gyrotrack.io._records import BodyTrack, Case, Column, Floats, Recording, Series, columns
+from gyrotrack.io._records import BodyTrack, Case, Column, Floats, Recording, Series, columns, windows_of
 from gyrotrack.io._schema import CASE, STATUS
 from gyrotrack.io._tables import attribute, check_storage, load
 
@@ -43,18 +43,18 @@ class Inspection:
     ----------
     kind : str
         "recording" or "case".
-    holds : dict
-        The contents in numbers, serialisable as JSON.
+    summary : dict
+        Summary of the contents, serialisable as JSON.
     problems : tuple of str
         Inconsistencies; empty for a consistent file.
     datasets_verified, chunks_verified : int
-        How many were re-read because of `verify`.
+        Number of datasets and chunks that were verified.
     """
 
     path: Path
     kind: str
     provenance: dict[str, Any]
-    holds: dict[str, Any]
+    summary: dict[str, Any]
     problems: tuple[str, ...]
     datasets_verified: int = 0
     chunks_verified: int = 0
@@ -62,7 +62,7 @@ class Inspection:
 
 
 def inspect_file(path: Path, *, verify: bool = False) -> Inspection:
-    """Read a file of this format and return its contents in numbers.
+    """Read a recording or a case, and return a summary of its contents.
 
     Parameters
     ----------
@@ -83,16 +83,16 @@ def inspect_file(path: Path, *, verify: bool = False) -> Inspection:
         content: Recording | Case
         if kind == layout.CASE:
             content = load_case(file)
-            holds, problems = describe_case(content), _case_problems(content)
+            summary, problems = describe_case(content), _case_problems(content)
         else:
             content = load_recording(file)
-            holds, problems = describe_recording(content), _recording_problems(content)
+            summary, problems = describe_recording(content), _recording_problems(content)
         verified = [_chunks(dataset) for dataset in _datasets(file, set())] if verify else []
     return Inspection(
         path=Path(path),
         kind=kind,
         provenance=provenance,
-        holds=holds,
+        summary=summary,
         problems=tuple(problems),
         datasets_verified=len(verified),
         chunks_verified=sum(verified),
@@ -101,7 +101,7 @@ def inspect_file(path: Path, *, verify: bool = False) -> Inspection:
 
 
 def describe_recording(recording: Recording) -> dict[str, Any]:
-    """Return size, duration, markers and bodies of a clip in numbers."""
+    """Return a summary of a recording: size, duration, markers and bodies."""
     names = ("source", "width", "height", "capture_fps", "container_fps", "sense", "body")
     out: dict[str, Any] = {name: getattr(recording, name) for name in names}
     out["times_from"] = str(recording.extra.get("times_from", "frames"))
@@ -116,16 +116,14 @@ def describe_recording(recording: Recording) -> dict[str, Any]:
 
 
 def describe_case(case: Case) -> dict[str, Any]:
-    """Return the label, inertias, series, windows and clips of a case in numbers."""
+    """Return a summary of a case: label, inertias, series, windows and clips."""
     out: dict[str, Any] = {
         name: getattr(case, name)
         for name in ("label", "surface", "I_rotor", "I_casing", "quantity", "bodies", "per_inertia")
     }
     key = "omega_sigma" if case.quantity == "omega" else "sigma"
     out["casing"] = {**describe_motion(case.casing, key=key), "sigma_source": case.casing.sigma_source}
-    windows = (
-        case.rotor.window if case.rotor.window is not None else np.zeros(len(case.rotor.time), dtype=int)
-    )
+    windows = windows_of(case.rotor)
     out["rotor"] = {
         "samples": len(case.rotor.time),
         "sigma_source": case.rotor.sigma_source,
@@ -147,7 +145,7 @@ def describe_case(case: Case) -> dict[str, Any]:
 def describe_motion(
     track: BodyTrack | Series, chosen: Any = slice(None), key: str = "sigma"
 ) -> dict[str, Any]:
-    """Return the times, angular velocities and median sigma of a body (`key`: sigma of the angle or of the speed)."""
+    """Return number of samples, range of time and speed, and median uncertainty (`key`: of the angle or the speed)."""
     time, omega, sigma = track.time[chosen], track.omega[chosen], getattr(track, key)[chosen]
     fast = omega[np.isfinite(omega)]
     known = sigma[np.isfinite(sigma)]
@@ -168,9 +166,9 @@ def _duration(time: Floats) -> float:
 def _recording_problems(recording: Recording) -> list[str]:
     found = []
     if recording.sense not in {-1, 1}:
-        found.append(f"its sense is {recording.sense}, not +1 or -1")
+        found.append(f"the sense is {recording.sense}, not +1 or -1")
     if not len(recording.frame_index):
-        found.append("it holds no frames")
+        found.append("there are no frames")
     if recording.frames_decoded != len(recording.frame_index):
         found.append(
             f"{recording.frames_decoded} frames were decoded but {len(recording.frame_index)} are stored"
@@ -181,7 +179,7 @@ def _recording_problems(recording: Recording) -> list[str]:
             found.append(f"marker '{name}' has a status that is not defined")
     for name, body in recording.bodies.items():
         found += _motion_problems(name, body.time, body.angle, body.sigma)
-    return found or ([] if recording.bodies else ["no body's angle was found in it"])
+    return found or ([] if recording.bodies else ["there is no angle of a body"])
 
 
 def _case_problems(case: Case) -> list[str]:
@@ -189,9 +187,7 @@ def _case_problems(case: Case) -> list[str]:
     if not (case.I_rotor > 0 and case.I_casing > 0):
         found.append("a moment of inertia is not positive")
     found += _motion_problems("casing", case.casing.time, case.casing.angle, case.casing.sigma)
-    windows = (
-        case.rotor.window if case.rotor.window is not None else np.zeros(len(case.rotor.time), dtype=int)
-    )
+    windows = windows_of(case.rotor)
     if not len(case.rotor.time) and case.bodies != "one":
         found.append("the rotor has no samples")
     for k in np.unique(windows):
@@ -206,10 +202,10 @@ def _case_problems(case: Case) -> list[str]:
 
 def _motion_problems(name: str, time: Floats, angle: Floats, sigma: Floats) -> list[str]:
     found = _time_problems(name, time)
-    seen = np.isfinite(angle)
-    if not seen.any():
+    valid = np.isfinite(angle)
+    if not valid.any():
         found.append(f"{name} has no angles")
-    elif not (sigma[seen] > 0).all():
+    elif not (sigma[valid] > 0).all():
         found.append(f"{name} has angles without a positive uncertainty")
     return found
 
@@ -227,7 +223,7 @@ def _time_problems(name: str, time: Floats) -> list[str]:
 
 
 def _datasets(group: Any, seen: set[int]) -> Iterator[Any]:
-    """Walk all datasets below `group` by hard links, each group once."""
+    """Yield all datasets below `group`, following hard links only, each group once."""
     for name in group:
         if not isinstance(group.get(name, getlink=True), h5py.HardLink):
             continue
@@ -240,7 +236,7 @@ def _datasets(group: Any, seen: set[int]) -> Iterator[Any]:
 
 
 def _chunks(dataset: Any) -> int:
-    """Read a dataset, which compares every chunk with its checksum, and return how many chunks it has."""
+    """Read a dataset, which verifies the checksum of every chunk, and return the number of chunks."""
     check_storage(dataset)
     load(dataset)
     return int(dataset.id.get_num_chunks()) if dataset.chunks else 1
@@ -251,18 +247,18 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 
 def export_file(source: Path, target: Path, *, table: str = "motion", force: bool = False) -> dict[str, Any]:
-    """Write a recording or a case in the form that the suffix of `target` names.
+    """Write a recording or a case in the format of the suffix of `target`.
 
     Parameters
     ----------
     source : Path
         A recording or a case.
     target : Path
-        ``.csv`` (units in the header, numbers with all their digits, empty cells for NaN), ``.parquet`` (units
-        in the fields' metadata), ``.json`` (columns and units), ``.txt`` (OSP Tracker: a point on the unit circle for
-        each body) or ``.nc`` (netCDF-4 with everything that the file holds).
+        ``.csv`` (units in the header, numbers with all digits, empty cells for NaN), ``.parquet`` (units in the
+        metadata of the fields), ``.json`` (columns and units), ``.txt`` (OSP Tracker: a point on the unit circle for
+        each body) or ``.nc`` (netCDF-4 with the complete contents).
     table : str
-        Which table of `columns`; netCDF takes them all.
+        Table of `columns`; netCDF contains all of them.
     force : bool
         Replace an existing file.
 
@@ -276,12 +272,12 @@ def export_file(source: Path, target: Path, *, table: str = "motion", force: boo
     DatasetError, OutputError
         The source cannot be read, or the target not written.
     UsageError
-        The suffix or the table is none of those known, or a library for it is not installed.
+        The suffix or the table is unknown, or a library for it is not installed.
     """
     form = FORMATS.get(target.suffix.lower())
     if form is None:
         raise UsageError(
-            f"{target.name} has a suffix that is no known format.", f"Known: {', '.join(FORMATS)}."
+            f"{target.name} has the suffix of no known format.", f"Known suffixes: {', '.join(FORMATS)}."
         )
     kind = read_kind(source)
     if form is _netcdf:
@@ -312,7 +308,7 @@ def _cells(column: Column, rows: slice) -> list[str]:
 
 
 def plain_cell(text: str) -> str:
-    """Return a text that no spreadsheet interprets as a formula."""
+    """Return a text that a spreadsheet does not interpret as a formula."""
     return "'" + text if text.startswith(_FORMULA) else text
 
 
@@ -321,7 +317,7 @@ def _parquet(made: Sequence[Column], stream: BinaryIO) -> None:
         import pyarrow as pa
         import pyarrow.parquet as pq
     except ImportError:
-        raise _lacking("Parquet", "pyarrow") from None
+        raise _missing_library("Parquet", "pyarrow") from None
     words = [c.values.dtype.kind == "O" for c in made]
     arrays = [
         pa.array(c.values.tolist() if w else np.asarray(c.values)) for c, w in zip(made, words, strict=True)
@@ -343,10 +339,10 @@ def _json(made: Sequence[Column], stream: BinaryIO) -> None:
 
 
 def _tracker(made: Sequence[Column], stream: BinaryIO) -> None:
-    """Write a track for each body, cos and sin of its angle about the track "origin", at the times of all bodies."""
+    """Write a track of each body, (cos, sin) of its angle about the track "origin", at the times of all bodies."""
     columns = {c.name: c.values for c in made}
     if not {"body", "time", "angle"} <= set(columns):
-        raise UsageError("A text of OSP Tracker holds angles of bodies only.", "Export --table motion.")
+        raise UsageError("Text of OSP Tracker can contain angles of bodies only.", "Use --table motion.")
     bodies = list(dict.fromkeys(columns["body"].tolist()))
     times = np.unique(columns["time"])
     places = np.full((len(times), 2 * len(bodies)), np.nan)
@@ -366,13 +362,13 @@ def _netcdf(source: Path, target: Path, *, force: bool) -> dict[str, Any]:
         import h5netcdf  # noqa: F401 - xarray's engine
         import xarray as xr
     except ImportError:
-        raise _lacking("netCDF", "xarray and h5netcdf") from None
+        raise _missing_library("netCDF", "xarray and h5netcdf") from None
     with new_file(target, force=force) as stream, xr.open_datatree(source, engine="h5netcdf") as tree:
         stream.write(tree.to_netcdf(engine="h5netcdf"))
         return {"groups": [node.path for node in tree.subtree if node.data_vars]}
 
 
-def _lacking(form: str, libraries: str) -> UsageError:
+def _missing_library(form: str, libraries: str) -> UsageError:
     return UsageError(
         f"{form} needs {libraries}, not installed here.", 'Install them: pip install "gyrotrack[notebook]"'
     )

@@ -1,10 +1,8 @@
-"""Writing and reading recordings and cases by the schema.
+"""Writes and reads recordings and cases according to the schema.
 
-External links, external storage and arrays larger than their stored bytes are refused (see `_validation`).
-
-HDF5 ends the process when a write fails inside it, or when Python raises an error inside one. Therefore no write fails
-here: the first error of the disk is kept, later writes go to memory until the library has closed the file, and an
-interrupt by the user is deferred until then. Every file ends with a checksum line.
+HDF5 ends the process if a write fails, or if Python raises an error during a write. Therefore writes do not fail here:
+the first error of the disk is stored, later writes go to memory until the library has closed the file, and an interrupt
+by the user is deferred until then. Every file ends with a checksum line.
 """
 
 from __future__ import annotations
@@ -41,12 +39,12 @@ MAX_MEMBERS = 64
 
 
 class WriteBuffer:
-    """A binary file whose writes do not fail: after the first error of the disk the data are kept in memory.
+    """A binary file whose writes do not fail: after an error of the disk the data are kept in memory.
 
     Parameters
     ----------
     raw : RawIOBase
-        Open for reading and writing, without a buffer.
+        Unbuffered stream for reading and writing.
 
     Attributes
     ----------
@@ -101,7 +99,7 @@ class WriteBuffer:
 
 @contextmanager
 def deferred_interrupts() -> Iterator[None]:
-    """Defer an interrupt by the user (SIGINT) to the end of the block."""
+    """Defer an interrupt by the user (SIGINT) to the end of the context."""
     before = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or not callable(before):
         yield
@@ -116,12 +114,12 @@ def deferred_interrupts() -> Iterator[None]:
             before(*received[0])
 
 
-LIBVER = ("v110", "v110")  # metadata carry checksums from this layout on
+LIBVER = ("v110", "v110")  # the first with checksums of the metadata
 
 
 @contextmanager
 def new_hdf5(path: Path, *, force: bool = False) -> Iterator[Any]:
-    """Yield an empty HDF5 file, and publish it at `path` when the block ends without an error.
+    """Yield an empty HDF5 file, and move it to `path` when the context ends without an error.
 
     Raises
     ------
@@ -137,21 +135,20 @@ def new_hdf5(path: Path, *, force: bool = False) -> Iterator[Any]:
             if buffer.error is not None:
                 raise buffer.error
         stream.seek(0)
-        line = checksum_line(stream)
-        stream.write(line)
+        stream.write(checksum_line(stream))
 
 
 def write_recording(
     path: Path, recording: Recording, *, command: str, settings: Mapping[str, Any], force: bool = False
 ) -> Path:
-    """Write the tracking of a clip to an HDF5 file atomically.
+    """Write a recording to an HDF5 file atomically.
 
     Parameters
     ----------
     path : Path
         The output; an existing file is replaced only with `force`.
     recording : Recording
-        Tracking of one clip.
+        The recording.
     command : str
         The command line, stored in the file.
     settings : mapping
@@ -214,14 +211,14 @@ def members(group: Any, name: str) -> list[tuple[str, Any]]:
     parent = child_group(group, name)
     if len(parent) > MAX_MEMBERS:
         raise DatasetError(
-            f"{group.file.filename} has {len(parent)} members in '{name}'; at most {MAX_MEMBERS} are read.",
+            f"{group.file.filename} has {len(parent)} members in '{name}'; at most {MAX_MEMBERS} are allowed.",
             "The file is not in this layout.",
         )
     return [(member, child_group(parent, member)) for member in parent]
 
 
 def load_json(group: Any, name: str, default: Any) -> Any:
-    """Return a JSON attribute, which must be of the same type as `default`."""
+    """Return a JSON attribute, which must have the type of `default`."""
     text = attribute(group, name, str, json.dumps(default))
     try:
         value = json.loads(text)
@@ -238,7 +235,7 @@ def load_json(group: Any, name: str, default: Any) -> Any:
 def write_case(
     path: Path, case: Case, *, command: str, settings: Mapping[str, Any], force: bool = False
 ) -> Path:
-    """Write one experiment to an HDF5 file atomically.
+    """Write a case to an HDF5 file atomically.
 
     Parameters
     ----------
@@ -247,9 +244,9 @@ def write_case(
     case : Case
         Measured series [rad, rad/s, s] and moments of inertia [kg m2].
     command : str
-        The command line that made it, kept for provenance.
+        The command line, stored in the file.
     settings : mapping
-        Everything that shaped the result, kept as JSON.
+        Settings that determine the result, serialisable as JSON.
     force : bool
         Replace an existing file.
 
@@ -269,7 +266,7 @@ def write_case(
             write_table(group, layout.SERIES if series.window is None else layout.WINDOWED, series)
             if case.quantity == "omega":
                 group["angle"].attrs["comment"] = (
-                    "integral of the measured angular velocity; its start is arbitrary"
+                    "integral of the measured angular velocity, with an arbitrary constant"
                 )
         if case.rotor_generated is not None:
             write_table(file.create_group("rotor_generated"), layout.GENERATED, case.rotor_generated)
@@ -311,7 +308,7 @@ def _load_placement(group: Any, name: str) -> Placement:
 
 
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
-_MAKE_AGAIN = "Make it again with `gyrotrack extract`, `sync` or `import`."
+_RECREATE = "Create it again with `gyrotrack extract`, `sync` or `import`."
 
 
 def read_kind(path: Path) -> str:
@@ -339,12 +336,12 @@ def read_settings(path: Path) -> dict[str, Any]:
 
 
 def read_recording(path: Path) -> Recording:
-    """Read what `extract` wrote.
+    """Read a recording, as written by `extract`.
 
     Parameters
     ----------
     path : Path
-        A recording (HDF5).
+        The HDF5 file.
 
     Raises
     ------
@@ -356,12 +353,12 @@ def read_recording(path: Path) -> Recording:
 
 
 def read_case(path: Path) -> Case:
-    """Read what `sync` or `import` wrote.
+    """Read a case, as written by `sync` or `import`.
 
     Parameters
     ----------
     path : Path
-        A case (HDF5).
+        The HDF5 file.
 
     Raises
     ------
@@ -374,26 +371,23 @@ def read_case(path: Path) -> Case:
 
 @contextmanager
 def open_dataset(path: Path, kind: str | None = None) -> Iterator[Any]:
-    """Open a file of this format for reading, after checking what it is.
+    """Validate a file of this format and open it for reading.
 
-    Errors of HDF5 inside the block become a `DatasetError`.
+    Errors of HDF5 within the context become a `DatasetError`.
     """
     path = Path(path)
     _check_signature(path)
     if checksum_fails(path):
-        raise DatasetError(f"{path} is damaged: the checksum does not match the contents.", _MAKE_AGAIN)
+        raise DatasetError(f"{path} is damaged: the checksum does not match the contents.", _RECREATE)
     if has_endless_heap(path):
-        raise DatasetError(f"{path} is damaged: corrupt string heap.", _MAKE_AGAIN)
+        raise DatasetError(f"{path} is damaged: corrupt string heap.", _RECREATE)
     try:
         file = h5py.File(path, "r")
     except OSError as error:
         if "unable to lock" in str(error):
-            message, hint = (
-                f"{path} is locked by another program.",
-                "Wait until it has finished.",
-            )
+            message, hint = f"{path} is locked by another program.", "Wait until it has finished."
         else:
-            message, hint = f"{path} is damaged or cut short.", _MAKE_AGAIN
+            message, hint = f"{path} is damaged or truncated.", _RECREATE
         raise DatasetError(message, hint) from error
     try:
         with file:
@@ -401,7 +395,7 @@ def open_dataset(path: Path, kind: str | None = None) -> Iterator[Any]:
             check_tree(file)
             yield file
     except (OSError, RuntimeError, KeyError, ValueError, UnicodeError, MemoryError) as error:
-        raise DatasetError(f"{path} is damaged: {_first_line(error)}.", _MAKE_AGAIN) from error
+        raise DatasetError(f"{path} is damaged: {_first_line(error)}.", _RECREATE) from error
 
 
 def _check_signature(path: Path) -> None:
@@ -414,37 +408,35 @@ def _check_signature(path: Path) -> None:
     except OSError as error:
         raise DatasetError(f"{path} cannot be read: {error.strerror}.", "Give the name of a file.") from error
     if not head:
-        raise DatasetError(f"{path} is empty.", _MAKE_AGAIN)
+        raise DatasetError(f"{path} is empty.", _RECREATE)
     if head != _SIGNATURE:
         raise DatasetError(
             f"{path} is not an HDF5 file.",
-            "Tables go through `gyrotrack import`, films through `gyrotrack extract`.",
+            "Use `gyrotrack import` for tables, `gyrotrack extract` for films.",
         )
 
 
 def _check_root(file: Any, path: Path, kind: str | None) -> None:
     if attribute(file, "format", str, "?") != layout.FORMAT:
         raise DatasetError(
-            f"{path} is an HDF5 file, but not one of gyrotrack.", "Its attribute 'format' is missing."
+            f"{path} is an HDF5 file, but was not written by gyrotrack.", "The attribute 'format' is missing."
         )
     version = attribute(file, "format_version", str)
     major = version.partition(".")[0]
     if not major.isdecimal():
-        raise DatasetError(f"{path} has no valid format version ({version!r}).", _MAKE_AGAIN)
+        raise DatasetError(f"{path} has no valid format version ({version!r}).", _RECREATE)
     if int(major) < 1:
-        raise DatasetError(
-            f"{path} has the layout {version}, from before the first that is read (1.0).", _MAKE_AGAIN
-        )
+        raise DatasetError(f"{path} has the layout {version}; the oldest supported one is 1.0.", _RECREATE)
     if int(major) > int(layout.FORMAT_VERSION.partition(".")[0]):
         raise DatasetError(
-            f"{path} has the layout {version}, newer than {layout.FORMAT_VERSION} that this program knows.",
+            f"{path} has the layout {version}; the newest supported one is {layout.FORMAT_VERSION}.",
             "Update gyrotrack.",
         )
     found = attribute(file, "kind", str)
     if found not in {layout.RECORDING, layout.CASE} or (kind is not None and found != kind):
         wanted = kind or "recording or case"
-        hint = {layout.CASE: "Make a case with `gyrotrack sync` or `gyrotrack import`."}.get(
-            wanted, "Make a recording with `gyrotrack extract`."
+        hint = {layout.CASE: "Create a case with `gyrotrack sync` or `gyrotrack import`."}.get(
+            wanted, "Create a recording with `gyrotrack extract`."
         )
         raise DatasetError(f"{path} is a {found}, not a {wanted}.", hint)
 

@@ -1,9 +1,8 @@
 """Recordings and cases in memory.
 
-A `Recording` is one clip: its frames, its markers, and the angle of each body seen in it. A `Case` is one
-experiment: the casing and the rotor as `Series` on the clock of the casing's camera, with the recordings that
-they came from and the `Placement` of each on that clock. SI units; angles in rad, growing in the sense in
-which the bodies turn; lengths in the image in px. A missing number is NaN, never zero.
+A `Recording` is one clip: frames, markers, and the angle of each body. A `Case` is one experiment: casing and rotor as
+`Series` on the clock of the casing camera, with their recordings and the `Placement` of each on that clock. SI units;
+angles in rad, increasing in the sense of rotation; lengths in the image in px. Missing values are NaN.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ Codes = npt.NDArray[np.int8]
 
 
 class _Tabular:
-    """Content that can be written as tables."""
+    """Content that can be exported as tables."""
 
     def to_dataframe(self, table: str = "motion") -> Any:
         """Return a table as a pandas DataFrame; ``attrs["units"]`` has the units of its columns.
@@ -33,7 +32,7 @@ class _Tabular:
         Parameters
         ----------
         table : {"motion", "markers", "frames"}
-            Bodies, every marker, or every frame.
+            Motion of the bodies, every marker, or every frame.
 
         Raises
         ------
@@ -60,20 +59,20 @@ class MarkerTrack:
     Attributes
     ----------
     name, body : str
-        The marker's name, and the body that carries it, "casing" or "rotor".
+        Name of the marker, and its body, "casing" or "rotor".
     mount_angle : float
-        Its angle on the body [rad].
+        Angle of the marker on the body [rad].
     corner : ndarray, shape (n, 2, 2)
         The two corners nearest to the centre: frame, side, (x, y) [px].
     delta, rho, beta : ndarray, shape (n,)
         Length of the base [px], radius [px], angle between them [rad].
     angle, sigma : ndarray, shape (n,)
-        Mean angle of the corners, wrapped [rad], and the paper's uncertainty of it,
+        Mean angle of the corners, wrapped [rad], and its uncertainty as in the paper,
         sqrt((30 u_r)^2 + (150 u_1)^2 + (150 u_2)^2) [rad].
     u_r, u_1, u_2 : ndarray, shape (n,)
         The three parts of that uncertainty [1, rad, rad].
     status : ndarray of int8, shape (n,)
-        One of the values of `STATUS`.
+        A value of `STATUS`.
     angle_fine, sigma_calibrated : ndarray, shape (n,)
         The more accurate estimate of the angle, wrapped, and its calibrated uncertainty [rad].
     """
@@ -104,15 +103,15 @@ class BodyTrack:
     name : str
         "casing" or "rotor".
     time, angle : ndarray, shape (m,)
-        Time on the clip's own clock [s], and the unwrapped angle [rad].
+        Time on the clock of the clip [s], and the unwrapped angle [rad].
     sigma, sigma_paper : ndarray, shape (m,)
         The calibrated uncertainty of the angle, and that of the paper's formula [rad].
     n_markers : ndarray of int64, shape (m,)
         Number of markers combined.
     omega, omega_sigma : ndarray, shape (m,)
-        Angular velocity and its uncertainty after the median smoothing [rad s-1].
+        Angular velocity, smoothed by running medians, and its uncertainty [rad s-1].
     smoothing_width : int
-        Points of that median.
+        Points of the medians.
     """
 
     name: str
@@ -128,7 +127,7 @@ class BodyTrack:
 
 @dataclass(frozen=True)
 class Recording(_Tabular):
-    """One clip: n decoded frames, the markers found in them, and the bodies' angles.
+    """One clip: n decoded frames, the detected markers, and the angles of the bodies.
 
     Attributes
     ----------
@@ -139,11 +138,11 @@ class Recording(_Tabular):
     centre, centre_sigma : ndarray, shape (n, 2)
         Centre of rotation and its standard uncertainty [px].
     sense : {1, -1}
-        Factor that was applied to the angles as seen in the image.
+        Factor that was applied to the angles in the image.
     markers, bodies : dict
-        Every marker, and the bodies' angles.
+        Markers and bodies by name.
     extra : dict
-        Further facts that JSON can hold.
+        Further metadata, serialisable as JSON.
     """
 
     source: str
@@ -174,15 +173,15 @@ class Series:
     Attributes
     ----------
     time : ndarray
-        Time on the clock of the casing's camera [s], increasing within a window.
+        Time on the clock of the casing camera [s], increasing within a window.
     angle, sigma : ndarray
-        Unwrapped angle and its uncertainty [rad]; the constant is free for each window.
+        Unwrapped angle and its uncertainty [rad]; each window has an arbitrary constant.
     omega, omega_sigma : ndarray
         Smoothed angular velocity and its uncertainty [rad s-1].
     turn : ndarray of int64
         Whole turns in the angle, floor(angle / 2 pi).
     window : ndarray of int64, or None
-        Which rotor clip a sample came from; None for the casing.
+        Index of the rotor clip of each sample; None for the casing.
     sigma_source : str
         "measured" (by tracking), "given" (in a table), "estimated" (from the scatter), or "mixed".
     """
@@ -197,12 +196,17 @@ class Series:
     sigma_source: str = "measured"
 
 
+def windows_of(series: Series) -> Integers:
+    """Return the window of each sample; 0 for a series without windows."""
+    return series.window if series.window is not None else np.zeros(len(series.time), dtype=np.int64)
+
+
 @dataclass(frozen=True)
 class Placement:
     """The clock of a clip relative to that of the case: t_case = clock_offset + clock_rate * t_clip.
 
-    `angle_offset` [rad] is added to the clip's angles to refer them to the casing camera's zero.
-    `ambiguous`: another start of the clip cannot be excluded.
+    `angle_offset` [rad] is added to the angles of the clip, so that their zero is that of the casing camera.
+    `ambiguous`: the start of the clip is not unique.
     """
 
     id: str
@@ -217,7 +221,7 @@ class Placement:
 
 @dataclass(frozen=True)
 class GeneratedCurve:
-    """A rotor curve without gaps, computed by a method, not measured: time [s], omega [rad s-1]."""
+    """A computed rotor curve without gaps: time [s], omega [rad s-1]."""
 
     time: Floats
     omega: Floats
@@ -235,7 +239,7 @@ class Case(_Tabular):
     I_rotor_u, I_casing_u : float
         Their standard uncertainties [kg m2]; NaN if not given.
     quantity : {"angle", "omega"}
-        What was measured; with "omega" the angle is its integral.
+        Measured quantity; with "omega" the angle is its integral.
     bodies : {"two", "one"}
         With "one" the series `casing` is that of the single body, and `rotor` is empty.
     per_inertia : int
@@ -260,12 +264,12 @@ class Case(_Tabular):
     I_casing_u: float = math.nan
 
 
-_WORDS = np.array(list(STATUS), dtype=object)
+_STATUS_NAMES = np.array(list(STATUS), dtype=object)
 
 
 @dataclass(frozen=True)
 class Column:
-    """One column: its name, its unit ("" for text), and a value for each row."""
+    """One column: name, unit ("" for text), and a value for each row."""
 
     name: str
     unit: str
@@ -292,8 +296,8 @@ def columns(content: Recording | Case, table: str = "motion") -> tuple[Column, .
     content : Recording or Case
         Source of the columns.
     table : {"motion", "markers", "frames"}
-        The angles and speeds of the bodies; every marker in every frame; the frames of each clip. The rows of
-        several bodies, markers or clips follow one another and are distinguished by the first columns.
+        Angles and speeds of the bodies; every marker in every frame; the frames of each clip. Several bodies, markers
+        or clips are concatenated and identified by the first columns.
 
     Returns
     -------
@@ -303,13 +307,13 @@ def columns(content: Recording | Case, table: str = "motion") -> tuple[Column, .
     Raises
     ------
     UsageError
-        There is no such table, or nothing in it.
+        The table is unknown or empty.
     """
     if table not in TABLES:
         raise UsageError(f"Unknown table '{table}'.", f"Use one of {', '.join(TABLES)}.")
     parts = TABLES[table](content)
     if not parts:
-        raise UsageError(f"The file contains no {table}.", "Only recordings of films do.")
+        raise UsageError(f"The file contains no {table}.", "Only recordings of films contain them.")
     return tuple(
         Column(c.name, c.unit, np.concatenate([part[i].values for part in parts]))
         for i, c in enumerate(parts[0])
@@ -319,24 +323,25 @@ def columns(content: Recording | Case, table: str = "motion") -> tuple[Column, .
 def _motion(content: Recording | Case) -> list[list[Column]]:
     if isinstance(content, Recording):
         return [
-            [_word("body", name, len(body.time)), *_of(BODY, vars(body))]
+            [_constant("body", name, len(body.time)), *_schema_columns(BODY, vars(body))]
             for name, body in content.bodies.items()
         ]
     parts = []
     for name, series in (("casing", content.casing), ("rotor", content.rotor)):
-        rows = len(series.time)
-        window = series.window if series.window is not None else np.zeros(rows, dtype=np.int64)
-        parts.append([_word("body", name, rows), Column("window", "1", window), *_of(SERIES, vars(series))])
+        label = _constant("body", name, len(series.time))
+        parts.append(
+            [label, Column("window", "1", windows_of(series)), *_schema_columns(SERIES, vars(series))]
+        )
     return [part for part in parts if len(part[0].values)]
 
 
 def _markers(content: Recording | Case) -> list[list[Column]]:
     return [
         [
-            _word("clip", clip, len(recording.time)),
-            _word("marker", name, len(recording.time)),
-            _word("body", marker.body, len(recording.time)),
-            *_of(MARKER, {**vars(marker), "frame": recording.frame_index}),
+            _constant("clip", clip, len(recording.time)),
+            _constant("marker", name, len(recording.time)),
+            _constant("body", marker.body, len(recording.time)),
+            *_schema_columns(MARKER, {**vars(marker), "frame": recording.frame_index}),
         ]
         for clip, recording in _clips(content).items()
         for name, marker in recording.markers.items()
@@ -346,8 +351,8 @@ def _markers(content: Recording | Case) -> list[list[Column]]:
 def _frames(content: Recording | Case) -> list[list[Column]]:
     return [
         [
-            _word("clip", clip, len(r.time)),
-            *_of(FRAME, {**vars(r), "frame": r.frame_index, "index": r.frame_index}),
+            _constant("clip", clip, len(r.time)),
+            *_schema_columns(FRAME, {**vars(r), "frame": r.frame_index, "index": r.frame_index}),
         ]
         for clip, r in _clips(content).items()
     ]
@@ -364,17 +369,17 @@ def _clips(content: Recording | Case) -> dict[str, Recording]:
     return {content.source: content} if isinstance(content, Recording) else content.recordings
 
 
-def _word(name: str, word: str, rows: int) -> Column:
+def _constant(name: str, word: str, rows: int) -> Column:
     return Column(name, "", np.full(rows, word, dtype=object))
 
 
-def _of(table: Table, values: Mapping[str, Any]) -> list[Column]:
+def _schema_columns(table: Table, values: Mapping[str, Any]) -> list[Column]:
     """Return the fields of a table; a field with several numbers per sample becomes several columns."""
     made = []
     for f in table.fields:
         value = np.asarray(values[f.name])
         if f.name == "status":
-            made.append(Column(f.name, "", _WORDS[value]))
+            made.append(Column(f.name, "", _STATUS_NAMES[value]))
         elif value.ndim == 1:
             made.append(Column(f.name, f.units, value))
         else:

@@ -1,8 +1,8 @@
-"""The HDF5 schema: names, types, dimensions, units and meanings of everything in a file.
+"""The HDF5 schema: names, types, dimensions, units and meanings of all datasets and attributes.
 
-Writing, reading, checking and docs/format.md follow from the tables in this module. A `Field` is one HDF5 dataset
-and an `Attribute` one scalar attribute of its group. The dimensions become dimension scales: one that is also a
-field (time, frame) is a coordinate with values, the others (side, xy) are indices.
+Writing, reading, validation and docs/reference/format.md use the tables in this module. A `Field` is one HDF5 dataset,
+an `Attribute` one scalar attribute of its group. Dimensions become dimension scales: those that are also fields (time,
+frame) are coordinates, the others (side, xy) are indices.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ STATUS = {"ok": 0, "blurred": 1, "occluded": 2, "out_of_frame": 3, "lost": 4}
 
 @dataclass(frozen=True)
 class Field:
-    """One dataset: its name, dimensions, number type, unit, meaning, and further attributes."""
+    """One dataset: name, dimensions, type, unit, meaning, and further attributes."""
 
     name: str
     dims: tuple[str, ...]
@@ -33,9 +33,9 @@ class Field:
 
 @dataclass(frozen=True)
 class Attribute:
-    """One scalar attribute; without a default it is required, and a NaN is not written.
+    """One scalar attribute, required unless it has a default; a NaN is not written.
 
-    `field` is the name of the field of the record in memory, if it differs.
+    `field` is the name in the record in memory, if it differs.
     """
 
     name: str
@@ -47,13 +47,13 @@ class Attribute:
 
     @property
     def key(self) -> str:
-        """The name of the field of the record in memory."""
+        """Name in the record in memory."""
         return self.field or self.name
 
 
 @dataclass(frozen=True)
 class Table:
-    """The datasets of one kind of group, its attributes, and its natural plot (NXdata signal; axes follow)."""
+    """The datasets and attributes of a group, and the default plot (NXdata signal)."""
 
     fields: tuple[Field, ...]
     signal: str
@@ -208,11 +208,11 @@ GROUPS = (
     ("`/rotor` of a case: all windows", WINDOWED),
     ("`/rotor_generated` of a case, only if one was requested", GENERATED),
 )
-"""All tables of a file with their paths, for docs/format.md."""
+"""All tables of a file with their paths, for docs/reference/format.md."""
 
 ATTRIBUTES = (
     ("Attributes of a recording", RECORDING_ATTRIBUTES),
     ("Attributes of a case", CASE_ATTRIBUTES),
     ("Further attributes of `/recording/<name>` in a case", PLACEMENT_ATTRIBUTES),
 )
-"""All attributes of groups that are not tables, for docs/format.md."""
+"""All attributes of groups that are not tables, for docs/reference/format.md."""

@@ -1,7 +1,7 @@
-"""Tables and attributes of the schema as HDF5 datasets and attributes.
+"""Writes and reads the tables and attributes of the schema.
 
-Before a dataset is read, it must be stored in the file itself, have the declared type and dimensions, and not claim
-more bytes than its stored chunks can hold.
+Before a dataset is read, it is checked that it is stored in the file itself, has the declared type and dimensions, and
+is not larger than its stored chunks can be.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from gyrotrack.io import _schema as layout
 from gyrotrack.io._schema import LENGTH_ONLY, Attribute, Field, Table
 from gyrotrack.io._validation import check_bytes, location, own_member
 
-CHUNK = 8192  # values along the first dimension: 64 kB a column, whole short clips in one chunk
+CHUNK = 8192  # values along the first dimension: 64 kB per column
 
 
 def write_table(group: Any, table: Table, record: Any, **extra: npt.ArrayLike) -> None:
@@ -32,7 +32,7 @@ def write_table(group: Any, table: Table, record: Any, **extra: npt.ArrayLike) -
     Parameters
     ----------
     record : object
-        Has a field for each dataset and attribute; `extra` holds datasets that are not fields of it.
+        Has an attribute for each dataset and attribute; `extra` contains other datasets.
     """
     arrays = {
         f.name: np.asarray(extra[f.name] if f.name in extra else getattr(record, f.name), dtype=f.dtype)
@@ -79,7 +79,7 @@ def _attach_scales(group: Any, f: Field, shape: tuple[int, ...]) -> None:
 
 
 def write_attributes(group: Any, attributes: Sequence[Attribute], record: Any) -> None:
-    """Write the attributes of `record`, each with its unit as ``<name>_units``; a NaN means not given."""
+    """Write the attributes of `record`, each with its unit as ``<name>_units``; NaN is not written."""
     for a in attributes:
         value = a.kind(getattr(record, a.key))
         if value != value:
@@ -90,12 +90,12 @@ def write_attributes(group: Any, attributes: Sequence[Attribute], record: Any) -
 
 
 def read_attributes(group: Any, attributes: Sequence[Attribute]) -> dict[str, Any]:
-    """Read attributes by the names of the record's fields.
+    """Read attributes by the names of the fields in the record.
 
     Raises
     ------
     DatasetError
-        One is absent and has no default, or is of another type.
+        An attribute is missing and has no default, or has another type.
     """
     return {a.key: attribute(group, a.name, a.kind, a.default) for a in attributes}
 
@@ -106,7 +106,7 @@ def read_table(group: Any, table: Table) -> dict[str, npt.NDArray[Any]]:
     Raises
     ------
     DatasetError
-        A dataset is absent, of another type, stored in another file, larger than its stored bytes, or damaged.
+        A dataset is missing, of another type, stored in another file, larger than its stored bytes, or damaged.
     """
     values: dict[str, npt.NDArray[Any]] = {}
     for f in table.fields:
@@ -119,10 +119,10 @@ def read_table(group: Any, table: Table) -> dict[str, npt.NDArray[Any]]:
 
 
 def child(group: Any, name: str) -> Any:
-    """Return a direct member of `group`; it must be there, and be no link to elsewhere."""
+    """Return a direct member of `group`; it must exist and not be a link."""
     link = group.get(name, getlink=True) if name in group.keys() else None  # noqa: SIM118 - `in group` follows links
     if link is None:
-        raise DatasetError(f"{location(group)} lacks '{name}'.", "The file is not complete; make it again.")
+        raise DatasetError(f"{location(group)} lacks '{name}'.", "The file is not complete; create it again.")
     return own_member(group, name)
 
 
@@ -135,12 +135,12 @@ def child_group(group: Any, name: str) -> Any:
 
 
 def check_storage(dataset: Any) -> None:
-    """Refuse a dataset whose bytes are in another file, or that claims more than its bytes can hold."""
+    """Raise an error for a dataset in another file, or one that is larger than its stored bytes can be."""
     if not isinstance(dataset, h5py.Dataset):
         raise DatasetError(f"{location(dataset)} is not a dataset.", "The file is not in this layout.")
     if dataset.shape is None or dataset.dtype.kind not in "iuf" or dataset.dtype.itemsize > 16:
         raise DatasetError(
-            f"{location(dataset)} does not hold plain numbers.", "The file is not in this layout."
+            f"{location(dataset)} does not contain plain numbers.", "The file is not in this layout."
         )
     check_bytes(dataset)
 
@@ -157,7 +157,7 @@ def _check_shape(dataset: Any, f: Field, length: int | None) -> None:
         )
     if f.dtype != "f8" and dataset.dtype.kind == "f":
         raise DatasetError(
-            f"{location(dataset)} does not hold whole numbers.", "The file is not in this layout."
+            f"{location(dataset)} does not contain integers.", "The file is not in this layout."
         )
 
 
@@ -168,7 +168,7 @@ def load(dataset: Any) -> npt.NDArray[Any]:
     except (OSError, RuntimeError, ValueError) as error:
         raise DatasetError(
             f"{location(dataset)} cannot be read: the file is damaged.",
-            "Make it again, or restore a copy.",
+            "Create it again, or restore a copy.",
         ) from error
 
 
@@ -178,19 +178,19 @@ def attribute(group: Any, name: str, kind: type[Any], default: Any = None) -> An
     Raises
     ------
     DatasetError
-        It is missing and there is no `default`, or it is of another kind.
+        It is missing and there is no `default`, or it has another type.
     """
     if name not in group.attrs:
         if default is not None:
             return default
         raise DatasetError(
-            f"{location(group)} lacks the attribute '{name}'.", "The file is not complete; make it again."
+            f"{location(group)} lacks the attribute '{name}'.", "The file is not complete; create it again."
         )
     try:
         return _as_kind(_scalar(group, name), kind)
     except (TypeError, ValueError, OSError, RuntimeError, OverflowError) as error:
         raise DatasetError(
-            f"{location(group)}: the attribute '{name}' is not a {_KIND_WORDS[kind]}.",
+            f"{location(group)}: the attribute '{name}' is not {_KIND_NAMES[kind]}.",
             "The file is not in this layout.",
         ) from error
 
@@ -208,11 +208,11 @@ def _as_kind(value: Any, kind: type[Any]) -> Any:
     return kind(value)
 
 
-_KIND_WORDS: dict[type[Any], str] = {int: "whole number", float: "number", str: "text"}
+_KIND_NAMES: dict[type[Any], str] = {int: "an integer", float: "a number", str: "a text"}
 
 
 def stamp(file: Any, kind: str, *, command: str, settings: Mapping[str, Any]) -> None:
-    """Write the root attributes that every file has."""
+    """Write the root attributes of a file."""
     file.attrs["format"] = layout.FORMAT
     file.attrs["format_version"] = layout.FORMAT_VERSION
     file.attrs["kind"] = kind

@@ -1,12 +1,12 @@
-"""File validation: an HDF5 file is checked before anything in it is read.
+"""Validation of HDF5 files before they are read.
 
-External and soft links, external storage, virtual datasets, filters that load plugins, and sizes that the stored bytes
-cannot fill are refused; the whole tree is walked without following links.
+External and soft links, external storage, virtual datasets, filters that load plugins, and sizes beyond the stored
+bytes are rejected; the whole tree is checked without following links.
 
-The string heap (global heap collections, ``GCOL``) is a chain of objects, each with its length; HDF5 2.0 loops for
-ever on an empty object of free space, and nothing in Python can interrupt it. HDF5 has checksums of data and most
-metadata but not of this heap. Every file therefore ends with a line that holds the SHA-256 of all bytes before it;
-HDF5 does not read beyond its own end. A file changed by another program has no such line, or fails the check.
+The string heap (global heap collections, ``GCOL``) is a sequence of objects with their lengths; HDF5 2.0 never returns
+from an empty object of free space, and Python cannot interrupt it. HDF5 has checksums of data and most metadata but not
+of this heap. Every file therefore ends with a line with the SHA-256 of all bytes before it, which HDF5 ignores. A file
+that was changed by another program has no such line, or fails the check.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ import numpy as np
 
 from gyrotrack._errors import DatasetError
 
-MOST_MEMBERS = 20_000
-DEEPEST = 32
+MAX_MEMBERS = 20_000
+MAX_DEPTH = 32
 MAX_BYTES = 2**31
-MAX_INFLATION = 1100  # deflate cannot do better than 1032 : 1
-SLACK = 2**22  # bytes that a small dataset may claim beyond that (chunks are padded)
+MAX_INFLATION = 1100  # the largest compression ratio of deflate is 1032
+SLACK = 2**22  # additional bytes of small datasets, because chunks are padded
 KNOWN_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
 
 
 def check_tree(file: Any) -> None:
-    """Walk a file and refuse links and storage outside it, and sizes that its bytes cannot fill.
+    """Check a file for links, external storage and sizes beyond the stored bytes.
 
     Raises
     ------
     DatasetError
-        With the file name and the path in the file.
+        The check fails; the message contains the path in the file.
     """
     seen: set[Any] = set()
     todo: list[tuple[Any, int]] = [(file, 0)]
@@ -45,11 +45,13 @@ def check_tree(file: Any) -> None:
         if address in seen:
             continue
         seen.add(address)
-        if depth > DEEPEST:
-            raise DatasetError(f"{location(group)} is nested too deep.", "The file is damaged or malicious.")
+        if depth > MAX_DEPTH:
+            raise DatasetError(
+                f"{location(group)} is nested too deeply.", "The file is damaged or malicious."
+            )
         for name in group:
             count += 1
-            if count > MOST_MEMBERS:
+            if count > MAX_MEMBERS:
                 raise DatasetError(
                     f"{file.filename} has too many members.", "The file is damaged or malicious."
                 )
@@ -61,7 +63,7 @@ def check_tree(file: Any) -> None:
 
 
 def own_member(group: Any, name: str) -> Any:
-    """Return a direct member of `group`, refusing links that lead out of the file or to another name."""
+    """Return a direct member of `group`; raise an error if it is a link."""
     if not isinstance(group.get(name, getlink=True), h5py.HardLink):
         raise DatasetError(
             f"{location(group)} has a link, '{name}'.",
@@ -71,12 +73,12 @@ def own_member(group: Any, name: str) -> Any:
 
 
 def check_bytes(dataset: Any) -> None:
-    """Refuse a dataset with external storage, an unknown filter, or a size beyond its stored bytes.
+    """Raise an error for a dataset with external storage, an unknown filter, or a size beyond its stored bytes.
 
     Raises
     ------
     DatasetError
-        With the file name and the path in the file.
+        The check fails; the message contains the path in the file.
     """
     if dataset.is_virtual or dataset.external:
         raise DatasetError(
@@ -95,13 +97,13 @@ def check_bytes(dataset: Any) -> None:
     chunk = int(np.prod(dataset.chunks or (0,), dtype=object)) * dataset.dtype.itemsize
     if claimed > MAX_BYTES or max(claimed, chunk) > stored * MAX_INFLATION + SLACK:
         raise DatasetError(
-            f"{location(dataset)} claims {claimed:,} bytes but holds {stored:,}.",
+            f"{location(dataset)} declares {claimed:,} bytes but contains {stored:,}.",
             "The file is damaged or malicious.",
         )
 
 
 def location(item: Any) -> str:
-    """Return the file name and the path in the file, for messages."""
+    """Return file name and path in the file, for messages."""
     return f"{item.file.filename}:{item.name}"
 
 
@@ -111,7 +113,7 @@ _BLOCK = 2**20
 
 
 def has_endless_heap(path: Path) -> bool:
-    """Return whether the string heap of an HDF5 file is corrupt such that reading it never ends."""
+    """Return whether the string heap of an HDF5 file is corrupt, so that reading it would not end."""
     with path.open("rb") as stream:
         return any(_is_endless(stream, place) for place in _collections(stream))
 
@@ -151,12 +153,12 @@ LENGTH = len(MARK) + 65
 
 
 def checksum_line(stream: BinaryIO) -> bytes:
-    """Return the checksum line of the rest of `stream`."""
+    """Return the checksum line for the rest of `stream`."""
     return _line(stream, None)
 
 
 def checksum_fails(path: Path) -> bool:
-    """Return whether a file ends with a checksum line that does not match; without the line it is not checked."""
+    """Return whether a file ends with a checksum line that does not match; False without such a line."""
     with path.open("rb") as stream:
         size = stream.seek(0, 2)
         if size < LENGTH:
@@ -170,7 +172,7 @@ def checksum_fails(path: Path) -> bool:
 
 
 def _line(stream: BinaryIO, left: int | None) -> bytes:
-    """Return the checksum of the next `left` bytes, or of all to the end."""
+    """Return the checksum line for the next `left` bytes, or for all bytes to the end."""
     digest = hashlib.sha256()
     while left != 0 and (block := stream.read(_BLOCK if left is None else min(_BLOCK, left))):
         digest.update(block)

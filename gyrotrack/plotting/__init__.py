@@ -1,1 +1,1 @@
-"""Figures: every curve is drawn here once, for report, figures, workbench and notebook."""
+"""Figures and charts, for report, paper figures, workbench and notebook."""

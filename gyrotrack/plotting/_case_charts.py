@@ -1,4 +1,4 @@
-"""The charts of one case: speeds, residuals, unmodelled torque, energy balance, quality of tracking."""
+"""The charts of one case: speeds, residuals, unmodelled torque, energy balance, tracking quality."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ _ALTERNATIVES = (GREEN, PURPLE, ORANGE)
 _STEPS = (GREEN, PURPLE, SKY, "#555555")
 _CLIPS = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY)
 _POWERS = {"": "1", "m": "10⁻³", "µ": "10⁻⁶", "n": "10⁻⁹", "p": "10⁻¹²"}
-# where the standard uncertainty of a torque exceeds its smallest value by this factor, the data do not determine it
-_UNKNOWN = 3.0
-# residuals larger than this [σ] are drawn on a scale that is linear up to _LINEAR and logarithmic beyond
+# a torque is not drawn if its standard uncertainty exceeds the smallest one by this factor
+_UNDETERMINED = 3.0
+# a residual beyond _LARGE [σ] is drawn on a scale that is linear up to _LINEAR and logarithmic beyond
 _LARGE, _LINEAR = 20.0, 3.0
 
 
@@ -54,9 +54,9 @@ def case_dashboard(
     Parameters
     ----------
     view : CaseView
-        The case under its first and its last model.
+        The case with its first and last model.
     tracks : Tracks or None
-        What tracking recorded of its clips.
+        Tracking quality of its clips.
     steps : sequence of str
         Names of the steps of the history of fits.
     names : sequence of str
@@ -74,12 +74,12 @@ def case_dashboard(
     return Dashboard(view.label, tuple(charts), view.intervals)
 
 
-def _called(view: CaseView, body: str) -> str:
+def _body_name(view: CaseView, body: str) -> str:
     return view.body if body == "casing" else body
 
 
 def speed_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> Chart:
-    """Return measured and modelled speed of a body."""
+    """Return the chart of measured and modelled speed of a body."""
     measured = (view.casing,) if body == "casing" else view.rotor
     traces = [
         concatenated(
@@ -92,14 +92,12 @@ def speed_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> Char
         traces.append(concatenated(label, parts, colour, width=1.5, dash=dash))
     largest = max(float(np.abs(c.value).max()) for c in measured)
     known = [float(m.casing.sigma.max()) for m in view.models]
-    caption = (
-        "Angular velocity, smoothed as in the paper (median over 51 points); bands: ±2 σ of the parameters"
-    )
+    caption = "Angular velocity, smoothed as in the paper (median over 51 points); bands: ±2 σ due to the parameters"
     caption += f" (at most {short(2 * max(known), 2)} rad/s)." if body == "casing" else "."
-    finding = f"The speed of the {_called(view, body)} reaches {short(largest)} rad/s."
+    finding = f"The speed of the {_body_name(view, body)} reaches {short(largest)} rad/s."
     return Chart(
         "speed" if body == "casing" else "rotor",
-        f"Speed of the {_called(view, body)}",
+        f"Speed of the {_body_name(view, body)}",
         "rad/s",
         tuple(traces),
         finding,
@@ -108,7 +106,7 @@ def speed_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> Char
 
 
 def residual_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> Chart:
-    """Return measured minus modelled speed of a body for each model, with one band of the noise."""
+    """Return the chart of measured minus modelled speed of a body for each model, with the noise band."""
     groups = [(m.casing_residual,) if body == "casing" else m.rotor_residual for m in view.models]
     factor, prefix = scaled(max(float(np.abs(r.value).max()) for g in groups for r in g))
     band = [(r.time, 0.0 * r.value, factor * r.sigma) for r in groups[-1]]
@@ -116,7 +114,7 @@ def residual_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> C
     for g, label, (colour, _) in zip(groups, names, _MODEL_STYLES, strict=False):
         parts = [(r.time, factor * r.value, None) for r in g]
         traces.append(concatenated(label, parts, colour, kind="points", width=1.2))
-    called = _called(view, body)
+    called = _body_name(view, body)
     width = float(np.median(groups[0][0].width))
     return Chart(
         f"residual-{body}",
@@ -125,12 +123,12 @@ def residual_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> C
         tuple(traces),
         residual_finding(groups, called),
         caption=f"Measured minus modelled angular velocity of the {called}, mean over {short(width, 2)} s. "
-        "Grey band: ±2 σ of noise alone, the same for all models.",
+        "Grey band: ±2 σ of noise, the same for all models.",
     )
 
 
 def difference_chart(view: CaseView, names: Sequence[str] = NAMES) -> list[Chart]:
-    """Return the modelled speed of the casing of the last model minus that of the first; none for a single model."""
+    """Return the chart of the casing speed of the last model minus that of the first; empty for one model."""
     if len(view.models) < 2:
         return []
     first, last = view.models[0].casing, view.models[-1].casing
@@ -150,7 +148,7 @@ def difference_chart(view: CaseView, names: Sequence[str] = NAMES) -> list[Chart
 
 
 def residual_finding(groups: Sequence[Sequence[Residual]], called: str) -> str:
-    """Return the size of the residuals in units of the noise, before and after."""
+    """Return the size of the residuals of the first and last model, in units of the noise, as a sentence."""
     rms = [residual_rms(g, groups[-1]) for g in groups]
     largest = [max(float(np.abs(r.value).max()) for r in g) for g in groups]
     text = f"Residual of the {called} with the base model: up to {short(largest[0])} rad/s, rms {short(rms[0])} σ"
@@ -160,7 +158,7 @@ def residual_finding(groups: Sequence[Sequence[Residual]], called: str) -> str:
 
 
 def normalised_chart(view: CaseView, names: Sequence[str] = NAMES) -> Chart:
-    """Return the residuals of all models in units of the noise of the last one, with one band."""
+    """Return the chart of the residuals of all models in units of the noise of the last one."""
     noise = view.models[-1].casing_residual.sigma
     known = noise > 0
     scale = np.where(known, noise, 1.0)
@@ -187,18 +185,18 @@ def _torque_scale(view: CaseView, body: str) -> tuple[float, str]:
     return scaled(max(float(np.abs(m.torques[body].torque).max()) for m in view.models))
 
 
-def _known(torque: Array, sigma: Array) -> tuple[Array, Array]:
-    """Return torque and standard uncertainty, nan where the data do not determine them."""
-    known = sigma <= _UNKNOWN * sigma.min()
+def _determined(torque: Array, sigma: Array) -> tuple[Array, Array]:
+    """Return torque and standard uncertainty, NaN where the data do not determine them."""
+    known = sigma <= _UNDETERMINED * sigma.min()
     return np.where(known, torque, np.nan), np.where(known, sigma, np.nan)
 
 
 def torque_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> Chart:
-    """Return the unmodelled torque on a body against time, with the law that was added and alternatives."""
+    """Return the chart of the unmodelled torque on a body against time, with the added law and alternatives."""
     factor, prefix = _torque_scale(view, body)
     traces = []
     for m, label, (colour, _) in zip(view.models, names, _MODEL_STYLES, strict=False):
-        torque, sigma = _known(m.torques[body].torque, m.torques[body].sigma)
+        torque, sigma = _determined(m.torques[body].torque, m.torques[body].sigma)
         traces.append(Trace(label, m.torques[body].time, factor * torque, colour, factor * sigma))
     if view.added is not None and view.added.on(body).any():
         a = view.added
@@ -208,32 +206,32 @@ def torque_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> Cha
         if a.on(body).any():
             law = factor * a.on(body)
             traces.append(Trace(a.name, a.time, law, colour, width=1.2, dash=(6.0, 2.0), scale="none"))
-    called = _called(view, body)
+    called = _body_name(view, body)
     return Chart(
         f"torque-{body}",
         f"Unmodelled torque, {called}",
         f"{prefix}{view.torque_unit}",
         tuple(traces),
         _torque_finding(view, body),
-        caption="Torque that the model lacks, inferred from the residual without assuming a law; bands: ±2 σ. "
-        "Dotted (added law): torque of the final model minus that of the base; dashed: the same for other candidates "
-        "after a refit.",
+        caption="Unmodelled torque, inferred from the residual without assuming a law; bands: ±2 σ. Dotted (added "
+        "law): torque of the final model minus that of the base model; dashed: the same for other candidates after a "
+        "refit.",
     )
 
 
 def torque_speed_chart(view: CaseView, names: Sequence[str] = NAMES, *, alternatives: bool = True) -> Chart:
-    """Return the unmodelled torque on the casing against its speed, with the law that was added (and alternatives)."""
+    """Return the chart of the unmodelled torque on the casing against its speed, with the added law."""
     factor, prefix = _torque_scale(view, "casing")
     traces: list[Trace] = []
     for m, label, (colour, _) in zip(view.models, names, _MODEL_STYLES, strict=False):
         curve = m.torques["casing"]
-        torque, sigma = _known(curve.torque, curve.sigma)
+        torque, sigma = _determined(curve.torque, curve.sigma)
         branches = _branches(curve.omega_c)
         for k, part in enumerate(branches):
             rising = k == 0 and len(branches) > 1
             traces.append(
                 Trace(
-                    f"{label}, speeding up" if rising else label,
+                    f"{label}, accelerating" if rising else label,
                     curve.omega_c[part],
                     factor * torque[part],
                     colour,
@@ -254,7 +252,7 @@ def torque_speed_chart(view: CaseView, names: Sequence[str] = NAMES, *, alternat
         branches = _branches(a.omega_c)
         for k, part in enumerate(branches):
             name = "added law" if a is view.added else a.name
-            name += ", speeding up" if k == 0 and len(branches) > 1 else ""
+            name += ", accelerating" if k == 0 and len(branches) > 1 else ""
             dash = (2.0, 2.0) if k == 0 else (1.0, 1.0)
             traces.append(
                 Trace(name, a.omega_c[part], law[part], colour, width=width, dash=dash, scale="none")
@@ -266,21 +264,21 @@ def torque_speed_chart(view: CaseView, names: Sequence[str] = NAMES, *, alternat
         tuple(traces),
         _torque_finding(view, "casing"),
         x_label=f"speed of the {view.body} [rad/s]",
-        caption="Torque that the model lacks against speed, inferred from the residual without assuming a law; "
-        f"bands: ±2 σ. Dashed: while the {view.body} speeds up. A friction that depends on speed alone gives one "
-        "curve for both. Dotted: the law that was added, after a refit of the other parameters.",
+        caption="Unmodelled torque against speed, inferred from the residual without assuming a law; bands: ±2 σ. "
+        f"Dashed: acceleration of the {view.body}. For friction that depends on speed only, both curves coincide. "
+        "Dotted: the added law, after a refit of the other parameters.",
     )
 
 
 def torque_angle_charts(
     harmonics: Sequence[Sequence[AngleHarmonics]], names: Sequence[str], body: str, unit: str
 ) -> list[Chart]:
-    """Return the harmonics of the unmodelled torque of one or two fits against the angle of the body.
+    """Return the chart of the angular harmonics of the unmodelled torque of one or two fits.
 
     Parameters
     ----------
     harmonics : sequence of sequence of AngleHarmonics
-        Those of each fit, of which the first case is drawn; none of a fit without angles, which is left out.
+        Harmonics of each fit, of which those of the first case are drawn; empty for a fit without angles.
     names : sequence of str
         Names of the fits.
     body, unit : str
@@ -308,7 +306,7 @@ def torque_angle_charts(
 
 
 def _branches(speed: Array) -> list[NDArray[np.intp]]:
-    """Return the indices, by increasing speed, before and after the peak of the speed; one list if either is short."""
+    """Return the indices before and after the peak of the speed, by increasing speed; one list if either is short."""
     peak = int(np.argmax(np.abs(speed)))
     parts = [np.arange(peak + 1), np.arange(peak, len(speed))]
     if min(map(len, parts)) < 3:
@@ -331,7 +329,7 @@ def _torque_finding(view: CaseView, body: str) -> str:
         largest = int(np.argmax(np.abs(curve.torque)))
         factor, prefix = scaled(abs(float(curve.torque[largest])))
         parts.append(
-            f"Unmodelled torque on the {_called(view, body)} with the {label}: up to "
+            f"Unmodelled torque on the {_body_name(view, body)} with the {label}: up to "
             f"{short(factor * abs(float(curve.torque[largest])))} {prefix}{view.torque_unit}, outside ±2 σ "
             f"for {100 * outside:.0f} % of the time."
         )
@@ -339,7 +337,7 @@ def _torque_finding(view: CaseView, body: str) -> str:
 
 
 def energy_chart(view: CaseView, steps: Sequence[str]) -> Chart:
-    """Return the relative drift of the energy balance for each step of the history."""
+    """Return the chart of the relative drift of the energy balance for each step of the history."""
     colours = [BEFORE, *[_STEPS[i % len(_STEPS)] for i in range(len(view.energy) - 2)], AFTER]
     factor, prefix = scaled(max(e.drift for e in view.energy))
     traces = [
@@ -356,36 +354,36 @@ def energy_chart(view: CaseView, steps: Sequence[str]) -> Chart:
         _POWERS[prefix],
         tuple(traces),
         finding,
-        caption="Kinetic energy plus dissipated energy, relative to its initial value, running mean; it is constant "
-        f"for a complete model. The measured speed of the {view.body} enters.",
+        caption="Kinetic energy plus dissipated energy, relative to its initial value, running mean; constant "
+        f"for a complete model. Computed with the measured speed of the {view.body}.",
     )
 
 
 def tracking_charts(tracks: Tracks) -> list[Chart]:
-    """Return the standard uncertainty of the angles and the motion of the centre in the picture."""
+    """Return the charts of the standard uncertainty of the angles and of the motion of the centre in the image."""
     sigma: list[Trace] = []
     for body in sorted({s.body for s in tracks.sigmas}):
         curves = [(s.clip, s.time, 1e3 * s.value) for s in tracks.sigmas if s.body == body]
-        sigma += _lanes(body, curves, len(sigma))
+        sigma += _combined_traces(body, curves, len(sigma))
     centre: list[Trace] = []
     for axis in (0, 1):
         curves = [(c.clip, c.time, c.place[:, axis]) for c in tracks.centres]
-        centre += _lanes("xy"[axis], curves, len(centre))
+        centre += _combined_traces("xy"[axis], curves, len(centre))
     charts = []
     if sigma:
         finding = sigma_finding(tracks.sigmas)
-        caption = "From the agreement of the markers and their sharpness."
+        caption = "From the consistency of the markers and their sharpness."
         charts.append(
             Chart("sigma", "Uncertainty of the angles", "mrad", tuple(sigma), finding, caption=caption)
         )
     finding = centre_finding(tracks.centres)
-    caption = "Centre in the picture, relative to its median; tracking corrects the angles for it."
+    caption = "Centre in the image, relative to its median; tracking corrects the angles for it."
     charts.append(Chart("centre", "Motion of the centre", "px", tuple(centre), finding, caption=caption))
     return charts
 
 
-def _lanes(prefix: str, curves: Sequence[tuple[str, Array, Array]], used: int) -> list[Trace]:
-    """Return curves (clip, time, value) as few traces: those that do not overlap in time share one."""
+def _combined_traces(prefix: str, curves: Sequence[tuple[str, Array, Array]], used: int) -> list[Trace]:
+    """Combine curves (clip, time, value) that do not overlap in time into common traces."""
     lanes: list[tuple[str, list[tuple[Array, Array, None]]]] = []
     for name, time, value in sorted(curves, key=lambda c: float(c[1][0])):
         free = next((lane for _, lane in lanes if lane[-1][0][-1] < time[0]), None)
@@ -404,15 +402,15 @@ def _lanes(prefix: str, curves: Sequence[tuple[str, Array, Array]], used: int) -
     ]
 
 
-_MOST_WINDOWS = 8
-_ACROSS = 4
+_MAX_WINDOWS = 8
+_MAX_COLUMNS = 4
 
 
 def windows_picture(view: CaseView, name: str) -> Picture:
-    """Draw speed and residual of the rotor, each window magnified."""
+    """Draw speed and residual of the rotor in each window."""
     count = len(view.rotor)
-    shown = np.unique(np.linspace(0, count - 1, min(count, _MOST_WINDOWS)).round().astype(int))
-    across = min(_ACROSS, len(shown))
+    shown = np.unique(np.linspace(0, count - 1, min(count, _MAX_WINDOWS)).round().astype(int))
+    across = min(_MAX_COLUMNS, len(shown))
     down = -(-len(shown) // across)
     speed, residual = speed_chart(view, "rotor"), residual_chart(view, "rotor")
     intervals = [i for i in view.intervals if i.body == "rotor"]

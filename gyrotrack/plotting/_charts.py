@@ -1,8 +1,7 @@
-"""Charts: every curve is described once and drawn by matplotlib (files, PDF) or by uPlot (browser).
+"""Charts that are drawn by matplotlib (files, PDF) or by uPlot (browser).
 
-A `Chart` holds traces (numbers, label, colour); it is independent of what draws it. Its vertical scale follows the
-data: what the chart shows for reference only, or what carries no information (a band far wider than the curves, as
-an undetermined parameter makes it), has no influence on the scale.
+A `Chart` consists of traces (numbers, label, colour), independent of the backend. Its vertical scale follows the data:
+traces for comparison only, and bands much wider than the curves (due to an undetermined parameter), have no influence.
 """
 
 from __future__ import annotations
@@ -29,12 +28,12 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 TIME = "time [s]"
-# a band wider than this many spans of the curves of its chart carries no information and is not drawn
-_WIDEST_BAND = 2.0
-# 16-bit integers: 1/65000 of the range, less than a hundredth of a pixel of a curve that fills a screen
+# a band wider than this many spans of the curves of its chart is not drawn
+_MAX_BAND = 2.0
+# 16-bit integers: the resolution of 1/65000 of the range is less than 0.1 pixel on a screen
 _STEPS = 32767
 _REGULAR = 1e-6
-# characters that end a script element, or begin a comment or another element, are written as JSON escapes
+# characters that could end a script element are written as JSON escapes
 _ESCAPES = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
 
 
@@ -47,9 +46,9 @@ class Trace:
     label : str
         Name in the legend.
     x, value : ndarray, shape (n,)
-        Abscissa, increasing, and value; nan interrupts the curve.
+        Increasing abscissa, and value; NaN interrupts the curve.
     colour : str
-        As in CSS and matplotlib.
+        Colour for CSS and matplotlib.
     sigma : ndarray, shape (n,), optional
         Standard uncertainty; a band of plus and minus two of them is drawn.
     kind : {"line", "points", "band"}
@@ -57,10 +56,10 @@ class Trace:
     width : float
         Width of the line [px].
     dash : tuple of float
-        Lengths of strokes and gaps [px]; empty for a full line.
+        Lengths of dashes and gaps [px]; empty for a solid line.
     scale : {"normal", "reference", "none"}
-        Influence on the vertical scale. Where a chart has reference traces (measurements), the others widen its
-        scale by at most its own height on either side; a trace with "none" never does.
+        Influence on the vertical scale. If a chart has reference traces (measurements), the others extend its scale by
+        at most its height on either side; a trace with "none" never does.
     """
 
     label: str
@@ -85,15 +84,15 @@ class Chart:
     title, unit : str
         The quantity on the vertical axis and its unit.
     traces : tuple of Trace
-        The curves. Bands that carry no information are removed on construction.
+        The curves. Bands that are too wide are removed on construction.
     finding : str
-        What the chart shows, in a sentence (text alternative).
+        Main result in one sentence (text alternative).
     x_label : str
-        The horizontal axis; charts against time share zoom and cursor.
+        Label of the horizontal axis; charts against time share zoom and cursor.
     caption : str
-        How the chart is to be read.
+        Explanation of the chart.
     linear_within : float
-        If positive, matplotlib draws a vertical scale that is linear up to this size and logarithmic beyond.
+        If positive, matplotlib uses a vertical scale that is linear up to this value and logarithmic beyond.
     """
 
     name: str
@@ -110,13 +109,13 @@ class Chart:
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Vertical limits of the whole chart, without margins."""
+        """Vertical limits, without margins."""
         return vertical_limits(self.traces)
 
 
 @dataclass(frozen=True)
 class Interval:
-    """An interval of time [s] that is shaded in all charts, with a short text; `body` is the one it concerns."""
+    """A shaded time interval [s] with a short text; `body` is the body that it refers to."""
 
     start: float
     stop: float
@@ -126,7 +125,7 @@ class Interval:
 
 @dataclass(frozen=True)
 class Dashboard:
-    """Charts of one case and the intervals in which its model fails."""
+    """Charts of one case, and the intervals with significant lack of fit."""
 
     title: str
     charts: tuple[Chart, ...]
@@ -140,26 +139,26 @@ def _range(values: Sequence[Array]) -> tuple[float, float]:
 
 
 def _span(traces: Sequence[Trace]) -> float:
-    """Return the height of the reference traces, or else of all that influence the scale."""
+    """Return the range of the reference traces, or else of all traces that influence the scale."""
     values = [t.value for t in traces if t.scale == "reference" and t.kind != "band"]
     low, high = _range(values or [t.value for t in traces if t.scale != "none" and t.kind != "band"])
     return high - low
 
 
 def informative(traces: Sequence[Trace]) -> tuple[Trace, ...]:
-    """Return traces without the parts of bands that are wider than the chart.
+    """Return traces without those parts of bands that are wider than the chart.
 
     Parameters
     ----------
     traces : sequence of Trace
-        The curves of one chart. A band of noise (kind "band") stays as it is.
+        The curves of one chart. Traces of the kind "band" are not changed.
     """
     span = _span(traces)
     found = []
     for t in traces:
         if t.sigma is not None and t.kind != "band" and span > 0:
             known = np.isfinite(t.sigma)
-            narrow = known & (2 * np.where(known, t.sigma, 0.0) <= _WIDEST_BAND * span)
+            narrow = known & (2 * np.where(known, t.sigma, 0.0) <= _MAX_BAND * span)
             if not narrow.all():
                 wide = bool((known & ~narrow).any())
                 label = f"{t.label} (band wider than the chart)" if wide else t.label
@@ -170,10 +169,10 @@ def informative(traces: Sequence[Trace]) -> tuple[Trace, ...]:
 
 
 def vertical_limits(traces: Sequence[Trace]) -> tuple[float, float]:
-    """Return limits that hold what carries information.
+    """Return the vertical limits of traces.
 
-    The values of reference traces, or of all traces with an influence where there is none, set the height;
-    everything else, bands included, widens it by at most that height on either side.
+    The values of reference traces, or else of all traces with influence on the scale, determine the height; all others,
+    including bands, extend it by at most that height on either side.
     """
     main = [t for t in traces if t.scale == "reference"] or [t for t in traces if t.scale == "normal"]
     low, high = _range([t.value for t in main if t.kind != "band"] or [t.value for t in main])
@@ -189,12 +188,12 @@ def vertical_limits(traces: Sequence[Trace]) -> tuple[float, float]:
 
 
 def thin(x: Array, value: Array, most: int = 2000) -> tuple[Array, Array]:
-    """Return at most `most` points of a curve: the lowest and the highest of each bin, so that no peak is lost.
+    """Return at most `most` points of a curve: minimum and maximum of each bin, so that no peak is lost.
 
     Parameters
     ----------
     x, value : ndarray, shape (n,)
-        The curve. Only its own points are returned, in order.
+        The curve.
     most : int
         Largest number of points.
     """
@@ -210,7 +209,7 @@ def thin(x: Array, value: Array, most: int = 2000) -> tuple[Array, Array]:
 def concatenated(
     label: str, curves: Sequence[tuple[Array, Array, Array | None]], colour: str, **options: Any
 ) -> Trace:
-    """Return one trace of curves (x, value, sigma) that do not overlap, interrupted between them."""
+    """Concatenate curves (x, value, sigma) that do not overlap to one trace with interruptions."""
     x, value, sigma = [], [], []
     for i, (t, v, s) in enumerate(curves):
         x.append(t)
@@ -225,9 +224,6 @@ def concatenated(
     return Trace(label, joined[0], joined[1], colour, joined[2] if has_band else None, **options)
 
 
-# matplotlib
-
-
 def draw(
     ax: Axes,
     chart: Chart,
@@ -237,26 +233,26 @@ def draw(
     limits: tuple[float, float] | None = None,
     most: int = 1200,
 ) -> None:
-    """Draw a chart into axes of matplotlib.
+    """Draw a chart with matplotlib.
 
     Parameters
     ----------
     ax : Axes
-        Where to draw; labels and limits are set, no legend.
+        Axes; labels and limits are set, but no legend is drawn.
     chart : Chart
-        What to draw.
+        The chart.
     intervals : sequence of Interval
         Shaded intervals [s].
     window : (float, float), optional
-        The part of the horizontal axis to draw.
+        Limits of the horizontal axis.
     limits : (float, float), optional
-        Vertical limits, in place of those of the chart.
+        Vertical limits instead of those of the chart.
     most : int
         Largest number of points of a curve.
     """
     from matplotlib.ticker import NullLocator
 
-    label: str | None = "model fails"
+    label: str | None = "lack of fit"
     for i in intervals:
         start, stop = (
             (i.start, i.stop) if window is None else (max(i.start, window[0]), min(i.stop, window[1]))
@@ -315,14 +311,14 @@ def chart_picture(
     name: str = "",
     size: tuple[float, float] = (9.2, 3.3),
 ) -> Picture:
-    """Return a chart as a figure of a page.
+    """Draw a chart as SVG for a page.
 
     Parameters
     ----------
     chart : Chart
-        What to draw.
+        The chart.
     intervals : sequence of Interval
-        Shaded intervals [s], where the chart is against time.
+        Shaded intervals [s], for a chart against time.
     name : str
         Identifier of the figure; by default that of the chart.
     size : (float, float)
@@ -337,11 +333,8 @@ def chart_picture(
         return Picture(name, markup(figure, name, chart.finding), chart.caption, chart.finding)
 
 
-# the browser
-
-
 def dashboard_document(board: Dashboard) -> dict[str, Any]:
-    """Return a dashboard as the script `charts.js` reads it."""
+    """Return a dashboard as a document for the script `charts.js`."""
     return {
         "title": board.title,
         "intervals": [interval_document(i) for i in board.intervals],
@@ -362,7 +355,7 @@ def dashboard_document(board: Dashboard) -> dict[str, Any]:
 
 
 def interval_document(i: Interval) -> dict[str, Any]:
-    """Return an interval as the script reads it."""
+    """Return an interval as a document for the script `charts.js`."""
     return {"start": i.start, "stop": i.stop, "text": i.text}
 
 
@@ -383,7 +376,7 @@ def _trace(t: Trace) -> dict[str, Any]:
 
 
 def _abscissa(x: Array) -> dict[str, Any]:
-    """Return start and step of regular values, else each of them (32-bit, relative to the first)."""
+    """Return start and step of regularly spaced values, or else 32-bit values relative to the first."""
     if len(x) > 2:
         step = float(x[-1] - x[0]) / (len(x) - 1)
         if step > 0 and np.abs(x - x[0] - step * np.arange(len(x))).max() < _REGULAR * step:
@@ -393,7 +386,7 @@ def _abscissa(x: Array) -> dict[str, Any]:
 
 
 def _values(value: Array) -> dict[str, Any]:
-    """Return values as 16-bit integers with scale and offset; the lowest integer means nan."""
+    """Return values as 16-bit integers with scale and offset; the smallest integer represents NaN."""
     known = np.isfinite(value)
     low, high = (float(value[known].min()), float(value[known].max())) if known.any() else (0.0, 0.0)
     middle, half = 0.5 * low + 0.5 * high, max(0.5 * high - 0.5 * low, 1e-300)
@@ -408,7 +401,7 @@ def _packed(numbers: NDArray[Any]) -> str:
 
 @cache
 def scripts() -> tuple[str, str]:
-    """Return the scripts of interactive charts: uPlot (MIT licence) and what this package adds."""
+    """Return the scripts of interactive charts: uPlot (MIT licence) and `charts.js`."""
     licence = "/* uPlot 1.6.32, (c) Leon Sorokin, MIT licence, https://github.com/leeoniya/uPlot */\n"
     return licence + _read("vendor/uPlot.iife.min.js"), _read("charts.js")
 
@@ -431,14 +424,14 @@ def as_data(document: Any) -> str:
 
 
 def content_policy(scripts: Sequence[str], *, connect: bool = False) -> str:
-    """Return a content security policy under which these scripts run and nothing else.
+    """Return a content security policy that allows these scripts only.
 
     Parameters
     ----------
     scripts : sequence of str
         The exact text of each inline script.
     connect : bool
-        Whether the page may talk to the server that it came from.
+        Whether the page may connect to its own server.
     """
     hashes = [base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts]
     allowed = " ".join(f"'sha256-{h}'" for h in hashes) or "'none'"

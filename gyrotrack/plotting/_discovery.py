@@ -1,4 +1,4 @@
-"""Candidate effects, history of fits, correlation of parameters, and the answer of a study in one picture."""
+"""Figures of candidate effects, history of fits and parameter correlations, and the summary figure of a study."""
 
 from __future__ import annotations
 
@@ -43,16 +43,16 @@ if TYPE_CHECKING:
     from fitting.discovery._verdict import Diagnosis
 
 
-_MOST = 12
+_MAX_CANDIDATES = 12
 _CLASSES = (GREEN, ORANGE, PURPLE, SKY)
-# from this ratio on, the figures of merit of a history need a logarithmic axis
-_WIDE = 20.0
-_CLEARLY = 0.05
+# smallest ratio of a figure of merit to its noise limit for a logarithmic axis
+_LOGARITHMIC = 20.0
+_CLEAR_CHANGE = 0.05  # relative
 
 
 def candidates_picture(candidates: tuple[Candidate, ...], name: str = "candidates") -> Picture | None:
     """Draw the scores of candidate effects; None if no score is positive."""
-    shown = [c for c in candidates if c.score > 0][:_MOST]
+    shown = [c for c in candidates if c.score > 0][:_MAX_CANDIDATES]
     if not shown:
         return None
     letters = equivalence_classes(shown)
@@ -87,13 +87,13 @@ def candidates_picture(candidates: tuple[Candidate, ...], name: str = "candidate
         ax.set_xlabel(r"$\sqrt{\mathrm{score}}$ [σ]")
         _brackets(ax, shown, letters)
         caption = (
-            "Score: decrease of the base model's deviance with the candidate (after a refit where ΔBIC is given, else "
-            "predicted); its root is about the significance in σ. Pale: not significant."
+            "Score: decrease of the deviance of the base model by the candidate (after a refit if ΔBIC is given, "
+            "otherwise predicted); its square root is about the significance in σ. Pale: not significant."
         )
         if letters:
             caption += " Bracket and common colour: equivalence class, indistinguishable with these data."
         if any(not c.physical for c in shown):
-            caption += " Hatched: measurement artefact, not physics."
+            caption += " Hatched: measurement effect."
         finding = _candidates_finding(shown)
         return Picture(name, markup(figure, name, finding), caption, finding)
 
@@ -130,7 +130,7 @@ def _candidates_finding(shown: list[Candidate]) -> str:
     return text + (f"; next: {rest[0].effect.name}, {short(rest[0].score)}." if rest else ".")
 
 
-# title, unit, attribute of a step, whether the unit takes a prefix
+# title, unit, attribute of a step, whether the unit has a prefix
 _KINDS = (
     ("rms error, {body}", "rad/s", "rmse", True),
     ("reduced χ²", "", "reduced_chi2", False),
@@ -139,7 +139,7 @@ _KINDS = (
     ("energy drift", "", "energy_drift", True),
     ("change of BIC", "", "delta_bic", False),
 )
-_WORDS = (
+_PHRASES = (
     ("rmse", "rms error of the {body}", " rad/s"),
     ("reduced_chi2", "reduced χ²", ""),
     ("held_out", "cross-validation error", " times the noise"),
@@ -148,7 +148,7 @@ _WORDS = (
 
 
 def history_picture(view: StudyView) -> Picture:
-    """Draw the figures of merit of every step of the history of fits."""
+    """Draw the figures of merit of all steps of the history of fits."""
     steps = view.steps
     noise = max(s.torque_pure for s in steps)
     limits = {"rmse": view.rmse_floor, "reduced_chi2": 1.0, "held_out": 1.0}
@@ -179,13 +179,13 @@ def history_picture(view: StudyView) -> Picture:
         axes[0, 0].invert_yaxis()
         finding = history_finding(view)
         caption = (
-            "One bar per fit. Dashed line: noise limit. Bars begin at zero; on a logarithmic axis they begin at the "
-            "noise limit, so that their length is the ratio to it."
+            "One bar per fit. Dashed line: noise limit. Bars start at zero, or on a logarithmic axis at the noise "
+            "limit."
         )
         if noise > 0:
             caption += (
                 f" Process noise of the recordings {short(noise, 2)} {view.torque_unit} rms, estimated without a "
-                "model: χ² and cross-validation error of every fit use it."
+                "model and used for χ² and cross-validation error of all fits."
             )
         return Picture("history", markup(figure, "history", finding), caption, finding)
 
@@ -198,24 +198,24 @@ def figures_of_merit(
     Parameters
     ----------
     ax : Axes
-        Where to draw.
+        Axes.
     values : ndarray, shape (n,)
         Figure of merit of each fit.
     limit : float or None
-        Its noise limit, if one is known.
+        Noise limit, if it is known.
     texts : list of str
-        Text at the end of each bar; the number where it is empty.
+        Text at the end of each bar; if empty, the number.
     """
     from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
     sizes = np.where(np.isfinite(values), np.abs(values), 0.0)
     top = max(float(sizes.max()), limit or 0.0) or 1.0
-    logarithmic = limit is not None and limit > 0 and top > _WIDE * limit
+    logarithmic = limit is not None and limit > 0 and top > _LOGARITHMIC * limit
     colours = [BEFORE, *[SKY] * (len(values) - 2), AFTER] if len(values) > 1 else [BEFORE]
     if logarithmic and limit is not None:
         ax.set_xscale("log")
         decades = np.log10(top / limit)
-        # a value at or below its limit is a thin line at the limit
+        # a value below the limit is drawn as a thin line at the limit
         ends = np.maximum(sizes, limit * 10 ** (0.012 * decades))
         ax.barh(np.arange(len(values)), ends - limit, left=limit, color=colours, height=0.62)
         ax.set_xlim(limit * 10 ** (-0.06 * decades), top * 10 ** (0.6 * decades))
@@ -237,7 +237,7 @@ def figures_of_merit(
 
 
 def history_finding(view: StudyView) -> str:
-    """Return the figures of merit that changed clearly, before and after."""
+    """Return the figures of merit with clear changes, as a sentence."""
     steps = view.steps
     first, last = steps[0], steps[-1]
     if len(steps) == 1:
@@ -246,19 +246,21 @@ def history_finding(view: StudyView) -> str:
             f"cross-validation error {short(first.held_out)} times the noise."
         )
     parts = []
-    for name, words, measure in _WORDS:
+    for name, words, measure in _PHRASES:
         unit = measure.replace("{torque}", view.torque_unit)
         before, after = getattr(first, name), getattr(last, name)
-        if abs(before - after) > _CLEARLY * abs(before):
+        if abs(before - after) > _CLEAR_CHANGE * abs(before):
             end = "not resolved" if after == 0 else f"{short(after)}{unit}"
             parts.append(f"{words.replace('{body}', view.body)} {short(before)}{unit} → {end}")
     return (
-        f"With {_changes(view)}: " + ("; ".join(parts) or "no figure of merit changes by more than 5 %") + "."
+        f"With {_change_phrase(view)}: "
+        + ("; ".join(parts) or "no figure of merit changes by more than 5 %")
+        + "."
     )
 
 
-def _changes(view: StudyView) -> str:
-    """Return what was added and dropped after the first step, in words."""
+def _change_phrase(view: StudyView) -> str:
+    """Return the changes after the first step as a phrase."""
     parts = []
     for step in view.steps[1:]:
         added, _, dropped = step.change.removeprefix("+").partition(" -")
@@ -277,7 +279,7 @@ def story_picture(
     frame: NDArray[np.uint8] | None = None,
     force: bool = False,
 ) -> Path:
-    """Draw the first case: speed, residual before and after, and the figure of merit that fell most.
+    """Draw the summary figure of the first case: speed, residuals, and the figure of merit that decreased most.
 
     Parameters
     ----------
@@ -286,14 +288,14 @@ def story_picture(
     path : Path
         A ``.png`` or ``.svg`` file.
     frame : ndarray of uint8, shape (height, width, 3), optional
-        A frame of the film (red, green, blue), shown in a corner of the first panel.
+        A frame of the film (red, green, blue), as an inset of the first panel.
     force : bool
         Replace an existing file.
 
     Raises
     ------
     OutputError
-        The suffix is another, the file exists and `force` is not set, or it cannot be written.
+        The suffix is not supported, the file exists and `force` is not set, or it cannot be written.
     """
     path = Path(path)
     kind = path.suffix.lower().removeprefix(".")
@@ -327,7 +329,7 @@ def story_picture(
 
 
 def _merit(ax: Any, view: StudyView) -> None:
-    """Draw the figure of merit that fell by the largest factor."""
+    """Draw the figure of merit that decreased by the largest factor."""
     steps = view.steps
     kinds = {
         "cross-validation error [noise]": (np.array([s.held_out for s in steps]), 1.0),
@@ -344,38 +346,38 @@ def _merit(ax: Any, view: StudyView) -> None:
 
 Array = NDArray[np.float64]
 _STRONG = 0.95
-_MOST_NUMBERED = 14
+_MAX_NUMBERED = 14
 _FUNCTION = re.compile(r"([\w})|]) ?(\\(?:operatorname|exp|log|sqrt|sin|cos|tan|tanh|arctan|left\())")
 
 
 def formula(latex: str, name: str, *, size: float = 15.0, colour: str = "black") -> str:
-    """Return a formula as an ``svg`` element whose text alternative is its LaTeX; empty if it cannot be typeset.
+    """Return a formula as an ``svg`` element with its LaTeX as text alternative; empty if it cannot be typeset.
 
     Parameters
     ----------
     latex : str
-        Mathematics, without dollar signs.
+        Formula without dollar signs.
     name : str
-        Prefix of its ids.
+        Prefix of the ids in the SVG.
     size : float
-        Size of the letters [pt].
+        Font size [pt].
     colour : str
-        Colour of the letters.
+        Colour.
     """
     changes = {"figure.constrained_layout.use": False, "figure.facecolor": "none", "mathtext.fontset": "stix"}
-    # mathtext sets no space before functions and makes growing bars too small
+    # mathtext omits the space before functions and draws \left| too small
     text = _FUNCTION.sub(r"\1\\,\2", latex.replace(r"\left|", "|").replace(r"\right|", "|"))
     with style(changes):
         figure = canvas(1, 0.3)
         figure.text(0, 0, f"${text}$", fontsize=size, color=colour)
         try:
             return markup(figure, name, latex, tight=True)
-        except ValueError:  # a command that mathtext does not support; the page prints the source
+        except ValueError:  # not supported by mathtext
             return ""
 
 
 def symbol(name: str, labels: Sequence[str]) -> str:
-    """Return the symbol of a parameter in mathtext, with (A), (B) for the case that it belongs to."""
+    """Return the symbol of a parameter in mathtext, with (A), (B) ... for its case."""
     from fitting.effects._expression import latex, sym
 
     key, at, label = name.partition("@")
@@ -387,7 +389,7 @@ def symbol(name: str, labels: Sequence[str]) -> str:
 
 
 def correlations(view: StudyView) -> tuple[list[str], Array]:
-    """Return the names of the final model's parameters with a finite standard error, and their correlation matrix."""
+    """Return the parameters of the final model with finite standard error, and their correlation matrix."""
     fit = view.final
     variance = np.diag(fit.covariance)
     keep = np.flatnonzero(np.isfinite(variance) & (variance > 0))
@@ -397,7 +399,7 @@ def correlations(view: StudyView) -> tuple[list[str], Array]:
 
 
 def correlation_picture(view: StudyView, name: str = "correlation") -> Picture | None:
-    """Draw the correlation matrix of the final model's parameters; None for fewer than two."""
+    """Draw the correlation matrix of the parameters of the final model; None for fewer than two."""
     from matplotlib.colors import LinearSegmentedColormap
 
     names, matrix = correlations(view)
@@ -405,7 +407,7 @@ def correlation_picture(view: StudyView, name: str = "correlation") -> Picture |
         return None
     cases = [v.label for v in view.cases]
     symbols = [symbol(n, cases) for n in names]
-    labels = [  # equal symbols get the name of their effect
+    labels = [  # effects distinguish equal symbols
         f"{s} {plain(n.partition('@')[0].rpartition('.')[0].rpartition('.')[2], 12)}"
         if symbols.count(s) > 1
         else s
@@ -422,9 +424,9 @@ def correlation_picture(view: StudyView, name: str = "correlation") -> Picture |
         turned = 45 if any(" " in text for text in labels) else 0
         ax.set_xticks(np.arange(len(names)) + 0.5, labels, rotation=turned)
         ax.set_yticks(np.arange(len(names)) + 0.5, labels)
-        ax.tick_params(length=0, labelsize=12 if len(names) < _MOST_NUMBERED else 8)
+        ax.tick_params(length=0, labelsize=12 if len(names) < _MAX_NUMBERED else 8)
         ax.spines[:].set_visible(False)
-        if len(names) <= _MOST_NUMBERED:
+        if len(names) <= _MAX_NUMBERED:
             for i, j in np.ndindex(*matrix.shape):
                 if i != j:
                     colour = "#fefefe" if abs(matrix[i, j]) > 0.75 else "#010101"
@@ -444,8 +446,8 @@ def correlation_picture(view: StudyView, name: str = "correlation") -> Picture |
         )
         letters = ", ".join(f"({chr(ord('A') + i)}) {label}" for i, label in enumerate(cases))
         caption = (
-            "Correlation of the final model's parameters. Pairs near ±1 are degenerate: only a combination of them is "
-            "determined. Parameters at a bound are omitted."
+            "Correlation of the parameters of the final model. Pairs near ±1 are degenerate: only a combination of "
+            "them is determined. Parameters at a bound are omitted."
             + (f" Cases: {letters}." if len(cases) > 1 else "")
         )
         return Picture(name, markup(figure, name, finding), caption, finding)

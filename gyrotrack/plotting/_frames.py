@@ -1,7 +1,7 @@
-"""Frames with detections drawn over them.
+"""Frames of films with overlaid detections.
 
-A frame is addressed by its timestamp, which the recording holds: the film is wound back to a key frame before it
-and decoded up to it. Where timestamps repeat or are missing, a frame is not found rather than another one shown.
+A frame is identified by its timestamp in the recording: the film is decoded from the preceding key frame. If timestamps
+repeat or are missing, the frame is not found, so that no wrong frame is shown.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ from gyrotrack.video._frames import frames_at
 
 Picture = npt.NDArray[np.uint8]
 
-_FOUND, _PARTLY, _CENTRE = (60, 255, 60), (0, 200, 255), (255, 255, 255)
-_WORDS = {code: word for word, code in STATUS.items()}
+_FOUND, _PARTIAL, _CENTRE = (60, 255, 60), (0, 200, 255), (255, 255, 255)
+_STATUS_NAMES = {code: word.replace("_", " ") for word, code in STATUS.items()}
 
 
-def drawn(frame: Frame, k: int, recording: Recording) -> Picture:
-    """Return a frame in colour (BGR) with everything that the recording holds of it, as frame `k`."""
+def with_detections(frame: Frame, k: int, recording: Recording) -> Picture:
+    """Return a frame in colour (BGR) with the detections of frame `k` of the recording."""
     picture = colour_picture(frame)
     centre = recording.centre[k]
     for marker in recording.markers.values():
@@ -68,7 +68,7 @@ def colour_picture(frame: Frame) -> Picture:
 def _draw_marker(
     picture: Picture, marker: MarkerTrack, k: int, centre: npt.NDArray[np.float64], sense: int
 ) -> None:
-    """Draw a marker's ray and near corners (green), or its ray alone where it is partly hidden (orange)."""
+    """Draw ray and inner corners of a complete marker (green), or the ray of a partly occluded one (orange)."""
     radius = float(np.nanmedian(marker.rho)) if np.isfinite(marker.rho).any() else float("nan")
     angle = sense * marker.angle_fine[k]
     if not np.isfinite([radius, angle, *centre]).all():
@@ -76,14 +76,14 @@ def _draw_marker(
     whole = marker.status[k] == STATUS["ok"]
     direction = np.array([np.cos(angle), -np.sin(angle)])
     start, stop = centre + 0.9 * radius * direction, centre + 1.15 * radius * direction
-    colour = _FOUND if whole else _PARTLY
+    colour = _FOUND if whole else _PARTIAL
     cv2.line(picture, _point(start), _point(stop), colour, 1, cv2.LINE_AA)
     if whole:
         first, second = marker.corner[k]
         cv2.line(picture, _point(first), _point(second), colour, 1, cv2.LINE_AA)
         for corner in (first, second):
             cv2.circle(picture, _point(corner), 3, colour, 1, cv2.LINE_AA)
-    label = marker.name if whole else f"{marker.name} {_WORDS[int(marker.status[k])]}"
+    label = marker.name if whole else f"{marker.name} {_STATUS_NAMES[int(marker.status[k])]}"
     place = _point(centre + 1.3 * radius * direction)
     cv2.putText(picture, label, place, cv2.FONT_HERSHEY_SIMPLEX, 0.35, colour, 1, cv2.LINE_AA)
 
@@ -92,30 +92,28 @@ def _point(place: npt.NDArray[np.float64]) -> tuple[int, int]:
     return round(float(place[0])), round(float(place[1]))
 
 
-# up to this many frames ahead are reached by decoding on, without seeking
-_AHEAD = 24
-_HASHED = 256 * 2**20
+_MAX_AHEAD = 24  # frames that are skipped by decoding instead of seeking
+_MAX_HASHED = 256 * 2**20  # bytes
 
 
 def find_film(recording: Recording, folders: list[Path]) -> Path | None:
-    """Return the film of a recording, if one of these folders or that of the sample clips contains it.
+    """Return the film of a recording, if it is in one of these folders or among the sample clips.
 
-    A film of up to 256 MiB is compared byte for byte by its SHA-256; of a larger one size and number of frames
-    must agree.
+    A film of up to 256 MiB is identified by its SHA-256, a larger one by frame size and number of frames.
     """
     name = Path(recording.source).name
     places = [*folders, Path(__file__).parents[2] / "sample_clips"]
-    return next((f / name for f in places if name and _is_it(f / name, recording)), None)
+    return next((f / name for f in places if name and _is_film_of(f / name, recording)), None)
 
 
-def _is_it(path: Path, recording: Recording) -> bool:
+def _is_film_of(path: Path, recording: Recording) -> bool:
     try:
         if not path.is_file():
             return False
-        if recording.source_sha256 and path.stat().st_size <= _HASHED:
+        if recording.source_sha256 and path.stat().st_size <= _MAX_HASHED:
             return file_sha256(path) == recording.source_sha256
         info = probe(path)
-    except (OSError, ValueError, VideoError):  # a name from a file may be no name at all
+    except (OSError, ValueError, VideoError):  # the name in the recording may be invalid
         return False
     return {info.width, info.height} == {recording.width, recording.height} and (
         info.frames_declared == recording.frames_declared
@@ -123,19 +121,19 @@ def _is_it(path: Path, recording: Recording) -> bool:
 
 
 class Film:
-    """The frames of a film, with the detections of its recording drawn over them.
+    """Random access to the frames of a film, with the detections of its recording.
 
     Parameters
     ----------
     path : Path
         The film.
     recording : Recording, optional
-        Made from it; without it, as for a film that is not tracked yet, nothing is drawn over the frames.
+        Recording of the film; without it, no detections are with_detections.
     """
 
     def __init__(self, path: Path, recording: Recording | None = None) -> None:
         self.recording = recording
-        self._manager = opened(path)  # after every seek more threads would have to fill up again
+        self._manager = opened(path)  # single-threaded: threads delay the first frame after a seek
         self._stamps: npt.NDArray[np.floating[Any]] = (
             float(probe(path).time_base) * read_raw_stamps(path) if recording is None else recording.pts_time
         )
@@ -157,7 +155,7 @@ class Film:
         self._manager.__exit__(kind, value, trace)
 
     def picture(self, index: int, *, overlay: bool = True) -> Picture | None:
-        """Return a frame in colour (BGR), None if it cannot be found."""
+        """Return a frame in colour (BGR), or None if it is not found."""
         if not 0 <= index < len(self._stamps) or not np.isfinite(self._stamps[index]):
             return None
         frame = self._frame(index)
@@ -165,18 +163,18 @@ class Film:
             return None
         if self.recording is None or not overlay:
             return colour_picture(frame)
-        return drawn(frame, index, self.recording)
+        return with_detections(frame, index, self.recording)
 
     def _frame(self, index: int) -> Frame | None:
         wanted = round(float(self._stamps[index]) / self._base)
         try:
-            if self._frames is None or not self._at < index <= self._at + _AHEAD:
+            if self._frames is None or not self._at < index <= self._at + _MAX_AHEAD:
                 self._container.seek(wanted, stream=self._stream, backward=True)
                 self._frames = self._decoded(wanted)
             for raw in self._frames:
                 if raw.pts is not None and raw.pts >= wanted:
                     self._at = index
-                    # half a tick of rounding aside it is this one, or it is lost
+                    # a later timestamp means that the frame is missing
                     return planes_of(raw, index, orientation_of(raw)) if raw.pts == wanted else None
         except av.error.FFmpegError:
             pass
@@ -184,53 +182,52 @@ class Film:
         return None
 
     def _decoded(self, first: int) -> Iterator[Any]:
-        """Decode from here on; before the timestamp `first` only what later frames are made from."""
+        """Decode from here on; before the timestamp `first` only reference frames."""
         decoder = self._stream.codec_context
-        # in other codecs what counts as no reference may still be one for layers above it
-        sure = decoder.codec.name == "h264"
+        # other codecs may use such frames as references
+        can_skip = decoder.codec.name == "h264"
         for packet in self._container.demux(self._stream):
-            needless = sure and packet.pts is not None and packet.pts < first
-            decoder.skip_frame = "NONREF" if needless else "DEFAULT"
+            unneeded = can_skip and packet.pts is not None and packet.pts < first
+            decoder.skip_frame = "NONREF" if unneeded else "DEFAULT"
             yield from packet.decode()
 
 
 FRAMES = 12
 _COLUMNS = 4
 _WIDTH = 520
-"""Width of a tile in px: what its caption needs."""
-_LINE, _INK, _FAINT = 17, (30, 30, 30), (120, 120, 120)
-_STATUS_WORDS = {code: word.replace("_", " ") for word, code in STATUS.items()}
+"""Width of a tile [px]."""
+_LINE, _INK, _GREY = 17, (30, 30, 30), (120, 120, 120)
 
 
 def check_contact_sheet(path: Path, *, force: bool) -> None:
-    """Refuse, before any work is done, a sheet that could not be written.
+    """Check that a contact sheet can be written.
 
     Raises
     ------
     UsageError
-        If the name does not end in .png.
+        The name does not end in .png.
     OutputError
-        If the file exists and `force` is not set.
+        The file exists and `force` is not set.
     """
     if path.suffix.lower() != ".png":
-        raise UsageError(f"a contact sheet is a picture (.png), not {path.name}", "change its ending")
+        raise UsageError(f"Unknown format of a contact sheet: {path.name}.", "Use a name that ends in .png.")
     refuse_existing(path, force=force)
 
 
 def write_contact_sheet(path: Path, video: Path, recording: Recording, *, force: bool = False) -> None:
-    """Draw twelve frames spread over a film with corners, rays, centre, status, angle and uncertainty.
+    """Draw twelve frames, evenly distributed over a film, with corners, rays, centre, status, angle and uncertainty.
 
     Parameters
     ----------
     path : Path
-        The PNG to write.
+        The PNG file to write.
     video : Path
-        The film that the recording was made from; only what the frames need of it is decoded.
+        The film of the recording.
     """
     check_contact_sheet(path, force=force)
-    tiles = [_tile(picture, k, recording) for k, picture in _chosen(video, recording)]
+    tiles = [_tile(picture, k, recording) for k, picture in _selected_frames(video, recording)]
     if not tiles:
-        raise OutputError(f"no frame of {video} can be decoded for {path}", "check the film")
+        raise OutputError(f"No frame of {video} can be decoded for {path}.", "Check the film.")
     tiles += [np.full_like(tiles[0], 255)] * (-len(tiles) % _COLUMNS)
     rows = [np.hstack(tiles[k : k + _COLUMNS]) for k in range(0, len(tiles), _COLUMNS)]
     _, encoded = cv2.imencode(".png", np.vstack([_heading(recording, rows[0].shape[1]), *rows]))
@@ -238,21 +235,21 @@ def write_contact_sheet(path: Path, video: Path, recording: Recording, *, force:
         stream.write(encoded.tobytes())
 
 
-def _chosen(video: Path, recording: Recording) -> list[tuple[int, Picture]]:
-    """Return the number and the picture of each frame that is to be shown."""
+def _selected_frames(video: Path, recording: Recording) -> list[tuple[int, Picture]]:
+    """Return number and picture of the frames of a contact sheet."""
     count = min(FRAMES, recording.frames_decoded)
     wanted = np.unique(np.linspace(0, recording.frames_decoded - 1, count).astype(int)).tolist()
     base = float(probe(video).time_base)
     stamp = {k: round(recording.pts_time[k] / base) for k in wanted if np.isfinite(recording.pts_time[k])}
     found = frames_at(video, stamp.values())
     if all(stamp.get(k) in found for k in wanted):
-        return [(k, drawn(found[stamp[k]], k, recording)) for k in wanted]
+        return [(k, with_detections(found[stamp[k]], k, recording)) for k in wanted]
     with Reader(video) as reader:  # no timestamps
-        return [(f.index, drawn(f, f.index, recording)) for f in reader if f.index in set(wanted)]
+        return [(f.index, with_detections(f, f.index, recording)) for f in reader if f.index in set(wanted)]
 
 
 def _tile(picture: Picture, k: int, recording: Recording) -> Picture:
-    """Return a frame with a caption: the angle of each body, and how each marker was seen."""
+    """Return a frame with a caption: angle of each body, and status of each marker."""
     scale = _WIDTH / picture.shape[1]
     how = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_CUBIC
     picture = np.asarray(cv2.resize(picture, None, fx=scale, fy=scale, interpolation=how), dtype=np.uint8)
@@ -276,7 +273,7 @@ def _body_line(name: str, k: int, recording: Recording) -> str:
 
 def _marker_line(name: str, k: int, recording: Recording) -> str:
     marker = recording.markers[name]
-    text = f"  {name}: {_STATUS_WORDS[int(marker.status[k])]}"
+    text = f"  {name}: {_STATUS_NAMES[int(marker.status[k])]}"
     if not np.isfinite(marker.angle_fine[k]):
         return text
     text += f", {marker.angle_fine[k]:.4f} +- {marker.sigma_calibrated[k]:.4f}"
@@ -287,9 +284,9 @@ def _heading(recording: Recording, width: int) -> Picture:
     bar = np.full((30, width, 3), 255, dtype=np.uint8)
     text = (
         f"{recording.source}: {recording.frames_decoded} frames at {recording.capture_fps:g} fps;"
-        " green: whole, with its near corners; orange: partly seen; cross: centre"
+        " green: complete, with inner corners; orange: partly visible; cross: centre"
     )
-    _write(bar, text, (6, 20), _FAINT)
+    _write(bar, text, (6, 20), _GREY)
     return bar
 
 
@@ -298,18 +295,18 @@ def _write(picture: Picture, text: str, place: tuple[int, int], colour: tuple[in
 
 
 def check_overlay(path: Path, *, force: bool) -> None:
-    """Refuse, before any work is done, an overlay that could not be written.
+    """Check that an overlay can be written.
 
     Raises
     ------
     UsageError
-        If the suffix is neither .mp4 (film) nor .png (sheet).
+        The suffix is neither .mp4 (film) nor .png (contact sheet).
     OutputError
-        If the file exists and `force` is not set.
+        The file exists and `force` is not set.
     """
     if path.suffix.lower() not in (".mp4", ".png"):
         raise UsageError(
-            f"an overlay is a film (.mp4) or a sheet (.png), not {path.name}", "change its ending"
+            f"Unknown format of an overlay: {path.name}.", "Use a name that ends in .mp4 or .png."
         )
     refuse_existing(path, force=force)
 
@@ -317,14 +314,14 @@ def check_overlay(path: Path, *, force: bool) -> None:
 def write_overlay(
     path: Path, video: Path, recording: Recording, *, force: bool = False, progress: Progress | None = None
 ) -> None:
-    """Draw what a recording holds over its film.
+    """Write a film or contact sheet with the detections of a recording.
 
     Parameters
     ----------
     path : Path
-        ``.png``: a sheet of twelve frames from the whole film. ``.mp4``: the film, at its own rate.
+        ``.png``: a contact sheet. ``.mp4``: the film, at the rate of its container.
     video : Path
-        The film that the recording was made from.
+        The film of the recording.
     """
     check_overlay(path, force=force)
     if path.suffix.lower() == ".png":
@@ -357,4 +354,4 @@ def _pictures(video: Path, recording: Recording) -> Iterator[Picture]:
     with Reader(video) as reader:
         for frame in reader:
             if frame.index < recording.frames_decoded:
-                yield drawn(frame, frame.index, recording)
+                yield with_detections(frame, frame.index, recording)

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 Floats = npt.NDArray[np.float64]
 
-_LEAST_WIDTH, _MOST_WIDTH, _PANEL = 800, 1400, 430
-_INK, _FAINT, _MARK, _EDGE = (30, 30, 30), (110, 110, 110), (255, 255, 255), (0, 0, 0)
+_MIN_WIDTH, _MAX_WIDTH, _PANEL = 800, 1400, 430
+_INK, _GREY, _MARK, _EDGE = (30, 30, 30), (110, 110, 110), (255, 255, 255), (0, 0, 0)
 _RING, _HAND = (0, 200, 255), (0, 0, 255)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
@@ -58,8 +58,8 @@ def write_picture(
         m.profile.name: _mean_colour(picture, m.marker, m.angle[index], proposal.centre)
         for m in proposal.markers
     }
-    scale = float(np.clip(np.ceil(_LEAST_WIDTH / picture.shape[1]), 1, 4))
-    scale = min(scale, _MOST_WIDTH / picture.shape[1])
+    scale = float(np.clip(np.ceil(_MIN_WIDTH / picture.shape[1]), 1, 4))
+    scale = min(scale, _MAX_WIDTH / picture.shape[1])
     big = np.asarray(
         cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC), dtype=np.uint8
     )
@@ -67,7 +67,7 @@ def write_picture(
         _draw_marker(big, marker, frame, float(marker.angle[index]), proposal.centre, scale)
     _draw_centre(big, proposal, scale)
     panel = _panel(proposal, colours, big.shape[0])
-    rows = [np.hstack([_filled(big, panel.shape[0]), panel])]
+    rows = [np.hstack([_padded(big, panel.shape[0]), panel])]
     width = rows[0].shape[1]
     if body is not None:
         rows += _body_rows(*body, width)
@@ -128,7 +128,7 @@ def _body_rows(film: Film, tracked: Tracked, width: int) -> list[Pixels]:
 def _mean_colour(
     picture: Pixels, geometry: Marker, angle: float, centre: tuple[float, float]
 ) -> tuple[int, int, int]:
-    """Return the mean colour (blue, green, red) of the middle of a marker."""
+    """Return the mean colour (blue, green, red) of the central part of a marker."""
     mask = np.zeros(picture.shape[:2], dtype=np.uint8)
     depth = 0.25 * (geometry.outer - geometry.inner)
     cv2.fillPoly(mask, [_sector(geometry, angle, centre, 1.0, depth, 0.5)], 255)
@@ -144,7 +144,7 @@ def _sector(
     inset: float = 0.0,
     width: float = 1.0,
 ) -> npt.NDArray[np.int32]:
-    """Return the outline of the part of the ring that a marker covers, (m, 2) in px of the enlarged picture."""
+    """Return the outline of a marker as a sector of a ring, (m, 2) in px of the enlarged picture."""
     turn = angle + width * geometry.half_width * np.linspace(-1.0, 1.0, 9)
     radius = np.repeat([geometry.inner + inset, geometry.outer - inset], 9)
     turn = np.concatenate([turn, turn[::-1]])
@@ -183,7 +183,7 @@ def _draw_marker(
 def _mask(
     frame: Frame, marker: ProposedMarker, angle: float, centre: tuple[float, float], shape: tuple[int, ...]
 ) -> npt.NDArray[np.uint8]:
-    """Return the pixels of the enlarged picture that have a marker's colour, near the place where it is."""
+    """Return the pixels of the enlarged picture near a marker that have its colour."""
     geometry = marker.marker
     planes = [frame.y] if geometry.colour == "white" else [frame.u, frame.v]
     weights = geometry.contrast[: len(planes)]
@@ -213,7 +213,7 @@ def _draw_centre(big: Pixels, proposal: Proposal, scale: float) -> None:
 
 
 def _panel(proposal: Proposal, colours: dict[str, tuple[int, int, int]], height: int) -> Pixels:
-    """Draw a swatch of each marker with its numbers."""
+    """Draw a colour swatch of each marker with its properties."""
     rows = 78 * len(proposal.markers) + 100
     panel = np.full((max(height, rows), _PANEL, 3), 255, dtype=np.uint8)
     _write(panel, proposal.profile.name, (16, 30), _INK, 0.6)
@@ -224,11 +224,11 @@ def _panel(proposal: Proposal, colours: dict[str, tuple[int, int, int]], height:
         if disc
         else "the markers' orbit"
     )
-    _write(panel, f"centre {middle}: {mark}", (16, 56), _FAINT)
+    _write(panel, f"centre {middle}: {mark}", (16, 56), _GREY)
     for k, marker in enumerate(proposal.markers):
         top = 76 + 78 * k
         cv2.rectangle(panel, (16, top), (80, top + 60), colours[marker.profile.name], cv2.FILLED)
-        cv2.rectangle(panel, (16, top), (80, top + 60), _FAINT, 1)
+        cv2.rectangle(panel, (16, top), (80, top + 60), _GREY, 1)
         geometry = marker.marker
         hue = "" if marker.profile.hue is None else f", hue {marker.profile.hue:.0f} deg"
         wide = 2.0 * geometry.radius * np.tan(min(geometry.half_width, 1.4))
@@ -237,15 +237,15 @@ def _panel(proposal: Proposal, colours: dict[str, tuple[int, int, int]], height:
             panel,
             f"{marker.profile.colour}{hue}; contrast {np.hypot(*geometry.contrast):.0f} of 255",
             (94, top + 36),
-            _FAINT,
+            _GREY,
         )
         size = f"{geometry.outer - geometry.inner:.0f} x {wide:.0f} px at {geometry.radius:.0f} px"
-        _write(panel, f"{size}; fully visible in {100 * marker.seen:.0f} %", (94, top + 54), _FAINT)
+        _write(panel, f"{size}; fully visible in {100 * marker.seen:.0f} %", (94, top + 54), _GREY)
     return panel
 
 
 def _notes_panel(notes: Sequence[str], width: int) -> Pixels:
-    """Draw what is in doubt below the picture, wrapped."""
+    """Draw the notes below the picture, wrapped."""
     lines: list[str] = []
     for note in notes:
         line = "-"
@@ -265,7 +265,7 @@ def _text_panel(lines: Sequence[str], width: int) -> Pixels:
     return strip
 
 
-def _filled(picture: Pixels, height: int) -> Pixels:
+def _padded(picture: Pixels, height: int) -> Pixels:
     below = np.full((height - picture.shape[0], picture.shape[1], 3), 255, dtype=np.uint8)
     return np.vstack([picture, below])
 

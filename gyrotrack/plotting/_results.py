@@ -1,7 +1,7 @@
-"""The pictures of `laws`, `plan` and `compare`.
+"""Figures of the commands `laws`, `plan` and `compare`.
 
-`laws`: the unmodelled torque against its variable with the laws, shares, ranking. `plan`: detection limits, upper
-limits, power curves, the proposed run. `compare`: each parameter in each run, as a difference from the mean.
+`laws`: unmodelled torque against its variable with the laws, explained shares, ranking. `plan`: detection limits, upper
+limits, power curves, next run. `compare`: each parameter in each run, as a difference from the mean.
 """
 
 from __future__ import annotations
@@ -24,10 +24,8 @@ from gyrotrack.plotting._style import (
     SKY,
     VERMILLION,
     WIDTH,
-    Picture,
     canvas,
     legend,
-    markup,
     plain,
     style,
 )
@@ -45,7 +43,7 @@ if TYPE_CHECKING:
 
 _COLOURS = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE)
 _DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (2, 1.5)), (0, (5, 1.5, 1, 1.5)), (0, (1, 1)))
-_MOST = 8
+_MAX_ROWS = 8
 _AXES = {
     "omega_c": "angular rate of the casing [rad/s]",
     "omega_r": "angular rate of the rotor [rad/s]",
@@ -64,39 +62,16 @@ _NAMES = {
 }
 
 
-def laws_picture(found: Laws, name: str = "laws") -> Picture:
-    """Draw the answer of `laws`.
-
-    Parameters
-    ----------
-    found : Laws
-        The answer.
-    name : str
-        Identifier, unique on a page.
-    """
-    with style():
-        return Picture(name, markup(_figure(found), name, found.sentence), _caption(found), found.sentence)
-
-
 def write_laws_picture(found: Laws, path: Path, *, force: bool = False) -> None:
-    """Write the same as a file: PNG, SVG or PDF, by its suffix."""
+    """Write the figure of `laws` as PNG, SVG or PDF, by the suffix of `path`."""
     kind = path.suffix.lower().lstrip(".")
     with style(), new_file(path, force=force) as stream:
         metadata: dict[str, Any] = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
         _figure(found).savefig(stream, format=kind, dpi=150, metadata=metadata)
 
 
-def _caption(found: Laws) -> str:
-    text = (
-        "Above: the unmodelled torque as a smooth function of one variable, the same in all cases, with a band of two "
-        "standard uncertainties, less what the base model can represent itself. Below: the share of the lack of fit "
-        "that a function of each variable explains"
-    )
-    return text + (", and the laws by BIC and description length." if found.laws else ".")
-
-
 def _shown(found: Laws) -> Dependence | None:
-    """Return the curve to draw: that of the best law's variable, else the most significant one."""
+    """Return the curve to draw: that of the variable of the best law, or else the most significant one."""
     curves = [d for d in found.depends_on if len(d.value)]
     if found.laws:
         effect = found.laws[0].effects[0]
@@ -144,7 +119,7 @@ def _draw_curve(ax: Axes, found: Laws, d: Dependence) -> None:
 
 
 def _law_curve(law: Law, d: Dependence) -> Any:
-    """Return the part of a law that compares with the curve; None where it depends on something else as well."""
+    """Return the values of a law that are comparable with the curve; None if it depends on other variables."""
     from fitting.effects._expression import Tape, symbols
 
     total = np.zeros(len(d.value))
@@ -164,7 +139,7 @@ def _law_curve(law: Law, d: Dependence) -> Any:
 
 
 def _draw_shares(ax: Axes, found: Laws) -> None:
-    shown = found.depends_on[:_MOST]
+    shown = found.depends_on[:_MAX_ROWS]
     labels = [" × ".join(_NAMES[v] for v in d.variable.split("*")) + f", {d.body}" for d in shown]
     colours = [SKY if d.p_value < 0.05 else PALE for d in shown]
     ax.barh(np.arange(len(shown)), [100 * d.explained for d in shown], color=colours, height=0.66)
@@ -183,7 +158,7 @@ def _draw_shares(ax: Axes, found: Laws) -> None:
 
 
 def _draw_ranking(ax: Axes, found: Laws) -> None:
-    shown = found.laws[:_MOST]
+    shown = found.laws[:_MAX_ROWS]
     answer = found.answer
     worse = np.array([x.penalised - found.laws[0].penalised for x in shown])
     colours = []
@@ -219,12 +194,12 @@ _CURVES = (*_COLOURS, SKY)
 
 
 def write_plan_picture(found: Plan, path: Path, *, force: bool = False) -> Path:
-    """Write the picture of a plan.
+    """Write the figure of `plan`.
 
     Parameters
     ----------
     found : Plan
-        From `fitting.plan`.
+        Result of `fitting.plan`.
     path : Path
         A ``.png`` or ``.svg`` file.
     force : bool
@@ -242,7 +217,7 @@ def write_plan_picture(found: Plan, path: Path, *, force: bool = False) -> Path:
 
 
 def plan_figure(found: Plan) -> Figure:
-    """Return limits of the physical effects, power against torque, and the motion of the proposed run."""
+    """Return a figure of limits of the physical effects, power against torque, and motion of the next run."""
     shown = [e for e in found.effects if e.effect.mechanical and np.isfinite(e.detection_torque)]
     figure = canvas(1.25 * WIDTH, 3.6 + 0.27 * max(len(shown), 10))
     parts: Any = figure.subfigures(2, 1, height_ratios=(0.27 * max(len(shown), 10), 3.4))
@@ -290,7 +265,7 @@ def _limits(ax: Axes, shown: list[EffectLimits], size: float, unit: str) -> None
 
 
 def _power(ax: Axes, shown: list[EffectLimits], size: float, unit: str) -> None:
-    # some across the whole range of limits
+    # evenly distributed over the range of limits
     chosen = (
         [shown[i] for i in sorted({round(x) for x in np.linspace(0, len(shown) - 1, len(_CURVES))})]
         if shown
@@ -331,19 +306,19 @@ def _run(ax: Axes, found: NextRun) -> None:
         ax.set_ylabel("angular rate [rad/s]")
     ax.set_xlabel("time [s]")
     ring = f", casing with {run.ring:.1f} times its moment of inertia" if run.ring != 1 else ""
-    ax.set_title(f"Proposed next run, predicted motion{ring}")
+    ax.set_title(f"Next run, predicted motion{ring}")
 
 
-_MOST_PARAMETERS = 14
+_MAX_PARAMETERS = 14
 
 
 def write_comparison_picture(found: Comparison, path: Path, *, force: bool = False) -> None:
-    """Write the picture as a file: PNG, SVG or PDF, by its suffix.
+    """Write the figure of `compare` as PNG, SVG or PDF, by the suffix of `path`.
 
     Parameters
     ----------
     found : Comparison
-        From `fitting.compare`.
+        Result of `fitting.compare`.
     path : Path
         A ``.png``, ``.svg`` or ``.pdf`` file.
     force : bool
@@ -356,8 +331,8 @@ def write_comparison_picture(found: Comparison, path: Path, *, force: bool = Fal
 
 
 def comparison_figure(found: Comparison) -> Figure:
-    """Return one row per parameter: the runs with bars of 2 sigma, the mean and the spread between runs behind them."""
-    shown = found.parameters[:_MOST_PARAMETERS]
+    """Return a figure with one row per parameter: the runs with bars of 2 sigma, and the spread between the runs."""
+    shown = found.parameters[:_MAX_PARAMETERS]
     names = list(dict.fromkeys(r.run for p in shown for r in p.repeats))
     figure = canvas(WIDTH, 1.3 + 0.55 * max(len(shown), 1))
     ax = figure.subplots()
@@ -365,6 +340,7 @@ def comparison_figure(found: Comparison) -> Figure:
         scale = abs(p.mean) or 1.0
         band = np.array([-1, 1]) * p.spread / scale * 100
         ax.fill_betweenx([row - 0.38, row + 0.38], *band, color="#d9d9d9", linewidth=0, zorder=0)
+        labelled = {q.run for above in shown[:row] for q in above.repeats}
         for i, r in enumerate(p.repeats):
             place = names.index(r.run)
             ax.errorbar(
@@ -374,7 +350,7 @@ def comparison_figure(found: Comparison) -> Figure:
                 fmt="o",
                 markersize=5,
                 color=_COLOURS[place % len(_COLOURS)],
-                label=plain(r.run, 24) if r.run not in {q.run for q in _before(shown, row)} else None,
+                label=None if r.run in labelled else plain(r.run, 24),
             )
     labels = [f"{plain(p.name)}\np {probability(p.p_value)}" for p in shown]
     ax.set_yticks(range(len(shown)), labels)
@@ -384,8 +360,3 @@ def comparison_figure(found: Comparison) -> Figure:
     if shown:
         legend(ax)
     return figure
-
-
-def _before(shown: Any, row: int) -> list[Any]:
-    """Return the repeats of the rows above one."""
-    return [r for p in shown[:row] for r in p.repeats]

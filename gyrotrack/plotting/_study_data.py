@@ -1,4 +1,4 @@
-"""What figures, report and workbench show of a study, computed from its fits."""
+"""Data for figures, report and workbench, computed from the fits of a study."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Residual = SpeedResidual
 
-_BAND = 2.0  # sigma; as drawn
+_BAND = 2.0  # half width of the drawn bands [sigma]
 _MODEL_POINTS = 800
 _WINDOW_POINTS = 60
 _ENERGY_PIECES = 50
-_MOST_ALTERNATIVES = 3
+_MAX_ALTERNATIVES = 3
 
 
 def residual_rms(residuals: Sequence[Residual], noise: Sequence[Residual]) -> float:
-    """Return the rms of residuals in units of the standard uncertainty that noise alone gives to `noise`."""
+    """Return the rms of residuals in units of the standard uncertainties of `noise`."""
     z = [r.value[n.sigma > 0] / n.sigma[n.sigma > 0] for r, n in zip(residuals, noise, strict=True)]
     joined = np.concatenate(z) if z else np.zeros(0)
     return float(np.sqrt(np.mean(joined**2))) if len(joined) else float("nan")
@@ -43,7 +43,7 @@ def residual_rms(residuals: Sequence[Residual], noise: Sequence[Residual]) -> fl
 
 @dataclass(frozen=True)
 class Curve:
-    """A curve: time [s], value, and its standard uncertainty (zero where it has none)."""
+    """A curve: time [s], value, and standard uncertainty (zero if there is none)."""
 
     time: Array
     value: Array
@@ -52,7 +52,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Energy:
-    """Relative drift of kinetic plus dissipated energy: its running mean, and its largest size."""
+    """Relative drift of kinetic plus dissipated energy: running mean and largest absolute value."""
 
     mean: Curve
     drift: float
@@ -60,7 +60,7 @@ class Energy:
 
 @dataclass(frozen=True)
 class AddedTorque:
-    """Torque of a model minus that of the base on each body [N m], along the motion of that model."""
+    """Torque of a model minus that of the base model on each body [N m], along the motion of that model."""
 
     name: str
     time: Array
@@ -75,12 +75,12 @@ class AddedTorque:
 
 @dataclass(frozen=True)
 class CaseModel:
-    """One case under one model.
+    """One case with one model.
 
     Attributes
     ----------
     casing : Curve
-        Modelled speed [rad/s] and its standard uncertainty from that of the parameters.
+        Modelled speed [rad/s] with its standard uncertainty due to the parameters.
     rotor : tuple of Curve
         The same in each window.
     casing_residual, rotor_residual : Residual, tuple of Residual
@@ -98,26 +98,26 @@ class CaseModel:
 
 @dataclass(frozen=True)
 class CaseView:
-    """One case under the first and the last model of a history of fits.
+    """One case with the first and the last model of a history of fits.
 
     Attributes
     ----------
     body : str
-        Name of the filmed body: "casing", or "body" where only one was recorded.
+        Name of the filmed body: "casing", or "body" if only one was recorded.
     torque_unit : str
-        "N m", or "rad/s²" where torques are per unit of inertia.
+        "N m", or "rad/s²" for torques per unit of inertia.
     casing, rotor : Curve, tuple of Curve
         Measured speed, smoothed as in the paper [rad/s].
     models : tuple of CaseModel
-        The base and, if anything was added, the final model.
+        The base model and, if it differs, the final model.
     added : AddedTorque or None
-        Torque of the final model minus that of the base.
+        Torque of the final model minus that of the base model.
     alternatives : tuple of AddedTorque
         The same for the best other candidate effects, each after a refit.
     energy : tuple of Energy
         Energy balance of each step.
     failures : tuple of Failure
-        Intervals in which the base fails.
+        Intervals with significant lack of fit of the base model.
     """
 
     label: str
@@ -135,21 +135,21 @@ class CaseView:
 
     @property
     def intervals(self) -> tuple[Interval, ...]:
-        """Intervals in which the base fails, for the charts."""
+        """Intervals with lack of fit of the base model, for the charts."""
         return self.failing(self.failures, self.models[0])
 
     def failing(self, failures: Sequence[Failure], model: CaseModel) -> tuple[Interval, ...]:
-        """Return the intervals in which a model fails, for the charts.
+        """Return the intervals with lack of fit of a model, for the charts.
 
-        They are those of a significant unmodelled torque, and the parts outside them in which the residual of the
-        speed leaves its band: a torque that is missing at one time leaves an error of the speed until later.
+        These are the intervals of significant unmodelled torque, and further ones in which the residual of the speed
+        is outside of its band: an unmodelled torque changes the speed also at later times.
 
         Parameters
         ----------
         failures : sequence of Failure
             Intervals of unmodelled torque.
         model : CaseModel
-            One of `models`.
+            The model, one of `models`.
         """
         found = [
             Interval(
@@ -176,7 +176,7 @@ class CaseView:
 def _outside(
     residual: Residual, sigma: Array, covered: Sequence[tuple[float, float]]
 ) -> list[tuple[float, float, float]]:
-    """Return start, stop and largest |z| of the parts in which a residual stays outside of its band on one side."""
+    """Return start, stop and largest |z| of the intervals in which a residual is outside of its band on one side."""
     ratio = residual.value / np.where(sigma > 0, sigma, np.inf)
     side = np.sign(ratio) * (np.abs(ratio) > _BAND)
     uncovered = np.ones(len(ratio), dtype=bool)
@@ -201,14 +201,14 @@ def case_view(
     torques: Sequence[tuple[ResidualTorque, ...]],
     index: int,
 ) -> CaseView:
-    """Return one case under the first and the last model of a history.
+    """Return one case with the first and the last model of a history.
 
     Parameters
     ----------
     history : sequence of FitStep
         The history of fits, base first.
     diagnosis : Diagnosis or None
-        That of the base.
+        Diagnosis of the base model.
     torques : sequence
         Unmodelled torques of the first and the last model.
     index : int
@@ -271,11 +271,11 @@ def _alternatives(base: Fit, final: Fit, diagnosis: Diagnosis | None, index: int
         and not c.effect.depends_on_angle
         and c.effect.name not in final.model.names
     ]
-    return tuple(s for s in found if s is not None)[:_MOST_ALTERNATIVES]
+    return tuple(s for s in found if s is not None)[:_MAX_ALTERNATIVES]
 
 
 def added_torque(name: str, base: Fit, other: Fit, index: int) -> AddedTorque | None:
-    """Return the torque that another model has and the base lacks, along the other's motion; None if it adds none."""
+    """Return the torque of another model minus that of the base, along the motion of that model; None if equal."""
     from fitting.dynamics._mesh import Sampler
 
     old, new = base.problem.cases[index], other.problem.cases[index]
@@ -287,10 +287,10 @@ def added_torque(name: str, base: Fit, other: Fit, index: int) -> AddedTorque | 
     time = np.linspace(path.mesh.edges[0], path.mesh.edges[-1], _MODEL_POINTS)
     state = Sampler(path.mesh, time).value(path.y)
     inertia = np.array([new.data.record.I_rotor, new.data.record.I_casing])
-    gained = new.dynamics.rates(time, state, other.problem.layout.numbers(other.theta, index))[:, :2]
-    seen = state[:, [path.states.index(s) for s in old.dynamics.states]]
-    had = old.dynamics.rates(time, seen, base.problem.layout.numbers(base.theta, index))[:, :2]
-    torque = (gained - had) * inertia
+    after = new.dynamics.rates(time, state, other.problem.layout.numbers(other.theta, index))[:, :2]
+    shared = state[:, [path.states.index(s) for s in old.dynamics.states]]
+    before = old.dynamics.rates(time, shared, base.problem.layout.numbers(base.theta, index))[:, :2]
+    torque = (after - before) * inertia
     return AddedTorque(name, time, state[:, 1].copy(), torque[:, 0].copy(), torque[:, 1].copy())
 
 
@@ -307,7 +307,7 @@ def _energy(fit: Fit, index: int) -> Energy:
 
 @dataclass(frozen=True)
 class Step:
-    """One step of the history: the change, and its figures of merit."""
+    """One step of the history: change and figures of merit."""
 
     change: str
     rmse: float
@@ -322,10 +322,10 @@ class Step:
 
 @dataclass(frozen=True)
 class StudyView:
-    """What a report shows of the fits.
+    """Data of a study for the report.
 
-    `rmse_floor` is the noise limit of the casing's rms error [rad/s]; `upper_limits` are the largest effects that the
-    final model could still lack, none where it has a significant lack of fit.
+    `rmse_floor` is the noise limit of the rms error of the casing [rad/s]; `upper_limits` are those of effects that are
+    not in the final model, empty if it has a significant lack of fit.
     """
 
     steps: tuple[Step, ...]
@@ -343,17 +343,17 @@ class StudyView:
 
     @property
     def body(self) -> str:
-        """Name of the filmed body: "casing", or "body" where only one was recorded."""
+        """Name of the filmed body: "casing", or "body" if only one was recorded."""
         return self.cases[0].body
 
     @property
     def torque_unit(self) -> str:
-        """Unit of torques: "N m", or "rad/s²" where they are per unit of inertia."""
+        """Unit of torques: "N m", or "rad/s²" per unit of inertia."""
         return unit_text(self.final.torque_unit)
 
     @property
     def residual_rms(self) -> tuple[float, ...]:
-        """The rms residual of the casing for the base and the final model, in units of the final model's noise."""
+        """Rms residual of the casing for the base and the final model, in units of the noise of the final model."""
         noise = [v.models[-1].casing_residual for v in self.cases]
         count = len(self.cases[0].models)
         return tuple(
@@ -362,19 +362,19 @@ class StudyView:
 
     @property
     def improved(self) -> bool:
-        """Whether there is a final model that differs from the base."""
+        """Whether the final model differs from the base model."""
         return len(self.steps) > 1
 
 
 def gather(history: Sequence[FitStep], diagnosis: Diagnosis | None) -> StudyView:
-    """Collect what is to be shown.
+    """Compute the data of a study.
 
     Parameters
     ----------
     history : sequence of FitStep
         The history of fits, base first.
     diagnosis : Diagnosis or None
-        That of the base.
+        Diagnosis of the base model.
     """
     from fitting.discovery._residuals import whiteness
     from fitting.study._serialisation import history_verdict
@@ -403,7 +403,7 @@ def gather(history: Sequence[FitStep], diagnosis: Diagnosis | None) -> StudyView
 
 
 def _upper_limits(final: Fit, diagnosis: Diagnosis | None) -> tuple[UpperLimit, ...]:
-    """Return the limits that the diagnosis of the final model has, or compute them."""
+    """Return the limits from the diagnosis of the final model, or compute them."""
     from fitting.discovery._power import largest_hidden
 
     if diagnosis is not None:

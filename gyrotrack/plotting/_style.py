@@ -55,7 +55,7 @@ _DROPPED = re.compile(
     r"<!--.*?-->|<metadata>.*?</metadata>|<style[^>]*>.*?</style>|<\?xml.*?\?>|<!DOCTYPE.*?>", re.DOTALL
 )
 _NAMES = re.compile(r'(\bid="|xlink:href="#|url\(#)')
-# characters of this program that the font has
+# further characters that may be drawn
 _DRAWN = "±σχΔ²³µ−–→…×"
 _SIZE = re.compile(r'<svg ([^>]*?)width="([\d.]+)pt" height="([\d.]+)pt"([^>]*)>|<svg ([^>]*)>')
 
@@ -69,11 +69,11 @@ class Picture:
     name : str
         Identifier, unique on a page.
     svg : str
-        Markup made by matplotlib alone: all text is drawn as outlines.
+        Markup by matplotlib, with text as outlines.
     caption : str
-        How the figure is to be read; plain text.
+        Explanation of the figure; plain text.
     finding : str
-        What the figure shows, also its text alternative; plain text.
+        Main result, also the text alternative; plain text.
     """
 
     name: str
@@ -84,18 +84,18 @@ class Picture:
 
 @contextmanager
 def style(changes: Mapping[str, Any] | None = None) -> Iterator[None]:
-    """Use the settings of all figures inside the block."""
+    """Use the common settings of figures within the context."""
     import matplotlib as mpl
 
     settings: Any = {**_SETTINGS, **(changes or {})}
     with mpl.rc_context():
-        mpl.rcdefaults()  # neither a matplotlibrc in the working folder nor the user's changes a figure
+        mpl.rcdefaults()  # ignore matplotlibrc of the user and of the working folder
         mpl.rcParams.update(settings)
         yield
 
 
 def canvas(width: float, height: float) -> Figure:
-    """Return an empty figure of this size [inch], independent of any window system."""
+    """Return an empty figure of this size [inch], without a window system."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height))
@@ -110,7 +110,7 @@ def markup(figure: Figure, name: str, finding: str, *, tight: bool = False) -> s
     if tight:
         figure.savefig(stream, format="svg", metadata=metadata, bbox_inches="tight", pad_inches=0.03)
     else:
-        # `savefig` would lay the figure out twice
+        # `savefig` would compute the layout twice
         surface: Any = FigureCanvasSVG(figure)
         surface.print_svg(stream, metadata=metadata)
     text = _DROPPED.sub("", stream.getvalue()).strip()
@@ -125,14 +125,14 @@ def markup(figure: Figure, name: str, finding: str, *, tight: bool = False) -> s
 
 
 def plain(text: str, most: int = 34) -> str:
-    """Return text of users for a figure: no mathematics, no characters that the font lacks, at most `most` long."""
+    """Return text of users for a figure: without mathematics and unknown characters, at most `most` characters long."""
     text = "".join(c if 32 <= ord(c) < 127 or c in _DRAWN else "?" for c in text)
     text = text if len(text) <= most else text[: most - 3] + "..."
     return text.replace("$", r"\$")
 
 
 def legend(axes: Axes, **changes: Any) -> None:
-    """Draw the legend above the axes, on the left, visible on a narrow screen."""
+    """Draw the legend above the axes, on the left."""
     place = {
         "loc": "lower left",
         "bbox_to_anchor": (0.0, 1.0),
@@ -143,7 +143,7 @@ def legend(axes: Axes, **changes: Any) -> None:
     axes.legend(**{**place, **changes}, fontsize=9)
 
 
-# colours of figures that a page replaces by those of its theme
+# colours that a page replaces by those of its theme
 _THEMED = {
     "#000000": "ink",
     "#444444": "ink",
@@ -164,5 +164,5 @@ _COLOUR = re.compile("|".join(_THEMED))
 
 
 def themed(svg: str) -> str:
-    """Return markup whose colours follow the custom properties --ink, --blue ... of the page."""
+    """Return markup with the CSS custom properties --ink, --blue ... of the page as colours."""
     return _COLOUR.sub(lambda m: f"var(--{_THEMED[m[0]]}, {m[0]})", svg)

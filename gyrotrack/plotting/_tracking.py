@@ -1,4 +1,4 @@
-"""Quality of tracking over a case: uncertainty of the angles, motion of the centre, clips on one clock."""
+"""Tracking quality of a case: uncertainty of the angles, motion of the centre, synchronisation of the clips."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Sigma:
-    """Standard deviation of a body's angle in one clip [rad], against the time of the case [s]."""
+    """Standard uncertainty of the angle of a body in one clip [rad], against the time of the case [s]."""
 
     clip: str
     body: str
@@ -31,14 +31,14 @@ class Sigma:
 
     @property
     def median(self) -> float:
-        """Its median; nan if unknown."""
+        """Median; NaN if it is unknown."""
         known = self.value[np.isfinite(self.value)]
         return float(np.median(known)) if len(known) else float("nan")
 
 
 @dataclass(frozen=True)
 class Centre:
-    """Centre in the picture minus its median [px], `place` of shape (n, 2), against time [s]."""
+    """Centre in the image minus its median [px], `place` of shape (n, 2), against time [s]."""
 
     clip: str
     time: Array
@@ -75,7 +75,7 @@ class Tracks:
 
 
 def tracks_of(case: Case) -> Tracks | None:
-    """Return the quality of tracking of the clips of a case; None if it has no clips."""
+    """Return the tracking quality of the clips of a case; None if it has no clips."""
     sigmas, centres, spans = [], [], []
     for key, r in case.recordings.items():
         placement = case.placements.get(key)
@@ -113,11 +113,11 @@ def _about_median(recording: Recording) -> Array:
     return recording.centre - (np.median(known, axis=0) if len(known) else 0.0)
 
 
-_MOST_CLIPS = 12
+_MAX_CLIPS = 12
 
 
 def sigma_finding(sigmas: tuple[Sigma, ...]) -> str:
-    """Return the standard uncertainty of the angles."""
+    """Return the standard uncertainty of the angles as a sentence."""
     parts = []
     for body in sorted({s.body for s in sigmas}):
         medians = [1e3 * s.median for s in sigmas if s.body == body and np.isfinite(s.median)]
@@ -130,14 +130,14 @@ def sigma_finding(sigmas: tuple[Sigma, ...]) -> str:
 
 
 def centre_finding(centres: tuple[Centre, ...]) -> str:
-    """Return the size of the motion of the centre."""
+    """Return the size of the motion of the centre as a sentence."""
     worst = max(centres, key=lambda c: np.nan_to_num(c.rms))
     return f"Motion of the centre: {short(worst.rms, 2)} px rms at most ({worst.clip})."
 
 
 def sync_picture(tracks: Tracks, name: str) -> Picture:
     """Draw the intervals of the clips on the clock of the case, with the uncertainty of their starts."""
-    spans = tracks.spans[:_MOST_CLIPS]
+    spans = tracks.spans[:_MAX_CLIPS]
     with style():
         figure = canvas(WIDTH, 0.9 + 0.42 * len(spans))
         ax = figure.subplots()
@@ -179,13 +179,13 @@ def _notes(ax: Axes, spans: tuple[Span, ...]) -> None:
 def _sync_caption(spans: tuple[Span, ...]) -> str:
     methods = "; ".join(dict.fromkeys(s.method for s in spans if s.sigma > 0))
     return (
-        "Clips on the clock of the casing's camera, with the standard uncertainty of their start; hatched: another "
-        "start is possible." + (f" Method: {methods}." if methods else "")
+        "Clips on the clock of the casing camera, with the standard uncertainty of their start; hatched: ambiguous "
+        "start." + (f" Method: {methods}." if methods else "")
     )
 
 
 def sync_finding(spans: tuple[Span, ...]) -> str:
-    """Return how well the starts of the clips are known."""
+    """Return the uncertainty of the starts of the clips as a sentence."""
     doubtful = [s.clip for s in spans if s.ambiguous]
     known = [s.sigma for s in spans if s.sigma > 0]
     text = f"{len(spans)} clips on one clock"

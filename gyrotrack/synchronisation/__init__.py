@@ -1,1 +1,1 @@
-"""One clock for all cameras, from the angle of the casing, which every film shows."""
+"""Synchronisation of the cameras by the angle of the casing, which all films show."""

@@ -1,9 +1,9 @@
-"""All clips together: common clock rate, direction and ambiguity; and the case that they make.
+"""Joint solution of all clips: common clock rate and direction, ambiguity; and the resulting case.
 
-Clips of one camera share its clock, and if it was not touched in between also its direction. Both are used
-only as far as they are seen to hold. A common rate must not cost more chi2 than chance allows. A common
-direction fixes the start to within whole turns of the casing; that the fractions of a turn agree must be too
-much of a coincidence (a chance below 0.001) before it is believed.
+Clips of one camera have a common clock rate, and a common direction if the camera was not moved in between. Both are
+assumed only if the data confirm them. A common rate must not increase chi2 significantly. A common direction determines
+the start modulo whole turns of the casing; it is assumed if the directions agree with a probability by chance of less
+than 0.001.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from gyrotrack.io._records import BodyTrack, Case, Floats, Placement, Recording,
 from gyrotrack.synchronisation._matching import TURN, Curve, Pair, Solution, Start, casing_curve, solve
 from gyrotrack.synchronisation._search import NEAR, RATE_SIGMA, RIVAL, Prepared, half_length, prepare, survey
 
-EXCLUDED = 25.0  # a rival this much worse in chi2 is out
-UNCERTAIN = 1e-3  # s; a start that is known no better is called ambiguous
-BELIEVED = 1e-3  # chance below which agreeing directions are no coincidence
-AGREE = 4.0  # sigma within which two directions agree
-RESOLVED = TURN / 10  # rad; a direction known better than this identifies the turn
-COMBINATIONS = 64
+EXCLUDED = 25.0  # increase of chi2 above which an alternative start is excluded
+MAX_START_SIGMA = 1e-3  # largest uncertainty of a start that is not ambiguous [s]
+MAX_CHANCE = 1e-3  # largest probability that directions agree by chance
+AGREE = 4.0  # largest difference of equal directions [sigma]
+RESOLVED = TURN / 10  # largest uncertainty of a direction that identifies the turn [rad]
+MAX_COMBINATIONS = 64
 
 
 @dataclass(frozen=True)
 class Rival:
-    """Another start of a clip [s], and how much worse it is."""
+    """An alternative start of a clip [s], and its increase of chi2."""
 
     offset: float
     delta_chi2: float
@@ -40,10 +40,10 @@ class Rival:
 
 @dataclass(frozen=True)
 class Match:
-    """Where one clip lies, with 1-sigma uncertainties.
+    """Start, rate and direction of one clip with standard uncertainties.
 
-    `covariance` (3, 3) is that of (offset [s], rate [1], angle [rad]): near the casing's peak speed a later start looks
-    like another direction, and the first and the last go together.
+    `covariance` (3, 3) is that of (offset [s], rate [1], angle [rad]), of which the first and the last can be strongly
+    correlated.
     """
 
     name: str
@@ -60,12 +60,14 @@ class Match:
 
     @property
     def ambiguous(self) -> bool:
-        """Whether another start, more than a few milliseconds away, cannot be excluded."""
-        return self.offset_sigma > UNCERTAIN or any(rival.delta_chi2 < EXCLUDED for rival in self.rivals)
+        """Whether another start cannot be excluded, or the uncertainty is too large."""
+        return self.offset_sigma > MAX_START_SIGMA or any(
+            rival.delta_chi2 < EXCLUDED for rival in self.rivals
+        )
 
     @property
     def method(self) -> str:
-        """How the start was found, in words."""
+        """Description of the method."""
         parts = ["casing angle in both cameras"]
         parts += ["one clock rate for all clips"] if self.common_rate else []
         parts += ["one direction for all clips"] if self.common_direction else []
@@ -79,25 +81,25 @@ def match_clips(
     cameras: Sequence[object],
     progress: Callable[[int, int | None], None] | None = None,
 ) -> list[Match]:
-    """Place every clip on the casing's clock.
+    """Determine start, rate and direction of every clip on the clock of the casing camera.
 
     Parameters
     ----------
     casing : Curve
-        The casing in the casing's own recording.
+        Angle of the casing in its own recording.
     clips : sequence of Curve
-        The casing in each rotor clip.
+        Angle of the casing in each rotor clip.
     names : sequence of str
-        What to call the clips in messages.
+        Names of the clips for messages.
     cameras : sequence
-        Clips with equal entries come from one camera.
+        Clips with equal entries are from the same camera.
     progress : callable, optional
-        Told how many clips have been looked at.
+        Called with (clips done, clips in total).
 
     Raises
     ------
     SyncError
-        A clip does not belong to this casing recording.
+        A clip does not match this casing recording.
     """
     surveys = {half: survey(casing, half) for half in {half_length(clip) for clip in clips}}
     prepared = []
@@ -162,18 +164,18 @@ def _solve(
 
 
 def _combinations(prepared: list[Prepared]) -> list[tuple[Start, ...]]:
-    """Return the combinations of possible starts, the most likely ones if there are too many."""
+    """Return the most likely combinations of possible starts."""
     options = []
     for p in prepared:
         lowest = p.solutions[0].chi2
         options.append([s for s in p.solutions if s.chi2 < lowest + RIVAL])
     combos = list(product(*options))
     combos.sort(key=lambda combo: sum(solution.chi2 for solution in combo))
-    return [tuple(solution.starts[0] for solution in combo) for combo in combos[:COMBINATIONS]]
+    return [tuple(solution.starts[0] for solution in combo) for combo in combos[:MAX_COMBINATIONS]]
 
 
 def _rivals(fits: list[Solution], best: Solution, clip: int) -> list[Rival]:
-    """Return the other starts of a clip with their chi2 above the best, each once."""
+    """Return the distinct alternative starts of a clip with their increase of chi2."""
     near = NEAR + best.sigma(clip)[0] / 10
     others: dict[int, Rival] = {}
     for fit in sorted(fits, key=lambda fit: fit.chi2):
@@ -186,20 +188,20 @@ def _rivals(fits: list[Solution], best: Solution, clip: int) -> list[Rival]:
 def _common_direction(
     pairs: Sequence[Pair], best: Solution, *, common_rate: bool
 ) -> tuple[list[int | None], Solution]:
-    """Return the turns by which the clips' directions differ, None where unknown, and the solution with them.
+    """Return the whole turns between the directions of the clips, None where unknown, and the solution with them.
 
-    Starting from the clip whose direction is known best, the others join one by one, the best known first.
+    The clip with the best known direction is the reference; the others are added in order of increasing uncertainty.
     """
     count = len(pairs)
     none: list[int | None] = [None] * count
     reference = int(np.argmin([best.sigma(k)[2] for k in range(count)]))
     turns, solution, chance = list(none), best, 1.0
     turns[reference] = 0
-    waiting = set(range(count)) - {reference}
-    while waiting:
-        spread = {k: _difference(solution, k, reference)[1] for k in waiting}
-        k = min(waiting, key=spread.__getitem__)
-        waiting.discard(k)
+    remaining = set(range(count)) - {reference}
+    while remaining:
+        spread = {k: _difference(solution, k, reference)[1] for k in remaining}
+        k = min(remaining, key=spread.__getitem__)
+        remaining.discard(k)
         difference, sigma = _difference(solution, k, reference)
         turn = round(difference / TURN)
         if sigma > RESOLVED or abs(difference - TURN * turn) > AGREE * sigma:
@@ -207,13 +209,13 @@ def _common_direction(
         chance *= min(1.0, 2 * AGREE * sigma / TURN)
         turns[k] = turn
         solution = _solve(pairs, solution.starts, common_rate=common_rate, turns=turns)
-    if chance > BELIEVED or not solution.converged:
+    if chance > MAX_CHANCE or not solution.converged:
         return none, best
     return turns, solution
 
 
 def _difference(solution: Solution, k: int, reference: int) -> tuple[float, float]:
-    """Return how far the directions of two clips are apart, and the uncertainty of that [rad]."""
+    """Return the difference of the directions of two clips, and its uncertainty [rad]."""
     a, b = 3 * k + 2, 3 * reference + 2
     c = solution.covariance
     variance = c[a, a] + c[b, b] - 2 * c[a, b]
@@ -221,7 +223,7 @@ def _difference(solution: Solution, k: int, reference: int) -> tuple[float, floa
 
 
 def _next_turns(pair: Pair, best: Solution, locked: Solution, k: int) -> list[Rival]:
-    """Return the starts one turn earlier and later, as the fit without common direction sees them."""
+    """Return the starts one turn earlier and later, with their chi2 in the fit without common direction."""
     middle = locked.starts[k].offset + pair.clip.time.mean()
     window = pair.casing.between(middle - 0.5, middle + 0.5)
     speed = abs(np.polyfit(window.time - middle, window.angle, 1)[0])
@@ -239,7 +241,7 @@ Progress = Callable[[int, int | None], None]
 
 @dataclass(frozen=True)
 class Synchronised:
-    """A case, and where each clip was found, in the order in which the clips were given."""
+    """A case, and the match of each clip in the order of the input."""
 
     case: Case
     matches: tuple[Match, ...]
@@ -256,36 +258,36 @@ def synchronise(
     surface: str = "",
     progress: Progress | None = None,
 ) -> Synchronised:
-    """Put the rotor clips of one experiment on the clock of the casing's camera.
+    """Synchronise the rotor clips of one experiment with the casing camera.
 
     Parameters
     ----------
     casing : Recording
-        The recording that follows the casing throughout.
+        The recording of the casing through the whole run.
     rotors : sequence of Recording
-        Clips that show the rotor, and the casing too.
+        Recordings that show the rotor and the casing.
     names : sequence of str
-        What to call the recordings in messages, the casing's first.
+        Names of the recordings for messages, that of the casing first.
     label, surface : str
-        Name of the case, and what the casing turned on.
+        Name of the case, and the surface on which the casing turned.
     I_rotor, I_casing : float
         Moments of inertia [kg m2].
     progress : callable, optional
-        Told how many clips are done.
+        Called with (clips done, clips in total).
 
     Raises
     ------
     SyncError
-        A clip does not belong to this run, is given twice, or lacks a body.
+        A clip does not belong to this run, is given twice, or does not show both bodies.
     UsageError
         A moment of inertia is not positive, or there is no clip.
     """
     if not (I_rotor > 0 and I_casing > 0):
         raise UsageError("A moment of inertia must be positive.", "Give it in kg m2, such as 5.54e-5.")
     if not rotors:
-        raise UsageError("There is no rotor clip.", "Name the rotor recordings after the casing recording.")
-    _refuse_twice([casing, *rotors], names)
-    wheels = [_rotor(recording, name) for recording, name in zip(rotors, names[1:], strict=True)]
+        raise UsageError("There is no rotor clip.", "Give the rotor recordings after the casing recording.")
+    _check_distinct_films([casing, *rotors], names)
+    rotor_tracks = [_rotor(recording, name) for recording, name in zip(rotors, names[1:], strict=True)]
     curves = [casing_curve(r, name) for r, name in zip([casing, *rotors], names, strict=True)]
     cameras = [(r.capture_fps, r.width, r.height) for r in rotors]
     matches = match_clips(curves[0], curves[1:], names[1:], cameras, progress)
@@ -298,22 +300,22 @@ def synchronise(
         label=label,
         surface=surface,
         casing=_series([casing.bodies["casing"]]),
-        rotor=_windows([_on_clock(wheels[k], matches[k]) for k in order]),
+        rotor=_windows([_on_clock(rotor_tracks[k], matches[k]) for k in order]),
         recordings={"casing": casing, **{ids[k]: rotors[k] for k in order}},
         placements={"casing": still, **{ids[k]: _placement(ids[k], matches[k]) for k in order}},
-        warnings=tuple(_doubts(matches, wheels, order)),
+        warnings=tuple(_warnings(matches, rotor_tracks, order)),
         extra={"sync_covariance": {ids[k]: matches[k].covariance.tolist() for k in order}},
     )
     return Synchronised(case, tuple(matches))
 
 
-def _refuse_twice(recordings: Sequence[Recording], names: Sequence[str]) -> None:
+def _check_distinct_films(recordings: Sequence[Recording], names: Sequence[str]) -> None:
     seen: dict[str, str] = {}
     for recording, name in zip(recordings, names, strict=True):
         if recording.source_sha256 and recording.source_sha256 in seen:
             raise SyncError(
                 f"{name} and {seen[recording.source_sha256]} come from the same film.",
-                "Give every film once.",
+                "Give each film once.",
             )
         seen[recording.source_sha256] = name
 
@@ -322,13 +324,13 @@ def _rotor(recording: Recording, name: str) -> BodyTrack:
     body = recording.bodies.get("rotor")
     if body is None or not len(body.time):
         raise SyncError(
-            f"{name} does not show the rotor.", "Track the rotor's markers in it, or leave it out."
+            f"{name} does not show the rotor.", "Track the markers of the rotor, or omit the recording."
         )
     return body
 
 
 def _on_clock(body: BodyTrack, match: Match) -> BodyTrack:
-    """Return a clip's rotor on the casing camera's clock and direction."""
+    """Transform the rotor of a clip to clock and direction of the casing camera."""
     rate = 1 + match.start.eps
     return replace(
         body,
@@ -366,29 +368,31 @@ def _placement(name: str, match: Match) -> Placement:
     )
 
 
-def _told(rival: Rival) -> str:
+def _rival_text(rival: Rival) -> str:
     turn = " (one turn of the casing away)" if rival.kind == "turn" else ""
     return f"{rival.offset:.3f} s{turn}"
 
 
-def _doubts(matches: Sequence[Match], wheels: Sequence[BodyTrack], order: Sequence[int]) -> list[str]:
-    """Say which starts are uncertain, and what contradicts itself."""
+def _warnings(matches: Sequence[Match], rotor_tracks: Sequence[BodyTrack], order: Sequence[int]) -> list[str]:
+    """Return warnings about uncertain starts and inconsistent clips."""
     found = []
     for match in matches:
-        rivals = [rival for rival in match.rivals if rival.delta_chi2 < 25]
+        rivals = [rival for rival in match.rivals if rival.delta_chi2 < EXCLUDED]
         if rivals:
-            others = ", ".join(_told(rival) for rival in rivals[:3])
-            found.append(f"{match.name}: it may as well start at {others} as at {match.start.offset:.3f} s")
-        elif match.offset_sigma > UNCERTAIN:
+            others = ", ".join(_rival_text(rival) for rival in rivals[:3])
+            found.append(f"{match.name}: ambiguous start, {match.start.offset:.3f} s or {others}")
+        elif match.offset_sigma > MAX_START_SIGMA:
             found.append(
-                f"{match.name}: its start is known to {1e3 * match.offset_sigma:.1f} ms only, "
-                "as the casing's speed changes too little there"
+                f"{match.name}: the uncertainty of the start is {1e3 * match.offset_sigma:.1f} ms, "
+                "because the speed of the casing changes little in this clip"
             )
     for a, b in pairwise(order):
-        first, second = _on_clock(wheels[a], matches[a]), _on_clock(wheels[b], matches[b])
+        first, second = _on_clock(rotor_tracks[a], matches[a]), _on_clock(rotor_tracks[b], matches[b])
         pair = f"{matches[a].name} and {matches[b].name}"
         if second.time[0] < first.time[-1]:
             found.append(f"{pair} overlap in time")
         elif np.nanmedian(second.omega) > 1.02 * np.nanmedian(first.omega):
-            found.append(f"{pair}: the rotor is faster in the later clip, so one of them may be misplaced")
+            found.append(
+                f"{pair}: the rotor is faster in the later clip, so that one of the starts may be wrong"
+            )
     return found

@@ -1,20 +1,19 @@
 """Least squares for start, clock rate and direction of clips.
 
-While a clip runs, the casing's camera knows the true angle psi(t) as a `stretch.Stretch`. The other camera
-sees the same, on its own clock, from its own direction, with harmonics of its own:
+In a window about the clip, the angle of the casing is a quintic spline psi(t). The casing camera measures
 
-    psi_B(s) + offset = psi(t0 + (1 + eps) s) + H_B
+    psi_A(t) = psi(t) + H_A,   H: first and second harmonics of the angle,
 
-Spline and harmonics are linear; they are eliminated, which leaves for each clip a 3 x 3 normal matrix of
-(t0, eps, offset). The clips of one camera are then solved together, with a common rate and, on request, a
-common offset, by Gauss-Newton steps. chi2 is that of the clips, given what the casing's camera saw.
+and the rotor camera, with its own clock, direction and harmonics,
 
-In a window about the clip the casing's true angle is a quintic spline psi(t), and the camera sees
+    psi_B(s) + offset = psi(t0 + (1 + eps) s) + H_B.
 
-    psi_A(t) = psi(t) + H_A,   H = sin, cos of one and two turns of the casing.
+Spline and harmonics are linear; their elimination leaves a 3 x 3 normal matrix of (t0, eps, offset) for each clip. All
+clips of one camera are solved jointly by Gauss-Newton steps, with a common rate and optionally a common offset. chi2 is
+that of the clips, given the data of the casing camera.
 
-The window is chosen once and stays while a clip is moved over it: if it moved along, samples would enter and leave, and
-chi2 would jump with them.
+The window is fixed while the start of the clip changes; a moving window would include and exclude samples, which makes
+chi2 discontinuous.
 """
 
 from __future__ import annotations
@@ -36,19 +35,19 @@ TURN = 2 * np.pi
 
 @dataclass(frozen=True)
 class Start:
-    """Where a clip lies: t_A = offset + (1 + eps) t_B, psi_A = psi_B + angle."""
+    """Start, clock rate and direction of a clip: t_A = offset + (1 + eps) t_B, psi_A = psi_B + angle."""
 
     offset: float
     eps: float
     angle: float
 
-    def moments(self, time: Floats) -> Floats:
-        """Return times of the clip's clock on the casing's clock [s]."""
+    def casing_times(self, time: Floats) -> Floats:
+        """Convert times of the clip to the clock of the casing camera [s]."""
         return self.offset + (1 + self.eps) * time
 
 
-def on_lattice(starts: Sequence[Start], turns: Sequence[int | None]) -> list[Start]:
-    """Give the clips with a turn number one offset, up to their turns, without moving them in angle."""
+def with_common_direction(starts: Sequence[Start], turns: Sequence[int | None]) -> list[Start]:
+    """Give the clips with a number of turns a common direction, except for these turns."""
     common = next(s.angle - TURN * m for s, m in zip(starts, turns, strict=True) if m is not None)
     return [
         s if m is None else replace(s, angle=common + TURN * m) for s, m in zip(starts, turns, strict=True)
@@ -56,7 +55,7 @@ def on_lattice(starts: Sequence[Start], turns: Sequence[int | None]) -> list[Sta
 
 
 def moved(point: Sequence[Start], step: Floats) -> list[Start]:
-    """Return the starts of clips after a step in (offset, eps, angle) of all of them, (3 k,)."""
+    """Return the starts of clips after a step of (offset, eps, angle) of all clips, (3 k,)."""
     return [
         Start(s.offset + step[3 * k], s.eps + step[3 * k + 1], s.angle + step[3 * k + 2])
         for k, s in enumerate(point)
@@ -68,26 +67,26 @@ BLOCKS = 60
 
 
 def inliers(residual: Floats) -> npt.NDArray[np.bool_]:
-    """Return which residuals lie within six robust spreads."""
+    """Return which residuals are within six robust standard deviations."""
     spread = 1.4826 * float(np.median(np.abs(residual)))
     return np.asarray(np.abs(residual) < OUTLIER * max(spread, 1e-300))
 
 
 def block_means(residual: Floats, blocks: int = BLOCKS) -> tuple[Floats, int]:
-    """Return the means of about so many blocks, and the length of a block."""
+    """Return the means of about `blocks` blocks, and the length of a block."""
     length = max(len(residual) // blocks, 2)
     count = len(residual) // length
     return residual[: count * length].reshape(count, length).mean(axis=1), length
 
 
-FEWEST = 60
+MIN_FRAMES = 60
 NEIGHBOURS = 15
-SHORTEST = 0.2
+MIN_DURATION = 0.2  # s
 
 
 @dataclass(frozen=True)
 class Curve:
-    """One camera's casing: time on its own clock [s], unwrapped angle [rad], sigma [rad]."""
+    """The casing in one recording: time on its clock [s], unwrapped angle [rad], sigma [rad]."""
 
     time: Floats
     angle: Floats
@@ -104,7 +103,7 @@ class Curve:
         return Curve(self.time[chosen], self.angle[chosen], self.sigma[chosen])
 
     def keep(self, good: npt.NDArray[np.bool_]) -> Curve:
-        """Return the samples that are good."""
+        """Return the selected samples."""
         return Curve(self.time[good], self.angle[good], self.sigma[good])
 
     def scaled(self, factor: float) -> Curve:
@@ -113,50 +112,50 @@ class Curve:
 
 
 def casing_curve(recording: Recording, name: str) -> Curve:
-    """Return the casing's angle in a recording.
+    """Return the angle of the casing in a recording.
 
     Raises
     ------
     SyncError
-        The recording does not show the casing, or too little of it.
+        The recording does not show the casing, or in too few frames.
     """
     body = recording.bodies.get("casing")
     if body is None:
         raise SyncError(
             f"{name} does not show the casing.",
-            "Clips are matched by the casing: track its marker in every clip.",
+            "Clips are synchronised by the casing: track its marker in every clip.",
         )
-    seen = np.isfinite(body.angle) & np.isfinite(body.time) & (body.sigma > 0)
-    curve = Curve(body.time[seen], body.angle[seen], body.sigma[seen])
-    if len(curve.time) < FEWEST or curve.duration < SHORTEST:
+    valid = np.isfinite(body.angle) & np.isfinite(body.time) & (body.sigma > 0)
+    curve = Curve(body.time[valid], body.angle[valid], body.sigma[valid])
+    if len(curve.time) < MIN_FRAMES or curve.duration < MIN_DURATION:
         raise SyncError(
             f"{name} shows the casing in only {len(curve.time)} frames.",
-            f"At least {FEWEST} frames over {SHORTEST} s are needed.",
+            f"At least {MIN_FRAMES} frames over {MIN_DURATION} s are needed.",
         )
     return without_outliers(curve)
 
 
 def without_outliers(curve: Curve) -> Curve:
-    """Return the curve without samples that lie apart from their neighbours.
+    """Return the curve without outliers.
 
-    The speed, as a running median, is integrated and taken off; what remains drifts slowly, and a sample more
-    than six spreads from the median around it is left out.
+    The integral of the running median of the speed is subtracted; samples that deviate from the running median of the
+    remainder by more than six robust standard deviations are excluded.
     """
     step = np.diff(curve.time)
     speed = median_smooth(np.diff(curve.angle) / step, NEIGHBOURS)
-    left = curve.angle - np.concatenate([[0.0], np.cumsum(speed * step)])
-    apart = np.abs(left - median_smooth(left, NEIGHBOURS))
-    spread = 1.4826 * float(np.median(apart))
-    return curve.keep(apart <= 6 * spread) if spread > 0 else curve
+    slow = curve.angle - np.concatenate([[0.0], np.cumsum(speed * step)])
+    deviation = np.abs(slow - median_smooth(slow, NEIGHBOURS))
+    spread = 1.4826 * float(np.median(deviation))
+    return curve.keep(deviation <= 6 * spread) if spread > 0 else curve
 
 
 def harmonics(angle: Floats) -> Floats:
-    """Return what a centre that is off, or a tilt, adds to a seen angle: sin, cos of one and two turns.
+    """Return the first and second harmonics of an angle, which centre offset and tilt add to it: sin, cos.
 
     Parameters
     ----------
     angle : ndarray, shape (n,)
-        Angles as this camera sees them [rad].
+        Measured angles [rad].
 
     Returns
     -------
@@ -166,28 +165,28 @@ def harmonics(angle: Floats) -> Floats:
 
 
 DEGREE = 5
-MARGIN = 2.0  # the window reaches beyond the clip by this many times half its length, on both sides
-HARMONIC_SIGMA = 0.02  # rad; larger harmonics are not expected of any camera
-LOOSE = 1.0  # rad; how far the spline may leave the quartic where nothing is seen
+MARGIN = 2.0  # margin of the window on both sides [half lengths of the clip]
+HARMONIC_SIGMA = 0.02  # prior standard deviation of the harmonics [rad]
+SPLINE_SIGMA = 1.0  # prior standard deviation of the spline from the quartic [rad]
 HARMONICS = 4
 
 
 @dataclass(frozen=True)
-class Stretch:
-    """Information of the casing's samples in a window on psi and H_A.
+class CasingFit:
+    """Fit of spline and harmonics to the casing in a window.
 
     Attributes
     ----------
     knots : ndarray
-        Of the quintic spline, over the whole window.
+        Knots of the quintic spline over the window.
     reference : Polynomial
-        A quartic of time, from which the spline is measured.
+        A quartic in time, to which the spline is added.
     best : ndarray, shape (n + 4,)
-        Coefficients of spline and harmonics from these samples alone.
+        Coefficients of spline and harmonics.
     information : ndarray, shape (n + 4, n + 4)
         Inverse covariance of `best`.
     rows, residual : ndarray
-        The design matrix of the samples, and what `best` leaves of them, in units of sigma.
+        Design matrix and residuals of the samples, in units of sigma.
     """
 
     knots: Floats
@@ -198,7 +197,7 @@ class Stretch:
     residual: Floats
 
     def design(self, time: Floats) -> Floats:
-        """Return the values of the spline's basis, shape (len(time), n).
+        """Return the values of the spline basis, shape (len(time), n).
 
         Raises
         ------
@@ -206,47 +205,49 @@ class Stretch:
             A time is outside the window.
         """
         if time[0] < self.knots[0] or time[-1] > self.knots[-1]:
-            raise np.linalg.LinAlgError("the clip left the window")
+            raise np.linalg.LinAlgError("the clip is outside of the window")
         matrix: Floats = BSpline.design_matrix(time, self.knots, DEGREE).toarray()
         return matrix
 
     def speed(self, time: Floats) -> Floats:
-        """Return the casing's true speed [rad s-1], from these samples alone."""
+        """Return the speed of the casing [rad s-1]."""
         spline = BSpline(self.knots, self.best[:-HARMONICS], DEGREE)
         return np.asarray(self.reference.deriv()(time) + spline.derivative()(time))
 
 
 def window(first: float, last: float) -> tuple[float, float]:
-    """Return the window about a clip that runs from `first` to `last` on the casing's clock [s]."""
+    """Return the window about a clip from `first` to `last` on the clock of the casing camera [s]."""
     middle, reach = (first + last) / 2, (1 + MARGIN) * (last - first) / 2
     return middle - reach, middle + reach
 
 
-def stretch(casing: Curve, edges: tuple[float, float], intervals: int) -> Stretch:
-    """Fit spline and harmonics to the casing's samples in a window.
+def fit_casing(casing: Curve, edges: tuple[float, float], intervals: int) -> CasingFit:
+    """Fit spline and harmonics to the casing in a window.
 
     Raises
     ------
     LinAlgError
         There are too few samples.
     """
-    seen = casing.between(*edges)
-    if len(seen.time) < 2 * DEGREE:
+    record = casing.between(*edges)
+    if len(record.time) < 2 * DEGREE:
         raise np.linalg.LinAlgError("too few samples of the casing")
     knots = np.linspace(edges[0], edges[1], intervals + 1)
     knots = np.concatenate([np.repeat(knots[0], DEGREE), knots, np.repeat(knots[-1], DEGREE)])
-    reference = np.polynomial.Polynomial.fit(seen.time, seen.angle, 4)
-    spline = BSpline.design_matrix(seen.time, knots, DEGREE).toarray()
-    rows = np.hstack([spline, harmonics(seen.angle)]) / seen.sigma[:, None]
-    left = (seen.angle - reference(seen.time)) / seen.sigma
+    reference = np.polynomial.Polynomial.fit(record.time, record.angle, 4)
+    spline = BSpline.design_matrix(record.time, knots, DEGREE).toarray()
+    rows = np.hstack([spline, harmonics(record.angle)]) / record.sigma[:, None]
+    left = (record.angle - reference(record.time)) / record.sigma
     size = spline.shape[1]
-    information = rows.T @ rows + np.diag(np.repeat([LOOSE**-2, HARMONIC_SIGMA**-2], [size, HARMONICS]))
+    information = rows.T @ rows + np.diag(
+        np.repeat([SPLINE_SIGMA**-2, HARMONIC_SIGMA**-2], [size, HARMONICS])
+    )
     best: Floats = cho_solve(cho_factor(information), rows.T @ left)
-    return Stretch(knots, reference, best, information, rows, left - rows @ best)
+    return CasingFit(knots, reference, best, information, rows, left - rows @ best)
 
 
 def link_matrix(*, common_rate: bool, shared_angle: Sequence[bool]) -> Floats:
-    """Return the matrix from free parameters to (offset, eps, angle) of every clip."""
+    """Return the matrix that maps the free parameters to (offset, eps, angle) of every clip."""
     clips = len(shared_angle)
     columns = []
     for k, shared in ((0, [False] * clips), (1, [common_rate] * clips), (2, list(shared_angle))):
@@ -259,16 +260,16 @@ def link_matrix(*, common_rate: bool, shared_angle: Sequence[bool]) -> Floats:
     return np.hstack(columns)
 
 
-FAR = 5.0  # s; a start is not sought further from its window; keeps a casing of constant speed solvable
+START_SIGMA = 5.0  # prior standard deviation of a start about its window [s]; regularises a constant speed
 MAX_STEP = 0.3  # s
 MAX_ROUNDS = 40
-MAX_HALVINGS = 6
-CLOSE = 1e-3  # expected fall of chi2 at which the search ends
+MAX_REDUCTIONS = 6
+TOLERANCE = 1e-3  # expected decrease of chi2 at convergence
 
 
 @dataclass(frozen=True)
 class Pair:
-    """The casing's record, one clip, and the number of intervals of the spline over the clip."""
+    """The record of the casing, one clip, and the number of spline intervals in its window."""
 
     casing: Curve
     clip: Curve
@@ -277,16 +278,16 @@ class Pair:
 
 @dataclass(frozen=True)
 class _Part:
-    """One clip, the casing around it, and the start about which that was looked at."""
+    """One clip, the fit of the casing in its window, and the start at which the window is centred."""
 
     clip: Curve
-    casing: Stretch
+    casing: CasingFit
     centre: Start
 
 
 @dataclass(frozen=True)
 class Normal:
-    """The sum of squares near a `Start`, chi2 - 2 gradient . d + d . matrix . d, and the residuals there."""
+    """Quadratic approximation of chi2 near a `Start`, chi2 - 2 gradient . d + d . matrix . d, and the residuals."""
 
     matrix: Floats
     gradient: Floats
@@ -297,20 +298,20 @@ class Normal:
 
 @dataclass(frozen=True)
 class Solution:
-    """The best starts of some clips together.
+    """Joint solution for the starts of several clips.
 
     Attributes
     ----------
     starts : tuple of Start
-        One for each clip.
+        Start of each clip.
     covariance : ndarray, shape (3 k, 3 k)
-        Of (offset, eps, angle) of all clips, one after the other.
+        Covariance of (offset, eps, angle) of all clips.
     chi2 : float
-        Sum of squares of the clips at the best point, with the prior of the rate.
+        Minimum of chi2 of the clips, including the priors.
     converged : bool
-        Whether the steps became small.
+        Whether the iteration has converged.
     windows : tuple of Start
-        The starts about which the windows lie; solutions with the same windows can be compared in chi2.
+        The starts at which the windows are centred; chi2 of solutions with equal windows can be compared.
     """
 
     starts: tuple[Start, ...]
@@ -325,21 +326,21 @@ class Solution:
         return np.sqrt(np.where(variance > 0, variance, np.inf))
 
 
-def surroundings(pair: Pair, start: Start) -> Stretch:
-    """Return the casing's motion in the window about a clip."""
-    first, last = start.moments(pair.clip.time[[0, -1]])
-    return stretch(pair.casing, window(first, last), pair.intervals)
+def casing_around(pair: Pair, start: Start) -> CasingFit:
+    """Fit the casing in the window about a clip."""
+    first, last = start.casing_times(pair.clip.time[[0, -1]])
+    return fit_casing(pair.casing, window(first, last), pair.intervals)
 
 
-def normal(clip: Curve, start: Start, casing: Stretch) -> Normal:
-    """Return the normal equations of one clip about `start`, spline and harmonics eliminated.
+def normal(clip: Curve, start: Start, casing: CasingFit) -> Normal:
+    """Return the normal equations of one clip at `start`, after elimination of spline and harmonics.
 
     Raises
     ------
     LinAlgError
-        The clip has left the window of `casing`.
+        The clip is not within the window of `casing`.
     """
-    moment = start.moments(clip.time)
+    moment = start.casing_times(clip.time)
     design = casing.design(moment)
     size = design.shape[1]
     angle = design @ casing.best[:size] + casing.reference(moment)
@@ -370,41 +371,41 @@ def solve(
     turns: Sequence[int | None] | None = None,
     windows: Sequence[Start] | None = None,
 ) -> Solution:
-    """Find the starts of clips together.
+    """Solve for the starts of several clips.
 
     Parameters
     ----------
     pairs, starts : sequences of the same length
-        The clips, and where the search begins.
+        The clips, and initial values.
     rate_sigma : float
-        Prior uncertainty of the clock rate about 1.
+        Prior standard deviation of the clock rate about 1.
     common_rate : bool
-        Whether the clips share one rate.
+        Whether all clips have the same rate.
     turns : sequence of int or None
-        The clips with a number share one offset of the angle, up to that many whole turns; the others, with
-        None, have their own.
+        Clips with a number have a common direction, except for this number of turns; those with None have individual
+        directions.
     windows : sequence of Start, or None
-        The starts about which the casing is looked at; `starts`, if not given.
+        The starts at which the windows are centred; by default `starts`.
 
     Raises
     ------
     LinAlgError
-        A clip leaves its window, or a parameter is not determined by the clips.
+        A clip is not within its window, or a parameter is not determined.
     """
     shared = [turn is not None for turn in turns or [None] * len(pairs)]
     link = link_matrix(common_rate=common_rate, shared_angle=shared)
-    point = on_lattice(starts, turns) if turns is not None else list(starts)
+    point = with_common_direction(starts, turns) if turns is not None else list(starts)
     if common_rate:
         point = [replace(start, eps=point[0].eps) for start in point]
     windows = tuple(windows or starts)
-    parts = [_Part(p.clip, surroundings(p, w), w) for p, w in zip(pairs, windows, strict=True)]
-    here = _stack(parts, point, rate_sigma, link)
+    parts = [_Part(p.clip, casing_around(p, w), w) for p, w in zip(pairs, windows, strict=True)]
+    here = _combined(parts, point, rate_sigma, link)
     converged = False
     for _ in range(MAX_ROUNDS):
         covariance = np.linalg.inv(here.matrix)
         step = covariance @ here.gradient
-        converged = bool(step @ here.gradient < CLOSE)
-        found = None if converged else _downhill(parts, point, link @ step, here.chi2, rate_sigma, link)
+        converged = bool(step @ here.gradient < TOLERANCE)
+        found = None if converged else _line_search(parts, point, link @ step, here.chi2, rate_sigma, link)
         if found is None:
             break
         point, here = found
@@ -412,23 +413,23 @@ def solve(
 
 
 @dataclass(frozen=True)
-class _Stacked:
-    """The normal equations of several clips in their free parameters."""
+class _Combined:
+    """The normal equations of several clips for their free parameters."""
 
     matrix: Floats
     gradient: Floats
     chi2: float
 
 
-def _downhill(
+def _line_search(
     parts: Sequence[_Part], point: list[Start], step: Floats, chi2: float, rate_sigma: float, link: Floats
-) -> tuple[list[Start], _Stacked] | None:
-    """Go along a step as far as chi2 falls; None if it does not."""
+) -> tuple[list[Start], _Combined] | None:
+    """Reduce a step until chi2 decreases; None if it does not."""
     length = min(1.0, MAX_STEP / max(float(np.max(np.abs(step[::3]))), 1e-300))
-    for _ in range(MAX_HALVINGS):
+    for _ in range(MAX_REDUCTIONS):
         there = moved(point, length * step)
         try:
-            stacked = _stack(parts, there, rate_sigma, link)
+            stacked = _combined(parts, there, rate_sigma, link)
         except np.linalg.LinAlgError:  # too far
             stacked = None
         if stacked is not None and stacked.chi2 < chi2:
@@ -437,8 +438,8 @@ def _downhill(
     return None
 
 
-def _stack(parts: Sequence[_Part], point: Sequence[Start], rate_sigma: float, link: Floats) -> _Stacked:
-    """Sum the normal equations of all clips in the free parameters, with the priors of rates and starts."""
+def _combined(parts: Sequence[_Part], point: Sequence[Start], rate_sigma: float, link: Floats) -> _Combined:
+    """Combine the normal equations of all clips for the free parameters, with priors of rates and starts."""
     size = 3 * len(parts)
     matrix, gradient, chi2 = np.zeros((size, size)), np.zeros(size), 0.0
     rates = np.flatnonzero(link[1::3].any(axis=0))
@@ -452,7 +453,7 @@ def _stack(parts: Sequence[_Part], point: Sequence[Start], rate_sigma: float, li
         gradient[3 * k + 1] -= start.eps * share
         chi2 += start.eps**2 * share
         away = start.offset - one.centre.offset
-        matrix[3 * k, 3 * k] += FAR**-2
-        gradient[3 * k] -= away / FAR**2
-        chi2 += away**2 / FAR**2
-    return _Stacked(link.T @ matrix @ link, link.T @ gradient, chi2)
+        matrix[3 * k, 3 * k] += START_SIGMA**-2
+        gradient[3 * k] -= away / START_SIGMA**2
+        chi2 += away**2 / START_SIGMA**2
+    return _Combined(link.T @ matrix @ link, link.T @ gradient, chi2)

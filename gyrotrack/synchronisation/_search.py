@@ -1,8 +1,8 @@
-"""Possible starts of a clip on the clock of the casing.
+"""Search for possible starts of a clip on the clock of the casing camera.
 
-Each clip is summed up by the speed, acceleration and jerk in its middle, from a cubic with harmonics; so is
-the casing's record around every moment. A stretch fits if the two triples agree within their errors and the
-freedom of the clock rate, which multiplies them by r, r^2 and r^3.
+Each clip is characterised by speed, acceleration and jerk at its middle, from a cubic with harmonics, and so is the
+record of the casing around every time. A start is possible if both agree within their uncertainties and that of the
+clock rate r, which scales them by r, r^2 and r^3.
 """
 
 from __future__ import annotations
@@ -23,34 +23,34 @@ from gyrotrack.synchronisation._matching import (
     Solution,
     Start,
     block_means,
+    casing_around,
     harmonics,
     inliers,
     normal,
     solve,
-    surroundings,
     window,
 )
 
-RATE_SIGMA = 1e-3
-LONGEST = 3.0
-GRID = 0.1
-FINE = 0.005
-APART = 0.3
-MOST = 5
-THRESHOLD = 100.0
-ALLOWANCE = np.array([0.02, 0.02, 0.05])  # what a cubic misses of a motion, in rad s-1, s-2, s-3
+RATE_SIGMA = 1e-3  # prior standard deviation of the clock rate
+MAX_LENGTH = 3.0  # s
+GRID = 0.1  # s
+FINE_GRID = 0.005  # s
+MIN_DISTANCE = 0.3  # s, between candidates
+MAX_CANDIDATES = 5
+THRESHOLD = 100.0  # in chi2
+MODEL_ERROR = np.array([0.02, 0.02, 0.05])  # of the cubic, in rad s-1, s-2, s-3
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Speed, acceleration and jerk at one moment, (3,) in rad s-1, s-2, s-3, and their covariance (3, 3)."""
+    """Speed, acceleration and jerk at one time, (3,) in rad s-1, s-2, s-3, and their covariance (3, 3)."""
 
     value: Floats
     covariance: Floats
 
 
 def motion(curve: Curve, moment: float) -> Motion | None:
-    """Fit a cubic with harmonics about `moment`; None if there is too little to fit."""
+    """Fit a cubic with harmonics about the time `moment`; None if there are too few samples."""
     s = curve.time - moment
     width = np.ptp(s) / 2 if len(s) else 0.0
     if len(s) < 24 or width <= 0:
@@ -59,7 +59,7 @@ def motion(curve: Curve, moment: float) -> Motion | None:
     basis = np.column_stack([np.ones_like(u), u, u**2 / 2, u**3 / 6, harmonics(curve.angle)])
     weighted = basis / curve.sigma[:, None]
     prior = np.zeros((4, 8))
-    prior[:, 4:] = np.eye(4) / 0.02  # keeps the harmonics of a casing that hardly turns from running away
+    prior[:, 4:] = np.eye(4) / 0.02  # harmonics are poorly determined if the casing hardly turns
     matrix = np.vstack([weighted, prior])
     target = np.concatenate([(curve.angle - curve.angle.mean()) / curve.sigma, np.zeros(4)])
     solution, _, rank, _ = np.linalg.lstsq(matrix, target, rcond=None)
@@ -73,7 +73,7 @@ def motion(curve: Curve, moment: float) -> Motion | None:
 
 @dataclass(frozen=True)
 class Survey:
-    """The casing's motion all along its record, summed up over stretches of 2 `half` seconds."""
+    """Motion of the casing at times throughout its record, each from 2 `half` seconds."""
 
     half: float
     moments: Floats
@@ -81,12 +81,12 @@ class Survey:
 
 
 def half_length(clip: Curve) -> float:
-    """Return half the length over which a clip is summed up [s]; clips alike share it, and a survey."""
-    return min(round(clip.duration / 2, 1), LONGEST / 2) or clip.duration / 2
+    """Return half the length of the part of a clip that is used [s], rounded, so that clips can use one survey."""
+    return min(round(clip.duration / 2, 1), MAX_LENGTH / 2) or clip.duration / 2
 
 
 def survey(casing: Curve, half: float) -> Survey:
-    """Sum up the casing's motion around every moment of its record."""
+    """Determine the motion of the casing throughout its record."""
     moments, found = [], []
     expected = 2 * half / float(np.median(np.diff(casing.time)))
     for moment in np.arange(casing.time[0], casing.time[-1], min(GRID, half / 4)):
@@ -99,49 +99,49 @@ def survey(casing: Curve, half: float) -> Survey:
 
 
 def candidates(record: Survey, clip: Curve) -> list[float]:
-    """Return possible starts of the clip on the casing's clock [s], at most a handful, the best first."""
+    """Return possible starts of the clip on the clock of the casing camera [s], best first."""
     middle = (clip.time[0] + clip.time[-1]) / 2
     mine = motion(clip.between(middle - record.half, middle + record.half), middle)
     moments, theirs = record.moments, record.motions
     if mine is None or len(moments) < 4:
         return []
-    fine = np.arange(moments[0], moments[-1], FINE)
+    fine = np.arange(moments[0], moments[-1], FINE_GRID)
     value = CubicSpline(moments, np.array([m.value for m in theirs]))(fine)
     nearest = np.clip(np.searchsorted(moments, fine), 0, len(moments) - 1)
     covariance = np.array([m.covariance for m in theirs])[nearest] + mine.covariance
-    covariance = covariance + np.diag(ALLOWANCE**2)
-    stretch = value * np.array([1.0, 2.0, 3.0])
-    covariance = covariance + RATE_SIGMA**2 * stretch[:, :, None] * stretch[:, None, :]
+    covariance = covariance + np.diag(MODEL_ERROR**2)
+    by_rate = value * np.array([1.0, 2.0, 3.0])
+    covariance = covariance + RATE_SIGMA**2 * by_rate[:, :, None] * by_rate[:, None, :]
     difference = mine.value - value
     distance = np.einsum("ni,ni->n", difference, np.linalg.solve(covariance, difference[:, :, None])[:, :, 0])
-    return [float(fine[i] - middle) for i in _valleys(distance)]
+    return [float(fine[i] - middle) for i in _minima(distance)]
 
 
-def _valleys(distance: Floats) -> list[int]:
-    """Return the lowest points of the valleys that are deep enough, the deepest first."""
+def _minima(distance: Floats) -> list[int]:
+    """Return the local minima below the threshold, lowest first."""
     padded = np.concatenate([[np.inf], distance, [np.inf]])
     low = (padded[1:-1] <= padded[:-2]) & (padded[1:-1] < padded[2:])
     deep = np.flatnonzero(low & (distance < distance.min() + THRESHOLD))
     chosen: list[int] = []
     for i in deep[np.argsort(distance[deep])]:
-        if all(abs(i - j) * FINE > APART for j in chosen):
+        if all(abs(i - j) * FINE_GRID > MIN_DISTANCE for j in chosen):
             chosen.append(int(i))
-    return chosen[:MOST]
+    return chosen[:MAX_CANDIDATES]
 
 
 INTERVALS = (2, 4, 8, 16, 32)
 BIC_BLOCKS = 30
-PARAMETERS = 16  # in addition to the intervals: ends of the spline, harmonics, start, rate, direction
+PARAMETERS = 16  # in addition to one per interval: ends of the spline, harmonics, start, rate, direction
 ROUNDS = 2
-MISFIT = 0.015  # rad; two cameras that see the same motion agree better than this
+MAX_MISFIT = 0.015  # largest difference of the cameras beyond noise [rad]
 RATE_LIMIT = 5 * RATE_SIGMA
-RIVAL = 60.0  # chi2 above the best up to which another start is kept for the joint fit
-NEAR = 1e-3  # s; starts closer than this are one
+RIVAL = 60.0  # largest increase of chi2 of alternative starts for the joint solution
+NEAR = 1e-3  # starts within this interval are equal [s]
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """A clip with true sigmas, and its possible starts with their chi2, the best first."""
+    """A clip with calibrated sigmas, and its possible starts with their chi2, best first."""
 
     name: str
     pair: Pair
@@ -151,33 +151,33 @@ class Prepared:
 
 
 def prepare(casing: Curve, record: Survey, clip: Curve, name: str) -> Prepared:
-    """Find where a clip may start on the casing's clock; `record` is the casing's survey.
+    """Find the possible starts of a clip; `record` is the survey of the casing.
 
     Raises
     ------
     SyncError
-        No stretch of the casing's record moves like the clip.
+        No part of the record of the casing matches the clip.
     """
-    guesses = [_guess(casing, clip, offset) for offset in candidates(record, clip)]
+    starts = [_initial_value(casing, clip, offset) for offset in candidates(record, clip)]
     pair = Pair(casing, clip, INTERVALS[-1])
-    guesses = [guess for guess in guesses if _overlaps(pair, guess)]
-    solutions = _distinct(pair, guesses, 10 * RATE_LIMIT)
+    starts = [start for start in starts if _is_covered(pair, start)]
+    solutions = _distinct(pair, starts, 10 * RATE_LIMIT)
     rejected = 0
     for _ in range(ROUNDS):
         if not solutions:
-            raise _foreign(casing, clip, name, "no stretch of the record turns like it")
-        pair, dropped = _tuned(pair, solutions[0].starts[0])
+            raise _mismatch(casing, clip, name, "no part of the record has the same motion")
+        pair, dropped = _calibrated(pair, solutions[0].starts[0])
         rejected += dropped
         solutions = _distinct(pair, [solution.starts[0] for solution in solutions])
     if not solutions:
-        raise _foreign(casing, clip, name, "no stretch of the record turns like it")
+        raise _mismatch(casing, clip, name, "no part of the record has the same motion")
     misfit = _misfit(_residuals(pair, solutions[0].starts[0]), pair)
-    if misfit > MISFIT:
-        raise _foreign(casing, clip, name, f"the best stretch differs by {1e3 * misfit:.0f} mrad")
+    if misfit > MAX_MISFIT:
+        raise _mismatch(casing, clip, name, f"the best match differs by {1e3 * misfit:.0f} mrad")
     return Prepared(name, pair, tuple(solutions), misfit, rejected)
 
 
-def _foreign(casing: Curve, clip: Curve, name: str, why: str) -> SyncError:
+def _mismatch(casing: Curve, clip: Curve, name: str, why: str) -> SyncError:
     spans = [np.diff(c.angle)[::10] / np.diff(c.time)[::10] for c in (clip, casing)]
     (a, b), (c, d) = (np.percentile(v, [5, 95]) for v in spans)
     return SyncError(
@@ -187,19 +187,19 @@ def _foreign(casing: Curve, clip: Curve, name: str, why: str) -> SyncError:
     )
 
 
-def _guess(casing: Curve, clip: Curve, offset: float) -> Start:
+def _initial_value(casing: Curve, clip: Curve, offset: float) -> Start:
     middle = (clip.time[0] + clip.time[-1]) / 2
-    seen = np.interp(middle, clip.time, clip.angle)
-    return Start(offset, 0.0, float(np.interp(offset + middle, casing.time, casing.angle) - seen))
+    measured = np.interp(middle, clip.time, clip.angle)
+    return Start(offset, 0.0, float(np.interp(offset + middle, casing.time, casing.angle) - measured))
 
 
-def _distinct(pair: Pair, guesses: list[Start], rate_limit: float = RATE_LIMIT) -> list[Solution]:
-    """Refine each guess and return the different solutions worth keeping, the best first."""
+def _distinct(pair: Pair, starts: list[Start], rate_limit: float = RATE_LIMIT) -> list[Solution]:
+    """Refine the initial values and return the distinct solutions with small chi2, best first."""
     found: list[Solution] = []
-    for guess in guesses:
-        if not _overlaps(pair, guess):
+    for start in starts:
+        if not _is_covered(pair, start):
             continue
-        solution = _refine(pair, guess, rate_limit)
+        solution = _refine(pair, start, rate_limit)
         if solution is not None:
             found.append(solution)
     found.sort(key=lambda solution: solution.chi2)
@@ -212,32 +212,33 @@ def _distinct(pair: Pair, guesses: list[Start], rate_limit: float = RATE_LIMIT) 
     return distinct
 
 
-def _refine(pair: Pair, guess: Start, rate_limit: float) -> Solution | None:
+def _refine(pair: Pair, start: Start, rate_limit: float) -> Solution | None:
     try:
-        solution = solve([pair], [guess], rate_sigma=RATE_SIGMA)
-    except (np.linalg.LinAlgError, ValueError):  # the search left the record, or the casing stands still
+        solution = solve([pair], [start], rate_sigma=RATE_SIGMA)
+    except (np.linalg.LinAlgError, ValueError):  # outside of the record, or the casing is at rest
         return None
     start = solution.starts[0]
-    sound = abs(start.eps) < rate_limit and np.isfinite(solution.covariance).all() and _overlaps(pair, start)
+    sound = (
+        abs(start.eps) < rate_limit and np.isfinite(solution.covariance).all() and _is_covered(pair, start)
+    )
     return solution if sound else None
 
 
-def _overlaps(pair: Pair, start: Start) -> bool:
-    first, last = start.moments(pair.clip.time[[0, -1]])
-    seen = pair.casing.between(first, last)
+def _is_covered(pair: Pair, start: Start) -> bool:
+    first, last = start.casing_times(pair.clip.time[[0, -1]])
+    record = pair.casing.between(first, last)
     interval = float(np.median(np.diff(pair.casing.time)))
-    return bool(len(seen.time) > 0.5 * (last - first) / interval)
+    return bool(len(record.time) > 0.5 * (last - first) / interval)
 
 
-def _tuned(pair: Pair, start: Start) -> tuple[Pair, int]:
-    """Drop outliers, give both cameras their true sigma, and choose the spline's intervals.
+def _calibrated(pair: Pair, start: Start) -> tuple[Pair, int]:
+    """Exclude outliers, calibrate the sigmas of both cameras, and select the number of spline intervals.
 
-    The noise is estimated with the most flexible spline; how flexible it must be is decided by the Bayesian information
-    criterion for block means, which are nearly independent where neighbouring frames are not (slow errors of tracking
-    would make the spline follow them), and twice that is taken: a curve a little too stiff would bias the start within
-    its error.
+    The noise is estimated with the most flexible spline. The number of intervals is twice that with the smallest
+    Bayesian information criterion of block means, which unlike single frames are nearly independent; the factor avoids
+    a bias of the start by a spline that is too stiff.
     """
-    pair, rejected = _with_true_noise(replace(pair, intervals=2 * INTERVALS[-1]), start)
+    pair, rejected = _with_calibrated_noise(replace(pair, intervals=2 * INTERVALS[-1]), start)
 
     def criterion(intervals: int) -> float:
         left = _residuals(replace(pair, intervals=intervals), start)
@@ -250,17 +251,17 @@ def _tuned(pair: Pair, start: Start) -> tuple[Pair, int]:
 
 
 def _with_slow_noise(pair: Pair, start: Start) -> Pair:
-    """Return the pair with sigmas that hold for averages over long times, in which slow errors of tracking remain."""
-    left, casing = _residuals(pair, start), surroundings(pair, start)
-    seen = pair.casing.between(*window(*start.moments(pair.clip.time[[0, -1]])))
-    moment = start.moments(pair.clip.time)
+    """Increase the sigmas to those of slow errors of tracking, which averages do not reduce."""
+    left, casing = _residuals(pair, start), casing_around(pair, start)
+    record = pair.casing.between(*window(*start.casing_times(pair.clip.time[[0, -1]])))
+    moment = start.casing_times(pair.clip.time)
     speed = casing.speed(moment)
     change = np.column_stack([speed, speed * pair.clip.time, np.ones_like(speed), harmonics(pair.clip.angle)])
     rows = np.hstack([casing.design(moment), change]) / pair.clip.sigma[:, None]
     return replace(
         pair,
         casing=pair.casing.scaled(
-            np.sqrt(slow_variance(seen.time, casing.rows, left.residual_casing, pair.clip.duration))
+            np.sqrt(slow_variance(record.time, casing.rows, left.residual_casing, pair.clip.duration))
         ),
         clip=pair.clip.scaled(
             np.sqrt(slow_variance(pair.clip.time, rows, left.residual_clip, pair.clip.duration))
@@ -268,11 +269,11 @@ def _with_slow_noise(pair: Pair, start: Start) -> Pair:
     )
 
 
-def _with_true_noise(pair: Pair, start: Start) -> tuple[Pair, int]:
-    """Return the pair without outliers and with true sigmas, and how many outliers there were."""
+def _with_calibrated_noise(pair: Pair, start: Start) -> tuple[Pair, int]:
+    """Return the pair without outliers and with calibrated sigmas, and the number of outliers."""
     left = _residuals(pair, start)
     good_clip, good_seen = inliers(left.residual_clip), inliers(left.residual_casing)
-    edges = window(*start.moments(pair.clip.time[[0, -1]]))
+    edges = window(*start.casing_times(pair.clip.time[[0, -1]]))
     first = int(np.searchsorted(pair.casing.time, edges[0]))
     good_casing = np.ones(len(pair.casing.time), dtype=bool)
     good_casing[first : first + len(good_seen)] = good_seen
@@ -292,11 +293,11 @@ def _with_true_noise(pair: Pair, start: Start) -> tuple[Pair, int]:
 
 
 def _residuals(pair: Pair, start: Start) -> Normal:
-    return normal(pair.clip, start, surroundings(pair, start))
+    return normal(pair.clip, start, casing_around(pair, start))
 
 
 def _misfit(left: Normal, pair: Pair) -> float:
-    """Return by how much the cameras disagree beyond the noise of single frames [rad]."""
+    """Return the rms difference of the cameras beyond the noise of single frames [rad]."""
     total = 0.0
     for residual, sigma in ((left.residual_casing, pair.casing.sigma), (left.residual_clip, pair.clip.sigma)):
         means, length = block_means(residual)

@@ -1,1 +1,1 @@
-"""Rendered films of the experiment whose true angles are known exactly."""
+"""Rendered films of the experiment with exactly known angles."""

@@ -1,7 +1,7 @@
 """Writing of rendered films: colour planes, sensor noise, encoding.
 
-A chroma sample (i, j) is centred on the luma position x = 2 i, y = 2 j + 1/2, the place that H.264 takes for
-granted. Scalers differ here by half a luma pixel, which is why the conversion is our own.
+A chroma sample (i, j) is centred at the luma position x = 2 i, y = 2 j + 1/2, the default of H.264. The conversion is
+implemented here because common scalers differ by half a luma pixel.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ TO_CHROMA = np.stack([np.append(_CB * 224.0 / 255.0, 128.0), np.append(_CR * 224
 
 
 def to_planes(picture: Frame) -> tuple[Frame, Frame, Frame]:
-    """Convert (height, width, 3) red, green, blue into Y (height, width), Cb and Cr of half the size."""
+    """Convert (height, width, 3) red, green, blue to Y (height, width), and Cb and Cr of half the size."""
     height, width = picture.shape[:2]
     luma = cv2.transform(picture, TO_LUMA)
     half = (width // 2, height // 2)
@@ -42,7 +42,7 @@ def to_planes(picture: Frame) -> tuple[Frame, Frame, Frame]:
 
 
 BANKS = 4
-MARGIN = 96  # px by which a bank is larger than a frame: 9216 places to cut it from
+MARGIN = 96  # margin of a bank [px], for 9216 different crops
 
 
 class Noise:
@@ -55,7 +55,7 @@ class Noise:
     deviation : float
         Standard deviation in grey levels; rounding adds a variance of 1/12.
     rng : numpy.random.Generator
-        Source of the banks and of the places.
+        Random generator.
     """
 
     def __init__(self, height: int, width: int, deviation: float, rng: np.random.Generator) -> None:
@@ -76,25 +76,25 @@ class Noise:
         return cv2.add(picture, grain, dtype=cv2.CV_8U)  # type: ignore[return-value]
 
 
-BT709, LIMITED = 1, 1  # codes of the matrix, the primaries and the transfer curve, and of the range, in H.264
+BT709, LIMITED = 1, 1  # codes in H.264: matrix, primaries and transfer function; range
 
 
 @dataclass(frozen=True)
 class Film:
-    """How frames are stored.
+    """Options of the encoder.
 
     Attributes
     ----------
     crf : int
-        Constant rate factor of x264: 0 is lossless, 18 very good, 23 usual, 28 poor.
+        Constant rate factor of x264: 0 lossless, 18 very good, 23 default, 28 poor.
     preset : str
-        Speed of x264, "ultrafast" to "veryslow".
+        Preset of x264, "ultrafast" to "veryslow".
     keyframe : int
-        Frames between key frames at most.
+        Largest number of frames between key frames.
     bframes : int
-        B-frames in a row at most; most cameras write none.
+        Largest number of consecutive B-frames; most cameras write none.
     tag_capture_fps : bool
-        Write the capture rate into the file as some phones do (``com.android.capture.fps``).
+        Write the capture rate to the metadata, as some phones do (``com.android.capture.fps``).
     threads : int
         Threads of the encoder.
     """
@@ -118,23 +118,23 @@ def write_film(
     film: Film | None = None,
     force: bool = False,
 ) -> int:
-    """Encode frames (height, width, 3) red, green, blue, and return how many there were.
+    """Encode frames (height, width, 3) red, green, blue, and return their number.
 
     Parameters
     ----------
     path : Path
-        The mp4 file; it appears only when it is complete.
+        The mp4 file, which is written atomically.
     frames : iterable of arrays
-        Drawn while they are encoded; none is kept.
+        The frames.
     fps, container_fps : float
-        Rate at which the frames were captured, and rate written into the file (None: the same).
+        Capture rate, and rate in the container (None: the same) [1/s].
     force : bool
         Replace an existing file.
 
     Raises
     ------
     OutputError
-        If the file exists, or cannot be written.
+        The file exists or cannot be written.
     """
     film = film or Film()
     path = Path(path)
@@ -145,7 +145,6 @@ def write_film(
 def _encode(
     part: Path, frames: Iterable[Frame], size: tuple[int, int], fps: float, stored: Fraction, film: Film
 ) -> int:
-    """Encode the frames into an mp4 file and return how many there were."""
     import av
 
     rate = stored.limit_denominator(1001)

@@ -1,8 +1,7 @@
 """The motion of two bodies: exact angles at any time.
 
-Angles are in rad, unwrapped, and grow in the sense in which the bodies turn; times are in s on the true
-clock. Nothing here is shared with the package that fits: the oracle must not repeat the faults of what it
-judges.
+Angles are in rad, unwrapped, and increase in the sense of rotation; times are in s on the true clock. This module
+shares no code with `fitting`, so that tests do not repeat its errors.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ class Motion:
     omega_rotor, omega_casing : callable
         Angular velocity in rad/s.
     start, stop : float
-        The span of time in s in which the motion is known. A film must be inside it.
+        Limits of the time in which the motion is known [s].
     """
 
     psi_rotor: Curve
@@ -74,7 +73,7 @@ class Motion:
         Parameters
         ----------
         time : (n,) array
-            Growing times in s, n >= 4.
+            Increasing times in s, n >= 4.
         omega_rotor, omega_casing : (n,) array
             Speeds in rad/s.
         psi_rotor, psi_casing : float
@@ -114,13 +113,12 @@ class Motion:
 
 
 def _curve(spline: Callable[[Array], Array], offset: float = 0.0) -> Curve:
-    """Make a curve of a spline."""
     return lambda t: np.asarray(offset + spline(np.asarray(t, dtype=np.float64)))
 
 
 @dataclass(frozen=True)
 class Friction:
-    """The coefficients of the torques of the paper, all in SI units.
+    """The coefficients of the torques of the paper, in SI units.
 
     ``tau = c + d D + e D^2 + f D^g`` with ``D = |omega_r - omega_c|`` acts between the bodies,
     ``a1 omega_r + a2 omega_r^2`` on the rotor alone, ``b1 + b2 omega_c`` on the casing alone.
@@ -137,7 +135,7 @@ class Friction:
     g: float = 0.5
 
     def torques(self, omega_r: float, omega_c: float, internal: float = 0.0) -> tuple[float, float]:
-        """Return the torques on rotor and casing [N m], with a further `internal` one between them."""
+        """Return the torques on rotor and casing [N m], with an additional `internal` torque between them."""
         slip = abs(omega_r - omega_c)
         power = self.f * slip**self.g if slip > 0.0 else 0.0
         tau = (self.c + self.d * slip + self.e * slip**2 + power) * np.sign(omega_r - omega_c) + internal
@@ -161,7 +159,7 @@ def two_body_motion(
     extra_bearing: Torque | None = None,
     sample_rate: float = 2000.0,
 ) -> Motion:
-    r"""Integrate the two bodies of the paper, with further torques in addition to the known ones.
+    r"""Integrate the motion of the two bodies of the paper, with additional torques.
 
     .. math::
         I_r \dot\omega_r = -\tau - a_1\omega_r - a_2\omega_r|\omega_r| + T_r - T_b, \qquad
@@ -176,17 +174,17 @@ def two_body_motion(
     omega_rotor, omega_casing, psi_rotor, psi_casing : float
         Speeds in rad/s and angles in rad at t = 0.
     duration : float
-        Seconds to integrate; the motion ends earlier if the casing comes to rest.
+        Duration in s; the motion ends earlier if the casing comes to rest.
     extra_rotor, extra_casing, extra_bearing : callable, optional
-        Further torques in N m, ``torque(t, omega_r, omega_c, psi_r, psi_c)``; the last is internal: it is
-        subtracted from the rotor and added to the casing.
+        Additional torques in N m, ``torque(t, omega_r, omega_c, psi_r, psi_c)``; the last one acts on the casing, and
+        with the opposite sign on the rotor.
     sample_rate : float
-        Density in Hz of the samples between which splines interpolate.
+        Sample rate in Hz of the splines.
 
     Notes
     -----
-    SciPy's DOP853 at a relative tolerance of 1e-11. A torque with a jump in time is met to the step size
-    of the integrator near the jump, which the error control makes small.
+    DOP853 of SciPy with a relative tolerance of 1e-11. Near a discontinuity of a torque the error control reduces the
+    step size.
     """
     from scipy.integrate import solve_ivp
 
@@ -215,8 +213,7 @@ def two_body_motion(
         events=at_rest,
     )
     if result.status < 0 or result.sol is None:
-        msg = f"The motion could not be integrated: {result.message}"
-        raise ValueError(msg)
+        raise ValueError(f"The motion could not be integrated: {result.message}")
     end = float(result.t[-1])
     time = np.linspace(0.0, end, max(round(end * sample_rate) + 1, 8))
     state = result.sol(time)

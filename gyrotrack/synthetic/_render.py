@@ -1,15 +1,14 @@
 """Rendering of frames with exact motion blur.
 
-Motion blur is then a box filter along the columns, and exact: a body that turns by the angle w during the
-exposure shows at each angle the mean of its picture over w. No sub-exposure has to be drawn for it.
+Bodies are painted in polar coordinates, so that motion blur is exactly a box filter along the columns: a body that
+turns by w during the exposure appears at each angle as the mean of its picture over w.
 
-Edges are the exact picture of sharp edges seen through a Gaussian (the camera's ``psf``), so that sub-pixel
-positions hold at every angle; there is no drawing on a pixel grid whose rounding would depend on the angle.
+Edges are sharp edges convolved with a Gaussian (the ``psf`` of the camera) in closed form, so that sub-pixel positions
+are correct at every angle.
 
-A pixel collects ``mean over the exposure of [casing + (1 - cover) * rotor]``. The mean of the casing and of
-its cover are exact (see `polar`), so is that of the rotor. Their product is exact too wherever the cover does
-not change during the exposure; in the narrow zone swept by the edges of the bar it is summed over
-sub-exposures.
+A pixel is the mean over the exposure of ``casing + (1 - cover) * rotor``. The means of casing, cover and rotor are
+exact. The mean of the product is exact where the cover does not change during the exposure; in the narrow zone that the
+edges of the bar sweep, it is a sum over sub-exposures.
 """
 
 from __future__ import annotations
@@ -29,20 +28,18 @@ Array = NDArray[np.float64]
 Picture = NDArray[np.float32]
 Paint = NDArray[np.uint16]
 
-FULL = (
-    40000.0  # stored value of the light 1: 16 bits are read three times as fast as floats, in steps of 3e-5
-)
-WIDTH_STEP = 0.25  # columns; the widths of blur are rounded to this, a tenth of a pixel
+FULL = 40000.0  # stored value of the intensity 1; 16-bit integers are faster than floats
+WIDTH_STEP = 0.25  # rounding of the width of the blur [columns], about 0.1 px
 
 
 @dataclass(frozen=True)
 class PolarPicture:
-    """What a body shows, over its own polar coordinates, in linear light.
+    """Picture of a body in its polar coordinates, in linear intensity.
 
     Attributes
     ----------
     pixels : (rows, columns, channels) array of uint16
-        Row i is the radius ``i / per_mm``, column j the angle ``2 pi j / columns``; the light 1 is stored as
+        Row i is the radius ``i / per_mm``, column j the angle ``2 pi j / columns``; the intensity 1 is stored as
         ``FULL``.
     per_mm : float
         Rows per mm.
@@ -54,7 +51,7 @@ class PolarPicture:
 
     @classmethod
     def of(cls, light: Array, per_mm: float) -> PolarPicture:
-        """Store a picture in linear light, (rows, columns, channels)."""
+        """Store a picture in linear intensity, (rows, columns, channels)."""
         return cls(np.rint(np.clip(light * FULL, 0.0, 65535.0)).astype(np.uint16), per_mm)
 
     @property
@@ -67,8 +64,8 @@ class PolarPicture:
         """Columns per radian."""
         return self.columns / (2.0 * np.pi)
 
-    def again(self) -> PolarPicture:
-        """Return the same picture with a separate cache for another width of blur."""
+    def copy(self) -> PolarPicture:
+        """Return the same picture with a separate cache."""
         return PolarPicture(self.pixels, self.per_mm)
 
     def channel(self, index: int) -> PolarPicture:
@@ -76,10 +73,10 @@ class PolarPicture:
         return PolarPicture(np.ascontiguousarray(self.pixels[:, :, index : index + 1]), self.per_mm)
 
     def blurred(self, angle: float) -> Paint:
-        """Return the mean over a turn by ``angle`` rad, centred, over two turns: from -1/2 to 3/2 of a turn.
+        """Return the picture with the motion blur of a rotation by ``angle`` rad, from -1/2 to 3/2 of a turn.
 
-        Twice round spares every pixel the wrapping of its angle. The last result is kept: the smear of a
-        slowing body changes little from frame to frame.
+        With two turns, angles need not be wrapped. The last result is cached: the blur changes little from frame to
+        frame.
         """
         width = round(abs(angle) * self.per_rad / WIDTH_STEP) * WIDTH_STEP
         width = max(1.0, min(width, float(self.columns)))
@@ -90,10 +87,9 @@ class PolarPicture:
         return self._blurred[width]
 
     def sample(self, columns: Picture, rows: Picture, smear: float, out: Paint | None = None) -> Paint:
-        """Read the picture at fractional (column, row) positions, smeared by a turn of ``smear`` rad.
+        """Interpolate the picture bilinearly at (column, row) positions, with a motion blur of ``smear`` rad.
 
-        Columns lie in [0, 2 columns], the angle 0 at ``columns / 2``. Bilinear: the picture is sampled finer
-        than the camera's pixels.
+        Columns are in [0, 2 columns], with the angle 0 at ``columns / 2``.
         """
         paint = self.blurred(smear)
         return cv2.remap(  # type: ignore[return-value]
@@ -101,7 +97,7 @@ class PolarPicture:
         )
 
     def seen_columns(self, angle: Picture, psi: Array) -> Picture:
-        """Return the columns for `sample` at angles (columns, within half a turn) of a body turned by psi."""
+        """Return the columns for `sample` at angles (in columns, within half a turn) of a body at the angle psi."""
         n = self.columns
         shift = np.mod(-np.asarray(psi) * self.per_rad, n) + 0.5 * n
         return angle + shift.astype(np.float32)
@@ -110,8 +106,7 @@ class PolarPicture:
 def _box(pixels: Paint, width: float) -> Paint:
     """Average over ``width`` columns, centred and cyclic.
 
-    A box of the width n + 2 f, n odd, is the box of n whole columns with the share f of the next column at
-    each end.
+    A box of the width n + 2 f, n odd, consists of n columns and the fraction f of one column at each end.
     """
     columns = pixels.shape[1]
     odd = int(width) if int(width) % 2 else int(width) - 1
@@ -128,14 +123,14 @@ def _box(pixels: Paint, width: float) -> Paint:
 
 
 def soft_step(x: Array, sigma: float) -> Array:
-    """Return the unit step at 0 seen through a Gaussian of standard deviation ``sigma``."""
+    """Return the unit step at 0, convolved with a Gaussian of standard deviation ``sigma``."""
     from scipy.special import ndtr
 
     return np.asarray(ndtr(x / sigma), dtype=np.float64)
 
 
 def soft_box(x: Array, low: float, high: float, sigma: float) -> Array:
-    """Return the box from ``low`` to ``high`` seen through a Gaussian; a rectangle is a product of two."""
+    """Return the box from ``low`` to ``high``, convolved with a Gaussian."""
     return soft_step(x - low, sigma) - soft_step(x - high, sigma)
 
 
@@ -144,27 +139,27 @@ LAMPS = (
     (2.3, 0.7, 0.14),
     (3.9, 0.9, 0.09),
     (5.3, 0.6, 0.12),
-)  # where, strength, width
+)  # angle [rad], intensity, width [rad]
 
 
 @dataclass(frozen=True)
 class Window:
-    """Rows and columns of the picture, and maps over them, (h, w) each.
+    """The part of the image with the gyroscope, and maps of it, (h, w) each.
 
     Attributes
     ----------
     rows, columns : slice
-        The place in the picture.
+        Rows and columns in the image.
     u, v : array
-        Point of the table in mm that is seen at each pixel.
+        Point of the table at each pixel [mm].
     table : (3, h, w) array
-        Light of the table, zero where the rotor covers it.
+        Intensity of the table, zero where the rotor covers it.
     lamps, lamps_inside : array
-        Steady brightness per stored unit of a polar picture; the second is zero outside the rotor.
+        Constant illumination per stored unit of a polar picture; the second is zero outside of the rotor.
     glint : array
-        Light of reflections on bare metal, per stored unit.
+        Intensity of reflections on bare metal, per stored unit.
     papers : array of bool
-        Where the markers of the rotor pass.
+        Region that the markers of the rotor sweep.
     """
 
     rows: slice
@@ -184,7 +179,7 @@ class Window:
 
 
 def cut_window(scene: Scene, camera: Camera, light: Light, table: Array) -> Window:
-    """Find the window of the gyroscope and compute its still layers from the lit table (height, width, 3)."""
+    """Find the window of the gyroscope and compute its static layers from the illuminated table (height, width, 3)."""
     around = np.linspace(0.0, 2.0 * np.pi, 64)
     reach = scene.ring_outer + scene.wobble.radius + 5.0 * camera.psf / camera.scale
     rim = camera.project(reach * np.stack([np.cos(around), np.sin(around)], axis=-1))
@@ -194,7 +189,7 @@ def cut_window(scene: Scene, camera: Camera, light: Light, table: Array) -> Wind
     x, y = np.meshgrid(np.arange(columns.start, columns.stop), np.arange(rows.start, rows.stop))
     u, v = camera.unproject(x, y)
     r = np.hypot(u, v)
-    inside = r < 0.5 * (scene.ring_inner + scene.ring_outer)  # its border is under the ring
+    inside = r < 0.5 * (scene.ring_inner + scene.ring_outer)  # with the border below the ring
     lamps = light.field(camera)[rows, columns] / FULL
     near = min((m.near for m in scene.on("rotor")), default=np.inf)
     far = max((m.near + m.length for m in scene.on("rotor")), default=0.0)
@@ -214,7 +209,7 @@ def cut_window(scene: Scene, camera: Camera, light: Light, table: Array) -> Wind
 
 
 def _glints(u: Array, v: Array, scene: Scene, light: Light) -> Array:
-    """Reflections of four lamps: streaks along the radius, as turned metal shows them, still in the room."""
+    """Return the reflections of four lamps on turned metal: radial streaks that are fixed in space."""
     angle, r = np.arctan2(v, u), np.hypot(u, v)
     total = np.zeros_like(u)
     for place, strength, width in LAMPS:
@@ -238,7 +233,7 @@ TABLES: dict[str, Colour] = {
 
 
 class _Canvas:
-    """Polar grid with colour (times cover) and cover, painted from below to above."""
+    """Polar grid with colour (times cover) and cover, painted from bottom to top."""
 
     def __init__(self, scene: Scene, camera: Camera, reach: float) -> None:
         self.sigma = max(camera.psf, 0.2) / camera.scale
@@ -251,28 +246,28 @@ class _Canvas:
         self.cover = np.zeros(self.x.shape)
 
     def over(self, cover: Array, colour: Colour | Array) -> None:
-        """Lay a colour over what is there, as far as it covers."""
+        """Paint a colour over the canvas, weighted by its cover."""
         paint = np.asarray(colour, dtype=np.float64)
         self.colour *= 1.0 - cover[..., None]
         self.colour += cover[..., None] * paint
         self.cover = self.cover + cover - self.cover * cover
 
     def paper(self, marker: Marker) -> None:
-        """Lay a rectangle of paper on the body."""
+        """Paint a marker."""
         along, across = marker.local(self.x, self.y)
         half = 0.5 * marker.base
         cover = soft_box(along, 0.0, marker.length, self.sigma) * soft_box(across, -half, half, self.sigma)
         self.over(cover, marker.colour)
 
     def picture(self, fourth: Array) -> PolarPicture:
-        """Return the painting with a fourth channel."""
+        """Return the picture with a fourth channel."""
         return PolarPicture.of(np.dstack([self.colour, fourth]), self.per_mm)
 
 
 def paint_rotor(scene: Scene, camera: Camera) -> PolarPicture:
-    """Paint the rotor: channels red, green, blue, and the share of bare metal, which can glint.
+    """Paint the rotor: channels red, green, blue, and the fraction of bare metal, which reflects lamps.
 
-    It is opaque as far as beneath the ring of the casing: the gap between them is painted dark.
+    It is opaque up to below the ring of the casing; the gap between them is dark.
     """
     canvas = _Canvas(scene, camera, scene.ring_outer + 4.0)
     lathe = 1.0 + scene.structure * (np.sin(3.1 * canvas.r) + 0.6 * np.sin(7.7 * canvas.r + 1.0))
@@ -316,12 +311,12 @@ def paint_casing(scene: Scene, camera: Camera) -> PolarPicture:
 
 
 def _everywhere(canvas: _Canvas, radius: float) -> Array:
-    """Cover of a disc about the axis."""
+    """Return the cover of a disc about the axis."""
     return np.array(np.broadcast_to(soft_step(radius - canvas.r, canvas.sigma), canvas.x.shape))
 
 
 def paint_table(scene: Scene, camera: Camera, light: Light, seed: int = 0) -> Array:
-    """Paint the table with the shadow of the gyroscope on it, (height, width, 3), linear, lit."""
+    """Paint the illuminated table with the shadow of the gyroscope, (height, width, 3), linear."""
     x, y = np.meshgrid(np.arange(camera.width, dtype=np.float64), np.arange(camera.height, dtype=np.float64))
     u, v = camera.unproject(x, y)
     tone = np.array(TABLES[scene.table])
@@ -334,7 +329,7 @@ def paint_table(scene: Scene, camera: Camera, light: Light, seed: int = 0) -> Ar
 
 
 def _grain(u: Array, v: Array, table: str, seed: int) -> Array:
-    """Relative brightness of the table at points in mm: fine grain, or the rings and planks of wood."""
+    """Return the relative brightness of the table at points in mm: fine grain, or rings and planks of wood."""
     rng = np.random.default_rng(seed)
     if table != "wood":
         waves = rng.uniform(0.2, 1.2, (6, 2)) * rng.choice([-1.0, 1.0], (6, 2))
@@ -351,21 +346,21 @@ def _grain(u: Array, v: Array, table: str, seed: int) -> Array:
 
 Frame = NDArray[np.uint8]
 
-SUB_STEP_PX = 1.2  # the casing's edges move at most this far within a sub-exposure, and are smeared over it
+SUB_STEP_PX = 1.2  # largest motion of the edges of the casing in a sub-exposure [px]
 MAX_SUB = 24
-FOLD = 256  # lists of points are folded for cv2.remap, whose pictures end at 32767 columns
-SOFT_SHADOW = 0.05  # rad by which the shadow of the bar is softened
+FOLD = 256  # rows of lists of points for cv2.remap, which is limited to 32767 columns
+SOFT_SHADOW = 0.05  # blur of the shadow of the bar [rad]
 
 
 class Renderer:
-    """Draws frames of one scene in one motion with one camera.
+    """Renders frames of a scene with given motion, camera and light.
 
     Parameters
     ----------
     scene, motion, camera, light
-        What is drawn.
+        What is rendered.
     seed : int
-        Seed of grain and noise; the same seed draws the same frames.
+        Random seed of grain and noise.
     """
 
     def __init__(
@@ -374,7 +369,7 @@ class Renderer:
         self.scene, self.motion, self.camera, self.light = scene, motion, camera, light or Light()
         self._rotor, self._casing = paint_rotor(scene, camera), paint_casing(scene, camera)
         self._cover, self._shadow = self._casing.channel(3), self._casing.channel(3)
-        self._rotor_part = self._rotor.again()
+        self._rotor_part = self._rotor.copy()
         table = paint_table(scene, camera, self.light, seed)
         self._window = cut_window(scene, camera, self.light, table)
         self._table = self._levels(table.astype(np.float32))
@@ -387,21 +382,20 @@ class Renderer:
         Raises
         ------
         ValueError
-            If the motion is not known over the whole film.
+            The motion is not known for the whole film.
         """
         times = self.camera.times(count)
         reach = 0.5 * self.camera.exposure + abs(self.camera.readout)
         if count and (times[0] - reach < self.motion.start or times[-1] + reach > self.motion.stop):
-            msg = (
+            raise ValueError(
                 f"The film runs from {times[0]:.4f} s to {times[-1]:.4f} s, "
                 f"but the motion is known from {self.motion.start:.4f} s to {self.motion.stop:.4f} s only"
             )
-            raise ValueError(msg)
         for time in times:
             yield self.frame(float(time))
 
     def frame(self, time: float) -> Frame:
-        """Draw the frame whose exposure has its middle at the true time ``time`` in s."""
+        """Render the frame with the middle of its exposure at the true time ``time`` in s."""
         window = self._window
         pulse = self._pulse(time, np.arange(self.camera.height))
         picture = self._lit_table(pulse)
@@ -414,7 +408,7 @@ class Renderer:
         return self._noise.on(picture)
 
     def _gyroscope(self, time: float) -> list[Picture]:
-        """Light of the window in steady lamps, three planes (h, w)."""
+        """Return the intensity of the window in constant illumination, three planes (h, w)."""
         w = self._window
         angle, radius = self._polar(time)
         smear_r, smear_c = self._smears(time)
@@ -427,7 +421,7 @@ class Renderer:
         clear = cover * np.float32(-1.0 / FULL)
         clear += np.float32(1.0)
         seen = [plane * clear for plane in rotor]
-        self._mend_edges(seen, clear, angle, radius, time)
+        self._average_edges(seen, clear, angle, radius, time)
         if self.light.shadow > 0.0:
             dark = self._bar_shadow(time, smear_c)
             for plane in seen:
@@ -449,7 +443,7 @@ class Renderer:
     def _polar(
         self, time: float, offset: tuple[float, float] = (0.0, 0.0), step: int = 1
     ) -> tuple[Picture, Picture]:
-        """Angle (in columns, growing as the bodies turn) and radius (in rows) of every step-th pixel."""
+        """Return angle (in columns, in the sense of rotation) and radius (in rows) of every step-th pixel."""
         shift = self.scene.wobble.shift(np.asarray(time)) + offset
         u = self._window.u[::step, ::step] - np.float32(shift[0])
         v = self._window.v[::step, ::step] - np.float32(shift[1])
@@ -466,7 +460,7 @@ class Renderer:
     def _columns(
         self, angle: Picture, time: float, rows: NDArray[np.intp] | None = None
     ) -> tuple[Picture, Picture]:
-        """Columns of rotor and casing that are seen at each pixel at a time."""
+        """Return the columns of rotor and casing at each pixel at a time."""
         late: Array = np.asarray(time)
         if self.camera.readout:
             lines = np.arange(self._window.rows.start, self._window.rows.stop)
@@ -476,15 +470,15 @@ class Renderer:
         return self._rotor.seen_columns(angle, rotor), self._casing.seen_columns(angle, casing)
 
     def _smears(self, time: float) -> tuple[float, float]:
-        """Angles by which rotor and casing turn during the exposure."""
+        """Return the rotation of rotor and casing during the exposure."""
         ends = time + np.array([-0.5, 0.5]) * self.camera.exposure
         rotor, casing = self.motion.psi_rotor(ends), self.motion.psi_casing(ends)
         return float(rotor[1] - rotor[0]), float(casing[1] - casing[0])
 
-    def _mend_edges(
+    def _average_edges(
         self, seen: list[Picture], clear: Picture, angle: Picture, radius: Picture, time: float
     ) -> None:
-        """Average (1 - cover) * rotor over sub-exposures where an edge of the casing passes over a paper."""
+        """Average (1 - cover) * rotor over sub-exposures where an edge of the casing crosses a marker of the rotor."""
         smear_r, smear_c = self._smears(time)
         rim = max((m.near + m.length for m in self.scene.on("rotor")), default=0.0) * self.camera.scale
         parts = min(int(np.ceil(abs(smear_c) * rim / SUB_STEP_PX)), MAX_SUB)
@@ -506,7 +500,7 @@ class Renderer:
             seen[k][line, place] = total[..., k].ravel()
 
     def _bar_shadow(self, time: float, smear: float) -> Picture:
-        """Return the brightness left by the shadow of the casing on the rotor, drawn at half the size."""
+        """Return the brightness in the shadow of the casing on the rotor, computed at half resolution."""
         angle, radius = self._polar(time, self.light.shadow_offset, step=2)
         columns = self._casing.seen_columns(angle, self.motion.psi_casing(time))
         cover = self._shadow.sample(columns, radius, abs(smear) + SOFT_SHADOW)
@@ -514,7 +508,7 @@ class Renderer:
         return cv2.resize(dark, self._window.shape[::-1], interpolation=cv2.INTER_LINEAR)  # type: ignore[return-value]
 
     def _pulse(self, time: float, rows: NDArray[np.int_]) -> float | Array:
-        """Brightness of the lamps during the exposure: one number, or one for each row."""
+        """Return the brightness of the lamps during the exposure, as one number or one for each row."""
         if not self.light.flicker:
             return 1.0
         late = self.camera.row_delay(rows) if self.camera.readout else 0.0
@@ -522,14 +516,14 @@ class Renderer:
         return pulse if self.camera.readout else float(pulse)
 
     def _lit_table(self, pulse: float | Array) -> Frame:
-        """Return the table in the momentary light."""
+        """Return the table in the illumination of a frame."""
         gain = np.asarray(pulse) ** (1.0 / self.camera.gamma)
         if gain.ndim == 0:
             return self._table.copy() if gain == 1.0 else cv2.convertScaleAbs(self._table, alpha=float(gain))  # type: ignore[return-value]
         return np.clip(self._table * gain[:, None, None] + 0.5, 0.0, 255.0).astype(np.uint8)
 
     def _levels(self, light: Picture, gain: float = 1.0) -> Frame:
-        """Grey levels of linear light (which is overwritten): 255 * (gain * light) ** (1 / gamma)."""
+        """Return grey levels of linear intensity (which is overwritten): 255 * (gain * light) ** (1 / gamma)."""
         gamma = self.camera.gamma
         np.maximum(light, 0.0, out=light)
         if gamma == 2.0:
@@ -539,7 +533,7 @@ class Renderer:
         return cv2.convertScaleAbs(light, alpha=255.0 * gain ** (1.0 / gamma))  # type: ignore[return-value]
 
     def _buffer(self, name: str, kind: type[np.generic] = np.float32, channels: int = 1) -> NDArray:  # type: ignore[type-arg]
-        """Scratch memory of the size of the window: fresh pages cost more than the drawing."""
+        """Return reusable memory of the size of the window, because allocation is slow."""
         if name not in self._buffers:
             shape = self._window.shape if channels == 1 else (*self._window.shape, channels)
             self._buffers[name] = np.empty(shape, dtype=kind)

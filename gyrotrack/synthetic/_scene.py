@@ -1,12 +1,11 @@
 """The rendered scene: gyroscope, markers, camera, light.
 
-The plane of the table has axes u (right) and v (up as seen) in mm about the resting point of the gyroscope. A
-body at angle ``psi`` has turned by ``sense * psi`` counter-clockwise as seen. Pictures have x right, y down,
-and pixel centres at integers.
+The plane of the table has axes u (right) and v (up in the image) in mm about the mean position of the axis of the
+gyroscope. A body at the angle ``psi`` has turned by ``sense * psi`` counter-clockwise in the image. In images x points
+right, y points down, and pixel centres are at integers.
 
-Coordinates of a body are polar, (r, theta) about its axis, theta growing in the sense in which the bodies
-turn. A paper mounted at ``mount`` therefore has the angle ``psi + mount`` when its body has turned by
-``psi``. Colours are linear light, 0 to 1, (red, green, blue).
+Coordinates of a body are polar, (r, theta) about its axis, with theta increasing in the sense of rotation. A marker
+mounted at ``mount`` has the angle ``psi + mount``. Colours are linear intensities, 0 to 1, (red, green, blue).
 """
 
 from __future__ import annotations
@@ -22,45 +21,43 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Camera:
-    """One camera: its picture, its clock, its place, its faults.
+    """One camera: image, clock, position, imperfections.
 
     Attributes
     ----------
     width, height : int
-        Size of the picture in px; both even.
+        Size of the image in px; both even.
     fps : float
-        Frames captured per second of the camera's own clock.
+        Capture rate on the clock of the camera in 1/s.
     container_fps : float or None
-        Rate written into the file, for slow motion (1000 captured, 25 stored). None: as captured.
+        Rate in the container, for slow motion (1000 captured, 25 stored). None: the capture rate.
     exposure : float
-        Exposure in s; everything that turns is averaged over it.
+        Exposure time in s.
     scale : float
         Magnification in px per mm.
     centre : tuple of float or None
-        Where the resting point of the gyroscope lands, (x, y) in px. None: the middle of the picture.
+        Image of the mean position of the axis, (x, y) in px. None: the middle of the image.
     tilt, tilt_azimuth : float
-        Inclination in rad of the optical axis from the normal of the table, and the direction (rad,
-        counter-clockwise from right) towards which the table falls away. A circle becomes an ellipse with the
-        axis ratio cos(tilt), short along the azimuth.
+        Angle in rad between the optical axis and the normal of the table, and its azimuth (rad, counter-clockwise from
+        right). A circle becomes an ellipse with the axis ratio cos(tilt) and the minor axis along the azimuth.
     roll : float
-        Rotation in rad of the camera about its axis: everything appears turned counter-clockwise by it, so
-        that a body at angle ``psi`` appears at ``psi + sense * roll``.
+        Rotation in rad of the camera about its axis: a body at the angle ``psi`` appears at ``psi + sense * roll``.
     perspective : float
         Inverse distance of the camera in 1/mm; 0 is orthographic.
     start, rate : float
-        The true time of frame 0, and true seconds per second of the camera's clock:
+        True time of frame 0 in s, and true seconds per second of the camera clock:
         ``t = start + rate * k / fps`` is the middle of the exposure of frame k.
     readout : float
-        Seconds of true time from the first to the last row (rolling shutter); 0 is a global shutter. The
-        nominal time belongs to the row that contains the resting point.
+        True time in s from the first to the last row (rolling shutter); 0 is a global shutter. The nominal time is that
+        of the row of ``rest``.
     sense : {-1, 1}
-        -1: the bodies turn clockwise as seen, as in the paper.
+        -1: the bodies turn clockwise in the image, as in the paper.
     psf : float
-        Standard deviation in px of the picture of a point (lens and pixel together).
+        Standard deviation in px of the point spread function (lens and pixel).
     noise : float
         Standard deviation of the sensor noise in grey levels (of 255), independent in the three colours.
     gamma : float
-        Grey level = 255 * light**(1 / gamma). 2 resembles a camera; 1 is linear, for tests of exactness.
+        Grey level = 255 * intensity**(1 / gamma). 2 resembles a camera; 1 is linear.
     """
 
     width: int = 640
@@ -84,15 +81,13 @@ class Camera:
 
     def __post_init__(self) -> None:
         if self.sense not in (-1, 1):
-            msg = f"sense is -1 (clockwise as seen) or 1, not {self.sense}"
-            raise ValueError(msg)
+            raise ValueError(f"sense must be -1 (clockwise in the image) or 1, not {self.sense}")
         if self.width % 2 or self.height % 2:
-            msg = f"width and height must be even for H.264, not {self.width}x{self.height}"
-            raise ValueError(msg)
+            raise ValueError(f"width and height must be even for H.264, not {self.width}x{self.height}")
 
     @property
     def rest(self) -> tuple[float, float]:
-        """Where the resting point of the gyroscope lands, (x, y) in px."""
+        """Image of the mean position of the axis, (x, y) in px."""
         return self.centre or ((self.width - 1) / 2.0, (self.height - 1) / 2.0)
 
     def times(self, frames: int) -> Array:
@@ -100,11 +95,11 @@ class Camera:
         return np.asarray(self.start + self.rate * np.arange(frames) / self.fps, dtype=np.float64)
 
     def row_delay(self, rows: ArrayLike) -> Array:
-        """Return how much later than the nominal time these rows are exposed, in s."""
+        """Return the delay of the exposure of rows relative to the nominal time, in s."""
         return self.readout * (np.asarray(rows, dtype=np.float64) - self.rest[1]) / max(self.height - 1, 1)
 
     def project(self, plane: ArrayLike) -> Array:
-        """Project points of the table, (..., 2) in mm, into the picture, (..., 2) in px."""
+        """Project points of the table, (..., 2) in mm, to the image, (..., 2) in px."""
         point = np.asarray(plane, dtype=np.float64)
         u, v = _rotate(point[..., 0], point[..., 1], self.roll)
         falling, level = _rotate(u, v, -self.tilt_azimuth)
@@ -114,7 +109,7 @@ class Camera:
         return np.stack([x0 + a, y0 - b], axis=-1)
 
     def unproject(self, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
-        """Find the points (u, v) of the table in mm that are seen at (x, y) px: the inverse of `project`."""
+        """Return the points (u, v) of the table in mm at (x, y) px: the inverse of `project`."""
         x0, y0 = self.rest
         a = (np.asarray(x, dtype=np.float64) - x0) / self.scale
         b = (y0 - np.asarray(y, dtype=np.float64)) / self.scale
@@ -125,7 +120,7 @@ class Camera:
         return _rotate(*_rotate(falling, level, self.tilt_azimuth), -self.roll)
 
     def turn(self, body: ArrayLike, angle: ArrayLike) -> Array:
-        """Turn points of a body, (m, 2) in mm, by its angles (n,) in rad into the plane: (n, m, 2) in mm."""
+        """Rotate points of a body, (m, 2) in mm, by its angles (n,) in rad: points of the table, (n, m, 2) in mm."""
         point, psi = np.asarray(body, dtype=np.float64), np.atleast_1d(np.asarray(angle, dtype=np.float64))
         c, s = np.cos(psi)[:, None], np.sin(psi)[:, None]
         u = c * point[:, 0] - s * point[:, 1]
@@ -134,31 +129,31 @@ class Camera:
 
 
 def _rotate(x: Array, y: Array, angle: float) -> tuple[Array, Array]:
-    """Turn points counter-clockwise (y up)."""
+    """Rotate points counter-clockwise (y up)."""
     c, s = np.cos(angle), np.sin(angle)
     return c * x - s * y, s * x + c * y
 
 
 @dataclass(frozen=True)
 class Light:
-    """The lamps: level, unevenness, flicker, and what they do to metal and table.
+    """Illumination: level, non-uniformity, flicker, reflections and shadows.
 
     Attributes
     ----------
     level : float
-        Brightness at the resting point; 1 shows colours as they are.
+        Brightness at the centre; 1 reproduces the colours.
     gradient : tuple of float
-        Relative change of brightness per picture width to the right, and per picture height downwards.
+        Relative change of brightness per image width to the right, and per image height downwards.
     vignette : float
         Relative loss of brightness in the corners.
     flicker, flicker_hz, flicker_phase : float
         Relative amplitude, frequency in Hz and phase in rad of the brightness in true time.
     glint : float
-        Brightness of lamp reflections that are fixed in space on the turning metal.
+        Brightness of lamp reflections on the metal, which are fixed in space.
     shadow : float
         Depth, 0 to 1, of the shadows on the table and of the bar on the rotor.
     shadow_offset : tuple of float
-        Where the shadow of the bar falls, (u, v) in mm from the bar.
+        Displacement of the shadow of the bar, (u, v) in mm.
     """
 
     level: float = 1.0
@@ -172,7 +167,7 @@ class Light:
     shadow_offset: tuple[float, float] = (0.8, -1.2)
 
     def field(self, camera: Camera) -> Array:
-        """Return the steady brightness of every pixel, (height, width)."""
+        """Return the constant brightness of every pixel, (height, width)."""
         x0, y0 = camera.rest
         x = (np.arange(camera.width) - x0) / camera.width
         y = ((np.arange(camera.height) - y0) / camera.height)[:, None]
@@ -181,7 +176,7 @@ class Light:
         return np.asarray(np.maximum(bright, 0.0), dtype=np.float64)
 
     def pulse(self, time: ArrayLike, exposure: float) -> Array:
-        """Return the mean brightness over exposures whose middles are ``time``, relative to the steady one.
+        """Return the mean brightness over exposures centred at ``time``, relative to the constant one.
 
         The mean of 1 + a sin(2 pi f t + phi) over an exposure T is 1 + a sinc(f T) sin(2 pi f t_mid + phi).
         """
@@ -200,7 +195,7 @@ WHITE: Colour = (0.86, 0.86, 0.84)
 
 @dataclass(frozen=True)
 class Marker:
-    """A rectangle of coloured paper on a body.
+    """A rectangular marker of coloured paper on a body.
 
     Attributes
     ----------
@@ -209,11 +204,11 @@ class Marker:
     colour : tuple of float
         Linear red, green, blue.
     mount : float
-        Angle in rad of the middle of its near base in the frame of the body.
+        Angle of the middle of its inner base on the body in rad.
     near, length, base : float
-        Distance in mm of the near base from the axis, extent along the radius, length of the near base.
+        Distance of the inner base from the axis, length along the radius, length of the inner base in mm.
     skew : float
-        Rotation in rad about the middle of the near base: markers are glued on by hand.
+        Rotation about the middle of the inner base in rad.
     """
 
     name: str
@@ -226,7 +221,7 @@ class Marker:
     skew: float = 0.0
 
     def corners(self) -> Array:
-        """Return the four corners in the frame of the body, (4, 2) in mm: near -, near +, far +, far -."""
+        """Return the four corners in the frame of the body, (4, 2) in mm: inner -, inner +, outer +, outer -."""
         across = np.array([-0.5, 0.5, 0.5, -0.5]) * self.base
         along = np.array([0.0, 0.0, 1.0, 1.0]) * self.length
         x = self.near + along * np.cos(self.skew) - across * np.sin(self.skew)
@@ -235,7 +230,7 @@ class Marker:
         return np.stack([c * x - s * y, s * x + c * y], axis=-1)
 
     def local(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Turn coordinates of the body into (along, across) the paper, from the middle of its near base."""
+        """Convert coordinates of the body to (along, across) the marker, from the middle of its inner base."""
         c, s = np.cos(self.mount), np.sin(self.mount)
         u, v = c * x + s * y - self.near, c * y - s * x
         cs, ss = np.cos(self.skew), np.sin(self.skew)
@@ -244,10 +239,10 @@ class Marker:
 
 @dataclass(frozen=True)
 class Wobble:
-    """The tiny circular motion of the whole gyroscope in addition to its rotation.
+    """A small circular motion of the axis of the gyroscope.
 
-    The centre runs on a circle of ``radius`` mm at ``frequency`` Hz, in the sense in which the bodies turn
-    (a negative frequency turns against it), from ``phase`` rad at t = 0.
+    The axis moves on a circle of ``radius`` mm with ``frequency`` in Hz, positive in the sense of rotation of the
+    bodies, from ``phase`` in rad at t = 0.
     """
 
     radius: float = 0.0
@@ -255,7 +250,7 @@ class Wobble:
     phase: float = 0.0
 
     def shift(self, time: Array) -> Array:
-        """Return the displacement in mm at the given times, (..., 2)."""
+        """Return the displacement at the given times in mm, (..., 2)."""
         angle = 2.0 * np.pi * self.frequency * np.asarray(time, dtype=np.float64) + self.phase
         return self.radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
@@ -270,25 +265,25 @@ PAPERS: tuple[Marker, ...] = (
 
 @dataclass(frozen=True)
 class Scene:
-    """The gyroscope on its table.
+    """The gyroscope on a table.
 
     Attributes
     ----------
     markers : tuple of Marker
         The markers on both bodies.
     rotor_radius, ring_inner, ring_outer : float
-        Radii in mm of the rotor disc and of the ring of the casing; the gap between them is dark.
+        Radii in mm of the rotor and of the ring of the casing; the gap between them is dark.
     bar_width, hub_radius, circle_radius : float
-        Width in mm of the bar of the casing across the rotor (0: no bar), radii of its hub and of the red
-        paper disc at the centre.
+        Width in mm of the bar of the casing across the rotor (0: no bar), radii of its hub and of the red disc at the
+        centre.
     metal, ring_metal : float
-        Brightness (linear) of the metal of rotor and casing.
+        Linear brightness of the metal of rotor and casing.
     structure : float
-        Relative depth of the slight structure of the metal.
+        Relative amplitude of the texture of the metal.
     table : {"grey", "white", "wood"}
-        The table under the gyroscope.
+        Kind of table.
     wobble : Wobble
-        Circular motion of the whole gyroscope.
+        Circular motion of the axis.
     """
 
     markers: tuple[Marker, ...] = PAPERS
@@ -310,7 +305,7 @@ class Scene:
         return tuple(marker for marker in self.markers if marker.body == body)
 
     def casing_covers(self, x: Array, y: Array) -> NDArray[np.bool_]:
-        """Return which points (mm, frame of the casing) are covered by bar, hub, ring or a marker of the casing."""
+        """Return which points (mm, frame of the casing) are occluded by bar, hub, ring or a marker of the casing."""
         r = np.hypot(x, y)
         covered = (r < self.hub_radius) | ((r >= self.ring_inner) & (r <= self.ring_outer))
         covered |= (np.abs(y) < 0.5 * self.bar_width) & (r <= self.ring_outer)

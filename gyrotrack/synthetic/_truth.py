@@ -1,8 +1,4 @@
-"""The exact answers that belong to a rendered film.
-
-They are returned to the caller that draws the film, and written to a separate file only on request;
-no command reads such a file by itself.
-"""
+"""Rendering of a film together with its exact angles, corners and visibilities."""
 
 from __future__ import annotations
 
@@ -25,34 +21,34 @@ from gyrotrack.synthetic._scene import Camera, Light, Marker, Scene
 
 Array = NDArray[np.float64]
 
-COVER_STEPS = 4096  # relative angles of rotor and casing at which the hidden share of a paper is counted
+COVER_STEPS = 4096  # relative angles of rotor and casing at which the occlusion of a marker is computed
 COVER_RADII = 96
 
 
 @dataclass(frozen=True)
 class Truth:
-    """What a perfect tracker would find in a film of n frames.
+    """The exact quantities in a film of n frames.
 
     Attributes
     ----------
     time : (n,) array
-        True time in s of the middle of each exposure.
+        True time of the middle of each exposure in s.
     clip_time : (n,) array
-        The same on the camera's own clock, ``k / fps``; ``time = clock_offset + clock_rate * clip_time``.
+        The same on the clock of the camera, ``k / fps``; ``time = clock_offset + clock_rate * clip_time``.
     clock_offset, clock_rate : float
         True time of frame 0 in s, and true seconds per second of the camera.
     angle, omega : dict of (n,) arrays
-        For "rotor" and "casing": angle in rad, unwrapped, growing as the bodies turn, and speed in rad/s.
+        For "rotor" and "casing": unwrapped angle in rad, increasing in the sense of rotation, and speed in rad/s.
     centre : (n, 2) array
-        Picture of the axis in px.
+        Position of the axis in the image in px.
     corners : dict of (n, 4, 2) arrays
-        For each paper the corners in px at the middle of the exposure: near, near, far, far, going round it.
-        The first of the near ones has the smaller angle in the sense in which the bodies turn.
+        For each marker the corners in px at the middle of the exposure: inner, inner, outer, outer, in cyclic order;
+        the first one has the smaller angle in the sense of rotation.
     visible : dict of (n,) arrays
-        For each paper the share of its area, 0 to 1, that is neither hidden by the casing nor outside the
-        picture; the casing's share is averaged over the exposure.
+        For each marker the visible fraction of its area, 0 to 1, neither occluded by the casing (mean over the
+        exposure) nor outside of the image.
     sense : int
-        +1 if the bodies turn counter-clockwise as seen, -1 if clockwise.
+        +1 if the bodies turn counter-clockwise in the image, -1 if clockwise.
     """
 
     time: Array
@@ -67,7 +63,7 @@ class Truth:
     sense: int
 
     def save(self, path: Path) -> None:
-        """Write the truth as .npz (no pickled objects) or, by the ending of the name, as .json."""
+        """Write the truth as .npz (no pickled objects) or, by the suffix, as .json."""
         path = Path(path)
         arrays, scalars = self._flat()
         with new_file(path, force=True) as stream:
@@ -88,7 +84,7 @@ class Truth:
 
 
 def load_truth(path: Path) -> Truth:
-    """Read what `Truth.save` wrote."""
+    """Read a file written by `Truth.save`."""
     path = Path(path)
     if path.suffix == ".json":
         content = json.loads(path.read_text(encoding="utf-8"))
@@ -117,7 +113,7 @@ def load_truth(path: Path) -> Truth:
 
 
 def find_truth(scene: Scene, motion: Motion, camera: Camera, frames: int) -> Truth:
-    """Compute the truth of a film with this number of frames, without drawing it."""
+    """Compute the truth of a film, without rendering it."""
     time = camera.times(frames)
     shift = scene.wobble.shift(time)
     angle = {"rotor": motion.psi_rotor(time), "casing": motion.psi_casing(time)}
@@ -142,16 +138,16 @@ def find_truth(scene: Scene, motion: Motion, camera: Camera, frames: int) -> Tru
 
 
 def _uncovered(scene: Scene, marker: Marker, motion: Motion, camera: Camera, time: Array) -> Array:
-    """Share of a rotor's paper that the casing leaves open, averaged over the exposure, (n,)."""
+    """Return the fraction of a marker that the casing does not occlude, averaged over the exposure, (n,)."""
     if marker.body == "casing":
         return np.ones(time.shape)
-    share = _share_against_angle(scene, marker)
+    share = _visible_fraction(scene, marker)
     step = 2.0 * np.pi / COVER_STEPS
     running = np.concatenate([[0.0], np.cumsum(share)]) * step
     turn = running[-1]
 
     def integral(relative: Array) -> Array:
-        whole, rest = np.divmod(relative + 0.5 * step, 2.0 * np.pi)  # a step is centred
+        whole, rest = np.divmod(relative + 0.5 * step, 2.0 * np.pi)  # steps are centred
         return np.asarray(whole * turn + np.interp(rest, np.arange(COVER_STEPS + 1) * step, running))
 
     half = 0.5 * camera.exposure
@@ -164,8 +160,8 @@ def _uncovered(scene: Scene, marker: Marker, motion: Motion, camera: Camera, tim
     return np.where(still, narrow, wide)
 
 
-def _share_against_angle(scene: Scene, marker: Marker) -> Array:
-    """Open share of a rotor's paper at psi_r - psi_c = 2 pi k / COVER_STEPS: a cyclic correlation."""
+def _visible_fraction(scene: Scene, marker: Marker) -> Array:
+    """Return the fraction of a marker of the rotor that is not occluded at psi_r - psi_c = 2 pi k / COVER_STEPS."""
     reach = np.hypot(*marker.corners().T)
     low = marker.near * np.cos(marker.skew) - 0.5 * marker.base * abs(np.sin(marker.skew))
     edges = np.linspace(low, reach.max(), COVER_RADII + 1)
@@ -181,7 +177,7 @@ def _share_against_angle(scene: Scene, marker: Marker) -> Array:
 
 
 def _inside_picture(corners: Array, camera: Camera) -> Array:
-    """Fraction of each marker's picture that is within the frame, (n,)."""
+    """Return the fraction of a marker that is within each frame, (n,)."""
     low, high = np.array([-0.5, -0.5]), np.array([camera.width - 0.5, camera.height - 0.5])
     share = np.ones(len(corners))
     frame = np.array([low, [high[0], low[1]], high, [low[0], high[1]]], dtype=np.float32)
@@ -209,43 +205,43 @@ def render_clip(
     force: bool = False,
     progress: Progress | None = None,
 ) -> Truth:
-    """Draw a film of a scene with a known motion, and return what a perfect tracker would find in it.
+    """Render a film of a scene with a known motion, and return its exact angles and corners.
 
     Parameters
     ----------
     path : Path
         The mp4 file to write.
     scene, motion, camera, light
-        What is drawn: see `Scene`, `Motion`, `Camera`, `Light`.
+        What is rendered.
     frames : int
-        Length of the film; ``camera.start`` is the true time of its first frame.
+        Number of frames; ``camera.start`` is the true time of the first one.
     film : Film, optional
-        Quality and kind of the compression.
+        Options of the encoder.
     seed : int
-        The same seed draws the same film.
+        Random seed.
     truth : Path, optional
-        Where to write the truth as well (.npz or .json). Without it the truth is only returned.
+        File (.npz or .json) to which the truth is written.
     force : bool
         Replace existing files.
     progress : callable, optional
-        Called with (frames drawn, frames in all).
+        Called with (frames rendered, frames in total).
 
     Raises
     ------
     OutputError
-        If a file exists already or cannot be written.
+        A file already exists, or cannot be written.
     ValueError
-        If the motion is not known over the whole film.
+        The motion is not known for the whole film.
 
     Examples
     --------
     >>> from pathlib import Path
-    >>> from gyrotrack.synthetic import Camera, Motion, Scene, render_clip
+    >>> from gyrotrack.synthetic._scene import Camera, Scene
     >>> motion = Motion.constant(omega_rotor=400.0, omega_casing=60.0)
     >>> truth = render_clip(Path("casing.mp4"), Scene(), motion, Camera(), frames=260)  # doctest: +SKIP
     """
     if truth is not None and Path(truth).exists() and not force:
-        raise OutputError(f"{truth} exists already.", "Give another name, or ask for it to be replaced.")
+        raise OutputError(f"{truth} already exists.", "Give another name, or set `force`.")
     renderer = Renderer(scene, motion, camera, light, seed=seed)
     write_film(
         path,
@@ -266,7 +262,7 @@ def render_clip(
 def _counted(
     pictures: Iterator[NDArray[np.uint8]], total: int, progress: Progress | None
 ) -> Iterator[NDArray[np.uint8]]:
-    """Pass pictures on and report their number."""
+    """Yield pictures and report their number."""
     for done, picture in enumerate(pictures, start=1):
         yield picture
         if progress is not None:

@@ -50,10 +50,10 @@ def test_the_start_page_lists_the_films_of_the_work_folder(open_page, tmp_path):
     card.wait_for()
     assert "480 × 360 px, 2200 frames, stored at 25 fps" in card.inner_text()
     # the rate of the container is offered, and never taken by itself
-    assert card.get_by_label("captured at [fps]").input_value() == ""
+    assert card.get_by_label("capture rate [fps]").input_value() == ""
     assert "The capture rate of rotor.mp4 is not given." in page.locator("#missing-track").inner_text()
     assert page.locator("#track").is_disabled()
-    card.get_by_role("button", name="rotor.mp4: captured at 1000 fps").click()
+    card.get_by_role("button", name="rotor.mp4: capture rate 1000 fps").click()
     page.locator("#track:enabled").wait_for()
     assert page.locator("#command-track").inner_text() == (
         "gyrotrack extract rotor.mp4 --capture-fps 1000 -o rotor.h5"
@@ -111,7 +111,7 @@ def test_hub_and_markers_by_hand_are_followed_and_saved(open_page, tmp_path):
     page.get_by_label("marker on the rotor").check()
     click(*places["blue"])
     click(*places["green"])
-    page.locator("#followed.fine", has_text="Followed: ").wait_for(timeout=60_000)
+    page.locator("#followed.fine", has_text="Tracked: ").wait_for(timeout=60_000)
     assert "casing in 100 % of 500 frames" in page.locator("#followed").inner_text()
     profile = load(tmp_path / "rotor_1.toml")
     assert [(m.colour, m.body) for m in profile.marker] == [

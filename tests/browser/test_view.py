@@ -179,7 +179,7 @@ def test_an_error_of_the_user_is_told_in_a_sentence(visit):
     for typed, told in (
         ("casing: -k*omega_c**", "is not a formula"),
         ("no.such.effect", "no.such.effect"),
-        ("bearing.linear", "in the model already"),
+        ("bearing.linear", "already in the model"),
         (HOSTILE, "script"),
         ("", "No change was requested."),
     ):

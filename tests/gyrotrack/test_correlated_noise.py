@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack._correlated_noise import least_squares_of, slow_variance
+from gyrotrack._correlated_noise import correlated_least_squares, slow_variance
 
 
 def correlated(rng, n, sigma, samples):
@@ -52,7 +52,7 @@ def test_uncertainty_of_a_slope(samples):
         rng = np.random.default_rng(seed)
         y = 2 * t + rng.normal(0, 1e-3, len(t))
         y += correlated(rng, len(t), 1e-3, samples) if samples else 0
-        (fit,) = least_squares_of(t, design, y, np.full(len(t), 0.5), [[0, 1, 2]], free)
+        (fit,) = correlated_least_squares(t, design, y, np.full(len(t), 0.5), [[0, 1, 2]], free)
         value, u = fit.of(np.array([0.0, 1.0, 0.0]))
         z.append((value - 2) / u)
     assert 0.6 < np.sqrt(np.mean(np.square(z))) < 1.4
@@ -62,7 +62,7 @@ def test_a_prior_holds_what_the_data_do_not_determine():
     t = np.linspace(0, 1, 200)
     design = np.stack([t, t + 1e-6 * t**2], axis=1)
     y = 3 * t + np.random.default_rng(0).normal(0, 1e-3, len(t))
-    (fit,) = least_squares_of(t, design, y, np.full(len(t), 1e-3), [[0, 1]], np.array([np.inf, 0.1]))
+    (fit,) = correlated_least_squares(t, design, y, np.full(len(t), 1e-3), [[0, 1]], np.array([np.inf, 0.1]))
     value, u = fit.of(np.array([0.0, 1.0]))
     assert abs(value) < 0.1
     assert u == pytest.approx(0.1, rel=0.1)

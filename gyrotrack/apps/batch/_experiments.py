@@ -1,8 +1,8 @@
-"""Experiments of a batch, from a manifest or a folder.
+"""Experiments of a batch, read from a manifest or a folder.
 
-A folder with ``study.toml`` is that study. Else ``casing*`` and ``rotor*`` in one folder are the case of the
-folder's name, ``NAME_casing*`` and ``NAME_rotor*`` the case NAME, and any other film is tracked only. The name of
-a film may state its capture rate, as in ``rotor_1_1000fps.mp4``.
+A folder with ``study.toml`` is one study. Otherwise ``casing*`` and ``rotor*`` in one folder form a case with the name
+of the folder, ``NAME_casing*`` and ``NAME_rotor*`` form the case NAME, and any other film is only tracked. The name of
+a film may contain its capture rate, as in ``rotor_1_1000fps.mp4``.
 
 ::
 
@@ -22,13 +22,13 @@ a film may state its capture rate, as in ``rotor_1_1000fps.mp4``.
     [[case]]
     data = "old/case7.h5"           # an existing case
 
-    [[clip]]                        # a single film: tracked only
+    [[clip]]                        # a single film: only tracked
     file = "wheel.mp4"
     capture_fps = 300
     profile = "wheel.toml"
 
-The same as CSV has one row per film, with the columns ``case, body, file`` and, optionally, ``capture_fps,
-profile, surface, inertia_rotor, inertia_casing``. Paths are relative to the manifest's folder.
+A CSV manifest has one row per film, with the columns ``case, body, file`` and, optionally, ``capture_fps, profile,
+surface, inertia_rotor, inertia_casing``. Paths are relative to the manifest's folder.
 """
 
 from __future__ import annotations
@@ -67,22 +67,22 @@ class Clip:
 
 @dataclass(frozen=True)
 class Experiment:
-    """One case to be made and analysed.
+    """One case to be processed.
 
     Attributes
     ----------
     label : str
-        Its name.
+        Name of the case.
     clips : tuple of Clip
-        One of the casing and any number of the rotor, or a single film that is only tracked.
+        One film of the casing and one or more of the rotor, or a single film that is only tracked.
     data : Path or None
-        An existing case file, instead of films.
+        An existing case file instead of films.
     surface : str
         Surface on which the casing turns.
     inertia_rotor, inertia_casing : str or None
         Moments of inertia as `gyrotrack._inertia.Inertia` reads them.
     folder : str
-        Name of its folder among the results; unique.
+        Unique name of its folder of results.
     """
 
     label: str
@@ -95,17 +95,17 @@ class Experiment:
 
     @property
     def alone(self) -> bool:
-        """Whether it is a single film, which is tracked only."""
+        """Whether it is a single film, which is only tracked."""
         return self.data is None and all(c.body == "" for c in self.clips)
 
 
-def named(experiments: Iterable[Experiment], where: Path) -> tuple[Experiment, ...]:
-    """Return the experiments with a folder each, inside the folder of the results for any label.
+def with_folders(experiments: Iterable[Experiment], where: Path) -> tuple[Experiment, ...]:
+    """Assign a unique folder name to each experiment, and check the experiments.
 
     Raises
     ------
     ConfigurationError
-        There is none, two have the same label, or one does not have exactly one film of the casing.
+        There is no experiment, two have the same label, or one lacks a film of the casing or of the rotor.
     """
     found, folders = [], set[str]()
     labels: set[str] = set()
@@ -126,7 +126,7 @@ def named(experiments: Iterable[Experiment], where: Path) -> tuple[Experiment, .
     if not found:
         raise ConfigurationError(
             f"{where} contains no film and no case.",
-            "Name the films of a case casing.mp4 and rotor_1.mp4 in one folder, or list them in a manifest.",
+            "Put the films of a case in one folder, as casing.mp4 and rotor_1.mp4, or list them in a manifest.",
         )
     return tuple(found)
 
@@ -142,7 +142,7 @@ def _check_films(e: Experiment, where: Path) -> None:
 
 
 def folder_name(label: str) -> str:
-    """Return a label as the name of a folder: letters, digits, ``._-`` only, not the name of a device."""
+    """Convert a label to the name of a folder: letters, digits and ``._-`` only, not the name of a device."""
     name = re.sub(r"[^A-Za-z0-9._-]+", "_", label).strip("._-")[:80] or "case"
     return f"{name}_" if name.partition(".")[0].casefold() in _DEVICES else name
 
@@ -150,21 +150,21 @@ def folder_name(label: str) -> str:
 def with_inertias(
     experiments: Iterable[Experiment], given: Mapping[str, str | None], skip: Collection[str] = ()
 ) -> tuple[Experiment, ...]:
-    """Return the experiments with the given moments of inertia where they have none of their own.
+    """Set the moments of inertia of experiments that do not specify them.
 
     Parameters
     ----------
     experiments : iterable of Experiment
-        Those of a manifest or a folder.
+        The experiments.
     given : mapping
-        The values of the options, by body.
+        Values of the options, by body.
     skip : collection of str
-        Options (``--inertia-rotor``) that the settings of the command `sync` give.
+        Options (``--inertia-rotor``) that are set by the settings of the command `sync`.
 
     Raises
     ------
     UsageError
-        A case of films has no moment of inertia for one of its bodies.
+        A case made from films lacks the moment of inertia of a body.
     """
     made = []
     for e in experiments:
@@ -231,7 +231,7 @@ def read_study(path: Path) -> Experiment:
     Raises
     ------
     ConfigurationError
-        With the line and the key of every error.
+        The file is invalid; line and key of every error are reported.
     """
     study = read_document(path, Study, what="study")
     root = path.resolve().parent
@@ -249,7 +249,7 @@ def read_study(path: Path) -> Experiment:
 
 
 _RULE = re.compile(r"(?:(?P<label>.+?)[ _-])?(?P<body>casing|rotor)(?![a-z]).*", re.IGNORECASE)
-_RATE = re.compile(r"(?<![0-9.])(\d{2,5}(?:\.\d+)?) ?fps", re.IGNORECASE)
+STATED_RATE = re.compile(r"(?<![0-9.])(\d{2,5}(?:\.\d+)?) ?fps", re.IGNORECASE)
 
 
 def read_folder(
@@ -262,14 +262,14 @@ def read_folder(
     root : Path
         The folder; hidden folders and links to folders are skipped.
     casing_fps, rotor_fps : float, optional
-        Capture rates of films whose names do not state it [1/s].
+        Capture rates of films whose names do not contain it [1/s].
     skip : Path, optional
-        The folder of the results, which may be inside.
+        The folder of the results, if it is inside `root`.
 
     Raises
     ------
     ConfigurationError
-        It contains no film, or a case that is incomplete.
+        It contains no film.
     """
     if not root.is_dir():
         raise ConfigurationError(f"There is no folder {root}.", "Check the path.")
@@ -283,11 +283,11 @@ def read_folder(
             found.append(read_study(here / "study.toml"))
             continue
         films = sorted(f for f in files if Path(f).suffix.lower() in FILMS and not f.startswith("."))
-        found += _in_one_folder(here, top, films, rates)
-    return named(found, root)
+        found += _experiments_in(here, top, films, rates)
+    return with_folders(found, root)
 
 
-def _in_one_folder(
+def _experiments_in(
     here: Path, top: Path, films: list[str], rates: dict[str, float | None]
 ) -> list[Experiment]:
     relative = here.relative_to(top).as_posix() if here != top else ""
@@ -297,7 +297,7 @@ def _in_one_folder(
         stem = Path(film).stem
         rule = _RULE.fullmatch(stem)
         body: Body = rule["body"].lower() if rule else ""  # type: ignore[assignment]
-        stated = _RATE.search(stem)
+        stated = STATED_RATE.search(stem)
         clip = Clip(here / film, body, float(stated[1]) if stated else rates[body])
         if rule is None:
             alone.append(Experiment("/".join(filter(None, (relative, stem))), (clip,)))
@@ -310,7 +310,7 @@ def _in_one_folder(
         bodies = [c.body for c in clips]
         if bodies.count("casing") == 1 and "rotor" in bodies:
             made.append(Experiment(label, tuple(clips)))
-        else:  # no case can be made of them, but they can be tracked
+        else:  # incomplete case: the films are only tracked
             alone += [
                 Experiment(f"{label}/{c.file.stem}", (Clip(c.file, "", c.capture_fps, c.profile),))
                 for c in clips
@@ -349,9 +349,9 @@ class CaseEntry(Defaults):
     def _one_source(self) -> CaseEntry:
         films = self.casing is not None or bool(self.rotor)
         if films + (self.study is not None) + (self.data is not None) != 1:
-            raise ValueError("a case has either films (casing, rotor), a study, or data")
+            raise ValueError("a case needs exactly one of: films (casing, rotor), a study, data")
         if films and (self.casing is None or not self.rotor):
-            raise ValueError("a case has one film of the casing and at least one of the rotor")
+            raise ValueError("a case needs one film of the casing and at least one of the rotor")
         return self
 
 
@@ -365,7 +365,7 @@ class ClipEntry(_Strict):
 
 
 class Manifest(_Strict):
-    """The whole file."""
+    """A manifest."""
 
     defaults: Defaults = Defaults()
     case: tuple[CaseEntry, ...] = Field(default=(), max_length=MOST)
@@ -386,27 +386,31 @@ class _Row(_Strict):
 
 
 def read_manifest(path: Path) -> tuple[Experiment, ...]:
-    """Read a manifest, TOML or (with the suffix ``.csv``) CSV.
+    """Read a manifest in TOML or, with the suffix ``.csv``, in CSV.
 
     Raises
     ------
     ConfigurationError
-        The file cannot be read, or is not valid; line and key are given. Films are checked only when they are opened,
-        so that a missing one does not stop the others.
+        The file cannot be read, or is invalid; line and key are reported. Films are checked only when they are opened,
+        so that a missing film does not stop the others.
     """
     if path.suffix.lower() == ".csv":
-        return named(_from_rows(path), path)
+        return with_folders(_from_rows(path), path)
     manifest = read_document(path, Manifest, what="manifest")
     root = path.resolve().parent
     cases = [_case(root, entry, manifest.defaults, i) for i, entry in enumerate(manifest.case, 1)]
     clips = [
         Experiment(
             c.label or Path(c.file).stem,
-            (Clip(root / c.file, "", c.capture_fps, _at(root, c.profile or manifest.defaults.profile)),),
+            (
+                Clip(
+                    root / c.file, "", c.capture_fps, _resolved(root, c.profile or manifest.defaults.profile)
+                ),
+            ),
         )
         for c in manifest.clip
     ]
-    return named([*cases, *clips], path)
+    return with_folders([*cases, *clips], path)
 
 
 def _case(root: Path, entry: CaseEntry, defaults: Defaults, number: int) -> Experiment:
@@ -422,7 +426,7 @@ def _case(root: Path, entry: CaseEntry, defaults: Defaults, number: int) -> Expe
     surface = value("surface") or ""
     if entry.data is not None:
         return Experiment(entry.label or Path(entry.data).stem, data=root / entry.data, surface=surface)
-    profile = _at(root, value("profile"))
+    profile = _resolved(root, value("profile"))
     films = [Clip(root / str(entry.casing), "casing", value("casing_fps"), profile)]
     films += [Clip(root / f, "rotor", value("rotor_fps"), profile) for f in entry.rotor]
     return Experiment(entry.label or f"case {number}", tuple(films), surface=surface, **numbers)
@@ -445,7 +449,7 @@ def _from_rows(path: Path) -> list[Experiment]:
         ) from error
     own = [r for r in rows if not r.case]
     made = [
-        Experiment(Path(r.file).stem, (Clip(root / r.file, "", r.capture_fps, _at(root, r.profile)),))
+        Experiment(Path(r.file).stem, (Clip(root / r.file, "", r.capture_fps, _resolved(root, r.profile)),))
         for r in own
     ]
     shared = sorted((r for r in rows if r.case), key=lambda r: r.case)
@@ -456,12 +460,12 @@ def _from_rows(path: Path) -> list[Experiment]:
             for name in ("surface", "inertia_rotor", "inertia_casing")
         }
         clips = tuple(
-            Clip(root / r.file, r.body, r.capture_fps, _at(root, r.profile))
+            Clip(root / r.file, r.body, r.capture_fps, _resolved(root, r.profile))
             for r in sorted(films, key=lambda r: r.body)
         )
         made.append(Experiment(label, clips, **{**facts, "surface": facts["surface"] or ""}))  # type: ignore[arg-type]
     return made
 
 
-def _at(root: Path, name: str | None) -> Path | None:
+def _resolved(root: Path, name: str | None) -> Path | None:
     return root / name if name is not None else None

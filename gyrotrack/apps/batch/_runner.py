@@ -1,4 +1,4 @@
-"""Running the steps of a batch from the first to the summary."""
+"""Execution of the steps of a batch, and its summary."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from gyrotrack.apps.batch._steps import (
     Journal,
     Outcome,
     Step,
-    contents_of,
+    arguments_for,
+    file_digest,
     fingerprint,
-    held,
-    key_of,
-    words_for,
+    locked_folder,
+    step_key,
 )
-from gyrotrack.apps.batch._workers import Certificates, ClusterWorkers, LocalWorkers, Workers, cores
+from gyrotrack.apps.batch._workers import Certificates, ClusterWorkers, LocalWorkers, Workers, cores, failure
 from gyrotrack.io._atomic import new_file
 from gyrotrack.io._contents import plain_cell
 
 Progress = Callable[[int, int | None], None]
 Report = Callable[[Step, Outcome], None]
 
-_NOT_TRUSTED = 3
-_TRIES = 2
-_READERS = 4
+_NOT_TRUSTED = 3  # exit code
+_MAX_TRIES = 2
+_HASHING_THREADS = 4
 
 
 @dataclass
@@ -46,12 +46,12 @@ class _Running:
 
 
 class Run:
-    """One run through all steps.
+    """One execution of all steps.
 
     Parameters
     ----------
     steps : sequence of Step
-        Each after those that it needs.
+        The steps, each after those that it needs.
     results : Path
         Folder of the results.
     journal : Journal
@@ -61,7 +61,7 @@ class Run:
     report : callable, optional
         Called with (step, outcome) when a step has ended.
     progress : callable, optional
-        Called with (steps ended, steps in all).
+        Called with (steps ended, steps in total).
     """
 
     def __init__(
@@ -81,11 +81,11 @@ class Run:
         self._contents: dict[Path, str] = {}
         self._followers: dict[str, list[Step]] = {}
         for step in steps:
-            for name in {*step.needs, *step.wants}:
+            for name in {*step.needs, *step.needs_any}:
                 self._followers.setdefault(name, []).append(step)
 
     def preview(self) -> dict[str, str]:
-        """Return the state of each step, "kept" or "to do"; nothing is run or written."""
+        """Return the state of each step, "kept" or "to do", without running or writing anything."""
         self._read_sources()
         for step in self.steps.values():
             if self._ready(step) and (kept := self._kept(step)[0]) is not None:
@@ -93,7 +93,7 @@ class Run:
         return {name: "kept" if name in self.ended else "to do" for name in self.steps}
 
     def work(self, workers: Workers) -> dict[str, Outcome]:
-        """Run all steps that are not done; return how each ended."""
+        """Run all steps that are not complete; return their outcomes."""
         self._read_sources()
         running: dict[Future[dict[str, Any]], _Running] = {}
         fresh, taken = list(self.steps.values()), set[str]()
@@ -113,7 +113,7 @@ class Run:
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 done = running.pop(future)
                 answer = _answer(future)
-                if _error(answer).get("code") == "crash" and done.tries < _TRIES:
+                if _error(answer).get("code") == "crash" and done.tries < _MAX_TRIES:
                     done.tries += 1
                     running[workers.submit([done.step.verb, *done.words], self.timeout)] = done
                     continue
@@ -124,31 +124,31 @@ class Run:
     def _read_sources(self) -> None:
         paths = list(dict.fromkeys(p for s in self.steps.values() for p in s.files))
         try:
-            with ThreadPoolExecutor(_READERS) as pool:
-                found = list(pool.map(contents_of, paths))
+            with ThreadPoolExecutor(_HASHING_THREADS) as pool:
+                found = list(pool.map(file_digest, paths))
         except RuntimeError:  # no thread can be started
-            found = [contents_of(p) for p in paths]
+            found = [file_digest(p) for p in paths]
         self._contents = {p: c or "" for p, c in zip(paths, found, strict=True)}
 
     def _ready(self, step: Step) -> bool:
-        return all(name in self.ended for name in (*step.needs, *step.wants))
+        return all(name in self.ended for name in (*step.needs, *step.needs_any))
 
     def _blocked(self, step: Step) -> str | None:
         lost = [name for name in step.needs if not self.ended[name].good]
-        if not lost and step.wants and not any(self.ended[name].good for name in step.wants):
-            lost = list(step.wants)
+        if not lost and step.needs_any and not any(self.ended[name].good for name in step.needs_any):
+            lost = list(step.needs_any)
         return lost[0] if lost else None
 
     def _kept(self, step: Step) -> tuple[Outcome | None, str, list[str]]:
         if self._blocked(step) is not None:
             return None, "", []
-        words = words_for(step, self.steps, self.ended)
-        before = [self.ended[n].fingerprint for n in (*step.needs, *step.wants) if self.ended[n].good]
-        key = key_of(step, words, self.results, self._contents, before)
+        words = arguments_for(step, self.steps, self.ended)
+        before = [self.ended[n].fingerprint for n in (*step.needs, *step.needs_any) if self.ended[n].good]
+        key = step_key(step, words, self.results, self._contents, before)
         return self.journal.kept(step, key), key, words
 
     def _begin(self, step: Step) -> _Running | None:
-        """Return the step to be submitted, or None if it has ended already."""
+        """Return the step to be submitted, or None if it is blocked, kept or cannot begin."""
         before = self._blocked(step)
         if before is not None:
             cause = self.ended[before].document.get("error", {})
@@ -162,12 +162,8 @@ class Run:
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            failure = {
-                "code": "output",
-                "message": f"{folder} cannot be created: {error.strerror}.",
-                "hint": "",
-            }
-            self._close(step, Outcome("failed", {"error": failure}))
+            answer = failure("output", f"{folder} cannot be created: {error.strerror}.", "")
+            self._close(step, Outcome("failed", answer["document"]))
             return None
         return _Running(step, key, words)
 
@@ -183,13 +179,11 @@ class Run:
                 outcome.state = "done" if outcome.fingerprint else "failed"
                 outcome.trusted = answer["code"] != _NOT_TRUSTED
             if outcome.state == "failed" and "error" not in outcome.document:
-                failure = {
-                    "code": "output",
-                    "message": f"{done.step.output} was not found after it was written.",
-                }
-                outcome.document = {
-                    "error": {**failure, "hint": "Check that the worker sees the same folders."}
-                }
+                outcome.document = failure(
+                    "output",
+                    f"{done.step.output} was not found after it was written.",
+                    "Check that the worker has access to the same folders.",
+                )["document"]
         self.journal.add(done.step, done.key, outcome)
         self._close(done.step, outcome)
 
@@ -198,7 +192,7 @@ class Run:
             with new_file(step.output, force=True) as stream:
                 stream.write(json.dumps(outcome.document, indent=1).encode())
         except GyrotrackError as error:
-            outcome.document = {"error": {"code": error.code, "message": error.message, "hint": error.hint}}
+            outcome.document = failure(error.code, error.message, error.hint)["document"]
         return outcome
 
     def _close(self, step: Step, outcome: Outcome) -> None:
@@ -213,8 +207,7 @@ def _answer(future: Future[dict[str, Any]]) -> dict[str, Any]:
     try:
         return future.result()
     except Exception as error:  # any error of a cluster whose worker is lost
-        failure = {"code": "crash", "message": f"The worker was lost ({type(error).__name__}).", "hint": ""}
-        return {"code": 1, "document": {"error": failure}}
+        return failure("crash", f"The worker was lost ({type(error).__name__}).", "")
 
 
 def _error(answer: dict[str, Any]) -> dict[str, Any]:
@@ -240,15 +233,15 @@ class Row:
     state : str
         "done", "partly" (a film failed, the others were processed) or "failed".
     films, tracked, frames : int
-        Films given, films tracked, frames in those.
+        Number of films, of tracked films, and of their frames.
     fit, missing, diagnosis : str
-        Verdict of the fit, effects that a diagnosis or improvement names, verdict of the diagnosis.
+        Verdict of the fit, effects found by the diagnosis or improvement, verdict of the diagnosis.
     rmse_casing, reduced_chi2 : float or None
-        Of the fit [rad/s, 1].
+        Figures of merit of the fit [rad/s, 1].
     trusted : bool
-        Whether every step returned a result that can be trusted.
+        Whether every step returned a trusted result (exit code 0).
     seconds : float
-        Duration of all its steps, in this run or an earlier one [s].
+        Total duration of its steps, in this run or an earlier one [s].
     problem : str
         First failure, with its step.
     """
@@ -323,8 +316,7 @@ def _missing(diagnosis: dict[str, Any], improved: Outcome | None) -> str:
 
 
 def _problem(name: str, outcome: Outcome) -> str:
-    error = outcome.document.get("error", {})
-    return f"{name}: {error.get('message', 'it failed')}"
+    return f"{name}: {outcome.document.get('error', {}).get('message', 'it failed')}"
 
 
 def write_summary(folder: Path, rows: Sequence[Row], facts: Mapping[str, Any]) -> list[Path]:
@@ -359,8 +351,8 @@ def lines(rows: Sequence[Row]) -> list[str]:
         out.append(
             f"{name:<20}{f'{r.tracked}/{r.films}':>7}{r.frames:>8}  {verdict:<14}{numbers}  {r.missing}".rstrip()
         )
-    failure = [f"{r.label}: {r.problem}" for r in rows if r.problem]
-    return [*out, *(["", "failures:", *(f"  {line}" for line in failure)] if failure else [])]
+    failures = [f"  {r.label}: {r.problem}" for r in rows if r.problem]
+    return [*out, *(["", "failures:", *failures] if failures else [])]
 
 
 STATES = ("done", "kept", "failed", "blocked")
@@ -376,7 +368,7 @@ class BatchResult:
     rows : sequence of Row
         One row per case.
     steps : dict of str to int
-        How many steps ended in each of `STATES`.
+        Number of steps by state.
     seconds : float
         Duration [s].
     summary : sequence of Path
@@ -390,7 +382,7 @@ class BatchResult:
 
 
 def preview(steps: Sequence[Step], output: Path) -> dict[str, str]:
-    """Return the state of each step by name as a run would find it, and run nothing."""
+    """Return the state of each step by name, without running any."""
     return Run(tuple(steps), output, Journal(output / _JOURNAL)).preview()
 
 
@@ -412,7 +404,7 @@ def run_batch(
     Parameters
     ----------
     cases, steps
-        The cases, and the steps that `plan` derived from them.
+        The cases, and their steps from `plan`.
     output : Path
         Folder for the results.
     command : str
@@ -433,10 +425,10 @@ def run_batch(
     Raises
     ------
     OutputError
-        Another run uses the folder, or it contains something else.
+        Another run uses the folder, or it contains other files.
     """
     began = perf_counter()
-    with held(output):
+    with locked_folder(output):
         journal = Journal(output / _JOURNAL)
         place: Workers = (
             ClusterWorkers(scheduler, certificates) if scheduler else LocalWorkers(workers or cores())

@@ -1,7 +1,7 @@
-"""The steps of a batch, their order, and the journal of completed ones.
+"""The steps of a batch, their order, and the journal of completed steps.
 
-A step counts as done when its key (program version, arguments, contents of its sources, fingerprints of the steps
-before it) is the one in the journal, and its output still has the contents that it had then.
+A step is complete if its key (program version, arguments, contents of its sources, fingerprints of the steps that it
+needs) is in the journal, and its output has not changed since.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ class Request:
     Attributes
     ----------
     until : str
-        The last verb.
+        The last command.
     extra : mapping
-        Further options of each verb, from a settings file; those of a manifest override them.
+        Further options of each command, from a settings file; those of a manifest override them.
     model : str
         The model to fit.
     improve : bool
@@ -45,8 +45,8 @@ class Request:
     model: str = "reduced"
     improve: bool = False
 
-    def wants(self, verb: str) -> bool:
-        """Return whether a verb is among the steps."""
+    def includes(self, verb: str) -> bool:
+        """Return whether a command is among the steps."""
         return VERBS.index(verb) <= VERBS.index(self.until) and (verb != "improve" or self.improve)
 
 
@@ -57,18 +57,18 @@ class Step:
     Attributes
     ----------
     name : str
-        Unique: the case's folder, the verb, and the film.
+        Unique name: folder of the case, command, and film.
     folder, verb : str
-        The case and the command.
+        Folder of the case, and command.
     words : tuple of str
         Arguments of the command; ``{fit}`` is the latest fit of the case.
     files : tuple of Path
-        Sources: films, profiles, data that is not made by a step.
+        Source files that no step makes: films, profiles, data.
     output : Path
-        The output.
-    needs, wants : tuple of str
-        Steps that must have succeeded, and steps that must have ended, at least one of them with success: the outputs
-        of those that failed are not used.
+        Output file.
+    needs, needs_any : tuple of str
+        Steps that must all have succeeded, and steps that must have ended, at least one of them successfully; the
+        outputs of those that failed are not used.
     """
 
     name: str
@@ -78,12 +78,12 @@ class Step:
     output: Path
     files: tuple[Path, ...] = ()
     needs: tuple[str, ...] = ()
-    wants: tuple[str, ...] = ()
+    needs_any: tuple[str, ...] = ()
 
 
 @dataclass
 class Outcome:
-    """How a step ended: "done", "kept" (from an earlier run), "failed", or "blocked" by one before it."""
+    """Outcome of a step: "done", "kept" (from an earlier run), "failed", or "blocked" by a failed one."""
 
     state: str
     document: dict[str, Any] = field(default_factory=dict)
@@ -99,13 +99,15 @@ class Outcome:
 
 def plan(experiments: Sequence[Experiment], results: Path, request: Request) -> tuple[Step, ...]:
     """Return all steps, each after those that it needs."""
-    steps = (step for e in experiments for step in _of(e, results.resolve() / e.folder, request))
+    steps = (
+        step for e in experiments for step in _experiment_steps(e, results.resolve() / e.folder, request)
+    )
     return tuple(
         replace(s, words=(*s.words[:1], *request.extra.get(s.verb, ()), *s.words[1:])) for s in steps
     )
 
 
-def _of(e: Experiment, folder: Path, request: Request) -> list[Step]:
+def _experiment_steps(e: Experiment, folder: Path, request: Request) -> list[Step]:
     steps: list[Step] = []
     names: set[str] = set()
     for clip in e.clips:
@@ -115,14 +117,14 @@ def _of(e: Experiment, folder: Path, request: Request) -> list[Step]:
         return steps
     case = folder / "case.h5" if e.data is None else e.data.resolve()
     last: tuple[str, ...] = ()
-    if e.data is None and request.wants("sync"):
+    if e.data is None and request.includes("sync"):
         steps.append(_sync(e, steps[0], steps[1:], case))
         last = (steps[-1].name,)
     source = (case,) if e.data is not None else ()
 
     def step(verb: str, output: Path, *words: str) -> None:
         nonlocal last
-        if request.wants(verb):
+        if request.includes(verb):
             made = Step(f"{e.folder}/{verb}", e.folder, verb, words, output, source, last)
             steps.append(made)
             last = (*last, made.name) if verb != "report" else last
@@ -146,7 +148,7 @@ def _extract(e: Experiment, clip: Clip, output: Path) -> Step:
         "--resume",
         "--workers",
         "1",
-    ]  # a step is a process
+    ]
     if clip.capture_fps is not None:
         words += ["--capture-fps", f"{clip.capture_fps:g}"]
     if clip.profile is not None:
@@ -174,9 +176,9 @@ def _sync(e: Experiment, casing: Step, rotors: Sequence[Step], case: Path) -> St
     )
 
 
-def words_for(step: Step, steps: Mapping[str, Step], ended: Mapping[str, Outcome]) -> list[str]:
-    """Return the arguments of a step that can run: without failed films, with the latest fit."""
-    lost = {str(steps[name].output) for name in step.wants if not ended[name].good}
+def arguments_for(step: Step, steps: Mapping[str, Step], ended: Mapping[str, Outcome]) -> list[str]:
+    """Return the final arguments of a step: without failed films, with the name of the latest fit."""
+    lost = {str(steps[name].output) for name in step.needs_any if not ended[name].good}
     fits = [
         document.get("fit_id") or document.get("final", {}).get("fit_id")
         for name in step.needs
@@ -209,13 +211,13 @@ class Journal:
     Raises
     ------
     OutputError
-        A file of this name exists and is not a journal.
+        A file with this name exists and is not a journal.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self._records: dict[str, dict[str, Any]] = {}
-        self._torn = False
+        self._truncated = False
         refuse_special(path, OutputError)
         if path.exists():
             self._read()
@@ -227,21 +229,19 @@ class Journal:
             raise OutputError(
                 f"{self.path} cannot be read: {error.strerror}.", "Choose another folder with -o."
             ) from error
-        lines = [_line(line) for line in text.splitlines()]
-        self._torn = bool(text) and not text.endswith("\n")
-        if (
-            self._torn and len(lines) == 1 and json.dumps(HEADER).startswith(text)
-        ):  # killed while the header was written
+        lines = [_parsed(line) for line in text.splitlines()]
+        self._truncated = bool(text) and not text.endswith("\n")
+        if self._truncated and len(lines) == 1 and json.dumps(HEADER).startswith(text):  # truncated header
             self.path.write_bytes(b"")
-            self._torn, lines = False, []
+            self._truncated, lines = False, []
         if lines and lines[0] != HEADER:
             raise OutputError(f"{self.path} is not the journal of a batch.", "Choose another folder with -o.")
-        for record in lines[1:]:  # a line that was cut by a kill counts as not written
+        for record in lines[1:]:  # a truncated last line is ignored
             if isinstance(record, dict) and isinstance(record.get("step"), str):
                 self._records[record["step"]] = record
 
     def kept(self, step: Step, key: str) -> Outcome | None:
-        """Return the outcome of an earlier run if neither its sources nor its output have changed."""
+        """Return the outcome in an earlier run if neither sources nor output of the step have changed."""
         record = self._records.get(step.name)
         if record is None or record.get("key") != key or not record.get("fingerprint"):
             return None
@@ -269,9 +269,9 @@ class Journal:
             with self.path.open("a", encoding="utf-8") as stream:
                 if new:
                     stream.write(json.dumps(HEADER) + "\n")
-                if self._torn:
+                if self._truncated:
                     stream.write("\n")
-                    self._torn = False
+                    self._truncated = False
                 stream.write(json.dumps(record) + "\n")
                 stream.flush()
                 os.fsync(stream.fileno())
@@ -282,10 +282,10 @@ class Journal:
         self._records[step.name] = record
 
 
-def key_of(
+def step_key(
     step: Step, words: list[str], results: Path, contents: Mapping[Path, str], before: list[str]
 ) -> str:
-    """Return the key of a step: a hash of what determines its output, wherever the folders are."""
+    """Return a hash of all that determines the output of a step, independent of the location of the folders."""
     names = {str(path): digest for path, digest in contents.items()}
     top = str(results.resolve())
     stated = [names.get(word, word.replace(top, "results")) for word in words]
@@ -295,11 +295,11 @@ def key_of(
 
 def fingerprint(step: Step, document: Mapping[str, Any]) -> str:
     """Return a hash of the output of a step, or "" if it does not exist."""
-    if step.verb in {"fit", "improve"}:  # later fits are added to the same ledger, and change none of this
+    if step.verb in {"fit", "improve"}:  # the same ledger contains later fits
         return _fit_digest(
             step.output, str(document.get("fit_id") or document.get("final", {}).get("fit_id"))
         )
-    return contents_of(step.output) or ""
+    return file_digest(step.output) or ""
 
 
 def _fit_digest(ledger: Path, fit_id: str) -> str:
@@ -311,7 +311,7 @@ def _fit_digest(ledger: Path, fit_id: str) -> str:
     return hashlib.sha256(json.dumps(own, sort_keys=True).encode()).hexdigest()
 
 
-def contents_of(path: Path) -> str | None:
+def file_digest(path: Path) -> str | None:
     """Return the SHA-256 of a regular file's bytes; None if it cannot be read."""
     try:
         if not path.is_file():
@@ -322,7 +322,7 @@ def contents_of(path: Path) -> str | None:
         return None
 
 
-def _line(text: str) -> Any:
+def _parsed(text: str) -> Any:
     try:
         return json.loads(text)
     except (ValueError, RecursionError):
@@ -330,19 +330,19 @@ def _line(text: str) -> Any:
 
 
 @contextmanager
-def held(results: Path) -> Iterator[None]:
-    """Create the folder if necessary, and lock it against other batches while the block runs.
+def locked_folder(results: Path) -> Iterator[None]:
+    """Create the folder if necessary, and lock it against other batches within the context.
 
     Raises
     ------
     OutputError
-        Another batch runs there, the folder cannot be created, or it contains something else.
+        Another batch uses the folder, it cannot be created, or it contains other files.
     """
-    with _opened(results), locked(results):
+    with _lock_file(results), locked(results):
         yield
 
 
-def _opened(results: Path) -> BinaryIO:
+def _lock_file(results: Path) -> BinaryIO:
     try:
         results.mkdir(parents=True, exist_ok=True)
         if not (results / "batch.lock").exists() and any(results.iterdir()):

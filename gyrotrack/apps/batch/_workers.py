@@ -1,8 +1,7 @@
 """Worker processes on this machine, and workers of a Dask cluster.
 
 A worker process reads one JSON array of arguments per line and answers with one JSON object per line. It ends when its
-input ends, also when its parent is killed. The answers of a cluster are JSON bytes; no object of another process is
-unpickled as a result.
+input ends, also if its parent is killed. The answers of a cluster are JSON bytes, so that results are never unpickled.
 """
 
 from __future__ import annotations
@@ -27,19 +26,19 @@ WORKER = "gyrotrack.apps.cli._batch"
 
 Answer = dict[str, Any]
 
-_GRACE = 5.0  # s in which a worker removes unfinished outputs before it is killed
-_LONGEST_ANSWER = 2**26  # bytes
+_GRACE = 5.0  # time for a worker to remove unfinished outputs before it is killed [s]
+_MAX_ANSWER = 2**26  # bytes
 
 
 class Child:
-    """A worker process; it is started when it is first needed, and again after it died."""
+    """A worker process, started on first use and restarted after a crash."""
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[str] | None = None
 
     @property
     def pid(self) -> int | None:
-        """Number of the process, if it runs."""
+        """Process number, None without a process."""
         return self._process.pid if self._process is not None else None
 
     def run(self, words: Sequence[str], timeout: float | None = None) -> Answer:
@@ -50,13 +49,13 @@ class Child:
         words : sequence of str
             The command and its arguments.
         timeout : float, optional
-            Seconds that it may take.
+            Time limit [s].
 
         Returns
         -------
         dict
-            ``code``, the exit code, and ``document``, its JSON; a process that died, was too slow or could not be
-            started answers with an error document, its code "crash", "timeout" or "processes".
+            Exit code ``code`` and JSON output ``document``. If the process crashed, exceeded the time limit or could
+            not be started, the document is an error with the code "crash", "timeout" or "processes".
         """
         late = threading.Event()
         timer: threading.Timer | None = None
@@ -108,7 +107,7 @@ class Child:
 
 
 def run_once(words: Sequence[str], timeout: float | None = None) -> bytes:
-    """Run one command in a separate process and return its answer as JSON; a worker of a cluster is sent this."""
+    """Run one command in a separate process and return its answer as JSON; runs on workers of a cluster."""
     child = Child()
     try:
         return json.dumps(child.run(words, timeout)).encode()
@@ -118,8 +117,8 @@ def run_once(words: Sequence[str], timeout: float | None = None) -> bytes:
 
 def _start() -> subprocess.Popen[str]:
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONUTF8": "1"}
-    environment["GYROTRACK_CONFIG"] = "none"  # settings are among the arguments, wherever the process runs
-    return subprocess.Popen(  # noqa: S603 - our own program, no shell
+    environment["GYROTRACK_CONFIG"] = "none"  # the settings are among the arguments
+    return subprocess.Popen(  # noqa: S603 - gyrotrack itself, without a shell
         [sys.executable, "-P", "-m", WORKER],  # -P: no module is imported from the working folder
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
@@ -132,7 +131,7 @@ def _start() -> subprocess.Popen[str]:
 
 
 def end_process(process: subprocess.Popen[str]) -> None:
-    """Ask a process to end, and kill it if it does not."""
+    """Terminate a process, and kill it if it does not end."""
     if process.poll() is None:
         with suppress(OSError):
             process.terminate()
@@ -151,14 +150,14 @@ def _answer_of(process: subprocess.Popen[str], words: Sequence[str]) -> str:
         process.stdin.write(json.dumps(list(words)) + "\n")
         process.stdin.flush()
         return process.stdout.readline()
-    except (OSError, ValueError):  # ValueError: its pipes were closed by another thread just now
+    except (OSError, ValueError):  # ValueError: another thread has closed the pipes
         return ""
 
 
 def checked(text: str | bytes) -> Answer:
     """Parse an answer and check its form; an invalid one becomes an error document."""
     try:
-        answer = json.loads(text) if len(text) <= _LONGEST_ANSWER else None
+        answer = json.loads(text) if len(text) <= _MAX_ANSWER else None
     except (ValueError, RecursionError):
         answer = None
     if (
@@ -192,13 +191,13 @@ def failure(code: str, message: str, hint: str) -> Answer:
 
 
 class Workers(Protocol):
-    """Runs commands, several at a time."""
+    """Runs commands in parallel."""
 
     def submit(self, words: Sequence[str], timeout: float | None) -> Future[Answer]:
         """Begin a command; the answer is that of `Child.run`."""
 
     def close(self) -> None:
-        """End without waiting; running commands are stopped."""
+        """Stop running commands and end."""
 
 
 class LocalWorkers:
@@ -216,7 +215,7 @@ class LocalWorkers:
         self._pool = ThreadPoolExecutor(count, thread_name_prefix="batch")
 
     def submit(self, words: Sequence[str], timeout: float | None) -> Future[Answer]:
-        """Begin a command; where no thread can be started, run it now."""
+        """Begin a command; if no thread can be started, run it now."""
         try:
             return self._pool.submit(self._run, list(words), timeout)
         except RuntimeError:
@@ -234,7 +233,7 @@ class LocalWorkers:
     def close(self) -> None:
         """End the processes; their outputs are complete or absent."""
         self._pool.shutdown(wait=False, cancel_futures=True)
-        for child in self._children:  # in parallel: each may take a moment to clean up
+        for child in self._children:  # all at once, because each may need time to clean up
             with suppress(OSError, ProcessLookupError):
                 if child.pid is not None:
                     os.kill(child.pid, signal.SIGTERM)
@@ -257,7 +256,7 @@ class Certificates:
         Raises
         ------
         UsageError
-            Certificates are missing for a tls:// address, given for another one, or do not exist.
+            Certificates for a tls:// address are missing, or are given for another address.
         """
         named = {"--tls-ca": self.ca, "--tls-cert": self.cert, "--tls-key": self.key}
         if not address.startswith("tls://"):
@@ -288,10 +287,10 @@ class Certificates:
 class ClusterWorkers:
     """The workers of a Dask cluster, which must have access to the same folders.
 
-    Each command runs in a separate process on a worker, so that a crash does not end the worker; when a worker is
-    lost, the scheduler gives its commands to another. The name of a function and arguments are sent, JSON is returned.
-    Dask's own messages are pickled, so the user must trust the scheduler: its address is never taken from the folder of
-    the data, and with TLS both sides authenticate themselves.
+    Each command runs in a separate process on a worker, so that a crash does not end the worker; if a worker is lost,
+    the scheduler reassigns its commands. The name of a function and arguments are sent, JSON is returned. The messages
+    of Dask are pickled, so the scheduler must be trusted: its address is never read from the folder of the data, and
+    with TLS both sides authenticate themselves.
 
     Parameters
     ----------
@@ -303,7 +302,7 @@ class ClusterWorkers:
     Raises
     ------
     UsageError
-        Dask is not installed, or certificates and address do not go together.
+        Dask is not installed, or the certificates do not match the address.
     GyrotrackError
         The scheduler does not answer.
     """
@@ -345,7 +344,7 @@ class ClusterWorkers:
         return answer
 
     def close(self) -> None:
-        """Disconnect; commands that have not begun are cancelled."""
+        """Cancel commands that have not begun, and disconnect."""
         self._executor.shutdown(wait=False)
         self._client.close()
 

@@ -1,4 +1,4 @@
-"""The program `gyrotrack`: its commands, and the handling of errors.
+"""The program `gyrotrack`: its commands, and error handling.
 
 A new command is one line in `COMMANDS` and a function ``<name>_command(...) -> int | None`` in a module of this folder:
 it parses, calls one library function, prints through `_output.Output`, and returns the exit code (None is 0).
@@ -34,7 +34,7 @@ COMMANDS = (
     Entry("extract", "_tracking", _DATA, "Track the markers in a film: angles with uncertainties."),
     Entry("import", "_data", _DATA, "Make a case from tables of angles or rates, or points."),
     Entry("spindown", "_tracking", _DATA, "Measure one rotating body: film or table to report."),
-    Entry("sync", "_tracking", _DATA, "Put the clips of one experiment on one clock."),
+    Entry("sync", "_tracking", _DATA, "Synchronise the clips of one experiment."),
     Entry("batch", "_batch", _DATA, "Track, fit and report many cases, unattended."),
     Entry("config", "_batch", _DATA, "Show the settings in use and their origin."),
     Entry("export", "_data", _DATA, "Export the data as CSV, Parquet or netCDF."),
@@ -93,21 +93,21 @@ def main() -> None:
     prepare_process()
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="replace")  # a terminal that cannot show a character
+            stream.reconfigure(errors="replace")  # the terminal may not support every character
     sys.exit(run(sys.argv[1:]))
 
 
 def prepare_process() -> None:
-    """Configure this process and those that it starts: threads, search path, home, SIGTERM."""
+    """Configure this process and its child processes: threads, search path, home, SIGTERM."""
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
-        os.environ.setdefault(name, "1")  # the matrices are many and small
-    # no process imports modules from the working folder, which contains other people's data
+        os.environ.setdefault(name, "1")  # many small matrices: threads do not pay off
+    # no process imports modules from the working folder, whose content is not trusted
     os.environ["PYTHONSAFEPATH"] = "1"
     root = Path(__file__).parents[3]
-    if root.name not in {"site-packages", "dist-packages"}:  # run from a checkout, which they must find
+    if root.name not in {"site-packages", "dist-packages"}:  # child processes must find a source checkout
         os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (str(root), os.environ.get("PYTHONPATH"))))
     if os.path.expanduser("~").startswith("~"):  # noqa: PTH111 - Path.home() raises: no $HOME and an unknown user
-        os.environ["HOME"] = "/nonexistent"  # the usual home of users without one; libraries ask for it
+        os.environ["HOME"] = "/nonexistent"  # as usual for users without a home; libraries need a value
     catch_sigterm()
 
 
@@ -115,11 +115,11 @@ _TERMINATED: list[int] = []
 
 
 def catch_sigterm() -> None:
-    """Let SIGTERM end the command as Ctrl-C does: unfinished outputs are removed, and the exit code is 143."""
+    """Handle SIGTERM like Ctrl-C: unfinished outputs are removed; the exit code is 143."""
 
     def end(number: int, frame: FrameType | None) -> None:
         _TERMINATED.append(number)
-        # code that defers or forwards Ctrl-C (writing a file, the workbench) treats SIGTERM alike
+        # code that defers or forwards Ctrl-C (writing a file, the workbench) must handle SIGTERM in the same way
         interrupt = signal.getsignal(signal.SIGINT)
         if callable(interrupt):
             interrupt(signal.SIGINT, frame)
@@ -137,7 +137,7 @@ def _interrupted(*, as_json: bool) -> int:
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run the program on `arguments` and return its exit code; no exception leaves."""
+    """Run the program with `arguments` and return its exit code; all exceptions are handled."""
     args, debug = _without_debug(list(arguments))
     as_json = "--json" in _options(args)
     try:
@@ -148,13 +148,13 @@ def run(arguments: Sequence[str]) -> int:
             sys.stdout.flush()
     except KeyboardInterrupt:
         return _interrupted(as_json=as_json)
-    except BrokenPipeError:  # the reader of the output has ended, as in `gyrotrack ... | head`
+    except BrokenPipeError:  # as in `gyrotrack ... | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAULT
-    except Exception as error:  # the last line of defence: no traceback reaches a user
+    except Exception as error:  # no traceback is shown to a user
         if debug:
             traceback.print_exc()
-        return _explain(error, as_json=as_json)
+        return _report(error, as_json=as_json)
     if code == INTERRUPTED:  # typer turns a KeyboardInterrupt into this code
         return _interrupted(as_json=as_json)
     return code if isinstance(code, int) else DONE
@@ -164,13 +164,13 @@ _SETTINGS: ContextVar[Settings] = ContextVar("settings")
 
 
 def settings_in_use() -> Settings:
-    """Return the settings in use for the running command."""
+    """Return the settings of the running command."""
     return _SETTINGS.get()
 
 
 def _with_settings(args: list[str]) -> Any:
-    """Run the command with the settings of a file, if there is one, as its defaults."""
-    path, trusted = find(_named_settings(args))
+    """Run the command with the settings file, if there is one, as its defaults."""
+    path, trusted = find(_config_option(args))
     settings = read(path, COMMANDS, trusted=trusted)
     token = _SETTINGS.set(settings)
     try:
@@ -181,7 +181,7 @@ def _with_settings(args: list[str]) -> Any:
         _SETTINGS.reset(token)
 
 
-def _named_settings(args: list[str]) -> Path | None:
+def _config_option(args: list[str]) -> Path | None:
     """Return the value of ``--config``, which comes before the command."""
     for i, word in enumerate(args):
         if word == "--config" and i + 1 < len(args):
@@ -193,24 +193,27 @@ def _named_settings(args: list[str]) -> Path | None:
     return None
 
 
-def _explain(error: Exception, *, as_json: bool) -> int:
-    """Report an error in one sentence and return the exit code that belongs to it."""
-    if hasattr(error, "format_message"):  # wrong usage, as typer sees it
-        return _explain_usage(error, as_json=as_json)
+def _report(error: Exception, *, as_json: bool) -> int:
+    """Report an error in one sentence and return its exit code."""
+    if hasattr(error, "format_message"):  # a usage error of typer
+        return _report_usage(error, as_json=as_json)
     if isinstance(error, typer.Abort):
         return _interrupted(as_json=as_json)
-    if _explains_itself(error):
+    if _is_documented(error):
         stated: Any = error
         report_error(stated.code, stated.message, stated.hint, as_json=as_json)
         return int(getattr(stated, "exit_code", FAULT))
-    if (shortage := _scarce(error)) is not None:
+    if (shortage := _exhausted_resource(error)) is not None:
         report_error(*shortage, as_json=as_json)
         return FAULT
     place = traceback.extract_tb(error.__traceback__)[-1]
     what = f"{type(error).__name__}: {error}".splitlines()[0].rstrip(".")
-    message = f"A bug in gyrotrack, in {os.path.basename(place.filename)} line {place.lineno}: {what}."  # noqa: PTH119
+    message = f"Internal error in {os.path.basename(place.filename)} line {place.lineno}: {what}."  # noqa: PTH119
     report_error(
-        "bug", message, "Run it again with --debug to see the traceback, and report it.", as_json=as_json
+        "bug",
+        message,
+        "This is a bug: run the command with --debug and report the traceback.",
+        as_json=as_json,
     )
     return FAULT
 
@@ -226,8 +229,8 @@ _PROCESSES = (
 _FILES = ("No further file can be opened.", "Raise the limit (`ulimit -n`), or close other programs.")
 _DISK = ("The disk is full or the quota is reached.", "Free some space and run the command again.")
 
-# libraries report a shortage of the machine in many ways: MemoryError, OSError with an errno, RuntimeError("can't start
-# new thread"), cv2.error, an ImportError of a shared library that cannot be mapped, a process pool whose process ended
+# libraries report exhausted resources in many ways: MemoryError, OSError with an errno, RuntimeError("can't start new
+# thread"), cv2.error, an ImportError of a shared library that cannot be mapped, a broken process pool
 _BY_NUMBER = {
     errno.ENOMEM: ("memory", *_MEMORY),
     errno.EAGAIN: ("processes", *_PROCESSES),
@@ -260,15 +263,15 @@ _BY_TEXT = (
         ("process pool", "resource temporarily unavailable"),
         (
             "processes",
-            "A second process could not be started or was ended by the system.",
+            "A worker process could not be started, or was ended by the system.",
             "Raise the limits of memory and processes (`ulimit -v`, `ulimit -u`).",
         ),
     ),
 )
 
 
-def _scarce(error: BaseException | None) -> tuple[str, str, str] | None:
-    """Return code, message and hint if an error, or one that caused it, means a shortage of the machine."""
+def _exhausted_resource(error: BaseException | None) -> tuple[str, str, str] | None:
+    """Return code, message and hint if an error, or one of its causes, means that a resource is exhausted."""
     for _ in range(10):
         if error is None:
             return None
@@ -284,12 +287,12 @@ def _scarce(error: BaseException | None) -> tuple[str, str, str] | None:
     return None
 
 
-def _explains_itself(error: Exception) -> bool:
-    """Return whether an error has a code, a message and a hint, as those of both packages do."""
+def _is_documented(error: Exception) -> bool:
+    """Return whether an error has a code, a message and a hint, as the errors of both packages have."""
     return all(isinstance(getattr(error, name, None), str) for name in ("code", "message", "hint"))
 
 
-def _explain_usage(error: Any, *, as_json: bool) -> int:
+def _report_usage(error: Any, *, as_json: bool) -> int:
     context: Any = getattr(error, "ctx", None)
     if type(error).__name__ == "NoArgsIsHelpError":
         sys.stderr.write(context.get_help() + "\n")

@@ -1,7 +1,4 @@
-"""Commands for unattended work, batch and config, and the worker process of a batch.
-
-``python -m gyrotrack.apps.cli._batch`` is that process: commands in, JSON out.
-"""
+"""Commands batch and config, and the worker process of a batch (``python -m gyrotrack.apps.cli._batch``)."""
 
 from __future__ import annotations
 
@@ -37,7 +34,7 @@ if TYPE_CHECKING:
 
 
 class Until(StrEnum):
-    """The last step."""
+    """Last step of a batch."""
 
     extract = "extract"
     sync = "sync"
@@ -88,7 +85,7 @@ def batch_command(
     ] = None,
     until: Annotated[Until, typer.Option("--until", help="Last step to run.")] = Until.report,
     model: Annotated[str, typer.Option("--model", metavar="M", help="Model to fit.")] = "reduced",
-    improve: Annotated[bool, typer.Option("--improve", help="Also add effects, as `improve` does.")] = False,
+    improve: Annotated[bool, typer.Option("--improve", help="Also run `improve`.")] = False,
     casing_fps: Annotated[
         float | None,
         typer.Option("--casing-fps", metavar="N", help="Capture rate of the casing films in a folder [1/s]."),
@@ -109,10 +106,10 @@ def batch_command(
 ) -> int:
     """Track, synchronise, fit, diagnose and report every case of a manifest or a folder.
 
-    Steps that were completed with the same films and settings are not repeated. A film that fails stops no other.
-    In a folder, casing*.mp4 and rotor*.mp4 form a case, NAME_casing.mp4 and NAME_rotor*.mp4 the case NAME; other
-    films are only tracked. The address of a scheduler comes from the command line, the environment or your own
-    settings file, never from a gyrotrack.toml in the folder of the data.
+    Steps that were completed with the same films and settings are not repeated. If a film fails, the others are still
+    processed. In a folder, casing*.mp4 and rotor*.mp4 form a case, NAME_casing.mp4 and NAME_rotor*.mp4 form the case
+    NAME; other films are only tracked. The address of a scheduler is read from the command line, the environment or
+    your own settings file, never from a gyrotrack.toml in the folder of the data.
 
     Example: gyrotrack batch films/ -o results --casing-fps 260 --rotor-fps 1000 --inertia-rotor 5.54e-5
     --inertia-casing 2.06e-5
@@ -128,7 +125,7 @@ def batch_command(
         if source.is_dir()
         else read_manifest(source)
     )
-    extra = _extra()
+    extra = _step_settings()
     if until is not Until.extract:
         by_settings = {word.partition("=")[0] for word in extra.get("sync", ())}
         given = {
@@ -142,7 +139,7 @@ def batch_command(
 
     if scheduler is not None and not scheduler.startswith("tls://"):
         out.warn(
-            "the connection to the scheduler is neither encrypted nor authenticated; use tls:// addresses"
+            "the connection to the scheduler is neither encrypted nor authenticated; use a tls:// address."
         )
     called = command_line()
     ended = run_batch(
@@ -181,17 +178,19 @@ def _show_result(out: Output, ended: BatchResult, facts: dict[str, Any]) -> int:
     return DONE if all(row.trusted for row in ended.rows) else NOT_TRUSTED
 
 
-def _extra() -> dict[str, tuple[str, ...]]:
-    """Return the settings of the steps as arguments of a command line."""
+def _step_settings() -> dict[str, tuple[str, ...]]:
+    """Return the settings of the steps as command-line arguments."""
     from gyrotrack.apps.batch._steps import VERBS
     from gyrotrack.apps.cli._app import COMMANDS, settings_in_use
     from gyrotrack.apps.cli._settings import as_words
 
     settings = settings_in_use()
-    return {e.name: as_words(settings, e, _OWN) for e in COMMANDS if e.name in VERBS and settings.values}
+    return {
+        e.name: as_words(settings, e, _SET_BY_BATCH) for e in COMMANDS if e.name in VERBS and settings.values
+    }
 
 
-_OWN = frozenset(
+_SET_BY_BATCH = frozenset(
     {"output", "force", "json", "quiet", "verbose", "ledger", "from", "label", "surface", "model"}
     | {"overlay", "contact_sheet", "resume"}
 )
@@ -218,14 +217,14 @@ def config_command(
         str | None, typer.Argument(metavar="COMMAND", help="Show the options of one command.")
     ] = None,
     *,
-    everything: Annotated[bool, typer.Option("--all", help="Also options at their defaults.")] = False,
+    everything: Annotated[bool, typer.Option("--all", help="Also show options at their defaults.")] = False,
     as_json: Json = False,
 ) -> None:
     """Show the settings in use and the origin of each: a file or the default.
 
-    An option on the command line overrides the file, the file overrides the default. The file is the one given
-    with --config, else $GYROTRACK_CONFIG, else gyrotrack.toml in this folder, else your own. A gyrotrack.toml that
-    is only found in this folder may not set addresses, ports, certificates, --force or paths outside the folder.
+    An option on the command line overrides the file, the file overrides the default. The file is the first of:
+    --config, $GYROTRACK_CONFIG, gyrotrack.toml in this folder, your own. A gyrotrack.toml in this folder may not set
+    addresses, ports, certificates, --force or paths outside of the folder.
 
     Example: gyrotrack config extract
     """
@@ -274,7 +273,7 @@ def _toml(value: Any) -> str:
     )
 
 
-_GRACE = 5.0  # s to remove unfinished outputs
+_GRACE = 5.0  # time to remove unfinished outputs [s]
 
 
 def perform(words: list[str]) -> dict[str, Any]:
@@ -287,26 +286,26 @@ def perform(words: list[str]) -> dict[str, Any]:
     try:
         document = json.loads(printed.getvalue() or "{}")
     except ValueError:
-        document = {"error": {"code": "bug", "message": "The command did not answer in JSON.", "hint": ""}}
+        document = {
+            "error": {"code": "bug", "message": "The command did not print a JSON document.", "hint": ""}
+        }
     seconds = round(perf_counter() - began, 3)
     return {"code": code, "document": document, "version": __version__, "seconds": seconds}
 
 
 def work() -> None:
-    """Answer until the input ends."""
+    """Run the commands on stdin, one JSON array of arguments per line, and write one JSON answer per line."""
     from gyrotrack.apps.cli._app import catch_sigterm
 
     catch_sigterm()
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
-    os.dup2(
-        os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
-    )  # nothing printed by a library is taken for an answer
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # output of libraries is not an answer
     tasks: queue.SimpleQueue[list[str]] = queue.SimpleQueue()
 
     def listen() -> None:
         for line in sys.stdin:
             tasks.put(json.loads(line))
-        if hasattr(signal, "pthread_kill"):  # the answer is no longer needed: clean up and end
+        if hasattr(signal, "pthread_kill"):  # the parent has ended: clean up and end
             signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
             time.sleep(_GRACE)
         os._exit(0)

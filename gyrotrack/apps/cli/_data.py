@@ -36,12 +36,16 @@ def import_command(
     casing: Annotated[Path | None, typer.Option("--casing", metavar="FILE", help=f"{_TABLE}.")] = None,
     rotor: Annotated[
         list[Path] | None,
-        typer.Option("--rotor", metavar="FILE", help="The same of one rotor window; once per window."),
+        typer.Option(
+            "--rotor", metavar="FILE", help="The same quantities of one rotor window; once per window."
+        ),
     ] = None,
     body: Annotated[
         Path | None,
         typer.Option(
-            "--body", metavar="FILE", help="The same of a single body, in place of casing and rotor."
+            "--body",
+            metavar="FILE",
+            help="The same quantities of a single body, instead of casing and rotor.",
         ),
     ] = None,
     inertia: Annotated[
@@ -67,7 +71,7 @@ def import_command(
     ] = None,
     likelihood: Annotated[
         float,
-        typer.Option("--likelihood", metavar="P", help="Smallest likelihood of a point that is used."),
+        typer.Option("--likelihood", metavar="P", help="Minimum likelihood of the points that are used."),
     ] = 0.6,
     casing_fps: Annotated[
         float | None,
@@ -87,7 +91,7 @@ def import_command(
     ] = None,
     pulses_per_turn: Annotated[
         float | None,
-        typer.Option("--pulses-per-turn", metavar="N", help="The file holds times of pulses, N per turn."),
+        typer.Option("--pulses-per-turn", metavar="N", help="The file contains times of pulses, N per turn."),
     ] = None,
     start: Annotated[
         float | None, typer.Option("--from", metavar="T", help="Exclude samples before this time [s].")
@@ -101,7 +105,7 @@ def import_command(
     ] = None,
     keep_all: Annotated[
         bool,
-        typer.Option("--keep-all", help="Keep a drive at the start and a brake or rest at the end (--body)."),
+        typer.Option("--keep-all", help="Keep drive, brake and rest at the ends of the record (--body)."),
     ] = False,
     label: Label = None,
     surface: Surface = "",
@@ -115,10 +119,10 @@ def import_command(
     """Make a case from measured angles, angular rates, pulses or tracked points.
 
     The format is recognised by content: CSV or other text, phyphox, Excel, MATLAB, Parquet, JSON, netCDF, projects and
-    text of OSP Tracker, DeepLabCut, SLEAP, movement. Times in s, all on one clock; angles in rad, wrapped or not; other
-    units are converted if the header names them, as in `angle [deg]`. Without a sigma column the noise is estimated
-    from the scatter. With --body the case has a single body; a motor at the start and a brake or rest at the end are
-    detected, reported and excluded. Every repair is reported with its line.
+    text of OSP Tracker, DeepLabCut, SLEAP, movement. Times are in s, all on one clock; angles in rad, wrapped or
+    unwrapped; other units are converted if the header contains them, as in `angle [deg]`. Without a sigma column the
+    noise is estimated from the scatter. With --body the case has a single body; a drive at the start and a brake or
+    rest at the end are detected, reported and excluded. Every repair is reported with its line.
 
     Example: gyrotrack import --casing casing.csv --rotor r1.csv --rotor r2.csv -o case1.h5 --inertia-rotor 5.54e-5
     --inertia-casing "20.6 +- 0.2 g cm2"
@@ -136,7 +140,7 @@ def import_command(
     starts = rotor_start or [0.0] * len(rotor)
     if len(starts) != len(rotor):
         raise UsageError(
-            f"There are {len(rotor)} files of the rotor but {len(starts)} starts.",
+            f"There are {len(rotor)} rotor files but {len(starts)} values of --rotor-start.",
             "Give --rotor-start once per file.",
         )
     title = output.stem if label is None else label
@@ -167,14 +171,14 @@ def import_command(
         case = replace(case, I_rotor_u=inertias[0].u, I_casing_u=inertias[1].u)
     else:
         raise UsageError(
-            "A case needs --casing and --rotor, or --body and --inertia.", "Give one of these pairs."
+            "A case needs either --casing and --rotor, or --body and --inertia.", "Give one of these pairs."
         )
     settings = {"casing": casing, "rotor": rotor, "body": body, "inertia": inertia, **case.extra}
     write_case(output, case, command=command_line(), settings=settings, force=force)
     for warning in case.warnings:
         out.warn(warning)
     for source in case.extra["sources"]:
-        out.detail(f"{source['file']}: {source['samples']} samples taken")
+        out.detail(f"{source['file']}: {source['samples']} samples used")
     document = {"output": output, **summary(case)}
     out.result(document)
     out.show(_lines(document))
@@ -213,7 +217,7 @@ def export_command(
         Table,
         typer.Option(
             "--table",
-            help="Angles of the bodies, or every marker or every frame of the films (CSV, Parquet).",
+            help="motion: angles of the bodies; markers: every marker; frames: every frame (CSV, Parquet).",
         ),
     ] = Table.motion,
     force: Force = False,
@@ -268,7 +272,7 @@ def _document(found: Inspection) -> dict[str, Any]:
         "warnings": found.warnings,
         "verified": {"datasets": found.datasets_verified, "chunks": found.chunks_verified},
         **found.provenance,
-        **found.holds,
+        **found.summary,
     }
 
 
@@ -281,7 +285,7 @@ def _verdict(found: Inspection) -> list[str]:
 
 
 def _contents(found: Inspection) -> list[str]:
-    lines = ["", *(_case_lines(found.holds) if found.kind == "case" else _recording_lines(found.holds))]
+    lines = ["", *(_case_lines(found.summary) if found.kind == "case" else _recording_lines(found.summary))]
     version = found.provenance["software_version"]
     lines += ["", f"written by gyrotrack {version}, layout {found.provenance['format_version']}, "]
     lines[-1] += found.provenance["created"]
@@ -291,18 +295,18 @@ def _contents(found: Inspection) -> list[str]:
     return lines
 
 
-def _case_lines(holds: dict[str, Any]) -> list[str]:
-    surface = f", on {holds['surface']}" if holds["surface"] else ""
+def _case_lines(summary: dict[str, Any]) -> list[str]:
+    surface = f", on {summary['surface']}" if summary["surface"] else ""
     lines = [
-        f"label    {holds['label'] or '-'}{surface}",
-        f"inertia  {_inertia(holds)}",
-        f"measured {'angles' if holds['quantity'] == 'angle' else 'angular velocities'}",
+        f"label    {summary['label'] or '-'}{surface}",
+        f"inertia  {_inertia(summary)}",
+        f"measured {'angles' if summary['quantity'] == 'angle' else 'angular velocities'}",
         "",
-        _HEADER if holds["quantity"] == "angle" else _HEADER.replace("  sigma [mrad]", "sigma [mrad/s]"),
-        _motion_line("casing" if holds["bodies"] == "two" else "body", holds["casing"]),
+        _HEADER if summary["quantity"] == "angle" else _HEADER.replace("  sigma [mrad]", "sigma [mrad/s]"),
+        _motion_line("casing" if summary["bodies"] == "two" else "body", summary["casing"]),
     ]
-    lines += [_motion_line(f"rotor {w['window']}", w) for w in holds["rotor"]["windows"]]
-    for name, clip in holds["recordings"].items():
+    lines += [_motion_line(f"rotor {w['window']}", w) for w in summary["rotor"]["windows"]]
+    for name, clip in summary["recordings"].items():
         lines += ["", f"clip '{name}'"]
         if "placement" in clip:
             lines.append(_placement_line(clip["placement"]))
@@ -310,14 +314,14 @@ def _case_lines(holds: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _inertia(holds: dict[str, Any]) -> str:
-    if holds["bodies"] == "one":
+def _inertia(summary: dict[str, Any]) -> str:
+    if summary["bodies"] == "one":
         return (
             "unknown; torques are per unit of inertia"
-            if holds["per_inertia"]
-            else f"{holds['I_casing']:.4g} kg m2"
+            if summary["per_inertia"]
+            else f"{summary['I_casing']:.4g} kg m2"
         )
-    return f"rotor {holds['I_rotor']:.4g}, casing {holds['I_casing']:.4g} kg m2"
+    return f"rotor {summary['I_rotor']:.4g}, casing {summary['I_casing']:.4g} kg m2"
 
 
 def _placement_line(p: dict[str, Any]) -> str:
@@ -331,19 +335,20 @@ def _placement_line(p: dict[str, Any]) -> str:
     )
 
 
-def _recording_lines(holds: dict[str, Any]) -> list[str]:
-    turning = "clockwise" if holds["sense"] < 0 else "counter-clockwise"
-    stamped = ", times from the timestamps" if holds["times_from"] == "stamps" else ""
+def _recording_lines(summary: dict[str, Any]) -> list[str]:
+    size = f"{summary['width']} x {summary['height']} px"
+    turning = "clockwise" if summary["sense"] < 0 else "counter-clockwise"
+    stamped = ", times from the timestamps" if summary["times_from"] == "stamps" else ""
     lines = [
-        f"film     {holds['source']}, {holds['width']} x {holds['height']} px, {holds['capture_fps']:g} fps{stamped}",
-        f"frames   {holds['frames']} in {holds['duration_s']:.3f} s, turning {turning} as seen",
+        f"film     {summary['source']}, {size}, {summary['capture_fps']:g} fps{stamped}",
+        f"frames   {summary['frames']} in {summary['duration_s']:.3f} s, rotation {turning} in the image",
     ]
-    if holds["markers"]:
+    if summary["markers"]:
         lines += ["", f"{'marker':<10}{'body':<10}" + "".join(f"{word:>9}" for word in _WORDS)]
-    for name, marker in holds["markers"].items():
+    for name, marker in summary["markers"].items():
         lines.append(f"{name:<10}{marker['body']:<10}" + "".join(f"{marker[w]:>9}" for w in _WORDS.values()))
     lines += ["", _HEADER]
-    lines += [_motion_line(name, body) for name, body in holds["bodies"].items()]
+    lines += [_motion_line(name, body) for name, body in summary["bodies"].items()]
     return lines
 
 

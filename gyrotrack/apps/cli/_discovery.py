@@ -1,4 +1,4 @@
-"""Commands that go beyond one fit: laws, plan, compare."""
+"""Commands laws, plan and compare."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from fitting.study._comparison import Comparison
 
 _SHOWN = 8
-_LEAST_P = 1e-300
+_MIN_P = 1e-300
 
 
 def laws_command(
@@ -42,20 +42,20 @@ def laws_command(
     *,
     beyond_library: Annotated[
         bool,
-        typer.Option("--beyond-library", help="Search also where an effect of the library is the answer."),
+        typer.Option("--beyond-library", help="Search also if an effect of the library explains the data."),
     ] = False,
     save_law: Annotated[
         tuple[str, Path] | None,
         typer.Option(
-            "--save-law", metavar="NAME FILE", help="Keep a law under a name in a TOML file of effects."
+            "--save-law", metavar="NAME FILE", help="Save a law under a name in a TOML file of effects."
         ),
     ] = None,
     law: Annotated[
-        int, typer.Option("--law", metavar="N", min=1, help="Law of the table that --save-law keeps.")
+        int, typer.Option("--law", metavar="N", min=1, help="Number in the table of the law for --save-law.")
     ] = 1,
     picture: Annotated[
         Path | None,
-        typer.Option("--picture", metavar="FILE", help="Draw the answer: .png, .svg or .pdf."),
+        typer.Option("--picture", metavar="FILE", help="Draw the result: .png, .svg or .pdf."),
     ] = None,
     effects: EffectsFile = None,
     start: From = None,
@@ -66,8 +66,8 @@ def laws_command(
 ) -> None:
     """Find the law of an unmodelled torque: on what it depends, and which formulas describe it.
 
-    Several cases are searched jointly. Formulas are built from a grammar, fitted, and ranked; the answer is the set of
-    all formulas that the data cannot separate. An effect of the library that explains the data comes first.
+    Several cases are searched jointly. Formulas are generated from a grammar, fitted, and ranked; the result is the set
+    of all formulas that the data cannot distinguish. An effect of the library that explains the data is listed first.
 
     Example: gyrotrack laws case1.h5 case2.h5 --save-law lab.saturation my_lab.toml
     """
@@ -76,12 +76,10 @@ def laws_command(
     from fitting.discovery._verdict import diagnose
     from fitting.study._law_documents import check_name, laws_document
     from fitting.study._law_documents import save_law as save
-    from gyrotrack.io._atomic import refuse_existing
 
     out = Output(as_json=as_json, quiet=quiet)
     if picture is not None:
-        _format(picture)
-        refuse_existing(picture, force=force)
+        _check_picture(picture, (".png", ".svg", ".pdf"), force=force)
     if save_law is not None:
         check_name(*save_law)
     study = open_study(cases, ledger)
@@ -107,36 +105,39 @@ def laws_command(
         if law > len(found.laws):
             many = f"there are {len(found.laws)}" if found.laws else "no law was found"
             raise UsageError(
-                f"There is no law number {law} to keep: {many}.", "Choose one of the table with --law N."
+                f"There is no law number {law}: {many}.", "Choose a law of the table with --law N."
             )
         labels = ", ".join(fit.labels)
         save(found.laws[law - 1], name, path, f"gyrotrack laws on {labels} (fit {fit_id})")
     out.result(document)
-    out.show(laws_comparison_table(found, fit_id))
+    out.show(_laws_table(found, fit_id))
     if save_law is not None:
         out.show(
-            f"kept: {save_law[0]} in {save_law[1]}; add it with --effects {save_law[1]} --add {save_law[0]}"
+            f"saved: {save_law[0]} in {save_law[1]}; add it with --effects {save_law[1]} --add {save_law[0]}"
         )
     if picture is not None:
         out.show(f"written: {picture}")
 
 
-def _format(picture: Path) -> None:
-    if picture.suffix.lower() not in {".png", ".svg", ".pdf"}:
+def _check_picture(picture: Path, formats: tuple[str, ...], *, force: bool) -> None:
+    from gyrotrack.io._atomic import refuse_existing
+
+    if picture.suffix.lower() not in formats:
         raise UsageError(
-            f"{picture} is not the name of a picture.", "Use a name that ends in .png, .svg or .pdf."
+            f"Unknown picture format: {picture}.", f"Use a name that ends in one of: {', '.join(formats)}."
         )
+    refuse_existing(picture, force=force)
 
 
-def laws_comparison_table(found: Laws, fit_id: str) -> str:
-    """Return the answer as text: sentence, what the torque depends on, the set of laws, where they differ.
+def _laws_table(found: Laws, fit_id: str) -> str:
+    """Return the result as text: summary, variables of the torque, laws, and where they differ.
 
     Parameters
     ----------
     found : Laws
-        The answer.
+        The result of the search.
     fit_id : str
-        Name of the base.
+        Name of the fit.
     """
     lines = [*textwrap.wrap(found.sentence, 79), "", f"fit {fit_id}, verdict: {found.verdict}"]
     lines += _dependences(found.depends_on)
@@ -144,8 +145,8 @@ def laws_comparison_table(found: Laws, fit_id: str) -> str:
     letters = {x.formula: chr(ord("a") + i % 26) for i, group in enumerate(torques) for x in group}
     unit, body = found.fit.torque_unit, found.fit.problem.data[0].record.body
     if found.laws:
-        lines += ["", f"laws ({found.trials} columns tried); a letter: the data cannot separate them,"]
-        lines.append("the same letter: the same torque along the recorded motion")
+        lines += ["", f"laws that the data cannot distinguish ({found.trials} candidates tried);"]
+        lines.append("laws with the same letter give the same torque along the recorded motion")
         lines.append(f"   {'':<3}{'dBIC':>10}{'rank':>8}{'p':>9}{'torque':>12}")
         for number, x in enumerate(found.laws[:_SHOWN], 1):
             lines += _law(number, x, found.laws[0], letters.get(x.formula, " "))
@@ -189,11 +190,11 @@ def _law(number: int, x: Law, best: Law, letter: str) -> list[str]:
 
 
 def _p(p: float) -> str:
-    return "<1e-300" if p < _LEAST_P else f"{p:.1g}"
+    return "<1e-300" if p < _MIN_P else f"{p:.1g}"
 
 
 _WIDTH = 100
-_PAIRS = ("omega_rotor", "omega_casing", "duration", "inertia_casing", "touchpoint")
+_BOUNDED = ("omega_rotor", "omega_casing", "duration", "inertia_casing", "touchpoint")
 
 
 def plan_command(
@@ -201,7 +202,7 @@ def plan_command(
         list[Path],
         typer.Argument(
             metavar="CASE.h5...|PLAN.toml",
-            help="Case files, made by `sync` or `import`; or a description of recordings to be made.",
+            help="Case files, made by `sync` or `import`; or a description of planned recordings.",
         ),
     ],
     *,
@@ -210,7 +211,7 @@ def plan_command(
         typer.Option(
             "--size",
             metavar="T",
-            help="Size of an effect, an rms torque in N m, for power and runs needed; "
+            help="Rms torque of an effect [N m] for which power and number of runs are computed; "
             "by default 1 % of the rms bearing torque.",
         ),
     ] = None,
@@ -219,13 +220,15 @@ def plan_command(
         typer.Option(
             "--bound",
             metavar="KEY=LOW,HIGH",
-            help="Possible runs: omega_rotor, omega_casing (rad/s), duration (s), inertia_casing, touchpoint (ratios), "
-            "as --bound omega_casing=0,60.",
+            help="Limits of possible runs: omega_rotor, omega_casing [rad/s], duration [s], inertia_casing, touchpoint "
+            "(ratios); for example --bound omega_casing=0,60.",
         ),
     ] = None,
     picture: Annotated[
         Path | None,
-        typer.Option("--picture", metavar="FILE", help="Also draw limits, power and the run (.png, .svg)."),
+        typer.Option(
+            "--picture", metavar="FILE", help="Also draw limits, power and the next run: .png or .svg."
+        ),
     ] = None,
     effects: EffectsFile = None,
     start: From = None,
@@ -243,24 +246,25 @@ def plan_command(
     from fitting.discovery._next_run import Bounds
     from fitting.discovery._plan import plan
     from fitting.study._serialisation import plan_document
-    from gyrotrack.io._atomic import refuse_existing, refuse_special
+    from gyrotrack.io._atomic import refuse_special
 
     described = [p for p in recordings if p.suffix.lower() == ".toml"]
     if described and len(recordings) > 1:
         raise UsageError(
-            "A description cannot be combined with other files.", "Give one PLAN.toml, or case files."
+            "A description of recordings cannot be combined with other files.",
+            "Give one PLAN.toml, or case files.",
         )
     if described and (start is not None or ledger is not None):
         raise UsageError(
-            "--from and --ledger belong to case files; a description has no fits.", "Leave them out."
+            "--from and --ledger need case files; a description of recordings has no fits.", "Omit them."
         )
     if size is not None and not (0 < size < math.inf):
-        raise UsageError(f"--size {size:g} is no torque.", "Give a positive rms torque in N m: --size 1e-6.")
+        raise UsageError(
+            f"--size {size:g} is not a positive torque.", "Give an rms torque in N m: --size 1e-6."
+        )
     changes = _bounds(bound or ())
     if picture is not None:
-        if picture.suffix.lower() not in {".png", ".svg"}:
-            raise UsageError(f"Unknown picture format: {picture}.", "Use a name that ends in .png or .svg.")
-        refuse_existing(picture, force=force)
+        _check_picture(picture, (".png", ".svg"), force=force)
     out = Output(as_json=as_json, quiet=quiet)
     own = own_effects(effects)
     with out.progress("planning") as progress:
@@ -281,7 +285,7 @@ def plan_command(
 
         write_plan_picture(found, picture, force=force)
     out.result(plan_document(found) | ({"picture": picture} if picture is not None else {}))
-    out.show(plan_comparison_table(found), *([f"written: {picture}"] if picture is not None else []))
+    out.show(_plan_table(found), *([f"written: {picture}"] if picture is not None else []))
     return DONE if found.fit.converged else NOT_TRUSTED
 
 
@@ -295,13 +299,14 @@ def _bounds(given: Sequence[str]) -> dict[str, Any]:
             low, high = (float(w) for w in words)
         except ValueError:
             low, high = math.nan, math.nan
-        if key not in _PAIRS:
+        if key not in _BOUNDED:
             raise UsageError(
-                f"--bound {text[:40]!r}: unknown quantity.", f"It is one of: {', '.join(_PAIRS)}."
+                f"--bound {text[:40]!r}: unknown quantity.", f"Quantities: {', '.join(_BOUNDED)}."
             )
         if not -math.inf < low <= high < math.inf:
             raise UsageError(
-                f"--bound {text[:40]!r} is no pair of numbers.", "Write --bound omega_casing=-60,60."
+                f"--bound {text[:40]!r} is not a pair of increasing numbers.",
+                "Write --bound omega_casing=-60,60.",
             )
         if key in {"duration", "inertia_casing", "touchpoint"} and low <= 0:
             raise UsageError(f"--bound {text[:40]!r} is not positive.", "Write --bound duration=100,400.")
@@ -309,17 +314,18 @@ def _bounds(given: Sequence[str]) -> dict[str, Any]:
     return found
 
 
-def plan_comparison_table(found: Plan) -> str:
-    """Return a plan as lines: limits of every effect, classes, the next run."""
+def _plan_table(found: Plan) -> str:
+    """Return a plan as text: limits of every effect, equivalence classes, the next run."""
     runs, unit = len(found.fit.labels), found.fit.torque_unit
-    of = "the planned recording" if found.planned else "the recording"
+    subject = "planned recording" if found.planned else "recording"
     lines = []
     if found.warning:
         lines += [*textwrap.wrap(f"warning: {found.warning}", _WIDTH), ""]
     lines += textwrap.wrap(
-        f"What {of}{'s' if runs > 1 else ''} ({', '.join(found.fit.labels)}) can show: detection limit (power 90 % at "
-        f"the false-alarm rate of the search) and upper limit (95 %{', expected' if found.planned else ''}), as rms "
-        f"torques along the motion; power and number of runs for an effect of {found.size:.2g} {unit}.",
+        f"Sensitivity of the {subject}{'s' if runs > 1 else ''} ({', '.join(found.fit.labels)}): detection limit "
+        f"(power 90 % at the false-alarm rate of the search) and upper limit (95 %"
+        f"{', expected' if found.planned else ''}), as rms torques along the motion; power and number of "
+        f"runs for an effect of {found.size:.2g} {unit}.",
         _WIDTH,
     )
     lines += [
@@ -328,9 +334,9 @@ def plan_comparison_table(found: Plan) -> str:
     ]
     lines += [_row(e) for e in found.effects]
     if any(not e.effect.mechanical for e in found.effects):
-        lines.append("  * effect of the measurement, not physics: no torque")
+        lines.append("  * measurement effect, no torque")
     if any(math.isnan(e.upper_limit) for e in found.effects):
-        lines.append("  'found': significant in these recordings, no upper limit; run `gyrotrack diagnose`")
+        lines.append("  found: significant in these recordings, no upper limit; run `gyrotrack diagnose`")
     absorbed = [e.effect.name for e in found.effects if e.absorbed]
     if absorbed:
         lines += textwrap.wrap(
@@ -345,7 +351,7 @@ def plan_comparison_table(found: Plan) -> str:
             lines += textwrap.wrap(", ".join(c), _WIDTH, initial_indent="  ", subsequent_indent="    ")
     if found.next_run is not None:
         lines += ["", *textwrap.wrap(f"next run: {found.next_run.sentence}", _WIDTH)]
-        lines += textwrap.wrap(_possible(found.next_run.bounds), _WIDTH)
+        lines += textwrap.wrap(_limits_of_run(found.next_run.bounds), _WIDTH)
     return "\n".join(lines)
 
 
@@ -367,23 +373,23 @@ def _row(e: EffectLimits) -> str:
     return f"  {e.effect.name + star:<28}{limit:>18}{torque:>12}{upper:>13}{power:>8}{runs:>8}"
 
 
-def _possible(b: Bounds) -> str:
-    """Return the bounds of the proposed run in words."""
+def _limits_of_run(b: Bounds) -> str:
+    """Return the limits of the next run as a sentence."""
     parts = []
     if b.omega_rotor[1] > 0:
         parts.append(
             f"rotor {b.omega_rotor[0]:.0f} to {b.omega_rotor[1]:.0f} rad/s"
-            + (" in either sense" if b.reversible else "")
+            + (" in both senses of rotation" if b.reversible else "")
         )
     parts.append(f"casing {b.omega_casing[0]:.0f} to {b.omega_casing[1]:.0f} rad/s")
     parts.append(f"duration {b.duration[0]:.0f} to {b.duration[1]:.0f} s")
     if b.inertia_casing[1] > 1:
-        parts.append(f"inertia of the casing up to {b.inertia_casing[1]:g} times the present one")
+        parts.append(f"inertia of the casing up to {b.inertia_casing[1]:g} times the present value")
     if b.touchpoint[0] != 1 or b.touchpoint[1] != 1:
         parts.append(
-            f"friction at the touch point {b.touchpoint[0]:.2g} to {b.touchpoint[1]:.2g} times the present one"
+            f"friction at the touch point {b.touchpoint[0]:.2g} to {b.touchpoint[1]:.2g} times the present value"
         )
-    return f"Taken as possible: {', '.join(parts)} (change with --bound)."
+    return f"Limits of the next run: {', '.join(parts)} (change them with --bound)."
 
 
 def compare_command(
@@ -402,23 +408,18 @@ def compare_command(
     """Compare the latest fits of runs: which parameters and effects differ, and by how many standard uncertainties.
 
     Each parameter has a mean and a spread between the runs (random effects); the total uncertainty of a single run
-    includes the spread. Runs are taken as independent.
+    includes the spread. The runs are assumed to be independent.
 
     Example: gyrotrack compare left.h5 right.h5 --picture difference.png
     """
     from fitting.study._comparison import compare
     from gyrotrack.apps._study import latest_fits
-    from gyrotrack.io._atomic import refuse_existing
 
     out = Output(as_json=as_json, quiet=quiet)
     if len(runs) < 2:
-        raise UsageError("A comparison needs two runs at least.", "Name two cases that have been fitted.")
+        raise UsageError("A comparison needs at least two runs.", "Give two cases that have been fitted.")
     if picture is not None:
-        if picture.suffix.lower() not in {".png", ".svg", ".pdf"}:
-            raise UsageError(
-                f"{picture} is not the name of a picture.", "Use a name that ends in .png, .svg or .pdf."
-            )
-        refuse_existing(picture, force=force)
+        _check_picture(picture, (".png", ".svg", ".pdf"), force=force)
     found = compare(latest_fits(runs))
     if picture is not None:
         from gyrotrack.plotting._results import write_comparison_picture

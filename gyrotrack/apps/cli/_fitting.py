@@ -77,11 +77,11 @@ def fit_command(
         typer.Option(
             "--profile",
             metavar="P",
-            help="Parameter whose 95 % interval is computed by profile likelihood; 'weak' for all weakly determined.",
+            help="Compute the 95 % interval of a parameter by profile likelihood; 'weak': all weakly determined ones.",
         ),
     ] = None,
     fix: Annotated[
-        list[str] | None, typer.Option("--fix", metavar="P=V", help="Parameter held at a value (SI units).")
+        list[str] | None, typer.Option("--fix", metavar="P=V", help="Fix a parameter at a value (SI units).")
     ] = None,
     data: DataKind = None,
     rotor: RotorKind = "windows",
@@ -100,14 +100,17 @@ def fit_command(
 ) -> int:
     """Fit a model: parameters, uncertainties, goodness of fit.
 
-    With --add or --drop the fit continues from the latest one and is added to its history.
+    With --add or --drop, the latest model is modified, and the fit is added to its history.
 
     Example: gyrotrack fit case1.h5 --add casing.air.quadratic
     """
+    from fitting.inference._cross_validation import predict_recordings
+    from fitting.study._paper import curve_bias
+
     if (share or per_case or hold_out) and not joint:
         raise UsageError("--share, --per-case and --hold-out need a joint fit.", "Add --joint.")
     if loss not in _LOSSES:
-        raise UsageError(f"There is no loss named {loss[:40]!r}.", f"Losses: {', '.join(_LOSSES)}.")
+        raise UsageError(f"Unknown loss function {loss[:40]!r}.", f"Loss functions: {', '.join(_LOSSES)}.")
     out = Output(as_json=as_json, quiet=quiet)
     groups = [cases] if joint else [[case] for case in cases]
     request = FitRequest(
@@ -117,7 +120,7 @@ def fit_command(
         own=own_effects(effects),
         share=tuple(share or ()),
         per_case=tuple(per_case or ()),
-        held=_held(fix or ()),
+        held=_fixed_values(fix or ()),
         loss=loss,
     )
     documents = []
@@ -127,37 +130,32 @@ def fit_command(
             progress(0, None)
             found, fit_id = request.fit(study, start)
             intervals = _intervals(found, profile or ())
-            predicted = _predicted(found) if hold_out else None
-            bias = _bias(found)
-        documents.append(_fits_document(found, fit_id, intervals, predicted) | _plain_bias(bias))
+            predicted = predict_recordings(found.model, found.problem.data, found.noise) if hold_out else None
+            bias = curve_bias(found)
+        documents.append(_document(found, fit_id, intervals, predicted, bias))
         out.show(*fit_tables(found, fit_id, intervals), *bias_tables(found, bias))
         out.show(*prediction_tables(predicted or ()))
     out.result(documents[0] if len(documents) == 1 else {"fits": documents})
     return NOT_TRUSTED if any(d["verdict"] == "not converged" for d in documents) else DONE
 
 
-def _bias(found: Fit) -> dict[str, CurveBias]:
-    from fitting.study._paper import curve_bias
-
-    return curve_bias(found)
-
-
-def _plain_bias(bias: Mapping[str, CurveBias]) -> dict[str, Any]:
-    from fitting.study._serialisation import bias_document
-
-    return {"generated_rotor": bias_document(bias)} if bias else {}
-
-
-def _fits_document(
-    found: Fit, fit_id: str, intervals: Mapping[str, Interval], predicted: Sequence[Predicted] | None
+def _document(
+    found: Fit,
+    fit_id: str,
+    intervals: Mapping[str, Interval],
+    predicted: Sequence[Predicted] | None,
+    bias: Mapping[str, CurveBias],
 ) -> dict[str, Any]:
-    from fitting.study._serialisation import fit_document, interval_document
+    from fitting.study._serialisation import bias_document, fit_document, interval_document
 
     document = fit_document(found, fit_id)
     for name, interval in intervals.items():
         document["parameters"][name]["interval"] = interval_document(interval)
     if predicted is not None:
-        document["predicted"] = _plain(predicted)
+        keys = ("label", "casing", "rotor", "r2", "rmse")
+        document["predicted"] = [{k: getattr(p, k) for k in keys} for p in predicted]
+    if bias:
+        document["generated_rotor"] = bias_document(bias)
     return document
 
 
@@ -179,7 +177,7 @@ def _symbol(name: str) -> str:
     return name.partition("@")[0].rpartition(".")[2]
 
 
-def _held(fix: Sequence[str]) -> dict[str, float]:
+def _fixed_values(fix: Sequence[str]) -> dict[str, float]:
     """Read ``bearing.power.g=0.7``."""
     held = {}
     for text in fix:
@@ -190,23 +188,15 @@ def _held(fix: Sequence[str]) -> dict[str, float]:
             equals = ""
         if not equals:
             raise UsageError(
-                f"{text[:60]!r} does not fix a parameter.", "Write it as --fix bearing.power.g=0.7."
+                f"{text[:60]!r} is not an assignment to a parameter.",
+                "Write it as --fix bearing.power.g=0.7.",
             )
     return held
 
 
-def _predicted(found: Fit) -> Sequence[Predicted]:
-    from fitting.inference._cross_validation import predict_recordings
-
-    return predict_recordings(found.model, found.problem.data, found.noise)
-
-
-def _plain(predicted: Sequence[Predicted]) -> list[dict[str, Any]]:
-    return [{k: getattr(p, k) for k in ("label", "casing", "rotor", "r2", "rmse")} for p in predicted]
-
-
-# contributions of a smaller share of the variance are omitted from the table, not from the JSON document
-_SHOWN = 1e-3
+_MIN_SHARE = (
+    1e-3  # smaller contributions to the variance are omitted from the table, not from the JSON document
+)
 
 
 def budget_command(
@@ -236,7 +226,7 @@ def budget_command(
 
     if clock_rate is not None and not 0 <= clock_rate < 1:
         raise UsageError(
-            f"--clock-rate {clock_rate:g} is outside 0 to 1.", "Give a relative uncertainty: 1e-4."
+            f"--clock-rate {clock_rate:g} is not between 0 and 1.", "Give a relative uncertainty: 1e-4."
         )
     out = Output(as_json=as_json, quiet=quiet)
     study = open_study(cases, ledger)
@@ -256,7 +246,7 @@ def _budget_table(found: Mapping[str, ParameterBudget], fit_id: str) -> str:
         lines += ["", f"{name}  {rounded(b.value, b.u, b.unit)}"]
         lines.append(f"  {'source':<32}{'type':<6}{'u':>10}{'sensitivity':>13}{'share':>9}")
         for c in b.contributions:
-            if c.share >= _SHOWN:
+            if c.share >= _MIN_SHARE:
                 slope = "" if c.sensitivity is None else f"{c.sensitivity:.3g}"
                 lines.append(f"  {c.source:<32}{c.type:<6}{c.u:>10.2g}{slope:>13}{100 * c.share:>7.1f} %")
     return "\n".join(lines)
@@ -280,9 +270,9 @@ def scan_command(
 ) -> int:
     """Fit every on/off combination of the paper's terms, and its reduced and general models.
 
-    For each case: five fits without one drag each, fifteen with all choices of the bearing's laws. For all cases:
-    both models separately and jointly, their figures of merit, and the scatter of each parameter. Nothing is added
-    to the history of fits.
+    For each case: five fits without one of the drag terms, and fifteen with all combinations of the bearing laws. For
+    all cases: both models separately and jointly, their figures of merit, and the scatter of each parameter. The
+    history of fits is not changed.
 
     Example: gyrotrack scan case1.h5 case2.h5 --latex tables.tex
     """
@@ -370,20 +360,20 @@ def improve_command(
         own = own_effects(effects)
         kept = study.recorder(parent, base)
         history = improve(base, own, progress=progress, workers=workers, keep=kept)
-        # a report asks for it next, and most of the work is done
+        # a report needs it, and most of the work is done
         found = diagnose(base, own, candidates=history[0].candidates, workers=workers)
         study.keep_diagnosis(parent, found, own)
     steps = [entry.document["rung"] for entry in kept.entries]
     verdict = history_verdict(history)
     if history.stopped:
-        out.warn(f"The search ended at a fit that failed, {history.stopped}")
+        out.warn(f"the search stopped at a failed fit, {history.stopped}")
     out.result(
         {"ladder": steps, "final": fit_document(history[-1].fit, kept.entries[-1].fit_id), "verdict": verdict}
     )
-    out.show(*ladder_tables(steps, study.data[0].record), f"verdict: {_WORDS[verdict]}")
+    out.show(*ladder_tables(steps, study.data[0].record), f"verdict: {_VERDICTS[verdict]}")
 
 
-_WORDS = {
+_VERDICTS = {
     "adequate": "the model is adequate; no effect was added",
     "missing_effect": "the missing effect was added; the residuals are consistent with noise",
     "unexplained": "an unexplained torque remains; run `gyrotrack diagnose`",
@@ -402,15 +392,15 @@ def ladder_command(
         str | None, typer.Option("--note", metavar="ID=TEXT", help="Write a note on a fit; empty removes it.")
     ] = None,
     delete: Annotated[
-        str | None, typer.Option("--delete", metavar="ID", help="Delete a fit that no other was made from.")
+        str | None, typer.Option("--delete", metavar="ID", help="Delete a fit on which no other is based.")
     ] = None,
     ledger: LedgerFile = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """List the fits of these cases: one bar per fit, each below the fit that it was made from.
+    """List the fits of these cases: one bar per fit, each below the fit on which it is based.
 
-    A branch is made with `gyrotrack fit --from ID --add EFFECT`.
+    `gyrotrack fit --from ID --add EFFECT` begins a branch.
 
     Example: gyrotrack ladder case1.h5
     """
@@ -423,7 +413,7 @@ def ladder_command(
             fit_id, equals, content = text.partition("=")
             if not equals:
                 raise UsageError(
-                    f"--{option} {text[:40]} names no fit.", f"Write it as --{option} f2='text'."
+                    f"--{option} {text[:40]} contains no name of a fit.", f"Write it as --{option} f2='text'."
                 )
             found = study.entry(fit_id.strip())
             study.ledger.annotate(found.fit_id if found else fit_id, **{option: content})
@@ -457,7 +447,7 @@ def effects_command(
     if name is not None:
         effect = own.get(name) or find(name)
         out.result(_effect_document(effect))
-        out.show(_page(effect))
+        out.show(_effect_text(effect))
         return
     every = [*LIBRARY.values(), *own.values()]
     out.result({"effects": [_effect_document(e) for e in every]})
@@ -499,7 +489,7 @@ def _where(e: Effect) -> str:
     }.get(e.joint, e.joint)
 
 
-def _page(e: Effect) -> str:
+def _effect_text(e: Effect) -> str:
     lines = [f"{e.name} ({e.kind})", f"  {_where(e)}: {e.law}"]
     if e.state is not None:
         lines.append(f"  d({e.state.symbol})/dt = {e.state.rate}")

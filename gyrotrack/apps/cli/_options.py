@@ -2,7 +2,7 @@
 
 ::
 
-    def command(case: CaseFile, *, output: OutputFile, as_json: Json = False) -> int | None: ...
+    def command(cases: CaseFiles, *, output: OutputFile, as_json: Json = False) -> int | None: ...
 """
 
 from __future__ import annotations
@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout and nothing else.")]
-Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="No progress and no messages but warnings.")]
+Quiet = Annotated[
+    bool, typer.Option("-q", "--quiet", help="Show warnings only, no progress or other messages.")
+]
 Verbose = Annotated[bool, typer.Option("-v", "--verbose", help="Verbose output.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace an existing output.")]
 
@@ -26,7 +28,6 @@ OutputFile = Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help
 OptionalOutputFile = Annotated[
     Path | None, typer.Option("-o", "--output", metavar="FILE", help="File to write.")
 ]
-CaseFile = Annotated[Path, typer.Argument(metavar="CASE.h5", help="Case file, made by `sync` or `import`.")]
 CaseFiles = Annotated[
     list[Path], typer.Argument(metavar="CASE.h5", help="Case files, made by `sync` or `import`.")
 ]
@@ -34,7 +35,7 @@ CaseFiles = Annotated[
 Films = Annotated[
     list[Path] | None,
     typer.Option(
-        "--films", metavar="DIR", help="Folder of the films; by default that of the case, and this one."
+        "--films", metavar="DIR", help="Folder of the films; by default the folders of the case and this one."
     ),
 ]
 
@@ -77,7 +78,7 @@ PriorRotor = Annotated[
     typer.Option(
         "--prior-rotor",
         metavar="STUDY",
-        help="The same of a study of the rotor alone; its parameters are matched by their laws.",
+        help="Prior from a study of the rotor alone; its parameters are matched by their laws.",
     ),
 ]
 LedgerFile = Annotated[
@@ -98,13 +99,13 @@ RotorKind = Annotated[
     typer.Option(
         "--rotor",
         metavar="R",
-        help="Rotor data: windows (as measured) or generated (the paper's curve through them).",
+        help="Rotor data: windows (as measured) or generated (a curve through them, as in the paper).",
     ),
 ]
 
 
 def own_effects(path: Path | None) -> list[Effect]:
-    """Read the effects of the user's file, if one is given."""
+    """Read user-defined effects, if a file is given."""
     if path is None:
         return []
     from fitting.effects._user import read_effects

@@ -1,7 +1,7 @@
 """Output of the commands: results to stdout, messages to stderr.
 
-Under ``--json`` stdout carries one JSON document and nothing else, also when the command fails. Bars are
-drawn only if stderr is a terminal, and neither ``--json``, ``-q`` nor NO_COLOR is set.
+With ``--json`` stdout contains one JSON document and nothing else, also if the command fails. Progress bars are drawn
+only if stderr is a terminal and none of ``--json``, ``-q`` and NO_COLOR is set.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _COMMANDS = re.compile(
 
 
 def printable(text: str) -> str:
-    r"""Return `text` with control and direction characters written out, as ``\x1b``.
+    r"""Return `text` with control and direction characters escaped, for example as ``\x1b``.
 
     Examples
     --------
@@ -46,7 +46,7 @@ _ARGUMENTS: ContextVar[tuple[str, ...]] = ContextVar("arguments", default=())
 
 @contextmanager
 def running(arguments: Sequence[str]) -> Iterator[None]:
-    """Remember the arguments of the command that runs inside the block."""
+    """Store the arguments of the command that runs within the context."""
     token = _ARGUMENTS.set(tuple(arguments))
     try:
         yield
@@ -55,7 +55,7 @@ def running(arguments: Sequence[str]) -> Iterator[None]:
 
 
 def command_line() -> str:
-    """Return the command line in a form that a shell reads back."""
+    """Return the command line, quoted for a shell."""
     return shlex.join(["gyrotrack", *_ARGUMENTS.get()])
 
 
@@ -78,12 +78,12 @@ class Output:
     verbose: bool = False
 
     def result(self, document: Mapping[str, Any]) -> None:
-        """Print the result as JSON; without ``--json`` nothing happens (see `show`)."""
+        """Print the result as JSON; without ``--json`` nothing is printed (see `show`)."""
         if self.as_json:
             print_json(document)
 
     def show(self, *renderables: Any) -> None:
-        """Print the result as text, or as anything that rich can draw; nothing is printed under ``--json``."""
+        """Print the result as text or renderables of rich; with ``--json`` nothing is printed."""
         if not self.as_json:
             console = _console(sys.stdout)
             for item in renderables:
@@ -95,7 +95,7 @@ class Output:
             _write(text)
 
     def detail(self, text: str) -> None:
-        """Print a message that is shown with ``-v`` only."""
+        """Print a message with ``-v`` only."""
         if self.verbose and not self.quiet:
             _write(text)
 
@@ -105,7 +105,7 @@ class Output:
 
     @contextmanager
     def progress(self, label: str, unit: str = "") -> Iterator[Progress]:
-        """Yield a callback (done, total) that draws a bar, or does nothing without a terminal.
+        """Yield a callback (done, total) that draws a progress bar, or does nothing without a terminal.
 
         With a `unit` the bar also shows the rate. With ``GYROTRACK_PROGRESS=json`` in the environment the progress is
         written to stderr as JSON lines ``{"progress": {"label", "done", "total"}}``, at most five a second.
@@ -134,7 +134,7 @@ class Output:
 
 @contextmanager
 def all_or_nothing(*outputs: Path | None) -> Iterator[None]:
-    """Remove the new ones of several outputs if the block fails or is interrupted before all are written."""
+    """Remove new outputs if the context ends with an error, so that either all are written or none."""
     new = [path for path in outputs if path is not None and not path.exists()]
     try:
         yield
@@ -187,7 +187,7 @@ def _write(text: str, style: str | None = None) -> None:
 
 
 def print_json(document: Any) -> None:
-    """Write one JSON document to stdout: records, paths and NumPy values as plain ones; NaN and infinities as null."""
+    """Write one JSON document to stdout; NaN and infinities become null."""
     from pydantic_core import to_jsonable_python
 
     plain = to_jsonable_python(document, inf_nan_mode="null", fallback=lambda value: value.tolist())
@@ -196,7 +196,7 @@ def print_json(document: Any) -> None:
 
 
 def report_error(code: str, message: str, hint: str, *, as_json: bool) -> None:
-    """Print an error: its sentence and hint, or its JSON document."""
+    """Print an error: message and hint, or a JSON document."""
     if as_json:
         print_json({"error": {"code": code, "message": message, "hint": hint}})
         return

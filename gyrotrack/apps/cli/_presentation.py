@@ -1,8 +1,9 @@
-"""Commands that show a study: report, figures, view."""
+"""Commands report, figures and view."""
 
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Sequence
 from importlib.util import find_spec
@@ -44,7 +45,7 @@ def report_command(
 ) -> None:
     """Write a report of the latest fit and its history: one self-contained HTML file or a PDF.
 
-    Frames of the films are shown where the films are found.
+    Frames of the films are included if the films are found.
 
     Example: gyrotrack report case1.h5 -o report.html
     """
@@ -83,14 +84,14 @@ def figures_command(
     ] = Path("figures"),
     formats: Annotated[
         list[str] | None,
-        typer.Option("--format", metavar="F", help="pdf (default), svg or png; repeat it for several."),
+        typer.Option("--format", metavar="F", help="pdf (default), svg or png; repeatable."),
     ] = None,
     films: Films = None,
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> int:
-    """Draw the paper's seven figures and write its eight tables for any study, ready for LaTeX.
+    """Draw the seven figures and write the eight tables of the paper for any study, as files for LaTeX.
 
     The fits are those of `gyrotrack scan`; the history of fits is not changed. The figure of the gyroscope needs a
     film.
@@ -106,8 +107,8 @@ def figures_command(
     data = read_cases(cases)
     if alone := next((d.record.label for d in data if d.record.single), None):
         raise UsageError(
-            f"The paper's figures need a rotor and a casing; {alone} is a record of one body.",
-            "`gyrotrack report` draws it.",
+            f"The paper's figures need a rotor and a casing; {alone} is a recording of one body.",
+            "Use `gyrotrack report`.",
         )
     with out.progress("fitting") as progress:
         found = scan(data, progress=progress)
@@ -126,7 +127,7 @@ def figures_command(
     out.result({"output": output, "files": files, "figures": len(drawn)})
     out.show(f"written: {len(files)} files in {output}")
     if "gyroscope" not in drawn:
-        out.note("No film was found for the figure of the gyroscope; name its folder with --films.")
+        out.note("No film was found for the figure of the gyroscope; give its folder with --films.")
     return DONE if found.converged else NOT_TRUSTED
 
 
@@ -137,12 +138,12 @@ def _wanted(formats: list[str] | None, output: Path, *, force: bool) -> list[str
     wanted = list(dict.fromkeys(formats or FORMATS[:1]))
     unknown = [f for f in wanted if f not in FORMATS]
     if unknown:
-        raise UsageError(f"{unknown[0]} is not a format of figures.", f"Formats: {', '.join(FORMATS)}.")
+        raise UsageError(f"Unknown figure format: {unknown[0]}.", f"Formats: {', '.join(FORMATS)}.")
     if output.exists() and not output.is_dir():
         raise OutputError(f"{output} is a file.", "Give the name of a folder with -o.")
     if not force and output.is_dir() and any(output.glob("tables.tex")):
         raise OutputError(
-            f"{output} holds figures already.", "Use --force to replace them, or -o for another folder."
+            f"{output} already contains figures.", "Use --force to replace them, or -o for another folder."
         )
     return wanted
 
@@ -152,15 +153,13 @@ def view_command(
         list[Path] | None,
         typer.Argument(
             metavar="[FILM|CASE]...",
-            help="A case to explore; or films, tables, recordings, study.toml to begin with.",
+            help="A case to analyse; or films, tables, recordings or study.toml of a new project.",
         ),
     ] = None,
     *,
     folder: Annotated[
         Path,
-        typer.Option(
-            "--folder", metavar="DIR", help="Work folder: what is made from films is written there."
-        ),
+        typer.Option("--folder", metavar="DIR", help="Work folder, for the results of films."),
     ] = Path(),
     films: Films = None,
     port: Annotated[
@@ -180,9 +179,9 @@ def view_command(
 ) -> None:
     """Open the workbench in the browser: from films to a case, and from a case to the missing effect.
 
-    Without a case the page begins with films: choose them, click hub and markers, track, match the clocks, fit. What is
-    entered and made is kept in the work folder; the same command continues there. The page is served on the loopback
-    address, and only to the holder of the address that is printed. It ends with Ctrl-C or with the button Quit.
+    Without a case the page starts with films: choose them, mark hub and markers, track, synchronise, fit. Entries and
+    results are stored in the work folder; the same command resumes the work there. The page is served on the loopback
+    interface, and access needs the secret in the printed address. Ctrl-C or the button Quit ends the program.
 
     Example: gyrotrack view case1.h5
     """
@@ -215,7 +214,7 @@ def view_command(
 
     try:
         serve(bench, port, announce, window=window)
-    except KeyboardInterrupt:  # the usual end
+    except KeyboardInterrupt:  # the regular end
         return
 
 
@@ -225,7 +224,7 @@ def _only_case(sources: Sequence[Path]) -> Path | None:
     Raises
     ------
     UsageError
-        A case is given together with something else.
+        A case is given together with other sources.
     """
     from gyrotrack.io._hdf5 import read_kind
 
@@ -236,9 +235,7 @@ def _only_case(sources: Sequence[Path]) -> Path | None:
 
 
 def _has_desktop() -> bool:
-    """Return whether there is a desktop whose browser can be opened (not one in a terminal)."""
-    import os
-
+    """Return whether there is a desktop with a browser (not one in a terminal)."""
     return sys.platform in {"darwin", "win32"} or any(
         os.environ.get(n) for n in ("DISPLAY", "WAYLAND_DISPLAY")
     )
@@ -247,7 +244,7 @@ def _has_desktop() -> bool:
 def _require_packages(*, window: bool) -> None:
     """Raise an error if the packages that serve the page, or show its window, are not installed."""
     try:
-        import starlette  # noqa: F401 - is it there?
+        import starlette  # noqa: F401
         import uvicorn  # noqa: F401
     except ImportError:
         raise UsageError(

@@ -1,4 +1,4 @@
-"""Settings files: `gyrotrack.toml` and the user's own; and the commands whose options they set.
+"""Settings files (`gyrotrack.toml` and the user's own), and the table of commands whose options they set.
 
 ::
 
@@ -15,8 +15,8 @@ A file given by the user (``--config``, ``$GYROTRACK_CONFIG``) and the user's ow
 ``gyrotrack.toml`` found in the working folder comes with the data and may be hostile: it may set only the options in
 `FOUND`, and paths only within its own folder.
 
-A command is imported when it runs, or when its options are needed to check a settings file: `gyrotrack --help` needs
-only the names and one line each, and imports no numerical library.
+A command is imported when it runs, or when its options are needed to check a settings file: `gyrotrack --help` imports
+no numerical library.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 NAME = "gyrotrack.toml"
 VARIABLE = "GYROTRACK_CONFIG"
-NONE = "none"  # as a name of a file: no settings
+NONE = "none"  # file name that disables settings
 
 # options that a file found in the working folder may set: they affect computation and display only
 _COMPUTE = (
@@ -53,13 +53,13 @@ _COMPUTE = (
     "resume rotor rotor_fps rotor_start seed set share sigma size strength surface table timeout times to "
     "torque_noise torque_time until verbose verify window window_length"
 )
-# options whose values are files to read or to write; a found file may name those in its own folder
+# options whose values are files to read or to write; a found file may set them to files in its own folder
 _PATHS = (
     "clips contact_sheet csv effects film films folder latex ledger output overlay picture prior "
     "prior_rotor report"
 )
 FOUND = frozenset(f"{_COMPUTE} {_PATHS}".split())
-# options that only the user may set: replacing or deleting results, addresses, certificates, ports, cores
+# options that only the user may set: they replace or delete results, or set addresses, certificates, ports, processes
 REFUSED = frozenset(
     "answer browser delete force name note port save_law scheduler tls_ca tls_cert tls_key workers".split()  # noqa: SIM905
 )
@@ -67,7 +67,7 @@ REFUSED = frozenset(
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of a file by command and parameter, and the line of each."""
+    """Settings of a file by command and parameter, with their lines."""
 
     path: Path | None = None
     values: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -75,7 +75,7 @@ class Settings:
 
 
 def find(named: Path | None = None) -> tuple[Path | None, bool]:
-    """Return the file of settings and whether it is trusted: given by the user, or the user's own file.
+    """Return the settings file and whether it is trusted: given by the user, or the user's own file.
 
     The order is: the file given, $GYROTRACK_CONFIG, ./gyrotrack.toml, the user's own file.
 
@@ -107,11 +107,11 @@ def user_file() -> Path | None:
         path = user_config_path("gyrotrack", appauthor=False, roaming=True) / NAME
     except (RuntimeError, KeyError):
         return None
-    return path if path.is_absolute() else None  # an unexpanded "~" is a folder of the data
+    return path if path.is_absolute() else None  # an unexpanded "~" would be a folder of the data
 
 
 def read(path: Path | None, entries: tuple[Entry, ...], *, trusted: bool = True) -> Settings:
-    """Read a file of settings and check it against the options of all commands.
+    """Read a settings file and check it against the options of all commands.
 
     Parameters
     ----------
@@ -120,12 +120,12 @@ def read(path: Path | None, entries: tuple[Entry, ...], *, trusted: bool = True)
     entries : tuple of Entry
         The commands.
     trusted : bool
-        Whether the file is the user's; one that was only found may set fewer options.
+        Whether the user gave the file; one that was found in the working folder may set fewer options.
 
     Raises
     ------
     ConfigurationError
-        With the line and the key of every error.
+        The file is invalid; line and key of every error are reported.
     """
     if path is None:
         return Settings()
@@ -144,7 +144,7 @@ def read(path: Path | None, entries: tuple[Entry, ...], *, trusted: bool = True)
                 continue
             value = getattr(getattr(document, entry.name), name)
             lines[entry.name, name] = line = line_of(text, (entry.name, key))
-            if not trusted and (fault := _overreach(key, value, folder)):
+            if not trusted and (fault := _not_permitted(key, value, folder)):
                 faults.append(f"line {line}, {entry.name}.{key}: {fault}")
             values.setdefault(entry.name, {})[name] = _plain(value, folder)
     if faults:
@@ -155,8 +155,8 @@ def read(path: Path | None, entries: tuple[Entry, ...], *, trusted: bool = True)
     return Settings(path, values, lines)
 
 
-def _overreach(key: str, value: Any, folder: Path) -> str:
-    """Return the reason why a file that was only found may not set `key` to `value`; "" if it may."""
+def _not_permitted(key: str, value: Any, folder: Path) -> str:
+    """Return the reason why an untrusted file may not set `key` to `value`; "" if it may."""
     if key not in FOUND:
         return "a settings file found in the working folder may not set this option"
     if key == "model" and value in {"reduced", "general", "linear"}:
@@ -169,7 +169,7 @@ def _overreach(key: str, value: Any, folder: Path) -> str:
 
 
 def as_words(settings: Settings, entry: Entry, given: frozenset[str]) -> tuple[str, ...]:
-    """Return the settings of a command as arguments of a command line, without the keys that are `given` there."""
+    """Return the settings of a command as command-line arguments, without the keys in `given`."""
     keys = options_of(entry)
     words: list[str] = []
     for name, value in settings.values.get(entry.name, {}).items():
@@ -182,19 +182,19 @@ def as_words(settings: Settings, entry: Entry, given: frozenset[str]) -> tuple[s
 
 
 def options_of(entry: Entry) -> dict[str, str]:
-    """Return the options of a command: the parameter's name and the key in a file."""
+    """Return the options of a command: key in a settings file by name of the parameter."""
     return {name: key for name, (key, _) in _options(entry).items()}
 
 
 def _options(entry: Entry) -> dict[str, tuple[str, Any]]:
-
+    """Return key and type of each option by name of the parameter."""
     command = function_of(entry)
     hints = typing.get_type_hints(command, include_extras=True)
     found = {}
     for name, hint in hints.items():
         marks = [m for m in getattr(hint, "__metadata__", ()) if isinstance(m, typer.models.OptionInfo)]
         if marks:
-            # in this form of annotation typer takes the first name for a default
+            # typer stores the first name of an annotated option as its default
             names = (marks[0].default, *(marks[0].param_decls or ()))
             words = [w for w in names if isinstance(w, str) and w.startswith("--")]
             key = (words[0] if words else f"--{name}").partition("/")[0].lstrip("-").replace("-", "_")
@@ -229,7 +229,7 @@ def _plain(value: Any, folder: Path) -> Any:
 
 @dataclass(frozen=True)
 class Entry:
-    """One command: its name, the module here whose `<name>_command` runs it, its section in the help, and one line."""
+    """One command: name, module in this folder with `<name>_command`, section and line in the help."""
 
     name: str
     module: str
@@ -250,11 +250,11 @@ def load(entry: Entry) -> Any:
 
 
 def lazy_group(entries: tuple[Entry, ...]) -> type[TyperGroup]:
-    """Return a class of group that has `entries` by name and imports them when they run."""
+    """Return a command group of `entries` that imports a command when it runs."""
     table = {entry.name: entry for entry in entries}
 
     class LazyGroup(TyperGroup):
-        """The commands of one table."""
+        """Commands that are imported on use."""
 
         def list_commands(self, ctx: Any) -> list[str]:
             """Return the names in the order of the table."""
@@ -262,13 +262,13 @@ def lazy_group(entries: tuple[Entry, ...]) -> type[TyperGroup]:
             return list(table)
 
         def get_command(self, ctx: Any, cmd_name: str) -> Any:
-            """Return a placeholder with name and help line, without an import."""
+            """Return a placeholder with name and help line."""
             del ctx
             entry = table.get(cmd_name)
             return entry and TyperCommand(name=entry.name, help=entry.help, rich_markup_mode=None)
 
         def resolve_command(self, ctx: Any, args: list[str]) -> tuple[Any, Any, list[str]]:
-            """Return the command that is to run, imported."""
+            """Import and return the command to run."""
             self.commands = {name: self.get_command(ctx, name) for name in table}  # for "did you mean"
             name, _, rest = super().resolve_command(ctx, args)
             return name, load(table[name]) if name in table else None, rest

@@ -1,4 +1,4 @@
-"""Commands with known answers: simulate, reveal, demo."""
+"""Commands simulate, reveal and demo."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gyrotrack._errors import DatasetError, GyrotrackError
+from gyrotrack._errors import DatasetError, GyrotrackError, UsageError
 from gyrotrack.apps._study import changed, open_study
 from gyrotrack.apps.cli._options import (
     EffectsFile,
@@ -50,14 +50,14 @@ def simulate_command(
     set_values: Annotated[
         list[str] | None,
         typer.Option(
-            "--set", metavar="KEY=VALUE", help="Parameter, as casing.air.quadratic.k=1e-9 (SI units)."
+            "--set", metavar="KEY=VALUE", help="Set a parameter: casing.air.quadratic.k=1e-9 (SI units)."
         ),
     ] = None,
     strength: Annotated[
         float,
         typer.Option(
             "--strength",
-            help="Torque of added effects in units of 1e-4 N m, unless --set gives it.",
+            help="Torque of added effects [1e-4 N m], unless set by --set.",
         ),
     ] = 0.01,
     omega_rotor: Annotated[
@@ -109,7 +109,7 @@ def simulate_command(
 ) -> None:
     """Simulate a case of the paper's gyroscope with chosen effects, as data or as films.
 
-    Moments of inertia that are not given are those of the paper, 5.54e-5 and 2.06e-5 kg m2.
+    The default moments of inertia are those of the paper, 5.54e-5 and 2.06e-5 kg m2.
 
     Example: gyrotrack simulate -o case.h5 --add casing.air.quadratic --strength 0.03
     """
@@ -143,7 +143,7 @@ def simulate_command(
     if hidden is not None:
         model, strength, seed = hidden.model, hidden.strength, hidden.seed
     if inertia_rotor is None or inertia_casing is None:
-        out.note("Moments of inertia not given are those of the paper: rotor 5.54e-5, casing 2.06e-5 kg m2.")
+        out.note("Default moments of inertia are those of the paper: rotor 5.54e-5, casing 2.06e-5 kg m2.")
     inertias = (
         Inertia.of(inertia_rotor or _PAPER_ROTOR, "rotor").value,
         Inertia.of(inertia_casing or _PAPER_CASING, "casing").value,
@@ -168,7 +168,7 @@ def simulate_command(
         settings = {"experiment": vars(experiment), **settings}
         write_record(output, record, surface=surface, command=command_line(), settings=settings, force=force)
         if film is not None:
-            with out.progress("drawing films") as progress:
+            with out.progress("rendering films") as progress:
                 run.films(film, force=force, progress=progress)
     out.result({"output": output, **stated, "films": films})
     out.show("\n".join([*lines, *(f"written: {f}" for f in (output, *films))]))
@@ -198,14 +198,13 @@ def reveal_command(
 
     Example: gyrotrack reveal case.seal.json case.h5
     """
-    from gyrotrack._errors import UsageError
     from gyrotrack.apps._simulation import grade, unseal
     from gyrotrack.io._atomic import refuse_special
 
     out = Output(as_json=as_json)
     if (case is None) == (answer is None):
         raise UsageError(
-            "An answer is needed before the seal is opened.", "Give the case with its fits, or --answer."
+            "An answer is needed before the file is opened.", "Give the fitted case, or --answer."
         )
     named, found = _stated(answer) if case is None else _fitted(case, ledger)
     refuse_special(seal)
@@ -230,13 +229,12 @@ def _stated(answer: str | None) -> Answer:
 
 
 def _fitted(case: Path, ledger: Path | None) -> Answer:
-    from gyrotrack._errors import DatasetError
     from gyrotrack.apps._simulation import answer_of
 
     study = open_study([case], ledger)
     entries = study.ledger.of(study.data)
     if not entries:
-        raise DatasetError("There is no fit of this case yet.", "Make one with `gyrotrack improve`.")
+        raise DatasetError("There is no fit of this case yet.", "Run `gyrotrack improve`.")
     return answer_of(entries)
 
 
@@ -260,9 +258,9 @@ def demo_command(
     folder = _find(clips)
     study = tomllib.loads((folder / "study.toml").read_text(encoding="utf-8"))
     output.mkdir(parents=True, exist_ok=True)
-    out.show(f"1. Four films of one run, in {folder}: angles of the markers in every frame\n")
+    out.show(f"1. Track the markers in the films of one run, in {folder}\n")
     recordings = _extract(out, folder, study["clip"], output)
-    out.show("\n2. Both cameras on one clock, by the angle of the casing in both films\n")
+    out.show("\n2. Synchronise the cameras by the angle of the casing, which both of them see\n")
     case = output / "case.h5"
     casing = [r for r, c in zip(recordings, study["clip"], strict=True) if c["body"] == "casing"]
     rotors = [r for r, c in zip(recordings, study["clip"], strict=True) if c["body"] != "casing"]
@@ -277,7 +275,7 @@ def demo_command(
     document = _study(out, case, output, folder / study["clip"][-1]["file"])
     document["seconds"] = perf_counter() - began
     out.result(document)
-    out.show(f"\n{document['seconds']:.0f} s in all. The report: {document['report']}")
+    out.show(f"\nDone in {document['seconds']:.0f} s. Report: {document['report']}")
 
 
 def _study(out: Output, case: Path, output: Path, film: Path) -> dict[str, Any]:
@@ -286,8 +284,8 @@ def _study(out: Output, case: Path, output: Path, film: Path) -> dict[str, Any]:
     from gyrotrack.io._hdf5 import read_case
     from gyrotrack.plotting._discovery import story_picture
 
-    steps_of_history, diagnosis, document = _found(out, case)
-    out.show(f"\n6. The report\n\n$ gyrotrack report {case} -o {output / 'report.html'}")
+    steps_of_history, diagnosis, document = _fit_and_diagnose(out, case)
+    out.show(f"\n6. Write the report\n\n$ gyrotrack report {case} -o {output / 'report.html'}")
     report = write_report(
         output / "report.html",
         steps_of_history,
@@ -300,7 +298,7 @@ def _study(out: Output, case: Path, output: Path, film: Path) -> dict[str, Any]:
     return {"case": case, "report": report, "picture": picture, **document}
 
 
-def _found(out: Output, case: Path) -> tuple[list[Step], Diagnosis, dict[str, Any]]:
+def _fit_and_diagnose(out: Output, case: Path) -> tuple[list[Step], Diagnosis, dict[str, Any]]:
     """Fit the reduced model, diagnose and improve it; return the history, the diagnosis, and their JSON documents."""
     from fitting.discovery._select import improve
     from fitting.discovery._verdict import diagnose
@@ -309,19 +307,20 @@ def _found(out: Output, case: Path) -> tuple[list[Step], Diagnosis, dict[str, An
     from fitting.inference._fit import fit
     from fitting.study._history import Ledger
     from fitting.study._serialisation import diagnosis_document, fit_document, history_verdict
-    from gyrotrack.apps._study import open_study
 
     ledger = Ledger.default_for(case).path
-    ledger.unlink(missing_ok=True)  # the demo starts from scratch each time
+    ledger.unlink(missing_ok=True)  # the demo starts without earlier fits
     study = open_study([case], None)
-    out.show("\n3. The paper's reduced model", f"\n$ gyrotrack fit {case}\n")
+    out.show("\n3. Fit the reduced model of the paper", f"\n$ gyrotrack fit {case}\n")
     base = fit(Model.of(REDUCED), study.data)
     first = study.ledger.add(base, added="reduced")
     out.show(*fit_tables(base, first.fit_id))
-    out.show("\n4. Where it fails, and which effect is missing", f"\n$ gyrotrack diagnose {case}\n")
+    out.show(
+        "\n4. Locate the lack of fit and identify the missing effect", f"\n$ gyrotrack diagnose {case}\n"
+    )
     diagnosis = diagnose(base)
     out.show(*diagnosis_tables(diagnosis, first.fit_id))
-    out.show("\n5. Add it and fit again", f"\n$ gyrotrack improve {case}\n")
+    out.show("\n5. Add the effect and fit again", f"\n$ gyrotrack improve {case}\n")
     kept = study.recorder(first.fit_id, base)
     steps_of_history = improve(base, first=diagnosis.candidates, keep=kept)
     steps = [entry.document["rung"] for entry in kept.entries]
@@ -354,12 +353,12 @@ def _find(clips: Path | None) -> Path:
             return place
     raise DatasetError(
         f"There are no sample clips in {places[0]}.",
-        "Run it in the project's folder, or name the folder with --clips.",
+        "Run the command in the folder of the project, or give their folder with --clips.",
     )
 
 
 def _extract(out: Output, folder: Path, clips: Sequence[dict[str, Any]], output: Path) -> list[Path]:
-    """Track all clips, one per core at a time, each in a separate process."""
+    """Track all clips in parallel worker processes."""
     jobs, targets = [], []
     for clip in clips:
         target = output / f"{Path(clip['file']).stem}.h5"
@@ -372,7 +371,7 @@ def _extract(out: Output, folder: Path, clips: Sequence[dict[str, Any]], output:
 
 
 def _run(out: Output, jobs: Sequence[Sequence[object]], progress: Progress | None = None) -> None:
-    """Run commands of the program in worker processes, show their results, and pass on the first error."""
+    """Run commands in worker processes and show their results; the first error is raised."""
     from gyrotrack.apps.batch._workers import LocalWorkers, cores
 
     lines = [[str(word) for word in job] for job in jobs]

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from fitting.discovery._residuals import ResidualTorque
     from fitting.discovery._verdict import Diagnosis
     from fitting.inference._cross_validation import Predicted
     from fitting.inference._profile import Interval
@@ -26,7 +25,7 @@ _CANDIDATES = 8
 
 
 def fit_tables(fit: Fit, fit_id: str, intervals: Mapping[str, Interval] | None = None) -> list[str]:
-    """Return a fit as lines: verdict first, then how well it describes the data, then parameters."""
+    """Return a fit as text: verdict, goodness of fit, parameters."""
     from fitting.inference._result import VERDICT_TEXT, summary_lines
     from fitting.study._serialisation import not_determined_together
 
@@ -41,17 +40,17 @@ def fit_tables(fit: Fit, fit_id: str, intervals: Mapping[str, Interval] | None =
 
 
 def _interval(i: Interval, unit: str) -> str:
-    lower = "no limit below" if i.lower_open else f"{i.lower:.4g}"
-    upper = "no limit above" if i.upper_open else f"{i.upper:.4g}"
-    if i.lower_open and not i.upper_open:
-        return f"below {upper} {unit}"
-    if i.upper_open and not i.lower_open:
-        return f"above {lower} {unit}"
-    return f"{lower} to {upper} {unit}" if not i.lower_open else "no limit on either side"
+    if i.lower_open and i.upper_open:
+        return "no limit on either side"
+    if i.lower_open:
+        return f"below {i.upper:.4g} {unit}"
+    if i.upper_open:
+        return f"above {i.lower:.4g} {unit}"
+    return f"{i.lower:.4g} to {i.upper:.4g} {unit}"
 
 
 def bias_tables(fit: Fit, bias: Mapping[str, CurveBias]) -> list[str]:
-    """Return the shift of each parameter caused by a generated rotor curve."""
+    """Return the bias of each parameter caused by a generated rotor curve."""
     from fitting._numbers import rounded
 
     if not bias:
@@ -60,7 +59,7 @@ def bias_tables(fit: Fit, bias: Mapping[str, CurveBias]) -> list[str]:
     for name, b in bias.items():
         value = rounded(b.measured, b.stderr, fit.estimates[name].unit)
         lines.append(f"  {name:<32}{value}")
-        lines.append(f"  {'':<32}the generated curve shifts it by {b.errors:.0f} standard errors")
+        lines.append(f"  {'':<32}bias by the generated curve: {b.errors:.0f} standard errors")
     return ["\n".join(lines)]
 
 
@@ -77,7 +76,7 @@ def prediction_tables(predicted: Sequence[Predicted]) -> list[str]:
 
 
 def diagnosis_tables(d: Diagnosis, fit_id: str) -> list[str]:
-    """Return a diagnosis as lines: sentence, lack of fit, candidate effects."""
+    """Return a diagnosis as text: summary, lack of fit, candidate effects."""
     torque = f"torque [{d.fit.torque_unit}]"
     lines = [*_wrapped(d.sentence), "", f"fit {fit_id}, verdict: {d.verdict.replace('_', ' ')}"]
     if d.failures:
@@ -107,14 +106,14 @@ def diagnosis_tables(d: Diagnosis, fit_id: str) -> list[str]:
                 f"  {name:<28}{c.score:>9.1f}{bic:>9}{c.p_value:>9.1g}  {classes.get(c.effect.name, '')}"
             )
         if any(c.effect.kind == "measurement" for c in shown):
-            lines.append("  * effect of the measurement, not physics")
+            lines.append("  * measurement effect")
     if d.next_experiment:
         lines += ["", *_wrapped(f"next experiment: {d.next_experiment}")]
     return ["\n".join(lines)]
 
 
 def _curves(d: Diagnosis) -> list[str]:
-    """Return the unmodelled torque of each case as one line, and below it the intervals with lack of fit."""
+    """Return the unmodelled torque of each case as a sparkline, with marks below the intervals with lack of fit."""
     lines = []
     body = d.fit.problem.data[0].record.body
     for t in d.torques:
@@ -122,7 +121,7 @@ def _curves(d: Diagnosis) -> list[str]:
         if t.body != "casing" or not intervals:
             continue
         start, stop = float(t.time[0]), float(t.time[-1])
-        torque = f"{_range(t)} {d.fit.torque_unit}"
+        torque = f"{t.torque.min():.2g} to {t.torque.max():.2g} {d.fit.torque_unit}"
         label = f", {t.label[:12]}" if len({x.label for x in d.torques}) > 1 else ""
         lines += [
             "",
@@ -133,12 +132,8 @@ def _curves(d: Diagnosis) -> list[str]:
     return lines
 
 
-def _range(t: ResidualTorque) -> str:
-    return f"{t.torque.min():.2g} to {t.torque.max():.2g}"
-
-
 def ladder_tables(steps: Sequence[dict[str, Any]], record: Record) -> list[str]:
-    """Return a history of fits as lines, one bar per fit; `record` is that of any of the cases."""
+    """Return a history of fits as text, one bar per fit; `record` is the record of any of the cases."""
     lines = [
         f"{'fit':<6}{'rmse':>9} {'chi2/n':>9} {'cv error':>9} {'BIC':>10} {'dBIC':>9}  {'':<{_BAR}}".rstrip(),
         "",
@@ -153,7 +148,7 @@ def ladder_tables(steps: Sequence[dict[str, Any]], record: Record) -> list[str]:
         previous = r["fit_id"]
         lines.append(
             f"{r['fit_id']:<6}{r['rmse_casing']:>9.4g} {r['reduced_chi2']:>9.3g} {r['held_out']:>9.3g} "
-            f"{_known(r.get('bic'), '.1f'):>10} {r['delta_bic']:>9.1f}  {bar}"
+            f"{_formatted(r.get('bic'), '.1f'):>10} {r['delta_bic']:>9.1f}  {bar}"
         )
         lines.append(
             f"      {added}"
@@ -170,8 +165,8 @@ def ladder_tables(steps: Sequence[dict[str, Any]], record: Record) -> list[str]:
     lines += [
         " ".join(
             (
-                f"{'noise':<6}{_known(last.get('rmse_noise'), '.4g'):>9} {1:>9} {1:>9}",
-                f"{_known(last.get('bic_noise'), '.1f'):>10}  what noise alone would give",
+                f"{'noise':<6}{_formatted(last.get('rmse_noise'), '.4g'):>9} {1:>9} {1:>9}",
+                f"{_formatted(last.get('bic_noise'), '.1f'):>10}  expected for noise alone",
             )
         ),
         "",
@@ -181,7 +176,7 @@ def ladder_tables(steps: Sequence[dict[str, Any]], record: Record) -> list[str]:
     return ["\n".join(lines)]
 
 
-def _known(value: float | None, how: str) -> str:
+def _formatted(value: float | None, how: str) -> str:
     return "-" if value is None or math.isnan(value) else format(value, how)
 
 
@@ -194,13 +189,13 @@ def _wrapped(text: str) -> list[str]:
 Array = NDArray[np.float64]
 
 WIDTH = 64
-_BLOCKS, _PLAIN = "▁▂▃▄▅▆▇█", "_.,-~=+#"
+_BLOCKS, _ASCII = "▁▂▃▄▅▆▇█", "_.,-~=+#"
 
 
 def sparkline(value: Array, *, width: int = WIDTH) -> str:
-    """Return a curve as one line of characters: each is the value of its interval that is farthest from zero.
+    """Return a curve as one line of characters, each for the value farthest from zero in an interval.
 
-    Intervals without a finite value are spaces.
+    A space represents an interval without finite values.
     """
     levels = _levels()
     edges = np.linspace(0, len(value), min(width, len(value)) + 1).astype(int)
@@ -213,7 +208,7 @@ def sparkline(value: Array, *, width: int = WIDTH) -> str:
 
 
 def marks(intervals: Sequence[tuple[float, float]], start: float, stop: float, *, width: int = WIDTH) -> str:
-    """Return a line with ``^`` below intervals of the time from `start` to `stop`."""
+    """Return a line with ``^`` at intervals within the time from `start` to `stop`."""
     line = [" "] * width
     span = (stop - start) or 1.0
     for a, b in intervals:
@@ -232,5 +227,5 @@ def _levels() -> str:
     try:
         _BLOCKS.encode(sys.stdout.encoding or "ascii")
     except (UnicodeEncodeError, LookupError):
-        return _PLAIN
+        return _ASCII
     return _BLOCKS

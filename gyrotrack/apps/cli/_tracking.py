@@ -1,4 +1,4 @@
-"""Commands from film to case: profile, extract, sync; and from film to friction of one body: spindown."""
+"""Commands profile, extract, sync and spindown."""
 
 from __future__ import annotations
 
@@ -40,7 +40,9 @@ def profile_command(
     picture: Annotated[
         Path | None,
         typer.Option(
-            "--picture", metavar="FILE.png", help="Also draw the chosen markers into a frame of the film."
+            "--picture",
+            metavar="FILE.png",
+            help="Also draw the markers that were found into a frame of the film.",
         ),
     ] = None,
     capture_fps: Annotated[
@@ -49,7 +51,7 @@ def profile_command(
     ] = None,
     hub: Annotated[
         str | None,
-        typer.Option("--hub", metavar="X,Y", help="Centre of rotation [px]; by default it is found."),
+        typer.Option("--hub", metavar="X,Y", help="Centre of rotation [px]; by default detected."),
     ] = None,
     force: Force = False,
     as_json: Json = False,
@@ -57,9 +59,9 @@ def profile_command(
 ) -> int | None:
     """Find the markers of a film and write a profile that `extract --profile` reads.
 
-    Searches for colours that turn about a common centre, groups them by body, and takes the faster body for the
-    rotor. Doubts are reported; the profile is a text file and can be edited. Where no markers or those of one body are
-    found, the picture of a body that turns about a hub is another reading of the film, which `spindown` measures.
+    Finds coloured regions that rotate about a common centre and groups them by body; the faster body is the rotor.
+    Uncertain results are reported. The profile is a text file and can be edited. Where no markers or those of one body
+    are found, the texture of a body that rotates is shown as another reading of the film, which `spindown` measures.
 
     Example: gyrotrack profile rotor_1.mp4 -o mine.toml --picture mine.png
     """
@@ -73,13 +75,13 @@ def profile_command(
     out = Output(as_json=as_json, quiet=quiet)
     target = output if output is not None else video.with_suffix(".toml")
     if picture is not None and picture.suffix.lower() != ".png":
-        raise UsageError(f"the picture is a PNG (.png), not {picture.name}", "change its ending")
+        raise UsageError(f"Unknown picture format: {picture.name}.", "Use a name that ends in .png.")
     if capture_fps is not None and not 0 < capture_fps < 1e7:
-        raise UsageError(f"a capture rate of {capture_fps:g} fps is not possible", "give a positive number")
+        raise UsageError(f"Invalid capture rate: {capture_fps:g} fps.", "Give a positive number.")
     for path in (target, picture):
         if path is not None:
             refuse_existing(path, force=force)
-    place = _place(hub)
+    place = _position(hub)
     body: tuple[Film, Tracked] | None = None
     try:
         found = propose(video, capture_fps=capture_fps, hub=place)
@@ -216,7 +218,7 @@ def extract_command(
         Times,
         typer.Option(
             "--times",
-            help="Count frames, or use the timestamps; auto: timestamps where the capture rate varied.",
+            help="frames: from the frame number; stamps: from the timestamps; auto: timestamps if the rate varied.",
         ),
     ] = Times.auto,
     profile: Annotated[
@@ -226,12 +228,12 @@ def extract_command(
         ),
     ] = None,
     body: Annotated[
-        Body | None, typer.Option("--body", help="Track this body only; by default every body in view.")
+        Body | None, typer.Option("--body", help="Track this body only; by default all bodies.")
     ] = None,
     overlay: Annotated[
         Path | None,
         typer.Option(
-            "--overlay", metavar="FILE", help="Also draw the detections: film (.mp4) or sheet (.png)."
+            "--overlay", metavar="FILE", help="Also draw the detections: film (.mp4) or contact sheet (.png)."
         ),
     ] = None,
     contact_sheet: Annotated[
@@ -248,7 +250,7 @@ def extract_command(
             "--workers",
             metavar="N",
             min=1,
-            help="Processes that share the film; by default one for each core. The result is the same for every N.",
+            help="Number of processes; by default one per core. The result does not depend on it.",
         ),
     ] = None,
     resume: Annotated[
@@ -300,7 +302,7 @@ def extract_command(
             write_contact_sheet(contact_sheet, video, recording, force=force)
             document["contact_sheet"] = contact_sheet
     except KeyboardInterrupt:
-        out.note(f"{target} is complete; run the command again with --resume to draw the pictures.")
+        out.note(f"{target} is complete; run the command again with --resume to write the pictures.")
         raise
     out.result(document)
     out.show(_extraction_lines(document))
@@ -310,9 +312,9 @@ def extract_command(
 def _tracked(
     task: ExtractionJob, done: Recording | None, out: Output, *, resume: bool, force: bool
 ) -> tuple[Recording, float]:
-    """Return the recording, tracked now unless it is complete, and the frames tracked per second."""
+    """Return the recording, tracked unless it is complete, and the processing rate [frames/s]."""
     if done is not None:
-        out.note(f"{task.target} is complete already.")
+        out.note(f"{task.target} is already complete.")
         return done, float("nan")
     return task.run(
         command=command_line(),
@@ -360,13 +362,11 @@ def _extraction_lines(document: dict[str, Any]) -> str:
         f"{name}: {part['samples']} angles, median uncertainty {1e3 * part['median_sigma']:.2g} mrad"
         for name, part in document["body"].items()
     ]
-    pace = f" at {document['fps']:.0f} frames/s" if isfinite(document["fps"]) else ""
-    source = {"asked for": "as asked for", "profile": "by the profile"}.get(
-        document["capture_fps_from"], f"by the {document['capture_fps_from']}"
-    )
+    rate = f" at {document['fps']:.0f} frames/s" if isfinite(document["fps"]) else ""
+    source = document["capture_fps_from"].replace("asked for", "--capture-fps")
     stamped = "; times from the timestamps" if document["times_from"] == "stamps" else ""
-    lines.append(f"captured at {document['capture_fps']:g} fps, {source}{stamped}")
-    lines.append(f"{document['frames']} frames{pace}; written: {document['output']}")
+    lines.append(f"capture rate {document['capture_fps']:g} fps (from {source}){stamped}")
+    lines.append(f"{document['frames']} frames{rate}; written: {document['output']}")
     return "\n".join(lines)
 
 
@@ -384,9 +384,9 @@ def sync_command(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Put the clips of one experiment on one clock, and make a case of them.
+    """Synchronise the clips of one experiment, and combine them into a case.
 
-    The rotor clips must show the casing too: its angle, measured by both cameras, determines when each clip started.
+    The rotor clips must also show the casing: its angle, measured by both cameras, determines the start of each clip.
     Torques follow from the moments of inertia, which have no default; an uncertainty is optional.
 
     Example: gyrotrack sync casing.h5 rotor_1.h5 rotor_2.h5 -o case1.h5 --inertia-rotor "5.54e-5 +- 0.06e-5"
@@ -401,7 +401,7 @@ def sync_command(
     inertias = Inertia.required(inertia_rotor, "rotor"), Inertia.required(inertia_casing, "casing")
     refuse_existing(output, force=force)
     title = label if label is not None else output.stem
-    with out.progress("matching clips") as progress:
+    with out.progress("synchronising clips") as progress:
         done = synchronised(casing, rotors, title, surface, inertias, progress)
     settings = {
         "casing": casing,
@@ -413,7 +413,9 @@ def sync_command(
     for warning in done.case.warnings:
         out.warn(warning)
     for match in done.matches:
-        out.detail(f"{match.name}: {match.method}; the cameras differ by {1e3 * match.misfit:.2f} mrad")
+        out.detail(
+            f"{match.name}: {match.method}; rms difference of the cameras {1e3 * match.misfit:.2f} mrad"
+        )
     clips = [_clip(path, match) for path, match in zip(rotors, done.matches, strict=True)]
     out.result({"output": output, "clips": clips, "warnings": done.case.warnings})
     out.show("\n".join([_HEADER, *(_line(clip) for clip in clips), f"written: {output}"]))
@@ -454,7 +456,7 @@ def _line(clip: dict[str, Any]) -> str:
 
 
 class SingleBody(StrEnum):
-    """SingleBody to analyse."""
+    """Body to analyse."""
 
     casing = "casing"
     rotor = "rotor"
@@ -475,7 +477,7 @@ def spindown_command(
     ] = None,
     hub: Annotated[
         str | None,
-        typer.Option("--hub", metavar="X,Y", help="Centre of rotation [px]; it may be outside the picture."),
+        typer.Option("--hub", metavar="X,Y", help="Centre of rotation [px]; it may be outside of the image."),
     ] = None,
     profile: Annotated[
         Path | None,
@@ -483,7 +485,7 @@ def spindown_command(
     ] = None,
     body: Annotated[
         SingleBody | None,
-        typer.Option("--body", help="The body to analyse where the film or recording shows two."),
+        typer.Option("--body", help="Body to analyse, if the film or recording contains two."),
     ] = None,
     capture_fps: Annotated[
         float | None, typer.Option("--capture-fps", metavar="N", help="Frames per second of the camera.")
@@ -494,13 +496,15 @@ def spindown_command(
     ] = None,
     pulses_per_turn: Annotated[
         float | None,
-        typer.Option("--pulses-per-turn", metavar="N", help="SOURCE is a column of times of pulses [s]."),
+        typer.Option(
+            "--pulses-per-turn", metavar="N", help="SOURCE is a column of times of pulses [s], N per turn."
+        ),
     ] = None,
     keep_all: Annotated[
         bool,
         typer.Option(
             "--keep-all",
-            help="Keep the start, in which a hand or a motor drives the body, and rest at the end.",
+            help="Keep the start of the record, also if the body is driven there, and rest at its end.",
         ),
     ] = False,
     label: Annotated[
@@ -512,8 +516,8 @@ def spindown_command(
 ) -> int:
     """Measure one rotating body: film or table to motion, torque law and report.
 
-    A film needs no marker: a body that turns about one hub is registered against its own mean image. Without
-    --inertia torques are per unit of inertia.
+    A film needs no markers: each frame is registered to the mean image of the body. Without --inertia, torques are per
+    unit of inertia.
 
     Example: gyrotrack spindown wheel.mp4 --capture-fps 300
     """
@@ -533,7 +537,7 @@ def spindown_command(
     for path in (target, page):
         refuse_existing(path, force=force)
     options = SpindownOptions(
-        _place(hub),
+        _position(hub),
         capture_fps,
         inertia,
         pulses_per_turn,
@@ -556,14 +560,14 @@ def spindown_command(
     return NOT_TRUSTED if verdict == "unexplained" else DONE
 
 
-def _place(text: str | None) -> tuple[float, float] | None:
+def _position(text: str | None) -> tuple[float, float] | None:
     if text is None:
         return None
     try:
         x, y = (float(part) for part in text.split(","))
     except ValueError as error:
         raise UsageError(
-            f"--hub {text[:40]!r} is not a place.", "Give two numbers in px, such as 320,240."
+            f"--hub {text[:40]!r} is not a position.", "Give two numbers in px, such as 320,240."
         ) from error
     return x, y
 

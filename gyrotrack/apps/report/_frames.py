@@ -1,4 +1,4 @@
-"""Frames of the clips for a report."""
+"""Contact sheets of the clips for a report."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ if TYPE_CHECKING:
 
 
 _FRAMES = 6
-_MOST_CLIPS = 12
+_MAX_CLIPS = 12
 _WIDTH = 320
 _QUALITY = 78
 
 
 @dataclass(frozen=True)
 class Tile:
-    """One frame: a JPEG picture, and a description."""
+    """One frame as JPEG, with a description."""
 
     jpeg: bytes
     text: str
 
     @property
     def url(self) -> str:
-        """The picture as an address that holds it."""
+        """The picture as a data URL."""
         return "data:image/jpeg;base64," + base64.b64encode(self.jpeg).decode("ascii")
 
 
@@ -44,22 +44,23 @@ class Sheet:
 
 
 def contact_sheets(
-    case: Case, folders: Sequence[Path], stretches: Iterable[tuple[float, float]] = ()
+    case: Case, folders: Sequence[Path], intervals: Iterable[tuple[float, float]] = ()
 ) -> list[Sheet]:
-    """Return frames of each clip of a case whose film is found.
+    """Return frames of the clips of a case whose films are found.
 
     Parameters
     ----------
     case : Case
-        With its recordings.
+        The case with its recordings.
     folders : sequence of Path
-        Folders that may hold the films.
-    stretches : iterable of (float, float)
-        Times of the case [s] from whose middle a frame is wanted, such as where a model fails.
+        Folders that may contain the films.
+    intervals : iterable of (float, float)
+        Intervals of interest on the clock of the case [s], such as those with lack of fit; the frame at the middle of
+        each is included.
     """
-    wanted = list(stretches)
+    wanted = list(intervals)
     sheets = []
-    for key, r in list(case.recordings.items())[:_MOST_CLIPS]:
+    for key, r in list(case.recordings.items())[:_MAX_CLIPS]:
         tiles = _tiles(r, case.placements.get(key), folders, wanted)
         if tiles:
             sheets.append(Sheet(r.source, tuple(tiles)))
@@ -70,7 +71,7 @@ def _tiles(
     r: Recording,
     placement: Placement | None,
     folders: Sequence[Path],
-    stretches: Sequence[tuple[float, float]],
+    intervals: Sequence[tuple[float, float]],
 ) -> list[Tile]:
     from gyrotrack._errors import GyrotrackError
     from gyrotrack.plotting._frames import Film, find_film
@@ -81,11 +82,11 @@ def _tiles(
     tiles = []
     try:
         with Film(path, r) as film:
-            for index in _chosen(r, placement, stretches):
+            for index in _selected_frames(r, placement, intervals):
                 picture = film.picture(index)
                 if picture is not None:
-                    tiles.append(Tile(jpeg(picture, _WIDTH), _words(r, placement, index)))
-    except GyrotrackError:  # a film that cannot be read is no reason to have no report
+                    tiles.append(Tile(jpeg(picture, _WIDTH), _description(r, placement, index)))
+    except GyrotrackError:  # an unreadable film must not prevent the report
         return tiles
     return tiles
 
@@ -93,7 +94,7 @@ def _tiles(
 def jpeg(
     picture: np.ndarray[tuple[int, ...], np.dtype[np.uint8]], width: int, quality: int = _QUALITY
 ) -> bytes:
-    """Return a picture (BGR) as JPEG, at most so wide."""
+    """Return a picture (BGR) as JPEG, downscaled to `width` if it is wider."""
     import cv2
 
     if picture.shape[1] > width:
@@ -102,13 +103,15 @@ def jpeg(
     return bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes())
 
 
-def _chosen(r: Recording, placement: Placement | None, stretches: Sequence[tuple[float, float]]) -> list[int]:
-    """Return frames spread over the clip, some of them moved to the middle of stretches of interest."""
+def _selected_frames(
+    r: Recording, placement: Placement | None, intervals: Sequence[tuple[float, float]]
+) -> list[int]:
+    """Return frames evenly distributed over the clip, some of them moved to the middle of intervals of interest."""
     spread = [int(i) for i in np.linspace(0, len(r.time) - 1, min(_FRAMES, len(r.time)))]
     if placement is None or not spread:
         return spread
     time = on_clock(placement, r.time)
-    middles = [0.5 * (a + b) for a, b in stretches]
+    middles = [0.5 * (a + b) for a, b in intervals]
     inside = [int(np.argmin(np.abs(time - m))) for m in middles if time[0] <= m <= time[-1]]
     for index in inside[: _FRAMES // 2]:
         nearest = min(range(1, len(spread) - 1), key=lambda k: abs(spread[k] - index), default=0)
@@ -116,7 +119,7 @@ def _chosen(r: Recording, placement: Placement | None, stretches: Sequence[tuple
     return sorted(set(spread))
 
 
-def _words(r: Recording, placement: Placement | None, index: int) -> str:
+def _description(r: Recording, placement: Placement | None, index: int) -> str:
     from gyrotrack.io._schema import STATUS
 
     names = {code: word.replace("_", " ") for word, code in STATUS.items()}

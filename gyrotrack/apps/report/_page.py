@@ -1,4 +1,4 @@
-"""The report as one HTML file or PDF: answer, figures and tables, in reading order."""
+"""The report as one HTML file or PDF: result, figures and tables."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ if TYPE_CHECKING:
     from gyrotrack.io._records import Case
 
 
-_DOUBTFUL = 0.01
-_MOST_INTERVALS = 3
-# the figures of the first screen [inch]: two stacked, one as high as both
+_SMALL_P = 0.01
+_MAX_INTERVALS = 3
+# sizes of the overview figures [inch]: two stacked, one as high as both
 _WIDE, _TALL = (6.6, 2.45), (4.6, 5.1)
 _VERDICTS = {
     "adequate": ("good", "✓", "Consistent with noise"),
@@ -50,16 +50,16 @@ _VERDICTS = {
 _FINAL = {
     "adequate": "The residual of the final model is consistent with noise.",
     "misfit": "The final model has a significant lack of fit; the added effect is a hypothesis.",
-    "not determined": "The data do not determine every parameter of the final model; drop what is not needed.",
-    "not converged": "The final fit did not converge; its numbers are not valid.",
+    "not determined": "The data do not determine all parameters of the final model; remove unnecessary effects.",
+    "not converged": "The final fit did not converge; its results are not valid.",
 }
 
 
 @dataclass(frozen=True)
 class Section:
-    """The figures of one case, under a heading if there are several cases.
+    """The figures of one case, with a heading if there are several cases.
 
-    `overview` are speed, residual and torque against speed; `details` are drawn only where no script runs (PDF).
+    `overview` are speed, residual and torque against speed; `details` are drawn for a PDF only.
     """
 
     heading: str
@@ -74,7 +74,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Equation:
-    """One line of a model: typeset, and as text where it cannot be."""
+    """One equation, as SVG and as text."""
 
     latex: str
     svg: str
@@ -82,7 +82,7 @@ class Equation:
 
 @dataclass(frozen=True)
 class Added:
-    """An added effect: where it acts, its law (twice, since ids are unique), its signature, its parameters."""
+    """An added effect: joint, law (twice, because SVG ids must be unique), signature, parameters."""
 
     name: str
     joint: str
@@ -100,20 +100,20 @@ def report_parts(
     *,
     static: bool,
 ) -> dict[str, Any]:
-    """Return everything that a report contains, ready for layout.
+    """Return the content of a report.
 
     Parameters
     ----------
     view : StudyView
         The fits.
     recordings : sequence of Case
-        The cases with their clips.
+        The cases with their recordings.
     films : sequence of Path
         Folders that may contain the films.
     provenance : mapping
         Further lines of provenance.
     static : bool
-        Whether to draw the charts that a page with scripts draws by itself.
+        Draw the charts that scripts draw in the HTML report.
     """
     by_label = {case.label: case for case in recordings}
     plausibility = tables.plausibility_rows(view.final)
@@ -131,8 +131,8 @@ def report_parts(
         "outcome": f"{history_finding(view)} {_FINAL[view.final.verdict]}"
         if view.improved
         else history_finding(view),
-        "caveat": f"Negative dissipation, unphysical: {', '.join(unphysical)}. The parameters of this model are no "
-        "physical constants; check them before use."
+        "caveat": f"Negative dissipation, unphysical: {', '.join(unphysical)}. The parameters of this model are not "
+        "physical constants."
         if unphysical
         else "",
         "failures": _failures(view),
@@ -183,7 +183,7 @@ def _section(
 
 
 def _details(v: CaseView, index: int, steps: Sequence[str], tracks: Tracks | None) -> tuple[Picture, ...]:
-    """Return the figures that the page draws as interactive charts."""
+    """Return the figures that are interactive charts in the HTML report."""
     found = [charts.torque_chart(v, "casing")]
     if v.rotor:
         found.append(charts.torque_chart(v, "rotor"))
@@ -199,7 +199,7 @@ def _details(v: CaseView, index: int, steps: Sequence[str], tracks: Tracks | Non
 
 
 def _headline(view: StudyView) -> tuple[str, str, str]:
-    """Return the kind of verdict, its sign, and the verdict with the missing effects."""
+    """Return the class of the verdict, its symbol, and the verdict with the missing effects."""
     kind, sign, words = _VERDICTS[view.verdict]
     if view.verdict != "missing_effect":
         return kind, sign, words
@@ -211,23 +211,25 @@ def _headline(view: StudyView) -> tuple[str, str, str]:
 
 
 def _facts(view: StudyView) -> list[tuple[str, str]]:
-    """Return where the base model fails, and how certain the answer is."""
+    """Return location and size of the lack of fit, and significance of the result."""
     rows = []
     failures = sorted((f for v in view.cases for f in v.failures), key=lambda f: -f.size_sigma)
     if failures:
-        more = f"; {len(failures) - _MOST_INTERVALS} more" if len(failures) > _MOST_INTERVALS else ""
+        more = f"; {len(failures) - _MAX_INTERVALS} more" if len(failures) > _MAX_INTERVALS else ""
         rows.append(
             (
                 "Where",
                 "Unmodelled torque "
-                + "; ".join(_interval(f, named=len(view.cases) > 1) for f in failures[:_MOST_INTERVALS])
+                + "; ".join(_interval(f, named=len(view.cases) > 1) for f in failures[:_MAX_INTERVALS])
                 + more,
             )
         )
     best = next((c for c in view.candidates if c.significant), None)
     if best is not None and view.verdict == "adequate":
         strongest = f"{best.effect.name}, p {_equal(probability(best.p_value))}"
-        tested = f"{len(view.candidates)} candidate effects tested, none accepted; the strongest: {strongest}"
+        tested = (
+            f"{len(view.candidates)} candidate effects tested, none accepted; most significant: {strongest}"
+        )
         rows.append(("Significance", tested))
     elif best is not None:
         certainty = f"ΔBIC {short(best.delta_bic)}, " if best.delta_bic == best.delta_bic else ""
@@ -256,11 +258,11 @@ def _failures(view: StudyView) -> list[str]:
 
 
 def _whiteness(view: StudyView) -> str:
-    """Return the result of the test of whiteness, and why a small p need not contradict the verdict."""
+    """Return the result of the whiteness test, with an explanation if it seems to contradict the verdict."""
     several = len(view.whiteness) > 1
     text = ", ".join(f"{label} " * several + f"p {_equal(probability(p))}" for label, p in view.whiteness)
-    if any(p < _DOUBTFUL for _, p in view.whiteness) and view.final.verdict == "adequate":
-        text += ". A small p means correlated residuals; process noise makes them, and the verdict accounts for it"
+    if any(p < _SMALL_P for _, p in view.whiteness) and view.final.verdict == "adequate":
+        text += ". A small p indicates correlated residuals; process noise causes them and is included in the verdict"
     return text
 
 
@@ -284,7 +286,7 @@ def _added(view: StudyView) -> list[Added]:
             Equation(effect.law, formula(source, f"{n}{i}", colour=AFTER)) for n in ("top", "below")
         )
         values = [
-            tables.named(k, e)
+            tables.with_symbol(k, e)
             for k, e in view.final.estimates.items()
             if k.partition("@")[0].rpartition(".")[0] == effect.name
         ]
@@ -300,19 +302,19 @@ def pdf(parts: Mapping[str, Any]) -> bytes:
     Parameters
     ----------
     parts : mapping
-        As `report_parts` returns them. All text reaches Typst as data and is never read as markup.
+        Return value of `report_parts`. Text is passed to Typst as data and never parsed as markup.
 
     Raises
     ------
     OutputError
-        If the package `typst` is not installed, or it fails.
+        The package `typst` is not installed, or it fails.
     """
     try:
         import typst
     except ImportError:
         raise OutputError(
             "A PDF needs the package typst, which is not installed.",
-            "Run: pip install typst; or write .html and print that from a browser.",
+            "Run: pip install typst; or write .html and print it from a browser.",
         ) from None
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -326,7 +328,7 @@ def pdf(parts: Mapping[str, Any]) -> bytes:
             "surfaces": [[v.label, v.surface] for v in view.cases if v.surface],
             "next_experiment": view.next_experiment,
         }
-        # bytes of file names that are not UTF-8 become question marks
+        # invalid bytes in file names become question marks
         text = json.dumps(document, ensure_ascii=False).encode("utf-8", "replace")
         (folder / "report.json").write_bytes(text)
         (folder / "report.typ").write_bytes(
@@ -336,20 +338,20 @@ def pdf(parts: Mapping[str, Any]) -> bytes:
             return bytes(typst.compile(folder / "report.typ", root=folder))
         except typst.TypstError as error:
             raise OutputError(
-                f"Typst cannot set the PDF: {str(error).splitlines()[0]}.",
-                "Write .html instead, and print that.",
+                f"Typst failed: {str(error).splitlines()[0]}.",
+                "Write .html and print it from a browser.",
             ) from error
 
 
 class _Images:
-    """Writes pictures into a folder and puts the names of their files into the document."""
+    """Writes pictures to files, and replaces them in the document by their names."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._count = 0
 
     def plain(self, value: Any) -> Any:
-        """Return a value as JSON can hold it."""
+        """Return a value as JSON types."""
         if isinstance(value, Picture):
             return {
                 "file": self._write(".svg", value.svg.encode("utf-8", "replace")),
@@ -359,7 +361,7 @@ class _Images:
         if isinstance(value, Tile):
             return {"file": self._write(".jpg", value.jpeg), "text": value.text}
         if is_dataclass(value) and not isinstance(value, type):
-            # charts are for the browser alone
+            # interactive charts are for the HTML report only
             value = {k: getattr(value, k) for k in value.__dataclass_fields__ if k != "dashboard"}
         if isinstance(value, Mapping):
             found = {str(k): self.plain(v) for k, v in value.items()}
@@ -392,15 +394,15 @@ def write_report(
     Parameters
     ----------
     path : Path
-        The file to write, ``.pdf`` or else HTML; it is written whole or not at all.
+        The file to write: PDF if it ends in ``.pdf``, otherwise HTML. It is written completely or not at all.
     history : sequence of Step
-        The history of fits, base first; one is enough.
+        The history of fits, base first; at least one.
     diagnosis : Diagnosis or None
-        That of the base.
+        Diagnosis of the base.
     recordings : sequence of Case
-        The cases as `gyrotrack.io._hdf5.read_case` returns them, for clips and tracking.
+        The cases from `gyrotrack.io._hdf5.read_case`, for clips and tracking.
     films : sequence of Path
-        Folders that may contain the films of the recordings; frames of those found are shown.
+        Folders that may contain the films; their frames are included.
     provenance : mapping of str to str, optional
         Further lines of provenance, such as ``command`` and ``date``.
     force : bool
@@ -420,7 +422,7 @@ def write_report(
     refuse_existing(path, force=force)
     is_pdf = path.suffix.lower() == ".pdf"
     parts = report_parts(gather(history, diagnosis), recordings, films, provenance or {}, static=is_pdf)
-    # names of files may contain bytes that are not valid UTF-8
+    # file names may contain bytes that are not valid UTF-8
     try:
         document = pdf(parts) if is_pdf else html(parts).encode("utf-8", "replace")
     except OSError as error:  # the parts of a PDF are written to the temporary folder first
@@ -431,7 +433,7 @@ def write_report(
 
 
 def html(parts: Mapping[str, Any]) -> str:
-    """Return the report as one HTML page without any reference to a network."""
+    """Return the report as one self-contained HTML page."""
     from jinja2 import Environment, StrictUndefined
 
     folder = resources.files("gyrotrack.apps.report")

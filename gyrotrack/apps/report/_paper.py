@@ -1,4 +1,4 @@
-"""The figures and tables of the paper for any study, as files."""
+"""Writes the figures and tables of the paper for any study."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class CaseFit:
-    """One of the paper's fits of one case: its short name, the fit, and which of the fit's cases it is."""
+    """One of the paper's fits of one case: short name, fit, and index of the case in the fit."""
 
     name: str
     fit: Fit
@@ -40,7 +40,7 @@ class CaseFit:
 
 @dataclass(frozen=True)
 class PaperCase:
-    """One case: its record, its recordings if there are any, and its fits (RM, GM, RM-JF, GM-JF)."""
+    """One case: data, recordings if there are any, and fits (RM, GM, RM-JF, GM-JF)."""
 
     label: str
     data: CaseData
@@ -54,7 +54,7 @@ class PaperCase:
 
 
 def paper_cases(scan: Scan, data: Sequence[CaseData], cases: Sequence[Case]) -> list[PaperCase]:
-    """Return the cases of a study with the fits that a scan made of them."""
+    """Return the cases of a study with their fits from a scan."""
     known = {c.label: c for c in cases}
     short = {"reduced": "RM", "general": "GM"}
     found = []
@@ -66,7 +66,7 @@ def paper_cases(scan: Scan, data: Sequence[CaseData], cases: Sequence[Case]) -> 
 
 
 def clear_frame(cases: Sequence[PaperCase], folders: Sequence[Path]) -> NDArray[np.uint8] | None:
-    """Return the frame (red, green, blue) with most markers found, with overlay; None without any film."""
+    """Return the frame (red, green, blue) with the most detected markers, with overlay; None without a film."""
     from gyrotrack._errors import GyrotrackError
     from gyrotrack.io._schema import STATUS
     from gyrotrack.plotting._frames import Film, find_film
@@ -89,7 +89,7 @@ def clear_frame(cases: Sequence[PaperCase], folders: Sequence[Path]) -> NDArray[
     return None
 
 
-# dashes of the four fits; of curves that coincide, each later one is thinner
+# the line width decreases, so that coinciding curves remain visible
 _STYLES: dict[str, tuple[str, tuple[float, ...], float]] = {
     "RM": (BLUE, (2.0, 3.0), 3.0),
     "GM": (VERMILLION, (9.0, 3.6), 1.8),
@@ -103,7 +103,7 @@ _ACROSS, _WIDE, _HIGH = 2, 4.8, 3.4
 
 @dataclass(frozen=True)
 class PaperFigure:
-    """A figure: its name as a file, the figure, and its caption."""
+    """A figure with its file name and caption."""
 
     name: str
     figure: Figure
@@ -111,9 +111,9 @@ class PaperFigure:
 
 
 def paper_figures(cases: Sequence[PaperCase], frame: NDArray[np.uint8] | None) -> list[PaperFigure]:
-    """Return the figures of the paper; the first, a frame of the film, only where a film was found.
+    """Return the figures of the paper; the first, a frame of the film, only if a film was found.
 
-    Call it, and save what it returns, inside `style`.
+    Must be called, and the figures saved, within the context `style`.
     """
     found = []
     if frame is not None:
@@ -121,7 +121,7 @@ def paper_figures(cases: Sequence[PaperCase], frame: NDArray[np.uint8] | None) -
         ax = figure.subplots()
         ax.imshow(frame)
         ax.set_axis_off()
-        caption = "A frame of the film with the centre, the near corners of the markers, and the rays to their middles."
+        caption = "A frame of the film: centre, inner corners of the markers, rays to the marker centres."
         found.append(PaperFigure("gyroscope", figure, caption))
     for name, chart, caption in (
         ("angular-positions", _angles, "Angular position of the casing, median over 51 points."),
@@ -130,7 +130,7 @@ def paper_figures(cases: Sequence[PaperCase], frame: NDArray[np.uint8] | None) -
             _rotor_data,
             (
                 "Angular velocity of the rotor: measured in its windows (with two standard uncertainties) and the "
-                "curve between them, of the reduced model or as stored with the case."
+                "curve between them, from the reduced model or as stored with the case."
             ),
         ),
         ("rotor-fits", _rotor_fits, f"Angular velocity of the rotor and its fits. {_NAMES}"),
@@ -283,7 +283,7 @@ def _energy(case: PaperCase) -> Chart:
 FORMATS = ("pdf", "svg", "png")
 _DPI = 300
 _TABLE = re.compile(r"\\begin\{table\}.*?\\label\{tab:([^}]*)\}.*?\\end\{table\}\n?", re.DOTALL)
-# fonts that printers take, text that can be searched
+# embedded TrueType fonts in PDF, paths in SVG
 _PRINT = {"pdf.fonttype": 42, "svg.fonttype": "path"}
 
 
@@ -297,29 +297,29 @@ def write_figures(
     films: Sequence[Path] = (),
     force: bool = False,
 ) -> list[Path]:
-    """Write the paper's figures and tables of a study.
+    """Write the figures and tables of the paper for a study.
 
     Parameters
     ----------
     folder : Path
-        Where to write; it is made if it is not there.
+        Folder of the files; created if necessary.
     scan : Scan
         The fits, from `fitting.study._scan`.
     data : sequence of CaseData
         The cases that were scanned.
     cases : sequence of Case
-        The same as `gyrotrack.io._hdf5.read_case` gives them.
+        The same cases from `gyrotrack.io._hdf5.read_case`.
     formats : sequence of {"pdf", "svg", "png"}
-        In which formats each figure is written.
+        Formats of the figures.
     films : sequence of Path
-        Folders that may hold the films, for the figure of the gyroscope.
+        Folders that may contain the films, for the figure of the gyroscope.
     force : bool
         Replace existing files.
 
     Returns
     -------
     list of Path
-        The files: figures, ``figures.tex`` with their captions, a file a table, and ``tables.tex`` with all.
+        The files: figures, ``figures.tex`` with their captions, one file per table, and ``tables.tex`` with all tables.
 
     Raises
     ------

@@ -33,7 +33,7 @@ JOINTS = {
     "camera.casing": "camera (casing)",
     "camera.rotor": "camera (rotor)",
 }
-_MOVED = 3.0
+_LARGE_CHANGE = 3.0
 _SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 _GREEK = {"omega": "ω", "phi": "φ", "eps": "ε", "tau": "τ", "psi": "ψ", "kappa": "κ", "chi": "χ"}
 
@@ -55,7 +55,7 @@ class ParameterRow:
 
 @dataclass(frozen=True)
 class CandidateRow:
-    """One candidate effect; `svg` is its law typeset, `law` the same as text."""
+    """One candidate effect; its law as SVG and as text."""
 
     effect: str
     kind: str
@@ -73,7 +73,7 @@ class CandidateRow:
 
 @dataclass(frozen=True)
 class LimitRow:
-    """95 % upper limit of an effect that was not found: its rms torque and its strength."""
+    """95 % upper limit of the rms torque and strength of an effect that was not found."""
 
     effect: str
     joint: str
@@ -126,7 +126,7 @@ def parameter_rows(view: StudyView) -> list[ParameterRow]:
 
 
 def _split(symbol: str) -> tuple[str, str]:
-    """Return a symbol and its index: b2 is b with 2, omega_c is omega with c."""
+    """Split a symbol and its index: b2 into b and 2, omega_c into omega and c."""
     head, _, tail = symbol.partition("_")
     letters = head.rstrip("0123456789")
     return (letters, head[len(letters) :] + tail) if letters else (symbol, "")
@@ -149,7 +149,7 @@ def _note(e: Estimate, before: Estimate | None, *, undetermined: bool, fixed: bo
         away = abs(before.value - e.value) / math.hypot(
             before.stderr, e.stderr if math.isfinite(e.stderr) else 0.0
         )
-        if away > _MOVED:
+        if away > _LARGE_CHANGE:
             return f"changed by {away:.0f} σ"
     return ""
 
@@ -169,7 +169,7 @@ def candidate_rows(view: StudyView) -> list[CandidateRow]:
             p_value=probability(c.p_value),
             held_out_gain=short(c.held_out_gain, 2),
             rivals=", ".join(c.indistinguishable_from),
-            parameters=tuple(named(k, e) for k, e in c.estimates.items()) if c.significant else (),
+            parameters=tuple(with_symbol(k, e) for k, e in c.estimates.items()) if c.significant else (),
             law=c.effect.law,
             svg=formula(latex(c.effect.expression), f"law{i}", size=11.5),
             significant=c.significant,
@@ -179,14 +179,14 @@ def candidate_rows(view: StudyView) -> list[CandidateRow]:
 
 
 def limit_rows(view: StudyView) -> list[LimitRow]:
-    """Return the largest effects that the final model could still lack, the largest torque first."""
+    """Return the upper limits of effects that are not in the final model, largest torque first."""
     from fitting.effects._library import LIBRARY
 
     joints, unit = JOINTS | {"casing": view.body}, view.final.torque_unit
     rows = []
     for u in view.upper_limits:
         joint = LIBRARY[u.effect].joint if u.effect in LIBRARY else "–"
-        # per unit of inertia torques are angular accelerations, which take no prefix
+        # no unit prefix for torques per unit of inertia, which are angular accelerations
         factor, prefix = scaled(u.torque_Nm) if unit == TORQUE else (1.0, "")
         rows.append(
             LimitRow(
@@ -199,7 +199,7 @@ def limit_rows(view: StudyView) -> list[LimitRow]:
     return rows
 
 
-def named(key: str, e: Estimate) -> str:
+def with_symbol(key: str, e: Estimate) -> str:
     """Return ``k = (9.996 ± 0.002) × 10⁻¹¹ N m s²`` for a parameter."""
     head, index = _split(key.partition("@")[0].rpartition(".")[2])
     symbol = _GREEK.get(head, head) + (
@@ -212,7 +212,7 @@ def named(key: str, e: Estimate) -> str:
 
 
 def clip_rows(recordings: Mapping[str, Recording], placements: Mapping[str, Placement]) -> list[ClipRow]:
-    """Return the quality of tracking of each clip."""
+    """Return the tracking quality of each clip."""
     return [_clip(r, placements.get(key)) for key, r in recordings.items()]
 
 
@@ -229,7 +229,7 @@ def _clip(r: Recording, placement: Placement | None) -> ClipRow:
         offset="–" if placement is None else _offset(placement),
         ambiguous="–"
         if placement is None
-        else ("yes: another start is possible" if placement.ambiguous else "no"),
+        else ("yes: the start is not unique" if placement.ambiguous else "no"),
         warnings=r.warnings,
     )
 
@@ -258,17 +258,14 @@ def _offset(p: Placement) -> str:
     return text
 
 
-# plausibility
-
 _POINTS = 800
 _NEGLIGIBLE = 1e-3
-# an energy is distinguished from zero from this number of standard uncertainties on
-_RESOLVED = 2.0
+_SIGNIFICANT = 2.0  # standard uncertainties
 
 
 @dataclass(frozen=True)
 class Plausibility:
-    """One effect in one case: largest torques on both bodies, dissipated energy, its share, and a judgement."""
+    """One effect in one case: largest torques on both bodies, dissipated energy, its share, and an assessment."""
 
     effect: str
     case: str
@@ -283,9 +280,9 @@ class Plausibility:
 def plausibility_rows(fit: Fit) -> list[Plausibility]:
     """Return torque and dissipated energy of each effect along the modelled motion of each case.
 
-    The torque of an effect is that of the model minus that of the model without it. The dissipated energy is minus the
-    integral of its power, with the standard uncertainty that the covariance of the effect's parameters gives it along a
-    fixed motion. An effect that is no friction by its law (it depends on time or on the angle) may supply energy.
+    The torque of an effect is the torque of the model minus that of the model without the effect. The dissipated energy
+    is minus the integral of its power; its standard uncertainty follows from the covariance of the parameters of the
+    effect, for a fixed motion. An effect whose law is not friction (it depends on time or angle) may supply energy.
     """
     several = len(fit.problem.data) > 1
     return [row for i in range(len(fit.problem.data)) for row in _plausibility(fit, i, named=several)]
@@ -353,7 +350,7 @@ def _plausibility(fit: Fit, index: int, *, named: bool) -> list[Plausibility]:
 
 
 def _may_supply(effect: Effect) -> bool:
-    """Return whether a law is no friction: it depends on time or angle, or modifies another torque."""
+    """Return whether a law is not friction: it depends on time or angle, or modifies another torque."""
     from fitting.effects._expression import symbols
 
     drives = effect.depends_on_angle or any(p.role == "phase" for p in effect.parameters)
@@ -366,26 +363,24 @@ UNPHYSICAL = "negative dissipation: unphysical"
 def _judgement(energy: float, sigma: float, total: float, *, may_supply: bool) -> str:
     if abs(energy) < _NEGLIGIBLE * total:
         return "negligible"
-    if abs(energy) < _RESOLVED * sigma:
+    if abs(energy) < _SIGNIFICANT * sigma:
         return "not distinguished from zero"
     if energy > 0:
         return "dissipates"
     return "supplies energy" if may_supply else UNPHYSICAL
 
 
-# provenance
-
 _LIBRARIES = ("numpy", "scipy", "h5py", "matplotlib", "av", "opencv-contrib-python-headless")
 
 
 def origin_rows(fit: Fit, given: Mapping[str, str]) -> list[tuple[str, str]]:
-    """Return the rows (what, from where): those `given`, the data of the fit, the versions."""
+    """Return the rows of the provenance: those `given`, the data of the fit, the versions."""
     from gyrotrack._versions import __version__
 
     rows = [(str(k), str(v)) for k, v in given.items()]
     for data in fit.problem.data:
         r = data.record
-        rows.append((f"case {r.label}", f"{r.source or 'in memory'}; SHA-256 of the numbers {r.digest}"))
+        rows.append((f"case {r.label}", f"{r.source or 'in memory'}; SHA-256 of the data {r.digest}"))
         rows.append((f"samples of {r.label}", _samples(data)))
     rows.append(("gyrotrack", __version__))
     rows.append(("Python", f"{platform.python_version()} on {sys.platform}"))
@@ -401,8 +396,8 @@ def _samples(data: CaseData) -> str:
         )
     rotor = f"rotor {sum(len(w) for w in r.rotor)} in {len(r.rotor)} windows"
     inertia = f"I_rotor {short(r.I_rotor, 4)}, I_casing {short(r.I_casing, 4)} kg m²"
-    seen = f"casing {len(r.casing)}, {rotor}; {data.n_effective:.0f} effective"
-    return f"{seen}; {inertia}; measured: {r.quantity}"
+    samples = f"casing {len(r.casing)}, {rotor}; {data.n_effective:.0f} effective"
+    return f"{samples}; {inertia}; measured: {r.quantity}"
 
 
 def _versions() -> list[tuple[str, str]]:

@@ -1,5 +1,5 @@
 "use strict";
-/* The report: dashboards are drawn when their part is first opened; a link opens the part that it leads to; all parts open before printing. */
+/* The report: a dashboard is drawn when its part is first opened; a link opens its target; all parts are open in print. */
 (() => {
   const boards = JSON.parse(document.getElementById("dashboards").textContent);
   const drawn = new Set();

@@ -1,1 +1,1 @@
-"""The workbench: a page in the browser, served to this machine only."""
+"""The workbench: a page in the browser, served on this machine only."""

@@ -1,8 +1,8 @@
-"""The clips of a case, their frames, and the correction of a marker by hand.
+"""The clips of a case, their frames, and manual corrections of markers.
 
-The angle of the body in a corrected frame is that of the clicked marker alone, with the uncertainty of a click. What
-was changed is kept in the recording: ``corrections`` of its ``extra`` attribute holds for each frame the marker, the
-place, the angle before and after, and when and by which version it was made.
+The angle of the body in a corrected frame is that of the clicked marker alone, with the uncertainty of a click. The
+recording documents the corrections: ``corrections`` in its ``extra`` attribute contains for each one marker, frame,
+position, angle before and after, date and version.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 SHOWN_WIDTH = 720
 QUALITY = 80
-_AROUND = 3
+_HALF_PATCH = 3
 
 
 @dataclass
@@ -43,14 +43,14 @@ class _Clip:
 
 
 class Clips:
-    """The clips of a case; films are opened when a frame is first requested.
+    """The clips of a case; a film is opened when its first frame is requested.
 
     Parameters
     ----------
     case : Case or None
         The case with its recordings.
     folders : sequence of Path
-        Folders that may hold the films.
+        Folders that may contain the films.
     """
 
     def __init__(self, case: Case | None, folders: Sequence[Path]) -> None:
@@ -61,11 +61,11 @@ class Clips:
 
     @property
     def folder(self) -> Path | None:
-        """The folder in which the first film was found."""
+        """The folder of the first film that was found."""
         return next((c.path.resolve().parent for c in self._clips.values() if c.path is not None), None)
 
     def document(self) -> list[dict[str, Any]]:
-        """Return the data of each clip that the page needs."""
+        """Return the data of the clips for the page."""
         rows = []
         for key, clip in self._clips.items():
             r = clip.recording
@@ -96,26 +96,26 @@ class Clips:
         Raises
         ------
         VideoError
-            If there is no such clip, film, or frame.
+            There is no such clip, film or frame.
         """
         with self._lock:
             picture = self._film(key).picture(index, overlay=overlay)
         if picture is None:
-            raise VideoError(f"frame {index} of {self._clips[key].recording.source} cannot be shown")
+            raise VideoError(f"Frame {index} of {self._clips[key].recording.source} cannot be decoded.")
         return jpeg(picture, SHOWN_WIDTH, QUALITY)
 
     def colour(self, key: str, index: int, x: float, y: float) -> dict[str, Any]:
-        """Return the colour at a place of a frame (0 to 1 across and down): its name, and red, green, blue."""
+        """Return the colour at a position in a frame; see `colour_at`."""
         with self._lock:
             picture = self._film(key).picture(index, overlay=False)
         if picture is None:
-            raise VideoError(f"frame {index} of {self._clips[key].recording.source} cannot be shown")
+            raise VideoError(f"Frame {index} of {self._clips[key].recording.source} cannot be decoded.")
         return colour_at(picture, x, y)
 
     def _film(self, key: str) -> Film:
         clip = self._clips.get(key)
         if clip is None or clip.path is None:
-            raise VideoError("the film of this clip was not found", "name its folder with --films")
+            raise VideoError("The film of this clip was not found.", "Give its folder with --films.")
         if clip.film is None:
             clip.film = Film(clip.path, clip.recording).__enter__()
         return clip.film
@@ -130,18 +130,19 @@ class Clips:
 
 
 def colour_at(picture: Picture, x: float, y: float) -> dict[str, Any]:
-    """Return the median colour about a place (0 to 1 across and down): its name, and red, green, blue."""
+    """Return name and RGB of the median colour around a position (x to the right, y down, each 0 to 1)."""
     height, width = picture.shape[:2]
     row, column = int(np.clip(y, 0, 1) * (height - 1)), int(np.clip(x, 0, 1) * (width - 1))
     patch = picture[
-        max(0, row - _AROUND) : row + _AROUND + 1, max(0, column - _AROUND) : column + _AROUND + 1
+        max(0, row - _HALF_PATCH) : row + _HALF_PATCH + 1,
+        max(0, column - _HALF_PATCH) : column + _HALF_PATCH + 1,
     ]
     blue, green, red = (int(v) for v in np.median(patch.reshape(-1, 3), axis=0))
     return {"colour": colour_name(red, green, blue), "rgb": [red, green, blue]}
 
 
 class SourceFrames:
-    """The frames of films that are not tracked yet; the film that was used last stays open."""
+    """Frames of films that are not tracked yet; the last film stays open."""
 
     def __init__(self) -> None:
         self._lock = Lock()
@@ -154,7 +155,7 @@ class SourceFrames:
         Raises
         ------
         VideoError
-            If there is no such film or frame.
+            There is no such film or frame.
         """
         with self._lock:
             if path != self._path or self._film is None:
@@ -162,7 +163,7 @@ class SourceFrames:
                 self._film, self._path = Film(path).__enter__(), path
             picture = self._film.picture(index)
         if picture is None:
-            raise VideoError(f"frame {index} of {path.name} cannot be shown")
+            raise VideoError(f"Frame {index} of {path.name} cannot be decoded.")
         return picture
 
     def _end(self) -> None:
@@ -177,12 +178,12 @@ class SourceFrames:
 
 
 def profile_text(wanted: Any) -> str:
-    """Return a profile as TOML from what was picked on a frame.
+    """Return the markers that were picked in a frame as a profile in TOML.
 
     Raises
     ------
     ProfileError
-        Naming everything that is wrong.
+        The profile is not valid.
     """
     data = wanted if isinstance(wanted, dict) else {}
     allowed = {k: data[k] for k in ("name", "centre", "circle_colour", "marker") if k in data}
@@ -190,30 +191,30 @@ def profile_text(wanted: Any) -> str:
 
 
 CLICK_SIGMA = 1.5
-"""Standard uncertainty of a place that a person clicks [px]."""
-_NEAREST = 5.0
-"""Distance from the centre [px] below which a place determines no angle."""
+"""Standard uncertainty of a clicked position [px]."""
+_MIN_RADIUS = 5.0
+"""Smallest distance from the centre of a clicked position [px]."""
 _TURN = 2 * np.pi
 
 
 def corrected(recording: Recording, marker: str, frame: int, place: Sequence[float] | None) -> Recording:
-    """Return a recording in which a marker of one frame is where a person sees it, or is left out.
+    """Return a recording with a marker corrected, or marked as lost, in one frame.
 
     Parameters
     ----------
     recording : Recording
-        What `extract` wrote.
+        The recording.
     marker : str
         Name of the marker.
     frame : int
         Index of the frame.
     place : sequence of two floats or None
-        Middle of the marker (x, y) [px]; None marks it as lost, and the body has no angle in this frame.
+        Centre of the marker (x, y) [px]; None marks it as lost, and removes the angle of the body in this frame.
 
     Raises
     ------
     UsageError
-        There is no such marker or frame, or the place determines no angle.
+        There is no such marker or frame, or the position is too close to the centre.
     """
     track = recording.markers.get(marker)
     if track is None or not 0 <= frame < len(recording.time):
@@ -223,12 +224,12 @@ def corrected(recording: Recording, marker: str, frame: int, place: Sequence[flo
     if place is not None:
         x, y = np.asarray(place, dtype=np.float64) - recording.centre[frame]
         radius = float(np.hypot(x, y))
-        if not radius > _NEAREST:  # also where the centre is unknown
+        if not radius > _MIN_RADIUS:  # also true for an unknown centre (NaN)
             raise UsageError(
-                "This place determines no angle: the centre is unknown or too near.",
+                "This position determines no angle: the centre is unknown or too close.",
                 "Click on the marker itself.",
             )
-        angle = recording.sense * float(np.arctan2(-y, x))  # counter-clockwise as seen; y points down
+        angle = recording.sense * float(np.arctan2(-y, x))  # counter-clockwise in the image; y points down
         sigma = CLICK_SIGMA / radius
     note: dict[str, Any] = {
         "marker": marker,
@@ -262,7 +263,7 @@ def corrected(recording: Recording, marker: str, frame: int, place: Sequence[flo
 
 
 def _with_angle(track: MarkerTrack, frame: int, angle: float, sigma: float) -> MarkerTrack:
-    """Return a marker with another angle in one frame; its corners, which are not measured there, are unknown."""
+    """Return a marker with a new angle in one frame, and without corners there."""
     changed: dict[str, Any] = {}
     for name in ("corner", "delta", "rho", "beta", "angle", "sigma", "u_r", "u_1", "u_2"):
         changed[name] = getattr(track, name).copy()
@@ -276,7 +277,7 @@ def _with_angle(track: MarkerTrack, frame: int, angle: float, sigma: float) -> M
 
 
 def _with_frame(body: BodyTrack, time: float, angle: float, sigma: float) -> BodyTrack:
-    """Return a body with another angle [rad] at one time, or without one if it is NaN; its speed is smoothed again."""
+    """Return a body with a new angle [rad] at one time, or without one if it is NaN; its speed is recomputed."""
     names = ("time", "angle", "sigma", "sigma_paper", "n_markers")
     others = np.abs(body.time - time) > 1e-9
     kept: dict[str, Any] = {n: getattr(body, n)[others] for n in names}

@@ -1,7 +1,7 @@
-"""Commands of the program in processes of their own, with progress, cancellation and a queue.
+"""Commands in separate processes, with progress, cancellation and a queue.
 
-A job is one command line. It runs with ``--json``; its progress arrives as JSON lines on stderr (see
-`gyrotrack.apps.cli._output`), its document on stdout. A cancelled or killed `extract` keeps its checkpoint.
+A job is one command with ``--json``; it reports progress as JSON lines on stderr (see `gyrotrack.apps.cli._output`) and
+its document on stdout. A cancelled or killed `extract` keeps its checkpoint.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from gyrotrack.apps.batch._workers import end_process
 
 State = Literal["waiting", "running", "done", "failed", "cancelled"]
 
-_GRACE = 5.0  # s that a process has to keep its checkpoint and remove what is half written
-_LONGEST_ANSWER = 2**26  # bytes
+_GRACE = 5.0  # time for a process to save its checkpoint and remove unfinished outputs [s]
+_MAX_ANSWER = 2**26  # bytes
 
 
 @dataclass
@@ -34,11 +34,11 @@ class Job:
     Attributes
     ----------
     words : tuple of str
-        The arguments of `gyrotrack`, or of ``python -m module`` if `module` is another.
+        The arguments of ``python -m module``, by default of `gyrotrack`.
     state : {"waiting", "running", "done", "failed", "cancelled"}
-        What became of it.
+        State of the job.
     label, done, total
-        Progress as the command reports it.
+        Progress of the command.
     document : dict
         Its JSON document, or ``{"error": ...}``.
     """
@@ -55,11 +55,11 @@ class Job:
 
     @property
     def is_active(self) -> bool:
-        """Whether it waits or runs."""
+        """Whether the job is waiting or running."""
         return self.state in ("waiting", "running")
 
     def summary(self) -> dict[str, Any]:
-        """Return what the page shows of it."""
+        """Return the state for the page."""
         error = self.document.get("error") or {}
         return {
             "state": self.state,
@@ -72,12 +72,12 @@ class Job:
 
 
 class Jobs:
-    """The jobs of one work folder, at most `most` at a time; a key has one job.
+    """The jobs of one work folder, at most `most` at a time, and one per key.
 
     Parameters
     ----------
     folder : Path
-        Where the commands run.
+        Working directory of the commands.
     most : int
         Largest number of processes.
     """
@@ -108,19 +108,21 @@ class Jobs:
         Parameters
         ----------
         key : str
-            What it is for; a key that is busy is refused, or with `replace` its job cancelled.
+            Identifies the step; if its job is active, an error is raised or, with `replace`, that job is cancelled.
         words : sequence of str
             Arguments.
         finished : callable
-            Called in a separate thread when the state is final.
+            Called in a separate thread when the job has ended.
         module : str
-            Module that is run.
+            Module to run.
         """
         with self._lock:
             old = self._jobs.get(key)
             if old is not None and old.is_active:
                 if not replace:
-                    raise UsageError("This step is running already.", "Wait for it, or cancel it.")
+                    raise UsageError(
+                        "This step is already running.", "Wait until it has ended, or cancel it."
+                    )
                 self.cancel(key)
             if self._closed:
                 raise UsageError("The workbench is closing.", "Start it again.")
@@ -131,7 +133,7 @@ class Jobs:
             return job
 
     def cancel(self, key: str) -> None:
-        """Cancel the job of a key, if it has one that waits or runs."""
+        """Cancel the job of a key if it is active."""
         with self._lock:
             job = self._jobs.get(key)
             if job is None or not job.is_active:
@@ -163,7 +165,7 @@ class Jobs:
     def _started(self, job: Job) -> subprocess.Popen[str]:
         tail = ["--json"] if job.module == "gyrotrack" else []
         environment = {**os.environ, "GYROTRACK_PROGRESS": "json", "PYTHONUTF8": "1", "PYTHONSAFEPATH": "1"}
-        return subprocess.Popen(  # noqa: S603 - our own program, no shell
+        return subprocess.Popen(  # noqa: S603 - gyrotrack itself, without a shell
             [sys.executable, "-P", "-m", job.module, *job.words[:1], *tail, *job.words[1:]],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
@@ -173,15 +175,15 @@ class Jobs:
             encoding="utf-8",
             errors="replace",
             env=environment,
-            start_new_session=True,  # Ctrl-C is the server's to handle
+            start_new_session=True,  # Ctrl-C is handled by the server
         )
 
     def _follow(self, job: Job, process: subprocess.Popen[str]) -> None:
-        """Read progress and the document of a process until it ends."""
+        """Read the progress and the document of a process until it ends."""
         assert process.stdout is not None and process.stderr is not None  # noqa: S101, PT018 - opened as pipes
         progress = threading.Thread(target=_listen, args=(job, process.stderr), daemon=True)
         progress.start()
-        answer = process.stdout.read(_LONGEST_ANSWER)
+        answer = process.stdout.read(_MAX_ANSWER)
         process.wait()
         progress.join(_GRACE)
         process.stdout.close()

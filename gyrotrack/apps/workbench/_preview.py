@@ -1,7 +1,7 @@
-"""Preview: the first seconds of a film, tracked after a click on hub and markers, before the whole film is tracked.
+"""Preview of the tracking in the first frames of a film, with the marked hub and markers.
 
-A separate process: ``python -m gyrotrack.apps.workbench._preview`` and a JSON request as its only argument. The
-excerpt is copied without decoding into a temporary folder and tracked by the very functions that track the film.
+Runs in a separate process, ``python -m gyrotrack.apps.workbench._preview``, with a JSON request as its only argument.
+The excerpt is copied without decoding to a temporary folder and tracked by the same functions as the film.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from gyrotrack.tracking._tracked import Tracked
 from gyrotrack.video._container import opened, orientation_of, packets_of
 
 FRAMES = 500
-"""Frames that are tracked: half a second at 1000 fps, two seconds at 250 fps, eight on a phone's 60 fps."""
+"""Number of frames: 0.5 s at 1000 fps, 2 s at 250 fps, 8 s at 60 fps."""
 
 
 def copy_excerpt(film: Path, target: Path, frames: int) -> None:
-    """Copy the first packets of a film, without decoding them, into a file of the same format.
+    """Copy the first packets of a film, without decoding, to a file of the same format.
 
     Raises
     ------
     TrackingError
-        The format cannot be copied, or the copy would be shown in another orientation.
+        The format cannot be copied, or the copy has another orientation.
     """
     with opened(film) as (source, stream):
         try:
@@ -51,12 +51,10 @@ def copy_excerpt(film: Path, target: Path, frames: int) -> None:
                     copy.mux(packet)
         except (av.error.FFmpegError, ValueError) as error:
             raise TrackingError(
-                f"No excerpt of {film.name} can be copied ({error}).", "Track the whole film."
+                f"An excerpt of {film.name} cannot be copied ({error}).", "Track the whole film."
             ) from error
     if _orientation(film) != _orientation(target):
-        raise TrackingError(
-            f"The excerpt of {film.name} loses its orientation in copying.", "Track the whole film."
-        )
+        raise TrackingError(f"An excerpt of {film.name} loses its orientation.", "Track the whole film.")
 
 
 def _orientation(path: Path) -> Any:
@@ -80,46 +78,47 @@ def preview(
     film : Path
         The film.
     profile : Path or None
-        Its markers; None for those of the paper.
+        Profile with the markers; None for that of the paper.
     hub : tuple of float, optional
         Centre of rotation (x, y) [px].
     single : bool
-        The film shows one body, which is registered against its own picture; `points` (x, y) [px] of the first frame
-        are carried along with its rotation.
+        The film shows one body, which is tracked by image registration; `points` (x, y) [px] of the first frame are
+        rotated with it.
     frames : int
-        Frames to track.
+        Number of frames to track.
 
     Returns
     -------
     dict
-        ``frames``; ``centre``, a place [px] or null for each; ``markers``: name, body, and for each frame a place [px]
-        or null, and whether the marker is whole; ``kept``, the share of frames with an angle, by body; ``warnings``.
+        ``frames``; ``centre``, position [px] or null in each frame; ``markers``: name, body, and for each frame the
+        position [px] or null, and whether the marker is complete; ``kept``, fraction of frames with an angle, by body;
+        ``warnings``.
     """
     with tempfile.TemporaryDirectory() as folder:
         excerpt = Path(folder) / f"excerpt{film.suffix.lower()}"
         copy_excerpt(film, excerpt, frames)
         if single:
             recording, tracked = film_recording(Film(excerpt), SpindownOptions(hub, 1.0))
-            markers = _carried(recording, tracked, points)
+            markers = _rotated_points(recording, tracked, points)
         else:
             chosen = PAPER if profile is None else load(profile)
             recording = extract(excerpt, chosen, capture_fps=1.0)
-            markers = _measured(recording)
+            markers = _marker_positions(recording)
     count = recording.frames_decoded
     return {
         "frames": count,
-        "centre": _places(recording.centre),
+        "centre": _positions(recording.centre),
         "markers": markers,
         "kept": {name: len(b.time) / count for name, b in recording.bodies.items()},
         "sigma_mrad": {
             name: 1e3 * float(np.median(b.sigma)) for name, b in recording.bodies.items() if len(b.sigma)
         },
-        # of rates and timestamps nothing is known in an excerpt
+        # rates and timestamps of an excerpt are not meaningful
         "warnings": [w for w in recording.warnings if "container" not in w and "timestamps" not in w],
     }
 
 
-def _measured(recording: Recording) -> list[dict[str, Any]]:
+def _marker_positions(recording: Recording) -> list[dict[str, Any]]:
     found = []
     for m in recording.markers.values():
         known = np.isfinite(m.rho)
@@ -127,36 +126,36 @@ def _measured(recording: Recording) -> list[dict[str, Any]]:
         angle = recording.sense * m.angle_fine
         place = recording.centre + 1.15 * radius * np.stack([np.cos(angle), -np.sin(angle)], axis=1)
         whole = (m.status == STATUS["ok"]).tolist()
-        found.append({"name": m.name, "body": m.body, "place": _places(place), "whole": whole})
+        found.append({"name": m.name, "body": m.body, "place": _positions(place), "whole": whole})
     return found
 
 
-def _carried(
+def _rotated_points(
     recording: Recording, tracked: Tracked, points: Sequence[tuple[float, float]]
 ) -> list[dict[str, Any]]:
-    """Return the points of the first frame, turned about the hub with the measured angle."""
+    """Rotate points of the first frame about the hub by the measured angle."""
     hub = complex(*tracked.ring.hub)
-    if not points:  # where nothing was clicked, a place on the ring shows the rotation
+    if not points:  # by default a point on the ring
         points = [(hub.real + 0.5 * (tracked.ring.inner + tracked.ring.outer), hub.imag)]
     found = []
     for n, point in enumerate(points, 1):
         place = np.full((recording.frames_decoded, 2), np.nan)
-        # angles are counter-clockwise as seen, and y points down
+        # angles are counter-clockwise in the image, y points down
         turned = (complex(*point) - hub) * np.exp(-1j * (tracked.angle - tracked.angle[0])) + hub
         place[tracked.frame] = np.stack([turned.real, turned.imag], axis=1) + tracked.hub_path
         whole = np.isfinite(place).all(axis=1).tolist()
-        found.append({"name": f"point {n}", "body": "single", "place": _places(place), "whole": whole})
+        found.append({"name": f"point {n}", "body": "single", "place": _positions(place), "whole": whole})
     return found
 
 
-def _places(place: Any) -> list[list[float] | None]:
+def _positions(place: Any) -> list[list[float] | None]:
     known = np.isfinite(place).all(axis=1)
     return [p if k else None for p, k in zip(np.round(place, 2).tolist(), known.tolist(), strict=True)]
 
 
 def main() -> None:
     """Answer one request."""
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # the temporary folder is removed
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # removes the temporary folder
     warnings.simplefilter("ignore")
     request = json.loads(sys.argv[1])
     try:

@@ -1,8 +1,8 @@
-"""From films and tables to a case: what the start page of the workbench holds, step by step.
+"""From films and tables to a case: the steps of the start page of the workbench.
 
-Each step is a command of the program, which runs in a separate process in the work folder and is shown as it is
-run. What was entered and what the steps answered is kept in ``workbench.json`` in that folder: closing the page or
-ending the program loses nothing, and an interrupted film is continued from its checkpoint.
+Each step is a command that is shown on the page and runs in a separate process in the work folder. Entries and results
+are stored in ``workbench.json`` in that folder, so that nothing is lost when the page or the program is closed;
+interrupted tracking continues from its checkpoint.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from gyrotrack._errors import ConfigurationError, GyrotrackError, OutputError, UsageError
 from gyrotrack._inertia import Inertia
-from gyrotrack.apps.batch._experiments import FILMS, Experiment, read_study
+from gyrotrack.apps.batch._experiments import FILMS, STATED_RATE, Experiment, read_study
 from gyrotrack.apps.batch._workers import cores
 from gyrotrack.apps.workbench._films import corrected
 from gyrotrack.apps.workbench._jobs import Job, Jobs
@@ -39,14 +39,13 @@ STATE_FILE = "workbench.json"
 TABLES = {".csv", ".tsv", ".txt", ".dat", ".xlsx", ".xls", ".mat", ".parquet", ".json", ".nc", ".trk", ".npz"}
 _DATASETS = {".h5", ".hdf5"}
 LARGEST_UPLOAD = 16 * 2**30
-"""Largest file that a page may send [bytes]; the disk keeps at least a tenth of that free."""
-_MOST_SOURCES = 100
-_RATE = re.compile(r"(?<![0-9.])(\d{2,5}(?:\.\d+)?) ?fps", re.IGNORECASE)
+"""Largest file that a page may upload [bytes]."""
+_MAX_SOURCES = 100
 _PREVIEW = "gyrotrack.apps.workbench._preview"
 
 
 class Pick(BaseModel):
-    """A marker that was clicked in the first frame: place [px], name, colour and body."""
+    """A marker that was clicked in the first frame: position [px], name, colour and body."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -57,13 +56,13 @@ class Pick(BaseModel):
     body: Literal["casing", "rotor"] = "casing"
 
 
-# files that are written: plain names, so that no state can lead out of the work folder
+# output files: names without folder, so that a manipulated state file cannot lead out of the work folder
 _OwnFile = Annotated[str, Field(pattern=r"^([^-./\\\x00][^/\\\x00]{0,200}\.h5)?$")]
 _OwnProfile = Annotated[str, Field(pattern=r"^([^-./\\\x00][^/\\\x00]{0,200}\.toml)?$")]
 
 
 class Source(BaseModel):
-    """One film, recording or table, and what is known about it."""
+    """One film, recording or table, with its settings and results."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -83,7 +82,7 @@ class Source(BaseModel):
 
 
 class State(BaseModel):
-    """What is kept in the work folder."""
+    """The content of ``workbench.json``."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -107,19 +106,19 @@ class Project:
     Parameters
     ----------
     folder : Path
-        The work folder; everything that is written is written there.
+        The work folder; all files are written there.
 
     Raises
     ------
     ConfigurationError
-        The folder does not exist, or its state is not one that this program wrote.
+        The folder does not exist, or its state file is not valid.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder.resolve()
         if not self.folder.is_dir():
             raise ConfigurationError(
-                f"There is no folder {folder}.", "Create it, or name another with --folder."
+                f"There is no folder {folder}.", "Create it, or give another one with --folder."
             )
         self._lock = RLock()
         self._infos: dict[str, dict[str, Any]] = {}
@@ -127,10 +126,8 @@ class Project:
         self.state = _read_state(self.folder / STATE_FILE)
         self.jobs = Jobs(self.folder, cores())
 
-    # what there is
-
     def document(self) -> dict[str, Any]:
-        """Return what the page shows."""
+        """Return the state for the page."""
         with self._lock:
             s = self.state
             return {
@@ -140,14 +137,16 @@ class Project:
                 "samples": _sample_clips() is not None,
                 "sources": [self._source_document(x) for x in s.sources],
                 "fields": {k: getattr(s, k) for k in _FIELDS},
-                "inertias": {k: _inertia_text(getattr(s, k), k) for k in _FIELDS if k.startswith("inertia")},
+                "inertias": {k: _inertia_field(getattr(s, k), k) for k in _FIELDS if k.startswith("inertia")},
                 "route": self._route(),
                 "can_open": self._can_open(),
                 "missing": {"track": self._missing_to_track(), "match": self._missing_to_match()},
                 "commands": {
-                    "track": [_shown(self.track_words(x)) for x in s.sources if x.kind == "film" and x.body],
-                    "match": _shown(self._match_words()) if self._is_matchable() else "",
-                    "fit": _shown(["fit", s.case]) if s.case and self._route() != "single" else "",
+                    "track": [
+                        _command(self.track_words(x)) for x in s.sources if x.kind == "film" and x.body
+                    ],
+                    "match": _command(self._match_words()) if self._is_matchable() else "",
+                    "fit": _command(["fit", s.case]) if s.case and self._route() != "single" else "",
                 },
                 "match": s.match,
                 "is_matched": self._is_matched(),
@@ -165,11 +164,11 @@ class Project:
             "is_current": self._is_current(x),
             "can_continue": x.output != "" and (self.folder / f"{x.output}.unfinished").exists(),
             "jobs": {k: j.summary() for k, j in jobs.items() if j is not None},
-            "command": _shown(self.track_words(x)) if x.kind == "film" and x.body else "",
+            "command": _command(self.track_words(x)) if x.kind == "film" and x.body else "",
         }
 
     def _info(self, x: Source) -> dict[str, Any]:
-        """Return what a film declares; an error where it cannot be read."""
+        """Return the metadata of a film, or an error if it cannot be read."""
         if x.kind != "film":
             return {}
         if x.key not in self._infos:
@@ -188,7 +187,7 @@ class Project:
 
     def path(self, x: Source) -> Path:
         """Return the file of a source."""
-        return self.folder / x.file  # an absolute name stays what it is
+        return self.folder / x.file  # absolute paths are unchanged
 
     def _available(self) -> list[str]:
         known = {self.path(x) for x in self.state.sources}
@@ -211,36 +210,34 @@ class Project:
         Raises
         ------
         UsageError
-            There is none of this key.
+            There is no source with this key.
         """
         for x in self.state.sources:
             if x.key == key:
                 return x
         raise UsageError("There is no such film or table.", "Reload the page.")
 
-    # films and tables
-
     def add_named(self, name: str) -> None:
-        """Add a file of the work folder that the page lists."""
+        """Add a file of the work folder that is listed on the page."""
         with self._lock:
             if name not in self._available():
                 raise UsageError("There is no such file in the work folder.", "Reload the page.")
             self.add(self.folder / name, confined=True)
 
     def add(self, path: Path, *, confined: bool = False) -> None:
-        """Add a film, table, recording or the notes of an experiment (study.toml).
+        """Add a film, table, recording or study (study.toml).
 
         Parameters
         ----------
         path : Path
             The file.
         confined : bool
-            Of notes, accept only films in the work folder.
+            Accept only studies whose files are in the work folder.
 
         Raises
         ------
         UsageError
-            The file is none of these.
+            The file is of another kind.
         """
         path = path if path.is_absolute() else Path.cwd() / path
         with self._lock:
@@ -255,13 +252,13 @@ class Project:
                 self._add_source(path, "recording")
             else:
                 raise UsageError(
-                    f"{path.name} is no film, table, recording or study.toml.",
-                    "A case is opened with `gyrotrack view CASE.h5`.",
+                    f"{path.name} is not a film, table, recording or study.toml.",
+                    "Open a case with `gyrotrack view CASE.h5`.",
                 )
             self._save()
 
     def add_samples(self) -> None:
-        """Add the sample clips with the notes next to them."""
+        """Add the sample clips with their study.toml."""
         folder = _sample_clips()
         if folder is None:
             raise UsageError(
@@ -273,19 +270,17 @@ class Project:
         for x in self.state.sources:
             if self.path(x) == path:
                 return x
-        if len(self.state.sources) >= _MOST_SOURCES:
-            raise UsageError(
-                f"There are {_MOST_SOURCES} sources already.", "Remove those that are not needed."
-            )
+        if len(self.state.sources) >= _MAX_SOURCES:
+            raise UsageError(f"The limit of {_MAX_SOURCES} sources is reached.", "Remove some.")
         inside = path.parent == self.folder
         key = str(1 + max((int(x.key) for x in self.state.sources), default=0))
         x = Source(key=key, file=path.name if inside else str(path), kind=kind)
         stem = path.stem.lower()
         x.body = next((b for b in ("casing", "rotor") if b in stem), "")
         if kind == "film":
-            x.output = self._free(f"{path.stem}.h5")
+            x.output = self._unused_name(f"{path.stem}.h5")
             info = self._info(x)
-            if (stated := _RATE.search(path.stem)) is not None:
+            if (stated := STATED_RATE.search(path.stem)) is not None:
                 x.capture_fps, x.rate_from = float(stated[1]), "name of the file"
             elif info.get("tag_fps"):
                 x.capture_fps, x.rate_from = info["tag_fps"], "tag of the camera"
@@ -297,11 +292,11 @@ class Project:
         for clip in study.clips:
             if confined and any(f.parent != self.folder for f in (clip.file, clip.profile) if f is not None):
                 raise UsageError(
-                    f"The notes name {clip.file.name} outside the work folder.",
-                    "Put films, profiles and notes into one folder.",
+                    f"The study refers to {clip.file.name} outside of the work folder.",
+                    "Put films, profiles and study.toml into one folder.",
                 )
             if not clip.file.is_file():
-                continue  # it may still be sent
+                continue  # it may be uploaded later
             x = self._add_source(clip.file, "film")
             x.body = clip.body
             if clip.capture_fps is not None:
@@ -313,7 +308,7 @@ class Project:
         s.inertia_casing = study.inertia_casing or s.inertia_casing
 
     def remove(self, key: str) -> None:
-        """Forget a source; its files stay."""
+        """Remove a source; its files are kept."""
         with self._lock:
             x = self.source(key)
             for step in ("track", "preview", "profile"):
@@ -328,11 +323,11 @@ class Project:
         Raises
         ------
         UsageError
-            The field or its value is not one that the page offers.
+            The field or its value is not valid.
         """
         with self._lock:
             if not key:
-                if name not in _FIELDS or not isinstance(value, str) or len(value) > _LONGEST:
+                if name not in _FIELDS or not isinstance(value, str) or len(value) > _MAX_FIELD:
                     raise UsageError("This field cannot be set.", "Reload the page.")
                 setattr(self.state, name, value.strip())
             else:
@@ -348,16 +343,16 @@ class Project:
             self._save()
 
     async def receive(self, name: str, declared: int, pieces: AsyncIterator[bytes]) -> None:
-        """Write a file that the page sends into the work folder, and add it.
+        """Write an uploaded file to the work folder, and add it.
 
         Parameters
         ----------
         name : str
-            Its name on the user's computer; only the last part is used.
+            Name of the file; folders are ignored.
         declared : int
-            Its size [bytes].
+            Size of the file [bytes].
         pieces : asynchronous iterator of bytes
-            Its content.
+            Content of the file.
 
         Raises
         ------
@@ -377,17 +372,21 @@ class Project:
                 stream.flush()
                 os.fsync(stream.fileno())
         except FileExistsError as error:
-            raise OutputError(f"{target.name} is being sent already.", "Wait for it.") from error
+            raise OutputError(
+                f"{target.name} is already being uploaded.", "Wait until it is complete."
+            ) from error
         except OSError as error:
             part.unlink(missing_ok=True)
-            raise OutputError(f"{target.name} cannot be written: {error.strerror}.", "Free space.") from error
+            raise OutputError(
+                f"{target.name} cannot be written: {error.strerror}.", "Free some space."
+            ) from error
         except BaseException:  # the page was closed
             part.unlink(missing_ok=True)
             raise
         if size != declared:
             part.unlink(missing_ok=True)
             raise UsageError(
-                f"{target.name} did not arrive as declared ({declared} bytes).", "Send it again."
+                f"The size of {target.name} is not as declared ({declared} bytes).", "Upload it again."
             )
         part.replace(target)
         try:
@@ -397,24 +396,24 @@ class Project:
             raise
 
     def _upload_target(self, name: str, declared: int) -> Path:
-        plain = re.sub(r"[^\w .+()-]", "_", name.replace("\\", "/").rpartition("/")[2]).strip(" .")[-120:]
-        suffix = Path(plain).suffix.lower()
-        if plain.startswith("-") or not (suffix in FILMS | TABLES | _DATASETS or plain == "study.toml"):
+        safe = re.sub(r"[^\w .+()-]", "_", name.replace("\\", "/").rpartition("/")[2]).strip(" .")[-120:]
+        suffix = Path(safe).suffix.lower()
+        if safe.startswith("-") or not (suffix in FILMS | TABLES | _DATASETS or safe == "study.toml"):
             raise UsageError(
-                f"{plain[:60] or 'The file'} is no film, table, recording or study.toml.",
+                f"{safe[:60] or 'The file'} is not a film, table, recording or study.toml.",
                 "Choose another file.",
             )
         if not 0 < declared <= LARGEST_UPLOAD:
             raise UsageError(
-                f"{plain} has {declared} bytes; 1 to {LARGEST_UPLOAD} are accepted.",
-                "Copy larger films into the work folder and choose them there.",
+                f"{safe} has {declared} bytes; 1 to {LARGEST_UPLOAD} are accepted.",
+                "Copy larger films to the work folder and select them there.",
             )
         if shutil.disk_usage(self.folder).free < 1.1 * declared:
-            raise OutputError(f"There is no room for {plain} in {self.folder}.", "Free space on the disk.")
-        return self.folder / self._free(plain)
+            raise OutputError(f"There is not enough space for {safe} in {self.folder}.", "Free some space.")
+        return self.folder / self._unused_name(safe)
 
-    def _free(self, name: str) -> str:
-        """Return a name that no file of the work folder and no planned output has."""
+    def _unused_name(self, name: str) -> str:
+        """Return a name that is not used by a file in the work folder or a planned output."""
         planned = {x.output for x in self.state.sources}
         stem, suffix = Path(name).stem, Path(name).suffix
         number, found = 1, name
@@ -423,15 +422,13 @@ class Project:
             found = f"{stem}_{number}{suffix}"
         return found
 
-    # markers
-
     def profiles(self) -> list[str]:
         """Return the profiles in the work folder."""
         own = [p.name for p in self.folder.glob("*.toml") if p.name != "study.toml"]
         return sorted({*own, *(x.profile for x in self.state.sources if x.profile)})
 
     def mark(self, key: str, hub: Any, picks: Any, disc: str) -> None:
-        """Keep hub and markers that were clicked, write them as a profile, and follow them through the first frames.
+        """Store hub and markers that were clicked, write a profile, and preview the tracking.
 
         Parameters
         ----------
@@ -442,7 +439,7 @@ class Project:
         picks : list
             Markers; see `Pick`.
         disc : str
-            Colour of a disc at the hub; empty where nothing marks it.
+            Colour of a disc at the hub; empty without a disc.
         """
         with self._lock:
             x = self.source(key)
@@ -450,11 +447,11 @@ class Project:
                 x.picks = [Pick.model_validate(p) for p in picks][:20]
                 x.hub = None if hub is None else (float(hub[0]), float(hub[1]))
             except (ValidationError, TypeError, ValueError, IndexError) as error:
-                raise UsageError("These places are not on the frame.", "Click them again.") from error
+                raise UsageError("These positions are not valid.", "Click them again.") from error
             if x.hub is not None and not all(map(math.isfinite, x.hub)):
-                raise UsageError("The hub is not on the frame.", "Click it again.")
+                raise UsageError("The position of the hub is not valid.", "Click it again.")
             if x.body != "single" and x.picks:
-                x.profile = x.marked = x.marked or self._free(f"{Path(x.file).stem}.toml")
+                x.profile = x.marked = x.marked or self._unused_name(f"{Path(x.file).stem}.toml")
                 content: dict[str, Any] = {
                     "name": Path(x.file).stem,
                     "centre": "circle" if disc else "orbit",
@@ -465,12 +462,12 @@ class Project:
                 text = to_toml(parse(content, "profile"))
                 with new_file(self.folder / x.profile, force=True) as stream:
                     stream.write(text.encode())
-                x.result = {}  # of other markers
+                x.result = {}  # obsolete: it belongs to other markers
             self._save()
             self.preview(key)
 
     def preview(self, key: str) -> None:
-        """Follow the markers through the first frames, in a separate process."""
+        """Track the first frames in a separate process."""
         with self._lock:
             x = self.source(key)
             request = {
@@ -485,15 +482,15 @@ class Project:
             )
 
     def previewed(self, key: str) -> dict[str, Any]:
-        """Return what the preview found; an empty object if there is none yet."""
+        """Return the result of the preview; empty if there is none yet."""
         job = self.jobs.get(f"preview:{key}")
         return job.document if job is not None and job.state == "done" else {}
 
     def find_markers(self, key: str) -> None:
-        """Let the program find the markers and write a profile (`gyrotrack profile`)."""
+        """Find the markers automatically and write a profile (`gyrotrack profile`)."""
         with self._lock:
             x = self.source(key)
-            name = self._free(f"{Path(x.file).stem}.toml")
+            name = self._unused_name(f"{Path(x.file).stem}.toml")
 
             def finished(job: Job) -> None:
                 with self._lock:
@@ -506,7 +503,7 @@ class Project:
             self.jobs.start(f"profile:{key}", ["profile", _argument(x.file), "-o", name], finished)
 
     def tracked(self, key: str, index: int) -> dict[str, Any]:
-        """Return where centre and markers of a tracked film are in one frame [px]; an empty object if it is not."""
+        """Return the positions of centre and markers in a frame of a tracked film [px]; empty if it is not tracked."""
         recording = self._recording(key)
         if recording is None or not 0 <= index < len(recording.time):
             return {}
@@ -529,7 +526,7 @@ class Project:
         }
 
     def _recording(self, key: str) -> Recording | None:
-        """Return the recording of a tracked film with markers; the last one is kept in memory."""
+        """Return the recording of a tracked film with markers; the last one is cached."""
         with self._lock:
             x = self.source(key)
             path = self.folder / x.output
@@ -541,7 +538,7 @@ class Project:
             return self._read[1]
 
     def correct(self, key: str, marker: str, frame: int, place: Any) -> None:
-        """Correct a marker in one frame of a tracked film, or mark it as lost, and write the recording again."""
+        """Correct a marker in one frame of a tracked film, or mark it as lost, and rewrite the recording."""
         with self._lock:
             recording = self._recording(key)
             if recording is None:
@@ -549,7 +546,7 @@ class Project:
             if place is not None and not (
                 isinstance(place, list) and len(place) == 2 and all(isinstance(v, int | float) for v in place)
             ):
-                raise UsageError("This place is not on the frame.", "Click it again.")
+                raise UsageError("This position is not valid.", "Click it again.")
             x = self.source(key)
             path = self.folder / x.output
             changed = corrected(recording, marker, frame, place)
@@ -558,8 +555,6 @@ class Project:
             x.result = {**x.result, "warnings": list(changed.warnings)}
             self.state.matched = []
             self._save()
-
-    # the steps
 
     def track_words(self, x: Source) -> list[str]:
         """Return the command that tracks a film."""
@@ -578,7 +573,7 @@ class Project:
         return ([f"--inertia={s.inertia}"] if s.inertia else []) + ([f"--label={s.label}"] if s.label else [])
 
     def track(self, keys: Sequence[str] = ()) -> None:
-        """Track these films; by default all that are not tracked with their current settings."""
+        """Track films, by default all that are not tracked with their current settings."""
         with self._lock:
             if missing := self._missing_to_track():
                 raise UsageError(missing[0], "Complete it in step 1.")
@@ -593,14 +588,14 @@ class Project:
                 if x.body != "single" and (self.folder / f"{x.output}.unfinished").exists():
                     words.append("--resume")
                 if x.result or (self.folder / x.output).exists():
-                    words.append("--force")  # ours: the name was free when the film was added
+                    words.append("--force")  # the name was not in use when the film was added
                 self.jobs.start(f"track:{x.key}", words, self._tracked(x, self.track_words(x)))
 
     def _is_current(self, x: Source) -> bool:
         return x.kind != "film" or (bool(x.result) and x.words == self.track_words(x))
 
     def _is_matchable(self) -> bool:
-        """Whether a command makes the case of what there is; a film of a single body is one when it is tracked."""
+        """Whether a case can be made now; a film of a single body becomes a case when it is tracked."""
         single_film = self._route() == "single" and self.state.sources[0].kind == "film"
         return not single_film and not self._missing_to_match()
 
@@ -611,7 +606,7 @@ class Project:
         return not self._missing_to_match() and self.state.matched == self._match_words()
 
     def _can_open(self) -> bool:
-        """Whether there is a fit that the laboratory can show."""
+        """Whether there is a fit to show in the laboratory."""
         if self._route() != "single":
             return self._is_fitted()
         x = self.state.sources[0]
@@ -625,7 +620,7 @@ class Project:
             with self._lock:
                 if job.state != "done":
                     return
-                x.words, x.result = words, _short_result(job.document)
+                x.words, x.result = words, _stored_result(job.document)
                 self.state.matched = []
                 if x.body == "single":
                     self.state.case = x.output
@@ -634,7 +629,7 @@ class Project:
         return finished
 
     def _route(self) -> str:
-        """Return how a case is made: "sync" of recordings, "import" of tables, "single" body, or nothing yet."""
+        """Return the way to the case: "sync" of recordings, "import" of tables, "single" body, or "" if undecided."""
         bodies = {x.body for x in self.state.sources}
         if "single" in bodies:
             return "single"
@@ -648,17 +643,17 @@ class Project:
             if "error" in self._info(x):
                 found.append(str(self._info(x)["error"]))
             elif not x.body:
-                found.append(f"It is not chosen which body {name} shows.")
+                found.append(f"Choose the body in {name}.")
             elif x.kind == "film" and x.capture_fps is None:
-                found.append(f"The capture rate of {name} is not given.")
+                found.append(f"Enter the capture rate of {name}.")
         if not self.state.sources:
-            found.append("No film and no table is chosen.")
+            found.append("Add films or tables.")
         if self._route() == "single":
-            found += self._wrong_inertia("inertia")
+            found += self._inertia_errors("inertia")
         return found
 
-    def _wrong_inertia(self, field: str) -> list[str]:
-        return list(filter(None, [_inertia_text(getattr(self.state, field), field)["error"]]))
+    def _inertia_errors(self, field: str) -> list[str]:
+        return list(filter(None, [_inertia_field(getattr(self.state, field), field)["error"]]))
 
     def _missing_to_match(self) -> list[str]:
         s, route = self.state, self._route()
@@ -667,10 +662,10 @@ class Project:
             return found[:1]
         if route == "single":
             if len(s.sources) > 1:
-                return ["A single body is one film or table; remove the others."]
-            return [] if s.sources[0].kind != "film" else self._wrong_inertia("inertia")
+                return ["A single body needs exactly one film or table; remove the others."]
+            return [] if s.sources[0].kind != "film" else self._inertia_errors("inertia")
         if not route:
-            return ["Films and tables are not combined in one case."]
+            return ["Films and tables cannot be combined in one case."]
         if sum(x.body == "casing" for x in s.sources) != 1 or not any(x.body == "rotor" for x in s.sources):
             found.append("A case needs one source of the casing and at least one of the rotor.")
         if waiting := [Path(x.file).name for x in s.sources if not self._is_current(x)]:
@@ -684,7 +679,7 @@ class Project:
 
     def _match_words(self) -> list[str]:
         s, route = self.state, self._route()
-        case = s.case if s.match and s.case else self._free("case.h5")
+        case = s.case if s.match and s.case else self._unused_name("case.h5")
         rotors = [x for x in s.sources if x.body == "rotor"]
         casing = next((x for x in s.sources if x.body == "casing"), None)
         inertias = [f"--inertia-rotor={s.inertia_rotor}", f"--inertia-casing={s.inertia_casing}"]
@@ -695,7 +690,7 @@ class Project:
             x = s.sources[0]
             words = ["spindown", _argument(x.file), "-o", case, "--report", f"{Path(case).stem}.html"]
             return [*words, *self._single_options()]
-        assert casing is not None  # noqa: S101 - `_missing_to_match` has refused
+        assert casing is not None  # noqa: S101 - checked by `_missing_to_match`
         if route == "import":
             rotor = [w for x in rotors for w in ("--rotor", _argument(x.file))]
             return ["import", "--casing", _argument(casing.file), *rotor, "-o", case, *inertias, *names]
@@ -703,7 +698,7 @@ class Project:
         return ["sync", *files, "-o", case, *inertias, *names]
 
     def match(self) -> None:
-        """Put the recordings on one clock, or import the tables, and make a case of them."""
+        """Synchronise the recordings, or import the tables, to a case."""
         with self._lock:
             if missing := self._missing_to_match():
                 raise UsageError(missing[0], "Complete it first.")
@@ -723,7 +718,7 @@ class Project:
             self.jobs.start("match", [*words, *again], finished)
 
     def _match_result(self, document: dict[str, Any]) -> dict[str, Any]:
-        """Return what the page shows of the clocks: each clip with its interval on the clock of the casing."""
+        """Return the result for the page: each clip with its interval on the clock of the casing."""
         keys = ("offset_s", "offset_sigma_s", "rate", "rate_sigma", "ambiguous", "misfit_rad")
         sources = {x.output or Path(x.file).name: x for x in self.state.sources}
         clips = [
@@ -736,14 +731,14 @@ class Project:
             name = Path(x.file).name if x is not None else Path(c["source"]).name
             duration = _duration(x) if x is not None else None
             clips.append({"name": name, "duration_s": duration, **{k: c[k] for k in keys}})
-        own = _short_result(document) if "motion" in document else {"fits": 1}
+        own = _stored_result(document) if "motion" in document else {"fits": 1}
         return own | {"clips": clips, "warnings": document.get("warnings", []), "case": self.state.case}
 
     def fit(self) -> None:
         """Fit the reduced model to the case."""
         with self._lock:
             if not self.state.case:
-                raise UsageError("There is no case yet.", "Match the clocks first.")
+                raise UsageError("There is no case yet.", "Synchronise the clips first.")
 
             def finished(job: Job) -> None:
                 with self._lock:
@@ -759,8 +754,6 @@ class Project:
         """Cancel a step: "match", "fit", or "track:KEY"."""
         self.jobs.cancel(name)
 
-    # keeping
-
     def _relative(self, path: Path) -> str:
         return path.name if path.parent == self.folder else str(path)
 
@@ -770,12 +763,12 @@ class Project:
             stream.write((text + "\n").encode())
 
     def close(self) -> None:
-        """End all processes; checkpoints stay."""
+        """End all processes; checkpoints are kept."""
         self.jobs.close()
 
 
 _FIELDS = ("label", "surface", "inertia_rotor", "inertia_casing", "inertia")
-_LONGEST = 120
+_MAX_FIELD = 120
 
 
 def _read_state(path: Path) -> State:
@@ -785,16 +778,17 @@ def _read_state(path: Path) -> State:
         return State.model_validate_json(path.read_bytes())
     except (OSError, ValueError) as error:
         raise ConfigurationError(
-            f"{path} is not a state of the workbench.", "Move it away; films and recordings are not affected."
+            f"{path} is not a valid state file of the workbench.",
+            "Move or delete it; films and recordings are not affected.",
         ) from error
 
 
 def _argument(name: str) -> str:
-    """Return a file name that no command takes for an option."""
+    """Return a file name that is not parsed as an option."""
     return f"./{name}" if name.startswith("-") else name
 
 
-def _shown(words: Sequence[str]) -> str:
+def _command(words: Sequence[str]) -> str:
     return shlex.join(["gyrotrack", *words])
 
 
@@ -810,8 +804,8 @@ def _rate(value: Any) -> float | None:
     return rate
 
 
-def _inertia_text(text: str, field: str) -> dict[str, str]:
-    """Return how a moment of inertia is understood, or what is wrong with it."""
+def _inertia_field(text: str, field: str) -> dict[str, str]:
+    """Return the parsed moment of inertia as text, or the error."""
     if not text:
         return {"value": "", "error": ""}
     try:
@@ -822,8 +816,8 @@ def _inertia_text(text: str, field: str) -> dict[str, str]:
     return {"value": f"{found.value:g} kg m²{u}", "error": ""}
 
 
-def _short_result(document: dict[str, Any]) -> dict[str, Any]:
-    """Return what is kept and shown of a tracked film."""
+def _stored_result(document: dict[str, Any]) -> dict[str, Any]:
+    """Return the part of a document that is stored and shown."""
     if "motion" in document:  # of `spindown`
         diagnosis = document.get("diagnosis") or {}
         return {

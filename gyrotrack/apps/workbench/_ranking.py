@@ -1,7 +1,7 @@
-"""Ranking of candidate effects in a separate process, and the residual predicted while parameters are moved.
+"""Ranking of candidate effects in a separate process, and predicted residuals for changed parameters.
 
-The process reads one JSON document a line (a model with its parameters, as a ledger keeps them), answers one line,
-and ends when its input ends.
+The process reads one JSON document per line (an entry of a ledger), writes one line for each, and ends when its input
+ends.
 """
 
 from __future__ import annotations
@@ -48,12 +48,12 @@ class Ranker:
         self._closed = False
 
     def rank(self, model: dict[str, Any]) -> dict[str, Any]:
-        """Return the diagnosis of a model; a search that is still running is cancelled.
+        """Return the diagnosis of a model; an unfinished search is cancelled.
 
         Raises
         ------
         GyrotrackError
-            If it was cancelled for a newer one, or the process failed.
+            The search was cancelled by a newer one, or the process failed.
         """
         with self._lock:
             if self._busy:
@@ -73,7 +73,7 @@ class Ranker:
                 self._busy = False
         if not line:
             raise GyrotrackError(
-                "The search was given up for a newer one." if not newest else "The search failed."
+                "The search was cancelled by a newer one." if not newest else "The search failed."
             )
         return dict(json.loads(line))
 
@@ -81,7 +81,7 @@ class Ranker:
         if self._closed:
             raise GyrotrackError("The workbench is closing.")
         if self._process is None or self._process.poll() is not None:
-            self._process = subprocess.Popen(  # noqa: S603 - our own program, no shell
+            self._process = subprocess.Popen(  # noqa: S603 - gyrotrack itself, without a shell
                 [sys.executable, "-m", "gyrotrack.apps.workbench._ranking", str(self._case)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
@@ -102,8 +102,8 @@ class Ranker:
             self._end()
 
 
-_MOST = 12
-"""Candidates whose effect on the residual is predicted: those that the page lists."""
+_MAX_CANDIDATES = 12
+"""Candidates on the page, whose effect on the residual is predicted."""
 
 
 def _answer(line: str, case: Path) -> dict[str, Any]:
@@ -119,7 +119,7 @@ def _answer(line: str, case: Path) -> dict[str, Any]:
         fit = Entry(json.loads(line)).refit([CaseData.of(read_record(case))])
         found = diagnose(fit)
         prediction, columns = Prediction(fit), CaseColumns(fit, 0)
-        shown = [c for c in found.candidates if c.score > 0][:_MOST]
+        shown = [c for c in found.candidates if c.score > 0][:_MAX_CANDIDATES]
         predicted = {c.effect.name: prediction.with_candidate(c, columns) for c in shown}
         return {
             "diagnosis": diagnosis_document(found, ""),
@@ -131,7 +131,7 @@ def _answer(line: str, case: Path) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Answer until the input ends."""
+    """Answer requests until the input ends."""
     warnings.simplefilter("ignore")
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ.setdefault(name, "1")
@@ -141,12 +141,12 @@ def main() -> None:
         sys.stdout.flush()
 
 
-_RANGE = 20.0  # standard errors on either side of a slider's middle; without one, sigmas of the residual
-_DRAWN = 200  # points of a torque
+_SLIDER_RANGE = 20.0  # half range, in standard errors or else in changes of the residual by its sigma
+_DRAWN = 200  # points of a torque curve
 
 
 class Prediction:
-    """The residual speeds of a fit as its parameters are moved.
+    """Residual speeds of a fit as a function of its parameters.
 
     Parameters
     ----------
@@ -161,14 +161,14 @@ class Prediction:
         self._map = SpeedMap(fit.problem, fit.noise[0], 0)
 
     def sliders(self) -> dict[str, Any]:
-        """Return the parameters with their ranges, and the derivatives of the residual speeds by them.
+        """Return the parameters with their ranges, and the derivatives of the residual speeds.
 
         Returns
         -------
         dict
             ``parameters``: name, value, low, high, unit; ``time`` and ``value`` of each run, the casing first;
-            ``sigma`` of the casing's; ``slope``: the residual speeds of a run change by
-            ``slope[run][parameter][part]`` [rad/s] per unit of a parameter.
+            ``sigma`` of the casing; ``slope[run][parameter][sample]``: derivative of the residual speed by the
+            parameter.
         """
         fit, layout = self._fit, self._fit.problem.layout
         lower, upper = layout.bounds()
@@ -177,11 +177,11 @@ class Prediction:
         rows, places = [], []
         for k, name in enumerate(layout.names):
             value, estimate = float(fit.theta[k]), fit.estimates.get(name)
-            if estimate is None:  # the rotor of a record of one body
+            if estimate is None:  # of the rotor, in a recording of one body
                 continue
             known = np.isfinite(estimate.stderr) and estimate.stderr > 0
             size = max(float(np.sqrt(np.mean(slope[0][:, k] ** 2))), 1e-300)
-            half = _RANGE * (estimate.stderr if known else noise / size)
+            half = _SLIDER_RANGE * (estimate.stderr if known else noise / size)
             low, high = float(max(value - half, lower[k])), float(min(value + half, upper[k]))
             rows.append({"name": name, "value": value, "low": low, "high": high, "unit": estimate.unit})
             places.append(k)
@@ -194,7 +194,7 @@ class Prediction:
         }
 
     def moved(self, values: Mapping[str, float]) -> dict[str, Any]:
-        """Return the exact residual speeds with other values of some parameters.
+        """Return the exact residual speeds for changed parameters.
 
         Parameters
         ----------
@@ -242,17 +242,17 @@ class Prediction:
         return float(np.sqrt(np.mean((values[0][known] / self._sigma[known]) ** 2)))
 
     def with_candidate(self, candidate: Candidate, columns: CaseColumns) -> dict[str, Any]:
-        """Return the residual speeds that are predicted if a candidate is added, and its torque.
+        """Return the predicted residual speeds with an added candidate, and its torque.
 
-        Where the search has refitted the candidate, both are those of its refit. Else the candidate's strength is that
-        of its score test, and the parameters of the base give way to it to first order; the torque is then not drawn.
+        If the search has refitted the candidate, both are those of the refit. Otherwise the strength of the candidate
+        is that of its score test, the other parameters are refitted to first order, and the torque is None.
 
         Parameters
         ----------
         candidate : Candidate
-            One of a diagnosis of this fit.
+            A candidate from the diagnosis of this fit.
         columns : CaseColumns
-            Makes the columns of candidates of this fit.
+            Columns of the design matrix for candidates of this fit.
         """
         fit = self._fit
         if candidate.fit is not None:
@@ -266,11 +266,11 @@ class Prediction:
                 names = ("time", "omega_c", "casing", "rotor")
                 drawn = {n: getattr(torque, n)[few].tolist() for n in names}
             return {"value": [v.tolist() for v in values], "rms": self._rms(values), "torque": drawn}
-        values = self._residuals(fit.predictions[0].rows + self._absorbed(candidate, columns))
+        values = self._residuals(fit.predictions[0].rows + self._linear_change(candidate, columns))
         return {"value": [v.tolist() for v in values], "rms": self._rms(values), "torque": None}
 
-    def _absorbed(self, candidate: Candidate, columns: CaseColumns) -> Array:
-        """Return the change of the modelled rows by a candidate and by the parameters that give way to it."""
+    def _linear_change(self, candidate: Candidate, columns: CaseColumns) -> Array:
+        """Return the change of the modelled rows by a candidate and the refitted parameters, to first order."""
         fit, screened = self._fit, candidate.screened
         data, prediction, whitener = fit.problem.data[0], fit.predictions[0], fit.noise[0].whitener
         shape = screened.shape[0] if screened.shape else {}

@@ -1,8 +1,8 @@
 """The server of the workbench, on this machine only.
 
-The address is that of this machine alone. A page of another site that asks this server under a name of its own
-(DNS rebinding) has the wrong Host; a form or script of another site has the wrong Origin; and neither knows
-the token, which is new at each start.
+The server listens on the loopback interface. Requests by other sites are rejected: those under another host name (DNS
+rebinding) by their Host header, forms and scripts by their Origin header; and none of them has the token, which is new
+at each start.
 """
 
 from __future__ import annotations
@@ -65,16 +65,16 @@ _HEADERS = (
 
 
 class Guard:
-    """An ASGI application in front of another that refuses what is not from the workbench's own page.
+    """ASGI middleware that rejects requests that are not from the page of the workbench.
 
     Parameters
     ----------
     app : callable
-        The application behind.
+        The application to protect.
     port : int
-        Where the server listens.
+        Port of the server.
     token : str
-        What every request must carry: in a header, or for the page itself in the address.
+        Secret that every request must contain: in a header or, for the page itself, in the address.
     """
 
     def __init__(self, app: App, port: int, token: str) -> None:
@@ -83,7 +83,7 @@ class Guard:
         self._token = token.encode()
 
     async def __call__(self, scope: Any, receive: Receive, send: Send) -> None:
-        """Let a request through, or answer that it is refused."""
+        """Handle a request, or reject it."""
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
@@ -119,7 +119,7 @@ class Guard:
         return _ACCEPTED if fits else _FORBIDDEN
 
 
-# what a browser opens by its address alone
+# opened by address, without headers
 _PAGES = {"/", "/report"}
 _ACCEPTED, _FORBIDDEN, _MISDIRECTED = 200, 403, 400
 
@@ -138,7 +138,7 @@ async def _refuse(scope: Scope, status: int, send: Send) -> None:
     await send({"type": "http.response.body", "body": text if scope["method"] != "HEAD" else b""})
 
 
-_LONGEST_BODY = 64 * 1024
+_MAX_BODY = 64 * 1024
 
 
 async def body_of(request: Request) -> dict[str, Any]:
@@ -146,7 +146,7 @@ async def body_of(request: Request) -> dict[str, Any]:
     raw = bytearray()
     async for piece in request.stream():
         raw += piece
-        if len(raw) > _LONGEST_BODY:
+        if len(raw) > _MAX_BODY:
             return {}
     try:
         found = json.loads(bytes(raw) or b"{}")
@@ -156,7 +156,7 @@ async def body_of(request: Request) -> dict[str, Any]:
 
 
 async def answered(work: Callable[[], Any]) -> Response:
-    """Return the result of a function as JSON, or its error as one sentence."""
+    """Return the result of a function, or its error, as JSON."""
     from starlette.concurrency import run_in_threadpool
     from starlette.responses import JSONResponse
 
@@ -167,46 +167,46 @@ async def answered(work: Callable[[], Any]) -> Response:
 
 
 def refusal(error: Exception) -> Response:
-    """Return an error as one sentence in JSON: 400 if it was foreseen, 500 if it is a bug."""
+    """Return an error as JSON: status 400 for an error with a message, 500 for a bug."""
     from starlette.responses import JSONResponse
 
     message, hint = getattr(error, "message", ""), getattr(error, "hint", "")
     if not isinstance(message, str) or not message:
         what = f"{type(error).__name__}: {error}".splitlines()[0].rstrip(".")
         return JSONResponse(
-            {"error": {"code": "bug", "message": f"A bug in gyrotrack: {what}.", "hint": ""}}, 500
+            {"error": {"code": "bug", "message": f"Internal error: {what}.", "hint": ""}}, 500
         )
     code = str(getattr(error, "code", "error"))
     return JSONResponse({"error": {"code": code, "message": message, "hint": str(hint)}}, 400)
 
 
 def text(query: dict[str, Any], name: str) -> str:
-    """Return a requested text; empty if it is not one."""
+    """Return a text of a request; empty if it is missing or not a text."""
     value = query.get(name, "")
     return value if isinstance(value, str) else ""
 
 
 def whole(query: dict[str, Any], name: str) -> int:
-    """Return a requested integer; -1 if there is none."""
+    """Return an integer of a request; -1 if it is missing."""
     try:
         return int(query.get(name, -1))
     except (TypeError, ValueError, OverflowError):
-        raise GyrotrackError(f"{name} is not a whole number.") from None
+        raise GyrotrackError(f"{name} is not an integer.") from None
 
 
 def number(query: dict[str, Any], name: str) -> float:
-    """Return a requested position on a frame, as a fraction of its width or height."""
+    """Return a coordinate of a request, as a fraction of the width or height of a frame."""
     try:
         value = float(query.get(name, "nan"))
     except (TypeError, ValueError, OverflowError):
         value = float("nan")
     if not 0.0 <= value <= 1.0:
-        raise GyrotrackError(f"{name} is not a place on the frame.")
+        raise GyrotrackError(f"{name} is not a coordinate between 0 and 1.")
     return value
 
 
 def numbers(query: dict[str, Any], name: str) -> dict[str, float]:
-    """Return requested numbers by name; empty if there are none."""
+    """Return numbers of a request by name; empty if they are missing."""
     found = query.get(name)
     if not isinstance(found, dict):
         return {}
@@ -220,7 +220,7 @@ _ADDRESS = "127.0.0.1"
 
 @dataclass(frozen=True)
 class Laboratory:
-    """One case: its fits, its films, and the processes that rank candidate effects and write the report."""
+    """One case with its fits and films, and the processes that rank candidate effects and write the report."""
 
     session: Session
     clips: Clips
@@ -233,16 +233,16 @@ class Laboratory:
     def open(
         cls, case: Path, films: Sequence[Path], ledger: Path | None = None, start: str | None = None
     ) -> Laboratory:
-        """Open a case at a fit of its history, by default the latest; without any, the reduced model is fitted.
+        """Open a case with a fit of its history, by default the latest; without one, the reduced model is fitted.
 
         Parameters
         ----------
         case : Path
             The case file.
         films : sequence of Path
-            Folders of its films.
+            Folders of the films.
         ledger : Path, optional
-            The history of fits; by default next to the case.
+            File of the fits; by default next to the case.
         start : str, optional
             Name of the fit.
         """
@@ -251,23 +251,23 @@ class Laboratory:
         entry = study.entry(start)
         base, fit_id = study.base(None) if entry is None else (entry.shown(study.data), entry.fit_id)
         session = Session(study.data[0], base, fit_id, study.ledger, tracked)
-        # the first request of the page is then answered at once
+        # prepares the answer to the first request of the page
         Thread(target=session.state, kwargs={"whole": True}, daemon=True).start()
         jobs = Jobs(case.resolve().parent, 1)
         return cls(session, Clips(tracked, list(films)), Ranker(case), case.resolve(), ledger, jobs)
 
     @property
     def report(self) -> Path:
-        """Where the report is written: next to the case."""
+        """Path of the report, next to the case."""
         return self.case.with_suffix(".report.html")
 
     def write_report(self) -> dict[str, Any]:
-        """Keep the shown fit in the ledger and write the report of its history, in a process."""
+        """Save the current fit in the ledger and write the report of its history, in a process."""
         self.jobs.start("report", self._report_words(self.session.kept()), lambda _: None)
         return self.report_state()
 
     def report_state(self) -> dict[str, Any]:
-        """Return how far the report is, its name, and the command line that writes it."""
+        """Return the state of the report, its name, and the command that writes it."""
         job = self.jobs.get("report")
         words = self._report_words() if job is None else job.words
         state = {"state": "none"} if job is None else job.summary()
@@ -288,14 +288,14 @@ class Laboratory:
 
 
 class Workbench:
-    """What the page may ask for.
+    """The application: page and requests.
 
     Parameters
     ----------
     laboratory : Laboratory or None
-        The case that is open.
+        The open case.
     project : Project or None
-        The work folder in which films become a case.
+        The work folder with the films.
     """
 
     def __init__(self, laboratory: Laboratory | None = None, project: Project | None = None) -> None:
@@ -306,13 +306,13 @@ class Workbench:
 
     @property
     def laboratory(self) -> Laboratory:
-        """The case that is open."""
+        """The open case."""
         if self._laboratory is None:
-            raise UsageError("No case is open.", "Make one from films or tables.")
+            raise UsageError("No case is open.", "Create one from films or tables.")
         return self._laboratory
 
     def app(self, port: int, token: str) -> Guard:
-        """Return the application behind its guard."""
+        """Return the protected application."""
         from starlette.applications import Starlette
         from starlette.routing import Route
 
@@ -405,10 +405,10 @@ class Workbench:
         }
 
     def _open(self, p: Project) -> dict[str, Any]:
-        """Open the case of the project in place of the one that is open."""
+        """Open the case of the project, and close another open one."""
         with self._opening:
             if not p.state.case or not (p.folder / p.state.case).is_file():
-                raise UsageError("There is no case yet.", "Track the films and match their clocks first.")
+                raise UsageError("There is no case yet.", "Track and synchronise the films first.")
             folders = list(dict.fromkeys([p.folder, *(p.path(x).parent for x in p.state.sources)]))
             found = Laboratory.open(p.folder / p.state.case, folders)
             old, self._laboratory = self._laboratory, found
@@ -424,7 +424,7 @@ class Workbench:
             self.close()
 
     def interrupt(self) -> None:
-        """End the ranking process, whose answer would be waited for."""
+        """End the ranking process, so that no request waits for it."""
         if self._laboratory is not None:
             self._laboratory.ranker.close()
 
@@ -462,7 +462,7 @@ class Workbench:
 
         lab = self._laboratory
         if lab is None or not lab.report.is_file():
-            return refusal(UsageError("There is no report yet.", "Write it in the laboratory first."))
+            return refusal(UsageError("There is no report yet.", "Write it in the laboratory."))
         return FileResponse(lab.report, media_type="text/html")
 
     def _state(self, _query: dict[str, Any]) -> dict[str, Any]:
@@ -500,7 +500,7 @@ class Workbench:
 
         assert self.project is not None  # noqa: S101 - the route exists only then
         length = request.headers.get("content-length", "")
-        declared = int(length) if length.isascii() and length.isdigit() and len(length) < _DIGITS else -1
+        declared = int(length) if length.isascii() and length.isdigit() and len(length) < _MAX_DIGITS else -1
         try:
             await self.project.receive(request.query_params.get("name", ""), declared, request.stream())
         except Exception as error:
@@ -512,11 +512,11 @@ class Workbench:
         return {"stopped": True}
 
 
-_DIGITS = 15  # of a content length
+_MAX_DIGITS = 15  # of a content length
 
 
 async def pictured(work: Callable[[], tuple[bytes, dict[str, str]]]) -> Response:
-    """Return a JPEG picture with headers, or the error as one sentence."""
+    """Return a JPEG picture with headers, or the error as JSON."""
     from starlette.concurrency import run_in_threadpool
     from starlette.responses import Response
 
@@ -528,7 +528,7 @@ async def pictured(work: Callable[[], tuple[bytes, dict[str, str]]]) -> Response
 
 
 def page_text(label: str, *, has_case: bool, has_project: bool) -> tuple[str, str]:
-    """Return the page and the content security policy under which it is sent."""
+    """Return the page and its content security policy."""
     from jinja2 import Environment, StrictUndefined
 
     folder = resources.files("gyrotrack.apps.workbench")
@@ -550,36 +550,34 @@ def page_text(label: str, *, has_case: bool, has_project: bool) -> tuple[str, st
 
 
 def serve(bench: Workbench, port: int, announce: Callable[[str], None], *, window: bool = False) -> None:
-    """Serve the workbench until it is interrupted, or the page asks it to end.
+    """Serve the workbench until it is interrupted, or ended from the page.
 
     Parameters
     ----------
     bench : Workbench
-        What is served; closed at the end.
+        The application; closed at the end.
     port : int
-        Where to listen on this machine's own address; 0 takes a free one.
+        Port on the loopback interface; 0 selects a free one.
     announce : callable
-        Called with the page's address once the port is taken.
+        Called with the address of the page when the server listens.
     window : bool
         Show the page in a separate window; the server ends when it is closed.
 
     Raises
     ------
     UsageError
-        If the port is not free.
+        The port is not free.
     """
     import uvicorn
 
-    # asyncio sends at once, not after the receipt of what it sent before, only where the protocol is named
+    # with an explicit protocol asyncio sets TCP_NODELAY, which avoids delays
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             listener.bind((_ADDRESS, port))
         except (OSError, OverflowError):
-            raise UsageError(
-                f"The port {port} is not free.", "Leave --port out to take any free one."
-            ) from None
+            raise UsageError(f"The port {port} is not free.", "Omit --port to use any free one.") from None
         port = listener.getsockname()[1]
         token = secrets.token_urlsafe(24)
         config = uvicorn.Config(
@@ -603,7 +601,7 @@ def serve(bench: Workbench, port: int, announce: Callable[[str], None], *, windo
             server.should_exit = True
 
         bench.stop = stop
-        listener.listen()  # who comes before the server runs is kept waiting, not turned away
+        listener.listen()  # connections before the server runs are queued
         address = f"http://{_ADDRESS}:{port}/?token={token}"
         announce(address)
         if window:
@@ -616,7 +614,7 @@ def serve(bench: Workbench, port: int, announce: Callable[[str], None], *, windo
 
 
 def _run_in_window(server: Any, listener: socket.socket, address: str) -> None:
-    """Serve in a thread while the main thread shows the window, as desktop toolkits require."""
+    """Serve in a thread; desktop toolkits require the main thread for the window."""
     import webview
 
     thread = Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)

@@ -1,4 +1,4 @@
-"""The fits of the workbench."""
+"""The tree of fits of one case in the workbench."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ if TYPE_CHECKING:
 
 
 def library_document() -> list[dict[str, Any]]:
-    """Return the effects of the library for the list that the page offers; those `free` are nuisance parameters."""
+    """Return the effects of the library for the page; `free` marks nuisance parameters."""
     from fitting.effects._library import LIBRARY
 
     return [{"name": e.name, "joint": e.joint, "law": e.law, "free": e.nuisance} for e in LIBRARY.values()]
 
 
-_LONGEST = 500
-_LONGEST_NAME = 60
+_MAX_TEXT = 500
+_MAX_NAME = 60
 
 
 @dataclass
 class Step:
-    """One fit of the history: its change, its parent, its name in the ledger, and the user's name and note.
+    """One fit of the tree: change, parent, name in the ledger, and name and note by the user.
 
-    A fit of the ledger is restored when it is first shown.
+    A fit of the ledger is restored on first use.
     """
 
     change: str
@@ -57,14 +57,14 @@ class Step:
         """The fit."""
         if self.found is None and self.restore is not None:
             self.found = self.restore()
-        assert self.found is not None  # noqa: S101 - one of both is given
+        assert self.found is not None  # noqa: S101 - `found` or `restore` is given
         return self.found
 
 
 class Session:
-    """One case on the workbench: a tree of fits of which one is shown, those of the ledger and new ones.
+    """The fits of one case, from the ledger and new ones, as a tree; one of them is current.
 
-    Steps keep their index for the whole session; a deleted one is hidden and comes back with `undo`.
+    Steps keep their index for the whole session; `undo` restores a deleted one.
 
     Parameters
     ----------
@@ -73,9 +73,9 @@ class Session:
     base : Fit
         The first fit.
     fit_id : str
-        Its name in the ledger.
+        Name of the first fit in the ledger.
     ledger : Ledger
-        Where fits are stored on request.
+        File in which fits are stored on request.
     case : Case or None
         The case with its recordings.
     """
@@ -88,12 +88,12 @@ class Session:
         self.steps = _steps_of(data, ledger) or [Step("base", -1, base, fit_id)]
         self.current = next(i for i, s in enumerate(self.steps) if s.fit_id == fit_id)
         self.steps[self.current].found = base
-        # the step with which the current one is compared; its parent if negative
+        # step to compare with the current one; if negative, the parent
         self.reference = -1
         self._undo: list[Callable[[], None]] = []
-        # charts of the first view, which are made while the browser still loads the page
+        # cached charts of the first view
         self._first: tuple[tuple[int, ...], dict[str, Any]] | None = None
-        # parameters that the last search found for each candidate, as initial values
+        # initial values for each candidate, from the last search
         self.found: dict[str, dict[str, float]] = {}
 
     @property
@@ -109,27 +109,27 @@ class Session:
     def change(
         self, *, add: str = "", drop: str = "", values: dict[str, float] | None = None
     ) -> dict[str, Any]:
-        """Add an effect (by name or as ``body: law``), drop one, or begin at other values; fit; return the new state.
+        """Add an effect (by name or as ``body: law``), remove one, or use other initial values; fit; return the state.
 
         Raises
         ------
         GyrotrackError, FittingError
-            With the reason in one sentence; the state is unchanged.
+            The change is not possible; the state is unchanged.
         """
         from fitting._errors import FittingError
         from fitting.discovery._select import found_starts, needs_search
         from fitting.effects._user import resolve
         from fitting.inference._fit import fit
 
-        if len(add) > _LONGEST or len(drop) > _LONGEST:
-            raise GyrotrackError(f"A law has at most {_LONGEST} characters.")
+        if len(add) > _MAX_TEXT or len(drop) > _MAX_TEXT:
+            raise GyrotrackError(f"A law has at most {_MAX_TEXT} characters.")
         with self._lock:
             model, words = self.fit.model, []
             start = {k: e.value for k, e in self.fit.estimates.items()}
             if add:
                 effect = resolve(add.strip())
                 if effect.name in model.names:
-                    raise GyrotrackError(f"{effect.name} is in the model already.")
+                    raise GyrotrackError(f"{effect.name} is already in the model.")
                 model = model.with_effect(effect)
                 if effect.name in self.found:
                     start |= self.found[effect.name]
@@ -143,11 +143,13 @@ class Session:
                 start |= values
                 words.append("other initial values")
             if not words:
-                raise GyrotrackError("No change was requested.", "Type the name of an effect, or a law.")
+                raise GyrotrackError("No change was requested.", "Enter the name of an effect, or a formula.")
             noise = self.fit.noise
             try:
                 found = fit(model, [self._data], start=start, noise=noise, quick=True)
-            except FittingError:  # what suited the old model may be no start for the new one
+            except (
+                FittingError
+            ):  # the values of the previous fit can be poor initial values: use the defaults
                 found = fit(model, [self._data], noise=noise, quick=True)
             self.steps.append(Step(" ".join(words), self.current, found, sharp=False))
             self._show(len(self.steps) - 1)
@@ -162,12 +164,12 @@ class Session:
         return step.prediction
 
     def sliders(self) -> dict[str, Any]:
-        """Return the parameters of the current fit with their ranges, and the slopes of its residual."""
+        """Return the parameters of the current fit with their ranges, and the derivatives of the residual."""
         with self._lock:
             return _document(self._prediction().sliders()) | {"place": self.current}
 
     def moved(self, values: dict[str, float]) -> dict[str, Any]:
-        """Return the exact residual of the current model at other values of its parameters."""
+        """Return the exact residual of the current model for changed parameters."""
         with self._lock:
             return _document(self._prediction().moved(values))
 
@@ -178,13 +180,13 @@ class Session:
             return self.state()
 
     def compare(self, place: int) -> dict[str, Any]:
-        """Compare the current step with another one; with its parent if `place` is negative."""
+        """Compare the current step with another one, or with its parent if `place` is negative."""
         with self._lock:
             self.reference = self._existing(place) if place >= 0 else -1
             return self.state()
 
     def undo(self) -> dict[str, Any]:
-        """Take back the last change of the view or of the tree; fits stay in the tree."""
+        """Undo the last change of the view or the tree; fits remain in the tree."""
         with self._lock:
             if not self._undo:
                 raise GyrotrackError("There is nothing to undo.")
@@ -192,7 +194,7 @@ class Session:
             return self.state()
 
     def delete(self, place: int) -> dict[str, Any]:
-        """Remove a step that has no successors, also from the ledger if it is kept there."""
+        """Delete a step without successors, also from the ledger."""
         with self._lock:
             step = self.steps[self._existing(place)]
             left = [i for i, s in enumerate(self.steps) if not s.is_deleted and i != place]
@@ -218,13 +220,13 @@ class Session:
             return self.state()
 
     def annotate(self, place: int, *, name: str, note: str) -> dict[str, Any]:
-        """Set name and note of a step; of a fit in the ledger they are stored at once, else when it is kept."""
+        """Set name and note of a step; they are stored with its fit in the ledger."""
         with self._lock:
             step = self.steps[self._existing(place)]
             old = step.name, step.note
 
             def write(name: str, note: str) -> None:
-                step.name, step.note = name.strip()[:_LONGEST_NAME], note.strip()[:_LONGEST]
+                step.name, step.note = name.strip()[:_MAX_NAME], note.strip()[:_MAX_TEXT]
                 if step.fit_id:
                     self._ledger.annotate(step.fit_id, name=step.name, note=step.note)
 
@@ -247,13 +249,13 @@ class Session:
         self.current, self.reference = place, -1
 
     def keep(self) -> dict[str, Any]:
-        """Fit the current model to its minimum, and store it and its predecessors in the ledger."""
+        """Refine the current fit, store it and its predecessors in the ledger, and return the state."""
         with self._lock:
             self._keep(self.current)
             return self.state()
 
     def kept(self) -> str:
-        """Store the current model and its predecessors in the ledger, and return the name of its fit."""
+        """Refine the current fit, store it and its predecessors in the ledger, and return its name."""
         with self._lock:
             return self._keep(self.current)
 
@@ -279,7 +281,7 @@ class Session:
             step.prediction = None
 
     def remember(self, answer: dict[str, Any]) -> dict[str, Any]:
-        """Keep the parameters of the candidates of a search as initial values, and return its answer, typeset."""
+        """Store the parameters of candidates as initial values, and return the answer of the search, typeset."""
         from fitting._numbers import typeset
 
         candidates = answer.get("diagnosis", {}).get("candidates", [])
@@ -294,7 +296,7 @@ class Session:
         return answer
 
     def model_document(self) -> dict[str, Any]:
-        """Return the current model as a ledger stores it, for the process that ranks candidates."""
+        """Return the current model as an entry of a ledger, for the ranking process."""
         from fitting._schema import own_effects
 
         with self._lock:
@@ -310,7 +312,7 @@ class Session:
             )
 
     def state(self, *, whole: bool = False) -> dict[str, Any]:
-        """Return what the page shows; with `whole` also the charts that no fit changes."""
+        """Return the state for the page; with `whole` also the charts that do not depend on the fit."""
         with self._lock:
             step = self.steps[self.current]
             fit = step.fit
@@ -335,9 +337,9 @@ class Session:
             )
 
     def _parameters(self, step: Step) -> list[dict[str, Any]]:
-        """Return the parameters of a fit, each with its value in the fit that it is compared with and the difference.
+        """Return the parameters of a fit, with their values in the compared fit.
 
-        The difference is in standard uncertainties of the shown fit.
+        The differences are in standard uncertainties of the current fit.
         """
         from fitting._numbers import with_uncertainty
 
@@ -375,7 +377,7 @@ class Session:
         return own | {k: document.get(k) for k in keys}
 
     def _tree(self) -> list[tuple[int, Step]]:
-        """Return the steps with their places, every one followed by its successors."""
+        """Return the steps with their indices, each followed by its successors."""
         found: list[tuple[int, Step]] = []
 
         def visit(place: int) -> None:
@@ -389,7 +391,7 @@ class Session:
         return found
 
     def _compared(self, step: Step) -> int:
-        """Return the place of the step with which one is compared; negative if there is none."""
+        """Return the index of the step to compare with; negative if there is none."""
         return (
             self.reference if self.reference >= 0 and self.steps[self.reference] is not step else step.parent
         )
@@ -445,7 +447,7 @@ class Session:
 
 
 def _steps_of(data: CaseData, ledger: Ledger | None) -> list[Step]:
-    """Return the fits of a case in the ledger as steps; they are restored when they are shown."""
+    """Return the fits of a case in the ledger as steps, which are restored on first use."""
     entries = ledger.of([data]) if ledger is not None else []
     places = {e.fit_id: i for i, e in enumerate(entries)}
     steps = []

@@ -1,5 +1,5 @@
 "use strict";
-/* What both parts of the page share: requests, errors, and which part is shown. */
+/* Common to both parts of the page: requests, errors, switching between the parts. */
 const Page = (() => {
   const token = new URLSearchParams(location.search).get("token") || "";
   const at = (id) => document.getElementById(id);
@@ -14,7 +14,7 @@ const Page = (() => {
     try {
       answer = await fetch(path, options);
     } catch {
-      throw new Error("No answer from the program. Start gyrotrack view again if it has ended.");
+      throw new Error("No answer from the program. If it has ended, run gyrotrack view again.");
     }
     if (answer.headers.get("content-type")?.startsWith("image/")) {
       const image = await answer.blob(), size = answer.headers.get("x-gyrotrack-size");
@@ -39,18 +39,18 @@ const Page = (() => {
 
   const GLOSSARY = [
     ["residual", "Measured minus modelled value."],
-    ["lack of fit", "The model differs from the data by more than noise explains."],
-    ["unmodelled torque", "Torque that the data need beyond the model [N m], inferred from the residual without assuming a law."],
+    ["lack of fit", "Deviation of the model from the data beyond noise."],
+    ["unmodelled torque", "Difference between the torque required by the data and the model [N m], without assuming a law."],
     ["candidate effect", "A law of the library that could be missing from the model."],
     ["nuisance parameter", "A parameter of the measurement (camera centre, tilt, shutter) that is fitted with every model."],
-    ["\u03c3", "Standard uncertainty; of a residual: what noise alone gives."],
+    ["\u03c3", "Standard uncertainty; for a residual, that of the noise."],
     ["rms", "Root mean square; of the residual in units of its noise, 1 is the noise limit."],
     ["\u03c7\u00b2/n", "Reduced chi-square: mean square of the residual in units of the noise; 1 is the noise limit."],
-    ["score", "Decrease of the deviance if the effect is added; its root is about the significance in \u03c3."],
+    ["score", "Decrease of the deviance if the effect is added; its square root is about the significance in \u03c3."],
     ["\u0394BIC", "Change of the Bayesian information criterion; negative favours the added effect."],
     ["p", "Probability of such a score anywhere in the list if no effect is missing (family-wise)."],
     ["cross-validation error", "Error on data that were left out of the fit, in units of the noise."],
-    ["indistinguishable", "Effects that these data cannot separate."],
+    ["indistinguishable", "Effects that these data cannot distinguish."],
     ["omega_r, omega_c", "Angular rates of rotor and casing [rad/s]."],
     ["psi_r, psi_c", "Angles of rotor and casing [rad]."],
     ["delta", "Angular rate of the rotor relative to the casing, omega_r \u2212 omega_c [rad/s]."],
@@ -58,7 +58,7 @@ const Page = (() => {
     ["rolling shutter", "The rows of a frame are exposed one after another; the delay across the picture is a nuisance parameter."],
   ];
 
-  /* a text whose known terms explain themselves under the pointer */
+  /* a text whose known terms have tooltips */
   function explained(text) {
     const out = document.createDocumentFragment(), terms = GLOSSARY.filter(([t]) => t.length > 4 && !t.includes(","));
     const pattern = new RegExp(`(${terms.map(([t]) => t).join("|")})`, "i");

@@ -1,12 +1,12 @@
 "use strict";
-/* From film to case: sources, markers, tracking, clocks, fit. The program keeps the state; the page shows it. */
+/* From film to case: sources, markers, tracking, synchronisation, fit. The server holds the state. */
 (() => {
   if (!document.getElementById("films")) return;
   const { element, button } = Charts;
   const { ask, at, complain, sentence, turn } = Page;
   const COLOURS = ["red", "orange", "yellow", "green", "cyan", "blue", "magenta", "white"];
   const RATES = [30, 60, 120, 240, 480, 960, 1000];
-  const SHOWN = { casing: "casing", rotor: "rotor", single: "one body alone" };
+  const SHOWN = { casing: "casing", rotor: "rotor", single: "single body" };
   let project = null, chosen = null, size = [1, 1], index = 0, picture = null, mode = "hub", hub = null, disc = "", picks = [],
     tracks = null, measured = null, running = false, timer = null, wantsLaboratory = false, cross = null, latest = 0, sending = 0, ended = false;
 
@@ -30,7 +30,7 @@
     try { render(await ask("/api/project")); } catch (error) { complain(error); }
   }
 
-  /* --- what is shown --- */
+  /* --- display --- */
 
   function render(found) {
     const before = project;
@@ -55,7 +55,7 @@
     }
   }
 
-  /* replace the children only where they have changed, so that the focus stays */
+  /* replace the children only if they have changed, to keep the focus */
   function same(root, key, make) {
     if (root.dataset.shows === key) return;
     root.dataset.shows = key;
@@ -84,7 +84,7 @@
   function facts(x) {
     const i = x.info;
     if (i.error) return sentence(i.error);
-    if (x.kind !== "film") return x.kind === "table" ? "table of angles, rates or points" : "recording, tracked already";
+    if (x.kind !== "film") return x.kind === "table" ? "table of angles, rates or points" : "recording";
     return [`${i.width} \u00d7 ${i.height} px`, i.frames ? `${i.frames} frames` : "", i.container_fps ? `stored at ${Number(i.container_fps.toPrecision(5))} fps` : ""].filter(Boolean).join(", ");
   }
 
@@ -97,15 +97,15 @@
     name.className = "name";
     const card = element("li", { "data-key": x.key, class: "card" }, element("span", { class: "first" }, name, element("span", { class: "soft", "data-name": "facts" }),
       button("remove", `remove ${x.name}`, () => act("remove", { key: x.key }))),
-      element("span", { class: "entry" }, element("label", { for: `${id}-body` }, "shows"), body));
+      element("span", { class: "entry" }, element("label", { for: `${id}-body` }, "body"), body));
     if (x.kind === "film") {
       const rate = element("input", { type: "number", id: `${id}-rate`, "data-name": "rate", min: "0", step: "any", size: 7 });
       rate.addEventListener("change", () => act("set", { key: x.key, name: "capture_fps", value: rate.value }));
       const set = (value) => act("set", { key: x.key, name: "capture_fps", value: String(value) });
       const stored = x.info.container_fps, rates = element("span", { class: "chips", "data-name": "rates" });
-      if (stored) rates.append(button(`${Number(stored.toPrecision(6))}, as stored`, `${x.name}: captured at the stored rate`, () => set(stored)));
-      for (const r of RATES) if (r !== stored) rates.append(button(String(r), `${x.name}: captured at ${r} fps`, () => set(r)));
-      card.append(element("span", { class: "entry" }, element("label", { for: `${id}-rate` }, "captured at [fps]"), rate, element("span", { class: "soft", "data-name": "from" })), rates);
+      if (stored) rates.append(button(`${Number(stored.toPrecision(6))} (stored rate)`, `${x.name}: capture rate equals the stored rate`, () => set(stored)));
+      for (const r of RATES) if (r !== stored) rates.append(button(String(r), `${x.name}: capture rate ${r} fps`, () => set(r)));
+      card.append(element("span", { class: "entry" }, element("label", { for: `${id}-rate` }, "capture rate [fps]"), rate, element("span", { class: "soft", "data-name": "from" })), rates);
     }
     at("sources").append(card);
     return card;
@@ -145,15 +145,15 @@
 
   function status(x, job) {
     if (active(job)) {
-      if (job.state === "waiting") return "waits for a free core";
+      if (job.state === "waiting") return "waiting for a free core";
       return job.total ? `${job.done} of ${job.total} frames, ${job.seconds.toFixed(0)} s` : `${job.label || "starting"} \u2026 ${job.seconds.toFixed(0)} s`;
     }
     if (job?.state === "failed") return sentence(job.message);
     if (x.is_current && x.result.motion) return motion(x.result);
     if (x.is_current) return Object.entries(x.result.body).map(([name, b]) => `${name}: ${b.samples} angles of ${x.result.frames} frames, \u00b1${(1e3 * b.median_sigma).toPrecision(2)} mrad`).join("; ");
-    if (x.can_continue) return "interrupted; its checkpoint is kept";
+    if (x.can_continue) return "interrupted; continues from a checkpoint";
     if (job?.state === "cancelled") return "cancelled";
-    return x.result.frames ? "settings have changed since it was tracked" : "not tracked yet";
+    return x.result.frames ? "settings were changed after tracking" : "not tracked yet";
   }
 
   function motion(result) {
@@ -175,12 +175,12 @@
     const single = project.route === "single";
     for (const p of document.querySelectorAll("[data-route]")) p.hidden = (p.dataset.route === "single") !== single;
     at("surface").parentElement.hidden = single;
-    // the inertia of a single film enters the command that tracks it
+    // the command that tracks a single body needs the inertia
     const order = single ? ["sources", "match", "track", "fit"] : ["sources", "track", "match", "fit"];
     order.forEach((name, n) => { at(`step-${name}`).querySelector(".number").textContent = String(n + 1); });
     if (single) at("step-sources").after(at("step-match")); else at("step-track").after(at("step-match"));
-    at("match-title").textContent = single ? "Inertia" : project.route === "import" ? "Inertias" : "Clocks and inertias";
-    at("match").textContent = single ? "Measure the motion" : project.route === "import" ? "Make the case" : "Match the clocks";
+    at("match-title").textContent = single ? "Inertia" : project.route === "import" ? "Inertias" : "Synchronisation and inertias";
+    at("match").textContent = single ? "Measure the motion" : project.route === "import" ? "Create the case" : "Synchronise the clips";
     at("match").hidden = single && project.sources.some((x) => x.kind === "film");
   }
 
@@ -192,7 +192,7 @@
     for (const step of ["match", "fit"]) {
       const job = project.jobs[step], busy = active(job);
       at(`cancel-${step}`).hidden = !busy;
-      at(`busy-${step}`).textContent = busy ? `${job.label || (step === "match" ? "matching" : "fitting")} \u2026 ${job.seconds.toFixed(0)} s`
+      at(`busy-${step}`).textContent = busy ? `${job.label || (step === "match" ? "synchronising" : "fitting")} \u2026 ${job.seconds.toFixed(0)} s`
         : job?.state === "failed" ? sentence(job.message) : step === "match" && project.is_matched && project.case ? `written: ${project.case}` : "";
       at(`busy-${step}`).className = job?.state === "failed" ? "fault" : "soft";
     }
@@ -205,30 +205,30 @@
       at(`command-${step}`).textContent = lines;
       at(`command-${step}`).parentElement.hidden = !lines;
     }
-    at("fit-text").textContent = single ? (project.is_matched && !project.can_open ? "No torque law is fitted; the warnings above say why."
-      : "The motion is fitted and diagnosed already; the laboratory shows where the model fails and tests every candidate effect.")
-      : "The reduced model of the paper is fitted; the laboratory then shows where it fails and tests every candidate effect.";
+    at("fit-text").textContent = single ? (project.is_matched && !project.can_open ? "No torque law was fitted; see the warnings above."
+      : "The motion is fitted and diagnosed; the laboratory shows the lack of fit and tests all candidate effects.")
+      : "The reduced model of the paper is fitted; the laboratory then shows its lack of fit and tests all candidate effects.";
     clocks();
     at("next").textContent = guide();
     const done = { sources: !project.missing.track.length, track: project.sources.length > 0 && project.sources.every((x) => x.is_current), match: project.is_matched, fit: project.can_open };
     for (const [name, value] of Object.entries(done)) at(`step-${name}`).classList.toggle("done", value);
   }
 
-  /* what to do next, for somebody who is here for the first time */
+  /* instruction for the next step */
   function guide() {
     const films = project.sources.filter((x) => x.kind === "film"), busy = Object.values(project.jobs).some(active) || films.some((x) => active(x.jobs.track));
-    if (busy) return "The program works; the page may be closed meanwhile.";
-    if (!project.sources.length) return project.samples ? "Begin with your own films, or with the sample clips: four films of one run, with the notes of the experimenter." : "Begin with your films.";
+    if (busy) return "Running; the page may be closed in the meantime.";
+    if (!project.sources.length) return project.samples ? "Start with your own films, or with the sample clips: four films of one run with their study.toml." : "Start with your films.";
     if (project.missing.track.length) return `Next: ${project.missing.track[0]}`;
     if (films.some((x) => !x.is_current)) {
       const seen = films.some((x) => x.jobs.preview?.state === "done");
-      return seen ? "Next: track the films." : "Next: choose a film, press \u201cFollow the markers\u201d and check that they are; then track the films.";
+      return seen ? "Next: track the films." : "Next: select a film, press \u201cPreview the tracking\u201d and check the markers; then track the films.";
     }
-    if (!project.is_matched) return project.missing.match.length ? `Next: ${project.missing.match[0]}` : "Next: match the clocks. The casing, which all cameras see, determines when each film starts.";
-    return project.can_open ? "Next: open the laboratory." : project.route === "single" ? "" : "Next: fit. The laboratory then shows where the model fails and names what could be missing.";
+    if (!project.is_matched) return project.missing.match.length ? `Next: ${project.missing.match[0]}` : "Next: synchronise the clips. The casing, which all cameras see, determines the start of each film.";
+    return project.can_open ? "Next: open the laboratory." : project.route === "single" ? "" : "Next: fit. The laboratory then shows the lack of fit and the candidate effects.";
   }
 
-  /* the clips on the clock of the casing's camera */
+  /* the clips on the clock of the casing camera */
   function clocks() {
     const clips = project.is_matched ? project.match.clips || [] : [];
     at("clocks").hidden = clips.length === 0;
@@ -240,7 +240,7 @@
         bar.style.marginLeft = `${100 * (c.offset_s - first) / (last - first)}%`;
         bar.style.width = `${Math.max(0.5, 100 * (c.duration_s || 0) / (last - first))}%`;
         const text = c.rate === undefined ? "reference clock"
-          : `starts at ${c.offset_s.toFixed(4)} s \u00b1 ${(1e3 * c.offset_sigma_s).toPrecision(2)} ms; rate 1 ${c.rate < 1 ? "\u2212" : "+"} ${Math.abs(c.rate - 1).toExponential(1)} \u00b1 ${c.rate_sigma.toExponential(1)}; the casing's angles agree within ${(1e3 * c.misfit_rad).toPrecision(2)} mrad${c.ambiguous ? "; AMBIGUOUS: another start is possible" : ""}`;
+          : `starts at ${c.offset_s.toFixed(4)} s \u00b1 ${(1e3 * c.offset_sigma_s).toPrecision(2)} ms; rate 1 ${c.rate < 1 ? "\u2212" : "+"} ${Math.abs(c.rate - 1).toExponential(1)} \u00b1 ${c.rate_sigma.toExponential(1)}; rms difference of the casing angles ${(1e3 * c.misfit_rad).toPrecision(2)} mrad${c.ambiguous ? "; AMBIGUOUS: the start is not unique" : ""}`;
         return element("div", { class: "clock" }, element("b", {}, c.name), element("span", { class: "line" }, bar), element("span", { class: c.ambiguous ? "fault" : "soft" }, text));
       });
     });
@@ -275,15 +275,15 @@
     if (was && (was.body !== x.body || was.is_current !== x.is_current)) modes();
     if (was && x.profile !== was.profile && !x.picks.length && picks.length) { picks = []; rows(); draw(); }
     const names = ["", ...new Set([...(project.profiles || []), x.profile].filter(Boolean))];
-    same(at("profile-of"), names.join("\n"), () => names.map((n) => element("option", { value: n }, n || "those of the paper (red disc; red, blue, white, green)")));
+    same(at("profile-of"), names.join("\n"), () => names.map((n) => element("option", { value: n }, n || "markers of the paper (red disc; red, blue, white, green)")));
     at("profile-of").value = x.profile;
     at("profile-of").parentElement.hidden = x.body === "single";
     at("find").hidden = x.body === "single";
     at("find").disabled = active(x.jobs.profile);
-    at("command-film").textContent = x.command || "Choose first which body it shows.";
+    at("command-film").textContent = x.command || "Choose the body first.";
     if (x.jobs.profile?.state === "failed" && active(was?.jobs.profile)) complain(new Error(sentence(x.jobs.profile.message)));
-    if (active(job)) { at("followed").textContent = `following the markers through the first frames \u2026 ${job.seconds.toFixed(0)} s`; at("followed").className = "soft"; }
-    else if (active(x.jobs.profile)) { at("followed").textContent = "looking for markers \u2026"; at("followed").className = "soft"; }
+    if (active(job)) { at("followed").textContent = `tracking the first frames \u2026 ${job.seconds.toFixed(0)} s`; at("followed").className = "soft"; }
+    else if (active(x.jobs.profile)) { at("followed").textContent = "searching for markers \u2026"; at("followed").className = "soft"; }
     else if (job?.state === "failed") { at("followed").textContent = sentence(job.message); at("followed").className = "fault"; tracks = null; draw(); }
     else if (job?.state === "done" && (!tracks || active(was?.jobs.preview))) followed();
     else if (!job) { at("followed").textContent = ""; }
@@ -294,7 +294,7 @@
     if (mine !== latest || key !== chosen || !found || !found.frames) return;
     tracks = found;
     const kept = Object.entries(found.kept).map(([name, k]) => `${source().body === "single" ? "body" : name} in ${Math.round(100 * k)} % of ${found.frames} frames, \u00b1${found.sigma_mrad[name].toPrecision(2)} mrad`);
-    at("followed").textContent = [`Followed: ${kept.join("; ")}.`, ...found.warnings.map(sentence)].join(" ");
+    at("followed").textContent = [`Tracked: ${kept.join("; ")}.`, ...found.warnings.map(sentence)].join(" ");
     at("followed").className = Object.values(found.kept).every((k) => k > 0.8) ? "fine" : "fault";
     play();
   }
@@ -302,9 +302,9 @@
   function modes() {
     const single = source().body === "single", result = source().is_current && source().result.markers;
     const correct = !single && result ? Object.keys(result).map((m) => [`correct:${m}`, `correction of ${m}`]) : [];
-    const options = single ? [["hub", "hub"], ["casing", "a point to follow"]] : [["hub", "hub"], ["casing", "marker on the casing"], ["rotor", "marker on the rotor"], ...correct];
+    const options = single ? [["hub", "hub"], ["casing", "point to follow"]] : [["hub", "hub"], ["casing", "marker on the casing"], ["rotor", "marker on the rotor"], ...correct];
     if (!options.some(([v]) => v === mode)) mode = "hub";
-    at("modes").replaceChildren(element("legend", {}, "A click sets"), ...options.map(([value, text]) => {
+    at("modes").replaceChildren(element("legend", {}, "Click to mark"), ...options.map(([value, text]) => {
       const radio = element("input", { type: "radio", name: "mode", value, id: `mode-${value}` });
       radio.checked = value === mode;
       radio.addEventListener("change", () => { mode = value; if (correcting()) { stop(); tracks = null; show(index); } corrections(); });
@@ -319,10 +319,10 @@
     at("lost").textContent = `${correcting()} is not visible in this frame`;
   }
 
-  /* a marker of one frame, as a person sees it; the recording keeps what was changed */
+  /* manual correction of a marker in one frame */
   async function correct(place) {
     const found = await act("correct", { key: chosen, marker: correcting(), index, place });
-    if (found) { await show(index); at("corrected").textContent = `Frame ${index}: ${correcting()} ${place ? "corrected" : "marked as lost"}. ${measured?.corrections || 0} corrected in all; match the clocks again when you have finished.`; }
+    if (found) { await show(index); at("corrected").textContent = `Frame ${index}: ${correcting()} ${place ? "corrected" : "marked as lost"}. ${measured?.corrections || 0} corrections in total; synchronise the clips again when you have finished.`; }
   }
 
   function rows() {
@@ -364,14 +364,14 @@
     mark();
   }
 
-  /* keep what was clicked, and see it followed at once where that is enough to follow something */
+  /* store the clicked positions and preview the tracking if they suffice */
   async function mark() {
     tracks = null;
     stop();
     show(0);
     const single = source().body === "single";
     if (picks.length || (single && hub)) await act("mark", { key: chosen, hub, picks, disc });
-    else at("followed").textContent = hub ? "Now click the markers." : "";
+    else at("followed").textContent = hub ? "Now click on the markers." : "";
     draw();
   }
 
@@ -428,7 +428,7 @@
       for (const p of picks) { stroke(ring(p.x * scale, p.y * scale, 8), "#56b4e9"); word(p.name, p.x * scale + 10, p.y * scale - 6); }
     }
     if (cross && document.activeElement === canvas) stroke(plus(cross[0] * picture.width, cross[1] * picture.height, 14), "#ff0");
-    canvas.setAttribute("aria-label", `frame ${index} of ${source()?.name || ""}; arrow keys move the cross, Enter sets hub or marker`);
+    canvas.setAttribute("aria-label", `frame ${index} of ${source()?.name || ""}; arrow keys move the cross, Enter marks hub or marker`);
   }
 
   function stop() { running = false; at("run").textContent = "Play"; }
@@ -446,13 +446,13 @@
     if (key === chosen) stop();
   }
 
-  /* --- sending files --- */
+  /* --- upload --- */
 
   async function send(files) {
     const list = [...files].sort((a, b) => (a.name === "study.toml") - (b.name === "study.toml"));
     for (const file of list) {
       sending++;
-      at("busy").textContent = `sending ${file.name} (${(file.size / 1e6).toFixed(1)} MB) \u2026`;
+      at("busy").textContent = `uploading ${file.name} (${(file.size / 1e6).toFixed(1)} MB) \u2026`;
       await act(`upload?name=${encodeURIComponent(file.name)}`, file);
       sending--;
     }

@@ -1,5 +1,5 @@
 "use strict";
-/* The laboratory: one case, its fits, its films. Every text from the server becomes a text node, never markup. */
+/* The laboratory: one case, its fits and films. Texts from the server become text nodes, never markup. */
 const Laboratory = (() => {
   const { Board, element, button, format } = Charts;
   const { ask, at, complain, explained, sentence, GLOSSARY } = Page;
@@ -8,7 +8,7 @@ const Laboratory = (() => {
   let board = null, fixed = [], clips = [], clip = null, index = 0, playing = false, until = null, searches = 0,
     free = new Set(), laws = new Map(), undoable = false, shown = 0, lastFit = NaN;
 
-  /* do something that may take a while; `expected` is how long it took the last time [s] */
+  /* run a slow request; `expected` is its last duration [s] */
   async function act(work, expected = NaN) {
     complain(null);
     document.body.setAttribute("aria-busy", "true");
@@ -34,7 +34,7 @@ const Laboratory = (() => {
 
   const VERDICTS = {
     adequate: "consistent with noise", misfit: "significant lack of fit",
-    "not determined": "a parameter is not determined by the data", "not converged": "not converged: numbers are not valid",
+    "not determined": "a parameter is not determined by the data", "not converged": "not converged: results are not valid",
   };
 
   function render(state) {
@@ -85,7 +85,7 @@ const Laboratory = (() => {
     for (const field of ["name", "note"]) at(field).value = state.ladder.find((r) => r.place === state.current)?.[field] || "";
   }
 
-  /* --- parameters moved by hand: the residual follows at once to first order, then exactly --- */
+  /* --- parameters changed by sliders: predicted residuals, first linearised, then exact --- */
 
   const MOVED = "#cc79a7";
   let sliders = null, waiting = null, asking = false;
@@ -149,15 +149,15 @@ const Laboratory = (() => {
       if (mine === sliders && !waiting) {
         draw(found.value);
         at("board").dataset.overlay = "exact";
-        at("moved").textContent = `moved: rms residual ${format(found.rms, 3)} \u03c3, \u03c7\u00b2/n ${format(found.reduced_chi2, 3)}`;
+        at("moved").textContent = `changed parameters: rms residual ${format(found.rms, 3)} \u03c3, \u03c7\u00b2/n ${format(found.reduced_chi2, 3)}`;
       }
     } catch (error) { complain(error); }
     asking = false;
     exact();
   }
 
-  /* what a candidate would do, before it is fitted */
-  async function foresee(name) {
+  /* predicted residual with an added candidate, before it is fitted */
+  async function predict(name) {
     const p = predicted[name];
     if (!p) return;
     if (!sliders) await tune();
@@ -168,7 +168,7 @@ const Laboratory = (() => {
     at("foreseen").textContent = `${name}: rms residual ${format(predictedBase, 3)} \u03c3 \u2192 ${format(p.rms, 3)} \u03c3${t ? "" : " (to first order)"}, dashed in the charts`;
   }
 
-  function forget() {
+  function hidePrediction() {
     at("foreseen").textContent = "";
     delete at("board").dataset.overlay;
     if (sliders && sliders.parameters.some((p) => p.now !== p.value)) move(); else board.overlay({});
@@ -176,7 +176,7 @@ const Laboratory = (() => {
 
   let predicted = {}, predictedBase = NaN;
 
-  /* ask for a change of the tree or of the view; search again if another fit is shown */
+  /* change the tree of fits or the view; search again if another fit is shown */
   async function apply(path, body) {
     const before = shown, state = await act(() => ask(path, body));
     if (!state) return;
@@ -215,7 +215,7 @@ const Laboratory = (() => {
     predicted = found.predicted || {};
     predictedBase = found.base_rms ?? NaN;
     const row = (c, tr) => {
-      for (const [name, work] of [["mouseenter", () => foresee(c.effect)], ["focusin", () => foresee(c.effect)], ["mouseleave", forget], ["focusout", forget]]) tr.addEventListener(name, work);
+      for (const [name, work] of [["mouseenter", () => predict(c.effect)], ["focusin", () => predict(c.effect)], ["mouseleave", hidePrediction], ["focusout", hidePrediction]]) tr.addEventListener(name, work);
       return tr;
     };
     at("ranking").replaceChildren(...shown.map((c) => row(c, element("tr", c.significant ? {} : { class: "pale" },
@@ -283,7 +283,7 @@ const Laboratory = (() => {
 
   function stop() { playing = false; at("play").textContent = "Play"; }
 
-  /* every frame in turn, or at a share of real time with frames left out */
+  /* every frame, or at a fraction of real time with frames skipped */
   async function play(end) {
     until = Math.min(end, clip.frames - 1);
     if (playing) return;
@@ -336,7 +336,7 @@ const Laboratory = (() => {
     });
   }
 
-  /* show the case that the program has opened */
+  /* show the case that the server has opened */
   async function start() {
     stop();
     board = null; clips = []; clip = null; index = 0;
@@ -363,7 +363,7 @@ const Laboratory = (() => {
     event.preventDefault();
     if (await change({ add: at("effect").value })) at("effect").value = "";
   });
-  /* the report is written by a process; the fit that is shown is kept first */
+  /* save the current fit, then write the report in a process */
   async function report() {
     const state = await act(() => ask("/api/keep", {}));
     if (!state) return;
@@ -375,7 +375,7 @@ const Laboratory = (() => {
       at("open-report").hidden = true;
       while (found.state === "waiting" || found.state === "running") {
         begin.disabled = true;
-        at("report-state").textContent = `writing \u2026 ${Math.round(found.seconds || 0)} s (some 10 s)`;
+        at("report-state").textContent = `writing \u2026 ${Math.round(found.seconds || 0)} s (about 10 s)`;
         await new Promise((done) => setTimeout(done, 400));
         found = await ask("/api/report");
       }

@@ -1,4 +1,4 @@
-"""A case from imported motions."""
+"""Cases from tables and files of points."""
 
 from __future__ import annotations
 
@@ -8,34 +8,34 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack._smoothing import angular_velocity, median_smooth
-from gyrotrack.io._records import Case, Floats, Series
+from gyrotrack.io._contents import describe_motion
+from gyrotrack.io._records import Case, Floats, Series, windows_of
 from gyrotrack.io.readers._motion_table import MotionTable, ReadOptions
 from gyrotrack.io.readers._registry import read_motion
-from gyrotrack.io.readers._run import Limits, limited, run_of, turns_back
+from gyrotrack.io.readers._run import Limits, limited, reverses, run_of
 from gyrotrack.io.readers._scatter import pieces, scatter
 from gyrotrack.io.readers._units import TURN
 
 _SMOOTHING = 31
-_SHORTEST = 3
-"""Samples of the shortest piece that is kept between gaps."""
+_MIN_SAMPLES = 3
+"""Smallest number of samples between two gaps; shorter pieces are excluded."""
 
 
 def is_wrapped(angle: Floats) -> bool:
-    """Return whether angles are wrapped: all within one turn (but for noise), with steps of more than half a turn."""
+    """Return whether angles are wrapped: within one turn (except for noise), with steps of more than half a turn."""
     return bool(np.ptp(angle) <= 1.05 * TURN and (np.abs(np.diff(angle)) > TURN / 2).any())
 
 
 def unwrap(time: Floats, angle: Floats) -> tuple[Floats, list[float]]:
-    """Return the angles without steps of a turn, and the times of gaps in which a turn may be lost.
+    """Unwrap angles, and return the times of gaps in which the number of turns is uncertain.
 
-    The speed is the running median of the wrapped differences of neighbours, which must be less than half a
-    turn apart; integrated, it predicts every sample, also across gaps, and whole turns are added to bring
-    the sample next to the prediction. A gap of length T is doubtful if the speed changes across it by so much
-    that the prediction may be off by a radian: |change| T / 8 > 1.
+    The speed is the running median of the wrapped differences of neighbours, which must be less than half a turn apart.
+    Its integral predicts every sample, also across gaps, and the whole turns are chosen for the smallest difference
+    from the prediction. A gap of length T is uncertain if the speed changes across it so much that the prediction may
+    be wrong by 1 rad: |change| T / 8 > 1.
     """
     step = np.diff(time)
     turned = np.angle(np.exp(1j * np.diff(angle)))
@@ -45,8 +45,8 @@ def unwrap(time: Floats, angle: Floats) -> tuple[Floats, list[float]]:
     increment = (speed[1:] + speed[:-1]) / 2 * step
     prediction = np.concatenate([[0.0], np.cumsum(increment)])
     unwrapped = np.unwrap(angle - prediction) + prediction
-    doubtful = np.abs(np.diff(speed)) * step / 8 > 1
-    return unwrapped, [float(t) for t in time[:-1][doubtful]]
+    uncertain = np.abs(np.diff(speed)) * step / 8 > 1
+    return unwrapped, [float(t) for t in time[:-1][uncertain]]
 
 
 SMOOTHING = 51  # points of the paper's medians
@@ -54,7 +54,7 @@ SMOOTHING = 51  # points of the paper's medians
 
 @dataclass(frozen=True)
 class Piece:
-    """One piece of one table without gaps: s, rad and rad/s, all of shape (n,)."""
+    """A part of a table without gaps; all arrays have shape (n,), in s, rad and rad/s."""
 
     time: Floats
     angle: Floats
@@ -64,25 +64,27 @@ class Piece:
 
 
 def unwrapped(table: MotionTable, notes: list[str]) -> Floats:
-    """Return the values of a table, angles without steps of a turn; doubtful gaps are added to `notes`."""
+    """Return the values of a table, with unwrapped angles; uncertain gaps are added to `notes`."""
     if table.quantity != "angle" or table.counted or not is_wrapped(table.value):
         return table.value
-    value, doubtful = unwrap(table.time, table.value)
-    notes += [f"{table.path.name}: a turn may be lost in the gap after {t:.3f} s" for t in doubtful]
+    value, uncertain = unwrap(table.time, table.value)
+    notes += [
+        f"{table.path.name}: the number of turns is uncertain in the gap after {t:.3f} s" for t in uncertain
+    ]
     return value
 
 
 def pieces_of(table: MotionTable, value: Floats, notes: list[str]) -> list[Piece]:
-    """Cut a table at its gaps and bring each piece to angles, speeds and their uncertainties.
+    """Split a table at its gaps, and compute angles, speeds and uncertainties of each piece.
 
-    Where the table has no sigma it is estimated from the scatter, and is at least that of the resolution of the file
-    (quantisation step / sqrt(12)); repairs are added to `notes`.
+    Without a sigma in the table, it is estimated from the scatter, with the lower limit of the resolution of the file
+    (quantisation step / sqrt(12)). Repairs are added to `notes`.
     """
     cuts = [slice(0, len(table.time))] if table.counted else pieces(table.time)
-    short = [cut for cut in cuts if cut.stop - cut.start < _SHORTEST]
+    short = [cut for cut in cuts if cut.stop - cut.start < _MIN_SAMPLES]
     if short and len(short) < len(cuts):
         lost = sum(cut.stop - cut.start for cut in short)
-        notes.append(f"{table.path.name}: {lost} samples that stand alone between gaps were left out")
+        notes.append(f"{table.path.name}: {lost} isolated samples between gaps were excluded")
         cuts = [cut for cut in cuts if cut not in short]
     sigma = table.sigma
     if sigma is None:
@@ -101,7 +103,7 @@ def pieces_of(table: MotionTable, value: Floats, notes: list[str]) -> list[Piece
     for piece in made:
         if not np.isfinite(piece.omega).any():
             start = f"{table.path.name}: the piece at {piece.time[0]:.3f} s"
-            notes.append(f"{start} is too short for the smoothed speed ({len(piece.time)} samples)")
+            notes.append(f"{start} is too short for a smoothed speed ({len(piece.time)} samples)")
     return made
 
 
@@ -111,7 +113,7 @@ def _from_angles(time: Floats, angle: Floats, sigma: Floats) -> Piece:
 
 
 def _from_speeds(time: Floats, omega: Floats, sigma: Floats) -> Piece:
-    """Integrate by the trapezium rule; the errors of the speeds add up along the way."""
+    """Integrate by the trapezoidal rule; the errors of the speeds accumulate."""
     step = np.diff(time)
     angle = np.concatenate([[0.0], np.cumsum((omega[1:] + omega[:-1]) / 2 * step)])
     share = np.concatenate([[step[0]], step]) * sigma
@@ -119,7 +121,7 @@ def _from_speeds(time: Floats, omega: Floats, sigma: Floats) -> Piece:
 
 
 def series_of(parts: Sequence[Piece], sense: int) -> Series:
-    """Put pieces one after the other, each a window; angles and speeds are multiplied by `sense`."""
+    """Concatenate pieces, each as a window; angles and speeds are multiplied by `sense`."""
     angle = np.concatenate([sense * part.angle for part in parts])
     return Series(
         time=np.concatenate([part.time for part in parts]),
@@ -133,41 +135,26 @@ def series_of(parts: Sequence[Piece], sense: int) -> Series:
 
 
 def no_series() -> Series:
-    """Return the series of a body that is not there."""
+    """Return an empty series."""
     none, whole = np.zeros(0), np.zeros(0, dtype=np.int64)
     return Series(none, none, none, none, none, whole, window=whole, sigma_source="given")
 
 
 def summary(case: Case) -> dict[str, Any]:
-    """Return what was imported in numbers: samples, times and sigmas of the casing and of each window."""
-    windows = (
-        case.rotor.window if case.rotor.window is not None else np.zeros(len(case.rotor.time), dtype=int)
-    )
+    """Return a summary of an imported case: samples, times and sigmas of the casing and of each window."""
+    windows = windows_of(case.rotor)
     key = "omega_sigma" if case.quantity == "omega" else "sigma"
-    rotor = [{"window": int(k), **_extent(case.rotor, windows == k, key)} for k in np.unique(windows)]
+    rotor = [{"window": int(k), **describe_motion(case.rotor, windows == k, key)} for k in np.unique(windows)]
     return {
         "label": case.label,
         "casing": {
-            **_extent(case.casing, np.ones(len(case.casing.time), dtype=bool), key),
+            **describe_motion(case.casing, key=key),
             "quantity": case.quantity,
             "sigma_source": case.casing.sigma_source,
         },
         "rotor": {"windows": rotor, "quantity": case.quantity, "sigma_source": case.rotor.sigma_source},
         "sense": case.extra["sense"],
         "warnings": list(case.warnings),
-    }
-
-
-def _extent(series: Series, chosen: npt.NDArray[np.bool_], key: str) -> dict[str, Any]:
-    time, omega = series.time[chosen], series.omega[chosen]
-    known = omega[np.isfinite(omega)]
-    return {
-        "samples": len(time),
-        "t_start": float(time[0]),
-        "t_stop": float(time[-1]),
-        "omega_min": float(known.min()) if len(known) else None,
-        "omega_max": float(known.max()) if len(known) else None,
-        "median_sigma": float(np.median(getattr(series, key)[chosen])),
     }
 
 
@@ -182,7 +169,7 @@ def import_case(
     options: Sequence[ReadOptions] = (),
     limits: Limits | None = None,
 ) -> Case:
-    """Read tables of one experiment, all on one clock, and make a case of them.
+    """Make a case from tables of one experiment, all on one clock.
 
     Parameters
     ----------
@@ -191,24 +178,24 @@ def import_case(
     rotors : sequence of Path
         Tables of the rotor; a table with gaps longer than 20 sample intervals becomes several windows.
     label, surface : str
-        Name of the case, and what the casing turned on.
+        Name of the case, and the surface on which the casing turned.
     I_rotor, I_casing : float
-        Moments of inertia [kg m2]; the paper's by default.
+        Moments of inertia [kg m2].
     options : sequence of ReadOptions, optional
-        How the files are read: of the casing, then of each rotor file.
+        Options for reading the file of the casing, then those of the rotor.
     limits : Limits, optional
-        Times to keep and to leave out.
+        Times to include and to exclude.
 
     Returns
     -------
     Case
-        With angles growing in the sense in which the bodies turn; where a table had no sigma it is estimated
-        from the scatter, and where it had speeds they are kept as they are and the angle is their integral.
+        The case, with angles that increase in the sense of rotation. A missing sigma is estimated from the scatter;
+        speeds are kept as measured, and the angle is their integral.
 
     Raises
     ------
     DatasetError
-        A table is not sound, or the tables do not hold the same quantity.
+        A table is not valid, or the tables do not contain the same quantity.
     UsageError
         A moment of inertia is not positive, or there is no rotor table.
     """
@@ -224,10 +211,10 @@ def import_case(
     tables = [limited(read_motion(p, o), limits or Limits()) for p, o in zip(paths, given, strict=True)]
     quantity = _common_quantity(tables)
     notes = [note for table in tables for note in table.notes]
-    body, *wheels = (pieces_of(table, unwrapped(table, notes), notes) for table in tables)
-    windows = sorted((piece for wheel in wheels for piece in wheel), key=lambda piece: piece.time[0])
-    notes += _misplaced(body, windows)
-    sense, doubts = _sense(body, windows)
+    body, *rotor = (pieces_of(table, unwrapped(table, notes), notes) for table in tables)
+    windows = sorted((piece for pieces in rotor for piece in pieces), key=lambda piece: piece.time[0])
+    notes += _window_warnings(body, windows)
+    sense, warnings = _sense(body, windows)
     return Case(
         I_rotor=I_rotor,
         I_casing=I_casing,
@@ -236,7 +223,7 @@ def import_case(
         casing=replace(series_of(body, sense), window=None, sigma_source=_sigma_source(tables[:1])),
         rotor=replace(series_of(windows, sense), sigma_source=_sigma_source(tables[1:])),
         quantity=quantity,
-        warnings=tuple(notes + doubts),
+        warnings=tuple(notes + warnings),
         extra=_origins(tables, sense),
     )
 
@@ -255,13 +242,13 @@ def import_body(
     Parameters
     ----------
     table : Path
-        Its angles or speeds, as for `import_case`.
+        Angles or speeds of the body, as for `import_case`.
     inertia : float
-        Its moment of inertia [kg m2].
+        Moment of inertia [kg m2].
     options : ReadOptions, optional
-        How the file is read.
+        Options for reading the file.
     limits : Limits, optional
-        Times to keep and to leave out; without `keep_all` a drive, a brake and rest are left out too.
+        Times to include and to exclude; without `keep_all`, drive, brake and rest are also excluded.
 
     Returns
     -------
@@ -282,9 +269,9 @@ def import_body(
     notes = [*read.notes, *notes]
     parts = pieces_of(read, value, notes)
     sense = 1
-    if not turns_back(read, value) and sum(p.angle[-1] - p.angle[0] for p in parts) < 0:
+    if not reverses(read, value) and sum(p.angle[-1] - p.angle[0] for p in parts) < 0:
         sense = -1
-        notes.append("the body turns in the negative sense: all signs were reversed (sense -1)")
+        notes.append("the body rotates in the negative sense: all signs were reversed (sense -1)")
     body = replace(series_of(parts, sense), window=None, sigma_source=_sigma_source([read]))
     return Case(
         I_rotor=inertia,
@@ -304,14 +291,14 @@ def _common_quantity(tables: list[MotionTable]) -> str:
     for table in tables[1:]:
         if table.quantity != tables[0].quantity:
             raise DatasetError(
-                f"{table.path} holds {table.quantity}, but {tables[0].path} holds {tables[0].quantity}.",
-                "Give angles in all tables, or angular velocities in all.",
+                f"{table.path} contains {table.quantity}, but {tables[0].path} contains {tables[0].quantity}.",
+                "Give either angles or angular velocities in all tables.",
             )
     return tables[0].quantity
 
 
 def _origins(tables: list[MotionTable], sense: int) -> dict[str, Any]:
-    """Return what the case file keeps of the tables."""
+    """Return the provenance for the case file."""
     return {
         "sources": [{"file": str(t.path), "sha256": t.sha256, "samples": len(t.time)} for t in tables],
         "sense": sense,
@@ -324,29 +311,31 @@ def _sigma_source(tables: list[MotionTable]) -> str:
     return origins.pop() if len(origins) == 1 else "mixed"
 
 
-def _misplaced(body: list[Piece], windows: list[Piece]) -> list[str]:
-    """Say which rotor windows overlap each other or lie outside the casing's record."""
+def _window_warnings(body: list[Piece], windows: list[Piece]) -> list[str]:
+    """Return warnings for rotor windows that overlap or are not within the record of the casing."""
     found = []
     start, stop = body[0].time[0], body[-1].time[-1]
     for k, window in enumerate(windows):
         if window.time[0] < start or window.time[-1] > stop:
             span = f"{window.time[0]:.3f} to {window.time[-1]:.3f} s"
-            found.append(f"rotor window {k} ({span}) reaches beyond the casing's record")
+            found.append(f"rotor window {k} ({span}) is not within the record of the casing")
         if k and window.time[0] <= windows[k - 1].time[-1]:
-            found.append(f"rotor windows {k - 1} and {k} overlap in time: are all times on one clock?")
+            found.append(
+                f"rotor windows {k - 1} and {k} overlap in time; check that all times are on one clock"
+            )
     return found
 
 
 def _sense(body: list[Piece], windows: list[Piece]) -> tuple[int, list[str]]:
-    """Return the factor that makes the angles grow, and what is strange about the senses of rotation."""
+    """Return the sign that makes the angles increase, and warnings about the senses of rotation."""
     turned = [[piece.angle[-1] - piece.angle[0] for piece in group] for group in (body, windows)]
     casing, rotor = (int(np.sign(sum(angles))) for angles in turned)
-    doubts = []
+    warnings = []
     if len({np.sign(angle) for angle in turned[1]}) > 1:
-        doubts.append("the rotor windows turn in different senses")
+        warnings.append("the rotor windows have different senses of rotation")
     if casing * rotor < 0:
-        doubts.append("the casing turns against the rotor: check the signs of the tables")
-        return 1, doubts
+        warnings.append("casing and rotor have opposite senses of rotation: check the signs in the tables")
+        return 1, warnings
     if rotor < 0:
-        return -1, [*doubts, "both bodies turn in the negative sense: all signs were reversed (sense -1)"]
-    return 1, doubts
+        return -1, [*warnings, "both bodies rotate in the negative sense: all signs were reversed (sense -1)"]
+    return 1, warnings

@@ -1,7 +1,7 @@
-"""Samples of one motion: how a file is to be read, how its columns are interpreted, and what is repaired.
+"""Samples of one motion from the columns of a table.
 
-Times are sorted, repeated times averaged, and rows without a value left out; every repair is reported with its line. A
-clock that restarts, or a cell that is no number, is refused with its line.
+Times are sorted, repeated times averaged, and rows without a value excluded; every repair is reported with its line. A
+clock that restarts, or a cell that is not a number, is an error with its line.
 """
 
 from __future__ import annotations
@@ -18,34 +18,35 @@ from gyrotrack.io._records import Floats, Integers
 from gyrotrack.io.readers._raw_table import RawTable
 from gyrotrack.io.readers._units import ROLES, UNITS, clean, factor, header_of, role_of
 
-FEWEST = 8
-_MICROS = 2**32
+MIN_SAMPLES = 8
+_TICKS = 2**32
 """Ticks after which the clock of a microcontroller restarts (Arduino `micros` and `millis`)."""
 
 Names = Mapping[str, tuple[str, str]]
-"""Column of the file (header or number, case-folded), the quantity it holds, and its unit ("" if the header has it)."""
+"""Quantity and unit ("" if it is in the header) by column (header or number, case-folded)."""
 
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """How a file becomes a motion.
+    """Options for reading a file.
 
     Attributes
     ----------
     names : mapping
-        Columns by header or number, as `read_names` returns them; empty: by the headers.
+        Columns by header or number, from `read_names`; if empty, the headers determine them.
     marker, centre : str or None
-        Names of points; the centre may also be coordinates, "12.5,40", or "orbit": the centre of the marker's path.
+        Names of points; the centre may also be coordinates, "12.5,40", or "orbit", the centre of a circle fitted to
+        the path of the marker.
     fps : float or None
-        Frames per second, where a file counts frames.
+        Frame rate [1/s], for a file with frame numbers.
     start : float
         Time of the first frame [s], added to all times.
     likelihood : float
-        Points with a lower likelihood are left out.
+        Minimum likelihood of the points that are used.
     pulses_per_turn : float or None
-        Pulses per turn, where a file holds times of events.
+        Pulses per turn, for a file with times of pulses.
     body : str
-        "casing" or "rotor", which decides between two columns that differ by this word.
+        "casing" or "rotor", to choose between columns whose names contain these words.
     """
 
     names: Names | None = None
@@ -60,18 +61,18 @@ class ReadOptions:
 
 @dataclass(frozen=True)
 class MotionTable:
-    """The samples of one file, all finite, in order of time, in SI units.
+    """The samples of one file: finite, sorted by time, in SI units.
 
     Attributes
     ----------
     quantity : str
-        What `value` is: "angle" [rad] or "omega" [rad s-1].
+        Quantity of `value`: "angle" [rad] or "omega" [rad s-1].
     time, value : ndarray, shape (n,)
         Times [s] and values.
     sigma : ndarray, shape (n,), or None
-        Standard uncertainty of the values, if the file gives it.
+        Standard uncertainty of the values, if the file contains it.
     line : ndarray, shape (n,)
-        Line of the file of each sample.
+        Line of each sample in the file.
     notes : tuple of str
         Repairs and choices made while reading.
     least_sigma : float
@@ -92,7 +93,7 @@ class MotionTable:
     counted: bool = False
 
     def only(self, keep: npt.NDArray[np.bool_], *notes: str) -> MotionTable:
-        """Return the chosen samples, with further notes."""
+        """Return the selected samples, with further notes."""
         return replace(
             self,
             time=self.time[keep],
@@ -104,41 +105,39 @@ class MotionTable:
 
 
 def read_names(given: Iterable[str], body: str = "casing") -> Names:
-    """Return what options such as ``t=Zeit``, ``angle=phi [deg]`` or ``t=1 [us]`` mean for one body.
+    """Parse options such as ``t=Zeit``, ``angle=phi [deg]`` or ``t=1 [us]`` for one body.
 
-    An option that begins with ``casing.`` or ``rotor.`` is for the file of that body only.
+    An option that begins with ``casing.`` or ``rotor.`` applies to the file of that body only.
 
     Raises
     ------
     UsageError
-        One is not of this form, or its left side is not a quantity.
+        An option is not of this form, or its left side is not a quantity.
     """
     names: dict[str, tuple[str, str]] = {}
     for option in given:
-        ours, equals, theirs = (part.strip() for part in option.partition("="))
-        whose, dot, quantity = ours.partition(".")
-        ours = quantity if dot and whose in {"casing", "rotor"} else ours
-        if not equals or ours not in ROLES or not theirs:
+        role_name, equals, column = (part.strip() for part in option.partition("="))
+        prefix, dot, quantity = role_name.partition(".")
+        role_name = quantity if dot and prefix in {"casing", "rotor"} else role_name
+        if not equals or role_name not in ROLES or not column:
             raise UsageError(
                 f"{option[:60]!r}: unknown column.",
-                f"Write for example t=Zeit; quantities are {', '.join(ROLES)}.",
+                f"Write for example t=Zeit; quantities: {', '.join(ROLES)}.",
             )
-        if ours == quantity and whose != body:
+        if role_name == quantity and prefix != body:
             continue
-        names[theirs.casefold()] = (ours, "")
-        bare, unit = header_of(theirs) if theirs.endswith(("]", ")")) else (theirs, "")
+        names[column.casefold()] = (role_name, "")
+        base, unit = header_of(column) if column.endswith(("]", ")")) else (column, "")
         if unit:
-            names.setdefault(bare.casefold(), (ours, clean(unit)))
+            names.setdefault(base.casefold(), (role_name, clean(unit)))
     return names
 
 
-EXPECTED = (
-    "The header must be `t,angle`, `t,angle,sigma`, `t,omega` or `t,omega,sigma`, or name them with --column."
-)
+EXPECTED = "Use the header `t,angle`, `t,angle,sigma`, `t,omega` or `t,omega,sigma`, or give the columns with --column."
 
 
 def find_columns(raw: RawTable, options: ReadOptions) -> tuple[dict[str, int], dict[str, str], list[str]]:
-    """Return the column and the unit of each quantity, and the names of the columns that are not used.
+    """Return column and unit of each quantity, and the names of unused columns.
 
     Raises
     ------
@@ -148,11 +147,11 @@ def find_columns(raw: RawTable, options: ReadOptions) -> tuple[dict[str, int], d
     found: dict[str, list[int]] = {}
     units: dict[int, str] = {}
     for index, name in enumerate(raw.names):
-        bare, unit = header_of(name)
+        base, unit = header_of(name)
         units[index] = clean(raw.units[index] or unit)
-        role = role_of(bare) if name and not options.names else None
+        role = role_of(base) if name and not options.names else None
         if options.names:
-            for text in (name.casefold(), bare.casefold(), str(index + 1)):
+            for text in (name.casefold(), base.casefold(), str(index + 1)):
                 if text and text in options.names:
                     role, given = options.names[text]
                     units[index] = given or units[index]
@@ -191,7 +190,7 @@ def find_columns(raw: RawTable, options: ReadOptions) -> tuple[dict[str, int], d
 
 
 def _one_of(raw: RawTable, role: str, places: list[int], options: ReadOptions) -> int:
-    """Choose between several columns of one meaning."""
+    """Choose between several columns of the same quantity."""
     names = [raw.names[i] for i in places]
     exact = [i for i in places if header_of(raw.names[i])[0].casefold() in {"t", "time", "zeit"}]
     if role == "t":
@@ -203,32 +202,32 @@ def _one_of(raw: RawTable, role: str, places: list[int], options: ReadOptions) -
         of_body = [i for i in places if options.body in raw.names[i].casefold()]
         if len(of_body) == 1:
             return of_body[0]
-    stems = {_without_axis(n) for n in names}
+    stems = {_stem_without_axis(n) for n in names}
     values = [raw.numeric(i) for i in places]
     if len(stems) == 1 and all(v is not None for v in values):  # three axes of one sensor
         return places[int(np.argmax([float(np.nanmean(np.square(v))) for v in values if v is not None]))]
     raise DatasetError(
-        f"{raw.path}, line {raw.header_line}: {len(places)} columns mean '{role}': "
+        f"{raw.path}, line {raw.header_line}: {len(places)} columns for '{role}': "
         f"{', '.join(map(repr, names))[:120]}.",
         f"Choose one, for example --column '{role}={names[0]}'.",
     )
 
 
-def _without_axis(name: str) -> str:
+def _stem_without_axis(name: str) -> str:
     return " ".join(w for w in name.casefold().replace("_", " ").split() if w not in {"x", "y", "z"})
 
 
 def times_of(
     raw: RawTable, columns: Mapping[str, int], units: Mapping[str, str], options: ReadOptions
 ) -> Floats:
-    """Return the times of a table [s]: its time column, or frames divided by the rate.
+    """Return the times of a table [s]: the time column, or frame numbers divided by the rate.
 
     Raises
     ------
     DatasetError
         There is no column for the time, or its unit is unknown.
     UsageError
-        The file counts frames and the rate is not given.
+        The file contains frame numbers and the rate is not given.
     """
     if "t" in columns:
         time = raw.numbers(columns["t"], "t", times=True)
@@ -238,8 +237,8 @@ def times_of(
     where = f"{raw.path}, line {raw.header_line}"
     if not raw.headed and not options.names:
         raise DatasetError(
-            f"{where}: there is no header above the {len(raw.names)} columns of numbers.",
-            "Name them by number: --column t=1 --column angle=2; or give --pulses-per-turn.",
+            f"{where}: the {len(raw.names)} columns have no header.",
+            "Give them by number: --column t=1 --column angle=2; or give --pulses-per-turn.",
         )
     raise DatasetError(f"{where}: there is no column for the time.", EXPECTED)
 
@@ -254,7 +253,7 @@ def frame_rate(path: Path, options: ReadOptions) -> float:
     """
     if not (options.fps and options.fps > 0):
         raise UsageError(
-            f"{path} counts frames and does not give the rate at which they were captured.",
+            f"{path} contains frame numbers but not the capture rate.",
             "Give the rate with --casing-fps or --rotor-fps.",
         )
     return options.fps
@@ -273,7 +272,7 @@ def scale_of(raw: RawTable, role: str, unit: str) -> float:
     scale = factor(role, unit)
     if scale is None:
         raise DatasetError(
-            f"{raw.path}, line {raw.header_line}: the unit '{unit[:30]}' is not known.",
+            f"{raw.path}, line {raw.header_line}: unknown unit '{unit[:30]}'.",
             f"Use one of {', '.join(UNITS[role])}.",
         )
     return scale
@@ -285,7 +284,7 @@ def interpret(raw: RawTable, options: ReadOptions) -> MotionTable:
     Raises
     ------
     DatasetError
-        A column is missing, ambiguous or of unknown unit; a cell is no number; the clock restarts; too few samples.
+        A column is missing, ambiguous or of unknown unit; a cell is not a number; the clock restarts; too few samples.
     """
     columns, units, unused = find_columns(raw, options)
     quantity = "angle" if "angle" in columns else "omega"
@@ -304,7 +303,7 @@ def interpret(raw: RawTable, options: ReadOptions) -> MotionTable:
     unit = units[quantity]
     if quantity == "angle" and not unit and _wraps_at_360(value):
         unit = "deg"
-        notes.append(f"{raw.path.name}: the angles wrap at 360 and were taken as degrees")
+        notes.append(f"{raw.path.name}: the angles wrap at 360 and are assumed to be in degrees")
     scale = scale_of(raw, quantity, unit)
     sigma = None
     if "sigma" in columns:
@@ -317,22 +316,22 @@ def interpret(raw: RawTable, options: ReadOptions) -> MotionTable:
     if unused:
         notes.append(f"{raw.path.name}: ignored the column(s) {', '.join(map(repr, unused))[:120]}")
     title = raw.names[columns[quantity]]
-    axes = sum(_without_axis(n) == _without_axis(title) for n in raw.names)
+    axes = sum(_stem_without_axis(n) == _stem_without_axis(title) for n in raw.names)
     if axes > 1 and not options.names:
-        notes.append(f"{raw.path.name}: of {axes} axes '{title}' has the largest signal and was taken")
+        notes.append(f"{raw.path.name}: of {axes} axes '{title}' was used, which has the largest signal")
     least_sigma = resolution(value) * scale / float(np.sqrt(12))
     return checked(raw, quantity, time, value * scale, sigma, notes, least_sigma=least_sigma)
 
 
 def _wraps_at_360(value: Floats) -> bool:
-    """Return whether angles without a unit are in degrees: a range of one turn in degrees, with jumps of it."""
+    """Return whether angles without a unit are in degrees: their range and their steps are about 360."""
     known = value[np.isfinite(value)]
     jumps = np.abs(np.diff(known))
     return bool(len(known) > 2 and 200 < np.ptp(known) <= 400 and (np.abs(jumps - 360) < 60).any())
 
 
 def resolution(value: Floats) -> float:
-    """Return the step of which all differences between values are multiples (quantisation); 0 if there is none."""
+    """Return the quantisation step of values; 0 if there is none."""
     known = np.unique(value[np.isfinite(value)])
     if len(known) < 3:
         return 0.0
@@ -359,9 +358,9 @@ def checked(
     notes: list[str],
     *,
     least_sigma: float = 0.0,
-    fewest: int = FEWEST,
+    fewest: int = MIN_SAMPLES,
 ) -> MotionTable:
-    """Return a motion after repairs of its times; rows without a value are left out.
+    """Return a motion with repaired times and without empty rows.
 
     Raises
     ------
@@ -372,22 +371,22 @@ def checked(
     absent = np.isnan(time)
     if absent.any():
         notes.append(
-            f"{name}: {absent.sum()} rows without a time were left out (first: line {line[absent][0]})"
+            f"{name}: {absent.sum()} rows without a time were excluded (first: line {line[absent][0]})"
         )
-    seen = np.isfinite(value) & ~absent
+    valid = np.isfinite(value) & ~absent
     if sigma is not None:
-        _refuse(raw, seen & np.isnan(sigma), "the sigma is missing", "Give it, or remove the column.")
-        _refuse(raw, seen & ~(sigma > 0), "the sigma is not positive", "A sigma is greater than zero.")
-    lost = int((~seen & ~absent).sum())
+        _raise_if(raw, valid & np.isnan(sigma), "the sigma is missing", "Add it, or remove the column.")
+        _raise_if(raw, valid & ~(sigma > 0), "the sigma is not positive", "Correct it, or remove the column.")
+    lost = int((~valid & ~absent).sum())
     if lost:
-        notes.append(f"{name}: {lost} rows without a value were left out")
-    if seen.sum() < fewest:
+        notes.append(f"{name}: {lost} rows without a value were excluded")
+    if valid.sum() < fewest:
         raise DatasetError(
-            f"{raw.path} has {seen.sum()} samples with a value; at least {fewest} are needed.",
+            f"{raw.path} has {valid.sum()} samples with a value; at least {fewest} are needed.",
             "Give a longer recording.",
         )
     made = MotionTable(
-        raw.path, raw.sha256, quantity, time[seen], value[seen], None if sigma is None else sigma[seen], line[seen],
+        raw.path, raw.sha256, quantity, time[valid], value[valid], None if sigma is None else sigma[valid], line[valid],
         (), least_sigma,
     )  # fmt: skip
     made = in_order(made, notes)
@@ -399,18 +398,18 @@ def checked(
     return replace(made, notes=tuple(notes))
 
 
-def _refuse(raw: RawTable, wrong: npt.NDArray[np.bool_], what: str, hint: str) -> None:
+def _raise_if(raw: RawTable, wrong: npt.NDArray[np.bool_], what: str, hint: str) -> None:
     if wrong.any():
         raise DatasetError(f"{raw.path}, line {raw.line[np.argmax(wrong)]}: {what}.", hint)
 
 
 def in_order(table: MotionTable, notes: list[str]) -> MotionTable:
-    """Return a table with strictly increasing times: sorted, repeated times averaged; repairs are added to `notes`.
+    """Sort a table by time and average repeated times; repairs are added to `notes`.
 
     Raises
     ------
     DatasetError
-        The times restart: two recordings in one file, or a clock that was reset.
+        The times restart, because of several recordings in one file or a reset of the clock.
     """
     name = table.path.name
     table = replace(table, time=continued_clock(table.path, table.time, table.line, notes))
@@ -440,28 +439,28 @@ def in_order(table: MotionTable, notes: list[str]) -> MotionTable:
 
 
 def continued_clock(path: Path, time: Floats, line: Integers, notes: list[str]) -> Floats:
-    """Return times with the restarts of a 32-bit counter undone.
+    """Return times without the restarts of a 32-bit counter.
 
     Raises
     ------
     DatasetError
-        The times restart in another way.
+        The times restart for another reason.
     """
     step = np.diff(time)
     back = np.flatnonzero(step < 0)
-    if not len(back) or len(time) < 2 * FEWEST:
+    if not len(back) or len(time) < 2 * MIN_SAMPLES:
         return time
     usual = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
-    for period in (_MICROS * 1e-6, _MICROS * 1e-3, float(_MICROS)):
+    for period in (_TICKS * 1e-6, _TICKS * 1e-3, float(_TICKS)):
         if (np.abs(step[back] + period) < 0.02 * period).all():
             notes.append(
                 f"{path.name}: the 32-bit clock restarts at line {line[back[0] + 1]}; times were continued"
             )
             return np.concatenate([[time[0]], time[0] + np.cumsum(np.where(step < 0, step + period, step))])
     lengths = np.diff([0, *(back + 1), len(time)])
-    if len(back) <= 5 and lengths.min() >= FEWEST and (-step[back] > 20 * usual).all():
+    if len(back) <= 5 and lengths.min() >= MIN_SAMPLES and (-step[back] > 20 * usual).all():
         raise DatasetError(
             f"{path}: times are not strictly increasing (line {line[back[0] + 1]}): the clock restarts.",
-            "Split the file there: it holds several recordings.",
+            "Split the file at this line: it contains several recordings.",
         )
     return time

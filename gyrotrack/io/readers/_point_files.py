@@ -1,8 +1,8 @@
-"""Files of points of other programs: HDF5 of SLEAP, DeepLabCut and movement, projects of OSP Tracker; and own cases.
+"""Binary and XML files: HDF5 of SLEAP, DeepLabCut, movement, MATLAB and gyrotrack, and projects of OSP Tracker.
 
 A project (.trk) is XML with the points of each track in every frame, scale, axes and frame rate. In HDF5 files, pandas
-stores the names of columns as a pickle, which is a program. It is never executed: opcodes that make lists and
-tuples of words are interpreted, any other ends the reading.
+stores the names of columns as a pickle, which can contain code. It is never executed: only opcodes for lists and tuples
+of strings are interpreted, any other is an error.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ from gyrotrack.io.readers._raw_table import RawTable, table_of
 from gyrotrack.io.readers._tables import table_of_arrays
 
 _MARK = object()
-_MOST = 10_000
+_MAX_OPCODES = 10_000
 
 
 def listed_names(stored: bytes) -> list[tuple[str, ...]]:
-    """Return a stored list of tuples of words.
+    """Return a pickled list of tuples of strings.
 
     Raises
     ------
     DatasetError
-        It is anything else.
+        It is something else.
     """
     try:
-        found = _followed(bytes(stored))
+        found = _interpreted(bytes(stored))
     except (ValueError, IndexError, KeyError, TypeError, UnicodeError) as error:
         raise DatasetError("The names of the columns cannot be read.", "Export the points as CSV.") from error
     if not isinstance(found, list) or not all(
@@ -48,12 +48,12 @@ def listed_names(stored: bytes) -> list[tuple[str, ...]]:
     return found
 
 
-def _followed(stored: bytes) -> Any:
+def _interpreted(stored: bytes) -> Any:
     stack: list[Any] = []
     memo: dict[int, Any] = {}
     argument: Any
     for count, (code, argument, _) in enumerate(pickletools.genops(stored)):
-        if count > _MOST:
+        if count > _MAX_OPCODES:
             raise ValueError("too long")
         name = code.name
         if name in {"PROTO", "FRAME"}:
@@ -97,22 +97,22 @@ def _gather(stack: list[Any], name: str) -> None:
         stack.append(items if name == "LIST" else tuple(items))
 
 
-_FOREIGN = "Analysis files of SLEAP, tables of DeepLabCut, poses of movement, and cases are read."
+_FOREIGN = "Supported: analysis files of SLEAP, tables of DeepLabCut, poses of movement, and cases."
 
 
 def read_hdf5(path: Path, sha256: str, body: str = "") -> Points | RawTable:
-    """Read points from an HDF5 file that another program wrote, or a body of a case or an exported netCDF.
+    """Read points from an HDF5 file of another program, or a body of a case or exported netCDF file.
 
     Raises
     ------
     DatasetError
-        It is none of the two, is damaged, or leads out of itself.
+        The file is of another kind, is damaged, or contains links.
     """
     try:
         with h5py.File(path, "r", locking=False) as file:
             check_tree(file)
             if str(file.attrs.get("format", "")) == "gyrotrack":
-                return _own(path, sha256, file, body)
+                return _case_body(path, sha256, file, body)
             if "position" in file and "keypoints" in file:
                 return _movement(path, sha256, file)
             if {"tracks", "node_names"} <= set(file.keys()):
@@ -122,16 +122,16 @@ def read_hdf5(path: Path, sha256: str, body: str = "") -> Points | RawTable:
                 return _deeplabcut(path, sha256, table)
             frame = file.get("df_with_missing")
             if isinstance(frame, h5py.Group) and "block0_values" in frame:
-                return _fixed(path, sha256, frame)
+                return _pandas_fixed(path, sha256, frame)
     except (OSError, RuntimeError, KeyError, ValueError, TypeError, IndexError) as error:
         raise DatasetError(f"{path} cannot be read as points: {str(error)[:100]}.", _FOREIGN) from error
-    raise DatasetError(f"{path} is an HDF5 file, but holds no points of a kind that is known.", _FOREIGN)
+    raise DatasetError(f"{path} is an HDF5 file without points in a supported format.", _FOREIGN)
 
 
 def read_matlab_hdf5(path: Path, sha256: str) -> RawTable:
-    """Return the vectors of equal length, or the columns of the one matrix, in a MATLAB 7.3 file, which is HDF5.
+    """Return the vectors of equal length, or the columns of a matrix, in a MATLAB 7.3 file, which is HDF5.
 
-    MATLAB stores arrays by columns, HDF5 by rows: they come transposed. The fields of a struct are a group.
+    MATLAB stores arrays in column order, HDF5 in row order, so that they are transposed. A struct is a group.
 
     Raises
     ------
@@ -162,12 +162,12 @@ def read_matlab_hdf5(path: Path, sha256: str) -> RawTable:
     return table_of_arrays(path, sha256, arrays)
 
 
-def _own(path: Path, sha256: str, file: Any, body: str) -> RawTable:
-    """Return a body of a case, as `sync`, `import` or `export` (netCDF) write it."""
+def _case_body(path: Path, sha256: str, file: Any, body: str) -> RawTable:
+    """Return a body of a case, from `sync`, `import` or `export` (netCDF)."""
     name = body or "casing"
     if name not in file or "time" not in file[name]:
         raise DatasetError(
-            f"{path} has no series '{name}'.", "Give a case; recordings go through `gyrotrack sync`."
+            f"{path} has no series '{name}'.", "Give a case; use `gyrotrack sync` for recordings."
         )
     group = file[name]
     wanted = {"time": "t", "angle": "angle", "sigma": "sigma"}
@@ -192,15 +192,17 @@ def _movement(path: Path, sha256: str, file: Any) -> Points:
             f"{path}: 'position' has the shape {position.shape}, not (time, 2, keypoints).", _FOREIGN
         )
     if values.shape[3] != 1 or values.shape[1] < 2 or values.shape[2] != names.shape[0]:
-        raise DatasetError(f"{path} holds {values.shape[3]} tracked individuals.", "Export one individual.")
+        raise DatasetError(
+            f"{path} contains {values.shape[3]} tracked individuals.", "Export one individual."
+        )
     points = [n.decode("utf-8", "replace") if isinstance(n, bytes) else str(n) for n in names[()].tolist()]
-    sure = {}
+    confidence_of = {}
     if "confidence" in file and file["confidence"].shape[:2] == (values.shape[0], len(points)):
         check_storage(file["confidence"])
         confidence = np.asarray(load(file["confidence"]), dtype=float).reshape(
             values.shape[0], len(points), -1
         )[..., 0]
-        sure = dict(zip(points, confidence.T, strict=True))
+        confidence_of = dict(zip(points, confidence.T, strict=True))
     unit = file.attrs.get("time_unit", times.attrs.get("units", "frames"))
     unit = unit.decode() if isinstance(unit, bytes) else str(unit)
     places = {name: np.asarray(values[:, :2, i, 0], dtype=float) for i, name in enumerate(points)}
@@ -209,7 +211,7 @@ def _movement(path: Path, sha256: str, file: Any) -> Points:
         sha256,
         np.asarray(load(times), dtype=float),
         places,
-        sure,
+        confidence_of,
         y_down=True,
         counted=not unit.startswith("s"),
     )
@@ -224,45 +226,45 @@ def _sleap(path: Path, sha256: str, file: Any) -> Points:
         )
     if tracks.shape[0] != 1:
         raise DatasetError(
-            f"{path} holds {tracks.shape[0]} tracked instances.",
-            "Export one instance; a body is one of them.",
+            f"{path} contains {tracks.shape[0]} tracked instances.",
+            "Export one instance.",
         )
     points = [n.decode("utf-8", "replace") if isinstance(n, bytes) else str(n) for n in names[()].tolist()]
     values = np.asarray(load(tracks)[0], dtype=float)
-    sure: dict[str, Any] = {}
+    confidence_of: dict[str, Any] = {}
     if "point_scores" in file and file["point_scores"].shape == (1, len(points), tracks.shape[3]):
         check_storage(file["point_scores"])
         scores = np.asarray(load(file["point_scores"])[0], dtype=float)
-        sure = dict(zip(points, scores, strict=True))
+        confidence_of = dict(zip(points, scores, strict=True))
     places = {name: values[:, i].T.copy() for i, name in enumerate(points)}
     frames = np.arange(tracks.shape[3], dtype=float)
-    return Points(path, sha256, frames, places, sure, y_down=True, counted=True)
+    return Points(path, sha256, frames, places, confidence_of, y_down=True, counted=True)
 
 
 def _deeplabcut(path: Path, sha256: str, table: Any) -> Points:
     fields = set(table.dtype.names or ())
     blocks = sorted(n for n in fields if n.startswith("values_block_"))
     if table.ndim != 1 or "index" not in fields or blocks != ["values_block_0"]:
-        raise DatasetError(f"{path}: the table is not as DeepLabCut writes it.", "Export it as CSV.")
+        raise DatasetError(f"{path}: the table is not in the format of DeepLabCut.", "Export it as CSV.")
     if table.nbytes > 2**31 or table.nbytes > table.id.get_storage_size() * 1100 + 2**22:
-        raise DatasetError(f"{path} claims {table.nbytes:,} bytes.", "The file is damaged or forged.")
+        raise DatasetError(f"{path} declares {table.nbytes:,} bytes.", "The file is damaged or malicious.")
     names = listed_names(bytes(np.asarray(table.attrs["values_block_0_kind"])[()]))
     rows = table[()]
     return _points(path, sha256, names, rows["values_block_0"], rows["index"])
 
 
-def _fixed(path: Path, sha256: str, frame: Any) -> Points:
-    """Read a table in the other form that pandas has, as older DeepLabCut and `movement` write it."""
+def _pandas_fixed(path: Path, sha256: str, frame: Any) -> Points:
+    """Read a pandas table in the "fixed" format of older versions of DeepLabCut and of `movement`."""
     values, index = frame["block0_values"], frame["axis1"]
     for dataset in (values, index):
         check_storage(dataset)
     if "block1_values" in frame or index.shape != values.shape[:1]:
-        raise DatasetError(f"{path}: the table is not as DeepLabCut writes it.", "Export it as CSV.")
+        raise DatasetError(f"{path}: the table is not in the format of DeepLabCut.", "Export it as CSV.")
     levels = []
     for k in range(int(frame.attrs["block0_items_nlevels"])):
         words, labels = (frame[f"block0_items_{what}{k}"] for what in ("level", "label"))
         if words.dtype.kind != "S" or labels.dtype.kind not in "iu" or labels.ndim != 1:
-            raise DatasetError(f"{path}: the table is not as DeepLabCut writes it.", "Export it as CSV.")
+            raise DatasetError(f"{path}: the table is not in the format of DeepLabCut.", "Export it as CSV.")
         known = [w.decode("utf-8", "replace") for w in words[()].tolist()]
         levels.append([known[i] for i in labels[()].tolist()])
     return _points(path, sha256, list(zip(*levels, strict=True)), load(values), load(index))
@@ -293,7 +295,7 @@ _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3, "in": 0.0254, "ft": 0.30
 
 
 def read_project(path: Path, sha256: str, content: bytes) -> Points:
-    """Return the point masses of a Tracker project, in its own coordinates (m, y upwards), with its origin.
+    """Return the point masses of a Tracker project, in its coordinates (m, y upwards), with the origin.
 
     Raises
     ------
@@ -301,7 +303,9 @@ def read_project(path: Path, sha256: str, content: bytes) -> Points:
         The XML is damaged, declares entities, or has no points.
     """
     if re.search(rb"<!(DOCTYPE|ENTITY)", content[:100_000], re.IGNORECASE):
-        raise DatasetError(f"{path} declares XML entities.", "A Tracker project has none; export it again.")
+        raise DatasetError(
+            f"{path} declares XML entities.", "A Tracker project contains none; export it again."
+        )
     try:
         root = ET.fromstring(content)  # noqa: S314 - entities are refused above
     except (ET.ParseError, ValueError) as error:
@@ -336,7 +340,7 @@ def _project_points(path: Path, sha256: str, root: ET.Element) -> Points:
     clip = _object(root, "videoclip")
     control = _object(root, "clipcontrol")
     first, step = int(_value(clip, "startframe", 0)), int(_value(clip, "stepsize", 1))
-    duration = _value(control, "delta_t", math.nan) / 1e3  # of one frame
+    frame_duration = _value(control, "delta_t", math.nan) / 1e3
     begin = _value(clip, "starttime", 0.0) / 1e3
     tracks: dict[str, dict[int, tuple[float, float]]] = {}
     for track in root.iter("object"):
@@ -358,18 +362,20 @@ def _project_points(path: Path, sha256: str, root: ET.Element) -> Points:
     places = {name: np.full((len(frames), 2), np.nan) for name in tracks}
     for name, marked in tracks.items():
         for row, frame in enumerate(frames):
-            places[name][row] = _in_world(root, frame, marked[frame], metres) if frame in marked else np.nan
+            places[name][row] = (
+                _world_position(root, frame, marked[frame], metres) if frame in marked else np.nan
+            )
     places["origin"] = np.zeros((len(frames), 2))
     index = np.array(frames, dtype=float)
-    if math.isfinite(duration) and duration > 0:
-        time, counted = begin + (index - first) * duration, False
+    if math.isfinite(frame_duration) and frame_duration > 0:
+        time, counted = begin + (index - first) * frame_duration, False
     else:
         time, counted = (index - first) / max(step, 1), True
     return Points(path, sha256, time, places, {}, y_down=False, counted=counted)
 
 
-def _in_world(root: ET.Element, frame: int, place: tuple[float, float], metres: float) -> Floats:
-    """Return a place in the axes of the project that hold in a frame: origin, angle of the x axis, pixels per unit."""
+def _world_position(root: ET.Element, frame: int, place: tuple[float, float], metres: float) -> Floats:
+    """Transform a position in px to the axes of the project in a frame: origin, angle of the x axis, px per unit."""
     axes = [
         (int((c.get("name") or "[0]").strip("[]")), c.find("object"))
         for p in [_property(_object(root, "coords"), "framedata")] if p is not None for c in p.findall("property")

@@ -1,4 +1,4 @@
-"""Points tracked by another program, and the angle of one about another."""
+"""Points tracked by another program, and the angle of one of them about a centre."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack.io._records import Floats
-from gyrotrack.io.readers._motion_table import FEWEST, ReadOptions, frame_rate
+from gyrotrack.io.readers._motion_table import MIN_SAMPLES, ReadOptions, frame_rate
 
 CENTRES = ("centre", "center", "axis", "axle", "hub", "origin", "middle", "pivot")
 ORBIT = "orbit"
@@ -25,15 +25,15 @@ class Points:
     path : Path
         The file.
     time : ndarray, shape (n,)
-        Times [s], or numbers of frames where `counted`.
+        Times [s], or frame numbers if `counted`.
     places : dict of ndarray, shape (n, 2)
-        x and y of each point; NaN where it was not tracked.
+        x and y of each point; NaN in frames in which it was not tracked.
     likelihood : dict of ndarray, shape (n,)
-        Likelihood given by the other program, 0 to 1; empty if absent.
+        Likelihood from the other program, 0 to 1; empty if not available.
     y_down : bool
-        Whether y grows downwards, as in pictures.
+        Whether y points downwards, as in images.
     counted : bool
-        Whether `time` counts frames.
+        Whether `time` contains frame numbers.
     """
 
     path: Path
@@ -47,7 +47,7 @@ class Points:
 
 @dataclass(frozen=True)
 class PointAngle:
-    """A point's angle [rad] about a centre, counter-clockwise as seen, wrapped; NaN where not known."""
+    """Angle of a point about a centre [rad], counter-clockwise, wrapped; NaN where it is unknown."""
 
     time: Floats
     angle: Floats
@@ -62,27 +62,27 @@ def angle_of(points: Points, options: ReadOptions) -> PointAngle:
     UsageError
         The marker or the frame rate is not given, or a name is unknown.
     DatasetError
-        The marker comes too close to the centre, or is tracked in too few frames.
+        The marker is too close to the centre, or tracked in too few frames.
     """
     time = points.time.astype(float)
     if points.counted:
         time = time / frame_rate(points.path, options)
     named_centre = _centre_name(points, options)
     name = _marker_name(points, options, named_centre)
-    place = np.where(_sure(points, name, options), points.places[name].T, np.nan).T
+    place = np.where(_is_likely(points, name, options), points.places[name].T, np.nan).T
     centre, where = _centre(points, options, named_centre, place)
     arm = place - centre
-    seen = np.isfinite(arm).all(axis=1)
-    if seen.sum() < FEWEST:
+    valid = np.isfinite(arm).all(axis=1)
+    if valid.sum() < MIN_SAMPLES:
         raise DatasetError(
-            f"{points.path}: '{name[:40]}' is tracked in {seen.sum()} frames; at least {FEWEST} are needed.",
+            f"{points.path}: '{name[:40]}' is tracked in {valid.sum()} frames; at least {MIN_SAMPLES} are needed.",
             "Check the name of the point and --likelihood.",
         )
     length = np.hypot(*arm.T)
     if np.nanmin(length) < 0.2 * np.nanmedian(length):
         raise DatasetError(
-            f"{points.path}: '{name[:40]}' comes too close to {where}: its angle is undefined.",
-            "Name the centre with --centre, as a point or as a place: --centre 320,240.",
+            f"{points.path}: '{name[:40]}' is too close to {where} in some frames, where its angle is undefined.",
+            "Give the centre with --centre, as a point or as coordinates: --centre 320,240.",
         )
     up = -arm[:, 1] if points.y_down else arm[:, 1]
     notes = (f"{points.path.name}: angle of '{name}' about {where}",)
@@ -92,31 +92,33 @@ def angle_of(points: Points, options: ReadOptions) -> PointAngle:
 def _centre_name(points: Points, options: ReadOptions) -> str | None:
     if options.centre is None:
         return next((n for n in points.places if n.casefold() in CENTRES), None)
-    if options.centre == ORBIT or _as_place(options.centre) is not None:
+    if options.centre == ORBIT or _coordinates(options.centre) is not None:
         return None
-    return _known(points, options.centre)
+    return _existing(points, options.centre)
 
 
 def _marker_name(points: Points, options: ReadOptions, centre: str | None) -> str:
     if options.marker is not None:
-        return _known(points, options.marker)
+        return _existing(points, options.marker)
     if options.body in points.places:
         return options.body
     others = [n for n in points.places if n != centre]
     if len(others) != 1:
-        raise UsageError(f"{points.path} holds the points {_list(others)}.", "Choose one with --marker.")
+        raise UsageError(f"{points.path} contains the points {_list(others)}.", "Choose one with --marker.")
     return others[0]
 
 
-def _known(points: Points, name: str) -> str:
+def _existing(points: Points, name: str) -> str:
     if name not in points.places:
         raise UsageError(
-            f"{points.path} has no point '{name[:40]}'.", f"It has: {_list(list(points.places))}."
+            f"{points.path} has no point '{name[:40]}'.", f"Points: {_list(list(points.places))}."
         )
     return name
 
 
-def _sure(points: Points, name: str, options: ReadOptions) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+def _is_likely(
+    points: Points, name: str, options: ReadOptions
+) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
     if name not in points.likelihood:
         return np.ones(len(points.time), dtype=bool)
     return np.asarray(points.likelihood[name] >= options.likelihood)
@@ -124,8 +126,8 @@ def _sure(points: Points, name: str, options: ReadOptions) -> np.ndarray[tuple[i
 
 def _centre(points: Points, options: ReadOptions, name: str | None, place: Floats) -> tuple[Floats, str]:
     if name is not None:
-        return np.where(_sure(points, name, options), points.places[name].T, np.nan).T, f"'{name}'"
-    fixed = _as_place(options.centre or "")
+        return np.where(_is_likely(points, name, options), points.places[name].T, np.nan).T, f"'{name}'"
+    fixed = _coordinates(options.centre or "")
     if fixed is not None:
         return fixed, f"({fixed[0]:g}, {fixed[1]:g})"
     found = circle_centre(place)
@@ -133,10 +135,10 @@ def _centre(points: Points, options: ReadOptions, name: str | None, place: Float
 
 
 def circle_centre(place: Floats) -> Floats:
-    """Return the centre of the circle through points (n, 2), by linear least squares (Kasa's fit).
+    """Return the centre of a circle fitted to points (n, 2) by linear least squares (Kasa fit).
 
     x^2 + y^2 = 2 a x + 2 b y + c is linear in the centre (a, b); I. Kasa, IEEE Trans. Instrum. Meas. 25, 8 (1976).
-    Over whole turns its bias, of the order noise^2 / radius, is far below the noise.
+    Over whole turns its bias is of the order noise^2 / radius, much smaller than the noise.
     """
     known = place[np.isfinite(place).all(axis=1)]
     if len(known) < 3:
@@ -148,7 +150,7 @@ def circle_centre(place: Floats) -> Floats:
     return np.asarray(middle + solution[:2])
 
 
-def _as_place(text: str) -> Floats | None:
+def _coordinates(text: str) -> Floats | None:
     try:
         x, y = (float(part) for part in text.split(","))
     except ValueError:

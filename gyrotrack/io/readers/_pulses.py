@@ -1,8 +1,8 @@
-"""Pulses: times of events, gates and counters of revolutions.
+"""Angles from pulses: times of events, light gates and counters of revolutions.
 
-The angle of pulse k is 2 pi k / N for N pulses per turn, corrected for the errors of the marks; its time is uncertain.
-The uncertainty of the angle is omega times that of the time, from the scatter of the times about short cubics in k and
-from the resolution of the clock, q / sqrt(12).
+The angle of pulse k is 2 pi k / N for N pulses per turn, corrected for the errors of the marks. Its uncertainty is
+omega times that of the time, which follows from the scatter of the times about local cubics in k and from the
+resolution of the clock, q / sqrt(12).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack.io._records import Floats, Integers
 from gyrotrack.io.readers._motion_table import (
-    FEWEST,
+    MIN_SAMPLES,
     MotionTable,
     ReadOptions,
     continued_clock,
@@ -25,26 +25,26 @@ from gyrotrack.io.readers._raw_table import RawTable
 from gyrotrack.io.readers._scatter import scatter
 from gyrotrack.io.readers._units import TURN
 
-_MOST_MISSED = 20
-_MOST_MARKS = 512
-_MOST_RESTARTS = 3
-_TICKS = {1e-6: "us", 1e-3: "ms"}
+_MAX_MISSED = 20
+_MAX_MARKS = 512
+_MAX_RESTARTS = 3
+_TICK_UNITS = {1e-6: "us", 1e-3: "ms"}
 
 
 def read_pulses(raw: RawTable, options: ReadOptions) -> MotionTable:
-    """Return the angle of a body from a column of event times, or from a gate's state.
+    """Return the angle of a body from a column of event times, or from the state of a light gate.
 
-    With a column of states (0 and 1), an event is each change from 0 to 1; otherwise each row is one.
+    With a column of states (0 and 1), events are the changes from 0 to 1; otherwise each row is an event.
 
     Raises
     ------
     DatasetError, UsageError
-        There are no event times, too few, or the number of pulses per turn is not positive.
+        There are too few event times, or the number of pulses per turn is not positive.
     """
     per_turn = options.pulses_per_turn or 0.0
     if not per_turn > 0:
         raise UsageError(
-            "The number of pulses per turn is not positive.", "Give --pulses-per-turn 1 or more."
+            "The number of pulses per turn is not positive.", "Give a positive --pulses-per-turn."
         )
     notes = list(raw.notes)
     if raw.headed or options.names:
@@ -55,7 +55,7 @@ def read_pulses(raw: RawTable, options: ReadOptions) -> MotionTable:
         place, time = 0, raw.numbers(0, "t", times=True)
         scale = clock_scale(time)
         if scale != 1.0:
-            notes.append(f"{raw.path.name}: times are whole numbers and were taken as {_TICKS[scale]}")
+            notes.append(f"{raw.path.name}: times are integers and are assumed to be in {_TICK_UNITS[scale]}")
         time = time * scale + options.start
     line = raw.line
     gate = _gate(raw, place, options)
@@ -77,7 +77,7 @@ def read_pulses(raw: RawTable, options: ReadOptions) -> MotionTable:
 
 
 def _gate(raw: RawTable, place: int, options: ReadOptions) -> int | None:
-    """Return the column of a gate's state, if there is one; the marker's name chooses between several."""
+    """Return the column with the state of a light gate, if there is one; the option `marker` selects one of several."""
     found = []
     for i, column in enumerate(raw.columns):
         words = {str(c).strip() for c in column if str(c).strip()} if i != place else set()
@@ -97,40 +97,43 @@ def _gate(raw: RawTable, place: int, options: ReadOptions) -> int | None:
 def from_events(
     raw: RawTable, time: Floats, line: Integers, per_turn: float, notes: list[str]
 ) -> MotionTable:
-    """Return the angle of a body at its pulses; missed pulses are counted and double ones left out."""
-    if len(time) < FEWEST:
+    """Return the angle of a body at its pulses, with missed pulses added and double ones excluded."""
+    if len(time) < MIN_SAMPLES:
         raise DatasetError(
-            f"{raw.path} has {len(time)} pulses; at least {FEWEST} are needed.", "Give a longer recording."
+            f"{raw.path} has {len(time)} pulses; at least {MIN_SAMPLES} are needed.",
+            "Give a longer recording.",
         )
-    single = _without_doubles(time)
+    single = _not_double(time)
     doubles = int((~single).sum())
     if doubles:
         notes.append(
-            f"{raw.path.name}: {doubles} double pulses were left out (first: line {line[~single][0]})"
+            f"{raw.path.name}: {doubles} double pulses were excluded (first: line {line[~single][0]})"
         )
     time, line = time[single], line[single]
-    count = _with_missed(raw, time, np.arange(len(time), dtype=float), line, notes)
+    count = _with_missed_pulses(raw, time, np.arange(len(time), dtype=float), line, notes)
     return from_counts(raw, time, count, line, per_turn, notes)
 
 
-def _with_missed(raw: RawTable, time: Floats, count: Floats, line: Integers, notes: list[str]) -> Floats:
-    """Return counts to which pulses are added that are missed: intervals of a multiple of those about them."""
+def _with_missed_pulses(
+    raw: RawTable, time: Floats, count: Floats, line: Integers, notes: list[str]
+) -> Floats:
+    """Add missed pulses to counts, where an interval is a multiple of the neighbouring ones."""
     step = np.diff(time) / np.diff(count)
-    ratio = step / _around(step)
+    ratio = step / _typical_interval(step)
     whole = np.round(ratio)
-    missed = (whole >= 2) & (whole <= _MOST_MISSED) & (np.abs(ratio - whole) < 0.12 * whole)
+    missed = (whole >= 2) & (whole <= _MAX_MISSED) & (np.abs(ratio - whole) < 0.12 * whole)
     if not missed.any():
         return count
     added = np.where(missed, (whole - 1) * np.diff(count), 0.0)
     notes.append(
-        f"{raw.path.name}: {int(added.sum())} missed pulses were counted "
+        f"{raw.path.name}: {int(added.sum())} missed pulses were added "
         f"(first: before line {line[np.argmax(missed) + 1]})"
     )
     return np.asarray(count + np.concatenate([[0.0], np.cumsum(added)]))
 
 
-def _around(step: Floats) -> Floats:
-    """Return the usual interval about each one: the geometric mean of the medians of three before and three after."""
+def _typical_interval(step: Floats) -> Floats:
+    """Return the local typical interval: the geometric mean of the medians of the three before and the three after."""
     if len(step) < 3:
         return np.full(len(step), np.median(step) if len(step) else np.nan)
     logs = np.log(np.maximum(step, 1e-300))
@@ -140,19 +143,19 @@ def _around(step: Floats) -> Floats:
     return np.asarray(np.exp(np.mean(sides, axis=0)))
 
 
-def _without_doubles(time: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-    """Return which pulses to keep: of two less than a third of the usual interval apart, the one that fits better."""
+def _not_double(time: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    """Return which pulses to keep: of two closer than 0.35 typical intervals, the more regular one."""
     keep = np.ones(len(time), dtype=bool)
     for _ in range(20):
         index = np.flatnonzero(keep)
         step = np.diff(time[index])
-        usual = _around(step)
+        usual = _typical_interval(step)
         last, dropped = -3, False
         for k in np.flatnonzero(step < 0.35 * usual).tolist():
             before = step[k - 1] if k else np.inf
             after = step[k + 1] if k + 1 < len(step) else np.inf
             if k <= last + 2 or min(before, after) + step[k] > 1.6 * usual[k]:
-                continue  # next to one that was left out, or jitter of one pulse
+                continue  # next to an excluded one, or jitter of one pulse
             later = abs(np.log((after + step[k]) / usual[k])) < abs(np.log((before + step[k]) / usual[k]))
             keep[index[k + 1 if later else k]] = False
             last, dropped = k, True
@@ -164,9 +167,9 @@ def _without_doubles(time: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.bo
 def from_counts(
     raw: RawTable, time: Floats, count: Floats, line: Integers, per_turn: float, notes: list[str]
 ) -> MotionTable:
-    """Return the angle at times at which a count is known, with the uncertainty of the times."""
+    """Return the angle at times with known counts, with the uncertainty that results from that of the times."""
     angle = TURN * (count - mark_errors(time, count, per_turn, raw, notes)) / per_turn
-    clock = _tick(time)
+    clock = _clock_resolution(time)
     timing = np.maximum(scatter(angle * per_turn / TURN, time, 1e-9), clock / np.sqrt(12))
     slope = np.abs(np.gradient(angle, time)) if len(time) > 1 else np.zeros(len(time))
     sigma = np.maximum(slope * timing, 1e-6)
@@ -178,13 +181,13 @@ def from_counts(
 
 
 def mark_errors(time: Floats, count: Floats, per_turn: float, raw: RawTable, notes: list[str]) -> Floats:
-    """Return the error of each pulse's mark, in pulses: the median over the turns of what repeats once per turn.
+    """Return the position error of the mark of each pulse, in pulses: the median over all turns.
 
-    The times of mark 0, interpolated by a cubic spline, locate the other marks.
+    The expected positions are interpolated between the times of mark 0 by a cubic spline.
     """
     marks = round(per_turn)
     none = np.zeros(len(time))
-    if marks != per_turn or not 2 <= marks <= _MOST_MARKS:
+    if marks != per_turn or not 2 <= marks <= _MAX_MARKS:
         return none
     kind = np.round(count).astype(int) % marks
     zero = np.flatnonzero(kind == 0)
@@ -199,14 +202,14 @@ def mark_errors(time: Floats, count: Floats, per_turn: float, raw: RawTable, not
         return none
     errors -= errors.mean()
     notes.append(
-        f"{raw.path.name}: errors of the {marks} marks, repeated every turn, were removed "
+        f"{raw.path.name}: position errors of the {marks} marks were corrected "
         f"({1e3 * TURN / per_turn * float(np.sqrt(np.mean(errors**2))):.3g} mrad rms)"
     )
     return np.asarray(errors[kind])
 
 
-def _tick(time: Floats) -> float:
-    """Return the resolution of a clock [s]: the greatest common divisor of its times in ms or us; 0 if finer."""
+def _clock_resolution(time: Floats) -> float:
+    """Return the resolution of a clock [s]: the greatest common divisor of the times in ms or us; 0 if it is finer."""
     for unit in (1e-3, 1e-6):
         ticks = np.round(time / unit)
         if (np.abs(time / unit - ticks) < 1e-3).all():
@@ -217,10 +220,10 @@ def _tick(time: Floats) -> float:
 def read_counter(
     raw: RawTable, column: int, options: ReadOptions, time_column: int = 0, unit: str = ""
 ) -> MotionTable:
-    """Return the angle of a body from a column that counts its revolutions (or pulses), at the times of its steps.
+    """Return the angle of a body from a counter of its revolutions (or pulses), at the times of its steps.
 
-    Rows are written at events of several sensors; a logger may write the count one row late. Of both readings the
-    one with the smoother intervals is taken.
+    Rows are written at events of several sensors, and some loggers write the count one row late. Of both
+    interpretations, the one with the more regular intervals is used.
     """
     notes = list(raw.notes)
     ticks = raw.numbers(time_column, "t", times=True)
@@ -231,7 +234,7 @@ def read_counter(
     if not unit and not raw.headed:
         scale = clock_scale(ticks)
         if scale != 1.0:
-            notes.append(f"{raw.path.name}: times are whole numbers and were taken as {_TICKS[scale]}")
+            notes.append(f"{raw.path.name}: times are integers and are assumed to be in {_TICK_UNITS[scale]}")
     time = continued_clock(raw.path, ticks * scale, line, notes) + options.start
     order = np.argsort(time, kind="stable")
     if (np.diff(order) < 0).any():
@@ -242,25 +245,26 @@ def read_counter(
     time, count, line = time[order], count[order], line[order]
     unique = np.concatenate([[True], np.diff(time) > 0])
     if not unique.all():
-        notes.append(f"{raw.path.name}: {int((~unique).sum())} repeated rows were left out")
+        notes.append(f"{raw.path.name}: {int((~unique).sum())} repeated rows were excluded")
     time, count, line = time[unique], count[unique], line[unique]
     step = np.diff(count)
     resets = step < 0
     if resets.any():
         notes.append(
-            f"{raw.path.name}: the counter restarts at line {line[np.argmax(resets) + 1]}; it was continued"
+            f"{raw.path.name}: the counter restarts at line {line[np.argmax(resets) + 1]}; the count was continued"
         )
         step = np.where(resets, 1.0, step)
     at = np.flatnonzero(step > 0) + 1
-    restarts, odd = int(resets.sum()), float(((step < 0) | (step > _MOST_MISSED)).mean())
-    if restarts > _MOST_RESTARTS or odd > 0.02 or (~unique).mean() > 0.2:
+    restarts, odd = int(resets.sum()), float(((step < 0) | (step > _MAX_MISSED)).mean())
+    if restarts > _MAX_RESTARTS or odd > 0.02 or (~unique).mean() > 0.2:
         raise DatasetError(
-            f"{raw.path}: the column {column + 1} does not count at the times of the column {time_column + 1}.",
+            f"{raw.path}: the column {column + 1} is not a counter on the times of the column {time_column + 1}.",
             "Check --column revolutions=N, and --column t=N.",
         )
-    if len(at) < FEWEST:
+    if len(at) < MIN_SAMPLES:
         raise DatasetError(
-            f"{raw.path}: the counter has {len(at)} steps; at least {FEWEST} are needed.", "Check the column."
+            f"{raw.path}: the counter has {len(at)} steps; at least {MIN_SAMPLES} are needed.",
+            "Check the column.",
         )
     total = np.cumsum(step)[at - 1]
     choices = [(0, at), (1, at - 1)]
@@ -268,24 +272,24 @@ def read_counter(
     late = rough[1] < 0.7 * rough[0]
     if late:
         notes.append(
-            f"{raw.path.name}: the counter is written one row late: with the times of the rows before, its "
-            f"intervals are {rough[0] / max(rough[1], 1e-12):.0f} times smoother"
+            f"{raw.path.name}: the counter is written one row late: with the times of the previous rows its "
+            f"intervals are {rough[0] / max(rough[1], 1e-12):.0f} times more regular"
         )
     rows = choices[int(late)][1]
-    time, total, line = _without_glitches(time[rows], total, line[rows], notes, raw)
-    total = _with_missed(raw, time, total, line, notes)
+    time, total, line = _without_false_pulses(time[rows], total, line[rows], notes, raw)
+    total = _with_missed_pulses(raw, time, total, line, notes)
     return from_counts(raw, time, total, line, options.pulses_per_turn or 1.0, notes)
 
 
-def _without_glitches(
+def _without_false_pulses(
     time: Floats, total: Floats, line: Integers, notes: list[str], raw: RawTable
 ) -> tuple[Floats, Floats, Integers]:
-    """Leave out counts that came too early for the speed about them: false pulses."""
-    keep = _without_doubles(time)
+    """Exclude false pulses, which are too early for the local speed."""
+    keep = _not_double(time)
     false = int((~keep).sum())
     if not false:
         return time, total, line
-    notes.append(f"{raw.path.name}: {false} false pulses were left out (first: line {line[~keep][0]})")
+    notes.append(f"{raw.path.name}: {false} false pulses were excluded (first: line {line[~keep][0]})")
     extra = np.concatenate([[0.0], np.diff(total)])
     shift = np.cumsum(np.where(keep, 0.0, extra))
     return time[keep], (total - shift)[keep], line[keep]
@@ -298,7 +302,7 @@ def _roughness(time: Floats, count: Floats) -> float:
 
 
 def clock_scale(ticks: Floats) -> float:
-    """Return the factor to seconds of a clock that counts: us if whole numbers step by 1000, ms if by 10."""
+    """Return the factor to seconds of integer times: us for steps of at least 1000, ms for steps of more than 10."""
     known = ticks[np.isfinite(ticks)]
     if not len(known) or (known != np.round(known)).any():
         return 1.0
@@ -307,16 +311,20 @@ def clock_scale(ticks: Floats) -> float:
 
 
 def counters_of(raw: RawTable) -> list[int]:
-    """Return the columns of a table without header that count: whole, never decreasing by one row, in steps of one."""
+    """Return the counters among the columns of a table without header: integers that increase in steps of 1."""
     found = []
     for i in range(1, len(raw.names)):
         values = raw.numeric(i)
         if values is None:
             continue
         values = values[np.isfinite(values)]
-        if len(values) < FEWEST or (values != np.round(values)).any():
+        if len(values) < MIN_SAMPLES or (values != np.round(values)).any():
             continue
         step = np.diff(values)
-        if (step >= 0).mean() > 0.99 and (step == 1).sum() >= FEWEST and np.isin(step, (0, 1)).mean() > 0.9:
+        if (
+            (step >= 0).mean() > 0.99
+            and (step == 1).sum() >= MIN_SAMPLES
+            and np.isin(step, (0, 1)).mean() > 0.9
+        ):
             found.append(i)
     return found

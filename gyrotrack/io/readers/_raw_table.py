@@ -1,7 +1,7 @@
-"""Tables of other programs before they are interpreted: named columns of numbers or text, and files of text.
+"""Tables before interpretation: named columns of numbers or text, and the parser of text files.
 
-Text is read as it comes: UTF-8, UTF-16 or Latin-1; comma, semicolon, tab or blanks between the cells; a decimal comma
-where it does not separate the cells; comment lines with ``#``; lines above the header; a line of units below it.
+Text may be UTF-8, UTF-16 or Latin-1; cells may be separated by comma, semicolon, tab or blanks; a comma that is not the
+separator is a decimal comma; comment lines with ``#``, lines above the header and units below it are accepted.
 """
 
 from __future__ import annotations
@@ -21,26 +21,26 @@ from gyrotrack.io._atomic import refuse_special
 from gyrotrack.io._records import Floats, Integers
 from gyrotrack.io.readers._units import is_unit
 
-MOST_BYTES = 2**30
-_MISSING = {"", "nan", "na", "n/a", "-", "none", "null", "#n/a", "inf"} - {"inf"}
+MAX_BYTES = 2**30
+_MISSING = {"", "nan", "na", "n/a", "-", "none", "null", "#n/a"}
 
 Lines = Sequence[tuple[int, str]]
 
 
 @dataclass(frozen=True)
 class RawTable:
-    """Columns as they stand in a file.
+    """The columns of a file.
 
     Attributes
     ----------
     path, sha256 :
-        The file and the hash of its bytes.
+        The file and its hash.
     names, units : tuple of str
-        Header of each column and its unit if it stands apart; names are empty without a header.
+        Header of each column, and its unit if in a separate line; names are empty without a header.
     columns : tuple
         Numbers (ndarray, shape (n,)) or cells of text (list of str), one per column.
     line : ndarray, shape (n,)
-        Line or row of the file of each sample.
+        Line of each sample in the file.
     header_line : int
         Line of the header.
     notes : tuple of str
@@ -63,7 +63,7 @@ class RawTable:
         return any(self.names)
 
     def numbers(self, index: int, name: str = "", *, times: bool = False) -> Floats:
-        """Return a column as numbers; NaN where a cell is empty.
+        """Return a column as numbers; NaN for empty cells.
 
         Raises
         ------
@@ -80,13 +80,13 @@ class RawTable:
                 raise DatasetError(
                     f"{self.path}, line {self.line[row]}: '{cell[:30]}' in the column "
                     f"'{name or self.names[index] or index + 1}' is not a number.",
-                    "Leave the cell empty where a value is missing.",
+                    "Use an empty cell for a missing value.",
                 )
             made[row] = value
         return made
 
     def numeric(self, index: int) -> Floats | None:
-        """Return a column as numbers, or None if it holds text."""
+        """Return a column as numbers, or None if it contains text."""
         try:
             return self.numbers(index)
         except DatasetError:
@@ -94,9 +94,9 @@ class RawTable:
 
 
 def number_of(cell: str, *, decimal_comma: bool = False, times: bool = False) -> float | None:
-    """Return the number in a cell, NaN if it is empty, None if it is something else.
+    """Return the number in a cell, NaN if it is empty, None if it is not a number.
 
-    With `times` also clock times, ``12:03:04.5`` or ISO 8601, in seconds.
+    With `times`, clock times such as ``12:03:04.5`` and ISO 8601 are converted to seconds.
     """
     text = cell.replace(",", ".") if decimal_comma else cell
     if text.casefold() in _MISSING:
@@ -114,7 +114,7 @@ def number_of(cell: str, *, decimal_comma: bool = False, times: bool = False) ->
 
 
 def is_number(text: str) -> bool:
-    """Return whether a cell is a number as other programs write them."""
+    """Return whether a text is a number, without the underscores that Python allows."""
     try:
         float(text)
     except ValueError:
@@ -128,11 +128,11 @@ def read_bytes(path: Path) -> bytes:
     Raises
     ------
     DatasetError
-        It does not exist, is not a regular file, or is far too large.
+        It does not exist, is not a regular file, or is too large.
     """
     refuse_special(path)
     try:
-        if path.stat().st_size > MOST_BYTES:
+        if path.stat().st_size > MAX_BYTES:
             raise DatasetError(f"{path} is larger than 1 GiB.", "Check the name of the file.")
         return path.read_bytes()
     except FileNotFoundError as error:
@@ -144,7 +144,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def content_lines(path: Path, content: bytes) -> list[tuple[int, str]]:
-    """Return the lines that are neither blank nor comments, each with its number.
+    """Return the lines that are neither blank nor comments, with their numbers.
 
     Raises
     ------
@@ -158,7 +158,7 @@ def content_lines(path: Path, content: bytes) -> list[tuple[int, str]]:
         zeros = [half.count(0) > 0.9 * max(len(half), 1) and len(half) > 8 for half in halves]
         if not any(zeros):
             raise DatasetError(
-                f"{path} is not a table of text.", "Give a CSV file; films go through `gyrotrack extract`."
+                f"{path} is not a table of text.", "Give a CSV file; use `gyrotrack extract` for films."
             )
         text = content.decode("utf-16-le" if zeros[0] else "utf-16-be", errors="replace").lstrip("\ufeff")
     else:
@@ -174,17 +174,17 @@ def content_lines(path: Path, content: bytes) -> list[tuple[int, str]]:
 
 
 def split(line: str, delimiter: str | None) -> list[str]:
-    """Return the cells of a line, without blanks and quotes around them."""
+    """Return the cells of a line, without surrounding blanks and quotes."""
     return [cell.strip().strip('"').strip() for cell in line.split(delimiter)]
 
 
 def delimiter_of(line: str) -> str | None:
-    """Return what separates the cells of a line: semicolon, tab or comma, else blanks (None)."""
+    """Return the separator of the cells of a line: semicolon, tab, comma, or None for blanks."""
     return next((d for d in (";", "\t", ",") if d in line), None)
 
 
 def _is_data(cells: Sequence[str], *, comma: bool) -> bool:
-    """Return whether a line holds samples: a number or clock time first among its filled cells, or mostly numbers."""
+    """Return whether a line contains samples: its first non-empty cell, or most of them, are numbers or clock times."""
     filled = [c for c in cells if c]
     known = [number_of(c, decimal_comma=comma, times=True) is not None for c in filled]
     return bool(filled) and (known[0] or sum(known) > len(known) / 2)
@@ -196,7 +196,7 @@ def read_text(path: Path, sha256: str, lines: Lines) -> RawTable:
     Raises
     ------
     DatasetError
-        There are no samples, or a line has another number of cells than the header.
+        There are no samples, or a line and the header differ in the number of cells.
     """
     delimiter = delimiter_of(lines[0][1]) or delimiter_of(lines[len(lines) // 2][1])
     comma = delimiter != ","
@@ -222,7 +222,7 @@ def read_text(path: Path, sha256: str, lines: Lines) -> RawTable:
     if delimiter is None and len(names) != usual:
         names = _names_between_blanks(lines[first - 1][1], usual) or names
     width = len(names) or usual
-    rows, kept, notes = _even_rows(
+    rows, kept, notes = _checked_rows(
         path, rows, np.array([n for n, _ in lines[first:]], dtype=np.int64), width, delimiter
     )
     return RawTable(
@@ -239,7 +239,7 @@ def read_text(path: Path, sha256: str, lines: Lines) -> RawTable:
 
 
 def _names_between_blanks(line: str, width: int) -> list[str]:
-    """Return names that contain blanks, ``t [s] angle [rad]`` or of one column; none if they are more or fewer."""
+    """Return names with blanks, such as ``t [s] angle [rad]``; empty unless there are `width` of them."""
     names = (
         [line.strip().strip('"')]
         if width == 1
@@ -253,18 +253,16 @@ def _are_units(cells: Sequence[str]) -> bool:
     return bool(filled) and sum(is_unit(c) for c in filled) >= len(filled) / 2
 
 
-def _even_rows(
+def _checked_rows(
     path: Path, rows: list[list[str]], line: Integers, width: int, delimiter: str | None
 ) -> tuple[list[list[str]], Integers, list[str]]:
-    """Bring all rows to the same number of cells; a last row that is cut short is left out."""
+    """Check that all rows have the same number of cells; a truncated last row is excluded."""
     notes: list[str] = []
     if delimiter == "," and all(
         len(r) == 2 * width and all(c.lstrip("+-").isdigit() for c in r[::2]) for r in rows
     ):
         rows = [[f"{r[2 * i]}.{r[2 * i + 1]}" for i in range(width)] for r in rows]
-        notes.append(
-            f"{path.name}: the comma is both the decimal sign and the separator; cells were joined in pairs"
-        )
+        notes.append(f"{path.name}: the comma is both decimal sign and separator; pairs of cells were joined")
     keep = np.ones(len(rows), dtype=bool)
     for i, row in enumerate(rows):
         if delimiter is not None and len(row) == width + 1 and not row[-1]:
@@ -273,11 +271,11 @@ def _even_rows(
             continue
         if i == len(rows) - 1 and len(row) < width and i:
             keep[i] = False
-            notes.append(f"{path.name}, line {line[i]}: the last row is cut short and was left out")
+            notes.append(f"{path.name}, line {line[i]}: the last row is truncated and was excluded")
             continue
         raise DatasetError(
             f"{path}, line {line[i]}: {len(row)} cells where the header has {width}.",
-            "Separate the cells with ';' where the comma is the decimal sign." if len(row) > width else "",
+            "Use ';' as separator if the comma is the decimal sign." if len(row) > width else "",
         )
     return [r for r, k in zip(rows, keep, strict=True) if k], line[keep], notes
 
@@ -285,7 +283,7 @@ def _even_rows(
 def table_of(
     path: Path, sha256: str, names: Sequence[str], columns: Sequence[npt.ArrayLike], units: Sequence[str] = ()
 ) -> RawTable:
-    """Return a table of numeric columns of equal length, as binary formats hold them."""
+    """Return a table of numeric columns of equal length."""
     made = tuple(np.asarray(c, dtype=float).ravel() for c in columns)
     rows = len(made[0]) if made else 0
     return RawTable(

@@ -1,6 +1,6 @@
-"""The formats of imported files. A new format is one module with a reader and one entry in `FORMATS`.
+"""The formats of imported files. A new format needs a module with a reader and an entry in `FORMATS`.
 
-A format is recognised by the content of the file, never by its name; the first entry that matches reads it.
+A format is recognised by the content of the file, not by its name; the first matching entry reads the file.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ Content = RawTable | Points
 
 @dataclass(frozen=True)
 class Format:
-    """One format: its name, the test of a file's bytes, and the reader (path, SHA-256, bytes, options)."""
+    """One format: name, test of the bytes of a file, and reader (path, SHA-256, bytes, options)."""
 
     name: str
     matches: Callable[[bytes], bool]
@@ -77,37 +77,37 @@ FORMATS: tuple[Format, ...] = (
         lambda c: c.lstrip(b"\xef\xbb\xbf \r\n\t")[:1] in {b"{", b"["},
         lambda p, h, c, _: read_json(p, h, c),
     ),
-    Format("text", lambda c: True, _text),  # noqa: ARG005 - the last format takes what no other recognises
+    Format("text", lambda c: True, _text),  # noqa: ARG005 - the fallback
 )
 
 
 def read_motion(path: Path, options: ReadOptions | None = None) -> MotionTable:
-    """Read the motion of one body from a file of any known format.
+    """Read the motion of one body from a file of any supported format.
 
     Parameters
     ----------
     path : Path
-        Angles or angular velocities, pulses, a counter, or points that another program tracked.
+        Angles, angular velocities, pulses, a counter, or points that another program tracked.
     options : ReadOptions, optional
         Columns, points, rates.
 
     Raises
     ------
     DatasetError
-        The file does not exist, is in no known format, or a line is wrong; the message names file and line.
+        The file does not exist, or its content is not valid; the message contains file and line.
     UsageError
-        An option is needed: the marker, the frame rate, the pulses per turn.
+        An option is missing: marker, frame rate, or pulses per turn.
     """
     path, options = Path(path), options or ReadOptions()
     content = read_bytes(path)
     sha256 = hashlib.sha256(content).hexdigest()
     found = next(f for f in FORMATS if f.matches(content)).read(path, sha256, content, options)
-    return _of_points(found, options) if isinstance(found, Points) else _of_table(found, options)
+    return _from_points(found, options) if isinstance(found, Points) else _from_table(found, options)
 
 
-def _of_table(raw: RawTable, options: ReadOptions) -> MotionTable:
-    """Return the motion in a table: of a body, a counter, pulses, or a column of angles or speeds."""
-    raw = _of_body(raw, options)
+def _from_table(raw: RawTable, options: ReadOptions) -> MotionTable:
+    """Return the motion in a table of angles, speeds, pulses or counts."""
+    raw = _rows_of_body(raw, options)
     if raw.headed or options.names:
         columns, units, _ = find_columns(raw, options)
         if "revolutions" in columns and not set(columns) & {"angle", "omega"}:
@@ -125,8 +125,8 @@ def _of_table(raw: RawTable, options: ReadOptions) -> MotionTable:
     return read_pulses(raw, options) if options.pulses_per_turn else interpret(raw, options)
 
 
-def _of_body(raw: RawTable, options: ReadOptions) -> RawTable:
-    """Return the rows of one body, where a table holds several (as `export` writes them)."""
+def _rows_of_body(raw: RawTable, options: ReadOptions) -> RawTable:
+    """Return the rows of one body, if a table contains several (such as those of `export`)."""
     place = next(
         (i for i, n in enumerate(raw.names) if n.casefold() == "body" and isinstance(raw.columns[i], list)),
         None,
@@ -138,21 +138,22 @@ def _of_body(raw: RawTable, options: ReadOptions) -> RawTable:
     body = options.body if options.body in bodies else bodies[0] if len(bodies) == 1 else None
     if body is None:
         raise DatasetError(
-            f"{raw.path} has the bodies {', '.join(bodies)[:80]}.", "Import it with --casing and --rotor."
+            f"{raw.path} contains the bodies {', '.join(bodies)[:80]}.",
+            "Import it with --casing and --rotor.",
         )
     rows = np.flatnonzero(words == body)
     columns = tuple(c[rows] if isinstance(c, np.ndarray) else [c[i] for i in rows] for c in raw.columns)
     return replace(raw, columns=columns, line=raw.line[rows])
 
 
-def _of_points(points: Points, options: ReadOptions) -> MotionTable:
+def _from_points(points: Points, options: ReadOptions) -> MotionTable:
     found = angle_of(points, options)
-    seen = np.isfinite(found.angle) & np.isfinite(found.time)
-    lost = int((~seen).sum())
+    valid = np.isfinite(found.angle) & np.isfinite(found.time)
+    lost = int((~valid).sum())
     notes = [*found.notes]
     if lost:
-        notes.append(f"{points.path.name}: {lost} frames without the marker were left out")
-    rows = np.flatnonzero(seen)
+        notes.append(f"{points.path.name}: {lost} frames without the marker were excluded")
+    rows = np.flatnonzero(valid)
     made = MotionTable(
         points.path, points.sha256, "angle", found.time[rows], found.angle[rows], None, rows + 1, ()
     )

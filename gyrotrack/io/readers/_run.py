@@ -1,15 +1,14 @@
-"""What of a recording belongs to the run: limits by hand, a drive at the start, a brake or rest at the end.
+"""The part of a recording with free motion: without excluded intervals, drive, brake and rest.
 
-The speed is taken in blocks of samples. A drive (a motor, a hand) is recognised by a changepoint of the deceleration:
-before it the speed is held or grows, after it the body slows down; a brake by a deceleration of three times that before
-it and more, to the end of the motion; rest by a speed that is not distinguishable from zero; a disturbance by a speed
-that grows again. A body that does not slow down between drive and end is not cut.
+Speeds are estimated in blocks of samples. The end of a drive (by motor or hand) is a changepoint of the deceleration:
+before it the speed is constant or increases, after it the body slows down. A brake is a deceleration of at least three
+times the previous one, to the end of the motion; rest is a speed that is consistent with zero; a disturbance is a speed
+that increases again. A body that does not slow down in between is not cut.
 
-Of a body that changes its sense of rotation more than once the start is cut where a hand holds or moves it: periods and
-amplitudes that do not continue the later ones smoothly. Rest at the end is cut only where the resolution of the file
-exceeds the noise. The error of a quantised value is white while the value passes through several steps; at
-rest it is one constant, up to half a step, in every sample, and no average reduces it (B. Widrow, I. Kollar,
-Quantization Noise, 2008).
+An oscillation is cut at the start while a hand holds or moves the body, where periods and amplitudes do not continue
+the later ones smoothly. Rest at its end is cut only if the resolution of the file exceeds the noise: the error of a
+quantised value is white while the value passes through several steps, but at rest it is a constant of up to half a
+step, which averages do not reduce (B. Widrow, I. Kollar, Quantization Noise, 2008).
 """
 
 from __future__ import annotations
@@ -23,26 +22,26 @@ from scipy.ndimage import median_filter
 
 from gyrotrack._errors import UsageError
 from gyrotrack.io._records import Floats
-from gyrotrack.io.readers._motion_table import FEWEST, MotionTable
+from gyrotrack.io.readers._motion_table import MIN_SAMPLES, MotionTable
 from gyrotrack.io.readers._scatter import scatter
 
 _BLOCKS = 400
-_LEAST_BLOCK = 4
-_STEEPER = 3.0
-"""Ratio of decelerations from which the later one is a brake."""
+_MIN_BLOCK = 4
+_BRAKE_RATIO = 3.0
+"""Smallest ratio of the decelerations during and before a brake."""
 _SIGNIFICANT = 6.0
-"""Standard errors by which the slopes before and after a drive's end differ."""
-_FEWEST_PASSAGES = 12
-"""Periods from which on irregular ones can be told."""
+"""Smallest difference of the slopes before and after the end of a drive [standard errors]."""
+_MIN_CROSSINGS = 12
+"""Smallest number of zero crossings for the detection of irregular periods."""
 _IRREGULAR = np.array([0.01, 0.05])
-"""Least relative deviations of a period and of an amplitude that count."""
-_STEPS = 2
-"""Steps of the resolution that a deflection has to exceed for its errors to be independent."""
+"""Smallest relative deviations of an irregular period and amplitude."""
+_MIN_STEPS = 2
+"""Smallest deflection for which quantisation errors are independent [steps of the resolution]."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Times of the recording's own clock [s] that the user wants: first, last, and intervals to leave out."""
+    """Limits by the user, on the clock of the recording [s]: first and last time, and intervals to exclude."""
 
     start: float | None = None
     stop: float | None = None
@@ -51,12 +50,12 @@ class Limits:
 
 
 def read_cuts(given: Sequence[str]) -> tuple[tuple[float, float], ...]:
-    """Return intervals written as ``A:B`` [s].
+    """Parse intervals ``A:B`` [s].
 
     Raises
     ------
     UsageError
-        One is not of this form, or B is not greater than A.
+        An interval is not of this form, or B is not greater than A.
     """
     cuts = []
     for text in given:
@@ -72,12 +71,12 @@ def read_cuts(given: Sequence[str]) -> tuple[tuple[float, float], ...]:
 
 
 def limited(table: MotionTable, limits: Limits) -> MotionTable:
-    """Return the samples within the limits and outside the cuts.
+    """Return the samples within the limits and outside of the excluded intervals.
 
     Raises
     ------
     UsageError
-        Fewer samples remain than a fit needs.
+        Too few samples remain.
     """
     keep = np.ones(len(table.time), dtype=bool)
     if limits.start is not None:
@@ -88,34 +87,34 @@ def limited(table: MotionTable, limits: Limits) -> MotionTable:
         keep &= (table.time < first) | (table.time > last)
     if keep.all():
         return table
-    if keep.sum() < FEWEST:
+    if keep.sum() < MIN_SAMPLES:
         raise UsageError(
-            f"{table.path}: {keep.sum()} samples remain between the limits; it has times from "
+            f"{table.path}: {keep.sum()} samples remain within the limits; its times are "
             f"{table.time[0]:.6g} to {table.time[-1]:.6g} s.",
             "Choose --from, --to and --cut within these times.",
         )
     return table.only(
         keep,
-        f"{table.path.name}: {int((~keep).sum())} samples outside --from, --to or in --cut were left out",
+        f"{table.path.name}: {int((~keep).sum())} samples were excluded by --from, --to or --cut",
     )
 
 
 def run_of(table: MotionTable, value: Floats, limits: Limits) -> tuple[MotionTable, Floats]:
-    """Return the samples of the free motion and their unwrapped values: without drive, brake and rest.
+    """Return the samples of the free motion and their unwrapped values, without drive, brake and rest.
 
     Parameters
     ----------
     table : MotionTable
         A recording of one body.
     value : ndarray, shape (n,)
-        Its angles without steps of a turn [rad], or its angular velocities [rad/s].
+        Unwrapped angles [rad], or angular velocities [rad/s].
 
     Returns
     -------
     MotionTable, ndarray
-        What belongs to the run, with a note for each part that was cut; everything with `keep_all`.
+        The free motion, with a note for each excluded part; everything with `keep_all`.
     """
-    if limits.keep_all or len(table.time) < 8 * _LEAST_BLOCK:
+    if limits.keep_all or len(table.time) < 8 * _MIN_BLOCK:
         return table, value
     time, speed, error = speeds(table, value)
     if len(time) < 12:
@@ -123,8 +122,8 @@ def run_of(table: MotionTable, value: Floats, limits: Limits) -> tuple[MotionTab
     if _oscillates(speed):
         return _without_rest(*_without_hand(table, value))
     speed = np.abs(median_filter(speed, 5, mode="nearest"))
-    begin, driven = _release(time, speed)
-    end, stopped = _arrest(time, speed, error, begin)
+    begin, driven = _end_of_drive(time, speed)
+    end, stopped = _end_of_motion(time, speed, error, begin)
     if not _coasts(speed[begin : end + 1]):
         return table, value
     first = time[begin] if driven else -np.inf
@@ -136,17 +135,17 @@ def run_of(table: MotionTable, value: Floats, limits: Limits) -> tuple[MotionTab
     if driven:
         notes.append(
             f"{table.path.name}: the body is driven until {first:.2f} s (changepoint of its deceleration); "
-            f"{int((table.time < first).sum())} samples were left out (--keep-all keeps them)"
+            f"{int((table.time < first).sum())} samples were excluded (--keep-all keeps them)"
         )
     if stopped:
         notes.append(
             f"{table.path.name}: the body {stopped} after {last:.2f} s; {int((table.time > last).sum())} samples were "
-            "left out (--keep-all keeps them)"
+            "excluded (--keep-all keeps them)"
         )
     return table.only(keep, *notes), value[keep]
 
 
-def turns_back(table: MotionTable, value: Floats) -> bool:
+def reverses(table: MotionTable, value: Floats) -> bool:
     """Return whether a body changes its sense of rotation more than once."""
     return _oscillates(speeds(table, value)[1])
 
@@ -157,14 +156,14 @@ def _oscillates(speed: Floats) -> bool:
 
 
 def _without_hand(table: MotionTable, value: Floats) -> tuple[MotionTable, Floats]:
-    """Return an oscillation from the moment at which it swings freely."""
+    """Return the free part of an oscillation, without its start by hand."""
     first = start_of_oscillation(table.time, value)
     if not first:
         return table, value
     keep = np.arange(len(value)) >= first
     note = (
-        f"{table.path.name}: before {table.time[first]:.2f} s the body is at rest or is moved (its periods or "
-        f"amplitudes do not continue those that follow); {first} samples were left out (--keep-all keeps them)"
+        f"{table.path.name}: before {table.time[first]:.2f} s the body is held or moved (periods or amplitudes "
+        f"do not continue the later ones); {first} samples were excluded (--keep-all keeps them)"
     )
     return table.only(keep, note), value[keep]
 
@@ -172,8 +171,8 @@ def _without_hand(table: MotionTable, value: Floats) -> tuple[MotionTable, Float
 def start_of_oscillation(time: Floats, value: Floats) -> int:
     """Return the first sample of the free part of an oscillation, 0 if it is free from the beginning.
 
-    Period and logarithm of the amplitude of a free oscillation are smooth functions of time. Polynomials are fitted to
-    those of all periods but the ones, among the first quarter, that are off by more than six times the scatter and by
+    Period and logarithm of the amplitude of a free oscillation are smooth functions of time. They are fitted by
+    polynomials; outliers in the first quarter are excluded, which deviate by more than six times the scatter and by
     more than 1 % of the period or 5 % of the amplitude.
 
     Parameters
@@ -182,18 +181,18 @@ def start_of_oscillation(time: Floats, value: Floats) -> int:
         Time [s], and angle or angular velocity.
     """
     value = value - 0.5 * (np.quantile(value, 0.05) + np.quantile(value, 0.95))
-    passages = _upward_passages(value)
-    if len(passages) < _FEWEST_PASSAGES:
+    crossings = _upward_crossings(value)
+    if len(crossings) < _MIN_CROSSINGS:
         return 0
-    below, above = value[passages - 1], value[passages]
-    at = time[passages] - np.diff(time)[passages - 1] * above / (above - below)
-    size = np.array([np.ptp(value[a:b]) for a, b in pairwise(passages)])
+    below, above = value[crossings - 1], value[crossings]
+    at = time[crossings] - np.diff(time)[crossings - 1] * above / (above - below)
+    size = np.array([np.ptp(value[a:b]) for a, b in pairwise(crossings)])
     curves = np.stack([np.log(np.diff(at)), np.log(size)], axis=1)
     x = 2 * (at[:-1] - at[0]) / (at[-2] - at[0]) - 1
     design = np.polynomial.chebyshev.chebvander(x, min(5, len(x) // 4))
     early = np.arange(len(x)) < len(x) // 4
     free = np.ones(len(x), dtype=bool)
-    weight = (size / size.max())[:, None]  # noise moves passages and extremes of a small oscillation by more
+    weight = (size / size.max())[:, None]  # noise has more influence on small oscillations
     for _ in range(len(x) // 4):
         fitted = np.linalg.lstsq((weight * design)[free], (weight * curves)[free], rcond=None)[0]
         rest = np.abs(curves - design @ fitted)
@@ -204,13 +203,13 @@ def start_of_oscillation(time: Floats, value: Floats) -> int:
             break
         free = ~beginning
     if free[0]:
-        held = time[passages[0]] - time[0] > 1.5 * np.median(np.diff(at))
-        return int(passages[1]) if held else 0
-    return int(passages[int(np.argmax(free))])
+        held = time[crossings[0]] - time[0] > 1.5 * np.median(np.diff(at))
+        return int(crossings[1]) if held else 0
+    return int(crossings[int(np.argmax(free))])
 
 
-def _upward_passages(value: Floats) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
-    """Return the samples at which a curve passes zero upwards, having been clearly below it before."""
+def _upward_crossings(value: Floats) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+    """Return the samples of the upward zero crossings of a curve, with hysteresis."""
     least = 0.02 * float(np.ptp(value))
     state = np.where(value > least, 1, np.where(value < -least, -1, 0))
     clear = np.flatnonzero(state)
@@ -220,32 +219,32 @@ def _upward_passages(value: Floats) -> np.ndarray[tuple[int], np.dtype[np.intp]]
 
 
 def _without_rest(table: MotionTable, value: Floats) -> tuple[MotionTable, Floats]:
-    """Return an oscillation up to the last deflection of more than `_STEPS` steps of the resolution."""
+    """Return an oscillation up to the last deflection of more than `_MIN_STEPS` steps of the resolution."""
     step = table.least_sigma * np.sqrt(12)
     if not step > 0:
         return table, value
     deflection = value - np.median(value[-max(len(value) // 50, 1) :])
-    beyond = np.flatnonzero(np.abs(deflection) > _STEPS * step)
+    beyond = np.flatnonzero(np.abs(deflection) > _MIN_STEPS * step)
     if not len(beyond):
         return table, value
     moving = slice(0, int(beyond[-1]) + 1)
-    passages = table.time[moving][1:][np.diff(np.sign(deflection[moving])) != 0]
-    if len(passages) < 3 or table.time[-1] - table.time[beyond[-1]] < 2 * np.max(np.diff(passages[-3:])):
+    crossings = table.time[moving][1:][np.diff(np.sign(deflection[moving])) != 0]
+    if len(crossings) < 3 or table.time[-1] - table.time[beyond[-1]] < 2 * np.max(np.diff(crossings[-3:])):
         return table, value
     keep = np.arange(len(value)) <= beyond[-1]
     if keep.sum() < 60 or table.least_sigma < np.median(scatter(table.time[keep], value[keep])) / 2:
         return table, value
     last = float(table.time[beyond[-1]])
     note = (
-        f"{table.path.name}: the deflection after {last:.2f} s is at most {_STEPS} steps of the resolution; "
-        f"{int((~keep).sum())} samples were left out (--keep-all keeps them)"
+        f"{table.path.name}: the deflection after {last:.2f} s is at most {_MIN_STEPS} steps of the resolution; "
+        f"{int((~keep).sum())} samples were excluded (--keep-all keeps them)"
     )
     return table.only(keep, note), value[keep]
 
 
 def speeds(table: MotionTable, value: Floats) -> tuple[Floats, Floats, Floats]:
     """Return times, angular velocities [rad/s] and their standard errors in blocks of samples."""
-    size = max(_LEAST_BLOCK, len(table.time) // (_BLOCKS * (4 if table.counted else 1)))
+    size = max(_MIN_BLOCK, len(table.time) // (_BLOCKS * (4 if table.counted else 1)))
     edges = np.arange(0, len(table.time) - size + 1, size)
     time, speed, error = (np.empty(len(edges)) for _ in range(3))
     for k, start in enumerate(edges):
@@ -263,13 +262,13 @@ def speeds(table: MotionTable, value: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def _coasts(speed: Floats) -> bool:
-    """Return whether a body slows down all the time, but for noise."""
+    """Return whether a body slows down continuously, except for noise."""
     lag = max(1, len(speed) // 20)
     return bool(len(speed) > 2 * lag and (speed[lag:] < speed[:-lag]).mean() > 0.9)
 
 
-def _release(time: Floats, speed: Floats) -> tuple[int, bool]:
-    """Return the block from which the body coasts, and whether it was driven before."""
+def _end_of_drive(time: Floats, speed: Floats) -> tuple[int, bool]:
+    """Return the first block of the free motion, and whether the body was driven before."""
     top = float(speed.max())
     last_high = int(np.flatnonzero(speed >= 0.99 * top)[-1])
     falling = np.flatnonzero(speed[last_high:] < 0.85 * top)
@@ -288,17 +287,15 @@ def _release(time: Floats, speed: Floats) -> tuple[int, bool]:
     if best is None:
         return 0, False
     _, k, b, a, u = best
-    held = b > 0.4 * a and a < 0 and b - a > _SIGNIFICANT * u
-    grown = speed[0] < 0.9 * top and last_high > 2
-    if held:
+    if b > 0.4 * a and a < 0 and b - a > _SIGNIFICANT * u:  # constant speed before
         return min(k + 1, len(time) - 1), True
-    if grown:
+    if speed[0] < 0.9 * top and last_high > 2:  # increasing speed before
         return min(last_high + 1, len(time) - 1), True
     return 0, False
 
 
 def _slope(time: Floats, speed: Floats) -> tuple[float, float, float]:
-    """Return the slope of a line, its sum of squares, and the slope's standard error."""
+    """Return the slope of a fitted line, the residual sum of squares, and the standard error of the slope."""
     x = time - time.mean()
     spread = max(float(x @ x), 1e-300)
     slope = float(x @ speed) / spread
@@ -307,19 +304,19 @@ def _slope(time: Floats, speed: Floats) -> tuple[float, float, float]:
     return slope, rest, float(np.sqrt(rest / max(len(time) - 2, 1) / spread))
 
 
-def _arrest(time: Floats, speed: Floats, error: Floats, begin: int) -> tuple[int, str]:
-    """Return the last block of the free motion, and what ends it ("" if nothing does)."""
+def _end_of_motion(time: Floats, speed: Floats, error: Floats, begin: int) -> tuple[int, str]:
+    """Return the last block of the free motion, and the cause of its end ("" without one)."""
     top = float(speed[begin:].max())
     noise = 3 * float(np.median(error[-max(len(error) // 10, 3) :])) + 1e-3 * top
     moving = np.flatnonzero(speed > noise)
     end = int(moving[-1]) if len(moving) else len(speed) - 1
-    what = "rests" if end < len(speed) - 3 else ""
+    what = "is at rest" if end < len(speed) - 3 else ""
     lowest = np.minimum.accumulate(speed[begin : end + 1])
     rising = np.flatnonzero((speed[begin : end + 1] > 1.25 * lowest + 2e-3 * top) & (lowest < 0.2 * top))
     if len(rising) > 2 and np.diff(rising).max() < 5:
         end, what = (
             begin + int(np.argmin(speed[begin : begin + int(rising[0])])),
-            "is disturbed (its speed grows again)",
+            "is disturbed (its speed increases again)",
         )
     slowing = -np.gradient(speed, time)
     span = max(5, (end - begin) // 10)
@@ -328,6 +325,6 @@ def _arrest(time: Floats, speed: Floats, error: Floats, begin: int) -> tuple[int
         before = float(np.median(slowing[max(begin, k - span) : k]))
         if slowing[k : end + 1].min() <= 0 or before <= 0:
             break
-        if (slowing[k : end + 1] > _STEEPER * before).all() and speed[k - 1] > 0.05 * top:
+        if (slowing[k : end + 1] > _BRAKE_RATIO * before).all() and speed[k - 1] > 0.05 * top:
             brake = k
     return (brake - 1, "is braked") if brake else (end, what)

@@ -1,4 +1,4 @@
-"""Uncertainty of samples from their scatter, and pieces without gaps."""
+"""Uncertainty of samples from their scatter, and splitting of records at gaps."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _MEDIAN_OF_CHI2 = 11 * (1 - 2 / (9 * 11)) ** 3 / 11  # median of chi2 / dof for 
 
 
 def pieces(time: Floats) -> list[slice]:
-    """Return the pieces between gaps: intervals longer than 20 times the median of the eleven about them.
+    """Return the pieces between gaps, which are intervals longer than 20 times the local median of eleven.
 
-    The local median lets the intervals of a slowing body grow without a cut.
+    The median is local because intervals between pulses of a slowing body increase.
     """
     step = np.diff(time)
     if not len(step):
@@ -29,16 +29,16 @@ def pieces(time: Floats) -> list[slice]:
 
 
 def scatter(time: Floats, value: Floats, floor: float = FLOOR) -> Floats:
-    """Return the uncertainty of each sample, from the residuals of short cubics.
+    """Return the uncertainty of each sample, from the residuals of local cubics.
 
-    In blocks of 15 samples a cubic is fitted; the running median over 41 blocks of the residual variance,
-    divided by the median of chi2 / dof, is robust against blocks with an outlier and follows slow changes.
-    What changes more slowly than a block (a centre that is off, a tilt) does not count.
+    Cubics are fitted to blocks of 15 samples. The variance is the running median of their residual variances over 41
+    blocks, divided by the median of chi2 / dof, which is robust against outliers and follows slow changes. Errors that
+    vary more slowly than a block (centre offset, tilt) are not included.
 
     Parameters
     ----------
     time, value : ndarray, shape (n,)
-        The series, in pieces without steps of 2 pi; n >= 8.
+        The series, unwrapped, n >= 8.
     floor : float
         Lower bound, in the unit of `value`.
 

@@ -1,8 +1,4 @@
-"""Tables of other programs.
-
-Point tables as text: OSP Tracker, DeepLabCut, SLEAP. Tables in binary files: Excel, zipped CSV, MATLAB, Parquet, JSON,
-netCDF.
-"""
+"""Tables of other programs: text with points (OSP Tracker, DeepLabCut, SLEAP), Excel, MATLAB, Parquet, JSON."""
 
 from __future__ import annotations
 
@@ -22,7 +18,7 @@ from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack.io._records import Floats
 from gyrotrack.io.readers._points import Points
 from gyrotrack.io.readers._raw_table import (
-    MOST_BYTES,
+    MAX_BYTES,
     Lines,
     RawTable,
     content_lines,
@@ -37,12 +33,12 @@ from gyrotrack.io.readers._units import factor, header_of, role_of
 
 
 def read_point_table(path: Path, sha256: str, lines: Lines) -> Points | None:
-    """Read points from the lines of a file; None if it is no table of points.
+    """Read points from the lines of a file; None if it is not a table of points.
 
     Raises
     ------
     DatasetError
-        It is one, but a line in it is wrong.
+        A line of a table of points is not valid.
     """
     first = split(lines[0][1], delimiter_of(lines[0][1]))
     if first[0].casefold() == "scorer":
@@ -53,7 +49,7 @@ def read_point_table(path: Path, sha256: str, lines: Lines) -> Points | None:
 
 
 def _tracker(path: Path, sha256: str, lines: Lines) -> Points | None:
-    """Read what OSP Tracker exports: a line with the track's name (or several), then t, x, y."""
+    """Read an export of OSP Tracker: a line with the names of the tracks, then t, x, y."""
     for above in range(min(3, len(lines))):
         head = lines[above][1]
         delimiter = delimiter_of(head)
@@ -84,7 +80,7 @@ def _axis(name: str) -> tuple[str, str]:
     """Split ``x``, ``x_{mass A}``, ``x_A``, ``A_x``, ``A.x`` or ``x (m)`` into axis and track."""
     bare = re.sub(r"\s*[\[(][^\])]*[\])]$", "", name.strip())
     unit = header_of(name)[1]
-    if "/" in unit or factor("", unit) is not None:  # an axis of a sensor, not a place
+    if "/" in unit or factor("", unit) is not None:  # an axis of a sensor, not a coordinate
         return "", ""
     bare = re.sub(r"_(px|m|cm|mm)$", "", bare)
     found = re.fullmatch(r"([xyXY])(?:[_ ]\{?(.+?)\}?)?|(.+?)[_. ]([xyXY])", bare)
@@ -94,7 +90,7 @@ def _axis(name: str) -> tuple[str, str]:
 
 
 def _tracks(heads: list[str], titles: list[str], path: Path) -> dict[str, tuple[int, int]]:
-    """Return the columns of x and y of each track; a name above a group of columns holds until the next one."""
+    """Return the columns of x and y of each track; a name above a group of columns applies until the next one."""
     seen: dict[str, dict[str, int]] = {}
     title = ""
     for i, head in enumerate(heads):
@@ -111,7 +107,7 @@ def _tracks(heads: list[str], titles: list[str], path: Path) -> dict[str, tuple[
 
 
 def _deeplabcut(path: Path, sha256: str, lines: Lines) -> Points:
-    """Read DeepLabCut's CSV: rows scorer, (individuals,) bodyparts, coords; then the frame and x, y, likelihood."""
+    """Read CSV of DeepLabCut: rows scorer, (individuals,) bodyparts, coords; then frame and x, y, likelihood."""
     heads: dict[str, list[str]] = {}
     rows = 0
     for _, line in lines[:4]:
@@ -122,7 +118,7 @@ def _deeplabcut(path: Path, sha256: str, lines: Lines) -> Points:
         rows += 1
     if not {"bodyparts", "coords"} <= set(heads):
         raise DatasetError(
-            f"{path} begins like a file of DeepLabCut but has no rows 'bodyparts' and 'coords'.",
+            f"{path} looks like a file of DeepLabCut but has no rows 'bodyparts' and 'coords'.",
             "Export it again from DeepLabCut.",
         )
     width = len(heads["coords"])
@@ -144,7 +140,7 @@ def _deeplabcut(path: Path, sha256: str, lines: Lines) -> Points:
 
 
 def _sleap(path: Path, sha256: str, lines: Lines) -> Points:
-    """Read SLEAP's CSV of points: track, frame_idx, instance.score, then node.x, node.y, node.score."""
+    """Read CSV of SLEAP: track, frame_idx, instance.score, then node.x, node.y, node.score."""
     delimiter = delimiter_of(lines[0][1])
     heads = split(lines[0][1], delimiter)
     tracks = [
@@ -152,8 +148,8 @@ def _sleap(path: Path, sha256: str, lines: Lines) -> Points:
     ]
     if len(set(tracks)) > 1:
         raise DatasetError(
-            f"{path} holds {len(set(tracks))} tracked instances.",
-            "Export one instance; a body is one of them.",
+            f"{path} contains {len(set(tracks))} tracked instances.",
+            "Export one instance.",
         )
     wanted = [
         i for i, h in enumerate(heads) if h == "frame_idx" or h.rpartition(".")[2] in {"x", "y", "score"}
@@ -192,7 +188,7 @@ def _numbers(
         if delimiter is not None and len(cells) == width + 1 and not cells[-1]:
             cells = cells[:-1]
         if number == lines[-1][0] and len(cells) < width and len(rows) > 1:
-            break  # the last row is cut short
+            break  # truncated last row
         if len(cells) > width or (len(cells) < width and delimiter is None):
             raise DatasetError(f"{path}, line {number}: {len(cells)} cells where the header has {width}.")
         cells += [""] * (width - len(cells))
@@ -206,23 +202,25 @@ def _number(path: Path, line: int, cell: str, *, decimal: bool) -> float:
     if value is None:
         raise DatasetError(
             f"{path}, line {line}: '{cell[:30]}' is not a number.",
-            "Leave the cell empty where a value is missing.",
+            "Use an empty cell for a missing value.",
         )
     return value
 
 
 def read_zip(path: Path, sha256: str, content: bytes) -> RawTable:
-    """Return the table of an Excel workbook, or of the one CSV in an archive (phyphox puts its data next to ``meta/``).
+    """Return the table of an Excel workbook, or of the only CSV file in an archive (except ``meta/`` of phyphox).
 
     Raises
     ------
     DatasetError
-        The archive is damaged, holds no table or several, or is far too large.
+        The archive is damaged or too large, or does not contain exactly one table.
     """
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            if sum(i.file_size for i in archive.infolist()) > MOST_BYTES:
-                raise DatasetError(f"{path} unpacks to more than 1 GiB.", "Unpack it and give the table.")
+            if sum(i.file_size for i in archive.infolist()) > MAX_BYTES:
+                raise DatasetError(
+                    f"{path} is larger than 1 GiB when unpacked.", "Unpack it and give the table."
+                )
             names = [n for n in archive.namelist() if not n.endswith("/")]
             if "[Content_Types].xml" in names:
                 return _workbook(path, sha256, content)
@@ -233,12 +231,14 @@ def read_zip(path: Path, sha256: str, content: bytes) -> RawTable:
             ]
             if len(tables) != 1:
                 raise DatasetError(
-                    f"{path} holds {len(tables)} tables of text{': ' + ', '.join(tables)[:100] if tables else ''}.",
+                    f"{path} contains {len(tables)} tables of text{': ' + ', '.join(tables)[:100] if tables else ''}.",
                     "Unpack it and give one of them.",
                 )
             return read_text(path, sha256, content_lines(path, archive.read(tables[0])))
     except (zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError, OSError) as error:
-        raise DatasetError(f"{path} is a damaged archive: {error}.", "Fetch or export it again.") from error
+        raise DatasetError(
+            f"{path} is a damaged archive: {error}.", "Download or export it again."
+        ) from error
 
 
 def _workbook(path: Path, sha256: str, content: bytes) -> RawTable:
@@ -246,7 +246,7 @@ def _workbook(path: Path, sha256: str, content: bytes) -> RawTable:
     try:
         import openpyxl
     except ImportError:
-        raise _needs("Excel workbooks need openpyxl") from None
+        raise _missing_library("Excel workbooks need openpyxl") from None
     try:
         book = openpyxl.load_workbook(io.BytesIO(content), read_only=True, data_only=True)
         sheets = [[list(row) for row in sheet.iter_rows(values_only=True)] for sheet in book.worksheets]
@@ -256,7 +256,7 @@ def _workbook(path: Path, sha256: str, content: bytes) -> RawTable:
 
 
 def read_excel_97(path: Path, sha256: str, content: bytes) -> RawTable:
-    """Return the first sheet with numbers of an Excel 97 workbook (.xls), as phyphox and older loggers write it.
+    """Return the first sheet with numbers of an Excel 97 workbook (.xls), a format of phyphox and older loggers.
 
     Raises
     ------
@@ -266,7 +266,7 @@ def read_excel_97(path: Path, sha256: str, content: bytes) -> RawTable:
     try:
         import xlrd
     except ImportError:
-        raise _needs("Excel 97 workbooks need xlrd") from None
+        raise _missing_library("Excel 97 workbooks need xlrd") from None
 
     def value(cell: Any) -> Any:
         if cell.ctype == xlrd.XL_CELL_DATE:
@@ -281,14 +281,14 @@ def read_excel_97(path: Path, sha256: str, content: bytes) -> RawTable:
     return _first_sheet(path, sha256, sheets)
 
 
-def _needs(what: str) -> UsageError:
+def _missing_library(what: str) -> UsageError:
     return UsageError(
         f"{what}, which is not installed.", 'Run: pip install "gyrotrack[tables]"; or export CSV.'
     )
 
 
 def _first_sheet(path: Path, sha256: str, sheets: list[list[list[Any]]]) -> RawTable:
-    """Return the first of several sheets with rows that are mostly numbers."""
+    """Return the first sheet with a row of mostly numbers."""
     for rows in sheets:
         first = next(
             (
@@ -299,11 +299,11 @@ def _first_sheet(path: Path, sha256: str, sheets: list[list[list[Any]]]) -> RawT
             None,
         )
         if first is not None:
-            return _of_cells(path, sha256, rows, first)
+            return _table_of_cells(path, sha256, rows, first)
     raise DatasetError(f"{path} has no sheet with numbers.", "Give the sheet as CSV.")
 
 
-def _of_cells(path: Path, sha256: str, rows: list[list[Any]], first: int) -> RawTable:
+def _table_of_cells(path: Path, sha256: str, rows: list[list[Any]], first: int) -> RawTable:
     width = max(len(r) for r in rows[first:])
     head = rows[first - 1] if first else []
     names = tuple(str(head[i]) if i < len(head) and head[i] is not None else "" for i in range(width))
@@ -322,7 +322,7 @@ def _of_cells(path: Path, sha256: str, rows: list[list[Any]], first: int) -> Raw
 
 
 def read_matlab(path: Path, sha256: str, content: bytes) -> RawTable:
-    """Return the vectors of equal length, or the columns of the one matrix, in a MATLAB file (before version 7.3).
+    """Return the vectors of equal length, or the columns of a matrix, in a MATLAB file (before version 7.3).
 
     Raises
     ------
@@ -338,7 +338,7 @@ def read_matlab(path: Path, sha256: str, content: bytes) -> RawTable:
             f"{path} is not a readable MATLAB file: {str(error)[:100]}.", "Save it with -v7."
         ) from error
     arrays = {k: v for k, v in held.items() if not k.startswith("__") and isinstance(v, np.ndarray)}
-    for name, value in list(arrays.items()):  # a struct: its fields
+    for name, value in list(arrays.items()):  # the fields of a struct
         if value.dtype.names and value.size == 1:
             arrays |= {n: np.asarray(value[n].ravel()[0]) for n in value.dtype.names}
             del arrays[name]
@@ -346,7 +346,7 @@ def read_matlab(path: Path, sha256: str, content: bytes) -> RawTable:
 
 
 def table_of_arrays(path: Path, sha256: str, arrays: Mapping[str, npt.NDArray[Any]]) -> RawTable:
-    """Return the longest vectors of equal length, or the columns of the one matrix, among named arrays.
+    """Return the longest vectors of equal length, or the columns of the only matrix, among named arrays.
 
     Raises
     ------
@@ -364,7 +364,8 @@ def table_of_arrays(path: Path, sha256: str, arrays: Mapping[str, npt.NDArray[An
         matrix = matrices[0]
         return table_of(path, sha256, [""] * matrix.shape[1], list(matrix.T))
     raise DatasetError(
-        f"{path} has no vectors of equal length and not one matrix.", "Save time and angle as vectors."
+        f"{path} contains neither vectors of equal length nor a single matrix.",
+        "Save time and angle as vectors.",
     )
 
 
@@ -380,7 +381,7 @@ def read_parquet(path: Path, sha256: str, content: bytes) -> RawTable:
         import pyarrow.parquet as pq
     except ImportError:
         raise UsageError(
-            "Parquet needs pyarrow, not installed here.", 'Run: pip install "gyrotrack[notebook]"'
+            "Parquet needs pyarrow, which is not installed.", 'Run: pip install "gyrotrack[notebook]"'
         ) from None
     try:
         table = pq.read_table(io.BytesIO(content))
@@ -394,7 +395,7 @@ def read_parquet(path: Path, sha256: str, content: bytes) -> RawTable:
         names.append(field.name)
         units.append(((field.metadata or {}).get(b"units", b"")).decode("utf-8", "replace"))
         columns.append(values)
-    return _typed(path, sha256, names, units, columns)
+    return _table_of_lists(path, sha256, names, units, columns)
 
 
 def read_json(path: Path, sha256: str, content: bytes) -> RawTable:
@@ -417,13 +418,15 @@ def read_json(path: Path, sha256: str, content: bytes) -> RawTable:
     except (ValueError, RecursionError, AttributeError, LookupError, TypeError) as error:
         raise DatasetError(f"{path} is not a JSON table.", 'Write {"t": [...], "angle": [...]}.') from error
     columns = {k: v for k, v in columns.items() if len(v) == longest}
-    return _typed(
+    return _table_of_lists(
         path, sha256, list(columns), [str(units.get(k, "")) for k in columns], list(columns.values())
     )
 
 
-def _typed(path: Path, sha256: str, names: list[str], units: list[str], columns: list[list[Any]]) -> RawTable:
-    """Return a table of columns as they come: numbers, or cells of text."""
+def _table_of_lists(
+    path: Path, sha256: str, names: list[str], units: list[str], columns: list[list[Any]]
+) -> RawTable:
+    """Return a table of columns of numbers or text."""
     made: list[Any] = []
     for values in columns:
         if all(v is None or (isinstance(v, int | float) and not isinstance(v, bool)) for v in values):

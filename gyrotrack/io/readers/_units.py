@@ -1,4 +1,4 @@
-"""Units at the border: factors to s, rad and rad/s, and the quantity that a column's header names."""
+"""Units and quantities of column headers: factors to s, rad and rad/s."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ UNITS: dict[str, dict[str, float]] = {
               "rpm": TURN / 60, "1/min": TURN / 60, "min-1": TURN / 60, "u/min": TURN / 60, "rev/min": TURN / 60,
               "rev/s": TURN, "rps": TURN, "turns/s": TURN, "hz": TURN},
 }  # fmt: skip
-"""Factor to SI of each unit, by the quantity that it measures."""
+"""Factor of each unit to SI, by quantity."""
 
-_WORDS = {
+_HEADER_WORDS = {
     "t": {"t", "time", "times", "zeit", "temps", "tiempo", "tempo", "timestamp", "timestamps", "clock", "elapsed"},
     "angle": {"angle", "angles", "psi", "phi", "theta", "ψ", "φ", "θ", "winkel", "yaw", "heading", "azimuth", "alpha"},
     "omega": {"omega", "w", "ω", "speed", "angularvelocity", "gyro", "gyroscope", "gyr", "drehzahl", "rpm",
@@ -30,9 +30,9 @@ _WORDS = {
     "frame": {"frame", "frames", "step", "frameidx"},
     "revolutions": {"revolutions", "revs", "counts", "count", "counter", "pulses", "revolution"},
 }  # fmt: skip
-"""Words of a header that name a quantity; the first match decides."""
+"""Words in a header for each quantity; the first match is used."""
 
-ROLES = tuple(_WORDS)
+ROLES = tuple(_HEADER_WORDS)
 
 
 def clean(unit: str) -> str:
@@ -41,7 +41,7 @@ def clean(unit: str) -> str:
 
 
 def is_unit(text: str) -> bool:
-    """Return whether a word is a unit of time, angle or angular velocity, or of none."""
+    """Return whether a word is a unit, of the supported quantities or others."""
     return factor("", text) is not None or clean(text).casefold() in {
         "state",
         "px",
@@ -56,7 +56,7 @@ def is_unit(text: str) -> bool:
 def factor(role: str, unit: str) -> float | None:
     """Return the factor of a unit to SI for a role (any role if it is empty); None if the unit is unknown.
 
-    Units beyond the table are converted with `pint`, if it is installed.
+    Units that are not in the table are converted with `pint`, if it is installed.
     """
     bare = clean(unit)
     tables = [UNITS[role]] if role else list(UNITS.values())
@@ -80,7 +80,7 @@ def _by_pint(role: str, unit: str) -> float | None:
 
 
 def header_of(name: str) -> tuple[str, str]:
-    """Split ``t [s]``, ``t (s)``, ``t / s`` or ``t_ms`` into the bare name and the unit ("" if there is none)."""
+    """Split ``t [s]``, ``t (s)``, ``t / s`` or ``t_ms`` into name and unit ("" without one)."""
     match = re.fullmatch(r"([^\[\](){}/]+?)\s*(?:[\[({]\s*(.*?)\s*[\])}]|/\s*(.*))?", name.strip())
     word, unit = (match[1], match[2] or match[3] or "") if match else (name, "")
     if not unit:
@@ -93,7 +93,7 @@ def header_of(name: str) -> tuple[str, str]:
 
 
 def role_of(name: str) -> str | None:
-    """Return the quantity that a bare name of a column means; None if it is unknown."""
+    """Return the quantity of a column by its name without unit; None if it is unknown."""
     text = name.casefold()
     if "accel" in text:
         return None
@@ -103,9 +103,9 @@ def role_of(name: str) -> str | None:
         return "sigma"
     words = [w for w in re.split(r"[\s_.\-:#]+", text) if w]
     whole = "".join(words)
-    for role, known in _WORDS.items():
+    for role, known in _HEADER_WORDS.items():
         if whole in known:
             return role
     return next(
-        (role for w in words for role, known in _WORDS.items() if w in known and role != "sigma"), None
+        (role for w in words for role, known in _HEADER_WORDS.items() if w in known and role != "sigma"), None
     )

@@ -107,7 +107,7 @@ def test_a_drive_that_is_gone_before_the_file_is_whole(mounted):
         stream.write(b"new")
         subprocess.run(["umount", "-l", str(folder)], check=True)
 
-    with pytest.raises(OutputError, match="no longer there"), new_file(folder / "a", force=True) as stream:
+    with pytest.raises(OutputError, match="was removed"), new_file(folder / "a", force=True) as stream:
         write_and_take_away(stream)
     assert not list(folder.iterdir())
     with open(os.open("a", os.O_RDONLY, dir_fd=held), "rb") as old:  # noqa: PTH123 - the drive, wherever it is

@@ -13,11 +13,11 @@ def test_recording_in_numbers(tmp_path, recording):
     found = inspect_file(write_recording(tmp_path / "r.h5", recording, command="c", settings={"a": 1}))
     assert found.kind == "recording"
     assert found.problems == ()
-    assert found.holds["frames"] == 300
-    assert found.holds["markers"]["red"]["ok"] == 299
-    assert found.holds["markers"]["red"]["occluded"] == 1
-    assert found.holds["bodies"]["rotor"]["samples"] == 299
-    assert found.holds["bodies"]["rotor"]["omega_max"] == 30.0
+    assert found.summary["frames"] == 300
+    assert found.summary["markers"]["red"]["ok"] == 299
+    assert found.summary["markers"]["red"]["occluded"] == 1
+    assert found.summary["bodies"]["rotor"]["samples"] == 299
+    assert found.summary["bodies"]["rotor"]["omega_max"] == 30.0
     assert found.provenance["settings"] == {"a": 1}
     assert found.warnings == recording.warnings
 
@@ -25,8 +25,8 @@ def test_recording_in_numbers(tmp_path, recording):
 def test_case_in_numbers(tmp_path, case):
     found = inspect_file(write_case(tmp_path / "c.h5", case, command="c", settings={}))
     assert found.problems == ()
-    assert [w["samples"] for w in found.holds["rotor"]["windows"]] == [200, 200]
-    assert found.holds["recordings"]["rotor_0"]["placement"]["clock_offset"] == 3.5
+    assert [w["samples"] for w in found.summary["rotor"]["windows"]] == [200, 200]
+    assert found.summary["recordings"]["rotor_0"]["placement"]["clock_offset"] == 3.5
 
 
 @pytest.mark.parametrize(

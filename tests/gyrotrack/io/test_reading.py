@@ -49,19 +49,19 @@ def test_cut_short(path, part):
 def test_other_hdf5(tmp_path):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["x"] = 1
-    refused(tmp_path / "a.h5", "not one of gyrotrack")
+    refused(tmp_path / "a.h5", "was not written by gyrotrack")
 
 
 @pytest.mark.parametrize(
     ("attribute", "value", "match"),
     [
-        ("format", "other", "not one of gyrotrack"),
-        ("format_version", "2.0", "newer than"),
+        ("format", "other", "was not written by gyrotrack"),
+        ("format_version", "2.0", "newest supported"),
         ("format_version", "one", "no valid format version"),
         ("kind", "photo", "is a photo"),
         ("format_version", 1, "not a text"),
-        ("width", "wide", "not a whole number"),
-        ("sense", np.arange(4), "not a whole number"),
+        ("width", "wide", "not an integer"),
+        ("sense", np.arange(4), "not an integer"),
         ("warnings", "[", "not JSON"),
         ("extra", "[" * 100_000, "not JSON"),
         ("extra", "[]", "not a JSON object"),
@@ -101,7 +101,7 @@ def replace(path, name, **options):
         ({"data": [b"text"] * 300}, "plain numbers"),
         ({"data": np.zeros(300, dtype="c16")}, "plain numbers"),
         ({"data": np.zeros(300), "compression": "lzf"}, "unknown compression"),
-        ({"shape": (2**40,), "dtype": "f8", "chunks": (1024,)}, "claims"),
+        ({"shape": (2**40,), "dtype": "f8", "chunks": (1024,)}, "declares"),
         ({"shape": (300,), "dtype": "f8", "chunks": (300,), "maxshape": (None,)}, None),
     ],
 )
@@ -118,7 +118,7 @@ def test_a_bomb_is_refused_before_it_is_unpacked(path):
         for name in ("frame/frame", "frame/index", "frame/time"):
             del file[name]
             file.create_dataset(name, shape=(10**10,), dtype="f8", chunks=(2**20,), compression="gzip")
-    refused(path, "claims")
+    refused(path, "declares")
 
 
 @pytest.mark.parametrize("link", [h5py.ExternalLink("other.h5", "/x"), h5py.SoftLink("/frame/index")])

@@ -43,7 +43,7 @@ def write(path, content=b"new", **options):
 def test_existing_file_needs_force(tmp_path):
     path = tmp_path / "a"
     path.write_bytes(b"old")
-    with pytest.raises(OutputError, match="exists already") as caught:
+    with pytest.raises(OutputError, match="already exists") as caught:
         write(path)
     assert "--force" in caught.value.hint
     assert path.read_bytes() == b"old"
@@ -86,7 +86,7 @@ def test_two_writers_of_one_file_do_not_mix(tmp_path):
 
 def test_a_file_made_meanwhile_is_not_overwritten(tmp_path):
     path = tmp_path / "a"
-    with pytest.raises(OutputError, match="exists already"):
+    with pytest.raises(OutputError, match="already exists"):
         overtake(path)
     assert path.read_bytes() == b"theirs"
     assert names(tmp_path) == ["a"]

@@ -124,7 +124,7 @@ def test_a_broken_film_leaves_nothing(tmp_path: Path) -> None:
 def test_existing_films_are_kept(tmp_path: Path) -> None:
     path = tmp_path / "x.mp4"
     path.write_bytes(b"precious")
-    with pytest.raises(OutputError, match="exists already"):
+    with pytest.raises(OutputError, match="already exists"):
         write_film(path, plain(2), width=64, height=48, fps=30.0)
     assert path.read_bytes() == b"precious"
     assert write_film(path, plain(2), width=64, height=48, fps=30.0, force=True) == 2
@@ -158,5 +158,5 @@ def test_truth_is_saved_only_when_asked(tmp_path: Path, ending: str) -> None:
             assert np.array_equal(getattr(read, kind)[name], expected)
     render_clip(tmp_path / "b.mp4", Scene(), MOTION, camera, frames=2)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.mp4", "b.mp4", place.name]
-    with pytest.raises(OutputError, match="exists already"):
+    with pytest.raises(OutputError, match="already exists"):
         render_clip(tmp_path / "c.mp4", Scene(), MOTION, camera, frames=2, truth=place)

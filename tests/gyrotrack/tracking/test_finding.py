@@ -205,7 +205,7 @@ def test_the_command_writes_a_profile_that_extract_reads(casing_clip, tmp_path, 
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        (["--picture", "x.jpg"], 2, "PNG"),
+        (["--picture", "x.jpg"], 2, ".png"),
         (["--capture-fps", "-3"], 2, "capture rate"),
         (["-o", "no/such/folder.toml"], 1, "does not exist"),
     ],

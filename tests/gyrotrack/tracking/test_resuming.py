@@ -92,7 +92,7 @@ def test_the_command_goes_on_and_knows_when_it_is_done(short_parts, long_film, t
     assert content(target) == whole
     assert sorted(path.name for path in tmp_path.iterdir()) == ["4.mp4", "o.h5"]
     assert run([*words, "--resume"]) == 0
-    assert "complete already" in capsys.readouterr().err
+    assert "already complete" in capsys.readouterr().err
     assert run([*words, "--resume", "--body", "casing"]) == 1  # not the same run
     assert "--force" in capsys.readouterr().err
     assert content(target) == whole

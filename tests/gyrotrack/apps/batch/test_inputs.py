@@ -7,7 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gyrotrack._errors import ConfigurationError
-from gyrotrack.apps.batch._experiments import Clip, Experiment, folder_name, named, read_folder, read_manifest
+from gyrotrack.apps.batch._experiments import (
+    Clip,
+    Experiment,
+    folder_name,
+    read_folder,
+    read_manifest,
+    with_folders,
+)
 from gyrotrack.apps.batch._steps import Request, plan
 
 TOML = """
@@ -125,8 +132,11 @@ def test_folder(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("[[case]]\ncasing = 'a'\n", "line 1, case[1]: a case has one film of the casing"),
-        ("[[case]]\ncasing = 'a'\nrotor = ['b']\ndata = 'c'\n", "line 1, case[1]: a case has either"),
+        ("[[case]]\ncasing = 'a'\n", "line 1, case[1]: a case needs one film of the casing"),
+        (
+            "[[case]]\ncasing = 'a'\nrotor = ['b']\ndata = 'c'\n",
+            "line 1, case[1]: a case needs exactly one of",
+        ),
         ("[[clip]]\nfile = 'a'\ncapture_fps = -1\n", "line 3, clip[1].capture_fps: input should be greater"),
         ("[[clip]]\nflie = 'a'\n", "line 2, clip[1].flie: extra inputs"),
         ("[[clip]]\nfile = 'a'\n[[clip]]\nfile = 'b/a'\n", "two cases have the label 'a'"),
@@ -174,7 +184,9 @@ def test_no_label_leads_out_of_the_results(label):
 
 def test_labels_alike_get_folders_of_their_own():
     clip = (Clip(Path("/a.mp4")),)
-    found = named([Experiment(label, clip) for label in ("a b", "a_b", "A b", "../a b", "con")], Path("m"))
+    found = with_folders(
+        [Experiment(label, clip) for label in ("a b", "a_b", "A b", "../a b", "con")], Path("m")
+    )
     assert [e.folder for e in found] == ["a_b", "a_b_2", "A_b_3", "a_b_4", "con_"]
 
 
@@ -184,7 +196,7 @@ def test_the_steps_of_a_case(tmp_path):
         Clip(Path("/f/--force.mp4"), "rotor"),
         Clip(Path("/g/--force.mp4"), "rotor"),
     )
-    case = named([Experiment("-x", clips, surface="-s", inertia_rotor=1e-5)], tmp_path)
+    case = with_folders([Experiment("-x", clips, surface="-s", inertia_rotor=1e-5)], tmp_path)
     steps = plan(case, tmp_path, Request(improve=True))
     assert [s.name for s in steps] == [
         "x/extract casing", "x/extract force", "x/extract force_2",
@@ -192,7 +204,7 @@ def test_the_steps_of_a_case(tmp_path):
     ]  # fmt: skip
     sync = steps[3]
     assert sync.needs == ("x/extract casing",)
-    assert sync.wants == ("x/extract force", "x/extract force_2")
+    assert sync.needs_any == ("x/extract force", "x/extract force_2")
     assert {"--label=-x", "--surface=-s"} <= set(sync.words)
     assert all(s.output.is_relative_to(tmp_path / "x") for s in steps)
     assert [s.verb for s in plan(case, tmp_path, Request("sync"))] == ["extract"] * 3 + ["sync"]

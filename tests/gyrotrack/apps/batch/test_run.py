@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from gyrotrack._errors import OutputError
-from gyrotrack.apps.batch._experiments import Clip, Experiment, named
+from gyrotrack.apps.batch._experiments import Clip, Experiment, with_folders
 from gyrotrack.apps.batch._runner import Run, lines, summarise, write_summary
-from gyrotrack.apps.batch._steps import Journal, Request, held, plan
+from gyrotrack.apps.batch._steps import Journal, Request, locked_folder, plan
 
 
 class Pretend:
@@ -71,13 +71,13 @@ def lab(tmp_path):
     for e in made:
         for clip in e.clips:
             clip.file.write_text(f"film {clip.file.name}")
-    cases = named(made, tmp_path)
+    cases = with_folders(made, tmp_path)
 
     def run(wishes=None, spoil=None, results=None):
         results = results or tmp_path / "results"
         steps = plan(cases, results, wishes or Request())
         workers = Pretend(spoil)
-        with held(results):
+        with locked_folder(results):
             ended = Run(steps, results, Journal(results / "batch.jsonl")).work(workers)
         run.rows = summarise(cases, steps, ended)
         return {name: o.state for name, o in ended.items()}, workers.ran
@@ -259,7 +259,7 @@ def test_a_folder_with_other_things_is_refused(lab):
 
 def test_one_batch_at_a_time(lab, monkeypatch):
     monkeypatch.setattr("gyrotrack.io._atomic.LOCK_TIMEOUT", 0.1)
-    with held(lab.results), pytest.raises(OutputError, match="another program"):
+    with locked_folder(lab.results), pytest.raises(OutputError, match="another program"):
         lab()
 
 

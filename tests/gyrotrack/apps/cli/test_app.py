@@ -132,7 +132,7 @@ def test_a_bug_is_one_sentence_and_debug_shows_the_traceback(failing, capsys):
     assert app.run(["info", "x"]) == 1
     said = capsys.readouterr().err
     assert "Traceback" not in said
-    assert "A bug in gyrotrack" in said
+    assert "Internal error" in said
     assert "--debug" in said
     for arguments in (["--debug", "info", "x"], ["info", "x", "--debug"]):
         assert app.run(arguments) == 1

@@ -49,7 +49,7 @@ def test_import_json(tables, capsys):
 def test_existing_case_is_kept_without_force(tables, capsys):
     (tables / "case.h5").write_bytes(b"old")
     assert app.run(IMPORT) == 1
-    assert "exists already" in capsys.readouterr().err
+    assert "already exists" in capsys.readouterr().err
     assert (tables / "case.h5").read_bytes() == b"old"
     assert app.run([*IMPORT, "--force"]) == 0
 

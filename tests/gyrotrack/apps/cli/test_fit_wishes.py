@@ -97,9 +97,9 @@ class TestOptionsOfTheData:
     @pytest.mark.parametrize(
         ("words", "match"),
         [
-            (["--fix", "g"], "does not fix a parameter"),
+            (["--fix", "g"], "is not an assignment to a parameter"),
             (["--fix", "q=1"], "no parameter that could be fitted"),
-            (["--loss", "l1"], "no loss named"),
+            (["--loss", "l1"], "Unknown loss function"),
             (["--data", "speed"], "Unknown value"),
             (["--data", "angle", "--rotor", "generated"], "one of velocities"),
             (["--hold-out"], "need a joint fit"),

@@ -48,12 +48,12 @@ def test_the_guides_description_gives_limits_a_run_and_a_picture(gyrotrack, desc
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--size", "0"], "--size 0 is no torque"),
+        (["--size", "0"], "--size 0 is not a positive torque"),
         (["--bound", "speed=1,2"], "unknown quantity"),
         (["--bound", "duration=0,2"], "is not positive"),
-        (["--bound", "omega_casing=5"], "no pair of numbers"),
-        (["--bound", "omega_casing=9,5"], "no pair of numbers"),
-        (["--from", "f1"], "a description has no fits"),
+        (["--bound", "omega_casing=5"], "not a pair of increasing numbers"),
+        (["--bound", "omega_casing=9,5"], "not a pair of increasing numbers"),
+        (["--from", "f1"], "a description of recordings has no fits"),
         (["--picture", "plan.gif"], "Unknown picture format"),
     ],
 )

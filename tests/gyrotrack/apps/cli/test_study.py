@@ -206,7 +206,7 @@ class TestSimulate:
             "--set", "casing.windage.k=2e-12", "--set", "bearing.power.g=1.1", "--json",
         )  # fmt: skip
         assert said.code == 0
-        assert said.err.startswith("Moments of inertia not given are those of the paper")
+        assert said.err.startswith("Default moments of inertia are those of the paper")
         assert said.json["model"][-1] == "casing.windage"
         assert said.json["parameters"]["casing.windage.k"] == 2e-12
         assert said.json["parameters"]["bearing.power.g"] == 1.1
@@ -227,8 +227,8 @@ class TestSimulate:
     @pytest.mark.parametrize(
         ("words", "code", "match"),
         [
-            (["--set", "gravity=9.81"], 2, "does not set a parameter of the model"),
-            (["--set", "bearing.power.g"], 2, "does not set a parameter of the model"),
+            (["--set", "gravity=9.81"], 2, "is not an assignment to a parameter of the model"),
+            (["--set", "bearing.power.g"], 2, "is not an assignment to a parameter of the model"),
             (["--set", "bearing.power.g=much"], 2, "'much' is not a number"),
             (["--add", "bearing.haeting"], 1, "did you mean bearing.heating"),
             (["--add", "camera.centre"], 2, "--centre-offset"),
@@ -250,7 +250,7 @@ class TestSimulate:
         (tmp_path / "x.h5").write_bytes(b"mine")
         said = gyrotrack("simulate", "-o", tmp_path / "x.h5", *SHORT)
         assert said.code == 1
-        assert "exists already" in said.err
+        assert "already exists" in said.err
         assert "--force" in said.err
         assert (tmp_path / "x.h5").read_bytes() == b"mine"
         assert gyrotrack("simulate", "-o", tmp_path / "x.h5", *SHORT, "--force").code == 0

@@ -123,8 +123,8 @@ def test_page_tells_the_story(page):
         "The residual of the final model is consistent with noise.",
         "1 σ = noise limit",
         "N m s²",
-        "Where the base model fails",
-        "What could still be hidden",
+        "Lack of fit of the base model",
+        "Upper limits",
         "gyrotrack report run.h5",
     ):
         assert words in text
@@ -224,12 +224,12 @@ def test_one_fit_alone_makes_a_report(story, tmp_path):
     assert "Final model" not in text
     assert "Unexplained torque" in text
     # of a model with a lack of fit there are no limits
-    assert "What could still be hidden" not in text
+    assert "Upper limits" not in text
     # and the tracking behind it
     assert "85 % ok, 5 % occluded, 10 % lost" in text
     assert "rotor: 2.0 mrad" in text
     assert "70.0123 ± 0.0004 s" in text
-    assert "yes: another start is possible" in text
+    assert "yes: the start is not unique" in text
     assert "2 of 22 not decoded" in text
 
 
@@ -237,7 +237,7 @@ def test_one_fit_alone_makes_a_report(story, tmp_path):
 def test_an_existing_file_is_kept_unless_forced(story, tmp_path):
     path = tmp_path / "report.html"
     path.write_text("mine")
-    with pytest.raises(OutputError, match="exists already"):
+    with pytest.raises(OutputError, match="already exists"):
         write_report(path, story.rungs, story.diagnosis)
     assert path.read_text() == "mine"
     write_report(path, story.rungs[:1], None, force=True)

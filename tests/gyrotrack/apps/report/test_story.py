@@ -20,5 +20,5 @@ def test_other_names_and_existing_files_are_refused(story, tmp_path):
     with pytest.raises(OutputError, match="Unknown picture format"):
         story_picture(story.rungs, story.diagnosis, tmp_path / "story.gif")
     (tmp_path / "story.png").write_bytes(b"mine")
-    with pytest.raises(OutputError, match="exists already"):
+    with pytest.raises(OutputError, match="already exists"):
         story_picture(story.rungs, story.diagnosis, tmp_path / "story.png")

@@ -72,7 +72,7 @@ def test_what_is_not_accepted_leaves_nothing(project, tmp_path, name, declared):
 
 def test_notes_that_are_sent_cannot_name_films_elsewhere(project, tmp_path):
     text = (CLIPS / "study.toml").read_text().replace('"casing.mp4"', json.dumps(str(CLIPS / "casing.mp4")))
-    with pytest.raises(GyrotrackError, match="outside the work folder"):
+    with pytest.raises(GyrotrackError, match="outside of the work folder"):
         _send(project, "study.toml", text.encode())
     assert project.state.sources == []
     assert list(tmp_path.iterdir()) == []
@@ -82,7 +82,7 @@ def test_notes_that_are_sent_cannot_name_films_elsewhere(project, tmp_path):
 def test_a_state_that_writes_elsewhere_is_refused(tmp_path, output):
     source = {"key": "1", "file": "a.mp4", "kind": "film", "output": output}
     (tmp_path / STATE_FILE).write_text(json.dumps({"sources": [source]}))
-    with pytest.raises(ConfigurationError, match="not a state of the workbench"):
+    with pytest.raises(ConfigurationError, match="not a valid state file"):
         Project(tmp_path)
 
 
@@ -94,7 +94,7 @@ def test_rates_are_stated_never_taken_from_the_container(project, tmp_path):
     assert (casing.body, casing.capture_fps) == ("casing", None)
     assert (rotor.body, rotor.capture_fps, rotor.rate_from) == ("rotor", 1000.0, "name of the file")
     missing = project.document()["missing"]["track"]
-    assert missing == ["The capture rate of casing.mp4 is not given."]
+    assert missing == ["Enter the capture rate of casing.mp4."]
     with pytest.raises(GyrotrackError, match=r"capture rate of casing\.mp4"):
         project.track()
     for wrong in ("fast", "-1", "0", "nan"):
@@ -150,7 +150,7 @@ def test_jobs_wait_for_a_slot_are_cancelled_and_report_their_error(tmp_path):
     first = jobs.start("a", ["extract", "absent.mp4"], ended.append)
     second = jobs.start("b", ["extract", "absent.mp4"], ended.append)
     jobs.cancel("b")
-    with pytest.raises(GyrotrackError, match="running already"):
+    with pytest.raises(GyrotrackError, match="already running"):
         jobs.start("a", ["extract", "absent.mp4"], ended.append)
     for thread in list(jobs._threads):
         thread.join(60)

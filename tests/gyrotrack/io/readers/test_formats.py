@@ -90,7 +90,7 @@ def test_repairs_are_reported_with_their_lines(tmp_path):
     for words in (
         "1 repeated times (first: line 53)",
         "not increasing (line 104)",
-        "line 403: the last row is cut short",
+        "line 403: the last row is truncated",
     ):
         assert words in told
 

@@ -99,7 +99,7 @@ def test_deeplabcut_csv(tmp_path, places, individuals):
     table = read_motion(path, ReadOptions(fps=FPS))
     assert len(table.time) == N - 1
     assert right(table, seen=np.delete(np.arange(N), 7))
-    with pytest.raises(UsageError, match="counts frames"):
+    with pytest.raises(UsageError, match="contains frame numbers"):
         read_motion(path)
     with pytest.raises(UsageError, match="has no point 'nose'"):
         read_motion(path, ReadOptions(marker="nose", fps=FPS))
@@ -171,7 +171,7 @@ def test_a_marker_that_passes_the_centre_is_refused(tmp_path):
     path = write(
         tmp_path / "a.txt", "m\nt\tx\ty\n" + rows(TIME, np.linspace(-1, 1, N), np.zeros(N), sep="\t")
     )
-    with pytest.raises(DatasetError, match="comes too close"):
+    with pytest.raises(DatasetError, match="is too close"):
         read_motion(path, ReadOptions(centre="0,0"))
 
 

@@ -38,7 +38,7 @@ def test_rest_and_pushes_before_an_oscillation_are_left_out(tmp_path):
     np.savetxt(path, np.c_[t, angle], delimiter=",", header="t [s],angle [rad]", comments="")
     case = import_body(path, 1.0)
     assert case.casing.time[0] == pytest.approx(first, abs=0.03)
-    assert any("at rest or is moved" in w for w in case.warnings)
+    assert any("is held or moved" in w for w in case.warnings)
     whole = import_body(path, 1.0, limits=Limits(keep_all=True))
     assert whole.casing.time[0] == 0.0
 
