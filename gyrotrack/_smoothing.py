@@ -299,6 +299,41 @@ def angular_velocity(
     return omega, omega_sigma
 
 
+def smoothing_width(angle: npt.ArrayLike, sigma: npt.ArrayLike, most: int = WIDTH) -> int:
+    """Return the points of the medians that leave the motion of a body as it is.
+
+    Of a body that turns in one sense this is `most`. Of one that turns back, such as a pendulum, a median over a good
+    part of its period would remove the motion: the width is halved until the smoothed angle differs by less than 2 %
+    of the motion, rms, or less than two standard uncertainties.
+
+    Parameters
+    ----------
+    angle, sigma : array_like, shape (n,)
+        Unwrapped angles and their standard uncertainties [rad].
+    most : int
+        The largest width, odd.
+
+    Returns
+    -------
+    int
+        An odd number, 3 or more.
+    """
+    x, s = np.asarray(angle, dtype=float), np.asarray(sigma, dtype=float)
+    if len(x) <= 2 * most:
+        return most
+    noise, motion = float(np.nanmedian(s)), float(np.std(x))
+    rough = median_smooth(x, 5)[::2]
+    if motion < 5 * noise or abs(x[-1] - x[0]) > 0.6 * float(np.abs(np.diff(rough)).sum()):
+        return most
+    width = most
+    while width > 3:
+        removed = (median_smooth(x, width) - x)[width:-width]
+        if float(np.sqrt(np.mean(removed**2))) < max(0.02 * motion, 2 * noise):
+            break
+        width = max(3, (width // 2) | 1)
+    return width
+
+
 def _median_sigma(sigma: Floats, trend: Floats, width: int) -> Floats:
     """Return the uncertainty of a median of `width` central differences with a linear trend."""
     from scipy.special import ndtr

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from gyrotrack._errors import DatasetError, GyrotrackError, TrackingError, VideoError
 from gyrotrack._inertia import Inertia
-from gyrotrack._smoothing import WIDTH, angular_velocity
+from gyrotrack._smoothing import angular_velocity, smoothing_width
 from gyrotrack.apps._motion import TURN, BodyMotion, Value, end_of_motion, motion_of, start_of_motion
 from gyrotrack.apps._study import Recorder, open_study
 from gyrotrack.apps.report._page import write_report
@@ -187,7 +187,8 @@ def film_recording(
     time = time_all[tracked.frame]
     sense = 1 if tracked.angle[-1] >= tracked.angle[0] else -1
     angle = sense * tracked.angle
-    omega, omega_sigma = angular_velocity(time, angle, tracked.sigma, WIDTH)
+    width = smoothing_width(angle, tracked.sigma)
+    omega, omega_sigma = angular_velocity(time, angle, tracked.sigma, width)
     body = BodyTrack(
         name="casing",
         time=time,
@@ -197,16 +198,16 @@ def film_recording(
         n_markers=np.ones(len(time), dtype=np.int64),
         omega=omega,
         omega_sigma=omega_sigma,
-        smoothing_width=WIDTH,
+        smoothing_width=width,
     )
     centre = np.full((len(film), 2), np.nan)
     centre[tracked.frame] = np.array(tracked.ring.hub) + tracked.hub_path
-    height, width = next(iter(film.frames(0, 1))).shape
+    rows, columns = next(iter(film.frames(0, 1))).shape
     recording = Recording(
         source=film.path.name,
         source_sha256=file_sha256(film.path),
-        width=width,
-        height=height,
+        width=columns,
+        height=rows,
         capture_fps=fps,
         container_fps=film.info.container_fps,
         frames_declared=film.info.frames_declared,

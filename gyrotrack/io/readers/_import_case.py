@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from gyrotrack._errors import DatasetError, UsageError
-from gyrotrack._smoothing import angular_velocity, median_smooth
+from gyrotrack._smoothing import angular_velocity, median_smooth, smoothing_width
 from gyrotrack.io._contents import describe_motion
 from gyrotrack.io._records import Case, Floats, Series, windows_of
 from gyrotrack.io.readers._motion_table import MotionTable, ReadOptions
@@ -49,9 +49,6 @@ def unwrap(time: Floats, angle: Floats) -> tuple[Floats, list[float]]:
     return unwrapped, [float(t) for t in time[:-1][uncertain]]
 
 
-SMOOTHING = 51  # points of the paper's medians
-
-
 @dataclass(frozen=True)
 class Piece:
     """A part of a table without gaps; all arrays have shape (n,), in s, rad and rad/s."""
@@ -61,6 +58,7 @@ class Piece:
     sigma: Floats
     omega: Floats
     omega_sigma: Floats
+    smoothing_width: int = 1
 
 
 def unwrapped(table: MotionTable, notes: list[str]) -> Floats:
@@ -108,8 +106,9 @@ def pieces_of(table: MotionTable, value: Floats, notes: list[str]) -> list[Piece
 
 
 def _from_angles(time: Floats, angle: Floats, sigma: Floats) -> Piece:
-    omega, omega_sigma = angular_velocity(time, angle, sigma, SMOOTHING)
-    return Piece(time, angle, sigma, omega, omega_sigma)
+    width = smoothing_width(angle, sigma)
+    omega, omega_sigma = angular_velocity(time, angle, sigma, width)
+    return Piece(time, angle, sigma, omega, omega_sigma, width)
 
 
 def _from_speeds(time: Floats, omega: Floats, sigma: Floats) -> Piece:
@@ -224,7 +223,7 @@ def import_case(
         rotor=replace(series_of(windows, sense), sigma_source=_sigma_source(tables[1:])),
         quantity=quantity,
         warnings=tuple(notes + warnings),
-        extra=_origins(tables, sense),
+        extra=_origins(tables, [*body, *windows], sense),
     )
 
 
@@ -283,7 +282,7 @@ def import_body(
         quantity=read.quantity,
         bodies="one",
         warnings=tuple(notes),
-        extra=_origins([read], sense),
+        extra=_origins([read], parts, sense),
     )
 
 
@@ -297,12 +296,12 @@ def _common_quantity(tables: list[MotionTable]) -> str:
     return tables[0].quantity
 
 
-def _origins(tables: list[MotionTable], sense: int) -> dict[str, Any]:
+def _origins(tables: list[MotionTable], parts: Sequence[Piece], sense: int) -> dict[str, Any]:
     """Return the provenance for the case file."""
     return {
         "sources": [{"file": str(t.path), "sha256": t.sha256, "samples": len(t.time)} for t in tables],
         "sense": sense,
-        "smoothing_width": SMOOTHING if tables[0].quantity == "angle" else 1,
+        "smoothing_width": min(part.smoothing_width for part in parts),
     }
 
 

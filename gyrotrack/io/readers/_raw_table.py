@@ -208,6 +208,8 @@ def read_text(path: Path, sha256: str, lines: Lines) -> RawTable:
     delimiter = (
         delimiter_of(lines[first][1]) if first and not delimiter_of(lines[first - 1][1]) else delimiter
     )
+    if delimiter == "\t" and any(_is_list(cell) for cell in split(lines[first][1], delimiter)):
+        delimiter = None  # tabs and blanks are mixed
     comma = delimiter != ","
     rows = [split(text, delimiter) for _, text in lines[first:]]
     names: list[str] = []
@@ -236,6 +238,12 @@ def read_text(path: Path, sha256: str, lines: Lines) -> RawTable:
         comma,
         tuple(notes),
     )
+
+
+def _is_list(cell: str) -> bool:
+    """Return whether a cell contains several numbers, separated by blanks."""
+    words = cell.split()
+    return len(words) > 1 and all(number_of(word, decimal_comma=True) is not None for word in words)
 
 
 def _names_between_blanks(line: str, width: int) -> list[str]:

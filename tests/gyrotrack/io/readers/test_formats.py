@@ -431,3 +431,14 @@ def test_rest_of_a_quantised_oscillation_is_left_out(tmp_path, step):
         assert not cut
         assert len(case.casing.time) == len(t)
     assert len(import_body(path, 1.0, limits=Limits(keep_all=True)).casing.time) == len(t)
+
+
+def test_tabs_and_blanks_mixed(tmp_path):
+    t = np.arange(200) / 50.0
+    angle = 3.0 * t - 0.1 * t**2
+    lines = ["t\tangle sigma other", *(f"{a:.4f}\t{b:.6f} 0.001 7" for a, b in zip(t, angle, strict=True))]
+    path = tmp_path / "mixed.txt"
+    path.write_text("\n".join(lines))
+    case = import_body(path, 1.0)
+    np.testing.assert_allclose(np.ptp(case.casing.angle), np.ptp(angle), atol=1e-5)
+    np.testing.assert_allclose(case.casing.sigma, 0.001)
