@@ -31,10 +31,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.discovery._score import CaseColumns, Level, ScoreContext, orthonormal, over_many_tests
+from fitting.discovery._score import RANK, CaseColumns, Level, ScoreContext, over_many_tests
 from fitting.dynamics._mesh import Sampler
 from fitting.effects._effect import Effect, Joint, Parameter
-from fitting.inference._metrics import block_diagonal
+from fitting.inference._linear_algebra import block_diagonal, orthogonal_to, orthonormal
 from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
@@ -314,7 +314,7 @@ def _tested(context: ScoreContext, test: _Test) -> tuple[Dependence | None, Arra
     null = np.ones(context.draws.shape[1])
     for i, level in enumerate(context.levels):
         white = level.gain[:, None] * rotated
-        left = white - level.basis @ (level.basis.T @ white)
+        left = orthogonal_to(level.basis, white)
         u, s, _ = np.linalg.svd(left, full_matrices=False)
         kept = s > _RANK * max(float(np.linalg.norm(white, axis=0).max()), 1e-300)
         if not kept.any():
@@ -355,10 +355,10 @@ def _curve(context: ScoreContext, level: Level, test: _Test) -> tuple[Array, Arr
     if not len(test.value):
         return np.zeros(0), np.zeros(0), np.zeros((0, 0))
     white = level.gain[:, None] * context.rotated(test.fine)
-    left = white - level.basis @ (level.basis.T @ white)
+    left = orthogonal_to(level.basis, white)
     # more than noise remains where the law has a finer shape than the curve, or depends on something else as well
-    free = orthonormal(left)
-    rest = level.residual - free @ (free.T @ level.residual)
+    free = orthonormal(left, RANK)
+    rest = orthogonal_to(free, level.residual)
     scatter = max(1.0, float(rest @ rest) / max(len(rest) - level.basis.shape[1] - free.shape[1], 1))
     best: tuple[float, float, Array, Array, Array, Array] | None = None
     for prior in test.priors:

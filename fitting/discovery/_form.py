@@ -35,8 +35,14 @@ from fitting._criteria import Criteria
 from fitting.discovery._score import CaseColumns
 from fitting.effects._effect import Effect
 from fitting.effects._expression import symbols
-from fitting.inference._metrics import block_diagonal, orthonormal
-from fitting.inference._problem import Projection, r_factor
+from fitting.inference._linear_algebra import (
+    block_diagonal,
+    orthogonal_to,
+    orthonormal,
+    piecewise_linear,
+    r_factor,
+)
+from fitting.inference._problem import Projection
 from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
@@ -101,7 +107,7 @@ def form_test(found: Fit, effect: Effect, criteria: Criteria) -> FormTest:
     imitates = _has_time_constant(effect)
     deviations, splines, square, own_square = [], [], 0.0, 0.0
     for c, (rotor, casing), v in zip(cases, torques, values, strict=True):
-        hats = np.stack([np.interp(v, knots, row) for row in np.eye(_KNOTS)], axis=1)
+        hats = piecewise_linear(v, knots)
         deviations.append(c.torque_rows(rotor[:, None] * hats, casing[:, None] * hats))
         square += float(np.sum(hats**2 * (rotor**2 + casing**2)[:, None]))
         own_square += float(np.sum(rotor**2 + casing**2))
@@ -170,8 +176,7 @@ def _projected(found: Fit, index: int, parts: Sequence[Array]) -> list[Array]:
 
 
 def _beyond(columns: Array, free: Array) -> Array:
-    basis = orthonormal(free, _RANK_FREE)
-    return np.asarray(columns - basis @ (basis.T @ columns))
+    return orthogonal_to(orthonormal(free, _RANK_FREE), columns)
 
 
 def _limit(seen: Array, square: float, criteria: Criteria) -> float:

@@ -19,7 +19,7 @@ from fitting.discovery._refine import refit
 from fitting.discovery._select import Candidate, Selection, rank
 from fitting.effects._effect import Effect
 from fitting.effects._library import LIBRARY
-from fitting.inference._fit import fit
+from fitting.inference._fit import fit_like
 from fitting.inference._result import Estimate, Fit
 
 NAME = "setup.inertia"
@@ -107,16 +107,9 @@ def with_free_inertia(
         return None
     if NAME in selection.end.model.names:
         return None
-    layout = base.problem.layout
     with suppress(FittingError):
-        freed = fit(
-            base.model.with_effect(LIBRARY[NAME]),
-            base.problem.data,
-            share=[k for k in base.model.free if k not in layout.per_case] if len(layout.records) > 1 else (),
-            per_case=layout.per_case,
-            start={k: e.value for k, e in base.estimates.items()},
-            noise=base.noise,
-        )
+        model = base.model.with_effect(LIBRARY[NAME])
+        freed = fit_like(base, model, start=base.values, noise=base.noise)
         ranked = rank(freed, extra, criteria=criteria, refitting=False)
         usable = [c for c in ranked if c.physical and c.significant and not c.screened.absorbed][:_TRIED]
         near = [c for c in usable if c.score > usable[0].score - criteria.equivalence_width]

@@ -37,6 +37,7 @@ from fitting.effects._effect import Effect
 from fitting.effects._library import GENERAL
 from fitting.inference._case_data import CaseData
 from fitting.inference._compression import CASING_DEGREE, ROTOR_DEGREE, compress
+from fitting.inference._linear_algebra import orthogonal_to, orthonormal
 from fitting.inference._noise import Noise, TorqueNoise, TorqueResponse
 from fitting.inference._parameters import START_CASING, START_ROTOR, ParameterLayout
 from fitting.inference._problem import Problem
@@ -49,7 +50,7 @@ Array = NDArray[np.float64]
 # blocks of a planned recording, and samples of each: a smooth motion needs no more
 _BLOCKS = 24
 _PER_BLOCK = 64
-_TINY = 1e-12
+_RANK, _TINY = 1e-7, 1e-12
 
 
 @dataclass(frozen=True)
@@ -140,10 +141,7 @@ class Information:
             strengths.append(trial.columns)
         everything = whitener(np.concatenate([shared, *strengths], axis=1))
         own = whitener(np.concatenate([jacobian[:, rest], data.nuisance], axis=1))
-        size = np.linalg.norm(own, axis=0)
-        u, s, _ = np.linalg.svd(own[:, size > 0] / size[size > 0], full_matrices=False)
-        basis = u[:, s > 1e-7 * s.max(initial=1.0)]
-        everything = everything - basis @ (basis.T @ everything)
+        everything = orthogonal_to(orthonormal(own, _RANK), everything)
         left = whitener(data.z - prediction.rows)
         return np.asarray(everything.T @ everything), np.asarray(everything.T @ left)
 

@@ -45,9 +45,9 @@ from fitting.effects._effect import Effect, Joint, Parameter
 from fitting.effects._expression import symbols
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import Prediction
-from fitting.inference._metrics import orthonormal
+from fitting.inference._linear_algebra import orthogonal_to, orthonormal, piecewise_linear, r_factor
 from fitting.inference._noise import Noise, TorqueResponse, tail_probability
-from fitting.inference._problem import Projection, r_factor
+from fitting.inference._problem import Projection
 from fitting.inference._result import Fit
 from fitting.inference._spectral_lines import false_alarm_probability
 
@@ -60,11 +60,6 @@ def speeds(times: Array, prediction: Prediction) -> Array:
     """Return the speeds of casing, rotor and bearing, shape (3, times) [rad/s]."""
     y = Sampler(prediction.path.mesh, times).value(prediction.path.y)
     return np.stack([y[:, 1], y[:, 0], y[:, 0] - y[:, 1]])
-
-
-def hats(speed: Array, knots: Array) -> Array:
-    """Return the functions that are 1 at one knot and 0 at the others, at some speeds, shape (speeds, knots)."""
-    return np.stack([np.interp(speed, knots, row) for row in np.eye(len(knots))], axis=1)
 
 
 def nonparametric_law(fit: Fit, joint: Joint, speed: str) -> float:
@@ -80,7 +75,7 @@ def nonparametric_law(fit: Fit, joint: Joint, speed: str) -> float:
     found = []
     for count in KNOTS:
         knots = np.linspace(least, most, count)
-        shapes = [hats(x, knots) for x in own]
+        shapes = [piecewise_linear(x, knots) for x in own]
         rows = [c.torque_rows(rotor * h, casing * h) for c, h in zip(cases, shapes, strict=True)]
         found.append(score_of_columns(context, np.concatenate(rows)))
     return max(found)
@@ -115,7 +110,7 @@ def smooth_test(fit: Fit) -> SmoothTest:
     """
     named, tried, free, residual, shares = _smooth_rows(fit)
     basis = orthonormal(free, _RANK_FREE)
-    left = residual - basis @ (basis.T @ residual)
+    left = orthogonal_to(basis, residual)
     columns = [(name, _orthogonal(s, basis)) for name, s in zip(named, tried, strict=True)]
     columns = [(name, s) for name, s in columns if s.size]
     if not columns:
@@ -133,7 +128,7 @@ def smooth_test(fit: Fit) -> SmoothTest:
 def _orthogonal(columns: Array, basis: Array) -> Array:
     """Return an orthonormal basis of the part of some columns that is orthogonal to a basis."""
     columns = columns / np.maximum(np.linalg.norm(columns, axis=0), _TINY)
-    columns = columns - basis @ (basis.T @ columns)
+    columns = orthogonal_to(basis, columns)
     return orthonormal(columns[:, np.linalg.norm(columns, axis=0) > _RANK_FREE], _RANK)
 
 
@@ -155,7 +150,7 @@ def _smooth_rows(fit: Fit) -> tuple[list[str], list[Array], Array, Array, list[f
     tried, free, residual, shares = [], [], [], []
     for response, own, (data, p, noise) in zip(responses, each, cases, strict=True):
         acting = response.casing, response.casing - response.rotor
-        torques = [acting[body] @ hats(own[which], knots) for which, knots, body in choices]
+        torques = [acting[body] @ piecewise_linear(own[which], knots) for which, knots, body in choices]
         rows = np.zeros((len(data.z), sum(t.shape[1] for t in torques)))
         rows[: len(response.casing)] = np.concatenate(torques, axis=1)
         project = Projection(data, noise.whitener.at(noise.pure))
@@ -337,7 +332,7 @@ class _Periodogram:
         return np.where(known, a * x + b * y, 0.0), np.hypot(a, b)
 
     def _orthogonal(self, rows: Array) -> Array:
-        return np.asarray(rows - self._basis @ (self._basis.T @ rows))
+        return orthogonal_to(self._basis, rows)
 
 
 _ORDERS = (3, 4, 5, 6)
@@ -397,7 +392,7 @@ def harmonic_test(fit: Fit) -> HarmonicTest:
             project = Projection(data, n.whitener.at(n.pure))
             basis = orthonormal(project(p.columns), _RANK_FREE)
             rows = project(np.stack([sine, cosine, data.z - p.rows], axis=1))
-            rows = rows - basis @ (basis.T @ rows)
+            rows = orthogonal_to(basis, rows)
             s, r = rows[:, :2], rows[:, 2]
             shares.append(project.whitener.share(orthonormal(s, _RANK)))
             gamma = np.linalg.pinv(s.T @ s, hermitian=True) @ (s.T @ r)

@@ -60,8 +60,8 @@ from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
 from fitting.effects._effect import Effect
 from fitting.effects._expression import Tape, symbols
 from fitting.inference._case_data import CaseData
-from fitting.inference._fit import fit
-from fitting.inference._metrics import block_diagonal, orthonormal
+from fitting.inference._fit import fit_like
+from fitting.inference._linear_algebra import block_diagonal, orthogonal_to, orthonormal
 from fitting.inference._noise import Noise
 from fitting.inference._result import Estimate, Fit
 
@@ -625,22 +625,16 @@ def _measured(common: _Common) -> Sequence[CaseData]:
 def _refit(common: _Common, trial: _Trial) -> Fit | None:
     """Refit base and law together; None if the search fails."""
     base = common.base
-    layout = base.problem.layout
-    own = [k for k in layout.per_case if k in base.model.free]
-    shared = [k for k in base.model.per_case if k not in own]
-    several = len(layout.records) > 1
-    found: Fit | None = None
     with suppress(FittingError):
-        found = fit(
+        found = fit_like(
+            base,
             trial.model.with_effect(trial.law.effect),
-            base.problem.data,
-            share=shared if several else (),
-            per_case=own if several else (),
             start={**trial.start, **start_of(base, trial.score)},
             noise=common.noise,
             quick=True,
         )
-    return found if found is not None and np.isfinite(found.deviance) else None
+        return found if np.isfinite(found.deviance) else None
+    return None
 
 
 def _merged(refits: Sequence[_Refitted]) -> list[_Refitted]:
@@ -736,7 +730,7 @@ def _separation(one: Fit, other: Fit) -> float:
     ):
         white = noise.whitener(np.column_stack([data.nuisance, a.rows - b.rows]))
         free = orthonormal(white[:, :-1], _RANK)
-        left = white[:, -1] - free @ (free.T @ white[:, -1])
+        left = orthogonal_to(free, white[:, -1])
         total += float(left @ left)
     return total
 

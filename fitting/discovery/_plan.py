@@ -22,7 +22,7 @@ from fitting.discovery._next_run import Bounds, NextRun, next_run
 from fitting.discovery._planned_recordings import read_planned
 from fitting.discovery._power import EffectLimits, Search
 from fitting.effects._effect import Effect
-from fitting.inference._recording_noise import ProcessNoise
+from fitting.inference._process_noise import ProcessNoise
 from fitting.inference._result import Fit
 
 Progress = Callable[[int, int | None], None]

@@ -48,8 +48,8 @@ from fitting.discovery._next_run import Bounds
 from fitting.dynamics._model import Model
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit as fit_model
+from fitting.inference._process_noise import ProcessNoise
 from fitting.inference._record import Record
-from fitting.inference._recording_noise import ProcessNoise
 from fitting.inference._result import Fit
 from fitting.inference._simulation import Experiment, simulate
 

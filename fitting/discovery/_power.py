@@ -39,6 +39,7 @@ from numpy.typing import NDArray
 from fitting._criteria import DEFAULT, Criteria
 from fitting._numbers import PER_INERTIA, per_inertia
 from fitting.discovery._score import (
+    RANK,
     CaseColumns,
     FamilywiseNull,
     Level,
@@ -46,11 +47,12 @@ from fitting.discovery._score import (
     Score,
     ScoreContext,
     Trial,
-    orthonormal,
+    rows_of_case,
 )
 from fitting.discovery._select import applicable_effects
 from fitting.effects._effect import Effect
-from fitting.inference._recording_noise import ProcessNoise
+from fitting.inference._linear_algebra import orthogonal_to, orthonormal
+from fitting.inference._process_noise import ProcessNoise
 from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
@@ -347,7 +349,7 @@ class ActiveBounds:
 
     def basis_without(self, parameter: int) -> Array:
         """Return an orthonormal basis of the free columns without those of one parameter."""
-        return orthonormal(np.delete(self.free, parameter, axis=1))
+        return orthonormal(np.delete(self.free, parameter, axis=1), RANK)
 
 
 class SearchScore(NamedTuple):
@@ -415,13 +417,9 @@ class Search:
     def _whitened(self, groups: Sequence[Array]) -> Array:
         return np.asarray(self._level.gain[:, None] * self._context.rotated(np.concatenate(groups, axis=1)))
 
-    @staticmethod
-    def _projected(columns: Array, basis: Array) -> Array:
-        return np.asarray(columns - basis @ (basis.T @ columns))
-
     def _responses(self, effect: Effect, groups: Sequence[Array], basis: Array) -> _Responses:
         absorbed = self._context.absorbed_by_base(groups)
-        columns = self._projected(self._whitened(groups), basis)
+        columns = orthogonal_to(basis, self._whitened(groups))
         return _Responses.of(columns, groups[0].shape[1], absorbed, effect)
 
     def _tests_holding(self, parameter: int) -> dict[str, list[_Test]]:
@@ -484,13 +482,8 @@ class Search:
         return [NullDistribution(replace(score, noise=n)) for n in self._noises]
 
     def _of_case(self, effect: Effect, case: int) -> list[Array]:
-        ends = self._context.ends
-        groups = []
-        for trial in self._trials[effect.name][case]:
-            rows = np.zeros((ends[-1], trial.columns.shape[1]))
-            rows[ends[case] : ends[case + 1]] = trial.columns
-            groups.append(rows)
-        return groups
+        groups = rows_of_case(self._context, self._trials[effect.name][case], case)
+        return [rows for _, rows in groups]
 
     def power(self, effect: Effect, group: int, strengths: Array) -> Array:
         """Return the probability that the search finds something, for some strengths of an effect."""

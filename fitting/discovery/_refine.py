@@ -25,8 +25,8 @@ from fitting._errors import FittingError, SimulationError
 from fitting.discovery._score import CaseColumns, Score, ScoreContext, score_in_case
 from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect, Parameter
-from fitting.inference._fit import fit
-from fitting.inference._metrics import orthonormal
+from fitting.inference._fit import fit, fit_like
+from fitting.inference._linear_algebra import orthogonal_to, orthonormal
 from fitting.inference._noise import Noise
 from fitting.inference._result import Fit
 
@@ -70,22 +70,15 @@ def at_least_noise(found: Fit, criteria: Criteria) -> Fit:
 
 def fit_at(found: Fit, noise: Sequence[Noise], values: Mapping[str, float] | None = None) -> Fit:
     """Return a fit made again at a given noise, from its own values or some others, to full convergence."""
-    layout = found.problem.layout
-    own = {k: e.value for k, e in found.estimates.items()}
-    return fit(
-        found.model,
-        found.problem.data,
-        share=[k for k in found.model.free if k not in layout.per_case] if len(layout.records) > 1 else (),
-        per_case=layout.per_case,
-        start=own | {k: v for k, v in (values or {}).items() if k in own},
-        noise=noise,
-    )
+    begin = found.values
+    begin |= {k: v for k, v in (values or {}).items() if k in begin}
+    return fit_like(found, found.model, start=begin, noise=noise)
 
 
 def from_values_of(found: Fit, other: Fit) -> Fit:
     """Return a fit, or the one from the values of another model if that describes the data better."""
     with suppress(FittingError):
-        return _better(found, fit_at(found, found.noise, {k: e.value for k, e in other.estimates.items()}))
+        return _better(found, fit_at(found, found.noise, other.values))
     return found
 
 
@@ -164,7 +157,7 @@ def _best(fit: Fit, index: int, place: int) -> float:
             left = project(case.data.z - case.predict(theta).rows)
         except SimulationError:
             return np.inf
-        left = left - basis @ (basis.T @ left)
+        left = orthogonal_to(basis, left)
         return float(left @ left)
 
     reach = _REACH * (last - first)
@@ -236,16 +229,13 @@ def together(
 
     `held` keeps the strength, as well as the shape, at its score's value until all other parameters have converged.
     """
-    layout = base.problem.layout
-    own = [k for k in layout.per_case if k in base.model.free]
-    shared = [k for k in base.model.per_case if k not in own]
-    begin = {name: e.value for name, e in base.estimates.items()} | start_of(base, score)
+    begin = base.values | start_of(base, score)
     try:
-        found = fit(
+        found = fit_like(
+            base,
             base.model.with_effect(score.effect),
-            base.problem.data,
-            share=[*shared, *common] if len(layout.records) > 1 else (),
-            per_case=[*own, *_own_phase_keys(score)] if len(layout.records) > 1 else (),
+            share=common,
+            per_case=_own_phase_keys(score),
             start=begin if start is None else begin | dict(start),
             noise=base.noise,
             steady=[n for n in begin if _keeps(score.effect, n, held=held)] if start is None else (),
@@ -287,12 +277,12 @@ def with_one_value(base: Fit, score: Score, found: Fit) -> Fit | None:
         k: float(np.mean([e.value for name, e in found.estimates.items() if name.partition("@")[0] == k]))
         for k in keys
     }
-    return together(base, score, {n: e.value for n, e in found.estimates.items()} | mean, keys)
+    return together(base, score, found.values | mean, keys)
 
 
 def with_own_values(base: Fit, score: Score, found: Fit, common: Fit) -> Fit:
     """Return the better of a fit and one with per-case values that starts from the common ones."""
-    values = {name: e.value for name, e in common.estimates.items()}
+    values = common.values
     start = {n: values.get(n, values.get(n.partition("@")[0])) for n in found.problem.layout.names}
     return _better(found, together(base, score, {n: v for n, v in start.items() if v is not None}))
 
@@ -367,19 +357,16 @@ def freed(found: Fit, effect: Effect, criteria: Criteria) -> Fit | None:
     general = with_shape_parameter(effect)
     if general is None:
         return None
-    layout = found.problem.layout
     model = Model(tuple(general if e.name == effect.name else e for e in found.model.effects))
     symbol = general.parameters[-1].symbol
-    values = {k: e.value for k, e in found.estimates.items()}
     best: Fit | None = None
     for start in general.parameters[-1].grid or (general.parameters[-1].start,):
         with suppress(FittingError):
-            other = fit(
+            other = fit_like(
+                found,
                 model,
-                found.problem.data,
-                share=[k for k in model.free if k not in layout.per_case] if len(layout.records) > 1 else (),
-                per_case=layout.per_case,
-                start=values | {f"{effect.name}.{symbol}": start},
+                share=[f"{effect.name}.{symbol}"],
+                start=found.values | {f"{effect.name}.{symbol}": start},
                 noise=found.noise,
                 quick=True,
             )

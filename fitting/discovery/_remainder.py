@@ -41,7 +41,7 @@ from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
 from fitting.effects._effect import Effect, Joint, Parameter
 from fitting.effects._expression import Tape, symbols
 from fitting.inference._case_data import CAMERA_COLUMNS, largest_speed
-from fitting.inference._fit import fit
+from fitting.inference._fit import fit_like
 from fitting.inference._noise import Noise
 from fitting.inference._result import Fit
 
@@ -253,7 +253,6 @@ def better_law(base: Fit, named: Fit, end: Fit, effect: Effect, criteria: Criter
 
 def _with_smooth_laws(base: Fit, effect: Effect, noise: Sequence[Noise]) -> Iterator[tuple[Fit, str]]:
     """Yield the fits with a smooth law in place of an effect, for each speed of which the effect is no law."""
-    layout = base.problem.layout
     for joint, speed, powers in _SMOOTH_LAWS:
         own = symbols(effect.expression) - {p.symbol for p in effect.parameters}
         if (joint == effect.joint and own <= {speed}) or (
@@ -261,24 +260,9 @@ def _with_smooth_laws(base: Fit, effect: Effect, noise: Sequence[Noise]) -> Iter
         ):
             continue
         law = smooth_law(joint, speed, powers, *_range(base, speed))
-        start = {k: e.value for k, e in base.estimates.items()} | {
-            f"{law.name}.{p.symbol}": 0.0 for p in law.parameters
-        }
+        start = base.values | {f"{law.name}.{p.symbol}": 0.0 for p in law.parameters}
         with suppress(FittingError):
-            yield (
-                fit(
-                    base.model.with_effect(law),
-                    base.problem.data,
-                    share=[k for k in base.model.free if k not in layout.per_case]
-                    if len(layout.records) > 1
-                    else (),
-                    per_case=layout.per_case,
-                    start=start,
-                    noise=noise,
-                    quick=True,
-                ),
-                speed,
-            )
+            yield fit_like(base, base.model.with_effect(law), start=start, noise=noise, quick=True), speed
 
 
 def _range(fit: Fit, speed: str) -> tuple[float, float]:

@@ -26,7 +26,8 @@ from fitting._numbers import PER_INERTIA, TORQUE
 from fitting.dynamics._mesh import Sampler
 from fitting.effects._library import LIBRARY
 from fitting.inference._case_data import CaseData
-from fitting.inference._metrics import orthonormal, slow_responses
+from fitting.inference._linear_algebra import orthogonal_to, orthonormal
+from fitting.inference._metrics import slow_responses
 from fitting.inference._noise import TorqueNoise, TorqueResponse, decaying_sums, remaining_level
 from fitting.inference._problem import Projection
 from fitting.inference._record import speeds
@@ -230,7 +231,7 @@ def angle_harmonics(fit: Fit) -> list[AngleHarmonics]:
         both = project(np.concatenate([np.stack(columns, axis=1), (case.data.z - p.rows)[:, None]], axis=1))
         slow = slow_responses(case.data, p)
         basis = orthonormal(project(np.concatenate([p.jacobian, slow], axis=1)), _RANK)
-        both = both - basis @ (basis.T @ both)
+        both = orthogonal_to(basis, both)
         seen, residual = both[:, :-1], both[:, -1]
         covariance = np.linalg.pinv(seen.T @ seen, hermitian=True)
         gamma = covariance @ (seen.T @ residual)

@@ -37,7 +37,7 @@ from fitting.dynamics._model import INERTIA_CASING
 from fitting.effects._effect import Effect, Parameter
 from fitting.effects._expression import Tape, derivative
 from fitting.inference._case_model import CaseModel, Prediction
-from fitting.inference._metrics import block_diagonal
+from fitting.inference._linear_algebra import block_diagonal, orthogonal_to, orthonormal
 from fitting.inference._noise import Noise, TorqueResponse, Whitener, possible_scales
 from fitting.inference._result import Fit
 
@@ -46,6 +46,8 @@ Array = NDArray[np.float64]
 _LEVELS = 9
 # share of a column orthogonal to the base, angles taken as exact, below which the base absorbs it
 _ABSORBED = 1e-7
+# relative singular value below which a direction of the free columns is none
+RANK = 1e-10
 _SEED = 7
 
 
@@ -103,7 +105,7 @@ class ScoreContext:
         everything = np.concatenate([free, nuisance], axis=1)
         self.free = self.rotated(everything)
         self._residual = self.rotated(residual)
-        self._plain = orthonormal(free)
+        self._plain = orthonormal(free, RANK)
         self.levels = [self._level(w, self.free) for w in self._whiteners]
         self.draws = self.rotated(random.standard_normal((len(residual), draws)))
 
@@ -131,7 +133,7 @@ class ScoreContext:
     def absorbed_by_base(self, groups: Sequence[Array]) -> NDArray[np.bool_]:
         """Return which groups of columns the free columns of the base absorb."""
         everything = np.concatenate(groups, axis=1)
-        left = everything - self._plain @ (self._plain.T @ everything)
+        left = orthogonal_to(self._plain, everything)
         share = np.linalg.norm(left, axis=0) / np.maximum(np.linalg.norm(everything, axis=0), 1e-300)
         return np.asarray(share.reshape(len(groups), -1).max(axis=1) < _ABSORBED)
 
@@ -140,9 +142,8 @@ class ScoreContext:
             np.concatenate([1 / np.sqrt(1 + w.level**2 * w.values), np.ones(b - a - len(w.values))])
             for w, a, b in zip(whiteners, self.ends, self.ends[1:], strict=False)
         ])  # fmt: skip
-        q = orthonormal(gain[:, None] * free)
-        r = gain * self._residual
-        r = r - q @ (q.T @ r)
+        q = orthonormal(gain[:, None] * free, RANK)
+        r = orthogonal_to(q, gain * self._residual)
         return Level(gain, q, r, float(r @ r) + sum(w.log_determinant for w in whiteners))
 
     def shares(self, direction: Array) -> tuple[float, ...]:
@@ -168,12 +169,6 @@ def _between(least: float, level: float, share: float) -> float:
         return level
     floor = max(least, 1e-3 * level)
     return float(floor * (level / floor) ** share)
-
-
-def orthonormal(columns: Array) -> Array:
-    size = np.linalg.norm(columns, axis=0)
-    u, s, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
-    return np.asarray(u[:, s > 1e-10 * s[0]])
 
 
 # spacing of trial frequencies: phase difference over the record [rad]
@@ -292,8 +287,7 @@ class CaseColumns:
 
     def torque_rows(self, rotor: Array, casing: Array) -> Array:
         """Return the response of the rows to torques on rotor and casing, each (cells, columns) [N m]."""
-        smooth = self.response.rotor @ rotor + self.response.casing @ casing
-        return np.concatenate([smooth, np.zeros((len(self.case.data.z) - len(smooth), smooth.shape[1]))])
+        return self.padded(self.response.rotor @ rotor + self.response.casing @ casing)
 
     def _units(self, effect: Effect, choices: Sequence[dict[str, float]]) -> Array:
         """Return the torque of a law at strength 1 in each cell, for all choices of its shape constants at once."""
@@ -461,7 +455,7 @@ def best_group(
     empty = np.zeros(0)
     for i, level in enumerate(levels):
         columns = level.gain[:, None] * rotated
-        columns = columns - level.basis @ (level.basis.T @ columns)
+        columns = orthogonal_to(level.basis, columns)
         scores, gammas = _solve(columns, level.residual, len(groups), bounds)
         scores = np.where(absorbed, 0.0, scores)
         place = int(np.argmax(scores))
@@ -493,7 +487,7 @@ def score_of_columns(context: ScoreContext, columns: Array) -> float:
     gains = []
     for level in context.levels:
         projected = level.gain[:, None] * rotated
-        projected = projected - level.basis @ (level.basis.T @ projected)
+        projected = orthogonal_to(level.basis, projected)
         score, _ = _solve(projected, level.residual, 1, (-np.inf, np.inf))
         gains.append(float(score[0]) - level.deviance)
     return max(gains) + min(x.deviance for x in context.levels)

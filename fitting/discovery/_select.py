@@ -37,7 +37,7 @@ from fitting.discovery._score import CaseColumns, FamilywiseNull, NullDistributi
 from fitting.effects._effect import Effect
 from fitting.effects._library import LIBRARY
 from fitting.inference._case_data import CaseData
-from fitting.inference._fit import fit
+from fitting.inference._fit import fit_like
 from fitting.inference._initial_values import equation_error
 from fitting.inference._noise import Noise
 from fitting.inference._result import Estimate, Fit
@@ -654,16 +654,7 @@ def _is_essential(fitted: Fit, effect: Effect, criteria: Criteria) -> bool:
 
 
 def _without(fitted: Fit, effect: Effect) -> Fit:
-    smaller = fitted.model.without(effect.name)
-    share, per_case = ([k for k in names if k in smaller.free] for names in fitted.problem.layout.choices)
-    return fit(
-        smaller,
-        fitted.problem.data,
-        share=share,
-        per_case=per_case,
-        start={k: e.value for k, e in fitted.estimates.items()},
-        noise=fitted.noise,
-    )
+    return fit_like(fitted, fitted.model.without(effect.name), start=fitted.values, noise=fitted.noise)
 
 
 _DRAWS = 2

@@ -27,7 +27,8 @@ from fitting.inference._case_data import CAMERA_COLUMNS, CaseData
 from fitting.inference._case_model import Prediction
 from fitting.inference._compression import Compressed
 from fitting.inference._fit import fit as refit
-from fitting.inference._problem import covariance_of, surely_at_bound
+from fitting.inference._linear_algebra import covariance_of, orthogonal_to, orthonormal
+from fitting.inference._problem import surely_at_bound
 from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
@@ -39,7 +40,7 @@ CRYSTAL = 50e-6 / math.sqrt(3)
 _NODES = (-math.sqrt(3), 0.0, math.sqrt(3))
 _WEIGHTS = (1 / 6, 2 / 3, 1 / 6)
 _CAMERA_WIDTH = 2 * len(CAMERA_COLUMNS)
-_ROUNDING = 1e-12
+_RANK, _ROUNDING = 1e-7, 1e-12
 
 
 @dataclass(frozen=True)
@@ -149,8 +150,7 @@ class _Linearised:
             if camera < columns.shape[1]:
                 keep += [camera + k for name in NUISANCE[:nuisances] for k in CAMERA_COLUMNS[name]]
             white = noise.whitener(prediction.jacobian)
-            basis = _orthonormal(noise.whitener(columns[:, keep]))
-            blocks.append(white - basis @ (basis.T @ white))
+            blocks.append(orthogonal_to(orthonormal(noise.whitener(columns[:, keep]), _RANK), white))
         return covariance_of(np.concatenate(blocks), self.free), blocks
 
     def noise_variances(self) -> dict[str, Array]:
@@ -186,14 +186,6 @@ class _Linearised:
         ):
             gradient += project(prediction.jacobian).T @ project(column)
         return np.asarray(-(self.covariance @ gradient))
-
-
-def _orthonormal(columns: Array) -> Array:
-    size = np.linalg.norm(columns, axis=0)
-    if not (size > 0).any():
-        return np.zeros((len(columns), 0))
-    u, s, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
-    return np.asarray(u[:, s > 1e-7 * s.max()])
 
 
 def _inertias(fit: Fit) -> Iterator[tuple[str, str, float, float]]:

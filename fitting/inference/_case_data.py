@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from fitting.dynamics._mesh import Path, Sampler
 from fitting.dynamics._sensitivities import angles
 from fitting.effects._library import NUISANCE
+from fitting.inference._angle_noise import AngleNoise, estimate_angle_noise, estimate_window_noise
 from fitting.inference._compression import (
     BLOCKS,
     CASING_DEGREE,
@@ -38,16 +39,13 @@ from fitting.inference._compression import (
 )
 from fitting.inference._oscillation import Oscillation, find_oscillation
 from fitting.inference._prior import Prior
-from fitting.inference._record import WIDTH, Record, Samples, initial_speeds, speeds
-from fitting.inference._recording_noise import (
-    FREE,
-    AngleNoise,
+from fitting.inference._process_noise import (
+    FLAT_PRIOR_SIGMA,
     ProcessNoise,
-    estimate_angle_noise,
     estimate_process_noise,
-    estimate_window_noise,
     mean_acceleration,
 )
+from fitting.inference._record import WIDTH, Record, Samples, initial_speeds, speeds
 from fitting.inference._spectral_lines import SpectralLine, line_rows, spectral_lines
 
 
@@ -291,12 +289,12 @@ class CaseData:
             if not self.is_angle:
                 bias = self.casing.at_nodes(np.ones((len(self.casing.node_times), 1)))
                 waves = np.concatenate([waves, bias], axis=1)
-            free = np.concatenate([free, FREE * waves], axis=1)
+            free = np.concatenate([free, FLAT_PRIOR_SIGMA * waves], axis=1)
         # the mean acceleration of an oscillation is none of its torques
         known = self.is_angle and self.oscillation is None
         typical = mean_acceleration(self.casing) if known else math.inf
         return estimate_process_noise(
-            self.casing, free, self.angle_noise, angle=self.is_angle, typical=typical
+            self.casing, free, self.angle_noise.root, angle=self.is_angle, typical=typical
         )
 
     @cached_property
@@ -317,7 +315,7 @@ class CaseData:
         return np.concatenate(
             [
                 self._camera_rows,
-                FREE * line_rows(self.casing, [line.rate for line in self.spectral_lines]),
+                FLAT_PRIOR_SIGMA * line_rows(self.casing, [line.rate for line in self.spectral_lines]),
             ],
             axis=1,
         )
@@ -342,7 +340,7 @@ class CaseData:
         if len(self._camera_prior):
             return self.casing.at_samples(self.camera_columns)[0] * self._camera_prior
         if self.record.gradients:
-            return FREE * self.casing.at_samples(_gradients(self.casing.samples))[0]
+            return FLAT_PRIOR_SIGMA * self.casing.at_samples(_gradients(self.casing.samples))[0]
         return np.zeros((len(self.casing.z), 0))
 
     def whitened(self, rows: Array) -> Array:

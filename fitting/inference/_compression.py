@@ -58,6 +58,8 @@ _MIN_SAMPLES = 60
 _SPEED_RATIO = 1.6
 _AT_REST = 0.5  # rad/s
 _MOST_CUTS = 12
+# groups of samples of a block
+_BINS = 128
 _CLIP = 3.0
 _CLIPPED_VARIANCE = 0.9733  # of a standard normal variable cut off at 3
 
@@ -110,6 +112,16 @@ class Compressed:
         polynomial = np.concatenate([p[:k] for p in parts])
         harmonic = np.concatenate([p[k:] for p in parts])
         return polynomial, harmonic
+
+    def binned_operators(self, bins: int = _BINS) -> list[tuple[Array, Array]]:
+        """Return for each block the mean times of groups of samples, and the polynomial rows of a constant in each."""
+        k, found = self.lift.shape[1], []
+        for where, operator in self.operators:
+            t = self.samples.time[where]
+            edges = np.unique(np.linspace(0, len(t), bins + 1).astype(int))[:-1]
+            middle = np.add.reduceat(t, edges) / np.diff(np.append(edges, len(t)))
+            found.append((middle, np.add.reduceat(operator[:k], edges, axis=1)))
+        return found
 
 
 def compress(

@@ -261,6 +261,43 @@ def fit(
     return outcome(problem, found.theta, noise, converged=found.minimum.converged)
 
 
+def fit_like(
+    other: Fit,
+    model: Model,
+    *,
+    start: Mapping[str, float],
+    noise: Sequence[Noise],
+    share: Iterable[str] = (),
+    per_case: Iterable[str] = (),
+    steady: Iterable[str] = (),
+    quick: bool = False,
+) -> Fit:
+    """Fit a model to the data of another fit, with the same parameters shared by all cases.
+
+    Parameters
+    ----------
+    other : Fit
+        The other fit.
+    model : Model
+        Its model with effects added, removed or changed.
+    start, noise, steady, quick
+        As for `fit`.
+    share, per_case : iterable of str
+        Parameters that are shared, or each case's own, in addition to those of the other fit.
+    """
+    shared, own = ([k for k in keys if k in model.free] for keys in other.problem.layout.choices)
+    return fit(
+        model,
+        other.problem.data,
+        share=[*shared, *share],
+        per_case=[*own, *per_case],
+        start=start,
+        noise=noise,
+        steady=steady,
+        quick=quick,
+    )
+
+
 def _check(model: Model, data: Sequence[CaseData]) -> None:
     labels = [d.record.label for d in data]
     if not data or len(set(labels)) != len(labels):
@@ -371,7 +408,7 @@ def robust_fit(model: Model, cases: Sequence[Record | CaseData], loss: str = "li
         for _ in range(_ROUNDS):
             pseudo = [_pseudo(d, case, found, psi) for case, d in enumerate(data)]
             before = found.theta
-            again: Mapping[str, Any] = options | {"start": {k: e.value for k, e in found.estimates.items()}}
+            again: Mapping[str, Any] = options | {"start": found.values}
             found = fit(model, pseudo, **again)
             errors = np.sqrt(np.diag(found.covariance))
             moved = np.abs(found.theta - before) > _STILL * errors

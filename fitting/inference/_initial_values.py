@@ -29,6 +29,7 @@ from fitting.effects._effect import RATIO, Effect
 from fitting.effects._library import LIBRARY
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import Prediction
+from fitting.inference._linear_algebra import r_factor
 from fitting.inference._noise import Noise
 from fitting.inference._noise_level import measure_noise
 from fitting.inference._optimisation import minimise, search
@@ -39,7 +40,7 @@ from fitting.inference._parameters import (
     ParameterLayout,
     is_power_law,
 )
-from fitting.inference._problem import Problem, r_factor, reference_speed
+from fitting.inference._problem import Problem, reference_speed
 from fitting.inference._record import Record, Samples
 
 Array = NDArray[np.float64]

@@ -39,8 +39,15 @@ from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
 from fitting.inference._case_data import SPEED_BLOCKS, CaseData
 from fitting.inference._case_model import CaseModel, Prediction
 from fitting.inference._compression import CASING_DEGREE
+from fitting.inference._linear_algebra import (
+    block_diagonal,
+    orthogonal_to,
+    orthonormal,
+    piecewise_linear,
+    r_factor,
+)
 from fitting.inference._noise import Noise, TorqueResponse, tail_probability
-from fitting.inference._problem import Problem, Projection, r_factor
+from fitting.inference._problem import Problem, Projection
 from fitting.inference._record import Record, Samples, median_width, speeds
 
 Array = NDArray[np.float64]
@@ -185,7 +192,7 @@ def held_out(data: CaseData, project: Projection, prediction: Prediction) -> dic
     size = np.linalg.norm(jacobian, axis=0)
     used = np.concatenate([project.basis, np.linalg.qr(jacobian[:, size > 0] / size[size > 0])[0]], axis=1)
     residual = project(prediction.rows - data.z)
-    residual = residual - used @ (used.T @ residual)
+    residual = orthogonal_to(used, residual)
     weighted = project.whitener(residual)
     result = {}
     for body, folds, rest, count in (
@@ -387,8 +394,8 @@ def _together(slow: Sequence[Array], free: Sequence[Array], residual: Sequence[A
         np.concatenate(residual),
         block_diagonal(slow),
     )
-    r = r - basis @ (basis.T @ r)
-    span = orthonormal(s - basis @ (basis.T @ s), _RANK)
+    r = orthogonal_to(basis, r)
+    span = orthonormal(orthogonal_to(basis, s), _RANK)
     return float(np.sum((span.T @ r) ** 2)), span.shape[1]
 
 
@@ -423,33 +430,9 @@ def slow_responses(data: CaseData, prediction: Prediction) -> Array:
     is linear.
     """
     response = TorqueResponse(data, prediction.motion)
-    hats = _hats(response.centres)
+    times = response.centres
+    hats = piecewise_linear(times, np.linspace(times[0], times[-1], _KNOTS))
     columns = np.concatenate([response.casing @ hats, (response.casing - response.rotor) @ hats], axis=1)
     rows = np.zeros((len(data.z), columns.shape[1]))
     rows[: len(columns)] = columns
     return rows
-
-
-def block_diagonal(parts: Sequence[Array]) -> Array:
-    """Return a block-diagonal matrix of these parts."""
-    rows, columns = sum(len(p) for p in parts), sum(p.shape[1] for p in parts)
-    out = np.zeros((rows, columns))
-    i = j = 0
-    for p in parts:
-        out[i : i + len(p), j : j + p.shape[1]] = p
-        i, j = i + len(p), j + p.shape[1]
-    return out
-
-
-def _hats(times: Array) -> Array:
-    knots = np.linspace(times[0], times[-1], _KNOTS)
-    return np.stack([np.interp(times, knots, row) for row in np.eye(_KNOTS)], axis=1)
-
-
-def orthonormal(columns: Array, smallest: float) -> Array:
-    """Return an orthonormal basis of scaled columns, without directions whose singular value is a share this small."""
-    size = np.linalg.norm(columns, axis=0)
-    if not (size > 0).any():
-        return np.zeros((len(columns), 0))
-    u, s, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
-    return np.asarray(u[:, s > smallest * s[0]])

@@ -4,7 +4,7 @@ Rows in units of the white noise of the angles have the covariance C(s) = 1 + s^
 Ornstein-Uhlenbeck torque of rms 1 N m on the casing and another one between the bodies, with the correlation time of
 the process noise of the recording.
 
-Two levels matter. The *pure* level is that of the recording (`fitting.inference._recording_noise`): no model enters,
+Two levels matter. The *pure* level is that of the recording (`fitting.inference._process_noise`): no model enters,
 and chi-square, cross-validation errors and tests of every fit of the recording use it. The *level* of a fit is what its
 model leaves: the maximum of the restricted likelihood of its residuals. It is larger if the model has a lack of fit,
 and smaller if the model needs less random torque than the recording alone can exclude. Parameters and rival models are
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from fitting.dynamics._sensitivities import LinearMotion
 from fitting.inference._case_data import CaseData
-from fitting.inference._recording_noise import ProcessNoise
+from fitting.inference._process_noise import ProcessNoise
 
 Array = NDArray[np.float64]
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import EstimationError, SimulationError
+from fitting.inference._linear_algebra import orthogonal_to
 from fitting.inference._parameters import PowerLaw
 from fitting.inference._problem import Problem
 
@@ -299,7 +300,7 @@ def _is_minimum(problem: Problem, theta: Array, held: Sequence[int], enough: flo
     size = np.linalg.norm(j[:, others], axis=0)
     basis = np.linalg.qr(j[:, others] / np.where(size > 0, size, 1.0))[0]
     for i in held:
-        own = j[:, i] - basis @ (basis.T @ j[:, i])
+        own = orthogonal_to(basis, j[:, i])
         slope = float(own @ r)
         inward = slope < 0 if theta[i] <= lower[i] else slope > 0
         if inward and slope**2 > enough * float(own @ own):

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import CaseModel, Prediction
+from fitting.inference._linear_algebra import covariance_of, orthogonal_to, orthonormal, r_factor
 from fitting.inference._noise import WHITE, Noise, Whitener
 from fitting.inference._parameters import (
     ParameterLayout,
@@ -26,7 +27,7 @@ from fitting.inference._parameters import (
 
 Array = NDArray[np.float64]
 
-_ROUNDING = 1e-11
+_RANK, _ROUNDING = 1e-7, 1e-11
 
 
 class Projection:
@@ -34,22 +35,18 @@ class Projection:
 
     def __init__(self, data: CaseData, whitener: Whitener) -> None:
         self.whitener = whitener
-        columns = whitener(data.nuisance)
-        size = np.linalg.norm(columns, axis=0)
-        u, s, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
-        self.basis = u[:, s > 1e-7 * s.max(initial=1.0)]
+        self.basis = orthonormal(whitener(data.nuisance), _RANK)
 
     def __call__(self, rows: Array) -> Array:
         """Return the whitened rows, orthogonal to the nuisances."""
-        white = self.whitener(rows)
-        return np.asarray(white - self.basis @ (self.basis.T @ white))
+        return orthogonal_to(self.basis, self.whitener(rows))
 
     def unexplained(self, columns: Array) -> Array:
         """Return the same of columns, nothing where a nuisance explains a column down to rounding."""
         white = self.whitener(columns)
-        left = white - self.basis @ (self.basis.T @ white)
+        projected = orthogonal_to(self.basis, white)
         size = np.linalg.norm(white, axis=0)
-        return np.asarray(np.where(np.linalg.norm(left, axis=0) > _ROUNDING * size, left, 0.0))
+        return np.asarray(np.where(np.linalg.norm(projected, axis=0) > _ROUNDING * size, projected, 0.0))
 
 
 @dataclass(frozen=True)
@@ -169,11 +166,6 @@ class Problem:
         return lower, upper
 
 
-def r_factor(columns: Array) -> Array:
-    """Return columns turned into as many rows as there are columns: all their products stay the same."""
-    return np.asarray(np.linalg.qr(columns, mode="r") if np.isfinite(columns).all() else columns)
-
-
 def reference_speed(data: Sequence[CaseData]) -> float:
     """Return a typical speed of the bearing in these cases [rad/s]."""
     typical = []
@@ -233,22 +225,3 @@ def degenerate_directions(names: Sequence[str], theta: Array, covariance: Array)
         if len(chosen) > 1:
             directions.append(chosen)
     return directions
-
-
-def covariance_of(j: Array, free: NDArray[np.bool_]) -> Array:
-    """Return (J'J)^-1 over the free columns of a Jacobian, zero for the others, infinite for what moves nothing."""
-    n = j.shape[1]
-    covariance = np.zeros((n, n))
-    size = np.linalg.norm(j, axis=0)
-    size[size == 0] = np.inf
-    scaled = (j / size)[:, free]
-    _, s, vt = np.linalg.svd(scaled, full_matrices=False)
-    # directions that the data does not determine keep a huge, honest variance
-    inner = (vt.T / np.maximum(s, 1e-12 * s.max(initial=1.0)) ** 2) @ vt
-    # a parameter that moves nothing has no error to speak of: it is not determined at all
-    unknown = ~np.isfinite(size[free])
-    scale = np.where(unknown, 1.0, size[free])
-    inner = inner / np.outer(scale, scale)
-    inner[unknown, unknown] = np.inf
-    covariance[np.ix_(free, free)] = inner
-    return covariance

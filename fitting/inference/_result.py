@@ -31,7 +31,9 @@ from fitting._display import (
 from fitting._errors import EstimationError
 from fitting._numbers import PER_INERTIA, TORQUE, rounded, short, with_uncertainty
 from fitting.dynamics._model import Model
+from fitting.inference._angle_noise import AngleNoise
 from fitting.inference._case_model import Prediction
+from fitting.inference._linear_algebra import covariance_of
 from fitting.inference._metrics import (
     CaseMetrics,
     EnergyBalance,
@@ -43,9 +45,8 @@ from fitting.inference._metrics import (
 )
 from fitting.inference._noise import Noise
 from fitting.inference._parameters import START_ROTOR, ParameterLayout
-from fitting.inference._problem import Problem, Projection, covariance_of, surely_at_bound
+from fitting.inference._problem import Problem, Projection, surely_at_bound
 from fitting.inference._record import speeds
-from fitting.inference._recording_noise import AngleNoise
 from fitting.inference._speed_residuals import SpeedResidual, modelled_speed, speed_residuals
 
 if TYPE_CHECKING:
@@ -136,6 +137,11 @@ class FitSummary:
         rows = {k: (e.value, e.stderr, e.unit, e.at_bound) for k, e in self.estimates.items()}
         frame = pd.DataFrame.from_dict(rows, orient="index", columns=["value", "stderr", "unit", "at_bound"])
         return frame.rename_axis("parameter")
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The values of the parameters by name."""
+        return {name: e.value for name, e in self.estimates.items()}
 
     def save(self, path: str | Path) -> None:
         """Write the fit as JSON, whole or not at all; `fitting.load_fit` reads it back."""

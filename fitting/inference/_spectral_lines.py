@@ -6,7 +6,7 @@ noise. Where it is, the angle contains
 
     a cos(w t) + b sin(w t)
 
-over the whole record. The rows beyond the polynomials of each stretch (`fitting.inference._recording_noise`), whitened
+over the whole record. The rows beyond the polynomials of each stretch (`fitting.inference._process_noise`), whitened
 by the process noise of the stretch itself, are compared with these two columns at every frequency of at least ten
 periods a record; the deviance is minimised over the level of the process noise with and without them. Noise reaches a
 chi-square 2 z of two degrees of freedom anywhere in a band of width f with probability
@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from fitting._criteria import DEFAULT
 from fitting.inference._compression import Compressed
-from fitting.inference._recording_noise import FREE, Stretch, binned_operators, stretches_of
+from fitting.inference._process_noise import FLAT_PRIOR_SIGMA, Stretch, split_into_stretches
 
 Array = NDArray[np.float64]
 
@@ -82,8 +82,10 @@ def spectral_lines(run: Compressed, nuisance: Array) -> tuple[SpectralLine, ...]
     """
     found: list[SpectralLine] = []
     while len(found) < _MOST:
-        free = np.concatenate([nuisance, FREE * line_rows(run, [line.rate for line in found])], axis=1)
-        line = _strongest(run, stretches_of(run, free))
+        free = np.concatenate(
+            [nuisance, FLAT_PRIOR_SIGMA * line_rows(run, [line.rate for line in found])], axis=1
+        )
+        line = _strongest(run, split_into_stretches(run, free))
         if line is None:
             break
         found.append(line)
@@ -96,7 +98,7 @@ def line_rows(run: Compressed, rates: Sequence[float] | Array) -> Array:
         return np.zeros((len(run.z), 0))
     start, rates = run.samples.time[0], np.asarray(rates)
     parts = []
-    for middle, operator in binned_operators(run):
+    for middle, operator in run.binned_operators():
         phase = np.outer(middle - start, rates)
         parts.append(operator @ np.concatenate([np.cos(phase), np.sin(phase)], axis=1))
     return np.concatenate(parts)
@@ -110,7 +112,7 @@ def _strongest(run: Compressed, stretches: Sequence[Stretch]) -> SpectralLine | 
     if highest <= lowest:
         return None
     block = span / len(run.lift)
-    noises = [s.own_whiteners((0.03 * block, 0.3 * block, block), _SHARES) for s in stretches]
+    noises = [s.whitenings_at((0.03 * block, 0.3 * block, block), _SHARES) for s in stretches]
 
     def left_out(parts: Array) -> Array:
         """Return the sums over all stretches but one, for each of them."""
@@ -124,11 +126,11 @@ def _strongest(run: Compressed, stretches: Sequence[Stretch]) -> SpectralLine | 
         rows = line_rows(run, rates)
         sums: list[list[list[Array]]] = [[[] for _ in _SHARES] for _ in range(5)]
         for s, noise in zip(stretches, noises, strict=True):
-            outside = s.beyond(rows[s.rows])
+            outside = s.project(rows[s.rows])
             outside *= np.linalg.norm(outside, axis=0) > _RETAINED * np.linalg.norm(rows[s.rows], axis=0)
             for i, (w, _) in enumerate(noise):
                 c, d = np.split(w @ outside, 2, axis=1)
-                seen = w @ s.seen
+                seen = w @ s.projected
                 products = (np.sum(c * c, 0), np.sum(d * d, 0), np.sum(c * d, 0), c.T @ seen, d.T @ seen)
                 for total, product in zip(sums, products, strict=True):
                     total[i].append(product)
@@ -149,6 +151,8 @@ def _strongest(run: Compressed, stretches: Sequence[Stretch]) -> SpectralLine | 
     if p_value >= DEFAULT.spectral_line:
         return None
     rows = line_rows(run, fine[[top]])
-    white = np.concatenate([n[0][0] @ s.beyond(rows[s.rows]) for s, n in zip(stretches, noises, strict=True)])
-    seen = np.concatenate([n[0][0] @ s.seen for s, n in zip(stretches, noises, strict=True)])
+    white = np.concatenate(
+        [n[0][0] @ s.project(rows[s.rows]) for s, n in zip(stretches, noises, strict=True)]
+    )
+    seen = np.concatenate([n[0][0] @ s.projected for s, n in zip(stretches, noises, strict=True)])
     return SpectralLine(float(fine[top]), float(np.hypot(*np.linalg.lstsq(white, seen, rcond=None)[0])))

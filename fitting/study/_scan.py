@@ -393,9 +393,7 @@ def _better(row: Row, inner: Fit, data: CaseData, noise: Noise) -> Row:
 
 
 def _extended(model: Model, inner: Fit) -> dict[str, float]:
-    return {k: p.start for k, p in model.parameters.items()} | {
-        k: e.value for k, e in inner.estimates.items()
-    }
+    return {k: p.start for k, p in model.parameters.items()} | inner.values
 
 
 def _row(run: Run, data: CaseData, noise: Noise) -> Row:
@@ -414,7 +412,7 @@ def _fit(model: Model, data: CaseData, noise: Noise) -> Fit:
         rough = Model(tuple(e for e in model.effects if not e.per_surface))
         if rough == model:
             raise
-        begin = {k: e.value for k, e in fit(rough, [data], noise=[noise]).estimates.items()}
+        begin = fit(rough, [data], noise=[noise]).values
         held = {k: 0.0 for k in model.free if k not in begin}
         return fit(model, [data], noise=[noise], start=begin | held)
 

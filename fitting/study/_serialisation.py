@@ -62,6 +62,7 @@ from fitting.discovery._select import Candidate, Step
 from fitting.discovery._verdict import Diagnosis
 from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect
+from fitting.inference._angle_noise import AngleNoise
 from fitting.inference._budget import ParameterBudget
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
@@ -71,7 +72,6 @@ from fitting.inference._parameters import ParameterLayout
 from fitting.inference._problem import Problem, degenerate_directions
 from fitting.inference._profile import LEVEL, Interval
 from fitting.inference._record import Record
-from fitting.inference._recording_noise import AngleNoise
 from fitting.inference._result import Estimate, Fit, FitSummary, Origin, not_determined, outcome
 from fitting.study._paper import CurveBias
 
@@ -348,7 +348,7 @@ class SavedFit(FitSummary):
 
     def refit(self, cases: Sequence[Record]) -> Fit:
         """Fit the same model again, with these values as initial values."""
-        return fit(self.model, cases, start={k: e.value for k, e in self.estimates.items()})
+        return fit(self.model, cases, start=self.values)
 
 
 def load_fit(path: str | Path) -> SavedFit:

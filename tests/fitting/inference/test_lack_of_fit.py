@@ -12,8 +12,8 @@ from fitting.effects._library import REDUCED
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 from fitting.inference._noise import tail_probability
+from fitting.inference._process_noise import ProcessNoise
 from fitting.inference._record import make_record
-from fitting.inference._recording_noise import ProcessNoise
 
 
 @pytest.mark.parametrize("share", [0.0, 0.4, 1.0])

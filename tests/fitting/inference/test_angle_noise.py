@@ -10,10 +10,10 @@ import twobody
 from scipy.signal import lfilter
 
 from fitting.dynamics._model import Model
+from fitting.inference._angle_noise import _row_covariance_beyond_white
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 from fitting.inference._record import Samples, make_record
-from fitting.inference._recording_noise import _covariance
 from fitting.inference._simulation import Experiment, simulate
 
 ROOT = Path(__file__).parents[3]
@@ -94,12 +94,12 @@ def test_a_torque_that_changes_within_the_windows_is_no_angle_noise():
     assert found.sigma == 0
 
 
-def test_covariance_of_the_rows_is_that_of_many_draws():
+def test_row_covariance_agrees_with_that_of_many_simulated_recordings():
     run, time = case().casing, 0.5
     k = run.lift.shape[1]
     draws = np.stack([wandering(run.samples.time, 1.0, time, seed) for seed in range(400)], axis=1)
     rows = np.concatenate([op[:k] @ draws[where] for where, op in run.operators[:4]])
-    expected = _covariance(run, time)[: 4 * k, : 4 * k]
+    expected = _row_covariance_beyond_white(run, time)[: 4 * k, : 4 * k]
     # the part that counts as white noise already is taken off the diagonal
     slow = np.arange(4 * k) % k < 2
     seen = np.cov(rows)
