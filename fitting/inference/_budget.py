@@ -39,7 +39,6 @@ CRYSTAL = 50e-6 / math.sqrt(3)
 # Gauss-Hermite rule of three nodes for a normal distribution
 _NODES = (-math.sqrt(3), 0.0, math.sqrt(3))
 _WEIGHTS = (1 / 6, 2 / 3, 1 / 6)
-_CAMERA_WIDTH = 2 * len(CAMERA_COLUMNS)
 _RANK, _ROUNDING = 1e-7, 1e-12
 
 
@@ -145,10 +144,11 @@ class _Linearised:
             self.fit.problem.data, self.fit.noise, self.fit.predictions, strict=True
         ):
             columns = data.nuisance
-            camera = columns.shape[1] - (_CAMERA_WIDTH if data.is_angle or data.record.gradients else 0)
-            keep = [*range(camera)]
-            if camera < columns.shape[1]:
-                keep += [camera + k for name in NUISANCE[:nuisances] for k in CAMERA_COLUMNS[name]]
+            has_camera = data.has_camera_prior or data.record.gradients
+            first = columns.shape[1] - (2 * len(CAMERA_COLUMNS) if has_camera else 0)
+            keep = [*range(first)]
+            if has_camera:
+                keep += [first + k for name in NUISANCE[:nuisances] for k in CAMERA_COLUMNS[name]]
             white = noise.whitener(prediction.jacobian)
             blocks.append(orthogonal_to(orthonormal(noise.whitener(columns[:, keep]), _RANK), white))
         return covariance_of(np.concatenate(blocks), self.free), blocks

@@ -252,6 +252,11 @@ class CaseData:
         frame = float(np.median(np.diff(samples.time)))
         return np.repeat([_CENTRE, _TILT, 0.5 * frame * largest_speed(samples)], 2)
 
+    @property
+    def has_camera_prior(self) -> bool:
+        """Whether the camera's nuisance functions are fitted, with their prior."""
+        return len(self._camera_prior) > 0
+
     @cached_property
     def angle_noise(self) -> AngleNoise:
         """Correlated angle noise of the casing; white if none is significant, or if speeds were measured.

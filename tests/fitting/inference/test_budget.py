@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import oscillators
 import pytest
 
 from fitting.dynamics._model import Model
@@ -102,8 +103,17 @@ def test_what_is_not_known_does_not_contribute():
     assert set(first["contributions"][0]) == {"source", "type", "u", "sensitivity", "share"}
 
 
+def test_an_oscillation_measured_by_an_encoder_has_no_camera_contribution():
+    motion = oscillators.motion(lambda t, x, v: -4 * x - 0.05 * v, (0.5, 0.0), 40.0)
+    model = Model.of(("casing.spring.linear", "casing.air.linear"))
+    result = fit(model, [oscillators.record(*motion[:2], 1e-3, 1)])
+    for name, b in budget(result, clock_rate_u=0.0).items():
+        assert {c.source for c in b.contributions} <= {"angle noise", "process noise", "lack of fit"}
+        assert b.u == pytest.approx(result.estimates[name].stderr, rel=1e-9)
+
+
 @pytest.mark.slow
-def test_monte_carlo(found):
+def test_uncertainties_agree_with_monte_carlo(found):
     """Noise, inertias and clock drawn anew: six fits scatter as the combined uncertainties say.
 
     The pulls of a fit are correlated, so their mean square has about 12 degrees of freedom.
