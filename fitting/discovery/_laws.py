@@ -42,7 +42,8 @@ from fitting.discovery._dependence import Dependence, context_without, dependenc
 from fitting.discovery._grammar import LawForm, grammar
 from fitting.discovery._lack_of_fit import UNKNOWN_LAWS
 from fitting.discovery._next_run import separating_run
-from fitting.discovery._refine import fit_at, refined, start_of
+from fitting.discovery._refine import initial_values_of, refined, refitted_at
+from fitting.discovery._remainder import ranges_of
 from fitting.discovery._residuals import format_torque
 from fitting.discovery._score import (
     CaseColumns,
@@ -74,11 +75,11 @@ _FIRST, _LATER, _KEPT = 5, 9, 48
 _SEARCHES = 3
 _POINTS = 1000
 # standard uncertainties of the pure process noise by which that of a fit may exceed it
-_EXCUSED = 4.0
+_NOISE_MARGIN = 4.0
 # share of the best law's fall of the deviance from which an effect of the library is fitted at the same noise
-_AS_GOOD = 0.8
+_COMPARABLE_SHARE = 0.8
 # difference of explained shares below which two variables explain as much
-_AS_MUCH = 0.01
+_EXPLAINED_TIE = 0.01
 # steps of the refinement of two shape constants, and points of each
 _ROUNDS, _GRID = 4, 5
 _STEPS = 7
@@ -283,7 +284,7 @@ def laws(
     if not found:
         sentence = "No law is significant: this search finds nothing beyond noise."
         return Laws(base, "none", sentence, (), None, depends_on, "", search.trials)
-    library = _as_good(known.candidates, found[0], criteria)
+    library = _equivalent_effect(known.candidates, found[0], criteria)
     classed = with_classes(found, criteria)
     answer = Laws(
         base, "law" if library is None else "library", "", classed, library, depends_on, "", search.trials
@@ -309,7 +310,7 @@ def library_answer(known: Diagnosis) -> Candidate | None:
         return None
     # a fit that needs more process noise than the most flexible motion shows describes the data by that noise
     noise = () if best.fit is None else best.fit.noise
-    return None if any(n.level > n.pure + _EXCUSED * n.pure_u for n in noise) else best
+    return None if any(n.level > n.pure + _NOISE_MARGIN * n.pure_u for n in noise) else best
 
 
 class _Steps:
@@ -429,8 +430,8 @@ class _Search:
         kept = self._promising(scored, _KEPT)
         if _at_bound(self.base):
             released = self._scored(self.base, (), release=True)
-            chosen = _united(chosen, self._promising(released, _FIRST))
-            kept = _united(kept, self._promising(released, _KEPT))
+            chosen = _without_repetition(chosen, self._promising(released, _FIRST))
+            kept = _without_repetition(kept, self._promising(released, _KEPT))
         self.forms = [c.law for c in kept]
         refits = self._refits(chosen, self.base, self.base.noise)
         self.steps.next()
@@ -442,10 +443,10 @@ class _Search:
             chosen = self._promising(self._scored(best.fit, best.terms), _LATER, about=best)
             if _at_bound(best.fit):
                 released = self._scored(best.fit, best.terms, release=True)
-                chosen = _united(chosen, self._promising(released, _FIRST, about=best))
+                chosen = _without_repetition(chosen, self._promising(released, _FIRST, about=best))
             refits = self._refits(chosen, best.fit, best.fit.noise, best.terms)
             self.steps.next()
-            refits = _merged([*refits, best])
+            refits = _best_of_each_law([*refits, best])
             now = min(refits, key=lambda r: r.penalised)
             moved = now.terms != best.terms and now.penalised < best.penalised - self.criteria.evidence
             best = now
@@ -518,7 +519,7 @@ class _Search:
         for t in replaced:
             model = model.without(t.effect.name)
         trials = [_Trial(c.law, c.score, c.scored.start(about, c.score), model) for c in chosen]
-        found = self.workers.map(_refit, _Common(self.base, tuple(noise)), trials, _measured)
+        found = self.workers.map(_refit, _Common(self.base, tuple(noise)), trials, _shared_data)
         return [_Refitted((c.law,), f) for c, f in zip(chosen, found, strict=True) if f is not None]
 
     def _with_second_term(self, best: _Refitted) -> list[_Refitted]:
@@ -564,18 +565,10 @@ def _at_bound(found: Fit) -> bool:
     return bool(found.problem.layout.at_bound(found.theta).any())
 
 
-def _united(chosen: Sequence[_Chosen], more: Sequence[_Chosen]) -> list[_Chosen]:
+def _without_repetition(chosen: Sequence[_Chosen], more: Sequence[_Chosen]) -> list[_Chosen]:
     """Return both, each law once, as it was chosen first."""
     names = {c.law.effect.name for c in chosen}
     return [*chosen, *(c for c in more if c.law.effect.name not in names)]
-
-
-def ranges_of(base: Fit) -> dict[str, tuple[float, float]]:
-    """Return the least and largest speeds of a fit, of all cases [rad/s]."""
-    y = [p.path.y.reshape(-1, p.path.y.shape[-1]) for p in base.predictions]
-    every = np.concatenate([v[:, :2] for v in y])
-    each = {"omega_r": every[:, 0], "omega_c": every[:, 1], "delta": every[:, 0] - every[:, 1]}
-    return {k: (float(v.min()), float(v.max())) for k, v in each.items()}
 
 
 def _refined_shapes(context: ScoreContext, s: Score, cases: Sequence[CaseColumns]) -> Score:
@@ -618,7 +611,7 @@ class _Common(NamedTuple):
     noise: tuple[Noise, ...]
 
 
-def _measured(common: _Common) -> Sequence[CaseData]:
+def _shared_data(common: _Common) -> Sequence[CaseData]:
     return common.base.problem.data
 
 
@@ -629,7 +622,7 @@ def _refit(common: _Common, trial: _Trial) -> Fit | None:
         found = fit_like(
             base,
             trial.model.with_effect(trial.law.effect),
-            start={**trial.start, **start_of(base, trial.score)},
+            start={**trial.start, **initial_values_of(base, trial.score)},
             noise=common.noise,
             quick=True,
         )
@@ -637,7 +630,7 @@ def _refit(common: _Common, trial: _Trial) -> Fit | None:
     return None
 
 
-def _merged(refits: Sequence[_Refitted]) -> list[_Refitted]:
+def _best_of_each_law(refits: Sequence[_Refitted]) -> list[_Refitted]:
     """Return refits, of those of the same law the best."""
     best: dict[tuple[str, ...], _Refitted] = {}
     for r in refits:
@@ -766,13 +759,13 @@ def _difference(one: Law, other: Law) -> Difference | None:
     return worst
 
 
-def _as_good(candidates: Sequence[Candidate], best: Law, criteria: Criteria) -> Candidate | None:
+def _equivalent_effect(candidates: Sequence[Candidate], best: Law, criteria: Criteria) -> Candidate | None:
     """Return the effect of the library that describes the data as well as the best law; None if there is none."""
     for c in candidates:
-        if c.fit is None or not c.physical or not c.significant or c.score < _AS_GOOD * best.score:
+        if c.fit is None or not c.physical or not c.significant or c.score < _COMPARABLE_SHARE * best.score:
             continue
         with suppress(FittingError):
-            refitted = fit_at(c.fit, best.fit.noise)
+            refitted = refitted_at(c.fit, best.fit.noise)
             if refitted.bic < best.penalised + criteria.equivalence_width:
                 return replace(c, fit=refitted)
     return None
@@ -789,7 +782,7 @@ def _sentence(found: Laws, criteria: Criteria) -> str:
     own = {
         (e.joint, v) for e in best.effects for v in symbols(e.expression) - {p.symbol for p in e.parameters}
     }
-    least = depends_on[0].explained - _AS_MUCH if depends_on else 0.0
+    least = depends_on[0].explained - _EXPLAINED_TIE if depends_on else 0.0
     alike = [d for d in depends_on if (d.body, d.variable) in own and d.explained > least]
     first = next(iter([*alike, *depends_on]), None)
     if first is not None and first.p_value < criteria.significance:

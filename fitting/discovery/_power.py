@@ -49,7 +49,7 @@ from fitting.discovery._score import (
     Trial,
     rows_of_case,
 )
-from fitting.discovery._select import applicable_effects
+from fitting.discovery._select import applicable_effects, needed_evidence
 from fitting.effects._effect import Effect
 from fitting.inference._linear_algebra import orthogonal_to, orthonormal
 from fitting.inference._process_noise import ProcessNoise
@@ -451,14 +451,9 @@ class Search:
             significant = np.array(
                 [_smallest_score(null, family, factor, self.criteria.significance) for null in each]
             )
-            evidence = (
-                self.criteria.evidence_periodic
-                if e.periodic
-                and e.kind == "physical"
-                and any(d.record.tracked for d in self.fit.problem.data)
-                else self.criteria.evidence
+            bic = needed_evidence(e, self.fit, self.criteria) + n * len(e.free) * math.log(
+                self.fit.problem.rows
             )
-            bic = evidence + n * len(e.free) * math.log(self.fit.problem.rows)
             tests[e.name].append(_Test(test.parts, test.null, np.maximum(significant, bic)))
         return tests
 

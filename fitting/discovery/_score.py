@@ -92,7 +92,9 @@ class ScoreContext:
         random = np.random.default_rng(_SEED)
         shares = np.linspace(0, 1, _LEVELS) if any(n.raised for n in fit.noise) else np.array([1.0])
         self._axes = [n.whitener.vectors for n in fit.noise]
-        self._whiteners = [[n.whitener.at(_between(n.least, n.level, x)) for n in fit.noise] for x in shares]
+        self._whiteners = [
+            [n.whitener.at(_level_between(n.least, n.level, x)) for n in fit.noise] for x in shares
+        ]
         # a parameter at its bound is held, unless it is to be released; only the refit respects the bound
         moving = np.ones(len(fit.theta), dtype=bool) if release else ~fit.problem.layout.at_bound(fit.theta)
         names = fit.problem.layout.names
@@ -105,7 +107,7 @@ class ScoreContext:
         everything = np.concatenate([free, nuisance], axis=1)
         self.free = self.rotated(everything)
         self._residual = self.rotated(residual)
-        self._plain = orthonormal(free, RANK)
+        self._unwhitened_basis = orthonormal(free, RANK)
         self.levels = [self._level(w, self.free) for w in self._whiteners]
         self.draws = self.rotated(random.standard_normal((len(residual), draws)))
 
@@ -133,7 +135,7 @@ class ScoreContext:
     def absorbed_by_base(self, groups: Sequence[Array]) -> NDArray[np.bool_]:
         """Return which groups of columns the free columns of the base absorb."""
         everything = np.concatenate(groups, axis=1)
-        left = orthogonal_to(self._plain, everything)
+        left = orthogonal_to(self._unwhitened_basis, everything)
         share = np.linalg.norm(left, axis=0) / np.maximum(np.linalg.norm(everything, axis=0), 1e-300)
         return np.asarray(share.reshape(len(groups), -1).max(axis=1) < _ABSORBED)
 
@@ -164,7 +166,7 @@ class ScoreContext:
         return [self._level(w, free) for w in self._whiteners]
 
 
-def _between(least: float, level: float, share: float) -> float:
+def _level_between(least: float, level: float, share: float) -> float:
     if level <= least:
         return level
     floor = max(least, 1e-3 * level)
@@ -452,7 +454,7 @@ def best_group(
     best: tuple[float, int, Array, Array] = (-np.inf, 0, np.zeros(1), np.zeros(1))
     absorbed = context.absorbed_by_base([c for _, c in groups])
     rotated = context.rotated(np.concatenate([c for _, c in groups], axis=1))
-    empty = np.zeros(0)
+    null_scores = np.zeros(0)
     for i, level in enumerate(levels):
         columns = level.gain[:, None] * rotated
         columns = orthogonal_to(level.basis, columns)
@@ -465,7 +467,7 @@ def best_group(
             direction = columns[:, place * width : (place + 1) * width] @ gammas[place]
             best = (gain, place, gammas[place], direction / max(float(np.linalg.norm(direction)), 1e-300))
         if null and i == len(levels) - 1:
-            empty = _solve(columns, context.draws, len(groups), bounds)[0].max(axis=0)
+            null_scores = _solve(columns, context.draws, len(groups), bounds)[0].max(axis=0)
     return Score(
         effect,
         max(best[0], 0.0),
@@ -475,7 +477,7 @@ def best_group(
         len(groups),
         bool(absorbed.all()),
         best[3],
-        empty,
+        null_scores,
         context.shares(best[3]),
         context.fit.noise,
     )
@@ -539,9 +541,9 @@ class NullDistribution:
         self.draws = score.null
         middle = float(np.median(self.draws))
         tail = float(np.quantile(self.draws, 0.9))
-        self._trials = max(
-            _trials(float(_tail(middle, score.columns)), 0.5),
-            _trials(float(_tail(tail, score.columns)), 0.1),
+        self._number_of_trials = max(
+            _number_of_trials(float(_tail(middle, score.columns)), 0.5),
+            _number_of_trials(float(_tail(tail, score.columns)), 0.1),
         )
 
     def __call__(self, score: float) -> Array:
@@ -551,12 +553,12 @@ class NullDistribution:
     def of(self, score: float, columns: int) -> Array:
         """Return the p-values of a score with fewer strengths, searched over as many shapes."""
         single = np.minimum(_tail(max(score, 0.0) / self._scales, max(columns, 1)), 1 - 1e-12)
-        return np.asarray(-np.expm1(self._trials * np.log1p(-single)))
+        return np.asarray(-np.expm1(self._number_of_trials * np.log1p(-single)))
 
     def of_draws(self) -> Array:
         """Return the p-value of each null data set."""
         single = np.minimum(_tail(self.draws, self._columns), 1 - 1e-12)
-        return np.asarray(-np.expm1(self._trials * np.log1p(-single)))
+        return np.asarray(-np.expm1(self._number_of_trials * np.log1p(-single)))
 
 
 def _tail(chi2: float | Array, columns: int) -> Array:
@@ -566,7 +568,7 @@ def _tail(chi2: float | Array, columns: int) -> Array:
     return np.asarray(chdtrc(columns, np.maximum(chi2, 0.0)))
 
 
-def _trials(single: float, share: float) -> float:
+def _number_of_trials(single: float, share: float) -> float:
     # share = 1 - (1 - single)^N, solved for N
     return float(np.log1p(-share) / np.log1p(-min(max(single, 1e-12), 1 - 1e-12)))
 
@@ -586,7 +588,7 @@ def over_many_tests(p: float, smallest: Array) -> float:
 
 def _independent_tests(smallest: Array) -> float:
     """Return the number of independent tests that reproduces the lower tail of the smallest p of correlated ones."""
-    return max(1.0, _trials(float(np.quantile(smallest, 0.1)), 0.1))
+    return max(1.0, _number_of_trials(float(np.quantile(smallest, 0.1)), 0.1))
 
 
 def _any_of(tests: float, p: Array) -> Array:
@@ -660,7 +662,7 @@ def _shape_refined(
     shapes = [p.symbol for p in score.effect.parameters if p.role == "shape"]
     if len(shapes) != 1:
         return score
-    symbol, own = shapes[0], _own(score.effect, len(cases))
+    symbol, own = shapes[0], _is_per_case(score.effect, len(cases))
     best = score
     range_ = [
         _neighbours([t.shape[symbol] for t in trials], best.shape[i][symbol])
@@ -693,7 +695,7 @@ def _neighbours(grid: list[float], value: float) -> tuple[float, float]:
     return float(low), float(above[0] if len(above) else value + step)
 
 
-def _own(effect: Effect, cases: int) -> bool:
+def _is_per_case(effect: Effect, cases: int) -> bool:
     """Return whether each case has its own parameters of an effect."""
     return cases > 1 and effect.per_case
 
@@ -701,7 +703,7 @@ def _own(effect: Effect, cases: int) -> bool:
 def _all_trials(effect: Effect, cases: Sequence[CaseColumns]) -> list[list[Trial]]:
     first = cases[0].trials(effect)
     # what the cases share must be tried with the same shapes in all of them
-    shapes = None if _own(effect, len(cases)) else [t.shape for t in first]
+    shapes = None if _is_per_case(effect, len(cases)) else [t.shape for t in first]
     return [first, *(c.trials(effect, shapes) for c in cases[1:])]
 
 
@@ -715,7 +717,7 @@ def _score(
     own_phase: bool | None = None,
 ) -> Score:
     """Score an effect; unless `own_phase` is given, each case has its own phase where that is clearly better."""
-    own = _own(effect, len(trials))
+    own = _is_per_case(effect, len(trials))
     levels = context.levels
     if own_phase is None and has_phases(effect, len(trials)):
         gains = [
@@ -729,9 +731,9 @@ def _score(
         )
     if not own or len(trials[0]) == 1:
         return best_group(context, effect, _stack(trials, own), levels, null=null)
-    chosen, empty = _choose(context, effect, trials, levels, null=null)
+    chosen, null_scores = _choose_shapes(context, effect, trials, levels, null=null)
     together = best_group(context, effect, _stack([[t] for t in chosen], own), levels, null=False)
-    return replace(together, null=empty, trials=sum(len(t) for t in trials))
+    return replace(together, null=null_scores, trials=sum(len(t) for t in trials))
 
 
 def has_phases(effect: Effect, cases: int) -> bool:
@@ -739,24 +741,24 @@ def has_phases(effect: Effect, cases: int) -> bool:
     return cases > 1 and effect.mechanical and any(p.role == "phase" for p in effect.parameters)
 
 
-def _choose(
+def _choose_shapes(
     context: ScoreContext, effect: Effect, trials: list[list[Trial]], levels: list[Level], *, null: bool
 ) -> tuple[list[Trial], Array]:
     """Choose the shapes of each case: the clearest case first, then the others given it, then all once more."""
     groups = [rows_of_case(context, t, i) for i, t in enumerate(trials)]
     singles = [best_group(context, effect, g, levels, null=null) for g in groups]
-    chosen = [_place(t, s) for t, s in zip(trials, singles, strict=True)]
+    chosen = [_trial_index(t, s) for t, s in zip(trials, singles, strict=True)]
     order = sorted(range(len(trials)), key=lambda i: -singles[i].score)
     if len(trials) <= _MOST_SWEPT:
         for i in [*order[1:], *order]:
             others = [groups[j][chosen[j]][1] for j in order if j != i]
             inner = context.with_free(np.concatenate(others, axis=1))
-            chosen[i] = _place(trials[i], best_group(context, effect, groups[i], inner, null=False))
-    empty = np.sum([s.null for s in singles], axis=0)
-    return [t[k] for t, k in zip(trials, chosen, strict=True)], empty
+            chosen[i] = _trial_index(trials[i], best_group(context, effect, groups[i], inner, null=False))
+    null_scores = np.sum([s.null for s in singles], axis=0)
+    return [t[k] for t, k in zip(trials, chosen, strict=True)], null_scores
 
 
-def _place(trials: list[Trial], score: Score) -> int:
+def _trial_index(trials: list[Trial], score: Score) -> int:
     return next(k for k, t in enumerate(trials) if t.shape == score.shape[0])
 
 

@@ -85,8 +85,8 @@ def test_a_wrong_inertia_is_told_beside_the_effect(factor, u):
         assert found.form != "exact"
     selection = select(base, rank(base), (), Criteria(), WorkerPool(0))
     rival = with_free_inertia(base, selection, (), Criteria())
-    if NAME in selection.end.model.names:
-        share = selection.end.estimates[f"{NAME}.eps"]
+    if NAME in selection.final.model.names:
+        share = selection.final.estimates[f"{NAME}.eps"]
         assert "second effect setup.inertia" in found.sentence
     else:
         share = rival.share
