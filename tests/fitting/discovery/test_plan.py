@@ -17,7 +17,7 @@ from fitting.discovery._information import Information, Run, rivals, schur, simu
 from fitting.discovery._next_run import Bounds, next_run, separating_run
 from fitting.discovery._plan import plan
 from fitting.discovery._planned_recordings import read_planned
-from fitting.discovery._power import ActiveBounds, Search, delta_of_power, largest_hidden, upper_limit
+from fitting.discovery._power import Search, ShiftedToBound, delta_of_power, largest_hidden, upper_limit
 from fitting.dynamics._mesh import Sampler
 from fitting.effects._library import LIBRARY, REDUCED
 from fitting.inference._fit import fit
@@ -380,7 +380,7 @@ def test_an_upper_limit_ends_where_the_parameter_that_makes_room_reaches_its_bou
     # the response is nearly that of the only free parameter, which can give way by 2 down to its bound of zero
     alike, apart = np.array([10.0, 0.0, 0.0]), np.array([0.0, 0.01, 0.0])
     free = alike[:, None]
-    bounds = ActiveBounds(free, np.linalg.pinv(free), np.zeros((1, 1)), np.array([[-2.0], [np.inf]]))
+    bounds = ShiftedToBound(free, np.linalg.pinv(free), np.zeros((1, 1)), np.array([[-2.0], [np.inf]]))
     without = 1.6448536 / 0.01
     found = bounds.largest_strength(alike + apart, np.zeros(3), without, one_sided=True)
     # (10 (k - 2))^2 + (0.01 k)^2 = 1.645^2
