@@ -225,11 +225,11 @@ class LinearMotion:
         """Return the speeds' rows of Psi at some times, shape (times, 2, n)."""
         return Sampler(self._mesh, times).integral(self._starts, self._nodes)[:, :2]
 
-    def kicks(self, times: Array, direction: Array) -> Array:
+    def impulses(self, times: Array, direction: Array) -> Array:
         """Return Phi^-1(s) b, shape (times, n); b holds the rates that a unit torque gives [rad s-2]."""
-        return self._kicks(Sampler(self._mesh, times), direction)
+        return self._impulses(Sampler(self._mesh, times), direction)
 
-    def _kicks(self, sampler: Sampler, direction: Array) -> Array:
+    def _impulses(self, sampler: Sampler, direction: Array) -> Array:
         phi = sampler.value(self._nodes)
         pushes = np.zeros(phi.shape[:2])
         pushes[:, :2] = self.accelerations(direction)
@@ -272,7 +272,7 @@ class LinearMotion:
         half = 0.5 * np.diff(times)
         inner = (times[:-1] + half)[:, None] + half[:, None] * gauss.x
         sampler = Sampler(self._mesh, inner.ravel())
-        kicks = self._kicks(sampler, direction).reshape(*inner.shape, -1)
+        kicks = self._impulses(sampler, direction).reshape(*inner.shape, -1)
         reach = sampler.integral(self._starts, self._nodes)[:, :2].reshape(*inner.shape, 2, -1)
         kicks *= (half[:, None] * gauss.w)[..., None]
         pushes = kicks.transpose(0, 2, 1) @ torque

@@ -193,9 +193,9 @@ def test_a_state_that_forgets_at_once_is_held():
     p = PAPER | EXTRA["heating"] | {"bearing.heating.tau_T": 0.5}
     dynamics, numbers, path = solved(p)
     motion = LinearMotion(path, sensitivities(dynamics, numbers, path).propagator)
-    kicks = motion.kicks(TIMES, np.array([0.0, 1 / INERTIA["inertia.casing"]]))
-    assert kicks.shape == (len(TIMES), 2)
-    assert np.isfinite(kicks).all()
+    impulses = motion.impulses(TIMES, np.array([0.0, 1 / INERTIA["inertia.casing"]]))
+    assert impulses.shape == (len(TIMES), 2)
+    assert np.isfinite(impulses).all()
 
 
 @pytest.mark.parametrize("name", ["none", "heating"])
