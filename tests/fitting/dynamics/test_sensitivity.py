@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from fitting.dynamics._events import solve
 from fitting.dynamics._mesh import Mesh, Sampler, rule
 from fitting.dynamics._model import Dynamics, Model
-from fitting.dynamics._sensitivities import LinearMotion, angles, respond, sensitivities
+from fitting.dynamics._sensitivities import LinearMotion, angles, sensitivities
 
 TIMES = np.linspace(0, 150, 301)
 START = (900.0, 5.0)
@@ -145,19 +145,6 @@ def test_driven_motion_matches_direct_integration(body):
     np.testing.assert_allclose(
         angle[:, 1], steady[:, 2 + body], atol=1e-6 * np.abs(steady[:, 2 + body]).max()
     )
-
-
-def test_response_to_an_extra_rate_is_that_of_a_parameter():
-    """A small constant torque on the casing does what the derivative by external.constant says."""
-    p = PAPER | {"external.constant.k": 1e-7}
-    dynamics, numbers, path = solved(p)
-    found = sensitivities(dynamics, numbers, path)
-    forcing = np.zeros((*path.y.shape, 1))
-    forcing[:, :, 1] = 1 / INERTIA["inertia.casing"]
-    nodes, edges = respond(path, found.propagator, forcing)
-    j = dynamics.parameters.index("external.constant.k")
-    np.testing.assert_allclose(nodes[..., 0], found.nodes[..., j], rtol=1e-10, atol=1e-9)
-    np.testing.assert_allclose(edges[..., 0], found.edges[..., j], rtol=1e-10, atol=1e-9)
 
 
 def test_fundamental_matrix_starts_at_one_and_carries_start_values():
