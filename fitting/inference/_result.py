@@ -45,6 +45,7 @@ from fitting.inference._metrics import (
 )
 from fitting.inference._noise import Noise
 from fitting.inference._parameters import START_ROTOR, ParameterLayout
+from fitting.inference._prior import Prior
 from fitting.inference._problem import Problem, Projection, surely_at_bound
 from fitting.inference._record import speeds
 from fitting.inference._speed_residuals import SpeedResidual, modelled_speed, speed_residuals
@@ -188,11 +189,7 @@ def summary_lines(fit: FitSummary) -> list[str]:
             parts.append(f"{level} that repeats with the turn, changing in {noise.turn_time:.2g} s")
         text = f"correlated angle noise{label}: {'; '.join(parts)}"
         lines += wrap(text, 79, subsequent_indent="  ")
-    prior = (
-        next((d.record.prior for d in fit.problem.data if d.record.prior), None)
-        if isinstance(fit, Fit)
-        else None
-    )
+    prior = fit.prior if isinstance(fit, Fit) else None
     if prior is not None:
         known = {name.partition("@")[0] for name in fit.estimates}
         used = [n for n in prior.names if n in known]
@@ -397,6 +394,11 @@ class Fit(FitSummary):
         logs = sum(n.whitener.at(min(n.pure, n.level)).log_determinant for n in self.noise)
         free = len(self.theta)
         return logs + self.rows - free + free * float(np.log(self.rows))
+
+    @property
+    def prior(self) -> Prior | None:
+        """The prior of its parameters; None without one."""
+        return next((d.record.prior for d in self.problem.data if d.record.prior is not None), None)
 
     @property
     def generated(self) -> bool:

@@ -1,8 +1,8 @@
 """Fits, diagnoses and histories as documents of `fitting._schema`, and back.
 
-A fit is restored from its variables and its noise: with both, and the data, everything else follows by one
-prediction. A diagnosis is restored from its sentence and its ranking; its curves follow from its fit. What is stored
-is valid only for the same code and the same data: see `fingerprint`.
+A fit is restored from its variables, its noise and the data by one prediction. A diagnosis is restored from its
+sentence and its ranking, its curves from its fit. Stored states are valid only for the same code and the same data: see
+`fingerprint`.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ from fitting.study._paper import CurveBias
 Array = NDArray[np.float64]
 
 _CURVE_POINTS = 200
-# number of candidates whose fits are stored, best first: more curves than a report draws
+# number of candidates whose fits are stored, best first; a report draws fewer
 _FITS = 4
 
 
@@ -110,14 +110,9 @@ def fit_document(fit: Fit, fit_id: str) -> dict[str, Any]:
         equations=list(fit.model.equations(single=fit.problem.data[0].record.single)),
         not_determined=not_determined(fit.estimates),
         not_determined_together=not_determined_together(fit),
-        prior=_prior_document(fit),
+        prior=None if fit.prior is None else PriorDocument.model_validate(fit.prior),
     )
     return document.model_dump()
-
-
-def _prior_document(fit: Fit) -> PriorDocument | None:
-    prior = next((d.record.prior for d in fit.problem.data if d.record.prior is not None), None)
-    return None if prior is None else PriorDocument.model_validate(prior)
 
 
 def bias_document(bias: Mapping[str, CurveBias]) -> dict[str, dict[str, float]]:
@@ -261,7 +256,7 @@ def _candidate(c: Candidate) -> CandidateDocument:
 
 
 def step_document(fit: Fit, fit_id: str, added: str, previous: Fit | None) -> dict[str, Any]:
-    """Return one step of a history: what was changed, and what the errors did."""
+    """Return one step of a history: the change, and the errors before and after."""
     document = StepDocument(
         fit_id=fit_id,
         added=added,
@@ -315,7 +310,7 @@ class SavedNoise:
 
 @dataclass(frozen=True, repr=False)
 class SavedFit(FitSummary):
-    """A fit read from a file: everything but the data.
+    """A fit read from a file, without the data.
 
     Attributes
     ----------
@@ -435,10 +430,10 @@ def stored_fit(fit: Fit) -> StoredFit:
 
 
 def restored_fit(stored: StoredFit, model: Model, data: Sequence[CaseData]) -> Fit | None:
-    """Return a fit as it was; None if other code made it.
+    """Return a stored fit; None if it was made by another version of the code.
 
     The noise is linearised about the optimum instead of the start of the last optimisation: figures of merit agree with
-    the original's to a few digits more than their uncertainty.
+    those of the original to far better than their uncertainty.
     """
     if stored.code != fingerprint():
         return None
@@ -454,7 +449,7 @@ def restored_fit(stored: StoredFit, model: Model, data: Sequence[CaseData]) -> F
 
 def stored_diagnosis(found: Diagnosis, extra: Sequence[Effect] = ()) -> StoredDiagnosis:
     """Return the state from which a diagnosis is restored, given its fit; `extra` are the user's effects."""
-    # one that was fitted with the moments of inertia free has another model
+    # a candidate that was fitted with free moments of inertia has another model
     base = found.fit.model
     drawn = [
         c
@@ -496,7 +491,7 @@ def stored_diagnosis(found: Diagnosis, extra: Sequence[Effect] = ()) -> StoredDi
 
 
 def restored_diagnosis(stored: StoredDiagnosis, fit: Fit, extra: Sequence[Effect] = ()) -> Diagnosis | None:
-    """Return the diagnosis of a fit as it was; None if other code made it, or with other effects of the user.
+    """Return a stored diagnosis; None if it was made by another version of the code or with other effects of the user.
 
     Its candidates have no screening results: it serves display only.
 

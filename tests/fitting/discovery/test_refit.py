@@ -1,4 +1,4 @@
-"""A refit arrives although the random torque that excuses its base would hold it."""
+"""A refit reaches the deviance of its score despite the process noise of its base."""
 
 import pytest
 import twobody
@@ -26,7 +26,7 @@ def base():
     return fit(Model.of([n for n in REDUCED if n != "bearing.linear"]), data)
 
 
-def test_a_refit_that_falls_short_of_its_promise_is_begun_in_another_way(base):
+def test_a_refit_that_falls_short_of_its_score_is_repeated(base):
     assert has_model_noise(base)
     (scored,) = score(base, [LIBRARY["bearing.linear"]], [CaseColumns(base, 0)], Criteria())
     plain = fit_together(base, scored)

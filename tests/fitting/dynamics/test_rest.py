@@ -1,4 +1,4 @@
-"""A casing that stops, is held, turns back and moves on: against formulas and SciPy's event location."""
+"""A casing that stops, is held, reverses and starts again, against formulas and SciPy's event location."""
 
 import numpy as np
 import pytest
@@ -102,14 +102,14 @@ def test_dry_friction_alone_stops_at_the_time_of_the_formula(b1, start):
     assert turned[2] == pytest.approx(I_C * abs(start) / b1, rel=1e-9)
 
 
-def test_no_chatter():
+def test_rest_has_no_repeated_events():
     path = solved("stops")[-1]
     assert len(path.mesh.edges) < 40
     assert list(np.unique(path.sense)) == [0.0, 1.0]
     assert len(path.kinks) == 1
 
 
-def test_a_casing_that_no_torque_frees_stays():
+def test_a_casing_held_by_friction_remains_at_rest():
     dynamics = Dynamics(Model.of(["touchpoint.constant", "bearing.linear"]))
     numbers = {"touchpoint.constant.b1": 2e-4, "bearing.linear.d": 1.57e-7, **INERTIA}
     path = solve(dynamics, numbers, np.array([900.0, 0.0]), Mesh.uniform(0.0, 100.0, 5))
@@ -140,7 +140,7 @@ def difference(name, key, times):
 @pytest.mark.parametrize(
     "name", ["stops", "freed by time", "turned round", "stopped by a step", "held and heated"]
 )
-def test_sensitivities_go_through_the_events(name):
+def test_sensitivities_match_differences_across_events(name):
     _, _, span, dynamics, numbers, path = solved(name)
     found = sensitivities(dynamics, numbers, path)
     times = np.linspace(0.5, span, 60)
@@ -160,7 +160,7 @@ def test_sensitivities_go_through_the_events(name):
             np.testing.assert_allclose(turned, exact[3 + body], atol=3e-5 * size + 1e-9, err_msg=key)
 
 
-def test_small_torques_move_what_moves():
+def test_small_torques_act_on_a_moving_casing_only():
     """A torque on the casing acts before and after, not while it is held; the rotor feels it always."""
     p, start, _, dynamics, numbers, path = solved("freed by time")
     stop, go = path.kinks
@@ -188,7 +188,7 @@ def test_small_torques_move_what_moves():
 @pytest.mark.parametrize(
     "name", ["stops", "freed by time", "stopped by a step", "held and heated", "turned round"]
 )
-def test_following_a_known_motion_gives_the_same_as_starting_from_nothing(name):
+def test_the_solution_does_not_depend_on_a_known_motion(name):
     """From the solution for other numbers, with other times of stop and jump, and from one that never stops."""
     p, start, span, dynamics, numbers, path = solved(name)
     mesh, first = Mesh.uniform(0.0, span, 12), np.array([*start, *dynamics.start])

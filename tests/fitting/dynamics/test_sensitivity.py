@@ -1,4 +1,4 @@
-"""Sensitivities and small motions against differences of SciPy's solutions, which know nothing of them."""
+"""Sensitivities and linearised motions against differences of SciPy's solutions."""
 
 import numpy as np
 import pytest
@@ -77,7 +77,7 @@ def test_sensitivities_of_a_law_that_follows_the_angle():
         np.testing.assert_allclose(got, exact, atol=1e-5 * np.abs(exact).max())
 
 
-def test_time_of_the_jump_kicks_by_the_jump_of_the_rate():
+def test_derivative_by_the_time_of_a_jump_is_the_jump_of_the_rate():
     """Right after the jump, d omega_c / d t0 = k / I_c: for a moment longer the casing was not braked."""
     p = PAPER | EXTRA["step"]
     dynamics, numbers, path = solved(p)
@@ -147,7 +147,7 @@ def test_driven_motion_matches_direct_integration(body):
     )
 
 
-def test_fundamental_matrix_starts_at_one_and_carries_start_values():
+def test_the_fundamental_matrix_is_the_derivative_by_initial_values():
     dynamics, numbers, path = solved(PAPER)
     found = sensitivities(dynamics, numbers, path)
     motion = LinearMotion(path, found.propagator)
@@ -159,7 +159,7 @@ def test_fundamental_matrix_starts_at_one_and_carries_start_values():
 
 
 @pytest.mark.parametrize("name", ["heating", "precession"])
-def test_driven_motion_takes_the_states_of_effects_along(name):
+def test_driven_motion_contains_the_states_of_effects(name):
     """A warmth, or the phase of a swinging torque, answers to a random torque and acts back on the speeds."""
     p = PAPER | EXTRA[name] | {"external.constant.k": 1e-9}
     dynamics, numbers, path = solved(p)
@@ -176,7 +176,7 @@ def test_driven_motion_takes_the_states_of_effects_along(name):
         np.testing.assert_allclose(speed[body, :, 0], exact[:, body], atol=1e-5 * size)
 
 
-def test_a_state_that_forgets_at_once_is_held():
+def test_a_state_that_decays_fast_is_held():
     p = PAPER | EXTRA["heating"] | {"bearing.heating.tau_T": 0.5}
     dynamics, numbers, path = solved(p)
     motion = LinearMotion(path, sensitivities(dynamics, numbers, path).propagator)
@@ -186,7 +186,7 @@ def test_a_state_that_forgets_at_once_is_held():
 
 
 @pytest.mark.parametrize("name", ["none", "heating"])
-def test_a_light_casing_forgets_long_before_the_end(name):
+def test_driven_motion_of_a_light_casing_is_accurate_until_the_end(name):
     """After forty times the span in which the casing forgets, a torque still does what the derivative by one says."""
     p = PAPER | EXTRA[name] | {"external.constant.k": 1e-9}
     dynamics = Dynamics(Model.of(dict.fromkeys(k.rpartition(".")[0] for k in p)))

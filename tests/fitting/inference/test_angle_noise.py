@@ -1,4 +1,4 @@
-"""Correlated noise of the casing's angles: found where it is, with its level and time, and nowhere else."""
+"""Correlated angle noise of the casing: level and correlation time, and none in white noise."""
 
 from dataclasses import replace
 from functools import cache
@@ -50,7 +50,7 @@ def case(sigma=0.0, correlation=0.1, seed=0, torque_noise=0.0):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("sigma", "correlation"), [(3e-3, 0.1), (1e-3, 0.3)])
-def test_level_and_time_are_found(sigma, correlation):
+def test_level_and_correlation_time_are_estimated(sigma, correlation):
     found = case(sigma, correlation).angle_noise
     # what a level over the root of the time has, is what slow rows see
     expected = sigma**2 * correlation
@@ -60,7 +60,7 @@ def test_level_and_time_are_found(sigma, correlation):
 
 
 @pytest.mark.parametrize("torque_noise", [0.0, pytest.param(1e-7, marks=pytest.mark.slow), 1e-6])
-def test_neither_white_nor_process_noise_is_correlated_angle_noise(torque_noise):
+def test_white_and_process_noise_are_no_correlated_angle_noise(torque_noise):
     assert all(case(seed=seed, torque_noise=torque_noise).angle_noise.sigma == 0 for seed in range(1, 3))
 
 
@@ -110,7 +110,7 @@ def test_row_covariance_agrees_with_that_of_many_simulated_recordings():
     )
 
 
-def test_whitening_and_back():
+def test_whitening_is_invertible():
     data = case(3e-3, 0.1)
     rows = np.random.default_rng(0).standard_normal((len(data.z), 2))
     assert data.unwhitened(data.whitened(rows)) == pytest.approx(rows, abs=1e-9)
@@ -128,7 +128,7 @@ def test_a_fit_with_correlated_noise_is_adequate_and_its_uncertainties_hold():
         assert e.stderr > quiet.estimates[key].stderr
 
 
-def test_deceleration_of_a_real_wheel():
+def test_deceleration_of_a_real_wheel_is_fitted():
     """A hand-held film of 1.4 s: its hub wanders, which is no random torque of ten times the friction.
 
     Least squares with a block bootstrap gives -0.402 +- 0.018 rad/s2, points marked by hand -0.396.

@@ -56,7 +56,7 @@ def test_contributions_of_type_a_are_the_standard_error(found):
         } | {"clock rate"}
 
 
-def test_the_clock_acts_by_the_power_of_time_in_the_unit(found):
+def test_sensitivity_to_the_clock_follows_from_the_unit(found):
     """Times that are 1 + eps too long: a value in s^n is (1 + eps)^n too large."""
     result, budgets = found
     for name, power in {
@@ -85,7 +85,7 @@ def test_torques_are_in_proportion_to_both_inertias_together(found):
         assert rotor * I_ROTOR + casing * I_CASING == pytest.approx(value, rel=0.02)
 
 
-def test_what_is_not_known_does_not_contribute():
+def test_unknown_inputs_do_not_contribute():
     plain = fit(MODEL, [record(0)])
     sources = {c.source for b in budget(plain, clock_rate_u=0.0).values() for c in b.contributions}
     assert sources <= {
