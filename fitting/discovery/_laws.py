@@ -182,7 +182,7 @@ class Laws:
     fit : Fit
         The base.
     verdict : {"law", "library", "none"}
-        A law was found; an effect of the library describes the data; nothing significant.
+        A law was found; an effect of the library describes the data; no law is significant.
     sentence : str
         The answer in words.
     laws : tuple of Law
@@ -244,7 +244,7 @@ def laws(
     base : Fit
         The fit with unmodelled torque.
     diagnosis : Diagnosis, optional
-        Its diagnosis, if it is known already. If that names an effect of the library and nothing significant remains,
+        Its diagnosis, if it is known already. If that names an effect of the library without a significant remainder,
         the search stops there.
     beyond_library : bool
         Search in this case as well.

@@ -246,7 +246,7 @@ def separating_run(
     explanations: Sequence[tuple[str, Sequence[Effect], Mapping[str, Estimate]]],
     criteria: Criteria,
 ) -> str:
-    """Return the run that separates rival explanations, in words; empty where there is nothing to separate.
+    """Return the run that separates rival explanations, in words; empty with fewer than two.
 
     Parameters
     ----------

@@ -110,7 +110,7 @@ def plan(
         if recordings.problem.data[0].oscillation is not None:
             raise EstimationError(
                 "a plan is made for runs that begin at given speeds, and this body oscillates about an equilibrium",
-                "release it from a larger angle, or record it for longer: both tell restoring torques apart",
+                "release it from a larger angle, or record it for longer: both separate restoring torques better",
             )
         if recordings.model.rigid_contact is not None:
             raise EstimationError(

@@ -212,7 +212,9 @@ def read_planned(path: str | Path) -> PlannedRecordings:
                 f"{name}: run {i} has more than 10 million frames.", "Check duration and frame rates."
             )
         if run.omega_rotor == 0 and run.omega_casing == 0:
-            raise EstimationError(f"{name}: in run {i} nothing turns.", "Give omega_rotor or omega_casing.")
+            raise EstimationError(
+                f"{name}: in run {i} both initial speeds are zero.", "Give omega_rotor or omega_casing."
+            )
         experiments.append(
             Experiment(
                 **run.model_dump(exclude={"windows"}),

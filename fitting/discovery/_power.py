@@ -10,10 +10,10 @@ shape constants, the same null distributions, and the thresholds of `Criteria`. 
 which at least one candidate is significant in the whole list and lowers BIC by the evidence that an added effect needs.
 The detection limit is the strength at which it is 90 %.
 
-Where nothing was found, the one-sided 95 % upper limit of a strength with estimate k is |k| + 1.64 se (max(k, 0) + 1.64
-se for a friction, which is not negative); for an amplitude with a phase, the amplitude whose noncentral chi-square
-gives a smaller score than the observed one with a probability of 5 % (J. Neyman, Phil. Trans. R. Soc. A 236, 333
-(1937)). For recordings that are only planned, the estimate is taken as zero: the expected limit.
+Where no effect is significant, the one-sided 95 % upper limit of a strength with estimate k is |k| + 1.64 se (max(k, 0)
++ 1.64 se for a friction, which is not negative); for an amplitude with a phase, the amplitude whose noncentral
+chi-square gives a smaller score than the observed one with a probability of 5 % (J. Neyman, Phil. Trans. R. Soc. A 236,
+333 (1937)). For recordings that are only planned, the estimate is taken as zero: the expected limit.
 
 Where the search would find a smaller strength than that with a probability of 95 %, because the effect shifts a
 parameter of the model to its bound, an insignificant score excludes this strength already.
@@ -640,7 +640,7 @@ class Search:
         cases = len(self.cases)
         parameters = len(effect.free)
         for n in _candidate_numbers(cases * (needed / delta) ** 2):
-            # BIC asks for more evidence in more rows
+            # the penalty of BIC increases with the number of rows
             more = parameters * math.log(max(n / cases, 1e-9))
             if n / cases * delta**2 >= needed**2 + max(more, 0.0):
                 return float(n)

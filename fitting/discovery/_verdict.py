@@ -81,9 +81,9 @@ class Diagnosis:
     candidates : tuple of Candidate
         Candidate effects, best first.
     form : {"exact", "approximate", None}
-        "exact": the named effect, or class, leaves nothing significant, and the data would show a deviation larger than
+        "exact": with the named effect, or class, no remainder is significant, and the data would show a deviation above
         an approximate answer may have. "approximate": something significant remains, but the effect explains at least
-        `Criteria.explained` of the unmodelled torque. None where no effect explains that much by itself, or where
+        `Criteria.explained` of the unmodelled torque. None where no effect alone explains that much, or where
         nothing significant remains but the data cannot test the form.
     explained : float or None
         Share of the mean square unmodelled torque that the best effect explains (0-1); None without one.

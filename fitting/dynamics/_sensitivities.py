@@ -295,8 +295,8 @@ def _fundamental(propagator: Propagator) -> Array:
 
 def _chained(propagator: Propagator, first: Array) -> Array:
     """Return the deviations at all edges that follow from small deviations at the start."""
-    nothing = np.zeros((*propagator.transfer.shape[:2], *first.shape))
-    return propagator.with_regular_jumps(_KEPT).chain(nothing, nothing[:, 0], first)
+    zero = np.zeros((*propagator.transfer.shape[:2], *first.shape))
+    return propagator.with_regular_jumps(_KEPT).chain(zero, zero[:, 0], first)
 
 
 def _slow_and_fast_mode(propagator: Propagator) -> Array:

@@ -28,7 +28,7 @@ def independent_harmonics(y: Array, polynomials: Array) -> Array:
     """Return cos y, sin y, cos 2y, sin 2y, with zeros for those that are nearly polynomials here.
 
     In less than a turn a harmonic contains no further information; its part orthogonal to the polynomials would be the
-    noise of y, not a signal. For a casing at rest it is nothing else.
+    noise of y, not a signal. For a casing at rest the whole harmonic is noise.
     """
     waves = np.stack([np.cos(y), np.sin(y), np.cos(2 * y), np.sin(2 * y)], axis=1)
     r = np.abs(np.diag(np.linalg.qr(np.concatenate([polynomials, waves], axis=1), mode="r")))

@@ -161,7 +161,7 @@ def make_record(
     tracked : bool
         The data come from film.
     single : bool
-        There is one body only, given as `casing`; nothing is known of a rotor.
+        There is one body only, given as `casing`.
     start_sigma : sequence of float
         Standard uncertainty of the start of each film of the rotor on the casing's clock [s]; empty if exact.
     I_rotor_u, I_casing_u : float

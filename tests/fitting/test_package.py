@@ -57,7 +57,7 @@ def test_importing_the_package_imports_nothing_slow():
 
 @pytest.mark.slow
 def test_a_fit_imports_nothing_slow_that_it_does_not_need(tmp_path):
-    """Its parts that would be needed take longer to import than the fit takes."""
+    """Their import takes longer than the fit."""
     path = tmp_path / "case.h5"
     assert app.run(["simulate", "-o", str(path), "--duration", "20", "-q"]) == 0
     code = (

@@ -147,7 +147,7 @@ def _interrupted(common, item):
 
 
 def test_an_interruption_prints_nothing(caplog):
-    """What is begun there comes to its end after the pool is closed, and hands nothing more over."""
+    """Tasks that have started end after the pool is closed, without a result."""
     with pytest.raises(KeyboardInterrupt), WorkerPool(1) as workers:
         workers.map(_interrupted, workers.submit(os.getppid).result(), range(6))
     assert caplog.records == []

@@ -134,7 +134,7 @@ def test_a_user_law_is_found_if_given_and_no_other_effect_otherwise():
 
 @pytest.mark.slow
 def test_false_alarms_are_as_rare_as_claimed():
-    """Five empty recordings with a random torque and a centre offset: one alarm is bad luck, two are not."""
+    """Five recordings of the model with a random torque and a centre offset: at most one false alarm."""
     alarms = [diagnose(base(seed=s, ou=1e-7, centre=2e-3)).verdict != "adequate" for s in range(100, 105)]
     assert sum(alarms) <= 1
 

@@ -46,7 +46,7 @@ def test_the_form_of_a_strong_drag_is_established():
 
 
 def test_a_significant_active_bound_is_reported():
-    """A range of b2 below its value: the residuals pull it up."""
+    """The range of b2 is below its value: chi-square would fall above the bound."""
     base = drag(2e-6)
     b2 = base.estimates["casing.air.linear.b2"].value
     held = fit(base.model, base.problem.data, ranges={"casing.air.linear.b2": (0.5 * b2, 0.8 * b2)})
@@ -65,7 +65,7 @@ def test_a_weak_test_or_an_active_bound_is_not_strong():
 
 @pytest.mark.slow
 def test_a_torque_that_decays_in_time_is_not_named_heating_only():
-    """A heated bearing and one that is run in are the same motion here: the answer is a class."""
+    """A heated bearing and one that is run in give the same motion here: the answer is a class."""
     law = resolve("bearing: k*exp(-t/9)")
     model = Model.of(REDUCED).with_effect(law)
     numbers = {

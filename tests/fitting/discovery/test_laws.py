@@ -47,7 +47,7 @@ def saturating():
     ],
 )
 def test_the_library_is_the_answer_only_without_an_equivalent_unknown_law(remainder, others, level, stops):
-    """Neither an unknown law nor process noise beyond what the recording shows may stand in for it."""
+    """The library is no answer if an unknown law, or process noise above that of the recording, explains the data."""
     noise = (SimpleNamespace(level=level, pure=2e-9, pure_u=2e-9),)
     known_fit = SimpleNamespace(noise=noise)
     artefact = SimpleNamespace(indistinguishable_from=(), fit=None, physical=False, significant=True)
@@ -57,7 +57,7 @@ def test_the_library_is_the_answer_only_without_an_equivalent_unknown_law(remain
 
 
 def predicting(*rows, bic=0.0):
-    """Return what the grouping of laws knows of a fit: predicted rows in units of white noise, and one nuisance."""
+    """Return the attributes of a fit that the grouping of laws uses: predicted rows, and one nuisance column."""
     nuisance = np.eye(4)[:, :1]
     return SimpleNamespace(
         problem=SimpleNamespace(data=[SimpleNamespace(nuisance=nuisance) for _ in rows]),
@@ -232,7 +232,7 @@ def test_no_dependence_is_significant_in_null_data():
 
 @pytest.mark.slow
 def test_a_saturating_drag_of_a_single_body_is_found():
-    """A law that replaces another moves the base's own friction by as much as itself: its refit starts from there."""
+    """A law that replaces another changes the friction of the base by as much: the refit starts at these values."""
     from scipy.integrate import solve_ivp
 
     t = np.arange(0, 120, 0.01)

@@ -59,7 +59,7 @@ def test_a_step_in_time_is_no_law_of_the_speed():
 
 @pytest.mark.slow
 def test_a_sinusoid_of_many_periods_is_not_a_slow_torque():
-    """Sixteen periods: a spline with five knots in time does not follow them."""
+    """Sixteen periods: a spline with five knots in time does not resolve them."""
     effect = LIBRARY["casing.precession"]
     (found,) = (c for c in rank(base("swing")) if c.effect.name == effect.name)
     assert not form_test(found.fit, effect, DEFAULT).any_in_time
@@ -77,7 +77,7 @@ def test_a_sinusoid_of_one_period_is_a_slow_torque():
 
 @pytest.mark.slow
 def test_a_periodic_candidate_may_have_an_unknown_law_as_rival(monkeypatch):
-    """Where any law of the casing's speed does as well, the answer says so."""
+    """Where any law of the casing's speed describes the data as well, it is named as a rival."""
     found = base("step")
     monkeypatch.setattr(
         "fitting.discovery._lack_of_fit.nonparametric_law",

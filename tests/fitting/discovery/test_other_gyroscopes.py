@@ -33,7 +33,7 @@ HEATED = twobody.Hidden(softening=SOFTENING, cooling=COOLING)
 @pytest.mark.slow
 @pytest.mark.parametrize("known", [False, True], ids=["from nothing", "on top of the reduced model"])
 def test_the_time_constant_of_a_heated_bearing_is_found(known):
-    """The random torque that excuses a model without the heat would excuse any time constant."""
+    """With the process noise of a model without heating, any time constant is consistent with the data."""
     data = [filmed(1, HEATED)]
     start = {k: e.value for k, e in fit(Model.of(REDUCED), data).estimates.items()} if known else None
     found = fit(Model.of((*REDUCED, "bearing.heating")), data, start=start)
@@ -72,7 +72,7 @@ def test_no_refit_is_worse_than_its_base(seed):
 
 @pytest.mark.slow
 def test_rivals_are_separated_at_the_noise_of_the_better_one():
-    """Friction that rises sharply at low speed: excused as random torque, several laws seem to explain it."""
+    """Friction that rises sharply at low speed: with process noise of that size, several laws seem to explain it."""
     rise = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -2e-6 * math.exp(-abs(wc) / 6.0))
     found = diagnose(fit(Model.of(REDUCED), [filmed(0, rise)]))
     assert found.verdict == "missing_effect"

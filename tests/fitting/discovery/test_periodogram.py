@@ -45,7 +45,7 @@ def test_a_sinusoidal_torque_is_found_and_is_not_process_noise(shaken):
 
 
 def test_amplitude_of_a_driven_oscillator_is_that_of_the_formula():
-    """Off resonance the amplitude is k / |kappa - I rate^2|; larger than the motion itself it would be no finding."""
+    """Off resonance the amplitude is k / |kappa - I rate^2|; an amplitude larger than the motion does not count."""
     own, rate, drive = 25.0, 2.0, 0.2
     t, angle, _ = motion(lambda t, x, v: -own * x - 0.02 * v + drive * math.cos(rate * t), (0.3, 0.0), 60.0)
     data = record(t, angle, 2e-4, 1)

@@ -131,7 +131,7 @@ class TestLimits:
         assert power[0] <= DEFAULT.significance + 3 * math.sqrt(0.03 / 600)
 
     def test_detection_limit_contains_the_correction_for_many_candidates(self):
-        """One candidate alone, tested at the same significance, would be seen at a smaller strength."""
+        """A single candidate at the same significance has a smaller detection limit."""
         alone = norm.ppf(1 - DEFAULT.significance) + norm.ppf(0.9)
         assert drag().detection_limit / drag().stderr > alone + 0.5
 
@@ -202,7 +202,7 @@ def test_a_less_certain_process_noise_needs_a_higher_score_and_has_less_power():
 
 
 def replace_noise(found, process):
-    """Return a fit whose process noise is known in another way."""
+    """Return a fit with another estimate of the process noise."""
     return replace(found, noise=tuple(replace(n, process=process) for n in found.noise))
 
 
@@ -242,7 +242,7 @@ class TestInformation:
         assert 1 / math.sqrt(left[0, 0]) == pytest.approx(drag().stderr, rel=1e-3)
 
     def test_information_of_a_planned_run_is_that_of_the_measured_run(self):
-        """The run at hand, planned again: the coarse simulation keeps the information about a torque within 10 %."""
+        """The present run, planned again: the coarse simulation has the same information about a torque within 10 %."""
         info = information()
         e = base().estimates
         label = base().labels[0]

@@ -67,7 +67,7 @@ def test_a_dependence_on_speed_is_reported_without_a_library_law():
 
 @pytest.mark.slow
 def test_smooth_test_has_the_stated_false_alarm_rate():
-    """The looks overlap: small probabilities are those of noise, large ones are told larger than they are."""
+    """The tests are correlated: small p-values are accurate, large ones are upper bounds."""
     p = np.array([smooth_test(found(seed, NOTHING)).p_value for seed in range(18)])
     for level in (0.02, 0.1, 0.3):
         assert np.sum(p < level) <= stats.binom.ppf(0.999, len(p), level)

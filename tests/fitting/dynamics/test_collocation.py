@@ -149,7 +149,7 @@ def test_motion_without_bound_is_an_error_and_no_crash():
 
 
 def test_a_mesh_that_had_to_be_fine_becomes_coarse_again():
-    """Following a sharp law's solution for a law that is smooth: the edges go that nothing needs."""
+    """From the solution of a sharp law to that of a smooth one: unnecessary edges are removed."""
     p = PAPER | EXTRA["stribeck"] | {"touchpoint.stribeck.w": 0.5}
     dynamics = Dynamics(model_of(p))
     first, mesh = np.array([900.0, 5.0]), Mesh.uniform(0.0, 200.0, 12)

@@ -161,7 +161,7 @@ def test_sensitivities_match_differences_across_events(name):
 
 
 def test_small_torques_act_on_a_moving_casing_only():
-    """A torque on the casing acts before and after, not while it is held; the rotor feels it always."""
+    """A torque on the casing acts before and after, not while friction holds it."""
     p, start, _, dynamics, numbers, path = solved("freed by time")
     stop, go = path.kinks
     times = np.linspace(0, 200, 20_001)

@@ -78,7 +78,7 @@ def test_sensitivities_of_a_law_that_follows_the_angle():
 
 
 def test_derivative_by_the_time_of_a_jump_is_the_jump_of_the_rate():
-    """Right after the jump, d omega_c / d t0 = k / I_c: for a moment longer the casing was not braked."""
+    """Right after the jump, d omega_c / d t0 = k / I_c: a later jump brakes the casing later."""
     p = PAPER | EXTRA["step"]
     dynamics, numbers, path = solved(p)
     found = sensitivities(dynamics, numbers, path)
@@ -124,7 +124,7 @@ def directly(p, path, torque, direction, times):
 
 @pytest.mark.parametrize("body", [0, 1], ids=["rotor", "casing"])
 def test_driven_motion_matches_direct_integration(body):
-    """A fast torque of 3 to 40 rad/s on the casing, and what it does to both bodies."""
+    """A fast torque of 3 to 40 rad/s on the casing, and the response of both bodies."""
     dynamics, numbers, path = solved(PAPER)
     motion = LinearMotion(path, sensitivities(dynamics, numbers, path).propagator)
 
@@ -160,7 +160,7 @@ def test_the_fundamental_matrix_is_the_derivative_by_initial_values():
 
 @pytest.mark.parametrize("name", ["heating", "precession"])
 def test_driven_motion_contains_the_states_of_effects(name):
-    """A warmth, or the phase of a swinging torque, answers to a random torque and acts back on the speeds."""
+    """A temperature, or the phase of a sinusoidal torque, is coupled with the speeds."""
     p = PAPER | EXTRA[name] | {"external.constant.k": 1e-9}
     dynamics, numbers, path = solved(p)
     found = sensitivities(dynamics, numbers, path)
@@ -187,7 +187,7 @@ def test_a_state_that_decays_fast_is_held():
 
 @pytest.mark.parametrize("name", ["none", "heating"])
 def test_driven_motion_of_a_light_casing_is_accurate_until_the_end(name):
-    """After forty times the span in which the casing forgets, a torque still does what the derivative by one says."""
+    """After forty relaxation times of the casing, the response to a torque is that of the derivative by it."""
     p = PAPER | EXTRA[name] | {"external.constant.k": 1e-9}
     dynamics = Dynamics(Model.of(dict.fromkeys(k.rpartition(".")[0] for k in p)))
     light = INERTIA | {"inertia.casing": 4e-6}

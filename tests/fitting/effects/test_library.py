@@ -345,7 +345,7 @@ def test_derivatives_match_differences(effect):
 
 @EFFECTS
 def test_dynamics_with_the_effect_has_right_derivatives(effect):
-    """All of them at once, by states and by parameters, through the sum, the products and the own state."""
+    """All derivatives by states and by parameters, of sums, products and states of effects."""
     if effect.camera:
         assert Dynamics(Model((effect,))).parameters == ()
         return

@@ -170,7 +170,7 @@ HARMLESS = [
 
 @pytest.fixture(scope="module")
 def watch():
-    """Record what the interpreter does behind our back: files, imports, processes, execution."""
+    """Record audit events of the interpreter: files, imports, processes, execution."""
     seen, active = [], [False]
 
     def hook(event, arguments):

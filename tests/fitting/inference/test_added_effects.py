@@ -134,7 +134,7 @@ BUMP = "casing: -k*exp(-((t - t0)/w)**2)"
 
 @pytest.mark.slow
 def test_the_position_of_a_user_peak_is_found():
-    """Nothing is told of its moment and its width."""
+    """Without initial values of its position and width."""
     true = {"k": 1.5e-6, "t0": 141.0, "w": 9.0}
     hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -1.5e-6 * np.exp(-(((t - 141.0) / 9.0) ** 2)))
     measured = case({}, 31, "case1", hidden=hidden)

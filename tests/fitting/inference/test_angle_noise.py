@@ -129,7 +129,7 @@ def test_a_fit_with_correlated_noise_is_adequate_and_its_uncertainties_hold():
 
 
 def test_deceleration_of_a_real_wheel_is_fitted():
-    """A hand-held film of 1.4 s: its hub wanders, which is no random torque of ten times the friction.
+    """A hand-held film of 1.4 s: the hub moves slowly, which is not a random torque of ten times the friction.
 
     Least squares with a block bootstrap gives -0.402 +- 0.018 rad/s2, points marked by hand -0.396.
     """

@@ -98,7 +98,7 @@ def test_a_range_that_excludes_the_truth_is_an_active_bound():
     "seed", [2, *(pytest.param(s, marks=pytest.mark.slow) for s in (0, 1, 3, 4, 5, 6, 7))]
 )
 def test_uncertainties_are_valid_with_an_active_bound_of_another_parameter(seed):
-    """A strong random torque drives d, f or g to an edge. With it held, f would be known 20 times too well."""
+    """With a strong random torque d, f or g is at a bound. Held, f would have a 20 times too small uncertainty."""
     result = fitted(seed=seed, ou=1e-6, ou_time=3.0)
     found = {k: z for k, z in pulls(result, TRUTH).items() if not result.estimates[k].at_bound}
     assert max(map(abs, found.values())) < 4, found
@@ -107,7 +107,7 @@ def test_uncertainties_are_valid_with_an_active_bound_of_another_parameter(seed)
 
 
 def test_nine_parameters_of_one_recording_are_not_determined():
-    """The general model fits as well, and must admit that d, f and g are hundreds of times less certain."""
+    """The general model fits as well, with uncertainties of d, f and g that are hundreds of times larger."""
     general, reduced = fit(Model.of(GENERAL), [data(seed=0)]), fitted(seed=0)
     assert general.verdict == "not determined"
     assert general.chi2 == pytest.approx(reduced.chi2, abs=6)

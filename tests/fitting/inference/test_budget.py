@@ -77,7 +77,7 @@ def part_or_zero(b, source):
 
 
 def test_torques_are_in_proportion_to_both_inertias_together(found):
-    """Only ratios of torque to inertia are seen: I_r dk/dI_r + I_c dk/dI_c = k."""
+    """Only ratios of torque to inertia are observable: I_r dk/dI_r + I_c dk/dI_c = k."""
     result, budgets = found
     for name in NUMBERS:
         rotor, casing = (part(budgets[name], f"inertia.{b}").sensitivity for b in ("rotor", "casing"))

@@ -54,7 +54,7 @@ def test_derivatives_match_differences(name, quantity):
 
 
 def test_residuals_of_the_true_parameters_are_noise():
-    """Rows of the true model against the data: chi-square of 734 rows, nothing adjusted but the nuisances."""
+    """Rows of the true model against the data: chi-square of 734 rows, with fitted nuisance parameters only."""
     measured = data(seed=0)
     layout = ParameterLayout.of(Model.of(REDUCED), [measured.record])
     values = twobody.truth()

@@ -63,7 +63,7 @@ def test_compression_keeps_a_few_hundred_rows(record):
 
 
 def test_blocks_are_short_where_the_casing_is_slow(record):
-    """What follows the angle moves it by 1 / omega^2: in a block the speed must not change many times over."""
+    """The response to a harmonic of the angle is proportional to 1 / omega^2: the speed of a block varies little."""
     compressed = compress(record.casing, degree=CASING_DEGREE, harmonics=True)
     for where, _ in compressed.operators:
         t, psi = record.casing.time[where], record.casing.value[where]

@@ -10,7 +10,7 @@ from fitting.inference._problem import Projection
 
 
 def parts(result, level):
-    """Return the case, its noise, its prediction, and what a fit can adjust in well determined directions."""
+    """Return the case, its noise, its prediction, and the well determined directions of the fit."""
     problem = result.problem
     data, p = problem.data[0], result.predictions[0]
     project = Projection(data, result.noise[0].whitener.at(level))
@@ -26,7 +26,7 @@ def parts(result, level):
 @pytest.mark.parametrize("level", [0.0, 1e-9])
 @pytest.mark.parametrize("body", ["casing", "rotor"])
 def test_cross_validation_error_is_that_of_a_fit_without_the_fold(level, body):
-    """Least squares on the other rows, prediction of the fold with its covariance, all in the open."""
+    """Least squares on the other rows, prediction of the fold with its covariance, computed explicitly."""
     data, project, used, residual = parts(fitted(seed=1, ou=1e-7), level)
     n = len(data.z)
     root = project.whitener(np.eye(n))  # C^-1/2

@@ -69,7 +69,7 @@ def test_neither_model_nor_moments_of_inertia_change_the_process_noise(model, ca
 
 @pytest.mark.parametrize(("hidden", "seed"), [("step", 0), ("drag", 1)])
 def test_a_missing_effect_does_not_count_as_process_noise(hidden, seed):
-    """The process noise must stay what it is; a missing effect shows in the level that the model leaves."""
+    """The process noise is unchanged; a missing effect raises the level of the fit."""
     result = fitted(seed=seed, hidden=hidden)
     (noise,) = result.noise
     assert noise.pure < 1e-8
@@ -91,7 +91,7 @@ def response():
 
 
 def test_response_to_a_torque_in_all_cells_is_that_of_a_constant_torque(response):
-    """A constant torque on the casing moves the rows as SciPy says it moves the angles."""
+    """The response of the rows to a constant torque on the casing agrees with SciPy's integration."""
     from scipy.integrate import solve_ivp
 
     result = fitted(seed=0)

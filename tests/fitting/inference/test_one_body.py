@@ -66,7 +66,7 @@ def test_parameters_and_errors(quantity):
 
 
 def test_a_recording_of_one_turn_is_fitted():
-    """Its nuisance parameters describe all of it: nothing is left to tell noise from."""
+    """Its nuisance parameters describe all rows: the noise cannot be estimated."""
     time = np.arange(50) / 25
     angle = 3.4 * time + np.random.default_rng(0).normal(0, 4e-4, 50)
     record = make_record(

@@ -69,7 +69,7 @@ def test_a_rotor_of_the_opposite_sense_is_fitted(start):
 
 @pytest.mark.slow
 def test_initial_values_with_many_stops_converge():
-    """So often that nothing is left of what a torque did before: its matrix has no inverse."""
+    """After many stops the fundamental matrix has no inverse."""
     par = {**twobody.PAPER, "b1": 4.5e-5, "b2": 9.5e-7}
     cameras = twobody.Cameras(span=180.0, windows=(4.0, 63.0, 135.0))
     motion = twobody.simulate(par, (950.0, 8.0), 180.0, ou=1e-7)

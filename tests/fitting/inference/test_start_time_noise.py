@@ -71,7 +71,7 @@ def test_windows_with_known_starts_are_unchanged():
 
 @pytest.mark.slow
 def test_uncertain_window_starts_are_no_missing_effect():
-    """Taken for exact, starts that are off by a millisecond look like physics; said to be uncertain they do not."""
+    """Start times wrong by a millisecond give a lack of fit if they count as exact, and none if uncertain."""
     model = Model.of(REDUCED)
     for seed in range(3):
         exact = fit(model, [CaseData.of(filmed(seed, known=True))])

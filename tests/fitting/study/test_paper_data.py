@@ -30,7 +30,7 @@ def test_velocities_agree_with_the_motion(record):
 
 
 def test_sigma_of_velocities_is_their_noise_at_low_frequencies(record):
-    """What a fit sees, polynomials of low degree, has the errors that it takes them to have."""
+    """The polynomials of low degree, which a fit uses, have the stated uncertainty."""
     data = CaseData.of(as_velocities(record))
     motion = twobody.simulate(seed=1)
     pulls = [data.casing.z - data.casing.at_nodes(motion.at(data.casing.node_times, 1)[1])]
@@ -60,7 +60,7 @@ def test_noise_of_a_running_median_agrees_with_simulation(reach):
 
 
 def test_the_method_of_the_paper_recovers_the_parameters(record):
-    """Its errors are larger by far than those of angles, and hold the truth."""
+    """Its uncertainties are much larger than those of angles, and are valid."""
     found = fit(Model.of(REDUCED), [CaseData.of(prepared(record, "velocity"))])
     angles = fit(Model.of(REDUCED), [CaseData.of(record)])
     truth = twobody.truth()
