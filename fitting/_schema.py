@@ -151,7 +151,6 @@ class StoredFailure(FailureDocument):
     """The same with the name of the body in sentences and the uncertainty of the torque."""
 
     called: str
-    torque_sigma_Nm: Number = math.nan  # noqa: N815 - the unit's own capitals
     unit: str = TORQUE
 
 

@@ -142,23 +142,9 @@ def laws_document(found: Laws, fit_id: str) -> dict[str, Any]:
 
 
 def _law(x: Law) -> LawDocument:
-    return LawDocument(
-        formula=x.formula,
-        body=x.body,
-        form=x.form,
-        terms=[
-            TermDocument(body=e.joint, law=e.law, rate=e.state.rate if e.state else "") for e in x.effects
-        ],
-        score=x.score,
-        delta_bic=x.delta_bic,
-        description_length=x.description_length,
-        p_value=x.p_value,
-        parameters={k: EstimateDocument.model_validate(e) for k, e in x.estimates.items()},
-        torque_rms_Nm=x.torque_rms_Nm,
-        verdict=x.fit.verdict,
-        indistinguishable_from=list(x.indistinguishable_from),
-        same_torque_as=list(x.same_torque_as),
-        differences=[DifferenceDocument.model_validate(d) for d in x.differences],
+    terms = [{"body": e.joint, "law": e.law, "rate": e.state.rate if e.state else ""} for e in x.effects]
+    return LawDocument.model_validate(
+        vars(x) | {"body": x.body, "terms": terms, "parameters": x.estimates, "verdict": x.fit.verdict}
     )
 
 
