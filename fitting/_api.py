@@ -1,4 +1,4 @@
-"""The fit as users ask for it: load cases, fit one or several."""
+"""The interface for users: load cases, fit one or several."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every threshold that decides an answer, in one record.
+"""Every threshold that determines a result, in one record.
 
 `diagnose` and `improve` take a `Criteria`; a fit's own verdict and the noise of a recording use the default.
 

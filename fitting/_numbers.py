@@ -6,7 +6,7 @@ import math
 import re
 from typing import Any
 
-# from this number of digits on, a number with a power of ten keeps them all
+# number of digits above which a number with a power of ten is printed with all of them
 _LONG = 3
 _RAISED = str.maketrans("0123456789+-g.", "⁰¹²³⁴⁵⁶⁷⁸⁹⁺⁻ᵍ·")
 _UNIT = re.compile(r"(?<![\w.])(kg m|N m s|N m|rad s|s|K|m)\^?(-?\d(?:\.\d+)?|g)(?!\w|\.\d)")

@@ -21,12 +21,12 @@ from fitting._numbers import TORQUE, to_json
 from fitting.effects._effect import Effect
 from fitting.effects._library import LIBRARY
 
-# fields of an effect that older versions did not write
+# fields of an effect that files of older versions do not contain
 _ADDED_FIELDS = ("per_case", "per_surface", "nuisance", "equivalent")
 
 
 def _with_added_fields(stored: Any) -> Any:
-    """Return a stored effect with the fields that its namesake in the library has and it lacks."""
+    """Return a stored effect, with missing fields from the effect of the same name in the library."""
     known = LIBRARY.get(str(stored.get("name"))) if isinstance(stored, Mapping) else None
     return {**{k: getattr(known, k) for k in _ADDED_FIELDS}, **stored} if known is not None else stored
 
@@ -151,7 +151,6 @@ class StoredFailure(FailureDocument):
     """The same with the name of the body in sentences and the uncertainty of the torque."""
 
     called: str
-    torque_sigma_Nm: Number = math.nan  # noqa: N815 - the unit's own capitals
     unit: str = TORQUE
 
 
@@ -276,7 +275,7 @@ class BudgetDocument(Document):
 
 
 class EffectLimitsDocument(Document):
-    """What recordings can show of one effect; null where the model absorbs it (`absorbed`) or no torque exists.
+    """Limits and power for one effect; null where the model absorbs it (`absorbed`) or no torque exists.
 
     `detection_limit`, `upper_limit`, `stderr` and `size` are strengths in `unit`; `torque_Nm`, `upper_torque_Nm` and
     `size_Nm` are the same as rms torques along the motion.
@@ -334,7 +333,7 @@ class PlanDocument(Document):
 
 
 class StepDocument(Document):
-    """One fit of a history: what was changed, and what the errors did; `_noise` is what noise alone would give."""
+    """One fit of a history: the change, and the errors; `_noise` marks values for noise alone."""
 
     fit_id: str
     added: str
@@ -355,7 +354,7 @@ class StepDocument(Document):
 
 
 class NoiseDocument(Document):
-    """Noise of one case: scale of the white noise, process noise, its uncertainty, and what the model leaves [N m]."""
+    """Noise of one case: scale of the white noise, process noise, its uncertainty, and that of the model [N m]."""
 
     scale: Number
     pure: Number

@@ -24,7 +24,7 @@ _MOST_PROCESSES = 4
 
 @contextmanager
 def single_blas_thread() -> Iterator[None]:
-    """Limit BLAS to one thread; a context manager, and with a call a decorator.
+    """Limit BLAS to one thread; a context manager, and when called a decorator.
 
     The matrices of a fit have some hundred rows: more threads are slower.
     """
@@ -81,7 +81,7 @@ class WorkerPool:
                 self._executor = ProcessPoolExecutor(self.processes, context, initializer=_start_worker)
             except (OSError, ImportError):  # no semaphores: /dev/shm is missing or read-only
                 return self
-            self._submit(int)  # the first worker imports its modules while the caller is busy
+            self._submit(int)  # so that the first worker imports its modules in the meantime
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -1,8 +1,8 @@
-"""On what the unmodelled torque depends: a smooth function of each variable, with its share, its p-value and its band.
+"""The unmodelled torque as a smooth function of each variable, with explained share, p-value and uncertainty band.
 
 A torque f(x) on a body, with f a cubic spline of a variable x (t, omega_r, omega_c, delta; harmonics for the angle
 psi_c; products of splines for a pair of variables), is the same function in all recordings. With whitened residuals r,
-rows S of the spline's functions, and all parameters of the base and nuisance parameters projected out (M, `_score`),
+rows S of the spline's functions, and M, which projects out all parameters of the base and nuisance parameters,
 
     chi2 = r'M S (S'M S)^+ S'M r   with rank(M S) degrees of freedom if nothing is missing.
 
@@ -10,16 +10,16 @@ Its level of process noise is profiled. The p-value is calibrated on null data t
 smallest p of many correlated tests (P. Westfall, S. Young, Resampling-Based Multiple Testing (1993)). The explained
 share is that of the excess of chi-square over its degrees of freedom at the noise of the data.
 
-The curve has finer splines than the test, so that it can follow a resonance. Their coefficients b have a Gaussian prior
+The curve has finer splines than the test, so that it resolves a resonance. Their coefficients b have a Gaussian prior
 with the Matern covariance of order 3/2,
 
     cov(b_i, b_j) = s^2 (1 + q) exp(-q),   q = sqrt(3) |x_i - x_j| / l,
 
 at the centres x_i of the splines; s and l are the most likely ones (C. Rasmussen, C. Williams, Gaussian Processes for
 Machine Learning, MIT Press (2006), ch. 5). A broad law gives a large l, which averages the noise; a narrow peak a
-small one. The base can represent some functions itself (a linear drag for example), and the data determine others too
-weakly: the curve is the part of the torque that the data determine better than the prior does, and its band is
-the posterior standard deviation of that part. A law compares with the curve after the same projection.
+small one. The base contains some functions itself (a linear drag for example), and the data hardly determine others:
+the curve is the part of the torque that the data determine better than the prior does, and its band is the posterior
+standard deviation of that part. A law is comparable with the curve after the same projection.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.discovery._score import CaseColumns, Level, ScoreContext, orthonormal, over_many_tests
+from fitting.discovery._score import RANK, CaseColumns, Level, ScoreContext, over_many_tests
 from fitting.dynamics._mesh import Sampler
 from fitting.effects._effect import Effect, Joint, Parameter
-from fitting.inference._metrics import block_diagonal
+from fitting.inference._linear_algebra import block_diagonal, orthogonal_to, orthonormal
 from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
@@ -62,7 +62,7 @@ _WORDS = {
     "psi_r": "the angle of the rotor",
 }
 _ON = {"casing": "on the casing", "bearing": "in the bearing", "rotor": "on the rotor"}
-_TESTS: dict[str, tuple[tuple[str, ...], ...]] = {
+_TESTS: dict[Joint, tuple[tuple[str, ...], ...]] = {
     "casing": (("omega_c",), ("omega_r",), ("t",), ("psi_c",), ("omega_c", "omega_r"), ("omega_c", "t")),
     "bearing": (("delta",), ("t",), ("delta", "t"), ("delta", "omega_c")),
     "rotor": (("omega_r",), ("t",), ("psi_r",)),
@@ -111,7 +111,7 @@ class Dependence:
         return f"{names} (torque {_ON[self.body]})"
 
     def comparable(self, torque: Array) -> Array:
-        """Return of a torque at `value` the part that the base cannot represent, which compares with the curve."""
+        """Return the part of a torque at `value` that the base cannot represent, which is comparable with the curve."""
         return np.asarray(self.identified @ torque)
 
 
@@ -123,17 +123,17 @@ def context_without(
     draws: int = 1,
     release: bool = False,
 ) -> ScoreContext:
-    """Return the data linearised about a fit, the torque of some of its effects taken out of the model."""
+    """Return the data linearised about a fit, with some effects removed from its model."""
     rows = [np.zeros(len(d.z)) for d in about.problem.data]
     for e in effects:
         for i, case in enumerate(cases):
             numbers = case.numbers
-            own = {p.role: numbers[f"{e.name}.{p.symbol}"] for p in e.parameters}
+            values = {p.role: numbers[f"{e.name}.{p.symbol}"] for p in e.parameters}
             shape = {p.symbol: numbers[f"{e.name}.{p.symbol}"] for p in e.parameters if p.role == "shape"}
             columns = case.trials(e, [shape])[0].columns
-            phase = own.get("phase", 0.0)
-            waves = np.array([np.cos(phase), np.sin(phase)])[: columns.shape[1]]
-            rows[i] = rows[i] + columns @ (own["amplitude"] * waves)
+            phase = values.get("phase", 0.0)
+            quadratures = np.array([np.cos(phase), np.sin(phase)])[: columns.shape[1]]
+            rows[i] = rows[i] + columns @ (values["amplitude"] * quadratures)
     return ScoreContext(
         about,
         draws,
@@ -158,7 +158,7 @@ class _Test(NamedTuple):
 def dependence(
     about: Fit, *, without: Sequence[str] = (), context: ScoreContext | None = None
 ) -> list[Dependence]:
-    """Return on what the unmodelled torque of a fit depends, the smallest BIC first: one variable if that is enough.
+    """Return the unmodelled torque of a fit as a function of each variable, and of pairs; the smallest BIC first.
 
     Parameters
     ----------
@@ -208,20 +208,17 @@ def _tests(about: Fit, cases: Sequence[CaseColumns]) -> Iterator[_Test]:
             ]
             rows = np.concatenate(columns)
             if len(variables) > 1:
-                yield _Test(
-                    _joint(body), variables, rows, rows, np.zeros(0), np.zeros((0, rows.shape[1])), ()
-                )
+                yield _Test(body, variables, rows, rows, np.zeros(0), np.zeros((0, rows.shape[1])), ())
                 continue
             (name,) = variables
             fine = _Axis(np.concatenate([k[name] for k in known]), _FINE)
             finer = [c.padded(w @ fine(k[name])) for c, k, w in zip(cases, known, acting, strict=True)]
             value = np.linspace(fine.low, fine.high, _CURVE)
-            yield _Test(
-                _joint(body), variables, rows, np.concatenate(finer), value, fine(value), fine.priors()
-            )
+            yield _Test(body, variables, rows, np.concatenate(finer), value, fine(value), fine.priors())
 
 
 def _acting(case: CaseColumns, body: str) -> Array:
+    """Return the response of the smooth rows to a torque on a body or in the bearing."""
     response = case.response
     if body == "bearing":
         return response.casing - response.rotor
@@ -234,10 +231,6 @@ def _product(factors: Sequence[Array]) -> Array:
     for f in factors[1:]:
         total = (total[:, :, None] * f[:, None, :]).reshape(len(total), -1)
     return total
-
-
-def _joint(body: str) -> Joint:
-    return "casing" if body == "casing" else "rotor" if body == "rotor" else "bearing"
 
 
 def _motion(about: Fit, index: int, case: CaseColumns) -> dict[str, Array]:
@@ -281,25 +274,21 @@ def _orders(about: Fit, angle: str) -> tuple[int, ...]:
     return tuple(n for n in _ROTOR_HARMONICS if n * step < _FASTEST)
 
 
-def _angle_test(cases: Sequence[CaseColumns], body: str, angle: str, orders: Sequence[int]) -> _Test:
-    """Return the test of harmonics of an angle; of the rotor's each case has its own phases, and there is no curve."""
+def _angle_test(cases: Sequence[CaseColumns], body: Joint, angle: str, orders: Sequence[int]) -> _Test:
+    """Return the test of harmonics of an angle; those of the rotor have own phases in each case, and no curve."""
     phase = Parameter("phi", "rad", "phase", -np.inf, np.inf)
     psi = np.linspace(0, 2 * np.pi, _CURVE)
     rows, basis = [], []
     for n in orders:
-        law = Effect(
-            f"harmonic.{n}", _joint(body), f"k*sin({n}*{angle} - phi)", (Parameter("k", "N m"), phase)
-        )
-        own = [c.trials(law)[0].columns for c in cases]
-        rows.append(np.concatenate(own) if angle == "psi_c" else block_diagonal(own))
+        law = Effect(f"harmonic.{n}", body, f"k*sin({n}*{angle} - phi)", (Parameter("k", "N m"), phase))
+        columns_of = [c.trials(law)[0].columns for c in cases]
+        rows.append(np.concatenate(columns_of) if angle == "psi_c" else block_diagonal(columns_of))
         basis += [np.sin(n * psi), -np.cos(n * psi)]
     columns = np.concatenate(rows, axis=1)
     if angle != "psi_c":
-        return _Test(
-            _joint(body), (angle,), columns, columns, np.zeros(0), np.zeros((0, columns.shape[1])), ()
-        )
+        return _Test(body, (angle,), columns, columns, np.zeros(0), np.zeros((0, columns.shape[1])), ())
     unit = (np.eye(columns.shape[1]),)
-    return _Test(_joint(body), (angle,), columns, columns, psi, np.stack(basis, axis=1), unit)
+    return _Test(body, (angle,), columns, columns, psi, np.stack(basis, axis=1), unit)
 
 
 def _tested(context: ScoreContext, test: _Test) -> tuple[Dependence | None, Array]:
@@ -314,14 +303,13 @@ def _tested(context: ScoreContext, test: _Test) -> tuple[Dependence | None, Arra
     null = np.ones(context.draws.shape[1])
     for i, level in enumerate(context.levels):
         white = level.gain[:, None] * rotated
-        left = white - level.basis @ (level.basis.T @ white)
-        u, s, _ = np.linalg.svd(left, full_matrices=False)
+        u, s, _ = np.linalg.svd(orthogonal_to(level.basis, white), full_matrices=False)
         kept = s > _RANK * max(float(np.linalg.norm(white, axis=0).max()), 1e-300)
         if not kept.any():
             continue
         u = u[:, kept]
-        seen = u.T @ level.residual
-        chi2 = float(seen @ seen)
+        data = u.T @ level.residual
+        chi2 = float(data @ data)
         gain = chi2 - (level.deviance - least)
         if i == 0:
             dof = max(len(level.residual) - level.basis.shape[1] - u.shape[1], 1)
@@ -351,36 +339,36 @@ def _tested(context: ScoreContext, test: _Test) -> tuple[Dependence | None, Arra
 
 
 def _curve(context: ScoreContext, level: Level, test: _Test) -> tuple[Array, Array, Array]:
-    """Return torque, standard deviation, and the matrix that takes any torque to the part that the data determine."""
+    """Return torque, standard deviation, and the matrix that projects a torque on the part that the data determine."""
     if not len(test.value):
         return np.zeros(0), np.zeros(0), np.zeros((0, 0))
     white = level.gain[:, None] * context.rotated(test.fine)
-    left = white - level.basis @ (level.basis.T @ white)
-    # more than noise remains where the law has a finer shape than the curve, or depends on something else as well
-    free = orthonormal(left)
-    rest = level.residual - free @ (free.T @ level.residual)
+    response = orthogonal_to(level.basis, white)
+    # the scatter exceeds the noise if the law has a finer shape than the curve, or depends on another variable
+    free = orthonormal(response, RANK)
+    rest = orthogonal_to(free, level.residual)
     scatter = max(1.0, float(rest @ rest) / max(len(rest) - level.basis.shape[1] - free.shape[1], 1))
     best: tuple[float, float, Array, Array, Array, Array] | None = None
     for prior in test.priors:
         root = np.linalg.cholesky(prior + 1e-10 * np.eye(len(prior)))
         # coefficients b = root beta with independent beta
-        u, s, vt = np.linalg.svd(left @ root / np.sqrt(scatter), full_matrices=False)
-        seen = u.T @ level.residual / np.sqrt(scatter)
-        unit = max(1.0, float(np.sqrt(np.mean(seen**2)))) / max(float(s[0]), 1e-300)
+        u, s, vt = np.linalg.svd(response @ root / np.sqrt(scatter), full_matrices=False)
+        data = u.T @ level.residual / np.sqrt(scatter)
+        unit = max(1.0, float(np.sqrt(np.mean(data**2)))) / max(float(s[0]), 1e-300)
         variances = (_STRENGTHS * unit) ** 2
         spread = 1 + np.outer(variances, s**2)
-        deviance = (np.log(spread) + seen**2 / spread).sum(axis=1)
+        deviance = (np.log(spread) + data**2 / spread).sum(axis=1)
         k = int(np.argmin(deviance))
         if best is None or deviance[k] < best[0]:
-            best = (float(deviance[k]), float(variances[k]), root @ vt.T, s, seen, u)
+            best = (float(deviance[k]), float(variances[k]), root @ vt.T, s, data, u)
     if best is None:
         return np.zeros(0), np.zeros(0), np.zeros((0, 0))
-    _, variance, vectors, s, seen, u = best
+    _, variance, vectors, s, data, u = best
     known = variance * s**2 > 1
     shown = test.basis @ vectors[:, known]
-    s, seen, u = s[known], seen[known], u[:, known]
+    s, data, u = s[known], data[known], u[:, known]
     share = variance * s**2 / (1 + variance * s**2)
     sigma = np.sqrt(shown**2 @ (share / s**2))
-    # of a torque with the coefficients B^+ torque, what the data see along the known directions
-    rows = (u.T @ left) @ np.linalg.pinv(test.basis, rcond=1e-6) / np.sqrt(scatter)
-    return shown @ (share * seen / s), sigma, (shown / s) @ rows
+    # the rows along the determined directions of a torque with the coefficients B^+ torque
+    rows = (u.T @ response) @ np.linalg.pinv(test.basis, rcond=1e-6) / np.sqrt(scatter)
+    return shown @ (share * data / s), sigma, (shown / s) @ rows

@@ -7,12 +7,12 @@ A law is a form f applied to one or two variables and acts on the rotor, the cas
 Every constant carries the unit of the variable that it scales (a speed, a time, an exponent), so the units agree by
 construction; `Effect.check` confirms it. Friction-like forms of a body's own speed reverse with it.
 
-A formula is charged for its length. With n symbols (variables, functions, operators) drawn from a vocabulary of 2^b,
-it takes b n bits to write down, and the two-part code (J. Rissanen, Automatica 14, 465 (1978)) adds
+Long formulas have a penalty. With n symbols (variables, functions, operators) drawn from a vocabulary of 2^b,
+a formula takes b n bits, and the two-part code (J. Rissanen, Automatica 14, 465 (1978)) adds
 
     L = 2 ln 2 b n
 
-to BIC, which pays for the constants.
+to BIC, which contains the penalty of the constants.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from fitting.effects._expression import parse
 
 # bits for each symbol of a formula
 _BITS = 2.0
-_OWN = {"rotor": "omega_r", "casing": "omega_c", "bearing": "delta"}
+_OWN_SPEED = {"rotor": "omega_r", "casing": "omega_c", "bearing": "delta"}
 _SPEEDS: dict[str, tuple[str, ...]] = {
     "rotor": ("omega_r",),
     "casing": ("omega_c", "omega_r"),
@@ -48,10 +48,10 @@ _EXPONENTS = (-1.0, -0.5, 0.25, 0.5, 0.75, 1.25, 1.5, 1.75, 2.25, 2.5, 3.0, 4.0)
 _SCALES = tuple(float(v) for v in np.geomspace(0.03, 3.0, 13))
 _THRESHOLDS = tuple(round(0.05 + 0.05 * i, 2) for i in range(18))
 _TIMES = tuple(float(v) for v in np.geomspace(0.02, 2.0, 10))
-# share of the largest speed below which a speed counts as coming near zero
+# share of the largest speed below which a speed is near zero
 _NEAR_ZERO = 0.01
 _COARSE_MOMENTS = MOMENTS[::3]
-# least number of periods within a record; below it the law is a trend
+# smallest number of periods within a record; with fewer the law is a trend
 _FEWEST_PERIODS = 0.5
 # trial frequencies: phase difference over the record [rad], and the highest of them [rad/s]
 _PHASE_STEP = 2.0
@@ -70,7 +70,7 @@ class LawForm:
     form : str
         Its form in a word: "power", "saturation", ...
     variables : tuple of str
-        What it depends on.
+        The variables on which it depends.
     symbols : int
         Length of the formula: variables, functions and operators.
     """
@@ -82,33 +82,32 @@ class LawForm:
 
     @property
     def description_length(self) -> float:
-        """What the length of the formula adds to BIC."""
+        """Penalty of the length of the formula, added to BIC."""
         return description_length(self.symbols)
 
 
 def description_length(symbols: int) -> float:
-    """Return what a formula of so many symbols adds to BIC."""
+    """Return the penalty of a formula of so many symbols, added to BIC."""
     return 2 * math.log(2) * _BITS * symbols
 
 
 @dataclass(frozen=True)
 class _Form:
-    """A form: its formula in {x}, what its shape constants are, and how many symbols it has."""
+    """A form: its formula in {x}, symbol and kind of its shape constants, and how many symbols it has."""
 
     name: str
     text: str
     shapes: tuple[tuple[str, str], ...] = ()
     symbols: int = 1
-    odd: bool = True  # it reverses with x by itself
     phase: bool = False
 
 
 # of a speed x; {s} is sign(x) where x is the body's own speed and the form does not reverse by itself
 _OF_SPEED = (
-    _Form("power", "abs({x})**n{s}", (("n", "exponent"),), 2, odd=False),
-    _Form("exponential", "exp(-abs({x})/w){s}", (("w", "speed"),), 3, odd=False),
-    _Form("exponential", "exp(-({x}/w)**2){s}", (("w", "speed"),), 4, odd=False),
-    _Form("exponential growth", "(exp(abs({x})/w) - 1){s}", (("w", "wide speed"),), 4, odd=False),
+    _Form("power", "abs({x})**n{s}", (("n", "exponent"),), 2),
+    _Form("exponential", "exp(-abs({x})/w){s}", (("w", "speed"),), 3),
+    _Form("exponential", "exp(-({x}/w)**2){s}", (("w", "speed"),), 4),
+    _Form("exponential growth", "(exp(abs({x})/w) - 1){s}", (("w", "wide speed"),), 4),
     _Form("saturation", "tanh({x}/w)", (("w", "speed"),), 3),
     _Form("saturation", "{x}/(abs({x}) + w)", (("w", "speed"),), 3),
     _Form("saturation", "atan({x}/w)", (("w", "speed"),), 3),
@@ -118,11 +117,10 @@ _OF_SPEED = (
         "abs({x})**n/(abs({x})**n + w**n){s}",
         (("w", "speed"), ("n", "steepness")),
         6,
-        odd=False,
     ),
     _Form("peak", "{x}/(1 + ({x}/w)**2)", (("w", "speed"),), 4),
     _Form("peak", "{x}*exp(-abs({x})/w)", (("w", "speed"),), 4),
-    _Form("logarithm", "log(1 + abs({x})/w){s}", (("w", "speed"),), 3, odd=False),
+    _Form("logarithm", "log(1 + abs({x})/w){s}", (("w", "speed"),), 3),
     _Form("threshold", "heaviside({x} - w)*({x} - w)", (("w", "threshold"),), 4),
     _Form("threshold", "heaviside({x} - w)*({x} - w)**2", (("w", "threshold"),), 5),
     _Form("threshold", "(1 + tanh(({x} - w)/u))", (("w", "threshold"), ("u", "narrow")), 5),
@@ -142,7 +140,7 @@ _OF_TIME = (
         (("w", "few frequencies"), ("u", "time few")), 6, phase=True,
     ),
 )  # fmt: skip
-# at a moment of each recording
+# with a time of its own in each recording
 _EVENTS = (
     _Form("step in time", "heaviside(t - t0)", (("t0", "moment"),), 3),
     _Form("ramp in time", "heaviside(t - t0)*(t - t0)", (("t0", "moment"),), 4),
@@ -227,19 +225,19 @@ def grammar(
 
 
 def _with_names(laws: Sequence[LawForm]) -> list[LawForm]:
-    """Return the laws with a name of its own for each."""
-    seen: dict[str, int] = {}
+    """Return the laws with unique names."""
+    count: dict[str, int] = {}
     named = []
     for law in laws:
         name = law.effect.name
-        seen[name] = seen.get(name, 0) + 1
-        suffix = f"_{seen[name]}" if seen[name] > 1 else ""
+        count[name] = count.get(name, 0) + 1
+        suffix = f"_{count[name]}" if count[name] > 1 else ""
         named.append(replace(law, effect=replace(law.effect, name=name + suffix)))
     return named
 
 
 def _of_speed(form: _Form, body: Joint, x: str, range_: tuple[float, float], span: float) -> LawForm:
-    own = x == _OWN[body]
+    own = x == _OWN_SPEED[body]
     text = form.text.replace("{s}", f"*sign({x})" if own else "").replace("{x}", x)
     largest = max(abs(v) for v in range_)
     # a negative power of a speed that comes near zero is singular
@@ -307,7 +305,7 @@ def _word(name: str) -> str:
 
 
 def _unit(text: str, shapes: Sequence[Parameter]) -> str:
-    """Return the unit of the strength that makes the law a torque; an exponent n stands in it as ``s^n``."""
+    """Return the unit of the strength that makes the law a torque; a free exponent n is written ``s^n``."""
     expression = parse(text)
     units = {n: parse_unit(u) for n, u in VARIABLES.items()} | {p.symbol: parse_unit(p.unit) for p in shapes}
     units["phi"] = parse_unit("rad")

@@ -1,9 +1,9 @@
-"""Errors of the moments of inertia: a lack of fit that they explain, and names that change with them.
+"""Errors of the moments of inertia: a lack of fit that they explain, and effects that imitate them.
 
-Only ratios of torque to inertia are observable, and the torque between the bodies is seen on both: the data determine
-the ratio of the moments of inertia. A wrong ratio bends the base, so that another effect, or a wrong form of the right
-one, may describe the data best. So the list of candidates is scored once more with the ratio free, and the best one is
-refitted with it.
+Only ratios of torque to inertia are observable, and the torque between the bodies acts on both: the data determine the
+ratio of the moments of inertia. With a wrong ratio the base has a systematic error, so that a wrong effect, or the
+right one with a wrong form, may describe the data best. So the list of candidates is scored once more with the ratio
+free, and the best ones are refitted with it.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from fitting.discovery._refine import refit
 from fitting.discovery._select import Candidate, Selection, rank
 from fitting.effects._effect import Effect
 from fitting.effects._library import LIBRARY
-from fitting.inference._fit import fit
+from fitting.inference._fit import fit_like
 from fitting.inference._result import Estimate, Fit
 
 NAME = "setup.inertia"
-# effects that are refitted with it
-_TRIED = 5
+# largest number of effects that are refitted with a free ratio
+_MOST_REFITS = 5
 _SHARE = f"{NAME}.eps"
 
 
@@ -33,14 +33,14 @@ def relative_uncertainty(found: Fit) -> float:
     relative = []
     for d in found.problem.data:
         r = d.record
-        own = (r.I_casing_u / r.I_casing, r.I_rotor_u / r.I_rotor)
-        relative.append(math.hypot(*(u for u in own if math.isfinite(u))))
+        both = (r.I_casing_u / r.I_casing, r.I_rotor_u / r.I_rotor)
+        relative.append(math.hypot(*(u for u in both if math.isfinite(u))))
     return min(relative)
 
 
 @dataclass(frozen=True)
 class InertiaRival:
-    """What describes the data better with the ratio of the moments of inertia free.
+    """An effect that describes the data as well or better with the ratio of the moments of inertia free.
 
     Attributes
     ----------
@@ -49,11 +49,11 @@ class InertiaRival:
     stated : float
         Its relative standard uncertainty; 0 if none is stated.
     effect : str
-        The effect that is best with it.
+        The effect.
     fit : Fit
-        With both.
+        The fit with effect and free ratio.
     better : bool
-        It describes the data better than what was selected, and not just as well.
+        Whether it describes the data better than the selected effect, and not only as well.
     """
 
     share: Estimate
@@ -69,7 +69,7 @@ class InertiaRival:
 
     @property
     def sentence(self) -> str:
-        """What error, and how it compares with what is stated."""
+        """The error of the ratio and its stated uncertainty, in words."""
         error = rounded(100 * self.share.value, 100 * self.share.stderr, "%")
         stated = (
             f"standard uncertainty {100 * self.stated:.2g} %" if self.stated > 0 else "no uncertainty stated"
@@ -105,20 +105,15 @@ def with_free_inertia(
     single = base.problem.data[0].record.single
     if chosen is None or not chosen.physical or chosen.effect.depends_on_angle or single:
         return None
-    if NAME in selection.end.model.names:
+    if NAME in selection.final.model.names:
         return None
-    layout = base.problem.layout
     with suppress(FittingError):
-        freed = fit(
-            base.model.with_effect(LIBRARY[NAME]),
-            base.problem.data,
-            share=[k for k in base.model.free if k not in layout.per_case] if len(layout.records) > 1 else (),
-            per_case=layout.per_case,
-            start={k: e.value for k, e in base.estimates.items()},
-            noise=base.noise,
-        )
+        model = base.model.with_effect(LIBRARY[NAME])
+        freed = fit_like(base, model, start=base.values, noise=base.noise)
         ranked = rank(freed, extra, criteria=criteria, refitting=False)
-        usable = [c for c in ranked if c.physical and c.significant and not c.screened.absorbed][:_TRIED]
+        usable = [c for c in ranked if c.physical and c.significant and not c.screened.absorbed][
+            :_MOST_REFITS
+        ]
         near = [c for c in usable if c.score > usable[0].score - criteria.equivalence_width]
         refits = [(c.effect.name, refit(freed, c.screened, criteria)) for c in near]
         best = min(
@@ -130,7 +125,7 @@ def with_free_inertia(
         share, stated = found.estimates[_SHARE], relative_uncertainty(base)
         largest = criteria.inertia_sigma * stated if stated > 0 else criteria.inertia_largest
         credible = abs(share.value) <= largest + criteria.inertia_sigma * share.stderr
-        better = selection.end.bic - found.bic
+        better = selection.final.bic - found.bic
         least = criteria.shape_evidence if name == chosen.effect.name else -criteria.equivalence_width
         if credible and better > least:
             return InertiaRival(share, stated, name, found, better > criteria.shape_evidence)
@@ -138,21 +133,21 @@ def with_free_inertia(
 
 
 def reselected(selection: Selection, rival: InertiaRival) -> Selection:
-    """Return the selection with the effect that is best with free inertia first, and what was named without it.
+    """Return the selection with the best effect with free inertia first, then the effect selected without it.
 
     Parameters
     ----------
     selection : Selection
         With the moments of inertia as given.
     rival : InertiaRival
-        What describes the data better.
+        The effect with free inertia.
     """
     chosen = selection.chosen
     if chosen is None or rival.effect == chosen.effect.name:
-        return selection._replace(end=rival.fit)
+        return selection._replace(final=rival.fit)
     if not rival.better:
-        alike = (*chosen.indistinguishable_from, rival.effect)
-        first = replace(chosen, indistinguishable_from=tuple(dict.fromkeys(alike)))
+        members = (*chosen.indistinguishable_from, rival.effect)
+        first = replace(chosen, indistinguishable_from=tuple(dict.fromkeys(members)))
         kept = [first if c is chosen else c for c in selection.candidates]
         return selection._replace(candidates=kept, chosen=first)
     own = {k: e for k, e in rival.fit.estimates.items() if k.startswith(f"{rival.effect}.")}
@@ -167,7 +162,7 @@ def reselected(selection: Selection, rival: InertiaRival) -> Selection:
         indistinguishable_from=(chosen.effect.name, *chosen.indistinguishable_from),
     )
     others = [c for c in selection.candidates if c is not old]
-    return selection._replace(candidates=[first, *others], chosen=first, named=rival.fit, end=rival.fit)
+    return selection._replace(candidates=[first, *others], chosen=first, named=rival.fit, final=rival.fit)
 
 
 def inertia_within_uncertainty(fit: Fit, named: list[Candidate], criteria: Criteria) -> str:

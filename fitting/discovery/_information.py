@@ -1,22 +1,22 @@
 """Fisher information of recordings, made or planned, about parameters and candidate effects.
 
 A run that is planned is simulated without noise, and its rows and their derivatives are computed as those of a
-recording, with the measurement noise and the process noise of the recordings at hand. With J the derivatives by the
-free parameters, s_k the responses to the candidate effects, and everything that belongs to one run alone (its initial
-angular rates, touch point, casing drag, phases of the films) projected out,
+recording, with the measurement noise and the process noise of the present recordings. With J the derivatives by the
+free parameters, s_k the responses to the candidate effects, and the parameters of one run alone (its initial angular
+rates, touch point, casing drag, phases of the films) projected out,
 
     I = sum over runs of [J s]' C^-1 [J s].
 
-Runs add up, present and planned ones alike.
+The information of present and planned runs is additive.
 
-Rival explanations are sets of effects that the recordings at hand do not separate. With the information I of the
+Rival explanations are sets of effects that the present recordings do not separate. With the information I of the
 recordings about the strengths of all candidates, the shared parameters projected out, and the products b of their
 responses with the residuals, a set H of candidates lowers the deviance by
 
     b_H' I_HH^-1 b_H
 
-after a linear refit. Effects that the model has beyond the paper's are candidates like all others: their contribution
-to the motion is added to the residuals, so that another effect can take their place.
+after a linear refit. Effects of the model that are not in those of the paper are candidates as well: their contribution
+to the motion is added to the residuals, so that another effect can replace them.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ from fitting.effects._effect import Effect
 from fitting.effects._library import GENERAL
 from fitting.inference._case_data import CaseData
 from fitting.inference._compression import CASING_DEGREE, ROTOR_DEGREE, compress
+from fitting.inference._linear_algebra import orthogonal_to, orthonormal
 from fitting.inference._noise import Noise, TorqueNoise, TorqueResponse
 from fitting.inference._parameters import START_CASING, START_ROTOR, ParameterLayout
 from fitting.inference._problem import Problem
@@ -46,10 +47,9 @@ from fitting.inference._simulation import Experiment, simulate_path
 
 Array = NDArray[np.float64]
 
-# blocks of a planned recording, and samples of each: a smooth motion needs no more
-_BLOCKS = 24
-_PER_BLOCK = 64
-_TINY = 1e-12
+# blocks of a planned recording, and samples of each, sufficient for a smooth motion without noise
+_BLOCKS, _PER_BLOCK = 24, 64
+_RANK, _TINY = 1e-7, 1e-12
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Information:
     Parameters
     ----------
     fit : Fit
-        The recordings at hand.
+        A fit of the present recordings.
     candidates : sequence of (Effect, dict)
         Effects with their shape constants.
     """
@@ -106,7 +106,7 @@ class Information:
         self.right = np.asarray(np.sum([p[1] for p in parts], axis=0))
 
     def added(self) -> dict[str, tuple[int, float]]:
-        """Return place and strength of the effects beyond the paper's that have one strength for all runs."""
+        """Return column and strength of the effects that no model of the paper has, with one strength for all runs."""
         found = {}
         for e in self.fit.model.smooth.effects:
             key = f"{e.name}.{e.amplitude.symbol}" if e.amplitude is not None else ""
@@ -133,19 +133,13 @@ class Information:
         shared = jacobian[:, places]
         shared[:, [k in self._held for k in self._shared]] = 0.0
         rest = [i for i in range(jacobian.shape[1]) if i not in places]
-        columns = CaseColumns(fit, case)
-        strengths = []
-        for effect, shape in self.candidates:
-            trial = columns.trials(effect, [shape])[0]
-            strengths.append(trial.columns)
+        candidate = CaseColumns(fit, case)
+        strengths = [candidate.trials(effect, [shape])[0].columns for effect, shape in self.candidates]
         everything = whitener(np.concatenate([shared, *strengths], axis=1))
         own = whitener(np.concatenate([jacobian[:, rest], data.nuisance], axis=1))
-        size = np.linalg.norm(own, axis=0)
-        u, s, _ = np.linalg.svd(own[:, size > 0] / size[size > 0], full_matrices=False)
-        basis = u[:, s > 1e-7 * s.max(initial=1.0)]
-        everything = everything - basis @ (basis.T @ everything)
-        left = whitener(data.z - prediction.rows)
-        return np.asarray(everything.T @ everything), np.asarray(everything.T @ left)
+        everything = orthogonal_to(orthonormal(own, _RANK), everything)
+        residual = whitener(data.z - prediction.rows)
+        return np.asarray(everything.T @ everything), np.asarray(everything.T @ residual)
 
     def places(self, candidate: int) -> list[int]:
         """Return the columns of a candidate: two for a law with a phase."""
@@ -166,7 +160,7 @@ class Information:
 
 
 def schur(information: Array, kept: Sequence[int], free: Sequence[int]) -> Array:
-    """Return the information about some columns when others are free."""
+    """Return the information about some columns when others are free: the Schur complement."""
     kept, free = list(kept), list(free)
     block = information[np.ix_(free, free)]
     size = np.sqrt(np.maximum(np.diag(block), 1e-300))
@@ -202,7 +196,7 @@ def simulated(fit: Fit, run: Run) -> Fit:
             if angle
             else sampler.value(path.y[..., path.states.index(state)])
         )
-        # as many samples a second, with the correlation of the recording's
+        # the number of independent samples per second is that of the recording
         rate = effective / max(float(like.time[-1] - like.time[0]), 1e-9)
         seconds = max(float(t[-1] - t[0]), 1e-9)
         sigma = float(np.median(like.sigma)) * math.sqrt(fewest / (rate * seconds))
@@ -284,15 +278,15 @@ MOST_RIVALS = 6
 
 
 def rivals(information: Information, threshold: Sequence[float], criteria: Criteria) -> list[Rival]:
-    """Return the explanations that the recordings at hand do not separate, in the linear theory of the score test.
+    """Return the explanations that the present recordings do not separate, in the linear theory of the score test.
 
-    Every set of at most two effects, among the candidates and the effects that the model has beyond the paper's, is
-    scored; those within the equivalence width of the best BIC are rivals, unless a part of them does as well.
+    Every set of at most two effects, among the candidates and the effects of the model that the paper does not have, is
+    scored; those within the equivalence width of the best BIC are rivals, unless a subset has an equal or lower BIC.
 
     Parameters
     ----------
     information : Information
-        Of the recordings at hand.
+        Of the present recordings.
     threshold : sequence of float
         Score from which each candidate is significant in the whole list.
     criteria : Criteria
@@ -356,10 +350,10 @@ def rivals(information: Information, threshold: Sequence[float], criteria: Crite
             return []
     kept = []
     for members, (bic, g) in sorted(scored.items(), key=lambda item: item[1][0]):
-        inner = any(scored[part][0] <= bic for part in scored if part < members)
-        if members and not inner and bic < best + criteria.equivalence_width:
+        redundant = any(scored[part][0] <= bic for part in scored if part < members)
+        if members and not redundant and bic < best + criteria.equivalence_width:
             order = [i for i in usable if i in members]
-            where = tuple(k for i in order for k in columns[i])
-            kept.append(Rival(tuple(names[i] for i in order), where, g, math.exp(-0.5 * (bic - best))))
+            own = tuple(k for i in order for k in columns[i])
+            kept.append(Rival(tuple(names[i] for i in order), own, g, math.exp(-0.5 * (bic - best))))
     kept = kept[:MOST_RIVALS]
     return kept if len(kept) > 1 else []

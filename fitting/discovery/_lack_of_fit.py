@@ -1,9 +1,9 @@
 """Lack-of-fit tests of a fit with its named law: smooth tests, nonparametric laws, periodogram.
 
-A law of the wrong shape leaves a torque that is a smooth function of the speed on which the true law depends, the same
-in all cases; few numbers describe it. The model is extended by torques piecewise linear in the speed of the casing, the
-rotor or the bearing, acting on the casing or in the bearing, with 4 or 8 knots. Each choice S, in addition to the free
-columns, lowers chi-square by
+With a law of the wrong shape the residual torque is a smooth function of the speed on which the true law depends, the
+same in all cases; few numbers describe it. The model is extended by torques piecewise linear in the speed of the
+casing, the rotor or the bearing, acting on the casing or in the bearing, with 4 or 8 knots. Each choice S, in addition
+to the free columns, lowers chi-square by
 
     chi2 = r'S (S'S)^-1 S'r   with rank(S) degrees of freedom
 
@@ -27,7 +27,6 @@ the subject of the test against slow torques.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 
@@ -45,9 +44,9 @@ from fitting.effects._effect import Effect, Joint, Parameter
 from fitting.effects._expression import symbols
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import Prediction
-from fitting.inference._metrics import orthonormal
+from fitting.inference._linear_algebra import orthogonal_to, orthonormal, piecewise_linear, r_factor
 from fitting.inference._noise import Noise, TorqueResponse, tail_probability
-from fitting.inference._problem import Projection, r_factor
+from fitting.inference._problem import Projection
 from fitting.inference._result import Fit
 from fitting.inference._spectral_lines import false_alarm_probability
 
@@ -62,11 +61,6 @@ def speeds(times: Array, prediction: Prediction) -> Array:
     return np.stack([y[:, 1], y[:, 0], y[:, 0] - y[:, 1]])
 
 
-def hats(speed: Array, knots: Array) -> Array:
-    """Return the functions that are 1 at one knot and 0 at the others, at some speeds, shape (speeds, knots)."""
-    return np.stack([np.interp(speed, knots, row) for row in np.eye(len(knots))], axis=1)
-
-
 def nonparametric_law(fit: Fit, joint: Joint, speed: str) -> float:
     """Return the fall of the deviance by any smooth function of a speed as a torque on a body or in the bearing.
 
@@ -74,13 +68,13 @@ def nonparametric_law(fit: Fit, joint: Joint, speed: str) -> float:
     """
     cases = [CaseColumns(fit, i) for i in range(len(fit.predictions))]
     context = ScoreContext(fit, 1)
-    own = [c.along_motion(speed) for c in cases]
-    least, most = min(float(x.min()) for x in own), max(float(x.max()) for x in own)
+    values = [c.along_motion(speed) for c in cases]
+    least, most = min(float(x.min()) for x in values), max(float(x.max()) for x in values)
     rotor, casing = {"rotor": (1.0, 0.0), "casing": (0.0, 1.0), "bearing": (-1.0, 1.0)}[joint]
     found = []
     for count in KNOTS:
         knots = np.linspace(least, most, count)
-        shapes = [hats(x, knots) for x in own]
+        shapes = [piecewise_linear(x, knots) for x in values]
         rows = [c.torque_rows(rotor * h, casing * h) for c, h in zip(cases, shapes, strict=True)]
         found.append(score_of_columns(context, np.concatenate(rows)))
     return max(found)
@@ -115,7 +109,7 @@ def smooth_test(fit: Fit) -> SmoothTest:
     """
     named, tried, free, residual, shares = _smooth_rows(fit)
     basis = orthonormal(free, _RANK_FREE)
-    left = residual - basis @ (basis.T @ residual)
+    projected = orthogonal_to(basis, residual)
     columns = [(name, _orthogonal(s, basis)) for name, s in zip(named, tried, strict=True)]
     columns = [(name, s) for name, s in columns if s.size]
     if not columns:
@@ -123,8 +117,8 @@ def smooth_test(fit: Fit) -> SmoothTest:
     # all columns lie in a space of few dimensions, in which white noise is white
     whole = orthonormal(np.concatenate([s for _, s in columns], axis=1), _RANK_FREE)
     tests = [s.T @ whole for _, s in columns]
-    seen = whole.T @ left
-    found = [float(tail_probability(np.sum((t @ seen) ** 2), len(t), fit.noise, shares)) for t in tests]
+    data = whole.T @ projected
+    found = [float(tail_probability(np.sum((t @ data) ** 2), len(t), fit.noise, shares)) for t in tests]
     null = _p_values(tests, np.random.default_rng(0).standard_normal((whole.shape[1], _DRAWS)))
     best = int(np.argmin(found))
     return SmoothTest(columns[best][0], over_many_tests(found[best], null.min(axis=0)))
@@ -133,7 +127,7 @@ def smooth_test(fit: Fit) -> SmoothTest:
 def _orthogonal(columns: Array, basis: Array) -> Array:
     """Return an orthonormal basis of the part of some columns that is orthogonal to a basis."""
     columns = columns / np.maximum(np.linalg.norm(columns, axis=0), _TINY)
-    columns = columns - basis @ (basis.T @ columns)
+    columns = orthogonal_to(basis, columns)
     return orthonormal(columns[:, np.linalg.norm(columns, axis=0) > _RANK_FREE], _RANK)
 
 
@@ -148,14 +142,14 @@ def _smooth_rows(fit: Fit) -> tuple[list[str], list[Array], Array, Array, list[f
     """Return names; torques of a speed, free columns and the residual as whitened rows of all cases; noise shares."""
     cases = list(zip(fit.problem.data, fit.predictions, fit.noise, strict=True))
     responses = [TorqueResponse(data, p.motion) for data, p, _ in cases]
-    each = [speeds(r.centres, p) for r, (_, p, _) in zip(responses, cases, strict=True)]
+    values = [speeds(r.centres, p) for r, (_, p, _) in zip(responses, cases, strict=True)]
     record = cases[0][0].record
     bodies = (record.body,) if record.single else (record.body, "rotor", "bearing")
-    choices = _choices(np.concatenate(each, axis=1)[: len(bodies)])
+    choices = _choices(np.concatenate(values, axis=1)[: len(bodies)])
     tried, free, residual, shares = [], [], [], []
-    for response, own, (data, p, noise) in zip(responses, each, cases, strict=True):
+    for response, speed, (data, p, noise) in zip(responses, values, cases, strict=True):
         acting = response.casing, response.casing - response.rotor
-        torques = [acting[body] @ hats(own[which], knots) for which, knots, body in choices]
+        torques = [acting[body] @ piecewise_linear(speed[which], knots) for which, knots, body in choices]
         rows = np.zeros((len(data.z), sum(t.shape[1] for t in torques)))
         rows[: len(response.casing)] = np.concatenate(torques, axis=1)
         project = Projection(data, noise.whitener.at(noise.pure))
@@ -167,17 +161,16 @@ def _smooth_rows(fit: Fit) -> tuple[list[str], list[Array], Array, Array, list[f
         free.append(np.zeros((len(few), p.count)))
         free[-1][:, p.places] = rest[:, :-1]
         residual.append(rest[:, -1])
-    # a law is the same in all cases
     joined = [np.concatenate(parts) for parts in zip(*tried, strict=True)]
     names = [bodies[which] for which, _, _ in choices]
     return names, joined, np.concatenate(free), np.concatenate(residual), shares
 
 
-def _choices(seen: Array) -> list[tuple[int, Array, int]]:
+def _choices(values: Array) -> list[tuple[int, Array, int]]:
     """Return which speed, the knots in it [rad/s], and whether on the casing (0) or in the bearing (1)."""
     return [
         (which, np.linspace(speed.min(), speed.max(), count), body)
-        for (which, speed), count, body in product(enumerate(seen), KNOTS, (0, 1))
+        for (which, speed), count, body in product(enumerate(values), KNOTS, (0, 1))
     ]
 
 
@@ -189,7 +182,7 @@ _FINER = 16
 _RETAINED = 1e-3
 
 
-# share of the square of its own frequency that an oscillator's response to a drive is at least off resonance
+# least difference of the squares of a drive's and an oscillator's frequency, as a share of the latter
 _NEAR_RESONANCE = 0.01
 
 
@@ -241,11 +234,12 @@ class PeriodogramPeak:
 def periodogram_peak(fit: Fit) -> PeriodogramPeak | None:
     """Return the highest peak of the periodograms of all cases; None if no record is long enough.
 
-    An encoder or a camera may err at a frequency of its own, by less than the noise of one angle: on film, a smaller
-    amplitude does not count.
+    An encoder or a camera may have a systematic error of some frequency, smaller than the noise of one angle: on film,
+    the p-value of such an amplitude is 1.
     """
-    found = [line for line in _peaks(fit) if line is not None]
-    return min(found, key=lambda line: line.p_value, default=None)
+    cases = list(zip(fit.problem.data, fit.predictions, fit.noise, strict=True))
+    peaks = [peak for case in cases if (peak := _highest_peak(*case, len(cases))) is not None]
+    return min(peaks, key=lambda peak: peak.p_value, default=None)
 
 
 def significant_peak(fit: Fit, criteria: Criteria) -> PeriodogramPeak | None:
@@ -254,39 +248,34 @@ def significant_peak(fit: Fit, criteria: Criteria) -> PeriodogramPeak | None:
     return peak if peak is not None and peak.p_value < criteria.doubt_adequate else None
 
 
-def _peaks(fit: Fit) -> Iterator[PeriodogramPeak | None]:
-    cases = list(zip(fit.problem.data, fit.predictions, fit.noise, strict=True))
-    for data, p, noise in cases:
-        periodogram = _Periodogram(data, p, noise)
-        lowest, highest, step = periodogram.band
-        if highest <= lowest:
-            continue
-        coarse = np.arange(lowest, highest, step)
-        peak = coarse[int(np.argmax(periodogram(coarse)[0]))]
-        fine = np.linspace(peak - step, peak + step, 2 * _FINER + 1)
-        power, torque = periodogram(fine)
-        top = int(np.argmax(power))
-        k, rate = float(torque[top]), float(fine[top])
-        swing = data.oscillation
-        # the response of a driven oscillator far from resonance, of a free body without one
-        stiffness = 0.0 if swing is None else (2 * np.pi / swing.period) ** 2
-        angle = k / (data.record.I_casing * max(abs(stiffness - rate**2), _NEAR_RESONANCE * stiffness))
-        shown = not data.record.tracked or angle > float(np.median(data.record.casing.sigma))
-        # a model that loses the phase fails by the whole motion, which no torque beside it explains
-        shown = shown and (swing is None or angle < 0.5 * float(np.ptp(swing.deflection)))
-        share = periodogram.share(rate)
-        chances = [
-            false_alarm_probability(
-                float(power[top]) / (1 - share + share * x),
-                (highest - lowest) / (2 * np.pi),
-                periodogram.span,
-            )
-            for x in noise.process.ratios
-        ]
-        chance = len(cases) * float(np.dot(chances, noise.process.weights))
-        p_value = min(chance, 1.0) if shown else 1.0
-        record = data.record
-        yield PeriodogramPeak(rate, k, angle, record.label, record.body, p_value, record.torque_unit)
+def _highest_peak(data: CaseData, prediction: Prediction, noise: Noise, cases: int) -> PeriodogramPeak | None:
+    """Return the highest peak of one of several cases; None if its record is too short."""
+    periodogram = _Periodogram(data, prediction, noise)
+    lowest, highest, step = periodogram.band
+    if highest <= lowest:
+        return None
+    coarse = np.arange(lowest, highest, step)
+    peak = coarse[int(np.argmax(periodogram(coarse)[0]))]
+    fine = np.linspace(peak - step, peak + step, 2 * _FINER + 1)
+    power, torque = periodogram(fine)
+    top = int(np.argmax(power))
+    k, rate = float(torque[top]), float(fine[top])
+    oscillation, record = data.oscillation, data.record
+    # the response of a driven oscillator far from resonance, or of a free body
+    stiffness = 0.0 if oscillation is None else (2 * np.pi / oscillation.period) ** 2
+    angle = k / (record.I_casing * max(abs(stiffness - rate**2), _NEAR_RESONANCE * stiffness))
+    credible = not record.tracked or angle > float(np.median(record.casing.sigma))
+    # with a model that loses the phase the residual is the whole motion, which no additional torque explains
+    credible = credible and (oscillation is None or angle < 0.5 * float(np.ptp(oscillation.deflection)))
+    share = periodogram.share(rate)
+    p_values = [
+        false_alarm_probability(
+            float(power[top]) / (1 - share + share * x), (highest - lowest) / (2 * np.pi), periodogram.span
+        )
+        for x in noise.process.ratios
+    ]
+    p_value = min(cases * float(np.dot(p_values, noise.process.weights)), 1.0) if credible else 1.0
+    return PeriodogramPeak(rate, k, angle, record.label, record.body, p_value, record.torque_unit)
 
 
 class _Periodogram:
@@ -297,7 +286,7 @@ class _Periodogram:
         self._project = Projection(data, noise.whitener.at(noise.pure))
         self._rows = len(data.z)
         self._basis = orthonormal(self._project(prediction.columns), _RANK_FREE)
-        self._left = self._orthogonal(self._project((data.z - prediction.rows)[:, None]))[:, 0]
+        self._residual = self._orthogonal(self._project((data.z - prediction.rows)[:, None]))[:, 0]
 
     @property
     def span(self) -> float:
@@ -317,31 +306,31 @@ class _Periodogram:
         )
 
     def _response_to(self, rates: Array) -> Array:
-        turn = np.outer(self._response.centres, rates)
-        waves = np.concatenate([np.cos(turn), np.sin(turn)], axis=1)
-        rows = np.zeros((self._rows, waves.shape[1]))
-        rows[: len(self._response.casing)] = self._response.casing @ waves
+        phase = np.outer(self._response.centres, rates)
+        torque = np.concatenate([np.cos(phase), np.sin(phase)], axis=1)
+        rows = np.zeros((self._rows, torque.shape[1]))
+        rows[: len(self._response.casing)] = self._response.casing @ torque
         return self._project(rows)
 
     def __call__(self, rates: Array) -> tuple[Array, Array]:
         """Return chi-square and amplitude at frequencies [rad/s]."""
-        seen = self._response_to(rates)
-        c, s = np.split(self._orthogonal(seen), 2, axis=1)
-        whole = np.prod(np.split(np.sum(seen**2, axis=0), 2), axis=0)
+        response = self._response_to(rates)
+        c, s = np.split(self._orthogonal(response), 2, axis=1)
+        whole = np.prod(np.split(np.sum(response**2, axis=0), 2), axis=0)
         cc, ss, cs = np.sum(c * c, axis=0), np.sum(s * s, axis=0), np.sum(c * s, axis=0)
-        x, y = c.T @ self._left, s.T @ self._left
-        area = cc * ss - cs**2
-        known = area > _RETAINED**2 * whole
-        safe = np.where(known, area, 1.0)
+        x, y = c.T @ self._residual, s.T @ self._residual
+        determinant = cc * ss - cs**2
+        determined = determinant > _RETAINED**2 * whole
+        safe = np.where(determined, determinant, 1.0)
         a, b = (ss * x - cs * y) / safe, (cc * y - cs * x) / safe
-        return np.where(known, a * x + b * y, 0.0), np.hypot(a, b)
+        return np.where(determined, a * x + b * y, 0.0), np.hypot(a, b)
 
     def _orthogonal(self, rows: Array) -> Array:
-        return np.asarray(rows - self._basis @ (self._basis.T @ rows))
+        return orthogonal_to(self._basis, rows)
 
 
 _ORDERS = (3, 4, 5, 6)
-_WAVE = (Parameter("k", "N m"), Parameter("phi", "rad", "phase"))
+_AMPLITUDE_AND_PHASE = (Parameter("k", "N m"), Parameter("phi", "rad", "phase"))
 
 
 @dataclass(frozen=True)
@@ -380,13 +369,13 @@ def harmonic_test(fit: Fit) -> HarmonicTest:
     orthogonal to the free columns.
     """
     found = HarmonicTest(0, 0.0, 1.0)
-    known = [np.abs(CaseColumns(fit, i).typical_torque).max() for i in range(len(fit.problem.cases))]
+    others = [np.abs(CaseColumns(fit, i).typical_torque).max() for i in range(len(fit.problem.cases))]
     for e in fit.model.effects:
         if e.depends_on_angle and e.amplitude is not None:
             key = f"{e.name}.{e.amplitude.symbol}"
-            known += [abs(x.value) for name, x in fit.estimates.items() if name.partition("@")[0] == key]
+            others += [abs(x.value) for name, x in fit.estimates.items() if name.partition("@")[0] == key]
     for order in _ORDERS:
-        law = Effect("harmonic", "casing", f"k*sin({order}*psi_c - phi)", _WAVE)
+        law = Effect("harmonic", "casing", f"k*sin({order}*psi_c - phi)", _AMPLITUDE_AND_PHASE)
         chi2, torque, count, shares = 0.0, 0.0, 0, []
         for index, (data, p, n) in enumerate(zip(fit.problem.data, fit.predictions, fit.noise, strict=True)):
             if not data.is_angle:
@@ -397,7 +386,7 @@ def harmonic_test(fit: Fit) -> HarmonicTest:
             project = Projection(data, n.whitener.at(n.pure))
             basis = orthonormal(project(p.columns), _RANK_FREE)
             rows = project(np.stack([sine, cosine, data.z - p.rows], axis=1))
-            rows = rows - basis @ (basis.T @ rows)
+            rows = orthogonal_to(basis, rows)
             s, r = rows[:, :2], rows[:, 2]
             shares.append(project.whitener.share(orthonormal(s, _RANK)))
             gamma = np.linalg.pinv(s.T @ s, hermitian=True) @ (s.T @ r)
@@ -406,13 +395,13 @@ def harmonic_test(fit: Fit) -> HarmonicTest:
         p_value = (
             min(1.0, len(_ORDERS) * float(tail_probability(chi2, count, fit.noise, shares))) if count else 1.0
         )
-        # a high order hardly moves the body: an error of the path would need a torque beyond all others
-        if p_value < found.p_value and torque <= max(known):
+        # a high order hardly moves the body: to account for an error of the motion it would exceed all other torques
+        if p_value < found.p_value and torque <= max(others):
             found = HarmonicTest(order, torque, p_value, fit.torque_unit)
     return found
 
 
-# rivals that no library names
+# rivals that are no effects of the library
 _SPEEDS: tuple[tuple[Joint, str], ...] = (("casing", "omega_c"), ("rotor", "omega_r"), ("bearing", "delta"))
 UNKNOWN_LAWS = {speed: f"a law of {speed} that the library does not have" for _, speed in _SPEEDS}
 UNKNOWN_IN_TIME = "a torque that changes slowly in time"
@@ -439,10 +428,10 @@ def contradiction(
         harmonic = harmonic_test(end)
         if harmonic.p_value < criteria.doubt_adequate:
             return harmonic
-    # an equivalence class leaves the law open by itself
-    open_ = chosen is None or bool(chosen.indistinguishable_from)
+    # with an equivalence class, or without an effect, no law is named
+    unnamed = chosen is None or bool(chosen.indistinguishable_from)
     test = smooth_test(end)
-    return test if test.p_value < (criteria.doubt_adequate if open_ else criteria.doubt_named) else None
+    return test if test.p_value < (criteria.doubt_adequate if unnamed else criteria.doubt_named) else None
 
 
 def nonparametric_rivals(
@@ -450,8 +439,8 @@ def nonparametric_rivals(
 ) -> tuple[str, ...]:
     """Return the nonparametric torques that explain as much as the named effect, or its class, does.
 
-    A law of one speed can resemble a law of another one, on another body; one with a time constant or a frequency of
-    its own resembles any slow torque in time.
+    A law of one speed can resemble a law of another speed on another body; a law with a free time constant or frequency
+    can resemble any slow torque in time.
 
     Parameters
     ----------
@@ -468,11 +457,11 @@ def nonparametric_rivals(
         return ()
     least = max(chosen.score, chosen.screened.score) - criteria.equivalence_width
     effect, single = chosen.effect, fit.problem.data[0].record.single
-    own = symbols(effect.expression) - {p.symbol for p in effect.parameters}
+    variables = symbols(effect.expression) - {p.symbol for p in effect.parameters}
     found = [
         UNKNOWN_LAWS[speed]
         for joint, speed in _SPEEDS
-        if not (effect.joint == joint and own <= {speed})
+        if not (effect.joint == joint and variables <= {speed})
         and not (single and joint != "casing")
         and nonparametric_law(fit, joint, speed) > least
     ]

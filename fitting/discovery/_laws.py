@@ -4,25 +4,26 @@
 
 1. All laws of the grammar, each at many values of its shape constants, are scored together about the base
    (`_score`: matrix products). Null data go through the same search; the smallest p-value of all laws in each null data
-   set calibrates the family-wise p-value, so that the number of laws tried is paid for.
-2. The best ones are refitted with the base. A law of some per cent of the torque bends the path by more than the noise,
-   so all laws are scored once more about the best refit, its law taken out,
+   set calibrates the family-wise p-value, which so takes the number of laws into account.
+2. The best ones are refitted with the base. A law of some per cent of the torque changes the motion by more than the
+   noise, so all laws are scored once more about the best refit, with its law removed from the model,
 
        r' = z - rows(theta) + W u_law,
 
    which is linear in the difference of two laws and not in the law itself. Shape constants are refined on these scores.
-3. The best of the second search are refitted at one noise and ranked by BIC plus the description length of the
+3. The best ones of the second search are refitted at the same noise and ranked by BIC plus the description length of
+the
    formula. If any of them is significant, every law within `Criteria.equivalence_width` of the best belongs to the
    answer, which is a set. Two formulas of the set may have the same torque along the recorded motion: with predictions
    x and y of the rows, nuisance parameters projected out, the deviance that would separate them is
 
        |M (x - y)|^2 < `Criteria.evidence`.
 
-   Such formulas are grouped, so that the set shows how many torques the data cannot separate, and how many ways there
-   are to write each of them.
+   Such formulas are grouped, so that the set shows how many torques the data cannot separate, and by how many formulas
+   each of them can be written.
 4. Where one law is not enough, a second one is sought in the same way about the best fit.
 
-A law never displaces an effect of the library: where one describes the data as well, it is named first.
+An effect of the library that describes the data as well as a law is named before it.
 """
 
 from __future__ import annotations
@@ -42,7 +43,8 @@ from fitting.discovery._dependence import Dependence, context_without, dependenc
 from fitting.discovery._grammar import LawForm, grammar
 from fitting.discovery._lack_of_fit import UNKNOWN_LAWS
 from fitting.discovery._next_run import separating_run
-from fitting.discovery._refine import fit_at, refined, start_of
+from fitting.discovery._refine import initial_values_of, refined, refitted_at
+from fitting.discovery._remainder import ranges_of
 from fitting.discovery._residuals import format_torque
 from fitting.discovery._score import (
     CaseColumns,
@@ -60,8 +62,8 @@ from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
 from fitting.effects._effect import Effect
 from fitting.effects._expression import Tape, symbols
 from fitting.inference._case_data import CaseData
-from fitting.inference._fit import fit
-from fitting.inference._metrics import block_diagonal, orthonormal
+from fitting.inference._fit import fit_like
+from fitting.inference._linear_algebra import block_diagonal, orthogonal_to, orthonormal
 from fitting.inference._noise import Noise
 from fitting.inference._result import Estimate, Fit
 
@@ -74,11 +76,11 @@ _FIRST, _LATER, _KEPT = 5, 9, 48
 _SEARCHES = 3
 _POINTS = 1000
 # standard uncertainties of the pure process noise by which that of a fit may exceed it
-_EXCUSED = 4.0
-# share of the best law's fall of the deviance from which an effect of the library is fitted at the same noise
-_AS_GOOD = 0.8
+_NOISE_MARGIN = 4.0
+# share of the best law's fall of the deviance from which on an effect of the library is fitted at the same noise
+_COMPARABLE_SHARE = 0.8
 # difference of explained shares below which two variables explain as much
-_AS_MUCH = 0.01
+_EXPLAINED_TIE = 0.01
 # steps of the refinement of two shape constants, and points of each
 _ROUNDS, _GRID = 4, 5
 _STEPS = 7
@@ -87,7 +89,7 @@ _RANK = 1e-9
 
 @dataclass(frozen=True)
 class Difference:
-    """Where two laws of a set differ most within the recordings.
+    """The largest difference of two laws of a set within the recordings.
 
     Attributes
     ----------
@@ -180,7 +182,7 @@ class Laws:
     fit : Fit
         The base.
     verdict : {"law", "library", "none"}
-        A law was found; an effect of the library describes the data; nothing significant.
+        A law was found; an effect of the library describes the data; no law is significant.
     sentence : str
         The answer in words.
     laws : tuple of Law
@@ -240,12 +242,12 @@ def laws(
     Parameters
     ----------
     base : Fit
-        The fit that lacks something.
+        The fit with unmodelled torque.
     diagnosis : Diagnosis, optional
-        Its diagnosis, if it is known already. If that names an effect of the library and nothing significant remains,
+        Its diagnosis, if it is known already. If that names an effect of the library without a significant remainder,
         the search stops there.
     beyond_library : bool
-        Search all the same.
+        Search in this case as well.
     criteria : Criteria
         Thresholds of every decision.
     workers : WorkerPool, optional
@@ -283,10 +285,16 @@ def laws(
     if not found:
         sentence = "No law is significant: this search finds nothing beyond noise."
         return Laws(base, "none", sentence, (), None, depends_on, "", search.trials)
-    library = _as_good(known.candidates, found[0], criteria)
-    classed = with_classes(found, criteria)
+    library = _equivalent_effect(known.candidates, found[0], criteria)
     answer = Laws(
-        base, "law" if library is None else "library", "", classed, library, depends_on, "", search.trials
+        base,
+        "law" if library is None else "library",
+        "",
+        with_classes(found, criteria),
+        library,
+        depends_on,
+        "",
+        search.trials,
     )
     # formulas of the same torque may differ at other speeds
     rivals = [x for group in answer.torques for x in group[:1]] + [x for g in answer.torques for x in g[1:]]
@@ -300,16 +308,16 @@ def laws(
 def library_answer(known: Diagnosis) -> Candidate | None:
     """Return the effect of the library that makes other laws unnecessary, if there is one.
 
-    A class of indistinguishable effects that has an unknown law in it is no answer yet.
+    An equivalence class that contains an unknown law does not.
     """
     if known.verdict != "missing_effect" or known.remainder is not None or not known.candidates:
         return None
     best = next((c for c in known.candidates if c.physical and c.significant), known.candidates[0])
     if not set(UNKNOWN_LAWS.values()).isdisjoint(best.indistinguishable_from):
         return None
-    # a fit that needs more process noise than the most flexible motion shows describes the data by that noise
+    # a fit that needs more process noise than the recording has describes the data by that noise
     noise = () if best.fit is None else best.fit.noise
-    return None if any(n.level > n.pure + _EXCUSED * n.pure_u for n in noise) else best
+    return None if any(n.level > n.pure + _NOISE_MARGIN * n.pure_u for n in noise) else best
 
 
 class _Steps:
@@ -331,7 +339,7 @@ class _Steps:
 
 
 class _Trial(NamedTuple):
-    """A law to refit: its form, its score about some fit, and initial values of all other parameters."""
+    """A law to refit: its form, its score about some fit, the other initial values, the model without it."""
 
     law: LawForm
     score: Score
@@ -347,7 +355,7 @@ class _Scored(NamedTuple):
     cases: list[CaseColumns]
 
     def start(self, about: Fit, s: Score) -> dict[str, float]:
-        """Return the values of a fit after the change that a law, at its score's strength, makes to first order."""
+        """Return the variables of a fit, changed to first order by a law of the strength of its score."""
         if len(self.cases) > 1 and (s.effect.per_case or s.own_phase):
             columns = block_diagonal(
                 [
@@ -422,15 +430,15 @@ class _Search:
         self._nulls, self._family = nulls, FamilywiseNull(list(nulls.values()))
         self.steps.next()
         significant = min(self._p(s) for s in scored.scores) < self.criteria.significance
+        # about a base with a large lack of fit, scores to first order are not reliable
         if not significant and not self.base.fails(self.criteria):
-            # about a base that fails by much, scores to first order are not reliable
             return []
         chosen = self._promising(scored, _FIRST)
         kept = self._promising(scored, _KEPT)
         if _at_bound(self.base):
             released = self._scored(self.base, (), release=True)
-            chosen = _united(chosen, self._promising(released, _FIRST))
-            kept = _united(kept, self._promising(released, _KEPT))
+            chosen = _without_repetition(chosen, self._promising(released, _FIRST))
+            kept = _without_repetition(kept, self._promising(released, _KEPT))
         self.forms = [c.law for c in kept]
         refits = self._refits(chosen, self.base, self.base.noise)
         self.steps.next()
@@ -442,10 +450,10 @@ class _Search:
             chosen = self._promising(self._scored(best.fit, best.terms), _LATER, about=best)
             if _at_bound(best.fit):
                 released = self._scored(best.fit, best.terms, release=True)
-                chosen = _united(chosen, self._promising(released, _FIRST, about=best))
+                chosen = _without_repetition(chosen, self._promising(released, _FIRST, about=best))
             refits = self._refits(chosen, best.fit, best.fit.noise, best.terms)
             self.steps.next()
-            refits = _merged([*refits, best])
+            refits = _best_of_each_law([*refits, best])
             now = min(refits, key=lambda r: r.penalised)
             moved = now.terms != best.terms and now.penalised < best.penalised - self.criteria.evidence
             best = now
@@ -455,14 +463,14 @@ class _Search:
         if not refits:
             return []
         if best.fit.fails(self.criteria):
-            # a second term that BIC does not ask for is a worse way to write the first one
+            # a second term that BIC does not justify only imitates another form of the first one
             limit = best.penalised - self.criteria.evidence
             refits = [*refits, *(r for r in self._with_second_term(best) if r.penalised < limit)]
         self.steps.next()
         found = sorted((self._law(r) for r in refits), key=lambda x: x.penalised)
         if min(x.p_value for x in found) >= self.criteria.significance:
             return []
-        # what is as good as a significant law belongs to the set
+        # laws that are equivalent to a significant one belong to the set
         limit = found[0].penalised + self.criteria.equivalence_width
         return [x for x in found if x.penalised < limit or x.p_value < self.criteria.significance]
 
@@ -470,27 +478,27 @@ class _Search:
         null = self._nulls[s.effect.name]
         return self._family(null(s.score), null.weights)
 
-    def _scored(self, about: Fit, taken_out: Sequence[LawForm], *, release: bool = False) -> _Scored:
-        """Return the scores of all laws about a fit, some of its effects taken out.
+    def _scored(self, about: Fit, removed: Sequence[LawForm], *, release: bool = False) -> _Scored:
+        """Return the scores of all laws about a fit with some of its effects removed.
 
-        A law may need a friction that the fit has at its bound, or may need less than none. The first kind is seen with
-        the bounds released, the second with parameters at a bound held.
+        With the right law a friction at its bound may become positive, or may remain there. Scores with `release` find
+        laws of the first kind, those with parameters at a bound held find the second kind.
         """
         cases = [CaseColumns(about, i) for i in range(len(about.problem.cases))]
         effects = [f.effect for f in self.forms]
-        if not taken_out and not release:
+        if not removed and not release:
             context = ScoreContext(about, _DRAWS)
             scores = score(about, effects, cases, self.criteria, context=context)
             self.trials = max(self.trials, sum(s.trials for s in scores))
             return _Scored(scores, context, cases)
-        context = context_without(about, [t.effect for t in taken_out], cases, release=release)
+        context = context_without(about, [t.effect for t in removed], cases, release=release)
         scores = score(about, effects, cases, self.criteria, context=context)
         return _Scored([_refined_shapes(context, s, cases) for s in scores], context, cases)
 
     def _promising(
         self, scored: _Scored, most: int, *, about: _Refitted | None = None, stateless: bool = False
     ) -> list[_Chosen]:
-        """Return the laws to refit: the best by score less the cost of their constants and their length."""
+        """Return the laws to refit: those of largest score minus the penalty of their constants and length."""
         n_eff = self.base.n_eff
         known = set() if about is None else {t.effect.name for t in about.terms}
 
@@ -513,19 +521,19 @@ class _Search:
         noise: Sequence[Noise],
         replaced: Sequence[LawForm] = (),
     ) -> list[_Refitted]:
-        """Return the refits of laws from the values of a fit, in place of some of its effects."""
+        """Return the refits of laws that replace some effects of a fit, from its values."""
         model = about.model
         for t in replaced:
             model = model.without(t.effect.name)
         trials = [_Trial(c.law, c.score, c.scored.start(about, c.score), model) for c in chosen]
-        found = self.workers.map(_refit, _Common(self.base, tuple(noise)), trials, _measured)
+        found = self.workers.map(_refit, _Common(self.base, tuple(noise)), trials, _shared_data)
         return [_Refitted((c.law,), f) for c, f in zip(chosen, found, strict=True) if f is not None]
 
     def _with_second_term(self, best: _Refitted) -> list[_Refitted]:
         """Return fits with a second law in addition to the best one."""
         if len(best.terms) > 1:
             return []
-        # there is one state variable, of one of the terms
+        # a model has at most one state variable `lag`
         stateless = best.terms[0].effect.state is not None
         scored = self._scored(best.fit, ())
         chosen = self._promising(scored, _FIRST, about=best, stateless=stateless)
@@ -564,18 +572,10 @@ def _at_bound(found: Fit) -> bool:
     return bool(found.problem.layout.at_bound(found.theta).any())
 
 
-def _united(chosen: Sequence[_Chosen], more: Sequence[_Chosen]) -> list[_Chosen]:
-    """Return both, each law once, as it was chosen first."""
+def _without_repetition(chosen: Sequence[_Chosen], more: Sequence[_Chosen]) -> list[_Chosen]:
+    """Return both lists as one, each law once."""
     names = {c.law.effect.name for c in chosen}
     return [*chosen, *(c for c in more if c.law.effect.name not in names)]
-
-
-def ranges_of(base: Fit) -> dict[str, tuple[float, float]]:
-    """Return the least and largest speeds of a fit, of all cases [rad/s]."""
-    y = [p.path.y.reshape(-1, p.path.y.shape[-1]) for p in base.predictions]
-    every = np.concatenate([v[:, :2] for v in y])
-    each = {"omega_r": every[:, 0], "omega_c": every[:, 1], "delta": every[:, 0] - every[:, 1]}
-    return {k: (float(v.min()), float(v.max())) for k, v in each.items()}
 
 
 def _refined_shapes(context: ScoreContext, s: Score, cases: Sequence[CaseColumns]) -> Score:
@@ -618,33 +618,27 @@ class _Common(NamedTuple):
     noise: tuple[Noise, ...]
 
 
-def _measured(common: _Common) -> Sequence[CaseData]:
+def _shared_data(common: _Common) -> Sequence[CaseData]:
     return common.base.problem.data
 
 
 def _refit(common: _Common, trial: _Trial) -> Fit | None:
     """Refit base and law together; None if the search fails."""
     base = common.base
-    layout = base.problem.layout
-    own = [k for k in layout.per_case if k in base.model.free]
-    shared = [k for k in base.model.per_case if k not in own]
-    several = len(layout.records) > 1
-    found: Fit | None = None
     with suppress(FittingError):
-        found = fit(
+        found = fit_like(
+            base,
             trial.model.with_effect(trial.law.effect),
-            base.problem.data,
-            share=shared if several else (),
-            per_case=own if several else (),
-            start={**trial.start, **start_of(base, trial.score)},
+            start={**trial.start, **initial_values_of(base, trial.score)},
             noise=common.noise,
             quick=True,
         )
-    return found if found is not None and np.isfinite(found.deviance) else None
+        return found if np.isfinite(found.deviance) else None
+    return None
 
 
-def _merged(refits: Sequence[_Refitted]) -> list[_Refitted]:
-    """Return refits, of those of the same law the best."""
+def _best_of_each_law(refits: Sequence[_Refitted]) -> list[_Refitted]:
+    """Return the best refit of each law."""
     best: dict[tuple[str, ...], _Refitted] = {}
     for r in refits:
         key = tuple(t.effect.name for t in r.terms)
@@ -695,7 +689,7 @@ def _torque_rms(found: Fit, effects: Sequence[Effect]) -> float:
 
 
 def with_classes(found: Sequence[Law], criteria: Criteria) -> tuple[Law, ...]:
-    """Return laws, best first, with the others of the answer that cannot be separated from them.
+    """Return laws, best first, each with the other laws of the answer that the data cannot separate from it.
 
     Parameters
     ----------
@@ -712,20 +706,20 @@ def with_classes(found: Sequence[Law], criteria: Criteria) -> tuple[Law, ...]:
             groups.append([law])
         else:
             same.append(law)
-    classed = []
+    complete = []
     for law in found:
-        own = next((g for g in groups if any(x is law for x in g)), [])
-        others = [x for x in answer if x is not law] if own else []
+        group = next((g for g in groups if any(x is law for x in g)), [])
+        others = [x for x in answer if x is not law] if group else []
         differences = tuple(d for x in others if (d := _difference(law, x)) is not None)
-        classed.append(
+        complete.append(
             replace(
                 law,
                 indistinguishable_from=tuple(x.formula for x in others),
-                same_torque_as=tuple(x.formula for x in own if x is not law),
+                same_torque_as=tuple(x.formula for x in group if x is not law),
                 differences=differences,
             )
         )
-    return tuple(classed)
+    return tuple(complete)
 
 
 def _separation(one: Fit, other: Fit) -> float:
@@ -736,8 +730,8 @@ def _separation(one: Fit, other: Fit) -> float:
     ):
         white = noise.whitener(np.column_stack([data.nuisance, a.rows - b.rows]))
         free = orthonormal(white[:, :-1], _RANK)
-        left = white[:, -1] - free @ (free.T @ white[:, -1])
-        total += float(left @ left)
+        projected = orthogonal_to(free, white[:, -1])
+        total += float(projected @ projected)
     return total
 
 
@@ -746,23 +740,23 @@ def _difference(one: Law, other: Law) -> Difference | None:
     worst: Difference | None = None
     for case, data in enumerate(one.fit.problem.data):
         t = np.linspace(*data.record.span, _POINTS)
-        apart = np.abs(net_torques(one.fit, one.fit, case, t) - net_torques(other.fit, one.fit, case, t)).max(
-            axis=0
-        )
-        peak = int(np.argmax(apart))
-        if worst is not None and apart[peak] <= worst.torque_Nm:
+        difference = np.abs(
+            net_torques(one.fit, one.fit, case, t) - net_torques(other.fit, one.fit, case, t)
+        ).max(axis=0)
+        peak = int(np.argmax(difference))
+        if worst is not None and difference[peak] <= worst.torque_Nm:
             continue
         low = high = peak
-        while low > 0 and apart[low - 1] > 0.5 * apart[peak]:
+        while low > 0 and difference[low - 1] > 0.5 * difference[peak]:
             low -= 1
-        while high < len(t) - 1 and apart[high + 1] > 0.5 * apart[peak]:
+        while high < len(t) - 1 and difference[high + 1] > 0.5 * difference[peak]:
             high += 1
         y = Sampler(one.fit.predictions[case].path.mesh, t[low : high + 1]).value(
             one.fit.predictions[case].path.y
         )
         worst = Difference(
             other.formula,
-            float(apart[peak]),
+            float(difference[peak]),
             data.record.label,
             float(t[low]),
             float(t[high]),
@@ -772,13 +766,13 @@ def _difference(one: Law, other: Law) -> Difference | None:
     return worst
 
 
-def _as_good(candidates: Sequence[Candidate], best: Law, criteria: Criteria) -> Candidate | None:
+def _equivalent_effect(candidates: Sequence[Candidate], best: Law, criteria: Criteria) -> Candidate | None:
     """Return the effect of the library that describes the data as well as the best law; None if there is none."""
     for c in candidates:
-        if c.fit is None or not c.physical or not c.significant or c.score < _AS_GOOD * best.score:
+        if c.fit is None or not c.physical or not c.significant or c.score < _COMPARABLE_SHARE * best.score:
             continue
         with suppress(FittingError):
-            refitted = fit_at(c.fit, best.fit.noise)
+            refitted = refitted_at(c.fit, best.fit.noise)
             if refitted.bic < best.penalised + criteria.equivalence_width:
                 return replace(c, fit=refitted)
     return None
@@ -791,13 +785,13 @@ def _sentence(found: Laws, criteria: Criteria) -> str:
             f"{found.library.effect.name} of the library describes the data as well as any law found: it comes first."
         )
     best, depends_on = found.laws[0], found.depends_on
-    # where two variables explain as much, as in a single run in which one follows the other, the law decides
-    own = {
+    # in a single run two variables may be nearly functions of each other: then the variable of the law is named
+    of_law = {
         (e.joint, v) for e in best.effects for v in symbols(e.expression) - {p.symbol for p in e.parameters}
     }
-    least = depends_on[0].explained - _AS_MUCH if depends_on else 0.0
-    alike = [d for d in depends_on if (d.body, d.variable) in own and d.explained > least]
-    first = next(iter([*alike, *depends_on]), None)
+    least = depends_on[0].explained - _EXPLAINED_TIE if depends_on else 0.0
+    preferred = [d for d in depends_on if (d.body, d.variable) in of_law and d.explained > least]
+    first = next(iter([*preferred, *depends_on]), None)
     if first is not None and first.p_value < criteria.significance:
         parts.append(
             f"The unmodelled torque depends most clearly on {first.words}: a smooth function of it explains "

@@ -1,17 +1,17 @@
-"""The next run, optimised: the initial conditions that best separate rival explanations.
+"""Optimisation of the next run: the initial conditions that best separate rival explanations.
 
-Of two rivals a and b, sets of candidates with strengths g_a and g_b, the information that b leaves of a after a refit
-of the shared parameters and of its own strengths is
+Two rivals a and b are sets of candidates with strengths g_a and g_b. If a is right, a refit of b, with the shared
+parameters and its own strengths free, has the deviance
 
     D_ab = g_a' [ I_aa - I_ao I_oo^-1 I_oa ] g_a,       o = parameters and candidates of b,
 
 the expected difference of deviance (twice the Kullback-Leibler divergence) between the two, with the information I of
-all recordings and the planned run (`fitting.discovery._information`). The criterion of a run
-is the sum of two gains in natural units of information: the logarithm of 1 + the smallest D over all ordered pairs of
-rivals (T-optimality: A. Atkinson, V. Fedorov, Biometrika 62, 57 (1975)), which counts up to a clear separation, and the
-mean logarithm of the information about each candidate's strength: what lowers the detection limits.
+all recordings and the planned run (`fitting.discovery._information`). The criterion of a run is the sum of two gains in
+natural units of information: the logarithm of 1 + the smallest D over all ordered pairs of rivals (T-optimality: A.
+Atkinson, V. Fedorov, Biometrika 62, 57 (1975)), limited at a clear separation, and the mean logarithm of the
+information about each candidate's strength, which lowers the detection limits.
 
-The search is quasi-random over the bounds, then local with shrinking steps.
+The search is quasi-random within the bounds, then local with decreasing steps.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ Progress = Callable[[int, int | None], None]
 _RING = 1.5
 # friction of another surface over the present one
 _SURFACE = 3.0
-# a change of the apparatus is proposed if it gains as much as so many runs
-_WORTH = 1.5
-# separations count up to so many times the square of `Criteria.experiment_sigma`
+# factor of the gain in information from which on a change of the apparatus is proposed
+_APPARATUS_GAIN = 1.5
+# largest separation that counts, over the square of `Criteria.experiment_sigma`
 _AMPLE = 4.0
 # largest logarithm of a gain in information that counts
 _CAP = 50.0
@@ -55,7 +55,7 @@ _ELSE = "change what only one of them depends on (air pressure, surface, lubrica
 
 @dataclass(frozen=True)
 class Bounds:
-    """What a run of this apparatus can be; each a pair (smallest, largest).
+    """Bounds of the runs that are possible with this apparatus; each a pair (smallest, largest).
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class Bounds:
     touchpoint : tuple of float
         Friction at the touch point over the present one, on another surface.
     reversible : bool
-        The rotor can be started in the other sense of rotation.
+        Whether the rotor can be started in the other sense of rotation.
     """
 
     omega_rotor: tuple[float, float]
@@ -82,11 +82,10 @@ class Bounds:
 
     @classmethod
     def of(cls, fit: Fit) -> Bounds:
-        """Return bounds within what the recordings of a fit have shown to be possible.
+        """Return bounds according to the recordings of a fit.
 
-        The rotor starts at a third of its largest recorded rate at least and at this rate at most; a hand spins the
-        casing to the largest recorded rate of the casing in either sense; a recording takes between half and twice the
-        longest one.
+        The initial rate of the rotor is between a third of its largest recorded rate and this rate, that of the casing
+        at most its largest recorded rate in either sense; a recording takes between half and twice the longest one.
         """
         speeds = [d.initial_speeds[1] for d in fit.problem.data]
         spans = [d.record.span for d in fit.problem.data]
@@ -111,7 +110,7 @@ class NextRun:
     run : Run
         Initial conditions.
     bounds : Bounds
-        The bounds within which it was sought.
+        The bounds of the search.
     rivals : tuple of tuple of str
         The explanations that it separates; empty if there are none.
     separation : float
@@ -119,7 +118,7 @@ class NextRun:
     present : float
         The same without it.
     repeated : float
-        The same after a repetition of the most informative run at hand.
+        The same after one more run like the present ones.
     gains : dict of str to float
         By effect, detection limit after the run over the present one.
     times, omega_rotor, omega_casing : ndarray
@@ -127,7 +126,7 @@ class NextRun:
     inseparable : tuple of tuple of str
         Pairs of rivals that no run within the bounds separates.
     sentence : str
-        All of this in words.
+        The result in words.
     """
 
     run: Run
@@ -155,14 +154,14 @@ class _Criterion:
         ignored: Sequence[tuple[int, int]] = (),
     ) -> None:
         self._all = list(range(information.parameters))
-        # what some explanation does without is no part of all of them
-        questioned = {k for r in rivals for k in r.columns}
-        self._base = [k for k in self._all if k not in questioned]
+        # parameters of all rivals alike
+        disputed = {k for r in rivals for k in r.columns}
+        self._base = [k for k in self._all if k not in disputed]
         self._rivals, self._ignored = rivals, set(ignored)
         self._candidates = [information.places(i) for i in range(len(information.candidates))]
         self._present = information.present
         self._before = np.maximum(self.limits(self._present), 1e-300)
-        # rivals so far apart need no more
+        # a larger separation has no further value
         self._enough = _AMPLE * criteria.experiment_sigma**2
 
     def pairs(self, total: Array) -> dict[tuple[int, int], float]:
@@ -193,7 +192,7 @@ class _Criterion:
         value = float(np.mean(np.minimum(np.log(after / self._before), _CAP)))
         if not self._rivals:
             return value
-        # rounding may leave a separation of nothing slightly negative
+        # a separation of zero may be slightly negative by rounding
         now, then = (max(0.0, min(self.separation(x), self._enough)) for x in (self._present, total))
         return value + math.log((1 + then) / (1 + now)) if math.isfinite(then) else value
 
@@ -207,20 +206,20 @@ def next_run(
     evaluations: int = 60,
     progress: Progress | None = None,
 ) -> NextRun | None:
-    """Return the run within some bounds that separates rivals best; without rivals, that lowers detection limits most.
+    """Return the run within some bounds that best separates rivals, or without rivals best lowers detection limits.
 
     Parameters
     ----------
     information : Information
-        Of the recordings at hand.
+        Of the present recordings.
     rivals : sequence of Rival
         Explanations, or none.
     criteria : Criteria
         `equivalence_width` and `experiment_sigma`.
     bounds : Bounds
-        What is possible.
+        Possible runs.
     evaluations : int
-        Runs that are simulated at most.
+        Largest number of simulated runs.
     progress : callable, optional
         Called with (runs simulated, all).
 
@@ -238,6 +237,7 @@ def next_run(
     return search.result()
 
 
+# simulated runs of a search that is part of a diagnosis
 _FEW = 24
 
 
@@ -246,7 +246,7 @@ def separating_run(
     explanations: Sequence[tuple[str, Sequence[Effect], Mapping[str, Estimate]]],
     criteria: Criteria,
 ) -> str:
-    """Return the run that separates rival explanations, in words; empty where there is nothing to separate.
+    """Return the run that separates rival explanations, in words; empty with fewer than two.
 
     Parameters
     ----------
@@ -261,11 +261,11 @@ def separating_run(
     if len(smooth) < 2:
         return ""
     if fit.problem.data[0].oscillation is not None:
-        # what is planned is a run that begins at given speeds, not a release from an angle
+        # planned runs have initial speeds, and an oscillation begins with a release from an angle
         restoring = [x for x in smooth if any(e.restoring for e in x[1])]
         return _LARGER_AMPLITUDE if len(restoring) > 1 else ""
     if fit.model.rigid_contact is not None:
-        # nor are bodies that touch, whose initial speeds are not independent
+        # the initial speeds of bodies in contact are not independent
         return ""
     terms = [(e, _mean_values(e, estimates)) for _, effects, estimates in smooth for e in effects]
     information = Information(
@@ -316,6 +316,8 @@ class _Tried(NamedTuple):
 
 
 class _RunSearch:
+    """The search for the next run; `tried` are the runs that could be simulated."""
+
     def __init__(
         self,
         information: Information,
@@ -382,7 +384,7 @@ class _RunSearch:
         points = [*(np.array([*c, 0.5]) for c in corners), *qmc.Sobol(3, seed=1).random(32)[:count]]
         shares = np.linspace(0.03, 0.97, self._windows) if self._windows > 1 else np.full(self._windows, 0.03)
         for i, p in enumerate(points):
-            # every third of the quasi-random runs is reversed where the apparatus can
+            # every third of the quasi-random runs is reversed, if the apparatus allows it
             reversed_ = b.reversible and i >= len(corners) and i % 3 == 2
             self._keep(np.concatenate([p, shares]), -1.0 if reversed_ else 1.0)
         if self._rivals and self.tried:
@@ -393,7 +395,7 @@ class _RunSearch:
             self.tried = [t._replace(value=self._criterion(present + t.added)) for t in self.tried]
 
     def refine(self) -> None:
-        """Move the settings of the best run one by one, with shrinking steps."""
+        """Vary the settings of the best run one by one, with decreasing steps."""
         best, step = self._best, 0.25
         random = np.random.default_rng(3)
         while self._count < self._evaluations and step > _FINEST:
@@ -406,13 +408,13 @@ class _RunSearch:
             best = self._best
 
     def vary_apparatus(self) -> None:
-        """Try the best run with an inertia ring and on other surfaces, proposed only if worth the work."""
+        """Try the best run with an inertia ring and on other surfaces; a change of the apparatus has to gain enough."""
         best = self._best
         rings = [replace(best.run, ring=r) for r in self._bounds.inertia_casing if r != 1.0]
         surfaces = [replace(best.run, surface=r) for r in self._bounds.touchpoint if r != 1.0]
         for run in dict.fromkeys((*rings, *surfaces)):
             found = self._try(best.x, best.sense, run)
-            if found is not None and found.value > best.value + math.log(_WORTH):
+            if found is not None and found.value > best.value + math.log(_APPARATUS_GAIN):
                 self.tried.append(found)
 
     def result(self) -> NextRun:

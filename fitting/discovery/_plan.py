@@ -1,8 +1,8 @@
-"""What recordings can show, and what to record next.
+"""Detection limits and power of recordings, and the next run.
 
     recordings (a fit of them, or their description) -> power of the search -> rivals -> the next run
 
-The recordings are at hand, with the fit of a model to them, or they are described in a file
+The recordings are present, with the fit of a model to them, or they are described in a file
 (`fitting.discovery._planned_recordings`) and simulated.
 """
 
@@ -22,20 +22,20 @@ from fitting.discovery._next_run import Bounds, NextRun, next_run
 from fitting.discovery._planned_recordings import read_planned
 from fitting.discovery._power import EffectLimits, Search
 from fitting.effects._effect import Effect
-from fitting.inference._recording_noise import ProcessNoise
+from fitting.inference._process_noise import ProcessNoise
 from fitting.inference._result import Fit
 
 Progress = Callable[[int, int | None], None]
 
 _EVALUATIONS = 60
-# simulations of described recordings over which the power is averaged, and further ones of which only the process
-# noise is estimated
+# simulations of described recordings over which the power is averaged, and further ones for estimates of the process
+# noise alone
 _SIMULATIONS, _ESTIMATES = 2, 8
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What some recordings can show, and the next run.
+    """Detection limits and power of some recordings, and the next run.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Plan:
     next_run : NextRun or None
         The proposed run; None if none can be simulated.
     warning : str
-        What restricts the answer; empty if nothing does.
+        A restriction of the answer; empty if there is none.
     """
 
     fit: Fit
@@ -74,19 +74,19 @@ def plan(
     criteria: Criteria = DEFAULT,
     progress: Progress | None = None,
 ) -> Plan:
-    """Return what recordings can show of every effect, and the most informative next run.
+    """Return detection limit, upper limit and power for every effect, and the most informative next run.
 
     Parameters
     ----------
     recordings : Fit, str or Path
-        A fit of the recordings at hand, or a TOML file that describes recordings to be made.
+        A fit of the present recordings, or a TOML file that describes planned ones.
     extra : sequence of Effect
         Effects of the user, in addition to the library.
     size : float, optional
         Rms torque of an effect [N m] for `power` and `runs_needed`; by default 1 % of the rms torque of the bearing
         (for a single body, of the net torque).
     bounds : Bounds, optional
-        Runs that are possible; by default those of the file, or what the recordings have shown to be possible.
+        Possible runs; by default those of the file, or according to the recordings.
     criteria : Criteria
         Thresholds of the search whose power is computed.
     progress : callable, optional
@@ -110,7 +110,7 @@ def plan(
         if recordings.problem.data[0].oscillation is not None:
             raise EstimationError(
                 "a plan is made for runs that begin at given speeds, and this body oscillates about an equilibrium",
-                "release it from a larger angle, or record it for longer: both tell restoring torques apart",
+                "release it from a larger angle, or record it for longer: both separate restoring torques better",
             )
         if recordings.model.rigid_contact is not None:
             raise EstimationError(
@@ -123,7 +123,7 @@ def plan(
         fits = [described.fit(i) for i in range(_SIMULATIONS)]
         fit, bounds, truth = fits[0], bounds or described.bounds, described.numbers
         process = [described.process_noise(_SIMULATIONS + i) for i in range(_ESTIMATES)]
-    report = progress or _ignore
+    report = progress or (lambda done, total: None)  # noqa: ARG005
     search, *others = (Search(f, extra, criteria, truth=truth, process=process) for f in fits)
     total = len(search.effects) + _EVALUATIONS
     found = []
@@ -150,10 +150,6 @@ def plan(
     return Plan(fit, planned, used, tuple(found), _classes(found), proposed, _warning(fit, criteria))
 
 
-def _ignore(done: int, total: int | None) -> None:
-    del done, total
-
-
 def _classes(found: Sequence[EffectLimits]) -> tuple[tuple[str, ...], ...]:
     """Return groups of effects of which each is indistinguishable from another, as connected components."""
     groups: list[set[str]] = []
@@ -161,11 +157,11 @@ def _classes(found: Sequence[EffectLimits]) -> tuple[tuple[str, ...], ...]:
         if not e.indistinguishable_from:
             continue
         joined = {e.effect.name, *e.indistinguishable_from}
-        apart = [g for g in groups if not g & joined]
+        separate = [g for g in groups if not g & joined]
         for g in groups:
             if g & joined:
                 joined |= g
-        groups = [*apart, joined]
+        groups = [*separate, joined]
     order = [e.effect.name for e in found]
     return tuple(tuple(sorted(g, key=order.index)) for g in groups)
 

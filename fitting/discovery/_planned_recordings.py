@@ -1,4 +1,4 @@
-"""Recordings that are described and not made yet: a TOML file with the apparatus, its friction, its noise and the runs.
+"""Planned recordings, described by a TOML file with the apparatus, its friction, its noise and the runs.
 
 ::
 
@@ -29,7 +29,7 @@
     [bounds]                       # optional: runs that are possible, pairs of smallest and largest
     omega_rotor = [300.0, 900.0]
 
-Nothing has a default: what is not known of the apparatus decides what its recordings can show.
+No value has a default, because detection limits depend on all of them.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ from fitting.discovery._next_run import Bounds
 from fitting.dynamics._model import Model
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit as fit_model
+from fitting.inference._process_noise import ProcessNoise
 from fitting.inference._record import Record
-from fitting.inference._recording_noise import ProcessNoise
 from fitting.inference._result import Fit
 from fitting.inference._simulation import Experiment, simulate
 
@@ -108,7 +108,7 @@ class _PlanTable(_Table):
 
 @dataclass(frozen=True)
 class PlannedRecordings:
-    """Recordings of an apparatus that is described.
+    """Planned recordings of an apparatus.
 
     Attributes
     ----------
@@ -129,15 +129,12 @@ class PlannedRecordings:
     inertias: tuple[float, float]
     experiments: tuple[Experiment, ...]
     given: dict[str, Any]
-    source: str
 
     def fit(self, simulation: int = 0) -> Fit:
-        """Simulate the recordings, with the noise of one simulation of many, and fit the model to them."""
+        """Simulate the recordings with the random numbers of one simulation, and fit the model to them."""
         records = self._records(simulation)
-        start = {**self.numbers}
-        return fit_model(
-            self.model, records, start={k: start[k] for k in self.model.free if len(records) == 1}
-        )
+        start = {k: self.numbers[k] for k in self.model.free} if len(records) == 1 else {}
+        return fit_model(self.model, records, start=start)
 
     def process_noise(self, simulation: int) -> tuple[ProcessNoise, ...]:
         """Simulate the recordings, and return the estimate of the process noise of each."""
@@ -159,7 +156,7 @@ class PlannedRecordings:
 
     @property
     def bounds(self) -> Bounds:
-        """Bounds of the next run: what the file states, and for the rest what its runs show to be possible."""
+        """Bounds of the next run: those of the file, the others according to its runs."""
         rotor = max(abs(e.omega_rotor) for e in self.experiments)
         longest = max(e.duration for e in self.experiments)
         casing = max(abs(e.omega_casing) for e in self.experiments)
@@ -215,7 +212,9 @@ def read_planned(path: str | Path) -> PlannedRecordings:
                 f"{name}: run {i} has more than 10 million frames.", "Check duration and frame rates."
             )
         if run.omega_rotor == 0 and run.omega_casing == 0:
-            raise EstimationError(f"{name}: in run {i} nothing turns.", "Give omega_rotor or omega_casing.")
+            raise EstimationError(
+                f"{name}: in run {i} both initial speeds are zero.", "Give omega_rotor or omega_casing."
+            )
         experiments.append(
             Experiment(
                 **run.model_dump(exclude={"windows"}),
@@ -239,7 +238,6 @@ def read_planned(path: str | Path) -> PlannedRecordings:
         (table.inertia.rotor, table.inertia.casing),
         tuple(experiments),
         given,
-        str(path),
     )
 
 

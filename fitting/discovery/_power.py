@@ -10,18 +10,17 @@ shape constants, the same null distributions, and the thresholds of `Criteria`. 
 which at least one candidate is significant in the whole list and lowers BIC by the evidence that an added effect needs.
 The detection limit is the strength at which it is 90 %.
 
-Where nothing was found, the one-sided 95 % upper limit of a strength with estimate k is |k| + 1.64 se (max(k, 0) + 1.64
-se for a friction, which is not negative); for an amplitude with a phase, the amplitude whose noncentral chi-square
-gives a smaller score than the observed one with a probability of 5 % (J. Neyman, Phil. Trans. R. Soc. A 236, 333
-(1937)). For recordings that are only planned, the estimate is taken as zero: the expected limit.
+Where no effect is significant, the one-sided 95 % upper limit of a strength with estimate k is |k| + 1.64 se (max(k, 0)
++ 1.64 se for a friction, which is not negative); for an amplitude with a phase, the amplitude whose noncentral
+chi-square gives a smaller score than the observed one with a probability of 5 % (J. Neyman, Phil. Trans. R. Soc. A 236,
+333 (1937)). For recordings that are only planned, the estimate is taken as zero: the expected limit.
 
-Where the search would find a smaller strength than that with a probability of 95 %, because the effect drives a
-parameter of the model to its bound, finding nothing excludes this strength already.
+Where the search would find a smaller strength than that with a probability of 95 %, because the effect shifts a
+parameter of the model to its bound, an insignificant score excludes this strength already.
 
-How surely a score is significant depends on how well the process noise of the recording is known, and that varies from
-one recording to the next: where a tenfold level cannot be excluded, the search asks for a far higher score. For
-recordings that are only planned, the thresholds are therefore computed for several simulated estimates of the noise,
-and the power is the mean over them.
+The score that is significant depends on the uncertainty of the process noise, which varies from one recording to the
+next: where a tenfold level cannot be excluded, the threshold is far higher. For recordings that are only planned, the
+thresholds are therefore computed for several simulated estimates of the noise, and the power is the mean over them.
 
 Several runs of the same kind multiply delta^2 by their number.
 """
@@ -39,6 +38,7 @@ from numpy.typing import NDArray
 from fitting._criteria import DEFAULT, Criteria
 from fitting._numbers import PER_INERTIA, per_inertia
 from fitting.discovery._score import (
+    RANK,
     CaseColumns,
     FamilywiseNull,
     Level,
@@ -46,11 +46,12 @@ from fitting.discovery._score import (
     Score,
     ScoreContext,
     Trial,
-    orthonormal,
+    rows_of_case,
 )
-from fitting.discovery._select import applicable_effects
+from fitting.discovery._select import applicable_effects, needed_evidence
 from fitting.effects._effect import Effect
-from fitting.inference._recording_noise import ProcessNoise
+from fitting.inference._linear_algebra import orthogonal_to, orthonormal
+from fitting.inference._process_noise import ProcessNoise
 from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
@@ -74,13 +75,13 @@ _LARGEST_SCORE = 2000.0
 # effects in the sentence of an adequate fit
 _MOST_HIDDEN = 5
 _RANK = 1e-6
-# share of the data sets, summed over the strengths, below which a parameter at its bound is left out of account
+# share of the data sets, summed over the strengths, below which a parameter at its bound is neglected
 _RARE = 0.5
 
 
 @dataclass(frozen=True)
 class EffectLimits:
-    """What some recordings can show of one effect.
+    """Detection limit, upper limit and power of some recordings for one effect.
 
     Attributes
     ----------
@@ -247,12 +248,12 @@ class _Test:
 
 
 @dataclass(frozen=True)
-class ActiveBounds:
-    """Which parameter of the base an effect drives to its bound.
+class ShiftedToBound:
+    """Which parameter of the base an effect shifts to its bound.
 
-    A missing effect shifts the parameters of the base, and noise scatters them. One that would pass its bound is held
-    there by the fit, and what it can no longer absorb is seen by the search. Of several, the one furthest beyond its
-    bound, in standard errors, counts.
+    A missing effect shifts the parameters of the base, and noise scatters them. The fit holds a parameter that would
+    pass its bound, and the part of the effect that it would have absorbed beyond the bound contributes to the score. Of
+    several such parameters, the one furthest beyond its bound, in standard errors, is held.
 
     Attributes
     ----------
@@ -262,42 +263,42 @@ class ActiveBounds:
         From data to changes of the parameters.
     noise : ndarray, shape (parameters, data sets)
         Their changes in null data.
-    room : ndarray, shape (2, parameters)
+    distance : ndarray, shape (2, parameters)
         Distance to the lower (negative) and to the upper bound.
     """
 
     free: Array
     inverse: Array
     noise: Array
-    room: Array
+    distance: Array
 
     @classmethod
     def of(
         cls, fit: Fit, context: ScoreContext, level: Level, draws: int, truth: Mapping[str, float]
-    ) -> ActiveBounds:
+    ) -> ShiftedToBound:
         layout = fit.problem.layout
         moving = ~layout.at_bound(fit.theta)
         theta = np.array(
             [truth.get(n.partition("@")[0], x) for n, x in zip(layout.names, fit.theta, strict=True)]
         )
         lower, upper = layout.bounds()
-        room = np.stack([lower - theta, upper - theta])[:, moving]
+        distance = np.stack([lower - theta, upper - theta])[:, moving]
         free = level.gain[:, None] * context.free
         count = int(moving.sum())
         size = np.linalg.norm(free, axis=0)
         size[size == 0] = 1.0
         inverse = (np.linalg.pinv(free / size, rcond=1e-10) / size[:, None])[:count]
-        return cls(free, inverse, inverse @ context.draws[:, :draws], room)
+        return cls(free, inverse, inverse @ context.draws[:, :draws], distance)
 
     def held(self, response: Array, strengths: Array) -> NDArray[np.intp]:
-        """Return, by strength and data set, twice the place of the parameter at its bound (+ 1: upper), or -1."""
+        """Return, by strength and data set, twice the index of the parameter at its bound (+ 1: upper), or -1."""
         error = np.sqrt((self.inverse**2).sum(axis=1))[:, None]
         shift = (self.inverse @ response)[:, None]
         found = []
         for k in strengths:
             change = k * shift + self.noise
             beyond = (
-                np.stack([self.room[0][:, None] - change, change - self.room[1][:, None]], axis=1)
+                np.stack([self.distance[0][:, None] - change, change - self.distance[1][:, None]], axis=1)
                 / error[:, None]
             )
             flat = beyond.reshape(-1, change.shape[1])
@@ -306,14 +307,14 @@ class ActiveBounds:
 
     def shift(self, which: int) -> Array:
         """Return the change of the rows when a parameter moves to its bound."""
-        place, side = divmod(which, 2)
-        return np.asarray(self.free[:, place] * self.room[side, place])
+        parameter, side = divmod(which, 2)
+        return np.asarray(self.free[:, parameter] * self.distance[side, parameter])
 
     def largest_strength(self, response: Array, data: Array, limit: float, *, one_sided: bool) -> float:
-        """Return an upper limit of a strength that respects the bounds of the base.
+        """Return an upper limit of a strength with the parameters of the base within their bounds.
 
-        An effect that the base could absorb hides in the data only as far as the parameters that make room for it
-        stay within their bounds: with r the data, F the free columns and s the response, the limit is where
+        The base can absorb an effect only as far as its parameters remain within their bounds: with r the data, F the
+        free columns and s the response, the limit is where
 
             min_b |r - F b - k s|^2,   b within the bounds,
 
@@ -330,24 +331,24 @@ class ActiveBounds:
         one_sided : bool
             The strength is not negative.
         """
-        count = self.room.shape[1]
+        count = self.distance.shape[1]
         change = self.inverse @ response
         largest = 0.0
         for sign in (1.0,) if one_sided else (1.0, -1.0):
             b = self.inverse @ data - sign * limit * change
-            if ((b >= self.room[0]) & (b <= self.room[1])).all():
+            if ((b >= self.distance[0]) & (b <= self.distance[1])).all():
                 return limit
             r: Array = np.asarray(np.linalg.qr(np.column_stack([self.free, sign * response, data]), mode="r"))
             size = np.linalg.norm(r[:, :-2], axis=0)
             size[size == 0] = 1.0
             bounds = np.full((2, len(size)), np.inf) * [[-1], [1]]
-            bounds[:, :count] = self.room * size[:count]
+            bounds[:, :count] = self.distance * size[:count]
             largest = max(largest, _profile_limit(r[:, :-2] / size, r[:, -2], r[:, -1], bounds, limit))
         return largest
 
     def basis_without(self, parameter: int) -> Array:
         """Return an orthonormal basis of the free columns without those of one parameter."""
-        return orthonormal(np.delete(self.free, parameter, axis=1))
+        return orthonormal(np.delete(self.free, parameter, axis=1), RANK)
 
 
 class SearchScore(NamedTuple):
@@ -359,7 +360,7 @@ class SearchScore(NamedTuple):
 
 
 class Search:
-    """The search for a missing effect in the recordings of a fit, as a test whose power can be computed.
+    """The search for a missing effect in the recordings of a fit, as a test whose power is computed.
 
     Parameters
     ----------
@@ -394,14 +395,14 @@ class Search:
         self.effects = applicable_effects(fit, extra)
         self.cases = [CaseColumns(fit, i) for i in range(len(fit.problem.cases))]
         self._context = ScoreContext(fit, draws)
-        # what a model fails to describe is no noise: a search that follows finds the data at the pure level
+        # the lack of fit of a model is not noise: with a further effect the data have the pure level
         self._level = self._context.levels[0 if fit.fails(criteria) else -1]
         self._trials = {e.name: self._all_trials(e) for e in self.effects}
         self._common = {e.name: self._responses(e, self._stacked(e), self._level.basis) for e in self.effects}
         self._tests = self._calibrated(self._level.basis) if draws > 1 else {}
         self._draws = min(draws, _POWER_DRAWS)
-        self._bounds = ActiveBounds.of(fit, self._context, self._level, self._draws, truth or {})
-        self._holding: dict[int, dict[str, list[_Test]]] = {}
+        self._bounds = ShiftedToBound.of(fit, self._context, self._level, self._draws, truth or {})
+        self._tests_by_held: dict[int, dict[str, list[_Test]]] = {}
 
     def _all_trials(self, effect: Effect) -> list[list[Trial]]:
         first = self.cases[0].trials(effect)
@@ -415,31 +416,29 @@ class Search:
     def _whitened(self, groups: Sequence[Array]) -> Array:
         return np.asarray(self._level.gain[:, None] * self._context.rotated(np.concatenate(groups, axis=1)))
 
-    @staticmethod
-    def _projected(columns: Array, basis: Array) -> Array:
-        return np.asarray(columns - basis @ (basis.T @ columns))
-
     def _responses(self, effect: Effect, groups: Sequence[Array], basis: Array) -> _Responses:
         absorbed = self._context.absorbed_by_base(groups)
-        columns = self._projected(self._whitened(groups), basis)
+        columns = orthogonal_to(basis, self._whitened(groups))
         return _Responses.of(columns, groups[0].shape[1], absorbed, effect)
 
-    def _tests_holding(self, parameter: int) -> dict[str, list[_Test]]:
+    def _tests_with_held(self, parameter: int) -> dict[str, list[_Test]]:
         """Return the tests on a base with one parameter held at its bound."""
-        if parameter not in self._holding:
-            self._holding[parameter] = self._calibrated(self._bounds.basis_without(parameter))
-        return self._holding[parameter]
+        if parameter not in self._tests_by_held:
+            self._tests_by_held[parameter] = self._calibrated(self._bounds.basis_without(parameter))
+        return self._tests_by_held[parameter]
 
     def _calibrated(self, free: Array) -> dict[str, list[_Test]]:
-        """Return the tests that the search makes for each effect given some free columns, with their thresholds."""
+        """Return the tests of each effect with a basis of the free columns, and their thresholds."""
         parts: list[tuple[Effect, tuple[_Responses, ...], Array, float, int]] = []
         for e in self.effects:
             common = self._responses(e, self._stacked(e), free)
             variants: list[tuple[tuple[_Responses, ...], float]] = [((common,), 1.0)]
             if len(self.cases) > 1 and e.per_case:
-                # each case has its own strength; the fit with one common value is tried too, hence twice the p-value
-                own = tuple(self._responses(e, self._of_case(e, i), free) for i in range(len(self.cases)))
-                variants = [(own, 1.0), ((common,), 2.0)]
+                # each case has its own strength; the fit with one common value is tried as well: twice the p-value
+                per_case = tuple(
+                    self._responses(e, self._of_case(e, i), free) for i in range(len(self.cases))
+                )
+                variants = [(per_case, 1.0), ((common,), 2.0)]
             for responses, factor in variants:
                 basis = np.concatenate([r.basis for r in responses], axis=1)
                 parts.append((e, responses, basis.T @ self._context.draws, factor, len(responses)))
@@ -453,14 +452,9 @@ class Search:
             significant = np.array(
                 [_smallest_score(null, family, factor, self.criteria.significance) for null in each]
             )
-            evidence = (
-                self.criteria.evidence_periodic
-                if e.periodic
-                and e.kind == "physical"
-                and any(d.record.tracked for d in self.fit.problem.data)
-                else self.criteria.evidence
+            bic = needed_evidence(e, self.fit, self.criteria) + n * len(e.free) * math.log(
+                self.fit.problem.rows
             )
-            bic = evidence + n * len(e.free) * math.log(self.fit.problem.rows)
             tests[e.name].append(_Test(test.parts, test.null, np.maximum(significant, bic)))
         return tests
 
@@ -484,13 +478,8 @@ class Search:
         return [NullDistribution(replace(score, noise=n)) for n in self._noises]
 
     def _of_case(self, effect: Effect, case: int) -> list[Array]:
-        ends = self._context.ends
-        groups = []
-        for trial in self._trials[effect.name][case]:
-            rows = np.zeros((ends[-1], trial.columns.shape[1]))
-            rows[ends[case] : ends[case + 1]] = trial.columns
-            groups.append(rows)
-        return groups
+        groups = rows_of_case(self._context, self._trials[effect.name][case], case)
+        return [rows for _, rows in groups]
 
     def power(self, effect: Effect, group: int, strengths: Array) -> Array:
         """Return the probability that the search finds something, for some strengths of an effect."""
@@ -499,16 +488,16 @@ class Search:
         raw = self._whitened(stacked[group : group + 1])
         raw = raw.sum(axis=1) / self._common[effect.name].width ** 0.5
         held = self._bounds.held(raw, strengths)
-        often = [w for w in np.unique(held) if w >= 0 and (held == w).mean() >= _RARE / len(strengths)]
-        held[~np.isin(held, often)] = -1
+        frequent = [w for w in np.unique(held) if w >= 0 and (held == w).mean() >= _RARE / len(strengths)]
+        held[~np.isin(held, frequent)] = -1
         estimate = np.arange(self._draws) % len(self._noises)
         found = np.zeros((len(strengths), self._draws), dtype=bool)
         for which in np.unique(held):
-            tests, off = self._tests, np.zeros(len(raw))
+            tests, offset = self._tests, np.zeros(len(raw))
             if which >= 0:
-                tests, off = self._tests_holding(int(which) // 2), self._bounds.shift(int(which))
+                tests, offset = self._tests_with_held(int(which) // 2), self._bounds.shift(int(which))
             for test in (t for each in tests.values() for t in each):
-                signal, shift = test.basis.T @ raw, test.basis.T @ off
+                signal, shift = test.basis.T @ raw, test.basis.T @ offset
                 for k, chosen in enumerate(held == which):
                     if chosen.any():
                         seen = (
@@ -536,7 +525,7 @@ class Search:
         planned: bool = False,
         others: Sequence[Search] = (),
     ) -> EffectLimits:
-        """Return what the recordings can show of an effect.
+        """Return detection limit, upper limit and power for an effect.
 
         Parameters
         ----------
@@ -558,10 +547,10 @@ class Search:
         strength = next(p for p in effect.parameters if p.role == "amplitude")
         unit = per_inertia(strength.unit) if self.fit.torque_unit == PER_INERTIA else strength.unit
         if root == 0:
-            nothing = np.zeros((0, 2))
+            no_curve = np.zeros((0, 2))
             return EffectLimits(
                 effect, strength.symbol, unit, shape, np.inf, torque, np.inf, (np.inf, np.inf), np.inf,
-                float("nan"), self._size(torque, size), np.inf, (), nothing,
+                float("nan"), self._size(torque, size), np.inf, (), no_curve,
             )  # fmt: skip
         curve = np.zeros((0, 2))
         if self._tests:
@@ -577,10 +566,10 @@ class Search:
         )
         at = max(seen, *(x for x in (delta, needed) if math.isfinite(x)), 0.0)
         upper = self._upper(effect, group, planned=planned)
-        surely = delta_of_power(curve, CONFIDENCE) if self._tests else np.inf
-        if surely < _ONE_SIDED and not math.isnan(upper):
-            # a parameter driven to its bound shows the effect before its estimate excludes it
-            upper = surely
+        detected = delta_of_power(curve, CONFIDENCE) if self._tests else np.inf
+        if detected < _ONE_SIDED and not math.isnan(upper):
+            # the effect is detected by a parameter at its bound before its estimate excludes it
+            upper = detected
         return EffectLimits(
             effect,
             strength.symbol,
@@ -594,7 +583,7 @@ class Search:
             float(np.interp(delta, *curve.T)) if self._tests and math.isfinite(delta) else float("nan"),
             wanted,
             self._runs(effect, delta, needed) if self._tests and math.isfinite(delta) else float("nan"),
-            self._alike(effect, group, at) if self._tests else (),
+            self._indistinguishable(effect, group, at) if self._tests else (),
             curve,
         )
 
@@ -651,13 +640,13 @@ class Search:
         cases = len(self.cases)
         parameters = len(effect.free)
         for n in _candidate_numbers(cases * (needed / delta) ** 2):
-            # BIC asks for more evidence in more rows
+            # the penalty of BIC increases with the number of rows
             more = parameters * math.log(max(n / cases, 1e-9))
             if n / cases * delta**2 >= needed**2 + max(more, 0.0):
                 return float(n)
         return np.inf
 
-    def _alike(self, effect: Effect, group: int, delta: float) -> tuple[str, ...]:
+    def _indistinguishable(self, effect: Effect, group: int, delta: float) -> tuple[str, ...]:
         """Return the effects that are indistinguishable from one of this noncentrality."""
         u = self._common[effect.name].direction(group)
         names = []
@@ -667,14 +656,13 @@ class Search:
             other = self._common[e.name]
             cosine2 = float(other.scores(other.basis.T @ u[:, None]).max(initial=0.0))
             if other.one_sided:
-                # the other sign of the effect counts as well if it has one
-                own = self._common[effect.name]
-                back = (
+                # an effect of either sign is compared with both
+                reversed_ = (
                     0.0
-                    if own.one_sided
+                    if self._common[effect.name].one_sided
                     else float(other.scores(other.basis.T @ -u[:, None]).max(initial=0.0))
                 )
-                cosine2 = max(cosine2, back)
+                cosine2 = max(cosine2, reversed_)
             penalty = (len(e.free) - len(effect.free)) * math.log(self.fit.problem.rows)
             if delta**2 * (1 - min(cosine2, 1.0)) + penalty < self.criteria.equivalence_width:
                 names.append(e.name)
@@ -686,8 +674,7 @@ def largest_hidden(
 ) -> tuple[UpperLimit, ...]:
     """Return the physical effects with the largest upper limits of the rms torque; absorbed ones have none.
 
-    A limit beyond the torque that the recording itself shows (in the bearing, or on a single body) limits nothing and
-    is left out.
+    A limit above the torque of the bearing, or on a single body, contains no information and is left out.
 
     Parameters
     ----------
@@ -778,9 +765,9 @@ def upper_limit(projections: Array, *, one_sided: bool) -> float:
         return (max(p, 0.0) if one_sided else abs(p)) + _ONE_SIDED
     from scipy.special import chndtrinc
 
-    # below the median of the null the limit would shrink to nothing: a small score is luck, not knowledge
-    seen = max(float(projections @ projections), 1.3862944)
-    return float(np.sqrt(chndtrinc(seen, len(projections), 1 - CONFIDENCE)))
+    # a score below the median of the null distribution would give a limit smaller than the sensitivity of the data
+    score = max(float(projections @ projections), 1.3862944)
+    return float(np.sqrt(chndtrinc(score, len(projections), 1 - CONFIDENCE)))
 
 
 def _candidate_numbers(first: float) -> Sequence[int]:

@@ -1,19 +1,19 @@
 """Refits of candidate effects on top of the base model, and of the chosen one to full convergence.
 
-A candidate starts from the base's optimum at the strength and shape of its score; base and effect move together.
-Around a refit, a changepoint t0 is scanned through its neighbourhood while all other parameters follow linearly,
+A refit starts at the optimum of the base, and at the strength and shape of its score; all parameters vary.
+About a refit, a changepoint t0 is scanned through its neighbourhood while all other parameters follow linearly,
 
     cost(t0) = | M (z - rows(t0)) |^2,   M = 1 - J (J'J)^-1 J',
 
-and its minimum starts another refit. In a joint fit, a case whose process noise stays high has its changepoint far
-off: the first search took place while the shared parameters were biased by the effect that every case lacks. Once the
-other cases determine them, the whole record of that case is scored again.
+and another refit starts at its minimum. In a joint fit, the changepoint of a case whose process noise remains high is
+far from its true time: the score test was made while the shared parameters were biased by the effect that is missing in
+every case. Once the other cases determine these, the whole record of that case is scored again.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -25,72 +25,65 @@ from fitting._errors import FittingError, SimulationError
 from fitting.discovery._score import CaseColumns, Score, ScoreContext, score_in_case
 from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect, Parameter
-from fitting.inference._fit import fit
-from fitting.inference._metrics import orthonormal
+from fitting.inference._fit import fit, fit_like
+from fitting.inference._linear_algebra import orthogonal_to, orthonormal
 from fitting.inference._noise import Noise
 from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
 
-_REACH = 0.04
-_STEPS = 48
+# neighbourhood of a changepoint as a share of the record, and times that are tried in it
+_NEIGHBOURHOOD, _STEPS = 0.04, 48
 _RANK = 1e-7
 
 
 def refined(found: Fit, criteria: Criteria = DEFAULT) -> Fit:
-    """Return a quick fit at its exact minimum."""
-    return at_least_noise(fit_at(found, found.noise), criteria)
+    """Return a quick fit continued to full convergence."""
+    return at_lowest_noise(refitted_at(found, found.noise), criteria)
 
 
-def is_quieter(fit: Fit, than: Fit, criteria: Criteria) -> bool:
-    """Return whether a fit leaves less random torque than another."""
+def has_less_process_noise(fit: Fit, than: Fit, criteria: Criteria) -> bool:
+    """Return whether a fit needs less random torque than another."""
     return any(n.level < criteria.quieter * old.level for n, old in zip(fit.noise, than.noise, strict=True))
 
 
 def has_model_noise(found: Fit) -> bool:
-    """Return whether a model needs more random torque than the recording has, which hides its lack of fit."""
+    """Return whether a model needs more random torque than the recording has, which masks its lack of fit."""
     return any(n.raised for n in found.noise)
 
 
-def at_least_noise(found: Fit, criteria: Criteria) -> Fit:
-    """Return a fit, or the one at the least noise of the recordings if that describes the data better.
+def at_lowest_noise(found: Fit, criteria: Criteria) -> Fit:
+    """Return a fit, or the one at the lowest process noise of the recordings if that describes the data better.
 
-    Where process noise stands for a lack of fit in the shape of a law, nothing moves that shape. An oscillation was
-    fitted period by period: what its model leaves is no wrong path, and without the noise a search that slips by half a
-    period does not end.
+    Where process noise accounts for an error in the shape of a law, the shape has no gradient. An oscillation is
+    excepted: it was fitted period by period, so its motion is not in a wrong minimum, and with little noise a search
+    that slips by half a period does not converge.
     """
     if not has_model_noise(found) or any(d.oscillation is not None for d in found.problem.data):
         return found
     # with so little noise a search may diverge
     with suppress(FittingError):
-        sharp = fit_at(found, [n.at(n.least) for n in found.noise])
-        return sharp if sharp.deviance < found.deviance - criteria.evidence else found
+        other = refitted_at(found, [n.at(n.least) for n in found.noise])
+        return other if other.deviance < found.deviance - criteria.evidence else found
     return found
 
 
-def fit_at(found: Fit, noise: Sequence[Noise], values: Mapping[str, float] | None = None) -> Fit:
-    """Return a fit made again at a given noise, from its own values or some others, to full convergence."""
-    layout = found.problem.layout
-    own = {k: e.value for k, e in found.estimates.items()}
-    return fit(
-        found.model,
-        found.problem.data,
-        share=[k for k in found.model.free if k not in layout.per_case] if len(layout.records) > 1 else (),
-        per_case=layout.per_case,
-        start=own | {k: v for k, v in (values or {}).items() if k in own},
-        noise=noise,
-    )
+def refitted_at(found: Fit, noise: Sequence[Noise], values: Mapping[str, float] | None = None) -> Fit:
+    """Return the same fit at a given noise to full convergence; `values` replace some of its initial values."""
+    begin = found.values
+    begin |= {k: v for k, v in (values or {}).items() if k in begin}
+    return fit_like(found, found.model, start=begin, noise=noise)
 
 
-def from_values_of(found: Fit, other: Fit) -> Fit:
-    """Return a fit, or the one from the values of another model if that describes the data better."""
+def restarted_from(found: Fit, other: Fit) -> Fit:
+    """Return a fit, or the one that starts at the values of another model if that describes the data better."""
     with suppress(FittingError):
-        return _better(found, fit_at(found, found.noise, {k: e.value for k, e in other.estimates.items()}))
+        return _better(found, refitted_at(found, found.noise, other.values))
     return found
 
 
 def distant_changepoints(fit: Fit, effect: Effect, criteria: Criteria) -> dict[str, float]:
-    """Return the parameters of a fit with the changepoint searched anew in cases that keep a residual torque.
+    """Return the parameters of a fit with the changepoint of cases with a residual torque searched in the whole record.
 
     Parameters
     ----------
@@ -118,11 +111,11 @@ def distant_changepoints(fit: Fit, effect: Effect, criteria: Criteria) -> dict[s
         if found.score > criteria.changepoint_score:
             places = [int(layout.places(index, [k])[0]) for k in keys]
             theta[places] = found.shape[0][effect.breakpoint], found.gamma[0]
-    return _moved(fit, theta)
+    return _changed(fit, theta)
 
 
 def local_changepoints(fit: Fit, effect: Effect) -> dict[str, float]:
-    """Return the parameters of a fit with each changepoint at the best time of its neighbourhood.
+    """Return the parameters of a fit with each changepoint at the most likely time of its neighbourhood.
 
     Parameters
     ----------
@@ -140,18 +133,19 @@ def local_changepoints(fit: Fit, effect: Effect) -> dict[str, float]:
     theta = fit.theta.copy()
     for index in range(len(fit.problem.cases)):
         (place,) = layout.places(index, [key])
-        theta[place] = _best(fit, index, int(place))
-    return _moved(fit, theta)
+        theta[place] = _best_time(fit, index, int(place))
+    return _changed(fit, theta)
 
 
-def _moved(fit: Fit, theta: Array) -> dict[str, float]:
+def _changed(fit: Fit, theta: Array) -> dict[str, float]:
     """Return variables by name; empty if they equal those of the fit."""
     if np.array_equal(theta, fit.theta):
         return {}
     return dict(zip(fit.problem.layout.names, theta.tolist(), strict=True))
 
 
-def _best(fit: Fit, index: int, place: int) -> float:
+def _best_time(fit: Fit, index: int, place: int) -> float:
+    """Return the time of least cost about a changepoint, the variable at `place`."""
     case, project = fit.problem.cases[index], fit.problem.projections[index]
     first, last = case.data.record.span
     now = float(fit.theta[place])
@@ -161,14 +155,14 @@ def _best(fit: Fit, index: int, place: int) -> float:
         theta = fit.theta.copy()
         theta[place] = t
         try:
-            left = project(case.data.z - case.predict(theta).rows)
+            residual = project(case.data.z - case.predict(theta).rows)
         except SimulationError:
             return np.inf
-        left = left - basis @ (basis.T @ left)
-        return float(left @ left)
+        residual = orthogonal_to(basis, residual)
+        return float(residual @ residual)
 
-    reach = _REACH * (last - first)
-    times = np.linspace(max(first, now - reach), min(last, now + reach), _STEPS)
+    width = _NEIGHBOURHOOD * (last - first)
+    times = np.linspace(max(first, now - width), min(last, now + width), _STEPS)
     costs = [cost(float(t)) for t in times]
     best = int(np.argmin(costs))
     return float(times[best]) if costs[best] < cost(now) else now
@@ -177,26 +171,27 @@ def _best(fit: Fit, index: int, place: int) -> float:
 def refit(base: Fit, score: Score, criteria: Criteria, *, thorough: bool = True) -> Fit | None:
     """Return the fit of base and candidate from the base's optimum; None if there is none.
 
-    With `thorough`, a refit that falls short of its score is repeated in other ways.
+    With `thorough`, a refit whose fall of the deviance is less than its score is repeated in other ways.
     """
     if score.effect.restoring and not base.model.restoring:
-        # the base does not oscillate: nothing of its optimum is near that of a model which does
-        return _afresh(base, score.effect)
-    found = together(base, score)
+        # the motion of the base does not oscillate: its optimum is no initial value for a model that does
+        return _fit_from_scratch(base, score.effect)
+    found = fit_together(base, score)
     if thorough and found is not None:
-        found = _as_scored(base, score, found, criteria)
+        found = _repeated_if_short(base, score, found, criteria)
     if not score.effect.breakpoint or found is None:
         return found
     distant = distant_changepoints(found, score.effect, criteria)
-    found = _better(found, together(base, score, distant) if distant else None)
+    found = _better(found, fit_together(base, score, distant) if distant else None)
     local = local_changepoints(found, score.effect)
-    return _better(found, together(base, score, local) if local else None)
+    return _better(found, fit_together(base, score, local) if local else None)
 
 
-def _afresh(base: Fit, effect: Effect) -> Fit | None:
-    """Return the fit of base and candidate from initial values and a noise level of its own; None if there is none.
+def _fit_from_scratch(base: Fit, effect: Effect) -> Fit | None:
+    """Return the fit of base and candidate without initial values and noise of the base; None if it fails.
 
-    At the level that a base without a restoring torque leaves, a search ends before phase and frequency are determined.
+    At the noise level of a base without a restoring torque, a search converges before phase and frequency are
+    determined.
     """
     with suppress(FittingError):
         found = fit(base.model.with_effect(effect), base.problem.data, quick=True)
@@ -208,47 +203,45 @@ def _better(found: Fit, other: Fit | None) -> Fit:
     return other if other is not None and other.deviance < found.deviance else found
 
 
-def _as_scored(base: Fit, score: Score, found: Fit, criteria: Criteria) -> Fit:
-    """Return a refit, or if it falls short of its score the best of several.
+def _repeated_if_short(base: Fit, score: Score, found: Fit, criteria: Criteria) -> Fit:
+    """Return a refit, or the best of several if its fall of the deviance is less than its score.
 
-    The process noise of a base with a large lack of fit may cancel the strength, or stop at a wrong shape, of the
-    law that would explain it.
+    With the process noise of a base with a large lack of fit, a search may converge to strength zero, or to a wrong
+    shape, of the law that describes the data.
     """
 
-    def short(reached: Fit) -> bool:
-        return base.deviance - reached.deviance < score.score - criteria.refit_shortfall
+    def falls_short(refitted: Fit) -> bool:
+        return base.deviance - refitted.deviance < score.score - criteria.refit_shortfall
 
-    if not has_model_noise(base) or not short(found):
+    if not has_model_noise(base) or not falls_short(found):
         return found
-    found = _better(found, together(base, score, held=True))
-    return at_least_noise(found, criteria) if short(found) else found
+    found = _better(found, fit_together(base, score, hold_strength=True))
+    return at_lowest_noise(found, criteria) if falls_short(found) else found
 
 
-def together(
+def fit_together(
     base: Fit,
     score: Score,
     start: Mapping[str, float] | None = None,
     common: Sequence[str] = (),
     *,
-    held: bool = False,
+    hold_strength: bool = False,
 ) -> Fit | None:
     """Return the fit of base and candidate, with some parameters common to all cases; None if there is none.
 
-    `held` keeps the strength, as well as the shape, at its score's value until all other parameters have converged.
+    `hold_strength` holds the strength, as well as the shape, at the value of the score until all other parameters have
+    converged.
     """
-    layout = base.problem.layout
-    own = [k for k in layout.per_case if k in base.model.free]
-    shared = [k for k in base.model.per_case if k not in own]
-    begin = {name: e.value for name, e in base.estimates.items()} | start_of(base, score)
+    begin = base.values | initial_values_of(base, score)
     try:
-        found = fit(
+        found = fit_like(
+            base,
             base.model.with_effect(score.effect),
-            base.problem.data,
-            share=[*shared, *common] if len(layout.records) > 1 else (),
-            per_case=[*own, *_own_phase_keys(score)] if len(layout.records) > 1 else (),
+            share=common,
+            per_case=_keys_per_case(score),
             start=begin if start is None else begin | dict(start),
             noise=base.noise,
-            steady=[n for n in begin if _keeps(score.effect, n, held=held)] if start is None else (),
+            steady=_steady(score.effect, begin, strength=hold_strength) if start is None else (),
             quick=True,
         )
     except FittingError:
@@ -256,27 +249,28 @@ def together(
     return found if np.isfinite(found.deviance) else None
 
 
-def _own_phase_keys(score: Score) -> list[str]:
+def _keys_per_case(score: Score) -> list[str]:
     """Return the parameters of a shared effect of which each case has its own value."""
     roles = {"amplitude", "phase"} if score.own_phase else set()
     return [f"{score.effect.name}.{p.symbol}" for p in score.effect.parameters if p.role in roles]
 
 
-def at_one_phase(score: Score) -> Score:
+def with_common_phase(score: Score) -> Score:
     """Return a score with one strength and phase common to all cases, as an initial value."""
     gamma = score.gamma.reshape(-1, 2).mean(axis=0)
     return replace(score, gamma=gamma, columns=2, own_phase=False)
 
 
-def _keeps(effect: Effect, name: str, *, held: bool) -> bool:
-    own = [p for p in effect.parameters if held or p.role == "shape"]
-    return name.partition("@")[0] in {f"{effect.name}.{p.symbol}" for p in own}
+def _steady(effect: Effect, names: Iterable[str], *, strength: bool) -> list[str]:
+    """Return the names of the shape constants of an effect, and of its strength."""
+    keys = {f"{effect.name}.{p.symbol}" for p in effect.parameters if strength or p.role == "shape"}
+    return [n for n in names if n.partition("@")[0] in keys]
 
 
-def with_one_value(base: Fit, score: Score, found: Fit) -> Fit | None:
+def with_common_values(base: Fit, score: Score, found: Fit) -> Fit | None:
     """Return the fit in which all cases share the per-case parameters of the candidate; None if it has none.
 
-    Surfaces that agree need one number and not one each: a law must not lose against a rival because its
+    Where the values of all cases agree, BIC counts one parameter: a law has no disadvantage against a rival because its
     parameters may differ between cases.
     """
     prefix = score.effect.name + "."
@@ -287,17 +281,17 @@ def with_one_value(base: Fit, score: Score, found: Fit) -> Fit | None:
         k: float(np.mean([e.value for name, e in found.estimates.items() if name.partition("@")[0] == k]))
         for k in keys
     }
-    return together(base, score, {n: e.value for n, e in found.estimates.items()} | mean, keys)
+    return fit_together(base, score, found.values | mean, keys)
 
 
-def with_own_values(base: Fit, score: Score, found: Fit, common: Fit) -> Fit:
-    """Return the better of a fit and one with per-case values that starts from the common ones."""
-    values = {name: e.value for name, e in common.estimates.items()}
+def with_values_per_case(base: Fit, score: Score, found: Fit, common: Fit) -> Fit:
+    """Return the better of a fit with per-case values and one that starts at the common ones."""
+    values = common.values
     start = {n: values.get(n, values.get(n.partition("@")[0])) for n in found.problem.layout.names}
-    return _better(found, together(base, score, {n: v for n, v in start.items() if v is not None}))
+    return _better(found, fit_together(base, score, {n: v for n, v in start.items() if v is not None}))
 
 
-def start_of(base: Fit, score: Score) -> dict[str, float]:
+def initial_values_of(base: Fit, score: Score) -> dict[str, float]:
     """Return initial values of a candidate's parameters from its score."""
     effect, labels = score.effect, [r.label for r in base.problem.layout.records]
     own = len(labels) > 1 and (score.own_phase or effect.per_case)
@@ -352,8 +346,8 @@ def with_shape_parameter(effect: Effect) -> Effect | None:
     return None
 
 
-def freed(found: Fit, effect: Effect, criteria: Criteria) -> Fit | None:
-    """Return the fit with the shape constant of one of its effects as a parameter, if BIC asks for it.
+def with_free_shape(found: Fit, effect: Effect, criteria: Criteria) -> Fit | None:
+    """Return the fit with the shape constant of one of its effects as a parameter, if BIC justifies it.
 
     Parameters
     ----------
@@ -367,19 +361,16 @@ def freed(found: Fit, effect: Effect, criteria: Criteria) -> Fit | None:
     general = with_shape_parameter(effect)
     if general is None:
         return None
-    layout = found.problem.layout
     model = Model(tuple(general if e.name == effect.name else e for e in found.model.effects))
     symbol = general.parameters[-1].symbol
-    values = {k: e.value for k, e in found.estimates.items()}
     best: Fit | None = None
     for start in general.parameters[-1].grid or (general.parameters[-1].start,):
         with suppress(FittingError):
-            other = fit(
+            other = fit_like(
+                found,
                 model,
-                found.problem.data,
-                share=[k for k in model.free if k not in layout.per_case] if len(layout.records) > 1 else (),
-                per_case=layout.per_case,
-                start=values | {f"{effect.name}.{symbol}": start},
+                share=[f"{effect.name}.{symbol}"],
+                start=found.values | {f"{effect.name}.{symbol}": start},
                 noise=found.noise,
                 quick=True,
             )

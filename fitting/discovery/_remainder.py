@@ -1,4 +1,4 @@
-"""How much of the unmodelled torque an effect explains, and what remains.
+"""How much of the unmodelled torque an effect explains, and the size of the remainder.
 
 Significance and size are two questions. With the net torques T of the base, of the base with the named effect, and of
 the most complete fit, all along the motion of the last one, and the unmodelled torque R of the last one where that is
@@ -41,7 +41,7 @@ from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
 from fitting.effects._effect import Effect, Joint, Parameter
 from fitting.effects._expression import Tape, symbols
 from fitting.inference._case_data import CAMERA_COLUMNS, largest_speed
-from fitting.inference._fit import fit
+from fitting.inference._fit import fit_like
 from fitting.inference._noise import Noise
 from fitting.inference._result import Fit
 
@@ -52,7 +52,7 @@ _POINTS = 2000
 
 @dataclass(frozen=True)
 class Remainder:
-    """What is still significant after the named effect.
+    """The unmodelled torque that is still significant with the named effect.
 
     Attributes
     ----------
@@ -112,25 +112,25 @@ class Torques:
         self.unmodelled[case][0][1 if curve.body == "casing" else 0] += added
 
     def remaining(self, named: Fit) -> tuple[float, float]:
-        """Return the share of the mean square that a fit leaves, and the rms on the body with more of it [N m]."""
+        """Return the unexplained share of the mean square, and the rms of it on the body with more of it [N m]."""
         explained = self._difference(named)
-        total, left, bodies = 0.0, 0.0, np.zeros(2)
-        for (smooth, waves), (own, own_waves) in zip(self.unmodelled, explained, strict=True):
+        total, unexplained, bodies = 0.0, 0.0, np.zeros(2)
+        for (smooth, harmonics), (fitted, fitted_harmonics) in zip(self.unmodelled, explained, strict=True):
             for body in (0, 1):
-                names = {k for k in (*waves, *own_waves) if k[0] == body}
+                names = {k for k in (*harmonics, *fitted_harmonics) if k[0] == body}
                 total += float(np.mean(smooth[body] ** 2)) + 0.5 * sum(
-                    abs(waves.get(k, 0)) ** 2 for k in names
+                    abs(harmonics.get(k, 0)) ** 2 for k in names
                 )
-                rest = float(np.mean((smooth[body] - own[body]) ** 2)) + 0.5 * sum(
-                    abs(waves.get(k, 0) - own_waves.get(k, 0)) ** 2 for k in names
+                rest = float(np.mean((smooth[body] - fitted[body]) ** 2)) + 0.5 * sum(
+                    abs(harmonics.get(k, 0) - fitted_harmonics.get(k, 0)) ** 2 for k in names
                 )
-                left += rest
+                unexplained += rest
                 bodies[body] += rest / len(self.unmodelled)
-        return min(left / total, 1.0) if total > 0 else 0.0, float(np.sqrt(bodies.max()))
+        return min(unexplained / total, 1.0) if total > 0 else 0.0, float(np.sqrt(bodies.max()))
 
     def shape_error(self, law: Effect, freed: Effect) -> tuple[float, float]:
-        """Return share and rms of a freed law's torque that the library's law, at its best strength, does not have."""
-        total, left, bodies = 0.0, 0.0, np.zeros(2)
+        """Return share and rms of the difference of a law with a free shape and that of the library, best scaled."""
+        total, unexplained, bodies = 0.0, 0.0, np.zeros(2)
         for case, t in enumerate(self._time):
             y = Sampler(self._end.predictions[case].path.mesh, t).value(self._end.predictions[case].path.y)
             numbers = self._end.problem.layout.numbers(self._end.theta, case)
@@ -141,38 +141,39 @@ class Torques:
                 "delta": y[:, 0] - y[:, 1],
             }
             known |= {p.symbol: numbers[f"{freed.name}.{p.symbol}"] for p in freed.parameters}
-            own, unit = (np.asarray(Tape([e.expression])(known)[0]) * np.ones(len(t)) for e in (freed, law))
-            rest = float(np.mean((own - unit * (own @ unit) / max(float(unit @ unit), 1e-300)) ** 2))
+            torque, unit = (
+                np.asarray(Tape([e.expression])(known)[0]) * np.ones(len(t)) for e in (freed, law)
+            )
+            rest = float(np.mean((torque - unit * (torque @ unit) / max(float(unit @ unit), 1e-300)) ** 2))
             acts = np.array(
                 [law.joint in {"rotor", "bearing"}, law.joint in {"casing", "bearing"}], dtype=float
             )
-            left += rest * float(acts.sum())
+            unexplained += rest * float(acts.sum())
             bodies += rest * acts / len(self._time)
             total += sum(float(np.mean(u**2)) for u in self.unmodelled[case][0])
-        return min(left / total, 1.0) if total > 0 else 0.0, float(np.sqrt(bodies.max()))
+        return min(unexplained / total, 1.0) if total > 0 else 0.0, float(np.sqrt(bodies.max()))
 
     def _difference(self, fit: Fit) -> list[tuple[list[Array], dict[tuple[int, str], complex]]]:
         """Return T_fit - T_base of each case: smooth torques on rotor and casing, amplitudes of laws of an angle."""
         found = []
         for case in range(len(self._time)):
             a, b = self._smooth(fit, case), self._smooth(self._base, case)
-            waves, less = _amplitudes(fit, case), _amplitudes(self._base, case)
-            names = {*waves, *less}
-            found.append(([a[0] - b[0], a[1] - b[1]], {k: waves.get(k, 0j) - less.get(k, 0j) for k in names}))
+            with_, without = _amplitudes(fit, case), _amplitudes(self._base, case)
+            harmonics = {k: with_.get(k, 0j) - without.get(k, 0j) for k in {*with_, *without}}
+            found.append(([a[0] - b[0], a[1] - b[1]], harmonics))
         return found
 
     def _smooth(self, fit: Fit, case: int) -> tuple[Array, Array]:
         t, path = self._time[case], self._end.predictions[case].path
-        own = fit.predictions[case].path
-        motion, states = Sampler(path.mesh, t).value(path.y), Sampler(own.mesh, t).value(own.y)
-        # the angle from the equilibrium belongs to the motion; states of friction are the fit's own
-        y = states.copy()
-        for i, name in enumerate(own.states[: states.shape[1]]):
+        fitted = fit.predictions[case].path
+        motion, y = Sampler(path.mesh, t).value(path.y), Sampler(fitted.mesh, t).value(fitted.y)
+        # the deflection belongs to the motion; states of effects, such as a temperature, are those of the fit
+        for i, name in enumerate(fitted.states[: y.shape[1]]):
             if i < 2 or name == "deflection":
                 y[:, i] = motion[:, path.states.index(name)]
         numbers = dict(fit.problem.layout.numbers(fit.theta, case))
         if self._end.model.restoring and not fit.model.restoring:
-            # fitted to an oscillation without a restoring torque, the constants of the other laws mean nothing
+            # without a restoring torque, the other parameters fitted to an oscillation have no meaning
             known = self._end.problem.layout.numbers(self._end.theta, case)
             numbers |= {k: v for k, v in known.items() if k in numbers}
         rates = fit.problem.cases[case].dynamics.rates(t, y, numbers)
@@ -184,8 +185,8 @@ def _amplitudes(fit: Fit, case: int) -> dict[tuple[int, str], complex]:
     numbers = fit.problem.layout.numbers(fit.theta, case)
     found: dict[tuple[int, str], complex] = {}
     for e in fit.model.angle_dependent:
-        own = {p.role: numbers[f"{e.name}.{p.symbol}"] for p in e.parameters}
-        k = own.get("amplitude", 1.0) * np.exp(1j * own.get("phase", 0.0))
+        values = {p.role: numbers[f"{e.name}.{p.symbol}"] for p in e.parameters}
+        k = values.get("amplitude", 1.0) * np.exp(1j * values.get("phase", 0.0))
         for body, acts in ((0, e.joint in {"rotor", "bearing"}), (1, e.joint in {"casing", "bearing"})):
             if acts:
                 found[body, e.name] = complex(k)
@@ -196,8 +197,9 @@ def _amplitudes(fit: Fit, case: int) -> dict[tuple[int, str], complex]:
 class Grade:
     """The size of an answer: form, explained share, remainder, and the rivals that explain as much.
 
-    `unknown` is the speed of which a law outside the library explains more than the named effect does; `test` is how
-    well the data test the form. Without form and remainder the residuals are consistent with noise; the form is open.
+    `unknown` is a speed of which a law outside the library explains more than the named effect; `test` shows how well
+    the data test the form. Without form and remainder the residuals are consistent with noise, but the form is not
+    established.
     """
 
     form: str | None
@@ -218,7 +220,7 @@ _SMOOTH_LAWS: tuple[tuple[Joint, str, tuple[int, ...]], ...] = (
 
 
 def smooth_law(joint: Joint, speed: str, powers: Sequence[int], low: float, high: float) -> Effect:
-    """Return any smooth law of a speed: a cubic spline between two speeds [rad/s]."""
+    """Return a cubic spline of a speed between two values [rad/s], as an effect that represents any smooth law."""
     x = f"(({speed} - {low!r})/{high - low!r})"
     knots = np.linspace(0, 1, _INNER_KNOTS + 2)[1:-1].tolist()
     terms = [f"{x}**{p}" if p else "1.0" for p in powers] + [f"abs({x} - {k!r})**3" for k in knots]
@@ -228,7 +230,7 @@ def smooth_law(joint: Joint, speed: str, powers: Sequence[int], low: float, high
 
 
 def better_law(base: Fit, named: Fit, end: Fit, effect: Effect, criteria: Criteria) -> str:
-    """Return the speed of which some smooth law describes the data better than an effect that is no law of it.
+    """Return the speed of which a smooth law describes the data better than an effect of another speed.
 
     Parameters
     ----------
@@ -252,42 +254,24 @@ def better_law(base: Fit, named: Fit, end: Fit, effect: Effect, criteria: Criter
 
 
 def _with_smooth_laws(base: Fit, effect: Effect, noise: Sequence[Noise]) -> Iterator[tuple[Fit, str]]:
-    """Yield the fits with a smooth law in place of an effect, for each speed of which the effect is no law."""
-    layout = base.problem.layout
+    """Yield the fits with a smooth law of each speed in place of an effect that is not a law of this speed alone."""
     for joint, speed, powers in _SMOOTH_LAWS:
-        own = symbols(effect.expression) - {p.symbol for p in effect.parameters}
-        if (joint == effect.joint and own <= {speed}) or (
+        variables = symbols(effect.expression) - {p.symbol for p in effect.parameters}
+        if (joint == effect.joint and variables <= {speed}) or (
             base.problem.data[0].record.single and joint != "casing"
         ):
             continue
-        law = smooth_law(joint, speed, powers, *_range(base, speed))
-        start = {k: e.value for k, e in base.estimates.items()} | {
-            f"{law.name}.{p.symbol}": 0.0 for p in law.parameters
-        }
+        law = smooth_law(joint, speed, powers, *ranges_of(base)[speed])
+        start = base.values | {f"{law.name}.{p.symbol}": 0.0 for p in law.parameters}
         with suppress(FittingError):
-            yield (
-                fit(
-                    base.model.with_effect(law),
-                    base.problem.data,
-                    share=[k for k in base.model.free if k not in layout.per_case]
-                    if len(layout.records) > 1
-                    else (),
-                    per_case=layout.per_case,
-                    start=start,
-                    noise=noise,
-                    quick=True,
-                ),
-                speed,
-            )
+            yield fit_like(base, base.model.with_effect(law), start=start, noise=noise, quick=True), speed
 
 
-def _range(fit: Fit, speed: str) -> tuple[float, float]:
-    ends = []
-    for p in fit.predictions:
-        y = p.path.y[..., :2].reshape(-1, 2)
-        known = {"omega_r": y[:, 0], "omega_c": y[:, 1], "delta": y[:, 0] - y[:, 1]}[speed]
-        ends += [float(known.min()), float(known.max())]
-    return min(ends), max(ends)
+def ranges_of(fit: Fit) -> dict[str, tuple[float, float]]:
+    """Return the smallest and the largest value of each speed along the fitted motion, over all cases [rad/s]."""
+    rotor, casing = np.concatenate([p.path.y[..., :2].reshape(-1, 2) for p in fit.predictions]).T
+    speeds = {"omega_r": rotor, "omega_c": casing, "delta": rotor - casing}
+    return {name: (float(v.min()), float(v.max())) for name, v in speeds.items()}
 
 
 # share of the mean square torque below which the named effect and the most complete fit have the same torque
@@ -317,7 +301,7 @@ def grade(
     misfit : bool
         The most complete fit has a significant lack of fit.
     """
-    chosen, end = selection.chosen, selection.end
+    chosen, end = selection.chosen, selection.final
     if chosen is None or chosen.fit is None:
         return Grade(None, None, None)
     significant = misfit or doubt is not None
@@ -325,7 +309,7 @@ def grade(
     if doubt is None and significant and chosen.effect.depends_on_angle:
         harmonic = harmonic_test(selection.named)
         if harmonic.p_value < criteria.doubt_adequate:
-            # what is periodic in the angle is no second effect of the speeds
+            # a residual periodic in the angle is not described by a second effect of the speeds
             doubt, end, others = harmonic, selection.named, []
     free = [e for e in end.model.effects if _is_freed(e.name, selection)]
     tested = None
@@ -336,7 +320,7 @@ def grade(
     torques = Torques(base, end, residual=significant)
     share, rms = torques.remaining(selection.named)
     for e in free if not others else []:
-        # the fit of a law of the wrong shape may lie in another valley: the law itself is closer than its fit
+        # the fit of a law of the wrong shape may be in another minimum: then the law is closer than its fit
         share, rms = min((share, rms), torques.shape_error(_named(selection, e.name), e))
     parts = [f"shape of {e.name}: {_shape(end, e.name, e.parameters[-1].symbol)}" for e in free]
     parts += [f"second effect {', '.join(others)}"] if others else []
@@ -347,7 +331,7 @@ def grade(
         parts.append(
             f"it {test.words}" if test.p_value < criteria.doubt_named else "a lack of fit of unknown form"
         )
-    # a doubt alone, such as a sinusoid, tells its own size
+    # a contradicting test alone, such as a sinusoid, states its own size
     size = (
         f" {format_torque(rms, unit=base.torque_unit)} rms, {100 * share:.2g} % of the mean square unmodelled torque"
         if share > _NO_TORQUE
@@ -364,15 +348,15 @@ def grade(
     )
     if unknown:
         return Grade(None, 1 - share, remainder, unknown=unknown, test=tested)
-    # a rival does as well if it is worse by less than what the chosen effect itself leaves
+    # a rival is equivalent if it is worse by less than the lack of fit of the chosen effect itself
     excess = max(selection.named.lack_of_fit.chi2 - selection.named.lack_of_fit.dof, 0.0)
-    left = max(excess, selection.named.deviance - end.deviance)
+    margin = max(excess, selection.named.deviance - end.deviance)
     rivals = tuple(
         c.effect.name
         for c in selection.candidates
         if c is not chosen and c.physical == chosen.physical and c.significant and c.fit is not None
         if c.effect.name != chosen.effect.name
-        if c.score > chosen.score - left and torques.remaining(c.fit)[0] < 2 * share
+        if c.score > chosen.score - margin and torques.remaining(c.fit)[0] < 2 * share
     )
     return Grade("approximate", 1 - share, remainder, rivals, test=tested)
 
@@ -380,11 +364,11 @@ def grade(
 def _complete(
     base: Fit, selection: Selection, chosen: Candidate, tested: FormTest | None, criteria: Criteria
 ) -> Grade:
-    """Return the grade of an effect that leaves nothing significant.
+    """Return the grade of an effect with which the residuals are consistent with noise.
 
     Laws of other speeds, of any smooth form, are its rivals where BIC does not separate them. A form that these data
-    could not refute, or that such a law could replace at the price of more parameters, is not proven, of a class as of
-    a single name.
+    could not refute, or that such a law with more parameters could replace, is not established; this holds for an
+    equivalence class as for a single effect.
     """
     if tested is None:
         return Grade("exact", 1.0, None)
@@ -401,8 +385,8 @@ def _complete(
     width = criteria.equivalence_width
     rivals = tuple(UNKNOWN_LAWS[speed] for f, speed in laws if f.bic < named.bic + width)
     replaceable = any(f.deviance < named.deviance + width for f, _ in laws)
-    proven = tested.is_strong(criteria) and not tested.any_in_time and not replaceable
-    return Grade("exact" if proven else None, 1.0, None, rivals, test=tested)
+    established = tested.is_strong(criteria) and not tested.any_in_time and not replaceable
+    return Grade("exact" if established else None, 1.0, None, rivals, test=tested)
 
 
 def _likelihood_ratio(smaller: Fit, larger: Fit) -> float:
@@ -419,7 +403,7 @@ def _named(selection: Selection, name: str) -> Effect:
 
 def _is_freed(name: str, selection: Selection) -> bool:
     before = {e.name: e for e in selection.named.model.effects}
-    now = {e.name: e for e in selection.end.model.effects}
+    now = {e.name: e for e in selection.final.model.effects}
     return name in before and with_shape_parameter(before[name]) == now[name]
 
 
@@ -430,7 +414,7 @@ def _shape(fit: Fit, name: str, symbol: str) -> str:
 
 
 def nuisance_parameters(fit: Fit) -> list[Nuisance]:
-    """Return the camera effects that every fit frees, with their amplitudes, case by case.
+    """Return the amplitudes of the camera effects that are fitted always, case by case.
 
     The columns of the cameras, with their priors, and the free parameters are estimated together by generalised least
     squares at the pure noise; the amplitude is the root of the sum of the squares of its cosine and sine.
@@ -440,25 +424,25 @@ def nuisance_parameters(fit: Fit) -> list[Nuisance]:
     found = []
     moving = ~fit.problem.layout.at_bound(fit.theta)
     for data, p, n in zip(fit.problem.data, fit.predictions, fit.noise, strict=True):
-        if not data.slices["camera_prior"].stop > data.slices["camera_prior"].start:
+        if not data.has_camera_prior:
             continue
         columns = np.concatenate([p.jacobian[:, moving], data.nuisance], axis=1)
         size = np.linalg.norm(columns, axis=0)
         size[size == 0] = np.inf
         whitener = n.whitener.at(n.pure)
         white, r = whitener(columns / size), whitener(data.z - p.rows)
-        first = columns.shape[1] - _camera_width()
+        first = columns.shape[1] - 2 * len(CAMERA_COLUMNS)
         speed = largest_speed(data.casing.samples)
         gram = np.linalg.pinv(white.T @ white, rcond=1e-12, hermitian=True)
         value = (gram @ (white.T @ r)) / size
         covariance = gram / np.outer(size, size)
         for name, places in CAMERA_COLUMNS.items():
             at = [first + i for i in places]
-            both, cov = value[at], covariance[np.ix_(at, at)]
-            amplitude = float(np.hypot(*both))
-            direction = both / max(amplitude, 1e-300)
+            pair, cov = value[at], covariance[np.ix_(at, at)]
+            amplitude = float(np.hypot(*pair))
+            direction = pair / max(amplitude, 1e-300)
             stderr = float(np.sqrt(max(direction @ cov @ direction, 0.0)))
-            chi2 = float(both @ np.linalg.pinv(cov, hermitian=True) @ both)
+            chi2 = float(pair @ np.linalg.pinv(cov, hermitian=True) @ pair)
             scale = speed if name == "camera.shutter" else 1.0
             unit = next(q.unit for q in LIBRARY[name].parameters if q.role == "amplitude")
             found.append(
@@ -467,7 +451,3 @@ def nuisance_parameters(fit: Fit) -> list[Nuisance]:
                 )
             )
     return found
-
-
-def _camera_width() -> int:
-    return 1 + max(i for places in CAMERA_COLUMNS.values() for i in places)

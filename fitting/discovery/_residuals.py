@@ -7,7 +7,7 @@ standard deviation are those of a Gaussian process (C. Rasmussen, C. Williams, G
 
 Harmonics of the angle. With the whitened response S of the rows to torques sin(n psi), cos(n psi) of 1 N m, n = 1, 2,
 and the residual, both orthogonal to the free columns (parameters, phases, centre offset, tilt, rolling shutter) and to
-slow torques of any shape, because a lack of fit elsewhere leaks into the few turns in which the casing is slow,
+slow torques of any shape, because another lack of fit has harmonics in the few turns in which the casing is slow,
 
     gamma = (S'S)^-1 S'r,   cov(gamma) = (S'S)^-1,   torque(psi) = sum_n gamma_2n-1 sin(n psi) + gamma_2n cos(n psi).
 """
@@ -26,7 +26,8 @@ from fitting._numbers import PER_INERTIA, TORQUE
 from fitting.dynamics._mesh import Sampler
 from fitting.effects._library import LIBRARY
 from fitting.inference._case_data import CaseData
-from fitting.inference._metrics import orthonormal, slow_responses
+from fitting.inference._linear_algebra import orthogonal_to, orthonormal
+from fitting.inference._metrics import slow_responses
 from fitting.inference._noise import TorqueNoise, TorqueResponse, decaying_sums, remaining_level
 from fitting.inference._problem import Projection
 from fitting.inference._record import speeds
@@ -60,7 +61,7 @@ def whiteness(fit: Fit) -> list[Whiteness]:
 
     results = []
     for data, n, p in zip(fit.problem.data, fit.noise, fit.predictions, strict=True):
-        # process noise that stands for a lack of fit would whiten that, too
+        # at the level of the fit, process noise would account for a lack of fit as well
         project = Projection(data, n.whitener.at(n.pure))
         blocks, k, _ = data.casing.lift.shape
         rows = project(p.rows - data.z)[data.slices["casing"]].reshape(blocks, k)[:, :_POWERS]
@@ -78,8 +79,8 @@ def whiteness(fit: Fit) -> list[Whiteness]:
     return results
 
 
-_SHARE = 1 / 30
-_FLOOR = 3e-3
+# correlation time of the unmodelled torque over the length of the record; smallest sigma over the prior one
+_SHARE, _FLOOR = 1 / 30, 3e-3
 
 
 @dataclass(frozen=True)
@@ -97,13 +98,10 @@ class ResidualTorque:
 
 def residual_torques(fit: Fit) -> list[ResidualTorque]:
     """Return the unmodelled torque on each body of each case of a fit."""
-    curves = []
-    for i in range(len(fit.problem.cases)):
-        curves += _case(fit, i)
-    return curves
+    return [curve for i in range(len(fit.problem.cases)) for curve in _of_case(fit, i)]
 
 
-def _case(fit: Fit, index: int) -> list[ResidualTorque]:
+def _of_case(fit: Fit, index: int) -> list[ResidualTorque]:
     data, prediction, noise = fit.problem.data[index], fit.predictions[index], fit.noise[index]
     response = TorqueResponse(data, prediction.motion)
     smooth = data.slices["smooth"]
@@ -113,49 +111,50 @@ def _case(fit: Fit, index: int) -> list[ResidualTorque]:
     level, _ = remaining_level(slow, residual, data.nuisance)
     floor = noise.pure**2 * response.covariance(noise.time) if noise.pure > 0 else 0.0
     covariance = np.eye(smooth.stop) + floor
-    shaped = {
-        "casing": _smear(response.casing, response, time),
-        "rotor": _smear(response.rotor, response, time),
+    # covariance of the rows with the torque of each body, for a torque of rms 1 N m
+    cross = {
+        "casing": _times_covariance(response.casing, response, time),
+        "rotor": _times_covariance(response.rotor, response, time),
     }
     for name, w in (("casing", response.casing), ("rotor", response.rotor)):
-        covariance = covariance + level**2 * shaped[name] @ w.T
-    gain = _without_nuisance(covariance, data.nuisance[smooth])
-    seen = gain @ residual[smooth]
+        covariance = covariance + level**2 * cross[name] @ w.T
+    inverse = _inverse_without_nuisance(covariance, data.nuisance[smooth])
+    weighted = inverse @ residual[smooth]
     y = Sampler(prediction.path.mesh, response.centres).value(prediction.path.y)
     curves = []
     for body in ("casing",) if data.record.single else ("casing", "rotor"):
-        mean = level**2 * shaped[body].T @ seen
-        learned = level**4 * np.einsum("ic,ij,jc->c", shaped[body], gain, shaped[body], optimize=True)
-        # rounding sets a floor where the data determine the torque almost completely
-        sigma = np.sqrt(np.maximum(level**2 - learned, (_FLOOR * level) ** 2))
-        seen_at = _seen(response.centres, data, body)
+        mean = level**2 * cross[body].T @ weighted
+        reduction = level**4 * np.einsum("ic,ij,jc->c", cross[body], inverse, cross[body], optimize=True)
+        # where the data determine the torque almost completely, the difference of variances is rounding
+        sigma = np.sqrt(np.maximum(level**2 - reduction, (_FLOOR * level) ** 2))
+        filmed = _is_filmed(response.centres, data, body)
         curves.append(
             ResidualTorque(
                 data.record.label,
                 body,
-                *(v[seen_at] for v in (response.centres, mean, sigma, y[:, 0], y[:, 1])),
+                *(v[filmed] for v in (response.centres, mean, sigma, y[:, 0], y[:, 1])),
             )
         )
     return curves
 
 
-def _seen(times: Array, data: CaseData, body: str) -> NDArray[np.bool_]:
-    """Return when a body was filmed; for the rotor, from its first window to its last."""
+def _is_filmed(times: Array, data: CaseData, body: str) -> NDArray[np.bool_]:
+    """Return which times are within the recording of a body; of the rotor, from its first window to its last."""
     runs = (data.casing,) if body == "casing" else data.rotor
     first = min(float(r.samples.time[0]) for r in runs)
     last = max(float(r.samples.time[-1]) for r in runs)
     return np.asarray((times >= first) & (times <= last))
 
 
-def _smear(w: Array, response: TorqueResponse, time: float) -> Array:
-    """Return W R for a unit Ornstein-Uhlenbeck process."""
+def _times_covariance(w: Array, response: TorqueResponse, time: float) -> Array:
+    """Return W R with the covariance R of an Ornstein-Uhlenbeck process of rms 1."""
     decay = float(np.exp(-(response.edges[1] - response.edges[0]) / time))
     later, earlier = decaying_sums(w.T, decay), decaying_sums(w.T[::-1], decay)[::-1]
     return np.asarray((later + earlier).T - w)
 
 
-def _without_nuisance(covariance: Array, nuisance: Array) -> Array:
-    """Return C^-1 with the columns of free nuisances projected out."""
+def _inverse_without_nuisance(covariance: Array, nuisance: Array) -> Array:
+    """Return C^-1 with the columns of the nuisance parameters projected out."""
     inverse = np.linalg.inv(0.5 * (covariance + covariance.T))
     size = np.linalg.norm(nuisance, axis=0)
     columns = nuisance[:, size > 0] / size[size > 0]
@@ -227,21 +226,22 @@ def angle_harmonics(fit: Fit) -> list[AngleHarmonics]:
             for name in _LAWS
             for column in case.unit_columns(LIBRARY[name], p.path, p.sensitivity, numbers)
         ]
-        both = project(np.concatenate([np.stack(columns, axis=1), (case.data.z - p.rows)[:, None]], axis=1))
+        rows = project(np.concatenate([np.stack(columns, axis=1), (case.data.z - p.rows)[:, None]], axis=1))
         slow = slow_responses(case.data, p)
         basis = orthonormal(project(np.concatenate([p.jacobian, slow], axis=1)), _RANK)
-        both = both - basis @ (basis.T @ both)
-        seen, residual = both[:, :-1], both[:, -1]
-        covariance = np.linalg.pinv(seen.T @ seen, hermitian=True)
-        gamma = covariance @ (seen.T @ residual)
+        rows = orthogonal_to(basis, rows)
+        response, residual = rows[:, :-1], rows[:, -1]
+        covariance = np.linalg.pinv(response.T @ response, hermitian=True)
+        gamma = covariance @ (response.T @ residual)
         found.append(AngleHarmonics(case.data.record.label, np.asarray(gamma), np.asarray(covariance)))
     return found
 
 
+# an interval ends where the torque is within this number of standard deviations of zero
 _BAND = 1.96
 _TURNS = {1: "once a turn", 2: "twice a turn"}
-_SHORTEST = 1 / 100
-_MOST = 6
+# shortest reported interval as a share of the record, and number of reported intervals
+_SHORTEST, _MOST = 1 / 100, 6
 
 
 @dataclass(frozen=True)
@@ -329,7 +329,7 @@ def find_failures(
     """Return the intervals and harmonics with a significant unmodelled torque, the most significant first.
 
     A harmonic is reported only where it is more significant than any interval: a torque that lasts less than a turn
-    leaks into the turns in which the casing is slow.
+    has harmonics in the turns in which the casing is slow.
 
     Parameters
     ----------
@@ -364,13 +364,13 @@ def _harmonic(fit: Fit, found: AngleHarmonics, n: int, least: float) -> list[Fai
     record, path = fit.problem.data[index].record, fit.predictions[index].path
     t = record.casing.time
     speed = np.abs(Sampler(path.mesh, t).value(path.y[..., 1]))
-    # the amplitude of the speed is torque / (I n omega), largest where the casing is slowest but still turns
+    # the amplitude of the speed is torque / (I n omega), largest where the casing is slowest without resting
     slowest = max(float(speed.min()), float(np.sqrt(amplitude / record.I_casing)), 1e-3)
-    oscillation = amplitude / (record.I_casing * n * slowest)
+    speed_amplitude = amplitude / (record.I_casing * n * slowest)
     span = float(t[0]), float(t[-1])
     return [
         Failure(
-            found.label, "casing", *span, "ripple", _TURNS[n], size, oscillation, amplitude,
+            found.label, "casing", *span, "ripple", _TURNS[n], size, speed_amplitude, amplitude,
             (float(speed.min()), float(speed.max())), record.body, amplitude / size,
             record.torque_unit,
         )
@@ -402,7 +402,7 @@ def _intervals(fit: Fit, curve: ResidualTorque, least: float) -> list[Failure]:
                 "gains torque" if mean > 0 else "loses torque",
                 _place(curve, a, b),
                 size,
-                _speed_misfit(fit, curve, a, b),
+                _largest_speed_residual(fit, curve, a, b),
                 mean,
                 (float(curve.omega_c[a:b].min()), float(curve.omega_c[a:b].max())),
                 called,
@@ -423,7 +423,8 @@ def _place(curve: ResidualTorque, a: int, b: int) -> str:
     return "in the rise" if b <= peak else "in the tail"
 
 
-def _speed_misfit(fit: Fit, curve: ResidualTorque, a: int, b: int) -> float:
+def _largest_speed_residual(fit: Fit, curve: ResidualTorque, a: int, b: int) -> float:
+    """Return the 5 % or 95 % quantile of the speed residuals in an interval that is farther from zero [rad/s]."""
     index = fit.labels.index(curve.label)
     record, path = fit.problem.data[index].record, fit.predictions[index].path
     runs, state = ((record.casing,), 1) if curve.body == "casing" else (record.rotor, 0)
@@ -432,7 +433,7 @@ def _speed_misfit(fit: Fit, curve: ResidualTorque, a: int, b: int) -> float:
         time, omega = speeds(samples, record.quantity)
         inside = (time >= curve.time[a]) & (time <= curve.time[b - 1])
         if inside.any():
-            misfit = omega[inside] - Sampler(path.mesh, time[inside]).value(path.y[..., state])
-            low, high = np.percentile(misfit, [5, 95])
+            residual = omega[inside] - Sampler(path.mesh, time[inside]).value(path.y[..., state])
+            low, high = np.percentile(residual, [5, 95])
             worst = max((worst, float(low), float(high)), key=abs)
     return worst

@@ -37,7 +37,7 @@ from fitting.dynamics._model import INERTIA_CASING
 from fitting.effects._effect import Effect, Parameter
 from fitting.effects._expression import Tape, derivative
 from fitting.inference._case_model import CaseModel, Prediction
-from fitting.inference._metrics import block_diagonal
+from fitting.inference._linear_algebra import block_diagonal, orthogonal_to, orthonormal
 from fitting.inference._noise import Noise, TorqueResponse, Whitener, possible_scales
 from fitting.inference._result import Fit
 
@@ -46,6 +46,8 @@ Array = NDArray[np.float64]
 _LEVELS = 9
 # share of a column orthogonal to the base, angles taken as exact, below which the base absorbs it
 _ABSORBED = 1e-7
+# relative singular value below which a direction of the free columns is none
+RANK = 1e-10
 _SEED = 7
 
 
@@ -72,7 +74,7 @@ class ScoreContext:
     torque_rows : ndarray, shape (rows,), optional
         Response of the rows to the torque of these effects.
     release : bool
-        Parameters at a bound are free as well.
+        Whether parameters at a bound are free as well.
     """
 
     def __init__(
@@ -90,8 +92,10 @@ class ScoreContext:
         random = np.random.default_rng(_SEED)
         shares = np.linspace(0, 1, _LEVELS) if any(n.raised for n in fit.noise) else np.array([1.0])
         self._axes = [n.whitener.vectors for n in fit.noise]
-        self._whiteners = [[n.whitener.at(_between(n.least, n.level, x)) for n in fit.noise] for x in shares]
-        # a parameter at its bound is held, unless it is to be released; only the refit respects the bound
+        self._whiteners = [
+            [n.whitener.at(_level_between(n.least, n.level, x)) for n in fit.noise] for x in shares
+        ]
+        # a parameter at its bound is held, unless it is released: only the refit enforces the bound
         moving = np.ones(len(fit.theta), dtype=bool) if release else ~fit.problem.layout.at_bound(fit.theta)
         names = fit.problem.layout.names
         moving &= np.array([n.partition("@")[0].rpartition(".")[0] not in without for n in names], dtype=bool)
@@ -103,7 +107,7 @@ class ScoreContext:
         everything = np.concatenate([free, nuisance], axis=1)
         self.free = self.rotated(everything)
         self._residual = self.rotated(residual)
-        self._plain = orthonormal(free)
+        self._unwhitened_basis = orthonormal(free, RANK)
         self.levels = [self._level(w, self.free) for w in self._whiteners]
         self.draws = self.rotated(random.standard_normal((len(residual), draws)))
 
@@ -115,15 +119,15 @@ class ScoreContext:
         return np.concatenate(parts)
 
     def base_change(self, rows: Array) -> Array:
-        """Return how the variables of the fit change when rows are added to its prediction, to first order.
+        """Return the change of the variables of the fit, to first order, when rows are added to its prediction.
 
         Generalised least squares at the level of the fit; zero for a variable that is not free.
         """
         gain = self.levels[-1].gain
-        columns, seen = gain[:, None] * self.free, gain * (self._residual - self.rotated(rows))
+        columns, data = gain[:, None] * self.free, gain * (self._residual - self.rotated(rows))
         size = np.linalg.norm(columns, axis=0)
         size[size == 0] = np.inf
-        found = np.linalg.lstsq(columns / size, seen, rcond=1e-10)[0] / size
+        found = np.linalg.lstsq(columns / size, data, rcond=1e-10)[0] / size
         change = np.zeros(len(self._moving))
         change[self._moving] = found[: int(self._moving.sum())]
         return change
@@ -131,8 +135,8 @@ class ScoreContext:
     def absorbed_by_base(self, groups: Sequence[Array]) -> NDArray[np.bool_]:
         """Return which groups of columns the free columns of the base absorb."""
         everything = np.concatenate(groups, axis=1)
-        left = everything - self._plain @ (self._plain.T @ everything)
-        share = np.linalg.norm(left, axis=0) / np.maximum(np.linalg.norm(everything, axis=0), 1e-300)
+        projected = orthogonal_to(self._unwhitened_basis, everything)
+        share = np.linalg.norm(projected, axis=0) / np.maximum(np.linalg.norm(everything, axis=0), 1e-300)
         return np.asarray(share.reshape(len(groups), -1).max(axis=1) < _ABSORBED)
 
     def _level(self, whiteners: Sequence[Whitener], free: Array) -> Level:
@@ -140,15 +144,14 @@ class ScoreContext:
             np.concatenate([1 / np.sqrt(1 + w.level**2 * w.values), np.ones(b - a - len(w.values))])
             for w, a, b in zip(whiteners, self.ends, self.ends[1:], strict=False)
         ])  # fmt: skip
-        q = orthonormal(gain[:, None] * free)
-        r = gain * self._residual
-        r = r - q @ (q.T @ r)
+        q = orthonormal(gain[:, None] * free, RANK)
+        r = orthogonal_to(q, gain * self._residual)
         return Level(gain, q, r, float(r @ r) + sum(w.log_determinant for w in whiteners))
 
     def shares(self, direction: Array) -> tuple[float, ...]:
         """Return the share of each case's process noise in the variance of a response (rotated, whitened, unit length).
 
-        A level that the lack of fit of the model determines is not that of the process noise.
+        The share is zero for a case whose level is raised by a lack of fit: that level is not of process noise.
         """
         found = []
         for n, a in zip(self.fit.noise, self.ends, strict=False):
@@ -163,22 +166,16 @@ class ScoreContext:
         return [self._level(w, free) for w in self._whiteners]
 
 
-def _between(least: float, level: float, share: float) -> float:
+def _level_between(least: float, level: float, share: float) -> float:
     if level <= least:
         return level
     floor = max(least, 1e-3 * level)
     return float(floor * (level / floor) ** share)
 
 
-def orthonormal(columns: Array) -> Array:
-    size = np.linalg.norm(columns, axis=0)
-    u, s, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
-    return np.asarray(u[:, s > 1e-10 * s[0]])
-
-
 # spacing of trial frequencies: phase difference over the record [rad]
 _PHASE_STEP = 1.5
-# highest trial frequency, which the cells still resolve [rad per cell]
+# highest trial frequency that the cells resolve [rad per cell]
 _FASTEST = 1.0
 _MAX_FREQUENCIES = 1500
 # share of a law's torque that acts on rotor and casing; in the bearing and as a factor of its torque -1 and 1
@@ -196,7 +193,7 @@ class Trial:
 
 
 class CaseColumns:
-    """Makes the columns of candidates for one case of a fit.
+    """The columns of candidates in the rows of one case of a fit.
 
     Parameters
     ----------
@@ -225,8 +222,11 @@ class CaseColumns:
         )
         self._known["tau"] = np.asarray(tau[0]) * np.ones(len(y))
         rates = self.case.dynamics.rates(self.response.centres, y, self.numbers)
-        # the whole torque on a body is its inertia times its acceleration
-        self._whole = {"factor": self._known["tau"], "inertia": self.numbers[INERTIA_CASING] * rates[:, 1]}
+        # torque by which a factor of the bearing torque, or of the acceleration of the casing, is multiplied
+        self._scaled_torque = {
+            "factor": self._known["tau"],
+            "inertia": self.numbers[INERTIA_CASING] * rates[:, 1],
+        }
 
     def trials(self, effect: Effect, choices: list[dict[str, float]] | None = None) -> list[Trial]:
         """Return the columns of a candidate for every choice of its shape constants, or for the choices given."""
@@ -242,7 +242,7 @@ class CaseColumns:
             grids = [self._grid(effect, p) for p in shapes]
             symbols = [p.symbol for p in shapes]
             choices = [dict(zip(symbols, map(float, v), strict=True)) for v in itertools.product(*grids)]
-        if effect.state is None and not effect.breakpoint and effect.joint not in self._whole:
+        if effect.state is None and not effect.breakpoint and effect.joint not in self._scaled_torque:
             unit = self._units(effect, choices)
         else:
             unit = np.concatenate([self._unit(effect, choice) for choice in choices], axis=1)
@@ -262,15 +262,15 @@ class CaseColumns:
     def _grid(self, effect: Effect, p: Parameter) -> Array:
         first, last = self.case.data.record.span
         if effect.state is not None and _phase_symbol(effect):
-            # phase of the oscillation per unit of its frequency parameter, over the whole record
-            turns = self._state(effect, {p.symbol: 1.0})
-            range_ = float(np.ptp(turns))
-            fastest = _FASTEST / max(float(np.abs(np.diff(turns)).max()), 1e-300)
+            # phase of the sinusoid per unit of its frequency parameter, over the whole record
+            phase = self._state(effect, {p.symbol: 1.0})
+            range_ = float(np.ptp(phase))
+            fastest = _FASTEST / max(float(np.abs(np.diff(phase)).max()), 1e-300)
             count = int(min(_MAX_FREQUENCIES, fastest * range_ / _PHASE_STEP))
             return np.linspace(fastest / max(count, 1), fastest, max(count, 1))
         grid = np.array(p.grid or (p.start,))
         if p.symbol == effect.breakpoint:
-            # the clearer a changepoint, the narrower the minimum around its time
+            # the stronger the effect, the narrower the minimum of chi-square about the changepoint
             finer = np.interp(np.arange((len(grid) - 1) * _FINER + 1) / _FINER, np.arange(len(grid)), grid)
             return np.asarray(first + finer * (last - first))
         return grid * (last - first) if p.relative else grid
@@ -278,7 +278,9 @@ class CaseColumns:
     @property
     def typical_torque(self) -> Array:
         """Torque of the bearing in each cell [N m]; of a single body the net torque."""
-        return np.asarray(self._whole["inertia"] if self.case.data.record.single else self._whole["factor"])
+        return np.asarray(
+            self._scaled_torque["inertia"] if self.case.data.record.single else self._scaled_torque["factor"]
+        )
 
     def torque(self, effect: Effect, shape: dict[str, float]) -> tuple[Array, Array]:
         """Return the torques of a unit strength on rotor and casing, each (cells, columns) [N m]."""
@@ -292,8 +294,7 @@ class CaseColumns:
 
     def torque_rows(self, rotor: Array, casing: Array) -> Array:
         """Return the response of the rows to torques on rotor and casing, each (cells, columns) [N m]."""
-        smooth = self.response.rotor @ rotor + self.response.casing @ casing
-        return np.concatenate([smooth, np.zeros((len(self.case.data.z) - len(smooth), smooth.shape[1]))])
+        return self.padded(self.response.rotor @ rotor + self.response.casing @ casing)
 
     def _units(self, effect: Effect, choices: Sequence[dict[str, float]]) -> Array:
         """Return the torque of a law at strength 1 in each cell, for all choices of its shape constants at once."""
@@ -301,15 +302,11 @@ class CaseColumns:
         cells = {k: np.asarray(v)[:, None] if np.ndim(v) else v for k, v in self._known.items()}
         values = cells | {p.symbol: p.start for p in effect.parameters} | {amplitude: 1.0}
         values |= {symbol: np.array([c[symbol] for c in choices]) for symbol in choices[0]}
-        tape, phase = Tape([effect.expression]), _phase_symbol(effect)
         shape = (len(self.response.centres), len(choices))
         with np.errstate(all="ignore"):
-            waves = [
-                np.broadcast_to(np.asarray(tape(values | ({phase: phi} if phase else {}))[0]), shape)
-                for phi in ((0.0, np.pi / 2) if phase else (0.0,))
-            ]
-        unit = np.stack(waves, axis=2).reshape(shape[0], -1)
-        # a choice with which the law is singular along the motion is no torque
+            torques = [np.broadcast_to(v, shape) for v in _at_phases(effect, values)]
+        unit = np.stack(torques, axis=2).reshape(shape[0], -1)
+        # a choice with which the law is singular along the motion is not tested
         return np.where(np.isfinite(unit).all(axis=0), unit, 0.0)
 
     def _unit(self, effect: Effect, shape: dict[str, float]) -> Array:
@@ -318,38 +315,34 @@ class CaseColumns:
         if effect.state is not None:
             values[effect.state.symbol] = self._state(effect, shape)
         amplitude = next(p.symbol for p in effect.parameters if p.role == "amplitude")
-        if effect.joint in self._whole:
+        if effect.joint in self._scaled_torque:
             values[amplitude] = 0.0
             slope = Tape([derivative(effect.expression, amplitude)])(values)[0]
-            law = [self._whole[effect.joint] * np.asarray(slope)]
+            law = [self._scaled_torque[effect.joint] * np.asarray(slope)]
         else:
             values[amplitude] = 1.0
-            tape, phase = Tape([effect.expression]), _phase_symbol(effect)
-            law = [
-                np.asarray(tape(values | ({phase: phi} if phase else {}))[0])
-                for phi in ((0.0, np.pi / 2) if phase else (0.0,))
-            ]
+            law = _at_phases(effect, values)
         unit = np.stack([v * np.ones(len(self.response.centres)) for v in law], axis=1)
         if effect.breakpoint:
             self._jump_within_cell(effect, values, unit)
         return unit
 
     def _jump_within_cell(self, effect: Effect, values: dict[str, Any], unit: Array) -> None:
-        """Let a jump within a cell act for the part of the cell after it."""
+        """Replace the torque of the cell that contains the changepoint by its mean over the cell."""
         edges = self.response.edges
         cell = int(np.searchsorted(edges, values[effect.breakpoint], side="right")) - 1
         if not 0 <= cell < len(unit):
             return
-        late = (edges[cell + 1] - values[effect.breakpoint]) / (edges[cell + 1] - edges[cell])
-        here = {k: v[cell] if isinstance(v, np.ndarray) and v.ndim else v for k, v in values.items()}
+        share_after = (edges[cell + 1] - values[effect.breakpoint]) / (edges[cell + 1] - edges[cell])
+        in_cell = {k: v[cell] if isinstance(v, np.ndarray) and v.ndim else v for k, v in values.items()}
         before, after = (
-            Tape([effect.expression])(here | {"t": float(t)})[0]
+            Tape([effect.expression])(in_cell | {"t": float(t)})[0]
             for t in (edges[cell] - 1e-9, edges[cell + 1] + 1e-9)
         )
-        unit[cell] = (1 - late) * before + late * after
+        unit[cell] = (1 - share_after) * before + share_after * after
 
     def _state(self, effect: Effect, shape: dict[str, float]) -> Array:
-        """Integrate the effect's own state along the base's path (its source and decay constant in each cell)."""
+        """Integrate the state of an effect along the motion of the base, with rates constant in each cell."""
         if effect.state is None or effect.rate is None:
             return np.zeros(0)
         symbol = effect.state.symbol
@@ -358,26 +351,33 @@ class CaseColumns:
         n = len(self.response.centres)
         source, decay = (np.asarray(v) * np.ones(n) for v in tape(values))
         h = self.response.edges[1] - self.response.edges[0]
-        push = 0.5 * h * (source[1:] + source[:-1])
+        increment = 0.5 * h * (source[1:] + source[:-1])
         if not decay.any():
             return np.asarray(
-                effect.state.start + np.concatenate([[0.0], np.cumsum(push)]) + 0.5 * h * source[0]
+                effect.state.start + np.concatenate([[0.0], np.cumsum(increment)]) + 0.5 * h * source[0]
             )
-        # exact for a constant rate: a state may forget within a cell
+        # exact for a constant rate, because a state may decay within a cell
         exponent = 0.5 * h * (decay[:-1] + decay[1:])
-        keep = np.exp(exponent)
-        gain = push * np.where(
+        factor = np.exp(exponent)
+        gain = increment * np.where(
             exponent == 0, 1.0, np.expm1(exponent) / np.where(exponent == 0, 1.0, exponent)
         )
         state = np.empty(n)
         state[0] = effect.state.start + 0.5 * h * source[0]
         for i in range(n - 1):
-            state[i + 1] = keep[i] * state[i] + gain[i]
+            state[i + 1] = factor[i] * state[i] + gain[i]
         return state
 
 
 def _phase_symbol(effect: Effect) -> str:
     return next((p.symbol for p in effect.parameters if p.role == "phase"), "")
+
+
+def _at_phases(effect: Effect, values: dict[str, Any]) -> list[Array]:
+    """Return a law at phase 0 and at a quarter period, or once if it has no phase."""
+    tape, phase = Tape([effect.expression]), _phase_symbol(effect)
+    phases: list[dict[str, float]] = [{phase: 0.0}, {phase: np.pi / 2}] if phase else [{}]
+    return [np.asarray(tape(values | p)[0]) for p in phases]
 
 
 # shape constants of each case, and the columns over the rows of all cases
@@ -458,10 +458,10 @@ def best_group(
     best: tuple[float, int, Array, Array] = (-np.inf, 0, np.zeros(1), np.zeros(1))
     absorbed = context.absorbed_by_base([c for _, c in groups])
     rotated = context.rotated(np.concatenate([c for _, c in groups], axis=1))
-    empty = np.zeros(0)
+    null_scores = np.zeros(0)
     for i, level in enumerate(levels):
         columns = level.gain[:, None] * rotated
-        columns = columns - level.basis @ (level.basis.T @ columns)
+        columns = orthogonal_to(level.basis, columns)
         scores, gammas = _solve(columns, level.residual, len(groups), bounds)
         scores = np.where(absorbed, 0.0, scores)
         place = int(np.argmax(scores))
@@ -471,7 +471,7 @@ def best_group(
             direction = columns[:, place * width : (place + 1) * width] @ gammas[place]
             best = (gain, place, gammas[place], direction / max(float(np.linalg.norm(direction)), 1e-300))
         if null and i == len(levels) - 1:
-            empty = _solve(columns, context.draws, len(groups), bounds)[0].max(axis=0)
+            null_scores = _solve(columns, context.draws, len(groups), bounds)[0].max(axis=0)
     return Score(
         effect,
         max(best[0], 0.0),
@@ -481,7 +481,7 @@ def best_group(
         len(groups),
         bool(absorbed.all()),
         best[3],
-        empty,
+        null_scores,
         context.shares(best[3]),
         context.fit.noise,
     )
@@ -493,7 +493,7 @@ def score_of_columns(context: ScoreContext, columns: Array) -> float:
     gains = []
     for level in context.levels:
         projected = level.gain[:, None] * rotated
-        projected = projected - level.basis @ (level.basis.T @ projected)
+        projected = orthogonal_to(level.basis, projected)
         score, _ = _solve(projected, level.residual, 1, (-np.inf, np.inf))
         gains.append(float(score[0]) - level.deviance)
     return max(gains) + min(x.deviance for x in context.levels)
@@ -513,8 +513,8 @@ def _solve(columns: Array, r: Array, groups: int, bounds: tuple[float, float]) -
     projected = projected / size.reshape(size.shape + (1,) * (projected.ndim - 2))
     gamma = np.einsum("gwv,gv...->gw...", inverse, projected)
     if bounds != (-np.inf, np.inf):
-        edge = size.reshape(size.shape + (1,) * (projected.ndim - 2))
-        gamma = np.clip(gamma, bounds[0] * edge, bounds[1] * edge)
+        scale = size.reshape(size.shape + (1,) * (projected.ndim - 2))
+        gamma = np.clip(gamma, bounds[0] * scale, bounds[1] * scale)
     score = np.einsum(
         "gw...,gw...->g...", gamma, 2 * projected - np.einsum("gwv,gv...->gw...", scaled, gamma)
     )
@@ -530,8 +530,9 @@ def _bounds(effect: Effect) -> tuple[float, float]:
 class NullDistribution:
     """Null distribution of one candidate's score, from simulated null data, for each possible process noise.
 
-    An error of the noise level scales the scores of all trials, and of all candidates, together. The number of trials
-    therefore enters for each level on its own, and only the family-wise p-value is averaged over the levels.
+    An error of the noise level scales the scores of all trials, and of all candidates, by the same factor. So the
+    correction for the number of trials is made for each level, and only the family-wise p-value is averaged over the
+    levels.
 
     Attributes
     ----------
@@ -545,9 +546,9 @@ class NullDistribution:
         self.draws = score.null
         middle = float(np.median(self.draws))
         tail = float(np.quantile(self.draws, 0.9))
-        self._trials = max(
-            _trials(float(_tail(middle, score.columns)), 0.5),
-            _trials(float(_tail(tail, score.columns)), 0.1),
+        self._number_of_trials = max(
+            _number_of_trials(float(_tail(middle, score.columns)), 0.5),
+            _number_of_trials(float(_tail(tail, score.columns)), 0.1),
         )
 
     def __call__(self, score: float) -> Array:
@@ -557,12 +558,12 @@ class NullDistribution:
     def of(self, score: float, columns: int) -> Array:
         """Return the p-values of a score with fewer strengths, searched over as many shapes."""
         single = np.minimum(_tail(max(score, 0.0) / self._scales, max(columns, 1)), 1 - 1e-12)
-        return np.asarray(-np.expm1(self._trials * np.log1p(-single)))
+        return np.asarray(-np.expm1(self._number_of_trials * np.log1p(-single)))
 
     def of_draws(self) -> Array:
         """Return the p-value of each null data set."""
         single = np.minimum(_tail(self.draws, self._columns), 1 - 1e-12)
-        return np.asarray(-np.expm1(self._trials * np.log1p(-single)))
+        return np.asarray(-np.expm1(self._number_of_trials * np.log1p(-single)))
 
 
 def _tail(chi2: float | Array, columns: int) -> Array:
@@ -572,7 +573,7 @@ def _tail(chi2: float | Array, columns: int) -> Array:
     return np.asarray(chdtrc(columns, np.maximum(chi2, 0.0)))
 
 
-def _trials(single: float, share: float) -> float:
+def _number_of_trials(single: float, share: float) -> float:
     # share = 1 - (1 - single)^N, solved for N
     return float(np.log1p(-share) / np.log1p(-min(max(single, 1e-12), 1 - 1e-12)))
 
@@ -592,7 +593,7 @@ def over_many_tests(p: float, smallest: Array) -> float:
 
 def _independent_tests(smallest: Array) -> float:
     """Return the number of independent tests that reproduces the lower tail of the smallest p of correlated ones."""
-    return max(1.0, _trials(float(np.quantile(smallest, 0.1)), 0.1))
+    return max(1.0, _number_of_trials(float(np.quantile(smallest, 0.1)), 0.1))
 
 
 def _any_of(tests: float, p: Array) -> Array:
@@ -602,16 +603,16 @@ def _any_of(tests: float, p: Array) -> Array:
 class FamilywiseNull:
     """Family-wise p-values over the list of candidates, calibrated on the smallest p of each null data set."""
 
-    def __init__(self, chances: Sequence[NullDistribution]) -> None:
-        self._tests = _independent_tests(np.min([c.of_draws() for c in chances], axis=0))
+    def __init__(self, nulls: Sequence[NullDistribution]) -> None:
+        self._tests = _independent_tests(np.min([n.of_draws() for n in nulls], axis=0))
 
     def __call__(self, p: Array, weights: Array) -> float:
         """Return the family-wise p-value from the p-values at each level, averaged over the levels."""
         return float(_any_of(self._tests, p) @ weights)
 
 
-_ROUNDS = 3
-_POINTS = 9
+# refinements of a shape constant, points of each; largest number of cases whose shapes are chosen in turn
+_ROUNDS, _POINTS = 3, 9
 _MOST_SWEPT = 4
 
 
@@ -638,7 +639,7 @@ def score(
     draws : int
         Number of null data sets.
     context : ScoreContext, optional
-        The linearised data, if they are not simply those of the fit.
+        The linearised data, if not those of the fit with all its effects.
 
     Returns
     -------
@@ -662,25 +663,25 @@ def _shape_refined(
     cases: Sequence[CaseColumns],
     criteria: Criteria,
 ) -> Score:
-    """Refine the shape constant of an effect that has one, between the points of its grid."""
+    """Refine the shape constant of an effect with exactly one, between the points of its grid."""
     shapes = [p.symbol for p in score.effect.parameters if p.role == "shape"]
     if len(shapes) != 1:
         return score
-    symbol, own = shapes[0], _own(score.effect, len(cases))
+    symbol, per_case = shapes[0], _is_per_case(score.effect, len(cases))
     best = score
     range_ = [
-        _neighbours([t.shape[symbol] for t in trials], best.shape[i][symbol])
-        for i, trials in enumerate(tried)
+        _neighbours([t.shape[symbol] for t in of_case], best.shape[i][symbol])
+        for i, of_case in enumerate(tried)
     ]
     for _ in range(_ROUNDS):
         values = [np.linspace(low, high, _POINTS) for low, high in range_]
-        if not own:
+        if not per_case:
             values = [values[0]] * len(cases)
-        fresh = [
+        trials = [
             c.trials(score.effect, [{symbol: float(x)} for x in v])
             for c, v in zip(cases, values, strict=True)
         ]
-        found = _score(context, score.effect, fresh, criteria, null=False, own_phase=score.own_phase)
+        found = _score(context, score.effect, trials, criteria, null=False, own_phase=score.own_phase)
         if found.score > best.score:
             best = replace(found, null=score.null, trials=score.trials)
         range_ = [_neighbours(list(v), best.shape[i][symbol]) for i, v in enumerate(values)]
@@ -699,15 +700,15 @@ def _neighbours(grid: list[float], value: float) -> tuple[float, float]:
     return float(low), float(above[0] if len(above) else value + step)
 
 
-def _own(effect: Effect, cases: int) -> bool:
+def _is_per_case(effect: Effect, cases: int) -> bool:
     """Return whether each case has its own parameters of an effect."""
     return cases > 1 and effect.per_case
 
 
 def _all_trials(effect: Effect, cases: Sequence[CaseColumns]) -> list[list[Trial]]:
     first = cases[0].trials(effect)
-    # what the cases share must be tried with the same shapes in all of them
-    shapes = None if _own(effect, len(cases)) else [t.shape for t in first]
+    # a shape constant that the cases share has the same trial values in all of them
+    shapes = None if _is_per_case(effect, len(cases)) else [t.shape for t in first]
     return [first, *(c.trials(effect, shapes) for c in cases[1:])]
 
 
@@ -721,23 +722,23 @@ def _score(
     own_phase: bool | None = None,
 ) -> Score:
     """Score an effect; unless `own_phase` is given, each case has its own phase where that is clearly better."""
-    own = _own(effect, len(trials))
+    per_case = _is_per_case(effect, len(trials))
     levels = context.levels
     if own_phase is None and has_phases(effect, len(trials)):
         gains = [
-            best_group(context, effect, _stack(trials, each), levels, null=False).score
+            best_group(context, effect, _stack(trials, per_case=each), levels, null=False).score
             for each in (False, True)
         ]
         own_phase = gains[1] > gains[0] + criteria.own_phase * (len(trials) - 1)
     if own_phase:
         return replace(
-            best_group(context, effect, _stack(trials, own=True), levels, null=null), own_phase=True
+            best_group(context, effect, _stack(trials, per_case=True), levels, null=null), own_phase=True
         )
-    if not own or len(trials[0]) == 1:
-        return best_group(context, effect, _stack(trials, own), levels, null=null)
-    chosen, empty = _choose(context, effect, trials, levels, null=null)
-    together = best_group(context, effect, _stack([[t] for t in chosen], own), levels, null=False)
-    return replace(together, null=empty, trials=sum(len(t) for t in trials))
+    if not per_case or len(trials[0]) == 1:
+        return best_group(context, effect, _stack(trials, per_case=per_case), levels, null=null)
+    chosen, null_scores = _choose_shapes(context, effect, trials, levels, null=null)
+    joint = best_group(context, effect, _stack([[t] for t in chosen], per_case=True), levels, null=False)
+    return replace(joint, null=null_scores, trials=sum(len(t) for t in trials))
 
 
 def has_phases(effect: Effect, cases: int) -> bool:
@@ -745,35 +746,35 @@ def has_phases(effect: Effect, cases: int) -> bool:
     return cases > 1 and effect.mechanical and any(p.role == "phase" for p in effect.parameters)
 
 
-def _choose(
+def _choose_shapes(
     context: ScoreContext, effect: Effect, trials: list[list[Trial]], levels: list[Level], *, null: bool
 ) -> tuple[list[Trial], Array]:
-    """Choose the shapes of each case: the clearest case first, then the others given it, then all once more."""
+    """Choose the shapes of each case: that of the largest score first, then the others given it, then all once more."""
     groups = [rows_of_case(context, t, i) for i, t in enumerate(trials)]
     singles = [best_group(context, effect, g, levels, null=null) for g in groups]
-    chosen = [_place(t, s) for t, s in zip(trials, singles, strict=True)]
+    chosen = [_trial_index(t, s) for t, s in zip(trials, singles, strict=True)]
     order = sorted(range(len(trials)), key=lambda i: -singles[i].score)
     if len(trials) <= _MOST_SWEPT:
         for i in [*order[1:], *order]:
             others = [groups[j][chosen[j]][1] for j in order if j != i]
             inner = context.with_free(np.concatenate(others, axis=1))
-            chosen[i] = _place(trials[i], best_group(context, effect, groups[i], inner, null=False))
-    empty = np.sum([s.null for s in singles], axis=0)
-    return [t[k] for t, k in zip(trials, chosen, strict=True)], empty
+            chosen[i] = _trial_index(trials[i], best_group(context, effect, groups[i], inner, null=False))
+    null_scores = np.sum([s.null for s in singles], axis=0)
+    return [t[k] for t, k in zip(trials, chosen, strict=True)], null_scores
 
 
-def _place(trials: list[Trial], score: Score) -> int:
+def _trial_index(trials: list[Trial], score: Score) -> int:
     return next(k for k, t in enumerate(trials) if t.shape == score.shape[0])
 
 
-def _stack(trials: list[list[Trial]], own: bool) -> list[Group]:  # noqa: FBT001
+def _stack(trials: list[list[Trial]], *, per_case: bool) -> list[Group]:
     """Return for each choice of shapes the columns over the rows of all cases."""
     result = []
     for i in range(max(len(t) for t in trials)):
         chosen = [t[min(i, len(t) - 1)] for t in trials]
         columns = (
             block_diagonal([t.columns for t in chosen])
-            if own
+            if per_case
             else np.concatenate([t.columns for t in chosen])
         )
         result.append((tuple(t.shape for t in chosen), columns))

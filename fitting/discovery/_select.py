@@ -1,8 +1,8 @@
 """From scores to a ranking, and from a ranking to the effects that are added.
 
 1. `rank`: score every candidate, refit the promising ones, order them by BIC, mark what is indistinguishable.
-2. `select`: refine the best one; rank it and its rivals once more at its lower noise (`rescored`); add a second effect
-   if one is not enough.
+2. `select`: refine the best one; rank it and its rivals once more at its lower noise (`ranked_at_noise`); add a second
+   effect if one is not enough.
 3. `improve`: forward selection while a candidate is significant, each step followed by backward elimination.
 """
 
@@ -22,22 +22,22 @@ from fitting._errors import FittingError
 from fitting._numbers import short, unit_text
 from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._refine import (
-    at_one_phase,
-    fit_at,
-    freed,
-    from_values_of,
-    is_quieter,
+    has_less_process_noise,
+    initial_values_of,
     refined,
     refit,
-    start_of,
-    with_one_value,
-    with_own_values,
+    refitted_at,
+    restarted_from,
+    with_common_phase,
+    with_common_values,
+    with_free_shape,
+    with_values_per_case,
 )
 from fitting.discovery._score import CaseColumns, FamilywiseNull, NullDistribution, Score, score
 from fitting.effects._effect import Effect
 from fitting.effects._library import LIBRARY
 from fitting.inference._case_data import CaseData
-from fitting.inference._fit import fit
+from fitting.inference._fit import fit_like
 from fitting.inference._initial_values import equation_error
 from fitting.inference._noise import Noise
 from fitting.inference._result import Estimate, Fit
@@ -132,9 +132,9 @@ def rank(
         Processes that run some of the refits.
     """
     data = base.problem.data
-    # only a restoring torque makes a body oscillate, and scores about a motion that does not are not reliable
-    swings = base.lacks_restoring_torque
-    effects = [e for e in applicable_effects(base, extra) if e.restoring or not swings]
+    # only a restoring torque makes a body oscillate; scores about a motion without oscillation are not reliable
+    restoring_only = base.lacks_restoring_torque
+    effects = [e for e in applicable_effects(base, extra) if e.restoring or not restoring_only]
     cases = [CaseColumns(base, i) for i in range(len(base.problem.cases))]
     scores = score(base, effects, cases, criteria)
     nulls = {s.effect.name: NullDistribution(s) for s in scores}
@@ -145,38 +145,39 @@ def rank(
         p = family(null(s.score), null.weights)
         found.append(Candidate(s.effect, s.score, np.nan, p, np.nan, (), {}, p < criteria.significance, s))
     found.sort(key=lambda c: -c.score)
-    worth = _worth_refitting(found, criteria)
+    chosen = _to_refit(found, criteria)
     if base.model.restoring:
-        # through many periods a refit is long, and of a law that the score does not ask for it is degenerate
-        worth = [w and c.p_value < _WORTH_OF_OSCILLATIONS for w, c in zip(worth, found, strict=True)]
-        worth = [w and sum(worth[:i]) < criteria.refit_least for i, w in enumerate(worth)]
-    if swings:
+        # through many periods a refit takes long, and that of a law with a small score is degenerate
+        chosen = [w and c.p_value < _OSCILLATION_REFIT_P for w, c in zip(chosen, found, strict=True)]
+        chosen = [w and sum(chosen[:i]) < criteria.refit_least for i, w in enumerate(chosen)]
+    if restoring_only:
         error = {e.name: equation_error(base.model.with_effect(e), data) for e in effects}
         most = criteria.equation_error * min(error.values(), default=math.inf)
-        worth = [error[c.effect.name] <= most for c in found]
+        chosen = [error[c.effect.name] <= most for c in found]
         found = [
             c if w else replace(c, score=0.0, p_value=1.0, significant=False)
-            for c, w in zip(found, worth, strict=True)
+            for c, w in zip(found, chosen, strict=True)
         ]
     if refitting:
-        best_score = max((c.score for c, w in zip(found, worth, strict=True) if w), default=0.0)
+        best_score = max((c.score for c, w in zip(found, chosen, strict=True) if w), default=0.0)
         promising = [
             _Promising(c, nulls[c.effect.name], family, criteria, c.score > criteria.rival_share * best_score)
-            for c, w in zip(found, worth, strict=True)
+            for c, w in zip(found, chosen, strict=True)
             if w
         ]
-        refits = iter((workers or WorkerPool(0)).map(_refitted, base, promising, _measured))
-        found = [next(refits) if w else c for c, w in zip(found, worth, strict=True)]
-    return arranged(found, criteria)
+        refits = iter((workers or WorkerPool(0)).map(_refit_candidate, base, promising, shared_data))
+        found = [next(refits) if w else c for c, w in zip(found, chosen, strict=True)]
+    return ordered(found, criteria)
 
 
-# range of an oscillation over which a law that repeats with the turn can be told from its Taylor series [rad]
-_LEAST_ARC = 1.0
+# range of an oscillation from which on a harmonic of the angle is distinguishable from its Taylor series [rad]
+_SMALLEST_RANGE = 1.0
 # family-wise p-value above which a law of an oscillation is not refitted
-_WORTH_OF_OSCILLATIONS = 0.1
+_OSCILLATION_REFIT_P = 0.1
 
 
-def _measured(fit: Fit) -> Sequence[CaseData]:
+def shared_data(fit: Fit) -> Sequence[CaseData]:
+    """Return the parts of a fit to which the refits of workers refer."""
     return fit.problem.data
 
 
@@ -190,34 +191,34 @@ def applicable_effects(base: Fit, extra: Sequence[Effect]) -> list[Effect]:
 def _is_applicable(effect: Effect, base: Fit) -> bool:
     if not effect.searched or (base.problem.data[0].record.single and not effect.single_body):
         return False
-    # a contact that turns on in one sense has yielded within its first angle: what remains is constant friction
+    # a contact that turns in one sense slides after a small angle: from then on its friction is constant
     reversing = effect.restoring or (effect.state is not None and effect.state.symbol == "strain")
     oscillation = base.problem.data[0].oscillation
     if reversing and oscillation is None:
         return False
-    # over a small part of a turn a law that repeats with the turn is a constant and a spring
+    # over a small part of a turn a harmonic of the angle is a constant and a spring
     if oscillation is not None and effect.about_equilibrium is not effect:
-        return bool(np.ptp(oscillation.deflection) > _LEAST_ARC)
+        return bool(np.ptp(oscillation.deflection) > _SMALLEST_RANGE)
     if not effect.mechanical:
         return base.problem.data[0].is_angle
     return not (effect.joint == "factor" and not any(e.joint == "bearing" for e in base.model.effects))
 
 
-def _worth_refitting(candidates: Sequence[Candidate], criteria: Criteria) -> list[bool]:
+def _to_refit(candidates: Sequence[Candidate], criteria: Criteria) -> list[bool]:
     """Return which candidates, sorted by score, to refit."""
-    worth, count, best_score = [], 0, None
+    chosen, count, best_score = [], 0, None
     for c in candidates:
-        open_ = not c.screened.absorbed
-        if open_ and best_score is None:
+        testable = not c.screened.absorbed
+        if testable and best_score is None:
             best_score = c.score
         promising = (
             count < criteria.refit_most
             and c.p_value < criteria.refit_p
             and c.score > criteria.refit_share * (best_score or 0.0)
         )
-        worth.append(open_ and (count < criteria.refit_least or promising))
-        count += open_
-    return worth
+        chosen.append(testable and (count < criteria.refit_least or promising))
+        count += testable
+    return chosen
 
 
 class _Promising(NamedTuple):
@@ -228,7 +229,7 @@ class _Promising(NamedTuple):
     thorough: bool
 
 
-def _refitted(base: Fit, promising: _Promising) -> Candidate:
+def _refit_candidate(base: Fit, promising: _Promising) -> Candidate:
     """Refit base and effect together from the base's optimum."""
     candidate, null, family, criteria, thorough = promising
     screened = candidate.screened
@@ -236,25 +237,25 @@ def _refitted(base: Fit, promising: _Promising) -> Candidate:
     if found is None:
         return candidate
     if screened.own_phase:
-        one = refit(base, at_one_phase(screened), criteria, thorough=thorough)
-        found = one if one is not None and one.bic < found.bic else found
+        other = refit(base, with_common_phase(screened), criteria, thorough=thorough)
+        found = other if other is not None and other.bic < found.bic else found
     delta_bic, p = found.bic - base.bic, null(base.deviance - found.deviance)
-    common = None if screened.own_phase else with_one_value(base, screened, found)
+    common = None if screened.own_phase else with_common_values(base, screened, found)
     if common is not None:
         if common.deviance < found.deviance:
             # per-case values cannot fit worse than common ones: that search failed
-            found = with_own_values(base, screened, found, common)
+            found = with_values_per_case(base, screened, found, common)
             delta_bic, p = found.bic - base.bic, null(base.deviance - found.deviance)
         delta_bic = min(delta_bic, common.bic - base.bic)
         width = screened.columns // len(base.problem.layout.records)
         p = np.minimum(p, np.minimum(1.0, 2 * null.of(base.deviance - common.deviance, width)))
-    chance = family(p, null.weights)
+    p_value = family(p, null.weights)
     return replace(
         candidate,
         score=base.deviance - found.deviance,
         delta_bic=delta_bic,
-        p_value=chance,
-        significant=chance < criteria.significance,
+        p_value=p_value,
+        significant=p_value < criteria.significance,
         held_out_gain=base.cases[0].casing.held_out - found.cases[0].casing.held_out,
         estimates=_own_estimates(found, candidate.effect),
         fit=found,
@@ -265,7 +266,7 @@ def _own_estimates(found: Fit, effect: Effect) -> dict[str, Estimate]:
     return {k: e for k, e in found.estimates.items() if k.startswith(effect.name + ".")}
 
 
-def arranged(found: Sequence[Candidate], criteria: Criteria) -> list[Candidate]:
+def ordered(found: Sequence[Candidate], criteria: Criteria) -> list[Candidate]:
     """Return candidates in order, best first, each with those that the data cannot separate from it."""
 
     def order(c: Candidate) -> tuple[bool, float]:
@@ -276,7 +277,7 @@ def arranged(found: Sequence[Candidate], criteria: Criteria) -> list[Candidate]:
             )
         return (not c.significant, penalised + (0.0 if c.physical else criteria.measurement_penalty))
 
-    def alike(a: Candidate, b: Candidate) -> bool:
+    def indistinguishable(a: Candidate, b: Candidate) -> bool:
         if a.screened.absorbed or b.screened.absorbed or not (a.significant and b.significant):
             return False
         if a.fit is None or b.fit is None:
@@ -287,32 +288,40 @@ def arranged(found: Sequence[Candidate], criteria: Criteria) -> list[Candidate]:
     candidates = sorted(found, key=order)
     return [
         replace(
-            c, indistinguishable_from=tuple(o.effect.name for o in candidates if o is not c and alike(c, o))
+            c,
+            indistinguishable_from=tuple(
+                o.effect.name for o in candidates if o is not c and indistinguishable(c, o)
+            ),
         )
         for c in candidates
     ]
 
 
 def best(candidates: Sequence[Candidate], criteria: Criteria = DEFAULT) -> Candidate | None:
-    """Return the candidate to add next: significant, refitted, better in BIC; None if there is none.
-
-    Tracking errors are periodic in the turns of casing and rotor and in their beats, so on film a periodic law needs
-    more evidence.
-    """
+    """Return the candidate to add next: significant, refitted, better in BIC; None if there is none."""
     for c in candidates:
         if c.fit is None or not c.significant:
             continue
-        tracked = any(d.record.tracked for d in c.fit.problem.data)
-        periodic = tracked and c.physical and c.effect.periodic
-        if c.delta_bic < -(criteria.evidence_periodic if periodic else criteria.evidence):
+        if c.delta_bic < -needed_evidence(c.effect, c.fit, criteria):
             return c
     return None
 
 
-def rescored(
+def needed_evidence(effect: Effect, fit: Fit, criteria: Criteria) -> float:
+    """Return the fall of BIC that an added effect needs in the recordings of a fit.
+
+    Tracking errors are periodic in the turns of casing and rotor and in their beats, so on film a periodic law needs
+    more evidence.
+    """
+    tracked = any(d.record.tracked for d in fit.problem.data)
+    periodic = tracked and effect.kind == "physical" and effect.periodic
+    return criteria.evidence_periodic if periodic else criteria.evidence
+
+
+def ranked_at_noise(
     base: Fit, candidates: Sequence[Candidate], chosen: Candidate, noise: Sequence[Noise], criteria: Criteria
 ) -> list[Candidate]:
-    """Return the candidates arranged again, with one and its equivalence class refitted at another noise.
+    """Return the candidates in their order, with one and its equivalence class refitted at another noise.
 
     Parameters
     ----------
@@ -328,17 +337,17 @@ def rescored(
         Thresholds.
     """
     try:
-        without = fit_at(base, noise)
+        without = refitted_at(base, noise)
     except FittingError:
         return list(candidates)
-    alike = {chosen.effect.name, *chosen.indistinguishable_from}
+    members = {chosen.effect.name, *chosen.indistinguishable_from}
     found = []
     for c in candidates:
-        if c.effect.name not in alike or c.fit is None:
+        if c.effect.name not in members or c.fit is None:
             found.append(c)
             continue
         try:
-            end = fit_at(c.fit, noise)
+            end = refitted_at(c.fit, noise)
         except FittingError:
             # the search diverges at this noise
             found.append(replace(c, delta_bic=float("nan"), fit=None))
@@ -352,7 +361,7 @@ def rescored(
                 fit=end,
             )
         )
-    return arranged(found, criteria)
+    return ordered(found, criteria)
 
 
 @dataclass(frozen=True)
@@ -446,8 +455,8 @@ class Selection(NamedTuple):
         The effect to add.
     named : Fit
         The refined fit with this effect alone; the base if there is none.
-    end : Fit
-        The refined fit with all that was added, a freed shape constant or a second effect; the base if nothing was.
+    final : Fit
+        The refined fit with all that was added, a free shape constant or a second effect; the base if nothing was.
     history : History
         Steps of the forward selection; empty where one effect was enough.
     """
@@ -455,7 +464,7 @@ class Selection(NamedTuple):
     candidates: list[Candidate]
     chosen: Candidate | None
     named: Fit
-    end: Fit
+    final: Fit
     history: History
 
 
@@ -485,15 +494,15 @@ def select(
     if chosen is None or chosen.fit is None:
         return Selection(ranked, None, base, base, History())
     end = refined(chosen.fit, criteria)
-    # process noise that falls when an effect is added may have hidden another effect, and what separates rivals
-    quieter = is_quieter(end, chosen.fit, criteria)
-    if quieter:
-        ranked = rescored(base, ranked, chosen, end.noise, criteria)
-        clearer = best(ranked, criteria)
-        if clearer is not None and clearer.fit is not None:
-            chosen, end = clearer, clearer.fit
+    # process noise that falls when an effect is added may have masked another effect, and the difference between rivals
+    less_noise = has_less_process_noise(end, chosen.fit, criteria)
+    if less_noise:
+        ranked = ranked_at_noise(base, ranked, chosen, end.noise, criteria)
+        now_best = best(ranked, criteria)
+        if now_best is not None and now_best.fit is not None:
+            chosen, end = now_best, now_best.fit
     history = History()
-    if quieter or end.fails(criteria):
+    if less_noise or end.fails(criteria):
         most = 1 + criteria.follow_up
         history = (
             History(known[: 1 + most])
@@ -505,28 +514,28 @@ def select(
         named = end
         end = _with_free_shape(end, chosen, (), criteria) or end
     if end is not named:
-        named = from_values_of(named, end)
+        named = restarted_from(named, end)
     if chosen.indistinguishable_from and end is not named:
         # at the noise of the most complete fit the data may separate the class
-        separated = rescored(base, ranked, chosen, end.noise, criteria)
-        clearer = best(separated, criteria)
-        if clearer is not None and clearer.effect.name == chosen.effect.name:
-            ranked, chosen = separated, clearer
+        separated = ranked_at_noise(base, ranked, chosen, end.noise, criteria)
+        now_best = best(separated, criteria)
+        if now_best is not None and now_best.effect.name == chosen.effect.name:
+            ranked, chosen = separated, now_best
     return Selection(ranked, chosen, named, end, history)
 
 
 def _with_free_shape(
     found: Fit, chosen: Candidate, following: Sequence[Candidate], criteria: Criteria
 ) -> Fit | None:
-    """Return the fit with the shape constant of the newest law freed, if BIC asks for it more than for another effect.
+    """Return the fit with the shape constant of the newest law free, if its BIC is lower than with another effect.
 
-    The law of an equivalence class is open: its shape is freed only where the fit fails.
+    A law of an equivalence class is not determined: its shape is freed only where the fit fails.
     """
     if chosen.effect not in found.model.effects:
         return None
     if chosen.indistinguishable_from and not found.fails(criteria):
         return None
-    general = freed(found, chosen.effect, criteria)
+    general = with_free_shape(found, chosen.effect, criteria)
     rival = best(following, criteria) if general is not None else None
     if general is None or rival is None or rival.fit is None:
         return general
@@ -602,9 +611,9 @@ def _steps(
     workers: WorkerPool | None,
 ) -> Iterator[Step]:
     """Yield the step that adds a candidate, whose refit is `found`, and the one that frees its shape constant."""
-    closer = refined(found, criteria)
+    converged = refined(found, criteria)
     # a search at a new noise level may end in another, worse minimum, most often of an oscillation with dry friction
-    found = closer if closer.bic < found.bic + criteria.evidence else found
+    found = converged if converged.bic < found.bic + criteria.evidence else found
     if found.bic > history[-1].fit.bic - criteria.evidence:
         return
     newest = Step(f"+{chosen.effect.name}", found, ())
@@ -626,24 +635,25 @@ def _steps(
 def _backward(history: Sequence[Step], criteria: Criteria) -> Step:
     """Drop effects that the newest one makes unnecessary.
 
-    With many added, each is tried without: several wrong ones can stand for a right one that comes last.
+    Where many were added, the model is tried without each of them: several wrong effects can imitate a right one that
+    is added last.
     """
     newest = history[-1]
     change, current = newest.change, newest.fit
     base_names = set(history[0].fit.model.names)
     while True:
         added = [e for e in current.model.effects if e.name not in base_names and e.amplitude is not None]
-        spare = [
+        droppable = [
             e
             for e in added
             if newest.change != f"+{e.name}"
             and (len(added) >= criteria.crowded or not _is_essential(current, e, criteria))
         ]
-        tried = ((e, _without(current, e)) for e in spare)
-        gone = next(((e, found) for e, found in tried if found.bic < current.bic), None)
-        if gone is None:
+        tried = ((e, _without(current, e)) for e in droppable)
+        dropped = next(((e, found) for e, found in tried if found.bic < current.bic), None)
+        if dropped is None:
             return newest if current is newest.fit else Step(change, current, ())
-        change, current = f"{change} -{gone[0].name}", gone[1]
+        change, current = f"{change} -{dropped[0].name}", dropped[1]
 
 
 def _is_essential(fitted: Fit, effect: Effect, criteria: Criteria) -> bool:
@@ -654,23 +664,15 @@ def _is_essential(fitted: Fit, effect: Effect, criteria: Criteria) -> bool:
 
 
 def _without(fitted: Fit, effect: Effect) -> Fit:
-    smaller = fitted.model.without(effect.name)
-    share, per_case = ([k for k in names if k in smaller.free] for names in fitted.problem.layout.choices)
-    return fit(
-        smaller,
-        fitted.problem.data,
-        share=share,
-        per_case=per_case,
-        start={k: e.value for k, e in fitted.estimates.items()},
-        noise=fitted.noise,
-    )
+    return fit_like(fitted, fitted.model.without(effect.name), start=fitted.values, noise=fitted.noise)
 
 
+# null data sets of a score that is used as an initial value only
 _DRAWS = 2
 
 
 def needs_search(effect: Effect) -> bool:
-    """Return whether the misfit has many minima: a frequency, or a changepoint, of the effect's own."""
+    """Return whether chi-square has many minima: the effect has a frequency or a changepoint."""
     roles = {p.role for p in effect.parameters}
     return {"phase", "shape"} <= roles or bool(effect.breakpoint)
 
@@ -698,12 +700,12 @@ def found_starts(base: Fit, effects: Sequence[Effect], criteria: Criteria = DEFA
         if s.absorbed:
             continue
         if s.own_phase:
-            # whether strength and phase are common to all cases is not known yet
-            values |= start_of(base, at_one_phase(s)) | start_of(base, s)
+            # whether strength and phase are common to all cases is decided by the fit
+            values |= initial_values_of(base, with_common_phase(s)) | initial_values_of(base, s)
             continue
         found = refit(base, s, criteria) if s.effect.breakpoint else None
         values |= (
-            start_of(base, s)
+            initial_values_of(base, s)
             if found is None
             else {k: e.value for k, e in _own_estimates(found, s.effect).items()}
         )

@@ -1,8 +1,8 @@
-"""The answer: verdict, sentences, and the line of stages that leads to them.
+"""The answer: verdict, sentences, and the sequence of steps that leads to them.
 
     rank (score, refine) -> select -> lack of fit -> grade -> verdict
 
-Each stage takes what the one before returns; nothing goes back.
+Each step takes the result of the one before; there is no iteration.
 """
 
 from __future__ import annotations
@@ -81,16 +81,16 @@ class Diagnosis:
     candidates : tuple of Candidate
         Candidate effects, best first.
     form : {"exact", "approximate", None}
-        "exact": the named effect, or class, leaves nothing significant, and the data would show a deviation larger than
+        "exact": with the named effect, or class, no remainder is significant, and the data would show a deviation above
         an approximate answer may have. "approximate": something significant remains, but the effect explains at least
-        `Criteria.explained` of the unmodelled torque. None where no effect explains that much by itself, or where
+        `Criteria.explained` of the unmodelled torque. None where no effect alone explains that much, or where
         nothing significant remains but the data cannot test the form.
     explained : float or None
         Share of the mean square unmodelled torque that the best effect explains (0-1); None without one.
     remainder : Remainder or None
-        What is still significant after it.
+        The remainder that is still significant with it.
     nuisance : tuple of Nuisance
-        Camera effects that every fit frees, with their values.
+        Camera effects that are fitted always, with their values.
     next_experiment : str
         The measurement that separates the rivals; empty if there are none.
     torques : tuple of ResidualTorque
@@ -255,17 +255,17 @@ def diagnose(
     curves, harmonics = workers.submit(residual_torques, fit), workers.submit(angle_harmonics, fit)
     ranked = rank(fit, extra, criteria=criteria, workers=workers) if candidates is None else candidates
     selection = select(fit, ranked, extra, criteria, workers, history)
-    as_given = selection.chosen
+    chosen_as_given = selection.chosen
     rival = with_free_inertia(fit, selection, tuple(extra), criteria)
     selection = selection if rival is None else reselected(selection, rival)
-    misfit = selection.end.fails(criteria)
-    doubt = contradiction(selection.chosen, selection.end, criteria) if not misfit else None
+    misfit = selection.final.fails(criteria)
+    doubt = contradiction(selection.chosen, selection.final, criteria) if not misfit else None
     if misfit and any(d.spectral_lines for d in fit.problem.data):
-        # a sinusoidal torque is no noise, and no effect of the library
-        doubt = significant_peak(selection.end, criteria)
+        # a sinusoidal torque in time counts neither as noise nor as an effect of the library
+        doubt = significant_peak(selection.final, criteria)
     size = grade(fit, selection, doubt, criteria, misfit=misfit)
     if rival is not None and rival.better and size.form is not None:
-        # an error of inertia that its uncertainty allows is no remainder
+        # an error of inertia within its uncertainty is no remainder
         allowed_error = rival.is_allowed(criteria) and not misfit and doubt is None
         size = (
             replace(size, form="exact", explained=1.0, remainder=None)
@@ -273,43 +273,42 @@ def diagnose(
             else replace(size, form="approximate")
         )
     if size.form is None and isinstance(doubt, PeriodogramPeak):
-        # what does not explain the sinusoid is no part of the answer
-        alone = significant_peak(fit, criteria)
-        selection, doubt = (selection, doubt) if alone is None else (selection._replace(chosen=None), alone)
+        # an effect that does not explain the sinusoid is no part of the answer
+        peak = significant_peak(fit, criteria)
+        selection, doubt = (selection, doubt) if peak is None else (selection._replace(chosen=None), peak)
     verdict = _verdict(selection, size, significant=misfit or doubt is not None)
     complete = verdict == "missing_effect" and size.remainder is None
-    allowed = inertia_within_uncertainty(fit, _class_of(selection), criteria) if complete else ""
-    if allowed:
-        # nothing is larger than what the uncertainty of the moments of inertia allows
+    within_uncertainty = inertia_within_uncertainty(fit, _class_of(selection), criteria) if complete else ""
+    if within_uncertainty:
         verdict, size = "adequate", Grade(None, None, None)
     if verdict == "missing_effect":
-        # what is as good with another moment of inertia does not stand for an unknown law
+        # the score of an effect against unknown laws is that with the moments of inertia as given
         same = (
-            as_given is not None
+            chosen_as_given is not None
             and selection.chosen is not None
-            and as_given.effect is selection.chosen.effect
+            and chosen_as_given.effect is selection.chosen.effect
         )
-        chosen = as_given if same else selection.chosen
+        chosen = chosen_as_given if same else selection.chosen
         rivals = size.rivals
         if size.form != "approximate" or not rivals:
             rivals = (*rivals, *nonparametric_rivals(fit, chosen, size.test, criteria))
         if rivals and size.form == "exact":
             size = replace(size, form=None)
         selection = _with_rivals(selection, rivals)
-    nuisance = nuisance_parameters(selection.end)
-    swings = any(d.oscillation is not None for d in fit.problem.data)
-    torques, waves = curves.result(), harmonics.result()
+    nuisance = nuisance_parameters(selection.final)
+    oscillates = any(d.oscillation is not None for d in fit.problem.data)
+    torques, ripples = curves.result(), harmonics.result()
     if fit.lacks_restoring_torque:
         torques = []
     hidden = largest_hidden(fit, extra, criteria) if verdict == "adequate" else ()
-    failures = find_failures(fit, torques, waves, criteria) if verdict != "adequate" else []
+    failures = find_failures(fit, torques, ripples, criteria) if verdict != "adequate" else []
     return Diagnosis(
         fit,
         verdict,
-        allowed
-        # harmonics of the angle of an oscillation are its own motion first
+        within_uncertainty
+        # of an oscillation, camera effects are hardly distinguishable from harmonics of the motion
         or _sentence(
-            fit, verdict, selection, failures, doubt, size, () if swings else nuisance, criteria, hidden
+            fit, verdict, selection, failures, doubt, size, () if oscillates else nuisance, criteria, hidden
         )
         + (f" {rival.sentence}" if rival is not None else ""),
         tuple(failures),
@@ -322,7 +321,7 @@ def diagnose(
             fit, [(c.effect.name, [c.effect], c.estimates) for c in _class_of(selection) if c.fit], criteria
         ),
         tuple(torques),
-        tuple(waves),
+        tuple(ripples),
         tuple(whiteness(fit)),
         hidden,
         size.test.limit if size.test is not None and math.isfinite(size.test.limit) else None,
@@ -335,8 +334,8 @@ def _verdict(selection: Selection, size: Grade, *, significant: bool) -> str:
         return "unexplained" if significant else "adequate"
     if size.form is not None or (size.remainder is None and not significant):
         return "missing_effect"
-    # a second effect of the library completes it; a law of another shape is none of the library's
-    completed = set(selection.end.model.names) > set(selection.named.model.names)
+    # a second effect of the library completes the answer; a law with another shape is not in the library
+    completed = set(selection.final.model.names) > set(selection.named.model.names)
     return "missing_effect" if completed and not significant else "unexplained"
 
 
@@ -423,8 +422,8 @@ def _unexplained(
             f"The residual torque {doubt.words} (p = {doubt.p_value:.1g}).",
             "No effect of the library explains it.",
         ]
-    level = max((n.level for n in selection.end.noise), default=0.0)
-    unit = selection.end.torque_unit
+    level = max((n.level for n in selection.final.noise), default=0.0)
+    unit = selection.final.torque_unit
     return [
         f"An unexplained torque of {format_torque(level, unit=unit)} rms remains; no effect of the library explains it."
     ]
@@ -449,9 +448,9 @@ def _missing(selection: Selection, size: Grade, criteria: Criteria) -> list[str]
     else:
         parts = [f"One of {', '.join(names)} is missing; this data cannot separate them."]
     if chosen.own_phase:
-        own = dict.fromkeys(k.partition("@")[0] for k in chosen.estimates if "@" in k)
+        keys = dict.fromkeys(k.partition("@")[0] for k in chosen.estimates if "@" in k)
         parts.append(
-            f"Each case has its own strength and phase: add {' '.join(f'--per-case {k}' for k in own)} to `fit`."
+            f"Each case has its own strength and phase: add {' '.join(f'--per-case {k}' for k in keys)} to `fit`."
         )
     if size.remainder is not None:
         parts.append(size.remainder.sentence)
@@ -461,7 +460,7 @@ def _missing(selection: Selection, size: Grade, criteria: Criteria) -> list[str]
 
 
 def _untested(test: FormTest, criteria: Criteria) -> list[str]:
-    """Return why the form of a law that leaves nothing significant is open."""
+    """Return why the form of a law is not established although its residuals are consistent with noise."""
     if test.is_strong(criteria):
         return []  # stated with the rivals
     if test.bounds_p <= criteria.doubt_named:
@@ -476,14 +475,14 @@ def _untested(test: FormTest, criteria: Criteria) -> list[str]:
 
 
 def _active_bounds(fit: Fit) -> list[str]:
-    """Return the parameters whose range, not nature or the data, determines their value."""
+    """Return the parameters at a bound of their range that has no physical reason."""
     layout = fit.problem.layout
-    held = [
+    at_bound = [
         f"{name} = {e.value:.4g}"
         for name, e in fit.estimates.items()
         if e.at_bound and name in layout.index and not layout.is_physical_bound(name)
     ]
-    return [f"Active bound: {', '.join(held)}; the law there may be another one."] if held else []
+    return [f"Active bound: {', '.join(at_bound)}; the law there may be another one."] if at_bound else []
 
 
 _NUISANCE = {

@@ -7,11 +7,11 @@ On an interval of length h that starts with y0, the states at the K Gauss nodes 
 with the Lagrange polynomials L_j of the nodes: an implicit Runge-Kutta method of order 2K
 (E. Hairer, G. Wanner, Solving ODEs II, IV.5). Newton's method treats all intervals together; the
 linear systems of the intervals are solved in one batch and chained by their transfer matrices. An
-interval whose Legendre coefficients have not decayed is halved. Here the casing turns in one sense, or rests;
-`motion` puts such stretches together.
+interval whose Legendre coefficients have not decayed is halved. In each call the casing turns in one sense, or rests;
+`fitting.dynamics._events` joins such stretches.
 
-Where the casing comes to rest is one more unknown: the last stretch of the mesh grows or shrinks with each step of
-Newton's method, and the states go with its nodes along their rates.
+The time at which the casing comes to rest is one more unknown: each step of Newton's method stretches the end of the
+mesh, and continues the states along their rates to the new node times.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ TOLERANCE = 1e-10
 _MAX_NEWTON = 25
 _MAX_INTERVALS = 40_000
 _CASING = 1
-# after a step this small only rounding is left
+# step after which the error is rounding
 _SMALL = 1e-9
-# error that a last step may leave by the contraction of the steps before it, with a margin of ten
-_LEFT = 1e-13
-# steps shorter than this are no measure of the contraction: rounding is in them
+# largest error after the last step, as predicted from the convergence of the previous steps with a margin of ten
+_LARGEST_ERROR = 1e-13
+# steps below this size contain rounding and are no measure of the convergence
 _MEASURED = 1e-6
-# intervals this far below the tolerance are resolved at twice their length too: by 2^9 and more
-_THIN = 1e-14
+# truncation error below which an interval of twice the length is resolved as well (the error grows by 2^9 and more)
+_RESOLVED = 1e-14
 _FEWEST = 12
-# time in which a slip does not settle within any record [s]
-_NEVER = 1e12
+# relaxation time so long that a slip is constant [s]
+_CONSTANT_SLIP = 1e12
 
 
 def collocate(
@@ -60,7 +60,7 @@ def collocate(
     first : Path
         The initial solution; the search begins on its mesh, its first edge is the start.
     pivot : float, optional
-        An edge of the mesh: what is later is stretched until the mesh ends where the casing comes to rest.
+        An edge of the mesh: later edges are stretched so that the mesh ends when the casing comes to rest.
 
     Raises
     ------
@@ -93,7 +93,7 @@ def newton(
     """Solve the collocation equations on the mesh of an initial solution, by Newton's method."""
     mesh, sense = first.mesh, first.sense[:, None]
     y, edges = first.y.copy(), first.edges.copy()
-    gauss, bend, before = rule(), first.bend, np.inf
+    gauss, ratio, before = rule(), first.newton_ratio, np.inf
     with np.errstate(all="ignore"):
         for _ in range(_MAX_NEWTON):
             f, a = dynamics.tangent(mesh.times, y, numbers, sense)
@@ -113,18 +113,18 @@ def newton(
             if not np.isfinite(size) or size > 1e8:
                 break
             if _MEASURED < before < 1:
-                bend = max(size / before**2, 1.0)
-            # Newton squares the error
-            if size < _SMALL or 10 * bend * size**2 < _LEFT:
-                return replace(first, mesh=mesh, y=y, edges=edges, bend=bend)
+                ratio = max(size / before**2, 1.0)
+            # quadratic convergence
+            if size < _SMALL or 10 * ratio * size**2 < _LARGEST_ERROR:
+                return replace(first, mesh=mesh, y=y, edges=edges, newton_ratio=ratio)
             before = size
     raise SimulationError(UNBOUNDED)
 
 
 def _stretched(mesh: Mesh, y: Array, edges: Array, f: Array, pivot: float) -> tuple[Mesh, float]:
-    """Return the mesh that ends where the casing's speed would vanish, and by which share of the stretch it moved.
+    """Return the mesh that ends where the speed of the casing vanishes to first order, and its relative change.
 
-    States (changed in place) go along their rates with their times.
+    The states are changed in place: continued along their rates to the new times.
     """
     ends = rule().ends
     end, begin = float(mesh.edges[-1]), pivot
@@ -151,22 +151,22 @@ def truncation_error(path: Path) -> Array:
 
 
 def coarsened(path: Path) -> Path:
-    """Return a path without the edges that its motion does not need, for a mesh that had to be finer once."""
+    """Return a path without edges between intervals that are resolved at twice their length."""
     if len(path.y) <= _FEWEST:
         return path
-    easy = truncation_error(path) < _THIN
+    resolved = truncation_error(path) < _RESOLVED
     edges = path.mesh.edges
-    spare, i = [], 0
-    while i < len(easy) - 1:
-        alike = 0.4 < (edges[i + 1] - edges[i]) / (edges[i + 2] - edges[i]) < 0.6
-        if easy[i] and easy[i + 1] and alike and edges[i + 1] not in path.kinks:
-            spare.append(i + 1)
+    redundant, i = [], 0
+    while i < len(resolved) - 1:
+        equal = 0.4 < (edges[i + 1] - edges[i]) / (edges[i + 2] - edges[i]) < 0.6
+        if resolved[i] and resolved[i + 1] and equal and edges[i + 1] not in path.kinks:
+            redundant.append(i + 1)
             i += 1
         i += 1
-    if not spare or len(path.y) - len(spare) < _FEWEST:
+    if not redundant or len(path.y) - len(redundant) < _FEWEST:
         return path
-    thin = transfer(path, Mesh(np.delete(edges, spare)), path.edges[0], float(path.sense[0]))
-    return replace(thin, kinks=path.kinks)
+    coarse = transfer(path, Mesh(np.delete(edges, redundant)), path.edges[0], float(path.sense[0]))
+    return replace(coarse, kinks=path.kinks)
 
 
 def runge_kutta(
@@ -177,8 +177,8 @@ def runge_kutta(
     It ends with the interval in which the casing comes to rest.
     """
     if dynamics.relaxation:
-        # a slip that settles within a step would make explicit steps unstable
-        numbers = {**numbers, dynamics.relaxation: _NEVER}
+        # explicit steps are unstable for a slip that relaxes within a step
+        numbers = {**numbers, dynamics.relaxation: _CONSTANT_SLIP}
     times = np.concatenate([mesh.edges[:-1, None], mesh.times], axis=1)
     width = times.shape[1]
     times = np.append(times.ravel(), mesh.edges[-1])

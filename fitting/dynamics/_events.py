@@ -1,18 +1,18 @@
 """The motion through events: the casing stops, is held by friction, and starts again.
 
-Dry friction jumps where the casing's speed passes zero. Between such moments the casing turns in one sense, or
-rests, and the equations are smooth; the moments themselves are found as roots. The casing comes to rest if
-friction would push it back from either sense (A. F. Filippov, Differential Equations with Discontinuous
-Righthand Sides, 1988), and moves on when the other torques overcome friction. A deviation dy of the state just
+Dry friction jumps where the speed of the casing passes zero. Between these events the casing turns in one sense, or
+rests, and the equations are smooth; the times of the events are roots. The casing comes to rest if friction decelerates
+it in either sense (A. F. Filippov, Differential Equations with Discontinuous Righthand Sides, 1988), and starts again
+when the other torques exceed friction. A deviation dy of the state just
 before a jump of the rates from f- to f+, on the surface omega_c = 0, is afterwards
 
     dy+ = dy- - (f- - f+) dy-_c / f-_c        (the saltation matrix).
 
-A known solution for numbers nearby is followed: stretch by stretch on its own mesh, with the time of each stop as one
-more unknown. Only where the motion has changed in kind are meshes and moments searched from scratch.
+A known solution for similar numbers is the initial solution: stretch by stretch on its mesh, with the time of each stop
+as one more unknown. Only where the sequence of events has changed, meshes and events are determined without it.
 
-An oscillation has hundreds of such moments. There Newton's method treats all stretches at once: with the state y, the
-casing's speed w and the rates f- and f+ at an edge where the casing turns back, the edge moves by -(w + dw) / f-_c,
+An oscillation has hundreds of events. There Newton's method treats all stretches at once: with the state y, the speed w
+of the casing and the rates f- and f+ at an edge where the casing reverses, the edge moves by -(w + dw) / f-_c,
 and the deviation of what follows, continued to the old time, is the saltation matrix times dy minus (f- - f+) w / f-_c.
 """
 
@@ -42,8 +42,8 @@ from fitting.dynamics._sensitivities import UNBOUNDED, Propagator
 Array = NDArray[np.float64]
 
 _CASING = 1
-# a speed this small relative to the largest one is rounding, not the other sense
-NOTHING = 1e-10
+# relative speed below which a change of sign is rounding
+ROUNDING = 1e-10
 _STOPPED = 1e-11
 
 
@@ -55,8 +55,8 @@ class Segments:
     numbers: Mapping[str, float]
     breaks: Sequence[float]
 
-    def push(self, time: Array | float, y: Array, sense: float) -> Array:
-        """Return the casing's acceleration if it moved in this sense."""
+    def acceleration(self, time: Array | float, y: Array, sense: float) -> Array:
+        """Return the acceleration of the casing with friction of this sense of motion."""
         with np.errstate(all="ignore"):
             return np.asarray(
                 self.dynamics.rates(np.asarray(time), y, self.numbers, np.full(y.shape[:-1], sense))[
@@ -65,35 +65,35 @@ class Segments:
             )
 
     def sense_after(self, time: float, y: Array, sense: float) -> float:
-        """Return the sense of motion from a moment on; at rest, whether friction holds the casing."""
+        """Return the sense of motion after a time; 0 if the casing is at rest and friction holds it."""
         if not self.dynamics.dry:
             return 1.0
         if y[_CASING] != 0:
             return sense
-        onward, back = self.push(time, y, sense or 1.0), self.push(time, y, -(sense or 1.0))
+        onward, back = self.acceleration(time, y, sense or 1.0), self.acceleration(time, y, -(sense or 1.0))
         if sense == 0 and onward > 0:
             return 1.0
         return -(sense or 1.0) if back * -(sense or 1.0) > 0 else 0.0
 
-    def freed(self, time: float, y: Array) -> float:
-        """Return the sense in which a casing moves on that friction no longer holds."""
-        return 1.0 if self.push(time, y, 1.0) > -self.push(time, y, -1.0) else -1.0
+    def released(self, time: float, y: Array) -> float:
+        """Return the sense in which a casing starts that friction no longer holds."""
+        return 1.0 if self.acceleration(time, y, 1.0) > -self.acceleration(time, y, -1.0) else -1.0
 
     def saltation(self, time: float, y: Array, before: float, after: float) -> Array:
-        """Return what a deviation of the state is multiplied by."""
+        """Return the saltation matrix of a deviation of the state."""
         matrix = np.eye(len(y))
         if before != 0:
             t = np.asarray(time)
             first, then = (self.dynamics.rates(t, y, self.numbers, s) for s in (before, after))
             if not (np.isfinite(first).all() and np.isfinite(then).all()):
                 raise SimulationError(UNBOUNDED)
-            # a casing that only just touches rest goes through it unchanged
+            # at a turning point without acceleration there is no jump
             if first[_CASING] != 0:
                 matrix[:, _CASING] -= (first - then) / first[_CASING]
         return matrix
 
-    def turned_back(self, pieces: Sequence[Path]) -> list[Array]:
-        """Return the saltation matrices after those first stretches at whose ends the casing turns back at once."""
+    def reversals(self, pieces: Sequence[Path]) -> list[Array]:
+        """Return the saltation matrices after the first stretches, as far as the casing reverses without rest."""
         ends = [p.edges[-1] for p in pieces]
         if not ends:
             return []
@@ -110,10 +110,10 @@ class Segments:
         matrices[:, :, _CASING] -= ((before - after) / before[:, _CASING, None])[:count]
         return list(matrices)
 
-    def alike(
+    def continued(
         self, start: Array, time: float, end: float, sense: float, known: Path, *, stops: bool
     ) -> Path | None:
-        """Return the path from an event to the next as that of a known solution went, or None if it does not go so.
+        """Return the path between two events from that of a known solution; None if it has another sequence of events.
 
         Parameters
         ----------
@@ -152,11 +152,11 @@ class Segments:
         stop, y, sense = float(path.mesh.edges[-1]), path.edges[-1], float(path.sense[0])
         largest = np.abs(path.y[..., _CASING]).max()
         between = any(b <= stop for b in self.breaks if b > path.mesh.edges[0] and b not in path.mesh.edges)
-        braked = self.push(stop, y, sense) * sense < 0
+        braked = self.acceleration(stop, y, sense) * sense < 0
         return bool(stop < end and not between and braked and abs(y[_CASING]) <= _STOPPED * largest)
 
     def oscillating(self, start: Array, sense: float, known: Path) -> list[Path]:
-        """Return the stretches of a motion through many reversals, as far as it goes like one nearby.
+        """Return the stretches of a motion through many reversals, as far as its events are those of a known solution.
 
         Parameters
         ----------
@@ -165,16 +165,17 @@ class Segments:
         sense : float
             Sense of motion there.
         known : Path
-            A solution for numbers nearby, or what was measured: its jumps give the edges at which the casing reverses.
+            A solution for similar numbers, or the measured motion: its jumps are at the edges where the casing
+            reverses.
         """
-        begun = self._begun(start, sense, known)
-        if begun is None or len(begun.breaks) != len(self.breaks):
+        adapted = self._with_beginning(start, sense, known)
+        if adapted is None or len(adapted.breaks) != len(self.breaks):
             return []
-        known = begun
+        known = adapted
         anchors = [*known.mesh.edges[[0, *sorted(known.jumps), -1]].tolist(), *known.breaks]
         places = [*anchors[: len(anchors) - len(known.breaks)], *sorted(self.breaks)]
         if np.any(np.argsort(anchors) != np.argsort(places)):
-            return []  # a law sets in before a reversal that came first, or after one that came later
+            return []  # the order of reversals and times at which laws set in has changed
         known = replace(known, mesh=known.mesh.moved(sorted(anchors), sorted(places)))
         at = sorted(known.jumps)
         for share in _NEARBY if known.exact else _SHARES:
@@ -186,15 +187,15 @@ class Segments:
                 found = self._resolved(path).pieces()
             except SimulationError:
                 continue
-            # the last stretch of a part ends before its event
-            return self._kept(found if count == len(at) else found[:-1])
+            # the last stretch of an incomplete motion does not end with an event
+            return self._valid(found if count == len(at) else found[:-1])
         return []
 
-    def _begun(self, start: Array, sense: float, known: Path) -> Path | None:
-        """Return a known motion with another beginning: with the first reversal that follows from the initial speed.
+    def _with_beginning(self, start: Array, sense: float, known: Path) -> Path | None:
+        """Return a known motion with the first reversal according to the initial speed.
 
-        A body that is released nearly at rest first moves on or back, as the sign of its small speed is; all later
-        reversals are the same.
+        A body that is released nearly at rest may reverse at once, depending on the sign of its small initial speed;
+        all later reversals are the same.
         """
         known = replace(known, kinks=known.breaks)
         at, edges = sorted(known.jumps), known.mesh.edges
@@ -214,7 +215,7 @@ class Segments:
         if sense == known.sense[0] or not known.jumps:
             return known if sense == known.sense[0] else None
         first, turn, last = (float(known.mesh.edges[i]) for i in (0, min(known.jumps), -1))
-        rate = float(self.push(first, start, sense))
+        rate = float(self.acceleration(first, start, sense))
         delay = -float(start[_CASING]) / rate if rate else math.inf
         if not 0 < delay < _LONGEST_BEGINNING * (turn - first):
             return None
@@ -241,13 +242,13 @@ class Segments:
             path = halved(path, rough)
         raise SimulationError(UNBOUNDED)
 
-    def _kept(self, pieces: list[Path]) -> list[Path]:
-        """Return the stretches before the first in which the casing does not keep its sense, or is held in vain."""
+    def _valid(self, pieces: list[Path]) -> list[Path]:
+        """Return the stretches before the first one in which the casing reverses, or friction cannot hold it."""
         largest = max(float(np.abs(p.y[..., _CASING]).max()) for p in pieces)
         for i, piece in enumerate(pieces):
             if piece.sense[0] == 0:
                 return pieces[: i + (self._release(piece) is None)]
-            if (piece.y[..., _CASING] * piece.sense[0] < -NOTHING * largest).any():
+            if (piece.y[..., _CASING] * piece.sense[0] < -ROUNDING * largest).any():
                 return pieces[:i]
         return pieces
 
@@ -269,12 +270,12 @@ class Segments:
                 step = (ending - following) / ending[:, _CASING, None]
                 jumps = np.tile(np.eye(y.shape[-1]), (len(at), 1, 1))
                 jumps[:, :, _CASING] -= step
-                kicks = -step * edges[at, _CASING, None]
+                offsets = -step * edges[at, _CASING, None]
                 shape = Propagator(mesh, a, dict(zip(at.tolist(), jumps, strict=True)), defect=node_defect)
                 moves = shape.chain(
                     shape.response,
                     edge_defect[..., None],
-                    added=dict(zip(at.tolist(), kicks[..., None], strict=True)),
+                    added=dict(zip(at.tolist(), offsets[..., None], strict=True)),
                 )
                 nodes = (shape.response + shape.carried(moves))[..., 0]
                 arriving = moves[at - 1, :, 0] + edge_defect[at - 1]
@@ -290,10 +291,10 @@ class Segments:
                 anchors = anchors[order]
                 gaps = np.diff(anchors)
                 shift = np.abs(places - anchors)[1:-1]
-                late = float((shift / np.minimum(gaps[:-1], gaps[1:])).max())
+                delay = float((shift / np.minimum(gaps[:-1], gaps[1:])).max())
                 scale = 1e-300 + np.abs(y).max(axis=(0, 1))
-                size = max(float((np.abs(nodes).max(axis=(0, 1)) / scale).max()), late)
-                if not size < 1e8 or not late < _LATEST:
+                size = max(float((np.abs(nodes).max(axis=(0, 1)) / scale).max()), delay)
+                if not size < 1e8 or not delay < _LONGEST_DELAY:
                     break
                 new = mesh.moved(anchors.tolist(), places.tolist())
                 y += f * (new.times - mesh.times)[..., None]
@@ -306,7 +307,7 @@ class Segments:
                 before = size
         raise SimulationError(UNBOUNDED)
 
-    def turning(self, start: Array, mesh: Mesh, sense: float, guess: Path | None) -> Path:
+    def moving(self, start: Array, mesh: Mesh, sense: float, guess: Path | None) -> Path:
         """Return the path until the casing comes to rest, or to the end of the mesh."""
         path = self._rough(start, mesh, sense, guess)
         if not self.dynamics.dry:
@@ -355,7 +356,7 @@ class Segments:
             if abs(y[_CASING]) <= _STOPPED * np.abs(path.y[..., _CASING]).max() or abs(move) < 1e-13 * stop:
                 return path
             if stop + move > mesh.edges[-1]:
-                # it only nearly comes to rest
+                # the casing does not come to rest within the record
                 return collocate(self.dynamics, self.numbers, transfer(path, mesh, path.edges[0], sense))
             stop = max(stop + move, first + 0.5 * (stop - first))
         raise SimulationError(UNBOUNDED)
@@ -378,27 +379,31 @@ class Segments:
         return collocate(self.dynamics, self.numbers, transfer(path, part, path.edges[0], 0.0))
 
     def _release(self, path: Path) -> float | None:
+        """Return the time at which the other torques first exceed friction; None if they do not."""
         edges = path.mesh.edges
         times = np.sort(
             np.concatenate([path.mesh.times.ravel(), edges[1:], np.nextafter(edges[1:], -np.inf)])
         )
         y = Sampler(path.mesh, times).value(path.y)
-        excess = np.maximum(self.push(times, y, 1.0), -self.push(times, y, -1.0))
-        free = np.flatnonzero(excess > 0)
-        if not len(free):
+        excess = np.maximum(self.acceleration(times, y, 1.0), -self.acceleration(times, y, -1.0))
+        exceeded = np.flatnonzero(excess > 0)
+        if not len(exceeded):
             return None
         from scipy.optimize import brentq
 
-        i = int(free[0])
+        i = int(exceeded[0])
 
-        def overcome(t: float) -> float:
+        def excess_at(t: float) -> float:
             state = Sampler(path.mesh, np.array([t])).value(path.y)
             return float(
-                np.maximum(self.push(np.array([t]), state, 1.0), -self.push(np.array([t]), state, -1.0))[0]
+                np.maximum(
+                    self.acceleration(np.array([t]), state, 1.0),
+                    -self.acceleration(np.array([t]), state, -1.0),
+                )[0]
             )
 
         begin = times[i - 1] if i else edges[0]
-        time = float(brentq(overcome, begin, times[i], xtol=1e-12)) if overcome(begin) < 0 else begin
+        time = float(brentq(excess_at, begin, times[i], xtol=1e-12)) if excess_at(begin) < 0 else begin
         near = [b for b in self.breaks if abs(b - time) < 1e-9 * edges[-1]]
         return near[0] if near else time
 
@@ -441,33 +446,33 @@ def _at_rest(path: Path) -> Path:
 
 
 def _first_crossing(path: Path) -> float | None:
-    """Return the time at which the casing first turns against the sense of the path, nearly."""
+    """Return the approximate time at which the casing first reverses; None if it does not."""
     times = np.concatenate([path.mesh.times, path.mesh.edges[1:, None]], axis=1).ravel()
     speed = (
         np.concatenate([path.y[..., _CASING], path.edges[1:, None, _CASING]], axis=1).ravel() * path.sense[0]
     )
-    against = np.flatnonzero(speed < -NOTHING * np.abs(speed).max())
-    if not len(against):
+    reversed_ = np.flatnonzero(speed < -ROUNDING * np.abs(speed).max())
+    if not len(reversed_):
         return None
-    i = int(against[0])
+    i = int(reversed_[0])
     before, t = (speed[i - 1], times[i - 1]) if i else (abs(path.edges[0, _CASING]), path.mesh.edges[0])
     share = max(before, 0.0) / (max(before, 0.0) - speed[i])
     return float(t + share * (times[i] - t))
 
 
 _MAX_EVENTS = 2000
-# reversals from which on all stretches of an oscillation are solved at once
+# number of reversals from which on all stretches of an oscillation are solved at once
 _MANY = 3
 _MOST_STEPS = 25
-# share of the reversals that are tried together: of a motion near a known one, and of one near a measured one
+# shares of the reversals that are solved at once: near a known solution, and near the measured motion
 _NEARBY = (1.0, 0.97)
 _SHARES = (*_NEARBY, 0.9, 0.7, 0.4)
-# first stretches that are sought anew, as a share of the second one, and longest that is put before a known motion
+# longest first stretch that is determined again, over the second one, and longest one that is added
 _BRIEF, _LONGEST_BEGINNING = 0.1, 0.3
 _SMALL = 1e-9
 _EXACT = 1e-13
-# farthest move of a reversal in a step, as a share of the time to its neighbours
-_LATEST = 0.45
+# largest change of the time of a reversal in a step, as a share of the time to its neighbours
+_LONGEST_DELAY = 0.45
 _MOST_INTERVALS = 40_000
 
 
@@ -491,12 +496,12 @@ def solve(
     start : ndarray, shape (states,)
         State at the first edge.
     mesh : Mesh
-        Intervals to begin with; they are halved where needed, and cut at the model's breakpoints
-        and where the casing stops, turns back or moves on.
+        Initial intervals; they are halved where necessary, and divided at the model's changepoints and where the casing
+        stops, reverses or starts.
     guess : Path, optional
-        A solution for numbers near these, or what is measured.
+        A solution for similar numbers, or the measured motion.
     most : int
-        Stretches between two events that are integrated one by one, where the motion has changed in kind.
+        Largest number of stretches that are integrated one by one because the sequence of events has changed.
 
     Returns
     -------
@@ -524,7 +529,7 @@ def solve(
         guess = None
     if ready and ready[0].sense[0] == sense:
         # one vector operation for hundreds of reversals
-        jumps = run.turned_back([p for p in ready if p.mesh.edges[-1] < end])
+        jumps = run.reversals([p for p in ready if p.mesh.edges[-1] < end])
         pieces, ready = ready[: len(jumps)], ready[len(jumps) :]
         if pieces:
             y, time, sense = (
@@ -534,26 +539,26 @@ def solve(
             )
             y[_CASING] = 0.0
     while most >= 0 and len(pieces) < _MAX_EVENTS:
-        alike = known[len(pieces)] if len(pieces) < len(known) else None
+        known_piece = known[len(pieces)] if len(pieces) < len(known) else None
         stops = len(pieces) + 1 < len(known)
         ready = ready if ready and ready[0].sense[0] == sense else []
         piece = ready.pop(0) if ready else None
-        if piece is None and alike is not None:
-            piece = run.alike(y, time, end, sense, alike, stops=stops)
+        if piece is None and known_piece is not None:
+            piece = run.continued(y, time, end, sense, known_piece, stops=stops)
         most -= piece is None
         if piece is None:
             rest = mesh.between(time, end)
-            piece = run.held(y, rest, guess) if sense == 0 else run.turning(y, rest, sense, guess)
+            piece = run.held(y, rest, guess) if sense == 0 else run.moving(y, rest, sense, guess)
         pieces.append(piece)
         time = float(piece.mesh.edges[-1])
         if time >= end:
             return _joined(pieces, jumps, breaks)
         y = piece.edges[-1].copy()
-        if abs(y[_CASING]) > NOTHING * np.abs(piece.y[..., _CASING]).max():
+        if abs(y[_CASING]) > ROUNDING * np.abs(piece.y[..., _CASING]).max():
             jumps.append(np.eye(len(y)))
             continue
         y[_CASING] = 0.0
-        following = run.sense_after(time, y, sense) if sense else run.freed(time, y)
+        following = run.sense_after(time, y, sense) if sense else run.released(time, y)
         jumps.append(run.saltation(time, y, sense, following))
         sense = following
     raise SimulationError("the casing stops and starts too often to be followed")

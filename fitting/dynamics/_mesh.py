@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 NODES = 10
-# times an interval from which on a product for each interval beats one for each time
-_CROWD = 12
+# times per interval above which one product for each interval is faster than one for each time
+_MANY_PER_INTERVAL = 12
 
 
 class Rule(NamedTuple):
-    """Nodes x, weights w, integration matrix S, and what leads from node values to other things.
+    """Nodes x, weights w, integration matrix S, and linear maps of node values.
 
     `to_legendre` gives Legendre coefficients, `antiderivative` those of the integral that vanishes at -1, `ends` the
     values at -1 and 1.
@@ -85,11 +85,11 @@ class Mesh:
         return Mesh(np.unique(np.concatenate([self.edges, inside]))) if inside else self
 
     def moved(self, anchors: Sequence[float], places: Sequence[float]) -> Mesh:
-        """Return the mesh stretched, evenly between anchors, so that each anchor is at its place."""
+        """Return the mesh stretched, linearly between anchors, so that each anchor moves to its place."""
         if list(anchors) == list(places):
             return self
         edges = np.interp(self.edges, anchors, places)
-        # an anchor that is an edge must be at its place to the last digit
+        # no rounding error for an anchor that is an edge
         edges[np.searchsorted(self.edges, anchors)] = places
         return Mesh(edges)
 
@@ -111,11 +111,11 @@ class Path:
     kinks : tuple of float
         Times at which a torque jumps [s].
     jumps : dict of int to ndarray
-        How a small deviation changes at the edges at which the casing stops or turns back.
-    bend : float
-        The error of a Newton step over the square of the step before, for solutions near this one.
+        Saltation matrices of small deviations at the edges at which the casing stops or reverses.
+    newton_ratio : float
+        The error of a Newton step over the square of the previous step, for solutions near this one.
     exact : bool
-        Whether it is a solution, and not an initial solution from another source.
+        Whether it is a solution, and not the measured motion.
     """
 
     mesh: Mesh
@@ -125,7 +125,7 @@ class Path:
     sense: Array
     kinks: tuple[float, ...] = ()
     jumps: dict[int, Array] = field(default_factory=dict)
-    bend: float = 1.0
+    newton_ratio: float = 1.0
     exact: bool = True
 
     def angle(self, state: str) -> tuple[Array, Array]:
@@ -136,12 +136,12 @@ class Path:
 
     @property
     def breaks(self) -> tuple[float, ...]:
-        """The kinks that are no event of the casing: times at which a law sets in [s]."""
+        """The kinks without those at reversals and stops of the casing: times at which a law sets in [s]."""
         events = {float(self.mesh.edges[i]) for i in self.jumps}
         return tuple(k for k in self.kinks if k not in events)
 
     def pieces(self) -> list[Path]:
-        """Return the stretches between the events of the casing."""
+        """Return the stretches between reversals and stops of the casing."""
         ends, breaks = [0, *sorted(self.jumps), len(self.y)], self.breaks
         return [
             Path(
@@ -151,7 +151,7 @@ class Path:
                 self.states,
                 self.sense[a:b],
                 tuple(k for k in breaks if self.mesh.edges[a] < k < self.mesh.edges[b]),
-                bend=self.bend,
+                newton_ratio=self.newton_ratio,
             )
             for a, b in pairwise(ends)
         ]
@@ -163,7 +163,7 @@ class Sampler:
     Parameters
     ----------
     mesh : Mesh
-        Where the node data live.
+        The mesh of the node data.
     times : ndarray
         Times inside the mesh [s].
     """
@@ -173,8 +173,8 @@ class Sampler:
         self.index = np.clip(np.searchsorted(edges, times, side="right") - 1, 0, len(edges) - 2)
         self._half = mesh.half[self.index, 0]
         self._vander = legendre.legvander((times - edges[self.index]) / self._half - 1.0, NODES)
-        # many times in few intervals, one after the other: each interval's in one product
-        few = len(times) > _CROWD * (len(edges) - 1)
+        # many ordered times in few intervals: one product for each interval
+        few = len(times) > _MANY_PER_INTERVAL * (len(edges) - 1)
         self._runs = None
         if few and (self.index[1:] >= self.index[:-1]).all():
             self._runs = np.searchsorted(self.index, np.arange(len(edges)))
@@ -206,4 +206,4 @@ def transfer(guess: Path, mesh: Mesh, start: Array, sense: float) -> Path:
     y = sampler.value(guess.y).reshape(*mesh.times.shape, -1)
     edges = Sampler(guess.mesh, mesh.edges).value(guess.y)
     edges[0] = start
-    return Path(mesh, y, edges, guess.states, np.full(len(y), sense), bend=guess.bend)
+    return Path(mesh, y, edges, guess.states, np.full(len(y), sense), newton_ratio=guess.newton_ratio)

@@ -11,7 +11,6 @@ are passed separately as a mapping from ``<effect>.<symbol>`` to a value.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -43,7 +42,7 @@ from fitting.effects._expression import (
     total,
 )
 from fitting.effects._library import GENERAL, LINEAR, REDUCED, find
-from fitting.effects._user import read_effects, resolve
+from fitting.effects._user import read_effects, read_toml, resolve
 
 Array = NDArray[np.float64]
 
@@ -159,7 +158,7 @@ class Model:
 
     @property
     def alone(self) -> Model:
-        """The part of it that a body without a partner has."""
+        """The effects that apply to a single body."""
         return Model(tuple(e for e in self.effects if e.single_body))
 
     @cached_property
@@ -193,7 +192,7 @@ class Model:
 
     @cached_property
     def angle_dependent(self) -> tuple[Effect, ...]:
-        """The physical effects that follow an angle which is no state of the motion."""
+        """The physical effects that depend on an angle which is not a state of the motion."""
         names = self.smooth.names
         return tuple(e for e in self.effects if e.mechanical and e.name not in names)
 
@@ -209,7 +208,7 @@ class Model:
 
     @cached_property
     def measurement(self) -> tuple[Effect, ...]:
-        """What the cameras add to the angles."""
+        """The effects of the cameras on the measured angles."""
         return tuple(e for e in self.effects if not e.mechanical)
 
     def equations(self, *, single: bool = False) -> tuple[str, ...]:
@@ -260,13 +259,7 @@ def read_model(path: Path, own: Iterable[Effect] = ()) -> Model:
     EffectError
         If the file cannot be read, has no list of effects, or names one that is unknown.
     """
-    try:
-        with path.open("rb") as file:
-            document = tomllib.load(file)
-    except OSError as fault:
-        raise EffectError(f"{path}: {fault.strerror or fault}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
-        raise EffectError(f"{path} is not a TOML file: {fault}") from None
+    document = read_toml(path)
     names = document.get("effects", [])
     if not isinstance(names, list) or not all(isinstance(n, str) for n in names):
         raise EffectError(
@@ -294,9 +287,9 @@ class Dynamics:
     Parameters
     ----------
     model : Model
-        Measurement effects are left out: they do not move bodies.
+        Measurement effects are left out: they do not change the motion.
     angles : bool
-        Carry both angles as states, as laws that follow an angle need.
+        Whether both angles are states, as for laws of an angle.
 
     Attributes
     ----------
@@ -330,7 +323,7 @@ class Dynamics:
         rigid = model.rigid_contact
         self.ratio = None if rigid is None else f"{rigid.name}.{RATIO}"
         self.relaxation = "" if rigid is None else f"{rigid.name}.T"
-        # what stands still while friction holds the casing
+        # states that are constant while friction holds the casing
         self._held = slice(_CASING, _CASING + 1) if rigid is None else slice(0, _CASING + 1)
         self.parameters = tuple(f"{e.name}.{p.symbol}" for e in physical for p in e.free)
         self.breakpoints = tuple(f"{e.name}.{e.breakpoint}" for e in physical if e.breakpoint)

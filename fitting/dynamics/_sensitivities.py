@@ -4,23 +4,23 @@ With A at the nodes, the deviations dy_k in an interval of length h that starts 
 
     dy_k - h/2 sum_j S_kj A_j dy_j = dy_0 + b_k:
 
-one small dense system an interval, all of them in one batch, chained by their transfer matrices.
+one small dense system per interval, all solved in one batch and chained by their transfer matrices.
 
 With the fundamental matrix Phi(t) of the linearised equations, a torque u(t) along b gives
 
     d omega(t) = Phi(t) integral Phi^-1(s) b u(s) ds,
     d psi(t)   = integral [Psi(t) - Psi(s)] Phi^-1(s) b u(s) ds,    Psi = integral of Phi,
 
-which needs only running sums over the times at which u is known, however fast u varies. A casing that comes
-to rest forgets what moved it; so that Phi keeps its inverse, it is taken to remember a millionth.
+which needs only running sums over the times at which u is known, for any frequency of u. After the casing has come to
+rest, deviations before do not matter; so that Phi has an inverse, a millionth of them is kept.
 
-Where one motion dies away long before the record ends, what is left of any column of Phi is the other one, and the
-inverse has lost its digits. Then the column that dies is computed backwards from the end, where it grows and nothing
-else does, and its integral is taken from there: the dichotomy of U. Ascher, R. Mattheij, R. Russell, Numerical
+Where one mode decays long before the end of the record, all columns of Phi become parallel to the other mode, and the
+inverse is inaccurate. Then the decaying column is computed backwards from the end, in which direction it grows faster
+than the other, and its integral as well: the dichotomy of U. Ascher, R. Mattheij, R. Russell, Numerical
 Solution of Boundary Value Problems for Ordinary Differential Equations, SIAM (1995), ch. 6.
 
-All solve the same linear equation d(dy)/dt = A(t) dy + b(t) on the mesh of the solution; a parameter that
-is the time of a jump enters as a kick at that time.
+All solve the same linear equation d(dy)/dt = A(t) dy + b(t) on the mesh of the solution; the derivative by the time of
+a jump is an impulse at that time.
 """
 
 from __future__ import annotations
@@ -52,11 +52,11 @@ class Propagator:
     a : ndarray, shape (intervals, nodes, n, n)
         A at the nodes.
     jumps : mapping of int to ndarray, optional
-        Matrices by which a deviation changes at some edges: there the torque jumps with the state.
+        Saltation matrices at edges where the torque jumps.
     defect : ndarray, shape (intervals, nodes, n), optional
-        One right-hand side that is known already: `response` is its `nodes`, at less cost.
+        A right-hand side: `response` is then the same as its `nodes`, at less cost.
     constraint : ndarray, shape (2, 2), optional
-        What a contact makes of the accelerations that a torque would give free bodies.
+        Matrix from accelerations of free bodies to those of bodies in contact.
     """
 
     def __init__(
@@ -98,8 +98,8 @@ class Propagator:
         total = rule().w @ rates.reshape(intervals, k, n * columns)
         return np.asarray(self._half[..., None] * total.reshape(intervals, n, columns))
 
-    def remembering(self, share: float) -> Propagator:
-        """Return the same equations with jumps that keep a share of what they would wipe out."""
+    def with_regular_jumps(self, share: float) -> Propagator:
+        """Return the same equations with jumps that keep a share of the deviations that they eliminate."""
         if not self._jumps:
             return self
         other = copy(self)
@@ -120,7 +120,7 @@ class Propagator:
         return np.asarray(self._inverse @ defect.reshape(intervals, k * n, columns)).reshape(defect.shape)
 
     def carried(self, edges: Array) -> Array:
-        """Return what deviations at the edges (intervals + 1, n, columns) do at the nodes."""
+        """Return the deviations at the nodes that follow from those at the edges (intervals + 1, n, columns)."""
         return np.asarray(self.transfer @ edges[:-1, None])
 
     def chain(
@@ -147,14 +147,14 @@ class Propagator:
         return out
 
     def back(self, last: Array) -> Array:
-        """Return the deviations at all edges, (intervals + 1, n, columns), that end as `last`, without a right side."""
+        """Return the homogeneous solution that ends as `last`, at all edges, (intervals + 1, n, columns)."""
         try:
-            undone: Array = np.asarray(np.linalg.inv(self._steps()))[::-1]
+            inverse: Array = np.asarray(np.linalg.inv(self._steps()))[::-1]
         except np.linalg.LinAlgError:
             raise SimulationError(UNBOUNDED) from None
-        out = np.zeros((len(undone) + 1, *last.shape))
+        out = np.zeros((len(inverse) + 1, *last.shape))
         out[0] = last
-        _fill(out, undone, np.zeros_like(out[1:]))
+        _fill(out, inverse, np.zeros_like(out[1:]))
         return out[::-1]
 
     def _steps(self) -> Array:
@@ -168,7 +168,7 @@ class Propagator:
 
 
 def _fill(out: Array, step: Array, gain: Array) -> None:
-    """Fill out[i + 1] = step[i] out[i] + gain[i]: two steps at a time as one of twice the length."""
+    """Fill out[i + 1] = step[i] out[i] + gain[i], by recursive combination of pairs of steps."""
     levels = []
     while len(step) >= _FEW:
         levels.append((out, step, gain))
@@ -184,16 +184,17 @@ def _fill(out: Array, step: Array, gain: Array) -> None:
 
 Array = NDArray[np.float64]
 
-_MEMORY = 1e-6
-# columns of Phi nearer to dependent than this have lost their digits
+# share of a deviation that is kept where the casing comes to rest
+_KEPT = 1e-6
+# smallest singular value of the scaled columns of Phi for an accurate inverse
 _DEPENDENT = 1e-9
 
 
 class LinearMotion:
     """The linearised motion of both speeds about a solution.
 
-    States of effects (a warmth, a phase) move with the speeds and act back on them. Where any of them decays so fast
-    that Phi has no inverse, all of these states are held.
+    States of effects (a temperature, a phase) are coupled with the speeds. Where one of them decays so fast that Phi
+    has no inverse, all of these states are held.
 
     Parameters
     ----------
@@ -205,17 +206,17 @@ class LinearMotion:
 
     def __init__(self, path: Path, propagator: Propagator) -> None:
         self._sense, self._mesh, self._constraint = path.sense, path.mesh, propagator.constraint
-        dying: list[int] = []
+        decaying: list[int] = []
         self._nodes = _fundamental(propagator)
         if not _independent(self._nodes):
             propagator = propagator.of_speeds()
             self._nodes = _fundamental(propagator)
             if not _independent(self._nodes):
-                self._nodes, dying = _parted(propagator), [1]
+                self._nodes, decaying = _slow_and_fast_mode(propagator), [1]
         steps = path.mesh.half[..., None] * np.tensordot(self._nodes, rule().w, (1, 0))
         self._starts = np.concatenate([np.zeros((1, *steps.shape[1:])), np.cumsum(steps, axis=0)])
-        self._starts[:-1, :, dying] = -np.cumsum(steps[::-1, :, dying], axis=0)[::-1]
-        self._starts[-1, :, dying] = 0.0
+        self._starts[:-1, :, decaying] = -np.cumsum(steps[::-1, :, decaying], axis=0)[::-1]
+        self._starts[-1, :, decaying] = 0.0
 
     def fundamental(self, times: Array) -> Array:
         """Return the speeds' rows of Phi at some times, shape (times, 2, n)."""
@@ -225,30 +226,30 @@ class LinearMotion:
         """Return the speeds' rows of Psi at some times, shape (times, 2, n)."""
         return Sampler(self._mesh, times).integral(self._starts, self._nodes)[:, :2]
 
-    def kicks(self, times: Array, direction: Array) -> Array:
+    def impulses(self, times: Array, direction: Array) -> Array:
         """Return Phi^-1(s) b, shape (times, n); b holds the rates that a unit torque gives [rad s-2]."""
-        return self._kicks(Sampler(self._mesh, times), direction)
+        return self._impulses(Sampler(self._mesh, times), direction)
 
-    def _kicks(self, sampler: Sampler, direction: Array) -> Array:
+    def _impulses(self, sampler: Sampler, direction: Array) -> Array:
         phi = sampler.value(self._nodes)
-        pushes = np.zeros(phi.shape[:2])
-        pushes[:, :2] = self.accelerations(direction)
+        accelerations = np.zeros(phi.shape[:2])
+        accelerations[:, :2] = self.accelerations(direction)
         held = slice(1, 2) if self._constraint is None else slice(0, 2)
-        pushes[:, held] *= np.abs(self._sense[sampler.index])[:, None]
+        accelerations[:, held] *= np.abs(self._sense[sampler.index])[:, None]
         try:
-            return np.asarray(np.linalg.solve(phi, pushes[..., None])[..., 0])
+            return np.asarray(np.linalg.solve(phi, accelerations[..., None])[..., 0])
         except np.linalg.LinAlgError:
-            # after several stops nothing is remembered of what was before: not even a millionth of a millionth
+            # after several stops the kept share of earlier deviations underflows
             if not np.isfinite(phi).all():
                 raise SimulationError(UNBOUNDED) from None
-            return np.asarray((np.linalg.pinv(phi) @ pushes[..., None])[..., 0])
+            return np.asarray((np.linalg.pinv(phi) @ accelerations[..., None])[..., 0])
 
     def accelerations(self, direction: Array) -> Array:
-        """Return the rates that a unit torque gives bodies that may be in contact, from those of free bodies."""
+        """Return the accelerations by a unit torque of bodies that may be in contact, from those of free bodies."""
         return direction if self._constraint is None else self._constraint @ direction
 
     def moving(self, times: Array) -> Array:
-        """Return 1 where the casing answers to a torque, 0 where friction holds it."""
+        """Return 1 where the casing responds to a torque, 0 where friction holds it."""
         return np.abs(self._sense[Sampler(self._mesh, times).index])
 
     def driven(self, times: Array, torque: Array, direction: Array) -> tuple[Array, Array]:
@@ -272,12 +273,12 @@ class LinearMotion:
         half = 0.5 * np.diff(times)
         inner = (times[:-1] + half)[:, None] + half[:, None] * gauss.x
         sampler = Sampler(self._mesh, inner.ravel())
-        kicks = self._kicks(sampler, direction).reshape(*inner.shape, -1)
-        reach = sampler.integral(self._starts, self._nodes)[:, :2].reshape(*inner.shape, 2, -1)
-        kicks *= (half[:, None] * gauss.w)[..., None]
-        pushes = kicks.transpose(0, 2, 1) @ torque
-        delayed = (reach @ kicks[..., None])[..., 0]
-        sums = np.concatenate([np.zeros((1, *pushes.shape[1:])), np.cumsum(pushes, axis=0)])
+        impulses = self._impulses(sampler, direction).reshape(*inner.shape, -1)
+        psi_inner = sampler.integral(self._starts, self._nodes)[:, :2].reshape(*inner.shape, 2, -1)
+        impulses *= (half[:, None] * gauss.w)[..., None]
+        changes = impulses.transpose(0, 2, 1) @ torque
+        delayed = (psi_inner @ impulses[..., None])[..., 0]
+        sums = np.concatenate([np.zeros((1, *changes.shape[1:])), np.cumsum(changes, axis=0)])
         late = np.moveaxis(delayed.transpose(0, 2, 1) @ torque, 1, 0)
         late = np.concatenate([np.zeros((2, 1, late.shape[2])), np.cumsum(late, axis=1)], axis=1)
         sampler = Sampler(self._mesh, times)
@@ -293,24 +294,24 @@ def _fundamental(propagator: Propagator) -> Array:
 
 
 def _chained(propagator: Propagator, first: Array) -> Array:
-    """Return what becomes of small deviations at the start, at all edges."""
-    nothing = np.zeros((*propagator.transfer.shape[:2], *first.shape))
-    return propagator.remembering(_MEMORY).chain(nothing, nothing[:, 0], first)
+    """Return the deviations at all edges that follow from small deviations at the start."""
+    zero = np.zeros((*propagator.transfer.shape[:2], *first.shape))
+    return propagator.with_regular_jumps(_KEPT).chain(zero, zero[:, 0], first)
 
 
-def _parted(propagator: Propagator) -> Array:
-    """Return two motions of the speeds at the nodes: the slowest decay, and the faster one."""
-    lasting = _chained(propagator, np.array([[1.0], [0.0]]))
-    end = lasting[-1] / np.linalg.norm(lasting[-1])
-    dying = propagator.remembering(_MEMORY).back(np.array([-end[1], end[0]]))
-    size = np.linalg.norm(dying[0])
+def _slow_and_fast_mode(propagator: Propagator) -> Array:
+    """Return the modes of slow and of fast decay of the speeds, at the nodes."""
+    slow = _chained(propagator, np.array([[1.0], [0.0]]))
+    end = slow[-1] / np.linalg.norm(slow[-1])
+    fast = propagator.with_regular_jumps(_KEPT).back(np.array([-end[1], end[0]]))
+    size = np.linalg.norm(fast[0])
     if not np.isfinite(size):
         raise SimulationError(UNBOUNDED)
-    return propagator.carried(np.concatenate([lasting, dying / size], axis=2))
+    return propagator.carried(np.concatenate([slow, fast / size], axis=2))
 
 
 def _independent(phi: Array) -> bool:
-    """Return whether the columns of Phi keep apart."""
+    """Return whether the columns of Phi are linearly independent everywhere."""
     size = np.linalg.norm(phi, axis=-2, keepdims=True)
     if not (size > 0).all():
         return False
@@ -345,40 +346,22 @@ def sensitivities(dynamics: Dynamics, numbers: Mapping[str, float], path: Path) 
         first[0, p] = numbers[dynamics.ratio]
         if dynamics.ratio in dynamics.parameters:
             first[0, dynamics.parameters.index(dynamics.ratio)] = path.edges[0, 1]
-    kicks = _kicks(dynamics, numbers, path, p + starts)
-    nodes, edges = _march(path, propagator, forcing, first, kicks)
-    return Sensitivity(nodes, edges, propagator)
-
-
-def respond(path: Path, propagator: Propagator, forcing: Array) -> tuple[Array, Array]:
-    """Return the response (nodes, edges) of the states to extra rates (intervals, nodes, n, columns).
-
-    While friction holds the casing, what pushes it has no effect.
-    """
-    first = np.zeros(forcing.shape[2:])
-    if not path.sense.all():
-        forcing = forcing.copy()
-        forcing[path.sense == 0, :, 1] = 0.0
-    return _march(path, propagator, forcing, first, {})
-
-
-def _march(
-    path: Path, propagator: Propagator, forcing: Array, first: Array, kicks: Mapping[int, Array]
-) -> tuple[Array, Array]:
     half = path.mesh.half[..., None]
     flat = forcing.reshape(*forcing.shape[:2], -1)
     node_defect = (half * (rule().s @ flat)).reshape(forcing.shape)
     edge_defect = (half[..., 0] * (rule().w @ flat)).reshape(len(flat), *forcing.shape[2:])
-    for i, kick in kicks.items():
-        edge_defect[i] += kick
+    for i, impulse in _jump_impulses(dynamics, numbers, path, p + starts).items():
+        edge_defect[i] += impulse
     response = propagator.nodes(node_defect)
     edges = propagator.chain(response, edge_defect, first)
-    return response + propagator.carried(edges), edges
+    return Sensitivity(response + propagator.carried(edges), edges, propagator)
 
 
-def _kicks(dynamics: Dynamics, numbers: Mapping[str, float], path: Path, columns: int) -> dict[int, Array]:
-    """Return what a later jump would have added: (rate before - rate after) at each breakpoint's edge."""
-    kicks: dict[int, Array] = {}
+def _jump_impulses(
+    dynamics: Dynamics, numbers: Mapping[str, float], path: Path, columns: int
+) -> dict[int, Array]:
+    """Return the derivative of the states by the time of each jump: rate before minus rate after, at its edge."""
+    impulses: dict[int, Array] = {}
     for key in dynamics.breakpoints:
         time = numbers[key]
         i = int(np.searchsorted(path.mesh.edges, time))
@@ -387,10 +370,10 @@ def _kicks(dynamics: Dynamics, numbers: Mapping[str, float], path: Path, columns
         y = path.edges[i]
         before = dynamics.rates(np.nextafter(time, -np.inf), y, numbers, path.sense[i - 1])
         after = dynamics.rates(np.asarray(time), y, numbers, path.sense[i])
-        kick = np.zeros((len(y), columns))
-        kick[:, dynamics.parameters.index(key)] = before - after
-        kicks[i - 1] = kicks.get(i - 1, 0.0) + kick
-    return kicks
+        impulse = np.zeros((len(y), columns))
+        impulse[:, dynamics.parameters.index(key)] = before - after
+        impulses[i - 1] = impulses.get(i - 1, 0.0) + impulse
+    return impulses
 
 
 def angles(sampler: Sampler, path: Path, state: int, nodes: Array) -> Array:

@@ -139,10 +139,10 @@ Joint = Literal["rotor", "casing", "bearing", "contact", "factor", "inertia", "c
 Kind = Literal["physical", "measurement"]
 Role = Literal["amplitude", "shape", "phase", "fixed"]
 
-# The variables of a law, with their units. `tau` is the whole bearing torque, for states that it feeds; `deflection` is
-# the angle of the casing, or of the single body, from its equilibrium. Of a contact with the ratio n, `slip` is
-# omega_r - n omega_c, `inertia_slip` what a torque in it accelerates, 1 / (1 / I_r + n^2 / I_c), and `torque_held` the
-# torque on the rotor that keeps the slip constant under all other torques.
+# The variables of a law, with their units. `tau` is the whole bearing torque, for states that depend on it;
+# `deflection` is the angle of the casing, or of the single body, from its equilibrium. For a contact with the ratio n,
+# `slip` is omega_r - n omega_c, `inertia_slip` the effective inertia 1 / (1 / I_r + n^2 / I_c), and `torque_held` the
+# torque on the rotor with which the slip is constant under all other torques.
 VARIABLES: dict[str, str] = {
     "t": "s",
     "omega_r": "s-1",
@@ -159,11 +159,11 @@ VARIABLES: dict[str, str] = {
     "psi": "1",
     "omega": "s-1",
 }
-# Those of a law in a contact alone.
+# Variables of laws in a contact only.
 _CONTACT_VARIABLES: dict[str, str] = {"slip": "s-1", "inertia_slip": "kg m2", "torque_held": "N m"}
-# changepoints to try, as shares of the length of the recording
+# trial changepoints, as shares of the length of the recording
 MOMENTS = tuple(round(0.04 + 0.02 * i, 3) for i in range(47))
-# the unit in which the law of each joint comes out
+# the unit of the law of each joint
 _RESULT: dict[Joint, str] = {
     "rotor": "N m",
     "casing": "N m",
@@ -198,7 +198,7 @@ class Parameter:
     start : float
         Value where the data give none [unit].
     grid : tuple of float
-        Values of a shape constant to try [unit, or lengths of the recording].
+        Trial values of a shape constant [unit, or lengths of the recording].
     relative : bool
         The grid is in lengths of the recording.
     meaning : str
@@ -236,13 +236,13 @@ class Effect:
     ``camera.casing`` or ``camera.rotor`` it is an angle added to those that the camera measures (psi and
     omega are then those of the body filmed).
 
-    Everything that other modules need of an effect is a field or a property here; no code depends on
-    the name of an effect, so that a new law is one entry of the library.
+    All properties of an effect are fields or properties of this class; no code depends on the name of an effect, so
+    that a new law is one entry of the library.
 
     Parameters
     ----------
     name : str
-        The name in commands and answers.
+        The name in commands and results.
     joint : str
         Where it acts.
     law : str
@@ -264,15 +264,15 @@ class Effect:
     per_case : bool
         In a fit of several cases each has its own parameters, unless requested otherwise.
     per_surface : bool
-        The law belongs to the surface under the touch point: no other recording can predict its parameters.
+        Whether the parameters depend on the surface under the touch point, and differ in other recordings.
     nuisance : bool
-        The discovery always fits it and marginalises over it.
+        Whether it is fitted always, as a nuisance effect.
     equivalent : tuple of str
-        Effects that no recording of the usual motion separates from it.
+        Effects that a usual recording does not separate from it.
     searched : bool
-        Whether the discovery tries it. What touches what is seen on the apparatus, not in the residuals.
+        Whether it is a candidate effect; contacts are visible on the apparatus and are not.
     rigid : bool
-        A contact that rolls: it has a torque_held, and one initial speed follows from the other.
+        Whether it is a contact without slip: it contains torque_held, and one initial speed follows from the other.
     """
 
     name: str
@@ -339,8 +339,8 @@ class Effect:
     def about_equilibrium(self) -> Effect:
         """The law of an oscillating body: psi_c is its angle from the equilibrium, a state of the motion.
 
-        The response to a torque that follows the measured angle is of first order; through a hundred periods a change
-        of the frequency adds up to more than that.
+        A response linearised about the measured angle is not sufficient: over a hundred periods, a change of the
+        frequency accumulates to a large phase.
         """
         if not self.mechanical or "psi_c" not in symbols(self.expression):
             return self
@@ -357,12 +357,12 @@ class Effect:
         return self.depends_on_angle or any(p.role == "phase" for p in self.parameters)
 
     def check(self) -> None:
-        """Check the law: names known, units right.
+        """Check names and units of the law.
 
         Raises
         ------
         EffectError
-            If a name in the law is unknown, or the law does not come out in its unit.
+            If a name in the law is unknown, or the law has a wrong unit.
         """
         own = {p.symbol for p in self.parameters}
         used = symbols(self.expression) | (symbols(self.rate) if self.rate else set())

@@ -1,8 +1,8 @@
 """Formulas: safe parsing, exact derivatives, and evaluation with NumPy.
 
-The text is parsed by Python's own grammar (`ast`), and every node is held against a short allow-list:
+The text is parsed by the grammar of Python (`ast`), and every node is checked against a short allow-list:
 numbers, known names, ``+ - * / **``, unary minus, and the functions of `FUNCTIONS`. ASCII only, at most
-500 characters, nested at most 40 deep, numbers as floats (so that ``9**9**9`` costs nothing).
+500 characters, at most 40 nested levels, numbers as floats (so that ``9**9**9`` is not expanded).
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def add(a: Expr, b: Expr) -> Expr:
 
 
 def mul(a: Expr, b: Expr) -> Expr:
-    """Return a * b, with zeros and ones left out, numbers folded, and signs drawn to the front."""
+    """Return a * b, with zeros and ones left out, numbers folded, and signs moved to the front."""
     if ZERO in (a, b):
         return ZERO
     if a == ONE:
@@ -119,7 +119,7 @@ def total(terms: list[Expr]) -> Expr:
 
 
 def nodes(e: Expr) -> list[Expr]:
-    """Return the parts of an expression, each object once and after its own parts; the expression is the last."""
+    """Return the nodes of an expression, each object once and after its arguments; the expression is the last."""
     found: dict[int, Expr] = {}
     path = [e]
     while path:
@@ -210,7 +210,7 @@ def parse(text: str) -> Expr:
         raise ExpressionError("the formula is nested too deeply", f"at most {MAX_DEPTH} levels are allowed")
     try:
         with warnings.catch_warnings():
-            # Python's own advice about odd literals is not for the person who typed a formula
+            # warnings of Python about literals are not meant for the author of a formula
             warnings.simplefilter("ignore")
             tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError):
@@ -268,8 +268,8 @@ def _number(number: float) -> Expr:
     return num(value)
 
 
-# sign and heaviside are flat where they are smooth; what happens at their jumps (a casing that comes to
-# rest, a torque that sets in) is an event of the integration, not a derivative.
+# sign and heaviside have a zero derivative where they are smooth; their jumps (a casing that comes to rest, a torque
+# that sets in) are events of the integration.
 _OUTER: dict[str, Callable[[Expr], Expr]] = {
     "abs": lambda u: call("sign", u),
     "sign": lambda u: ZERO,  # noqa: ARG005
@@ -306,7 +306,7 @@ def derivative(e: Expr, name: str) -> Expr:
 
 
 def _slope(e: Expr, name: str, inner: list[Expr]) -> Expr:
-    """Return the derivative of a node, from those of its parts."""
+    """Return the derivative of a node from those of its arguments."""
     if not inner:
         return ONE if e.op == "sym" and e.name == name else ZERO
     if e.op == "add":
@@ -333,7 +333,7 @@ _TINY = 1e-300
 
 
 def _log(x: Any) -> Any:
-    # x**g * log(x) must tend to 0 at x = 0, not to nan
+    # x**g * log(x) has the limit 0 at x = 0
     return np.log(np.maximum(x, _TINY))
 
 
@@ -368,7 +368,7 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
 
 
 class Tape:
-    """A list of elementary operations that evaluates several expressions, common parts once.
+    """A list of elementary operations that evaluates several expressions, common subexpressions once.
 
     Parameters
     ----------
@@ -400,7 +400,7 @@ class Tape:
 
     @property
     def names(self) -> set[str]:
-        """The symbols that must be given."""
+        """The symbols whose values are required."""
         return {name for _, name in self._inputs}
 
     def __call__(self, values: Mapping[str, Any]) -> list[Any]:

@@ -1,8 +1,7 @@
-"""The library of physical and measurement effects; one law, one entry.
+"""The library of physical and measurement effects; one entry for each law.
 
-Laminar flow over a disc takes a torque that grows as omega^1.5, turbulent flow as omega^1.8
-(Th. von Karman, Z. angew. Math. Mech. 1, 233 (1921)); a thin viscous film takes it linearly, a bluff
-body quadratically.
+The drag torque of a disc is proportional to omega^1.5 in laminar and to omega^1.8 in turbulent flow (Th. von Karman,
+Z. angew. Math. Mech. 1, 233 (1921)), that of a thin viscous film to omega, that of a bluff body to omega^2.
 
 D = omega_r - omega_c is the speed of the bearing. Two effects scale the whole bearing torque:
 its own temperature, raised by the heat of friction, and a slow drift.
@@ -568,7 +567,7 @@ CONTACT = (
 LIBRARY = MappingProxyType(
     {e.name: e for e in (*AIR, *BEARING, *TOUCHPOINT, *CASING, *OSCILLATOR, *CONTACT, *CAMERA, *SETUP)}
 )
-# the effects that the discovery always fits and marginalises over
+# nuisance effects, which the discovery fits always
 NUISANCE = tuple(e.name for e in LIBRARY.values() if e.nuisance)
 
 LINEAR = ("rotor.air.quadratic", "touchpoint.constant", "casing.air.linear", "bearing.linear")
@@ -627,7 +626,7 @@ def of_the_rotor(effect: Effect) -> Effect | None:
 def typical_values(
     effect: Effect, share: float, *, duration: float, speeds: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return values of an effect's parameters so that it makes a given share of the torque budget.
+    """Return values of an effect's parameters with which it has a given share of the torque budget.
 
     Parameters
     ----------
@@ -648,12 +647,25 @@ def typical_values(
         else:
             values[p.symbol] = 1.0 if p.role == "amplitude" else p.start
     amplitude = next((p.symbol for p in effect.parameters if p.role == "amplitude"), None)
-    if amplitude is None:
-        return {f"{effect.name}.{k}": v for k, v in values.items()}
+    if amplitude is not None:
+        values[amplitude] = _typical_strength(effect, values, share, duration, speeds)
+    return {f"{effect.name}.{k}": v for k, v in values.items()}
+
+
+def _typical_strength(
+    effect: Effect, values: Mapping[str, float], share: float, duration: float, speeds: Mapping[str, float]
+) -> float:
+    """Return the strength with which an effect has a given share of the torque budget."""
+    if effect.joint == "inertia":
+        return share
+    delta = speeds["omega_r"] - speeds["omega_c"]
+    if effect.joint == "factor":
+        # the bearing torque changes by `share` over the run, or by the heat of friction
+        return share / (_BUDGET * delta * values.get("tau_T", duration) if effect.state else duration)
     at: dict[str, Any] = {
         **values,
         **speeds,
-        "delta": speeds["omega_r"] - speeds["omega_c"],
+        "delta": delta,
         "t": duration,
         "deflection": 1.0,
         "psi_c": 1.0,
@@ -667,20 +679,11 @@ def typical_values(
     }
     if effect.state is not None:
         at[effect.state.symbol] = 1.0
-    if effect.joint == "inertia":
-        values[amplitude] = share
-        return {f"{effect.name}.{k}": v for k, v in values.items()}
-    if effect.joint == "factor":
-        # at full share the whole bearing torque changes by `share`, over the run or in the heat of friction
-        heat = _BUDGET * at["delta"] * values.get("tau_T", duration) if effect.state else duration
-        values[amplitude] = share / heat
-        return {f"{effect.name}.{k}": v for k, v in values.items()}
     tape, unit = Tape([effect.expression]), 0.0
     for part in (0.05, 0.3, 1.0, 1.5):
         slower = {"omega_c": part * speeds["omega_c"], "omega": part * speeds["omega_c"]}
         unit = max(unit, abs(float(tape(at | slower)[0])))
-    values[amplitude] = share * _BUDGET / unit if unit > 0 and math.isfinite(unit) else share * _BUDGET
-    return {f"{effect.name}.{k}": v for k, v in values.items()}
+    return share * _BUDGET / unit if unit > 0 and math.isfinite(unit) else share * _BUDGET
 
 
 def typical_of_model(
@@ -691,7 +694,7 @@ def typical_of_model(
     Parameters
     ----------
     effects : iterable of Effect
-        What the model consists of.
+        The effects of the model.
     share, duration, speeds
         As for `typical_values`.
     """

@@ -42,13 +42,15 @@ from fitting.effects._expression import (
 )
 from fitting.effects._library import LIBRARY, find
 
-# the unit of a strength that cannot be worked out because other units were not given
+# the unit of a strength that cannot be derived because other units were not given
 UNKNOWN_UNIT = "SI"
-# of the moments those that are tried where a law has other shape constants as well
+# step through the trial changepoints where a law has other shape constants as well
 _COARSE = 5
+# trial values of a shape constant over its initial value
+_GRID_FACTORS = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 _BODIES = ("rotor", "casing", "bearing")
 _FIRST_VARIABLE = {"rotor": "omega_r", "casing": "omega_c", "bearing": "delta"}
-# number of edits that turn a misspelt name into that of a variable
+# largest number of edits by which a misspelt name differs from a variable
 _EDITS = 2
 _NOT_FOR_USERS = {"temperature", "chirp", "strain", "tau", "psi", "omega", "lag"}
 
@@ -116,12 +118,11 @@ def formula(
 def _refuse_misspelt(expression: Expr, undeclared: Sequence[str], body: str) -> None:
     """Refuse parameters that are not declared and are probably misspelt variables.
 
-    That is a name within two edits of a variable, or, in a law that contains no variable at all, any name next to a
-    strength.
+    That is a name within two edits of a variable, or any name besides the strength in a law without variables.
     """
     variables = [v for v in VARIABLES if v not in _NOT_FOR_USERS]
     for symbol in undeclared:
-        # a short name is within two edits of nearly everything
+        # short names are within two edits of most others
         near = [v for v in variables if len(v) > _EDITS + 2]
         distance, _, variable = min((edit_distance(symbol, v), not v.endswith(body[0]), v) for v in near)
         if distance <= _EDITS:
@@ -165,9 +166,9 @@ def _check(effect: Effect) -> None:
 
 
 def _timed(parameters: Sequence[Parameter], expression: Expr) -> tuple[tuple[Parameter, ...], str]:
-    """Return parameters of which those that are moments are sought in the whole record, and the moment of a jump.
+    """Return the parameters, with changepoints searched in the whole record, and the changepoint of a jump.
 
-    A moment occurs in t - t0; the law jumps there if that is in heaviside(t - t0), and t0 in no other jump.
+    A changepoint t0 occurs as t - t0; the law jumps there if t0 occurs as heaviside(t - t0) and in no other jump.
     """
     parts = nodes(expression)
     alone = [p.role for p in parameters].count("shape") == 1
@@ -197,7 +198,7 @@ def _parameter(symbol: str, keys: Mapping[str, Any], role: Role) -> Parameter:
     if not lower <= start <= upper:
         raise EffectError(f"parameter {symbol}: start {start:g} is outside {lower:g} to {upper:g}")
     given = tuple(number("grid", v) for v in keys.get("grid", ()))
-    grid = given or (_default_grid(start) if role == "shape" else ())
+    grid = given or (tuple(start * factor for factor in _GRID_FACTORS) if role == "shape" else ())
     grid = tuple(v for v in grid if lower <= v <= upper)
     return Parameter(
         symbol,
@@ -211,12 +212,8 @@ def _parameter(symbol: str, keys: Mapping[str, Any], role: Role) -> Parameter:
     )
 
 
-def _default_grid(start: float) -> tuple[float, ...]:
-    return tuple(start * factor for factor in (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0))
-
-
 def _strength(law: str, expression: Expr, candidates: list[str]) -> str:
-    """Return the first parameter that the law is proportional to."""
+    """Return the first parameter to which the law is proportional."""
     if not candidates:
         raise EffectError(
             f"every parameter of the law {law!r} is declared a shape", "leave out shape for its strength"
@@ -320,14 +317,7 @@ def read_effects(path: Path) -> list[Effect]:
     EffectError
         If the file cannot be read or a key is unknown or missing; the key is named.
     """
-    try:
-        with path.open("rb") as file:
-            document = tomllib.load(file)
-    except OSError as fault:
-        raise EffectError(f"{path}: {fault.strerror or fault}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
-        raise EffectError(f"{path} is not a TOML file: {fault}") from None
-    tables = document.get("effect")
+    tables = read_toml(path).get("effect")
     if not isinstance(tables, list) or not tables:
         raise EffectError(f"{path} has no [[effect]] table", "see `gyrotrack effects --help`")
     effects = [_from_table(path, i, table) for i, table in enumerate(tables, 1)]
@@ -336,6 +326,23 @@ def read_effects(path: Path) -> list[Effect]:
         if names.count(name) > 1 or name in LIBRARY:
             raise EffectError(f"{path}: there is another effect named {name!r}", "give it another name")
     return effects
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a TOML file.
+
+    Raises
+    ------
+    EffectError
+        If it cannot be read or is not TOML.
+    """
+    try:
+        with path.open("rb") as file:
+            return tomllib.load(file)
+    except OSError as fault:
+        raise EffectError(f"{path}: {fault.strerror or fault}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
+        raise EffectError(f"{path} is not a TOML file: {fault}") from None
 
 
 def _from_table(path: Path, number: int, table: Any) -> Effect:

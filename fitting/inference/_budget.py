@@ -1,11 +1,11 @@
 """Uncertainty budget of the parameters of a fit, after the GUM (JCGM 100:2008).
 
-About its end a fit is linear in its data. With the whitened residuals P W (m - z), where W whitens the noise and P
+About its optimum a fit is linear in its data. With the whitened residuals P W (m - z), where W whitens the noise and P
 projects nuisance parameters out, and their Jacobian J, the noise contributes G V_i G' with G = (J'J)^-1 J' P W and the
 covariance V_i of each of its sources; a nuisance parameter that is fitted from the same data contributes the increase
 of the variance when it is freed (type A). These contributions add up to the square of the standard error of the fit.
 
-A clock that is off by a relative rate eps changes the rows of the model by eps dm/d(eps) and the parameters by
+A relative rate error eps of the clock changes the rows of the model by eps dm/d(eps) and the parameters by
 -(J'J)^-1 J' P W dm/d(eps) (type B). A wrong moment of inertia also changes the residuals, and with them the noise by
 which the data are weighted, so that its influence need not be linear: the distribution of the moments of inertia is
 propagated by fitting again at the nodes of a Gauss-Hermite rule, 0 and +- sqrt(3) u for each of them.
@@ -27,7 +27,8 @@ from fitting.inference._case_data import CAMERA_COLUMNS, CaseData
 from fitting.inference._case_model import Prediction
 from fitting.inference._compression import Compressed
 from fitting.inference._fit import fit as refit
-from fitting.inference._problem import covariance_of, surely_at_bound
+from fitting.inference._linear_algebra import covariance_of, orthogonal_to, orthonormal
+from fitting.inference._problem import surely_at_bound
 from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
@@ -38,8 +39,7 @@ CRYSTAL = 50e-6 / math.sqrt(3)
 # Gauss-Hermite rule of three nodes for a normal distribution
 _NODES = (-math.sqrt(3), 0.0, math.sqrt(3))
 _WEIGHTS = (1 / 6, 2 / 3, 1 / 6)
-_CAMERA_WIDTH = 2 * len(CAMERA_COLUMNS)
-_ROUNDING = 1e-12
+_RANK, _ROUNDING = 1e-7, 1e-12
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Contribution:
     ----------
     source : str
         "angle noise", "process noise", "start times", "lack of fit", a camera effect, "inertia.rotor",
-        "inertia.casing", "inertia.rotor x inertia.casing" (what both do together only) or "clock rate".
+        "inertia.casing", "inertia.rotor x inertia.casing" (their interaction) or "clock rate".
     type : {"A", "B"}
         Evaluated from the data, or from other knowledge.
     u : float
@@ -126,7 +126,7 @@ def budget(fit: Fit, *, clock_rate_u: float = CRYSTAL) -> dict[str, ParameterBud
 
 
 class _Linearised:
-    """The estimator of a fit, linear about its end."""
+    """The estimator of a fit, linearised about its optimum."""
 
     def __init__(self, fit: Fit) -> None:
         self.fit = fit
@@ -144,13 +144,13 @@ class _Linearised:
             self.fit.problem.data, self.fit.noise, self.fit.predictions, strict=True
         ):
             columns = data.nuisance
-            camera = columns.shape[1] - (_CAMERA_WIDTH if data.is_angle or data.record.gradients else 0)
-            keep = [*range(camera)]
-            if camera < columns.shape[1]:
-                keep += [camera + k for name in NUISANCE[:nuisances] for k in CAMERA_COLUMNS[name]]
+            has_camera = data.has_camera_prior or data.record.gradients
+            first = columns.shape[1] - (2 * len(CAMERA_COLUMNS) if has_camera else 0)
+            keep = [*range(first)]
+            if has_camera:
+                keep += [first + k for name in NUISANCE[:nuisances] for k in CAMERA_COLUMNS[name]]
             white = noise.whitener(prediction.jacobian)
-            basis = _orthonormal(noise.whitener(columns[:, keep]))
-            blocks.append(white - basis @ (basis.T @ white))
+            blocks.append(orthogonal_to(orthonormal(noise.whitener(columns[:, keep]), _RANK), white))
         return covariance_of(np.concatenate(blocks), self.free), blocks
 
     def noise_variances(self) -> dict[str, Array]:
@@ -188,14 +188,6 @@ class _Linearised:
         return np.asarray(-(self.covariance @ gradient))
 
 
-def _orthonormal(columns: Array) -> Array:
-    size = np.linalg.norm(columns, axis=0)
-    if not (size > 0).any():
-        return np.zeros((len(columns), 0))
-    u, s, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
-    return np.asarray(u[:, s > 1e-7 * s.max()])
-
-
 def _inertias(fit: Fit) -> Iterator[tuple[str, str, float, float]]:
     """Yield the moments of inertia of known uncertainty: source, body, value and uncertainty [kg m2]."""
     records = fit.problem.layout.records
@@ -211,7 +203,7 @@ def _inertias(fit: Fit) -> Iterator[tuple[str, str, float, float]]:
 def _inertia_contributions(fit: Fit) -> dict[str, tuple[Array, Array | None]]:
     """Return the standard uncertainty of all variables, and their mean slope, by each moment of inertia."""
     inputs = list(_inertias(fit))
-    # all pairs of two inputs; of more, which several instruments have, each for itself
+    # two inputs are propagated jointly; of more, which several instruments have, each separately
     groups = [inputs] if len(inputs) < 3 else [[i] for i in inputs]
     found: dict[str, tuple[Array, Array | None]] = {}
     for group in groups:
@@ -268,9 +260,9 @@ def _clock_rows(data: CaseData, prediction: Prediction) -> Array:
         omega = Sampler(path.mesh, t).value(path.y[..., state])
         if data.is_angle:
             return ((t - start) * omega)[:, None]
-        # speeds that are gradients of angles change with the clock themselves
-        own = omega if data.record.gradients else 0.0
-        return ((t - start) * np.gradient(omega, t) + own)[:, None]
+        # gradients of angles are proportional to the rate of the clock
+        scaled = omega if data.record.gradients else 0.0
+        return ((t - start) * np.gradient(omega, t) + scaled)[:, None]
 
     rows = data.casing_rows(change(data.casing, 1))[:, 0]
     if data.rotor:

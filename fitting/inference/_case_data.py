@@ -1,17 +1,16 @@
 """The measurements of one case as rows of the least-squares problem.
 
-A camera that was started dt later than thought shows an angle that is off by psi'(t) dt. Beside the window's free phase
-that is c dt with c = alpha (t - mean t), alpha the rotor's acceleration; a measured speed is off by c = alpha. With the
-standard deviation s of the start the rows of a window, white otherwise, have the covariance 1 + s^2 c c'. They are
-whitened by its symmetric root, which changes one direction only:
+An error dt of the start time of a camera is an error psi'(t) dt of its angles: apart from the free phase of the window,
+c dt with c = alpha (t - mean t) and the rotor's acceleration alpha; that of a measured speed is c dt with c = alpha.
+With the standard uncertainty s of the start, the rows of a window, otherwise white, have the covariance 1 + s^2 c c'.
+Its symmetric inverse root, which whitens them, changes one direction only:
 
     A = 1 - (1 - 1 / sqrt(1 + |s c|^2)) u u',   u = c / |c|.
 
-Rows are in units of the measurement noise: first the polynomial rows of the casing, then of each rotor
-window, then the harmonic rows of the casing. What no one knows beforehand and no one asks about is free in
-every fit: the casing's start angle, the phase of each rotor window, and a centre offset, a tilt and a
-rolling shutter of the casing's camera that do not change through the recording; of an oscillation whose speeds were
-measured, the bias of the gyroscope.
+Rows are in units of the measurement noise: first the polynomial rows of the casing, then of each rotor window, then the
+harmonic rows of the casing. Nuisance parameters are fitted always: the initial angle of the casing, the phase of each
+rotor window, and a constant centre offset, tilt and rolling shutter of the camera of the casing; for an oscillation
+whose speeds were measured, the bias of the gyroscope.
 """
 
 from __future__ import annotations
@@ -28,6 +27,7 @@ from numpy.typing import NDArray
 from fitting.dynamics._mesh import Path, Sampler
 from fitting.dynamics._sensitivities import angles
 from fitting.effects._library import NUISANCE
+from fitting.inference._angle_noise import AngleNoise, estimate_angle_noise, estimate_window_noise
 from fitting.inference._compression import (
     BLOCKS,
     CASING_DEGREE,
@@ -38,16 +38,13 @@ from fitting.inference._compression import (
 )
 from fitting.inference._oscillation import Oscillation, find_oscillation
 from fitting.inference._prior import Prior
-from fitting.inference._record import WIDTH, Record, Samples, initial_speeds, speeds
-from fitting.inference._recording_noise import (
-    FREE,
-    AngleNoise,
+from fitting.inference._process_noise import (
+    FLAT_PRIOR_SIGMA,
     ProcessNoise,
-    estimate_angle_noise,
     estimate_process_noise,
-    estimate_window_noise,
     mean_acceleration,
 )
+from fitting.inference._record import WIDTH, Record, Samples, initial_speeds, speeds
 from fitting.inference._spectral_lines import SpectralLine, line_rows, spectral_lines
 
 
@@ -111,26 +108,26 @@ def acceleration(samples: Samples, *, angle: bool) -> float:
 Array = NDArray[np.float64]
 
 _GENERATED_BLOCKS = 20
-# rows of a rotor window that are needed to see correlated noise
+# smallest number of rows of a rotor window with which correlated noise is estimated
 _WINDOW_ROWS = 8
-# of an oscillation: fewest samples of a block, rough speeds in each period
+# of an oscillation: smallest number of samples of a block, rough speeds in each period
 _PERIOD_SAMPLES = 24
 _POINTS_PER_PERIOD = 24
-# speeds are smoothed: blocks long compared with that, and in a lone window rows enough to see it
+# for smoothed speeds: blocks that are long compared with the smoothing, and noise rows of a window that resolve it
 SPEED_BLOCKS = 30
 SPEED_NOISE_ROWS = 28
 
 
 class Block(NamedTuple):
-    """Blocks of an oscillation: length [periods], highest power, and the power from which on there is only noise."""
+    """Blocks of an oscillation: length [periods], highest power of the model, lowest power of the noise rows."""
 
     width: float
     degree: int
-    quiet: int
+    first_noise_row: int
 
 
 class OscillationBlocks(NamedTuple):
-    """The blocks of records of so many periods at most.
+    """The blocks of records up to a number of periods.
 
     cos(x) over a block of half width h is a polynomial of degree h and a few more (Bessel functions J_n(h) fall steeply
     beyond n = h). Short records keep the third harmonic, long ones the fundamental; in both the noise is measured
@@ -174,7 +171,7 @@ class CaseData:
                 blocks=BLOCKS if angle else SPEED_BLOCKS,
             )
         else:
-            width, degree, quiet = next(
+            width, degree, first_noise_row = next(
                 b for b in _OSCILLATION_BLOCKS if oscillation.periods <= b.periods
             ).block
             blocks = max(1, round(oscillation.periods / width))
@@ -185,7 +182,7 @@ class CaseData:
                 harmonics=False,
                 blocks=blocks,
                 samples_per_block=_PERIOD_SAMPLES,
-                first_noise_row=min(quiet, most),
+                first_noise_row=min(first_noise_row, most),
             )
         rotor = tuple(
             compress(
@@ -225,13 +222,13 @@ class CaseData:
 
     @property
     def prior_rows(self) -> int:
-        """Number of the last rows, which the prior has: what is measured there is zero."""
+        """Number of rows of the prior, the last ones; their measured values are zero."""
         prior = self.record.prior
         return 0 if prior is None else len(prior.names)
 
     @cached_property
     def row_count(self) -> int:
-        """Number of rows that measure something: harmonics that the polynomials of a block contain are empty."""
+        """Number of rows without those of harmonics that are zero because polynomials of the block represent them."""
         k = self.casing.lift.shape[1]
         empty = sum(int((~operator[k:].any(axis=1)).sum()) for _, operator in self.casing.operators)
         return len(self.z) - empty
@@ -245,8 +242,8 @@ class CaseData:
     def _camera_prior(self) -> Array:
         """Standard deviations of the prior of the camera's nuisance functions, in units of `camera_columns`.
 
-        A centre within a third of the radius, a tilt below 0.6 rad, a shutter that takes no longer than a frame. Empty
-        where no such function is free.
+        They allow a centre offset up to a third of the radius, a tilt up to 0.6 rad, and a shutter time up to a frame.
+        Empty where these functions are not fitted.
         """
         if not self.is_angle or not (self.oscillation is None or self.record.tracked):
             return np.zeros(0)
@@ -254,11 +251,17 @@ class CaseData:
         frame = float(np.median(np.diff(samples.time)))
         return np.repeat([_CENTRE, _TILT, 0.5 * frame * largest_speed(samples)], 2)
 
+    @property
+    def has_camera_prior(self) -> bool:
+        """Whether the camera's nuisance functions are fitted, with their prior."""
+        return len(self._camera_prior) > 0
+
     @cached_property
     def angle_noise(self) -> AngleNoise:
         """Correlated angle noise of the casing; white if none is significant, or if speeds were measured.
 
-        It differs from the motion by being faster; an oscillation is as fast, so there the noise is taken as white.
+        It is distinguished from the motion by its higher frequencies; of an oscillation, the noise is assumed to be
+        white.
         """
         if not self.is_angle or self.oscillation is not None or self.noiseless:
             return AngleNoise()
@@ -279,31 +282,32 @@ class CaseData:
         # of two equal random torques on the casing and between the bodies, one acts on the rotor
         share = record.I_casing / record.I_rotor / math.sqrt(2)
         process = self.process_noise
-        waves = [camera_columns(w.samples) for w in self.rotor]
-        return estimate_window_noise(self.rotor, waves, share * process.level, process.time)
+        nuisance = [camera_columns(w.samples) for w in self.rotor]
+        return estimate_window_noise(self.rotor, nuisance, share * process.level, process.time)
 
     @cached_property
     def process_noise(self) -> ProcessNoise:
         """Random acceleration of the casing; no model and no moment of inertia enters."""
         free = self._nuisance_rows
         if self.oscillation is not None:
-            waves = self.casing.at_samples(self.oscillation.waves())[0]
+            motion = self.casing.at_samples(self.oscillation.harmonics())[0]
             if not self.is_angle:
                 bias = self.casing.at_nodes(np.ones((len(self.casing.node_times), 1)))
-                waves = np.concatenate([waves, bias], axis=1)
-            free = np.concatenate([free, FREE * waves], axis=1)
-        # the mean acceleration of an oscillation is none of its torques
+                motion = np.concatenate([motion, bias], axis=1)
+            free = np.concatenate([free, FLAT_PRIOR_SIGMA * motion], axis=1)
+        # the acceleration of an oscillation is mainly that of its restoring torque
         known = self.is_angle and self.oscillation is None
         typical = mean_acceleration(self.casing) if known else math.inf
         return estimate_process_noise(
-            self.casing, free, self.angle_noise, angle=self.is_angle, typical=typical
+            self.casing, free, self.angle_noise.root, angle=self.is_angle, typical=typical
         )
 
     @cached_property
     def spectral_lines(self) -> tuple[SpectralLine, ...]:
-        """Sinusoidal torques that are no noise; none is sought in an oscillation.
+        """Sinusoidal torques that do not count as noise; none for an oscillation.
 
-        A camera errs at frequencies of its own, by less than the noise of one angle: on film, such lines are noise.
+        A camera may have systematic errors of some frequencies, smaller than the noise of one angle: on film, such
+        lines count as noise.
         """
         if self.oscillation is not None:
             return ()
@@ -313,11 +317,11 @@ class CaseData:
 
     @cached_property
     def _nuisance_rows(self) -> Array:
-        """Polynomial rows of what is no noise: the camera's nuisance functions and spectral lines."""
+        """Polynomial rows of the camera's nuisance functions and of spectral lines."""
         return np.concatenate(
             [
                 self._camera_rows,
-                FREE * line_rows(self.casing, [line.rate for line in self.spectral_lines]),
+                FLAT_PRIOR_SIGMA * line_rows(self.casing, [line.rate for line in self.spectral_lines]),
             ],
             axis=1,
         )
@@ -326,8 +330,8 @@ class CaseData:
     def camera_columns(self) -> Array:
         """The camera's nuisance functions at the samples, (samples, 6).
 
-        Those of an oscillation without their part that is linear in the angle: over a part of a turn that is a change
-        of scale, which would turn any motion into none.
+        For an oscillation, their part that is linear in the angle is removed: over a part of a turn they are nearly
+        linear in the angle, and would absorb any motion.
         """
         columns = camera_columns(self.casing.samples)
         if self.oscillation is None:
@@ -342,7 +346,7 @@ class CaseData:
         if len(self._camera_prior):
             return self.casing.at_samples(self.camera_columns)[0] * self._camera_prior
         if self.record.gradients:
-            return FREE * self.casing.at_samples(_gradients(self.casing.samples))[0]
+            return FLAT_PRIOR_SIGMA * self.casing.at_samples(_gradients(self.casing.samples))[0]
         return np.zeros((len(self.casing.z), 0))
 
     def whitened(self, rows: Array) -> Array:
@@ -365,12 +369,12 @@ class CaseData:
 
     @cached_property
     def start_time_noise(self) -> StartTimeNoise:
-        """What the uncertain starts of the rotor's windows make of the rows."""
+        """The effect of the uncertain starts of the rotor's windows on the rows."""
         return StartTimeNoise.of(self.rotor, self.record.start_sigma, len(self.casing.z), angle=self.is_angle)
 
     @cached_property
     def slices(self) -> dict[str, slice]:
-        """Where the rows of the casing, the rotor, the harmonics and the camera's priors stand."""
+        """The rows of the casing, the rotor, the harmonics and the camera's priors."""
         a = len(self.casing.z)
         b = a + sum(len(w.z) for w in self.rotor)
         return {
@@ -392,7 +396,7 @@ class CaseData:
 
     @cached_property
     def speeds(self) -> dict[str, tuple[Array, Array]]:
-        """Times and smoothed angular velocities of each body, as the paper has them, for figures of merit."""
+        """Times and angular velocities of each body, smoothed as in the paper, for figures of merit."""
         record = self.record
         found = {}
         for body, runs in (("casing", (record.casing,)), ("rotor", record.rotor)):
@@ -417,13 +421,13 @@ class CaseData:
 
     @property
     def rest(self) -> tuple[float, int]:
-        """Chi-square and degrees of freedom of what no model reaches."""
+        """Chi-square of the samples orthogonal to all rows, and its degrees of freedom."""
         parts = (self.casing, *self.rotor)
         return sum(p.rest for p in parts), sum(p.rest_dof for p in parts)
 
     @cached_property
     def nuisance(self) -> Array:
-        """Columns of everything that is free in every fit, (rows, columns)."""
+        """Columns of the nuisance parameters, which are fitted always, (rows, columns)."""
         columns = []
         if self.is_angle:
             nodes = len(self.casing.node_times)
@@ -437,10 +441,10 @@ class CaseData:
                 camera[first : first + len(self._camera_prior)] = np.diag(1 / self._camera_prior)
                 columns += list(camera.T)
         elif self.record.gradients:
-            # in the first slow turns what a camera adds to angles is as slow as physics
+            # in the first slow turns camera errors are as slow as effects of torques
             columns += list(self.casing_rows(_gradients(self.casing.samples)).T)
         elif self.oscillation is not None:
-            # zero-rate output of a gyroscope; its scale factor is that of all deflections, which are fitted
+            # zero-rate output of a gyroscope; its scale factor is not distinguishable from that of the deflections
             columns.append(self.rows(np.ones(len(self.casing.node_times)), []))
         return np.stack(columns, axis=1) if columns else np.zeros((len(self.z), 0))
 
@@ -478,20 +482,20 @@ class CaseData:
             : 1 if self.record.single else 2
         ]:
             sampler = Sampler(path.mesh, times)
-            values.append(self._seen(sampler, path, state, nodes))
+            values.append(self._observed(sampler, path, state, nodes))
         ends = np.cumsum([len(w.node_times) for w in self.rotor])[:-1]
         rows = self._rows(values[0], [] if self.record.single else np.split(values[1], ends))
-        return self.whitened(self._mend_kinks(path, nodes, rows))
+        return self.whitened(self._projected_by_samples(path, nodes, rows))
 
-    def _seen(self, sampler: Sampler, path: Path, state: int, nodes: Array | None) -> Array:
+    def _observed(self, sampler: Sampler, path: Path, state: int, nodes: Array | None) -> Array:
         if nodes is None:
             if self.is_angle:
                 return sampler.integral(*path.angle(path.states[state]))
             return sampler.value(path.y[..., state])
         return angles(sampler, path, state, nodes) if self.is_angle else sampler.value(nodes[:, :, state])
 
-    def _mend_kinks(self, path: Path, nodes: Array | None, rows: Array) -> Array:
-        # a block with a kink inside is no polynomial, nor is a period with many harmonics: project them by samples
+    def _projected_by_samples(self, path: Path, nodes: Array | None, rows: Array) -> Array:
+        """Replace the rows of blocks in which the motion is not a polynomial: with a kink, or with many harmonics."""
         oscillates = self.oscillation is not None
         if not path.kinks and not oscillates:
             return rows
@@ -499,21 +503,23 @@ class CaseData:
         for state, run in ((1, self.casing), *((0, w) for w in self.rotor)):
             k = run.lift.shape[1]
             everywhere = (
-                self._seen(Sampler(path.mesh, run.samples.time), path, state, nodes) if oscillates else None
+                self._observed(Sampler(path.mesh, run.samples.time), path, state, nodes)
+                if oscillates
+                else None
             )
             for i, (where, operator) in enumerate(run.operators):
                 t = run.samples.time[where]
                 if everywhere is not None:
                     rows[first + i * k : first + (i + 1) * k] = operator[:k] @ everywhere[where]
                 elif any(t[0] < time < t[-1] for time in path.kinks):
-                    seen = self._seen(Sampler(path.mesh, t), path, state, nodes)
-                    rows[first + i * k : first + (i + 1) * k] = operator[:k] @ seen
+                    observed = self._observed(Sampler(path.mesh, t), path, state, nodes)
+                    rows[first + i * k : first + (i + 1) * k] = operator[:k] @ observed
             first += len(run.z)
         return rows
 
 
 def with_prior(data: Sequence[CaseData], prior: Prior | None) -> tuple[CaseData, ...]:
-    """Return cases that are fitted together with a prior of their parameters."""
+    """Return the cases of a joint fit with a prior of their parameters."""
     return tuple(d.with_prior(prior) for d in data)
 
 
@@ -530,10 +536,10 @@ def _correlation(run: Compressed, noise: AngleNoise) -> float:
 
 
 def _gradients(speeds: Samples) -> Array:
-    """Return the same by time, for the casing's speeds: of the angle that they add up to, from any start."""
+    """Return the time derivatives of `camera_columns`, with the angle by integration of the speeds."""
     steps = 0.5 * (speeds.value[1:] + speeds.value[:-1]) * np.diff(speeds.time)
-    turned = Samples(speeds.time, np.concatenate([[0.0], np.cumsum(steps)]), speeds.sigma)
-    return np.asarray(np.gradient(camera_columns(turned), speeds.time, axis=0))
+    angle = Samples(speeds.time, np.concatenate([[0.0], np.cumsum(steps)]), speeds.sigma)
+    return np.asarray(np.gradient(camera_columns(angle), speeds.time, axis=0))
 
 
 # columns of `camera_columns` that belong to each nuisance effect, in the order of the library
@@ -541,22 +547,22 @@ CAMERA_COLUMNS = {name: (2 * i, 2 * i + 1) for i, name in enumerate(NUISANCE)}
 _SMOOTHED = 25
 # standard deviations of a displaced centre, of the radius, and of the second harmonic of a tilt [rad]
 _CENTRE, _TILT = 0.15, 0.05
-# of a sine of the angle: less is rounding
+# smallest range of a harmonic of the angle that is more than rounding
 _ROUNDING = 1e-7
 
 
 def camera_columns(samples: Samples) -> Array:
     """Return cos and sin of the angle, of twice the angle, and of the angle times the speed, (samples, 6).
 
-    Zeros where a harmonic is the same in all samples: of pulses once per turn nothing that repeats with the turn is
-    visible, and the rounding errors of their sines grow with the angle like the motion itself.
+    Zeros where a harmonic is the same in all samples: pulses once per turn contain no information on harmonics of the
+    angle, and the rounding errors of their sines increase with the angle.
     """
     psi = samples.value
     knots, speed = _rough_speeds(samples)
     omega = np.interp(samples.time, samples.time[knots], speed) / np.abs(speed).max()
     once, twice = (np.stack([np.cos(m * psi), np.sin(m * psi)], axis=1) for m in (1, 2))
-    for waves in (once, twice):
-        waves *= (np.abs(waves).max(axis=0) > _ROUNDING) & (np.ptp(waves, axis=0).max() > _ROUNDING)
+    for pair in (once, twice):
+        pair *= (np.abs(pair).max(axis=0) > _ROUNDING) & (np.ptp(pair, axis=0).max() > _ROUNDING)
     return np.concatenate([once, twice, omega[:, None] * once], axis=1)
 
 

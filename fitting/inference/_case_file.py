@@ -1,4 +1,4 @@
-"""Reading a case file (HDF5), which may be damaged or hostile."""
+"""Reading a case file (HDF5), which may be damaged or malicious."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fitting.inference._record import Quantity, Record, make_record
 Array = NDArray[np.float64]
 
 _MAX_SAMPLES = 50_000_000
-# deflate cannot do better than 1032 : 1; chunks are padded
+# largest compression ratio of deflate is 1032; chunks are padded
 _INFLATION, _SLACK = 1100, 2**22
 
 
@@ -30,11 +30,11 @@ def series(path: Path, file: Any, group: str, key: tuple[str, str]) -> tuple[Arr
 
 
 def column(path: Path, file: Any, group: str, name: str) -> Array:
-    """Return a column, if it is a plain one of the length of its group, and no link or bomb."""
+    """Return a column; refuse links, columns of another length than `time`, and decompression bombs."""
     import h5py
 
     for place in (group, f"{group}/{name}"):
-        # a link that leads out of the file would read what its author chose, not what was measured
+        # a link could point to another file
         if not isinstance(file.get(place, getlink=True), h5py.HardLink):
             raise RecordError(f"{path} has no {place}", "`gyrotrack info` shows its contents")
     data = file[f"{group}/{name}"]
@@ -45,8 +45,8 @@ def column(path: Path, file: Any, group: str, name: str) -> Array:
     if data.size != file[f"{group}/time"].size:
         raise RecordError(f"{path}: {group}/{name} and {group}/time have different lengths")
     chunk = int(np.prod(data.chunks or (0,), dtype=object)) * data.dtype.itemsize
-    held = data.id.get_storage_size()
-    if data.size > _MAX_SAMPLES or max(data.nbytes, chunk) > held * _INFLATION + _SLACK:
+    stored = data.id.get_storage_size()
+    if data.size > _MAX_SAMPLES or max(data.nbytes, chunk) > stored * _INFLATION + _SLACK:
         raise RecordError(f"{path}: {group}/{name} claims {data.size} samples")
     plist = data.id.get_create_plist()
     filters = {plist.get_filter(i)[0] for i in range(plist.get_nfilters())}
@@ -68,20 +68,20 @@ def number(file: Any, group: str, name: str) -> float:
 
 
 def text(value: Any) -> str:
-    """Return an attribute as text, nothing if it is missing."""
+    """Return an attribute as text; empty if it is missing."""
     if isinstance(value, bytes):
         return value.decode("utf-8", "replace")
     return "" if value is None else str(value)
 
 
-_MARK = b"\ngyrotrack sha256 "
-_SEAL = len(_MARK) + 65
-_HEAP = b"GCOL\x01\x00\x00\x00"
+_CHECKSUM_PREFIX = b"\ngyrotrack sha256 "
+_CHECKSUM_LENGTH = len(_CHECKSUM_PREFIX) + 65
+_STRING_HEAP = b"GCOL\x01\x00\x00\x00"
 _HEADER = 16
 
 
 def check_intact(path: Path) -> None:
-    """Refuse a file whose last line, a hash of all before it, is not true, or in whose texts HDF5 would be caught.
+    """Refuse a file with a wrong checksum in its last line, or with a string heap that HDF5 would read without end.
 
     Raises
     ------
@@ -89,21 +89,21 @@ def check_intact(path: Path) -> None:
         It is damaged.
     """
     content = path.read_bytes()
-    seal = content[-_SEAL:]
-    stated = seal[len(_MARK) : -1] if seal.startswith(_MARK) else None
-    if stated is not None and stated != hashlib.sha256(content[:-_SEAL]).hexdigest().encode():
+    line = content[-_CHECKSUM_LENGTH:]
+    stated = line[len(_CHECKSUM_PREFIX) : -1] if line.startswith(_CHECKSUM_PREFIX) else None
+    if stated is not None and stated != hashlib.sha256(content[:-_CHECKSUM_LENGTH]).hexdigest().encode():
         raise RecordError(
             f"{path} is damaged: the checksum does not match the contents", "fetch a fresh copy"
         )
-    place = content.find(_HEAP)
+    place = content.find(_STRING_HEAP)
     while place >= 0:
         if _is_endless(content, place):
             raise RecordError(f"{path} is damaged: corrupt string heap", "fetch a fresh copy")
-        place = content.find(_HEAP, place + 1)
+        place = content.find(_STRING_HEAP, place + 1)
 
 
 def _is_endless(content: bytes, place: int) -> bool:
-    """Tell whether a piece of free space in a heap of texts is empty: HDF5 2.0 then never comes to the next."""
+    """Return whether a string heap has an object of size zero, at which HDF5 2.0 enters an endless loop."""
     size = int.from_bytes(content[place + 8 : place + 16], "little")
     at, end = place + _HEADER, min(place + size, len(content))
     while at + _HEADER <= end:
@@ -130,7 +130,7 @@ def read_record(path: str | Path) -> Record:
     Raises
     ------
     RecordError
-        If the file is missing, not of this format, newer, damaged, or holds too little to fit.
+        If the file is missing, not of this format, newer, damaged, or has too few samples.
     """
     import h5py
 

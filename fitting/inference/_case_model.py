@@ -1,11 +1,12 @@
 """One case under one model: predicted rows and their derivatives.
 
-The noise of an angle, put into a sine of that very angle, is a torque that wanders. So the angle is that of the model,
-plus the deviation of the measurement, smoothed by cubics in as few pieces as it allows,
+A torque periodic in the angle would, with the measured angle as argument, be random by the noise of the angle. So its
+argument is the angle of the model plus the smoothed deviation of the measured angle: cubics in the number of pieces of
+the smallest
 
-    BIC(pieces) = N log(sum of squares left) + 4 pieces log(N)
+    BIC(pieces) = N log(residual sum of squares) + 4 pieces log(N)
 
-(G. Schwarz, Ann. Stat. 6, 461 (1978)): a model that fails by much is followed closely, one that holds is believed.
+(G. Schwarz, Ann. Stat. 6, 461 (1978)): many pieces if the model has a large lack of fit, few if it has none.
 """
 
 from __future__ import annotations
@@ -40,21 +41,21 @@ _CUBIC = 4
 def angle_dependent_rows(
     data: CaseData, effect: Effect, path: Path, motion: LinearMotion, numbers: Mapping[str, float]
 ) -> tuple[Array, Array]:
-    """Return the rows that a law gives at strength 1, at phase 0 and at a quarter turn.
+    """Return the response of the rows to a law of strength 1, at phase 0 and at a quarter period.
 
     Parameters
     ----------
     data : CaseData
         The case.
     effect : Effect
-        A law that follows an angle.
+        A law of an angle.
     path : Path
         The solution without it.
     motion : LinearMotion
         Small motions about the solution.
     numbers : mapping of str to float
-        Parameters by key. A law of some strength meets the ripple that it makes itself, which gives a mean torque of
-        second order.
+        Parameters by key. The law changes the angle that is its argument, which gives a mean torque of second order in
+        its strength.
     """
     record = data.record
     t = record.casing.time
@@ -68,9 +69,9 @@ def angle_dependent_rows(
     known["t"] = inner
     pieces = 0
     if data.is_angle:
-        left = record.casing.value - Sampler(path.mesh, t).integral(*path.angle("omega_c"))
-        pieces = pieces_needed(t, left)
-        known["psi_c"] = known["psi_c"] + np.interp(inner, t, smoothed(t, left, pieces))
+        deviation = record.casing.value - Sampler(path.mesh, t).integral(*path.angle("omega_c"))
+        pieces = pieces_needed(t, deviation)
+        known["psi_c"] = known["psi_c"] + np.interp(inner, t, smoothed(t, deviation, pieces))
     tape = Tape([effect.expression])
     on_rotor = {"rotor": 1.0, "casing": 0.0, "bearing": -1.0}[effect.joint]
     on_casing = {"rotor": 0.0, "casing": 1.0, "bearing": 1.0}[effect.joint]
@@ -83,31 +84,33 @@ def angle_dependent_rows(
 
     speed, angle = driven()
     if pieces and strength.any():
-        known["psi_c"] = known["psi_c"] + _swing(t, angle[1] @ strength, speed[1] @ strength, inner, pieces)
+        known["psi_c"] = known["psi_c"] + _not_in_smoothed(
+            t, angle[1] @ strength, speed[1] @ strength, inner, pieces
+        )
         speed, angle = driven()
     rows = data.casing_rows(angle[1] if data.is_angle else speed[1]) + _rotor_rows(data, speed[0], angle[0])
     return rows[:, 0], rows[:, 1]
 
 
 def pieces_needed(time: Array, values: Array) -> int:
-    """Return in how many pieces a noisy curve is to be smoothed."""
+    """Return the number of pieces of the smoothed curve with the smallest BIC."""
     n = len(time)
     counts = sorted({max(1, min(c, n // _MIN_PIECE)) for c in _PIECES})
-    left = [float(np.sum((values - smoothed(time, values, c)) ** 2)) for c in counts]
-    bic = [n * np.log(x + 1e-300) + _CUBIC * c * np.log(n) for x, c in zip(left, counts, strict=True)]
+    squares = [float(np.sum((values - smoothed(time, values, c)) ** 2)) for c in counts]
+    bic = [n * np.log(x + 1e-300) + _CUBIC * c * np.log(n) for x, c in zip(squares, counts, strict=True)]
     return counts[int(np.argmin(bic))]
 
 
 def smoothed(time: Array, values: Array, pieces: int) -> Array:
-    """Return a curve smoothed by a cubic in each of some pieces of equally many samples."""
+    """Return a curve smoothed by a cubic in each of some pieces with equal numbers of samples."""
     ends = np.array([len(part) for part in np.array_split(np.empty(len(time)), pieces)]).cumsum()
     first, last = np.concatenate([[0], ends[:-1]]), ends - 1
     piece = np.repeat(np.arange(pieces), ends - first)
-    middle, reach = 0.5 * (time[first] + time[last]), np.maximum(0.5 * (time[last] - time[first]), 1e-9)
-    powers = legvander((time - middle[piece]) / reach[piece], _CUBIC - 1)
+    middle, half = 0.5 * (time[first] + time[last]), np.maximum(0.5 * (time[last] - time[first]), 1e-9)
+    powers = legvander((time - middle[piece]) / half[piece], _CUBIC - 1)
     gram = np.add.reduceat(powers[:, :, None] * powers[:, None, :], first)
-    seen = np.add.reduceat(powers * values[:, None], first)
-    cubic = (np.linalg.pinv(gram, hermitian=True) @ seen[..., None])[..., 0]
+    products = np.add.reduceat(powers * values[:, None], first)
+    cubic = (np.linalg.pinv(gram, hermitian=True) @ products[..., None])[..., 0]
     return np.asarray(np.sum(powers * cubic[piece], axis=1))
 
 
@@ -115,7 +118,7 @@ def _unit_laws(effect: Effect, numbers: Mapping[str, float]) -> tuple[Sequence[d
     """Return the parameters of the law at strength 1 and both phases, and the present strengths of the two."""
     values = {p.symbol: numbers.get(f"{effect.name}.{p.symbol}", p.start) for p in effect.parameters}
     symbol = {p.role: p.symbol for p in effect.parameters}
-    # what is held has another role: then it stands in the law as it is
+    # a held parameter has the role "fixed" and keeps its value
     phase, amplitude = symbol.get("phase", ""), symbol.get("amplitude", "")
     unit = {amplitude: 1.0} if amplitude else {}
     laws = [values | unit | ({phase: phi} if phase else {}) for phi in (0.0, np.pi / 2)]
@@ -124,46 +127,46 @@ def _unit_laws(effect: Effect, numbers: Mapping[str, float]) -> tuple[Sequence[d
     return laws, k * np.array([np.cos(phi), np.sin(phi)])
 
 
-def _swing(t: Array, angle: Array, speed: Array, times: Array, pieces: int) -> Array:
-    """Return by how much a law's own ripple of the angle exceeds what the smoothed angle shows of it."""
-    seen = np.interp(times, t, smoothed(t, angle, pieces))
-    return hermite(t, angle, speed, times) - seen
+def _not_in_smoothed(t: Array, angle: Array, speed: Array, times: Array, pieces: int) -> Array:
+    """Return the part of the response of the angle to the law itself that is not in the smoothed angle."""
+    smooth = np.interp(times, t, smoothed(t, angle, pieces))
+    return hermite(t, angle, speed, times) - smooth
 
 
 def _rotor_rows(data: CaseData, speed: Array, angle: Array) -> Array:
-    # the bearing passes on what is slow; the ripple itself moves the rotor by less than can be seen
+    # the bearing transmits slow changes; the harmonics of the angle of the rotor are below the noise
     t = data.record.casing.time
     times = [np.clip(w.node_times, t[0], t[-1]) for w in data.rotor]
-    seen = [hermite(t, angle, speed, w, slopes=not data.is_angle) for w in times]
-    return data.rows(np.zeros((len(data.casing.node_times), angle.shape[1])), seen)
+    nodes = [hermite(t, angle, speed, w, slopes=not data.is_angle) for w in times]
+    return data.rows(np.zeros((len(data.casing.node_times), angle.shape[1])), nodes)
 
 
 Array = NDArray[np.float64]
 
 _INTERVALS = 12
-# intervals of the first mesh between two reversals of an oscillation: of a sinusoid, ten nodes resolve a fifth of the
-# half period to 1e-11 (Bessel function J_8 of pi / 10), so that hardly any has to be halved
+# intervals of the first mesh between two reversals of an oscillation: ten nodes resolve a sinusoid over a fifth of the
+# half period to 1e-11 (Bessel function J_8 of pi / 10), so that few intervals have to be halved
 _PER_REVERSAL = 5
-# reversals from which on a solution is followed through all of them at once
+# number of reversals from which on all of them are solved at once
 _MANY_REVERSALS = 3
-# stretches between reversals that may be integrated one by one all the same: each takes as long as all of them at once
+# stretches between reversals that may be integrated one by one: each takes as long as all of them at once
 _FEW_SINGLE = 40
-# how often the way to a trial is halved
+# largest number of bisections of the step between two solutions
 _HALVINGS = 2
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """Rows that a model predicts, their derivatives by the variables of the fit, and the solution behind.
+    """Rows that a model predicts, their derivatives by the variables of the fit, and the solution.
 
     Attributes
     ----------
     rows : ndarray, shape (rows,)
-        What the model predicts.
+        Predicted rows.
     columns : ndarray, shape (rows, own)
-        Derivatives by the variables that this case has to do with.
+        Derivatives by the variables on which this case depends.
     places : ndarray, shape (own,)
-        Which these are.
+        Indices of these variables.
     count : int
         Number of all variables of the fit.
     path, sensitivity
@@ -191,7 +194,7 @@ class Prediction:
 
 
 class CaseModel:
-    """Predicts the rows of one case; remembers its last solution as the guess for the next.
+    """Predicts the rows of one case; its last solution is the initial solution of the next.
 
     Parameters
     ----------
@@ -212,12 +215,12 @@ class CaseModel:
             for e in (*layout.model.angle_dependent, *layout.model.measurement)
             for p in e.free
         ]
-        # the variables that this case has to do with; the first ones move it
+        # the variables on which this case depends, first those of the equations of motion
         self.places = np.concatenate([moving, layout.places(case, added)])
         self._own = {int(k): i for i, k in enumerate(self.places)}
         self._moving = len(moving)
         prior = data.record.prior
-        # what all cases share is counted once, with the first of them
+        # the prior of shared parameters counts once, in the first case
         self._prior = (
             None
             if prior is None
@@ -232,32 +235,32 @@ class CaseModel:
         """Integrate the smooth part of the model."""
         last = self._last
         if last is not None and len(last[1].jumps) >= _MANY_REVERSALS:
-            path = self._followed(*last, theta, _HALVINGS)
+            path = self._continued(*last, theta, _HALVINGS)
         else:
-            path = self._solved(theta, self._measured(theta) if last is None else last[1])
+            path = self._solution(theta, self._measured(theta) if last is None else last[1])
         self._last = theta.copy(), path
         return path
 
-    def _solved(self, theta: Array, guess: Path, **limits: int) -> Path:
+    def _solution(self, theta: Array, guess: Path, **limits: int) -> Path:
         first = np.array([*self.layout.start(theta, self.case), *self.dynamics.start])
         numbers = self.layout.numbers(theta, self.case)
         return solve(self.dynamics, numbers, first, self._mesh, guess, **limits)
 
-    def _followed(self, begin: Array, known: Path, theta: Array, halvings: int) -> Path:
-        """Return the solution at some variables from a known one at others, if need be by way of those between them.
+    def _continued(self, begin: Array, known: Path, theta: Array, halvings: int) -> Path:
+        """Return the solution at some variables from a known one at others, if necessary by continuation.
 
-        Through hundreds of reversals a change of the frequency adds up, and Newton's method converges only where each
-        reversal is near its old time. To integrate from one reversal to the next takes a hundred times as long, so a
-        trial of the search that is too far away even in short steps is refused instead.
+        Over hundreds of reversals a change of the frequency accumulates, and Newton's method converges only if each
+        reversal is near its previous time. Integration from one reversal to the next takes a hundred times as long, so
+        a trial that is too far away even in short steps raises an error instead.
         """
         try:
-            return self._solved(theta, known, most=_FEW_SINGLE + len(known.jumps) // 25)
+            return self._solution(theta, known, most=_FEW_SINGLE + len(known.jumps) // 25)
         except SimulationError:
             if not halvings:
                 raise
         middle = 0.5 * (begin + theta)
-        path = self._followed(begin, known, middle, halvings - 1)
-        return self._followed(middle, path, theta, halvings - 1)
+        path = self._continued(begin, known, middle, halvings - 1)
+        return self._continued(middle, path, theta, halvings - 1)
 
     @cached_property
     def _mesh(self) -> Mesh:
@@ -277,7 +280,7 @@ class CaseModel:
         return Mesh(np.append(edges, last))
 
     def _measured(self, theta: Array) -> Path:
-        """Return the measured motion as a first guess."""
+        """Return the measured motion as the first initial solution."""
         first = np.array([*self.layout.start(theta, self.case), *self.dynamics.start])
         times, speeds = self.data.initial_speeds
         mesh, n = self._mesh, len(first)
@@ -293,18 +296,18 @@ class CaseModel:
         return Path(mesh, y, edges, self.dynamics.states[:n], sense, jumps=jumps, exact=False)
 
     def _reversals(self, mesh: Mesh, first: Array) -> tuple[Mesh, dict[int, Array], Array]:
-        """Return the mesh with an edge at each measured reversal, which these are, and the sense of each interval."""
+        """Return the mesh with an edge at each measured reversal, their indices, and the sense of each interval."""
         oscillation = self.data.oscillation
         times = () if oscillation is None or self.dynamics.free_starts < 3 else tuple(oscillation.reversals)
         mesh = mesh.with_breakpoints(times)
         at = np.searchsorted(mesh.edges, times)
         turned = np.searchsorted(at, np.arange(len(mesh.edges) - 1), side="right")
-        begins = np.sign(first[1]) or 1.0
+        initial_sense = np.sign(first[1]) or 1.0
         if oscillation is not None and len(times):
             # the initial speed of a body that is released at rest may have either sign
             ends = np.interp([mesh.edges[0], times[0]], oscillation.time, oscillation.deflection)
-            begins = np.sign(ends[1] - ends[0]) or begins
-        sense: Array = np.asarray(begins * (-1.0) ** turned)
+            initial_sense = np.sign(ends[1] - ends[0]) or initial_sense
+        sense: Array = np.asarray(initial_sense * (-1.0) ** turned)
         return mesh, {int(i): np.eye(len(first)) for i in at}, sense
 
     def predict(self, theta: Array) -> Prediction:
@@ -312,10 +315,10 @@ class CaseModel:
         path = self.solve(theta)
         numbers = self.layout.numbers(theta, self.case)
         sensitivity = sensitivities(self.dynamics, numbers, path)
-        seen = self.data.observe(path, np.concatenate([path.y[..., None], sensitivity.nodes], axis=3))
-        rows = seen[:, 0].copy()
+        observed = self.data.observe(path, np.concatenate([path.y[..., None], sensitivity.nodes], axis=3))
+        rows = observed[:, 0].copy()
         columns = np.zeros((len(rows), len(self.places)))
-        columns[:, : self._moving] = seen[:, 1:]
+        columns[:, : self._moving] = observed[:, 1:]
         for effect in (*self.layout.model.angle_dependent, *self.layout.model.measurement):
             if effect.name not in self._columns:
                 self._columns[effect.name] = self.unit_columns(effect, path, sensitivity, numbers)
@@ -330,27 +333,27 @@ class CaseModel:
         return Prediction(rows, columns, self.places, len(theta), path, sensitivity)
 
     def forget_columns(self) -> None:
-        """Compute the responses to laws that follow an angle anew at the next prediction."""
+        """Discard the responses to laws of an angle, which the next prediction then computes again."""
         self._columns.clear()
 
     def _add(self, effect: Effect, numbers: dict[str, float], rows: Array, columns: Array) -> None:
         sine, cosine = self._columns[effect.name]
-        # what is held has neither role nor column
-        own = {p.role: f"{effect.name}.{p.symbol}" for p in effect.parameters}
-        places = {role: int(self.layout.places(self.case, [key])[0]) for role, key in own.items()}
-        k = numbers[own["amplitude"]] if "amplitude" in own else 1.0
-        phi = numbers[own["phase"]] if "phase" in own else 0.0
-        wave = np.cos(phi) * sine + np.sin(phi) * cosine
-        rows += k * wave
-        if "amplitude" in own:
-            columns[:, self._own[places["amplitude"]]] = wave
-        if "phase" in own:
+        # a held parameter has no column
+        keys = {p.role: f"{effect.name}.{p.symbol}" for p in effect.parameters}
+        places = {role: int(self.layout.places(self.case, [key])[0]) for role, key in keys.items()}
+        k = numbers[keys["amplitude"]] if "amplitude" in keys else 1.0
+        phi = numbers[keys["phase"]] if "phase" in keys else 0.0
+        row = np.cos(phi) * sine + np.sin(phi) * cosine
+        rows += k * row
+        if "amplitude" in keys:
+            columns[:, self._own[places["amplitude"]]] = row
+        if "phase" in keys:
             columns[:, self._own[places["phase"]]] = k * (np.cos(phi) * cosine - np.sin(phi) * sine)
 
     def unit_columns(
         self, effect: Effect, path: Path, sensitivity: Sensitivity, numbers: dict[str, float]
     ) -> tuple[Array, Array]:
-        """Return the rows for strength 1 at phase 0 and at a quarter turn."""
+        """Return the rows for strength 1 at phase 0 and at a quarter period."""
         if effect.mechanical:
             return angle_dependent_rows(
                 self.data, effect, path, LinearMotion(path, sensitivity.propagator), numbers
@@ -379,8 +382,8 @@ class CaseModel:
                 "omega": sampler.value(path.y[..., state]),
                 "psi": psi,
             }
-            seen = np.asarray(tape(values | known)[0]) * np.ones(len(t))
-            return seen if self.data.is_angle else np.gradient(seen, t)
+            error = np.asarray(tape(values | known)[0]) * np.ones(len(t))
+            return error if self.data.is_angle else np.gradient(error, t)
 
         if effect.camera == "casing":
             return self.data.casing_rows(law(self.data.casing, 1, 0.0)[:, None])[:, 0]

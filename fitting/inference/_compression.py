@@ -1,10 +1,10 @@
-"""Lossless compression: samples of an interval projected on polynomials.
+"""Lossless compression of samples by projection on polynomials.
 
 The samples of a block are projected on polynomials in time, and on the first two harmonics of the measured
-angle, by a weighted QR decomposition at their actual times. A smooth model is a polynomial within a block,
-so its chi-square changes only through these projections; what is orthogonal to them is noise. The next
-higher polynomials hold no model either: they measure the noise at the slow end of the spectrum, where it
-counts, and with it any correlation between neighbouring samples.
+angle, by a weighted QR decomposition at their actual times. A smooth model is a polynomial within a block, so its
+chi-square depends only on these projections; the orthogonal part of the samples is noise. Polynomials of the next
+higher degrees contain no model either: they measure the noise at low frequencies, where it matters, including any
+correlation between neighbouring samples.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ _MIN_INDEPENDENCE = 0.2
 def independent_harmonics(y: Array, polynomials: Array) -> Array:
     """Return cos y, sin y, cos 2y, sin 2y, with zeros for those that are nearly polynomials here.
 
-    In less than a turn a harmonic has no information of its own; its part orthogonal to the polynomials would
-    be the noise of y itself, which must not be taken for a signal. Of a casing at rest nothing else is left.
+    In less than a turn a harmonic contains no further information; its part orthogonal to the polynomials would be the
+    noise of y, not a signal. For a casing at rest the whole harmonic is noise.
     """
     waves = np.stack([np.cos(y), np.sin(y), np.cos(2 * y), np.sin(2 * y)], axis=1)
     r = np.abs(np.diag(np.linalg.qr(np.concatenate([polynomials, waves], axis=1), mode="r")))
@@ -37,10 +37,10 @@ def independent_harmonics(y: Array, polynomials: Array) -> Array:
 
 
 def harmonic_scatter(rows: Array) -> Array:
-    """Return by how much harmonics change from block to block beyond the noise, at least 1.
+    """Return the scatter of harmonics from block to block over the noise, at least 1.
 
-    An artefact of tracking that wanders (a centre that is smoothed, a marker cut by the codec) does so from
-    block to block; what physics does to the harmonics is smooth in time and passes the second difference.
+    Tracking artefacts (a smoothed centre, a marker degraded by the codec) vary from block to block; harmonics of a
+    torque are smooth in time, so their second difference is small.
     """
     if len(rows) < 12:
         return np.ones(rows.shape[1])
@@ -58,6 +58,8 @@ _MIN_SAMPLES = 60
 _SPEED_RATIO = 1.6
 _AT_REST = 0.5  # rad/s
 _MOST_CUTS = 12
+# groups of samples of a block
+_BINS = 128
 _CLIP = 3.0
 _CLIPPED_VARIANCE = 0.9733  # of a standard normal variable cut off at 3
 
@@ -81,7 +83,7 @@ class Compressed:
     scale : float
         Noise over the sigma that came with the data.
     rest, rest_dof : float, int
-        Chi-square of what no model reaches, in units of the calibrated noise, and its degrees of freedom.
+        Chi-square of the samples orthogonal to all rows, in units of the calibrated noise, and its degrees of freedom.
     n_effective : float
         Number of samples, reduced by their correlation.
     """
@@ -111,6 +113,16 @@ class Compressed:
         harmonic = np.concatenate([p[k:] for p in parts])
         return polynomial, harmonic
 
+    def binned_operators(self, bins: int = _BINS) -> list[tuple[Array, Array]]:
+        """Return for each block the mean times of groups of samples, and the polynomial rows of a constant in each."""
+        k, found = self.lift.shape[1], []
+        for where, operator in self.operators:
+            t = self.samples.time[where]
+            edges = np.unique(np.linspace(0, len(t), bins + 1).astype(int))[:-1]
+            middle = np.add.reduceat(t, edges) / np.diff(np.append(edges, len(t)))
+            found.append((middle, np.add.reduceat(operator[:k], edges, axis=1)))
+        return found
+
 
 def compress(
     samples: Samples,
@@ -134,21 +146,21 @@ def compress(
     harmonics : bool
         Whether to keep the first two harmonics of the measured angle as rows of their own.
     blocks : int
-        At most so many blocks.
+        Largest number of blocks.
     noisy : bool
-        Whether the samples have a noise that can be measured; otherwise their sigma is taken as it is.
+        Whether the noise is estimated from the samples; otherwise their sigma is used.
     noise_rows : int
         Polynomials of each block, beyond those of a model, that measure the noise: more of them where there are few
         blocks and neighbouring samples share their noise.
     samples_per_block : int
-        At least so many samples in a block.
+        Smallest number of samples in a block.
     first_noise_row : int, optional
         Lowest power of the polynomials that measure the noise; the next after `degree` if not given.
 
     Returns
     -------
     Compressed
-        With the noise calibrated on what the model cannot reach.
+        With the noise calibrated on the rows that contain no model.
     """
     count = max(1, min(blocks, len(samples) // samples_per_block))
     edges = np.linspace(0, len(samples), count + 1).astype(int)
@@ -194,16 +206,16 @@ def compress(
 
 
 def _cut_where_slow(samples: Samples, edges: NDArray[np.int_]) -> NDArray[np.int_]:
-    """Cut blocks in which the speed grows or falls many times over.
+    """Divide blocks in which the speed changes by a large factor.
 
-    A torque that follows the angle moves it by an amplitude that falls as 1 / speed^2: nearly all that can be
-    learned about it stands in the few turns in which the casing is slowest, a small part of a block. A record in
-    which the casing comes to rest keeps its blocks: there the speed falls without end, and no turn is left.
+    A torque periodic in the angle changes it by an amplitude proportional to 1 / speed^2: nearly all information about
+    it is in the few turns in which the casing is slowest, a small part of a block. The blocks of a record in which the
+    casing comes to rest are not divided: there the ratio of speeds diverges within less than a turn.
     """
     pieces = np.arange(0, len(samples) - _MIN_SAMPLES + 1, _MIN_SAMPLES)
     last = pieces + _MIN_SAMPLES - 1
-    turned = samples.value[last] - samples.value[pieces]
-    speed = np.abs(turned / (samples.time[last] - samples.time[pieces]))
+    angle = samples.value[last] - samples.value[pieces]
+    speed = np.abs(angle / (samples.time[last] - samples.time[pieces]))
     if len(pieces) == 0 or speed.min() < _AT_REST:
         return edges
     cuts = list(edges)
@@ -215,8 +227,8 @@ def _cut_where_slow(samples: Samples, edges: NDArray[np.int_]) -> NDArray[np.int
             if max(ratio, 1 / ratio) > _SPEED_RATIO and pieces[i] - begin >= _MIN_SAMPLES:
                 cuts.append(pieces[i])
                 first = i
-    worth = sorted(set(cuts) - set(edges), key=lambda i: speed[i // _MIN_SAMPLES])[:_MOST_CUTS]
-    return np.array(sorted({*edges, *worth}))
+    slowest = sorted(set(cuts) - set(edges), key=lambda i: speed[i // _MIN_SAMPLES])[:_MOST_CUTS]
+    return np.array(sorted({*edges, *slowest}))
 
 
 @dataclass(frozen=True)
@@ -231,19 +243,19 @@ class _Block:
 
 
 def _block(
-    samples: Samples, where: slice, degree: int, noise_rows: int, passed: int = 0, *, harmonics: bool
+    samples: Samples, where: slice, degree: int, noise_rows: int, skipped: int = 0, *, harmonics: bool
 ) -> _Block:
     t, y, sigma = samples.time[where], samples.value[where], samples.sigma[where]
     k = degree + 1
     middle, half = 0.5 * (t[0] + t[-1]), max(0.5 * (t[-1] - t[0]), 1e-9)
-    extra = min(passed + noise_rows, max(0, len(t) - k - HARMONICS - 6))
-    passed = min(passed, extra)
+    extra = min(skipped + noise_rows, max(0, len(t) - k - HARMONICS - 6))
+    skipped = min(skipped, extra)
     powers = chebyshev.chebvander((t - middle) / half, degree + extra)
-    waves = independent_harmonics(y, powers[:, :k]) if harmonics else np.zeros((len(t), 0))
-    chosen = np.flatnonzero(np.any(waves != 0, axis=0))
-    design = np.concatenate([powers[:, :k], waves[:, chosen], powers[:, k:]], axis=1) / sigma[:, None]
+    periodic = independent_harmonics(y, powers[:, :k]) if harmonics else np.zeros((len(t), 0))
+    chosen = np.flatnonzero(np.any(periodic != 0, axis=0))
+    design = np.concatenate([powers[:, :k], periodic[:, chosen], powers[:, k:]], axis=1) / sigma[:, None]
     q, r = np.linalg.qr(design)
-    # one sign in all blocks, so that a steady harmonic gives steady rows
+    # the same sign in all blocks, so that a constant harmonic gives constant rows
     sign = np.where(np.diag(r) < 0, -1.0, 1.0)
     q, r = q * sign, r * sign[:, None]
     kept = k + len(chosen)
@@ -252,8 +264,8 @@ def _block(
     x = np.cos(np.pi * (np.arange(k) + 0.5) / k)
     lift = r[:k, :k] @ np.linalg.inv(chebyshev.chebvander(x, degree))
     projected = q.T @ (y / sigma)
-    noise = projected[kept + passed :]
-    fixed = kept + passed
+    fixed = kept + skipped
+    noise = projected[fixed:]
     rest = float(np.sum((y / sigma) ** 2) - np.sum(projected[:fixed] ** 2))
     if rest < 1e-6 * np.sum((y / sigma) ** 2):  # large angles: subtract before squaring
         rest = float(np.sum((y / sigma - q[:, :fixed] @ projected[:fixed]) ** 2))

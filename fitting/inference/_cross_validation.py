@@ -1,7 +1,7 @@
 """Cross-validation over recordings.
 
-What the recordings share is taken from the others as it is. Only what no other recording can know is free: the
-touch point (another surface) and the start speeds.
+Parameters that the recordings share have the values of a fit of the other recordings. Only parameters that these do not
+determine are free: the friction at the touch point (another surface) and the initial speeds.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def predict_recordings(
     data : sequence of CaseData
         At least two recordings.
     noise : sequence of Noise
-        Of each, as an earlier fit found it.
+        Of each, from an earlier fit.
     alone : sequence of Fit
         Fits of the model to each recording alone, if they are known already (saves time for two recordings).
 
@@ -79,7 +79,7 @@ def predict_recordings(
             else fit(
                 model,
                 [data[k] for k in rest],
-                # another recording has no value of its own for what is free per case: one value for all others
+                # a parameter with a value for each case has no value for another recording: all others share it
                 share=shared,
                 noise=[noise[k] for k in rest],
             )

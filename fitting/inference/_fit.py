@@ -1,20 +1,20 @@
 """The fit: initial values, noise levels, minimum, uncertainties; and the fit with a robust loss.
 
-It goes past the places where a wrong path would hold it: stops at wrong times, bounds far from the data, other
-power_laws.
+The search avoids minima of a wrong motion: stops at wrong times, active bounds far from the data, other exponents of
+power laws.
 
-Parameters are estimated at the level of random torque that the model leaves, so that a model that fails by a thousand
-standard deviations somewhere is not dominated by its worst interval. Chi-square, cross-validation error and tests use
-the noise of the recording, which no model enters (`fitting.inference._noise`).
+Parameters are estimated at the level of random torque in the residuals of the model, so that a model that fails by a
+thousand standard deviations somewhere is not dominated by its worst interval. Chi-square, cross-validation error and
+tests use the noise of the recording, which no model enters (`fitting.inference._noise`).
 
 With a robust loss an M-estimate makes sum psi(r_i / s) J_i vanish instead of sum r_i J_i. It is found by least squares
 on pseudo-values
 
     y*_i = m_i + s psi(r_i / s) / <psi'>,
 
-with the model m and the measured scale s, until they no longer change (P. J. Huber, Robust Statistics, 7.8). Their
+with the model m and the measured scale s, until they converge (P. J. Huber, Robust Statistics, 7.8). Their
 noise has variance s^2 <psi^2> / <psi'>^2, which is the asymptotic variance of the M-estimate; so a fit of the
-pseudo-values, which measures its noise as always, gives the right covariance with no correction.
+pseudo-values, with their noise estimated as usual, has the right covariance without a correction.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ from fitting.inference._result import Fit, outcome
 Array = NDArray[np.float64]
 
 _OTHER_POWERS = (0.7, 1.35)
-# a casing slower than this share of its largest speed is taken to stand still
+# a casing slower than this share of its largest speed counts as at rest
 _AT_REST = 0.01
-_PATIENCE = 60
+_MOST_STEPS = 60
 
 
 def search_with_noise(
@@ -61,7 +61,7 @@ def search_with_noise(
     theta : ndarray, shape (variables,)
         Initial values.
     given : mapping, optional
-        Which of these values the user gave.
+        The values given by the user.
     quick : bool
         Stop where chi-square is within about 0.01 of its minimum.
     """
@@ -78,7 +78,7 @@ def search_with_noise(
     others = _other_starts(problem, theta, given)
     found = search_widely(problem, theta, others, quick=quick, active=active)
     noise = measure_noise(problem, found.theta)
-    # an oscillation was fitted period by period: its path is the right one if the model has any
+    # an oscillation was fitted period by period, so its motion is not in a wrong minimum
     return (found, noise) if oscillates else _with_less_noise(problem, found, noise)
 
 
@@ -107,11 +107,11 @@ def _comes_to_rest(problem: Problem, theta: Array) -> bool:
 def _past_stops(problem: Problem, theta: Array) -> tuple[Problem, Array, ActiveBounds | None]:
     """Return the problem at the noise about a search without process noise, and the variables of that search.
 
-    The response to a torque after a stop at a wrong time is wrong too, and would keep the search there.
+    After a stop at a wrong time the response to a torque is wrong as well, and the search would not leave it.
     """
     active = None
     with suppress(EstimationError):
-        found = search(problem.with_white_noise(), theta, quick=True, max_iterations=_PATIENCE)
+        found = search(problem.with_white_noise(), theta, quick=True, max_iterations=_MOST_STEPS)
         theta, active = found.theta, found.active
     return problem.with_noise(first_noise(problem, theta)), theta, active
 
@@ -121,15 +121,15 @@ def _with_less_noise(
 ) -> tuple[Solution, tuple[Noise, ...]]:
     """Return a solution and its noise, found again with less process noise if that describes the data better.
 
-    The response of a casing at rest to process noise is computed from the fitted path. About a path that stops at a
-    wrong time it may keep the fit there. So may a bound of a parameter, far from the data, where process noise accounts
-    for the misfit. And where several cases are fitted together, process noise in all of them accounts for a compromise
-    with one case that the model does not describe.
+    A fit may be in a wrong minimum for three reasons: the motion stops at a wrong time, and the response of a casing at
+    rest to process noise is computed from this motion; a bound of a parameter is active far from the data, and process
+    noise accounts for the residuals; or the model does not describe one of several cases, and process noise in all of
+    them accounts for a compromise.
     """
     ends, active = [(found, noise)], found.active
     for levels in _lower_levels(problem, found.theta, noise):
         trial = problem.with_noise([n.at(level) for n, level in zip(noise, levels, strict=True)])
-        # with so little noise a search may reach values at which the model cannot be computed
+        # with little noise a search may reach values at which the model cannot be computed
         with suppress(FittingError):
             other = search(trial, found.theta, active=active)
             active = other.active
@@ -140,7 +140,7 @@ def _with_less_noise(
 def _ends_at_a_bound_with_more_noise(
     problem: Problem, first: Array, last: Array, given: Sequence[Noise], noise: Sequence[Noise]
 ) -> bool:
-    """Return whether a search reached a bound where it did not begin, and needs more process noise than was given."""
+    """Return whether a search ended at a bound where it did not start, and needs more process noise than was given."""
     reached = problem.layout.at_bound(last) & ~problem.layout.at_bound(first)
     raised = any(n.raised and not g.raised for n, g in zip(noise, given, strict=True))
     return bool(reached.any()) and raised
@@ -149,8 +149,8 @@ def _ends_at_a_bound_with_more_noise(
 def _lower_levels(problem: Problem, theta: Array, noise: Sequence[Noise]) -> Iterator[tuple[float, ...]]:
     """Yield levels of the process noise of each case with which a search may end elsewhere."""
     raised = [n for n in noise if n.raised]
-    held = raised and any((p.path.sense == 0).any() for p in problem.predict(theta))
-    if held or (raised and problem.layout.at_bound(theta).any()):
+    rests = raised and any((p.path.sense == 0).any() for p in problem.predict(theta))
+    if rests or (raised and problem.layout.at_bound(theta).any()):
         yield from dict.fromkeys([tuple(n.least for n in noise), (0.0,) * len(noise)])
     if len(raised) > 1:
         worst = max(raised, key=lambda n: n.excess)
@@ -163,14 +163,14 @@ def _deviance(problem: Problem, theta: Array, noise: Sequence[Noise]) -> float:
 
 
 def _other_starts(problem: Problem, theta: Array, given: Mapping[str, float] | None) -> Iterator[Array]:
-    """Yield other starts: the program's own if one was given, and other exponents of the bearing's power law."""
-    own = initial_values(problem, None) if given else theta
+    """Yield other initial values: those of the program if some were given, and other exponents of power laws."""
+    usual = initial_values(problem, None) if given else theta
     if given:
-        yield own
+        yield usual
     for g in _OTHER_POWERS:
-        begin = own.copy()
+        begin = usual.copy()
         for v in problem.power_laws:
-            begin = problem.physical(np.where(np.arange(len(own)) == v.g, g, problem.transformed(begin)))
+            begin = problem.physical(np.where(np.arange(len(usual)) == v.g, g, problem.transformed(begin)))
         if problem.power_laws:
             yield begin
 
@@ -198,18 +198,18 @@ def fit(
     model : Model
         The model.
     cases : sequence of Record or CaseData
-        Each experiment; with several, the touch point, the casing's drag and the start speeds have
-        a value for each, all else is shared.
+        Each experiment; with several, the touch point, the casing's drag and the initial speeds have a value for each,
+        all other parameters are shared.
     share, per_case : iterable of str
         Change which parameters are shared.
     start : mapping, optional
-        Values to start from; the others come from a regression.
+        Initial values; the others come from a regression.
     noise : sequence of Noise, optional
-        The noise found by an earlier fit of the same data, so that both can be compared.
+        The noise of an earlier fit of the same data, so that both are comparable.
     ranges : mapping, optional
         Bounds tighter than the declared ones.
     steady : iterable of str
-        Parameters, by their names in the fit, that keep their start values until all others have followed.
+        Parameters, by their names in the fit, that keep their initial values until all others have converged.
     quick : bool
         Stop where chi-square is within about 0.01 of its minimum: enough to rank candidates.
 
@@ -232,7 +232,7 @@ def fit(
         found, noise = search_with_noise(problem, theta, start, quick=quick)
         theta, active = found.theta, found.active
     elif not set(problem.layout.names) <= set(start or ()):
-        # far from the minimum a model fails by far more than the noise; at a low level the search would take long
+        # far from the minimum residuals far exceed the noise, and the search would take long at a low level
         problem = problem.with_noise(raised_noise(problem, theta, noise))
         problem, theta, unknown = with_initial_shapes(problem, theta, start, noise)
         found = search_with_held(problem, theta, unknown)
@@ -243,7 +243,7 @@ def fit(
     if held:
         found = search_with_held(problem, theta, held, active=active)
         theta, active = found.theta, found.active
-        # the level of the model without the new law would make any shape of it acceptable
+        # at the level of the model without the new law, any shape of it would be consistent with the data
         noise = refine_level(problem, theta, noise)
         problem = problem.with_noise(noise)
     found = search(problem, theta, quick=quick, active=active)
@@ -251,7 +251,7 @@ def fit(
     problem = problem.with_noise(noise)
     found = search(problem, found.theta, quick=quick, active=found.active)
     if found.minimum.cost > _REFINED_ABOVE * problem.rows:
-        noise = refine_level(problem, found.theta, noise, settled=True)
+        noise = refine_level(problem, found.theta, noise, fixed=True)
         problem = problem.with_noise(noise)
         found = search(problem, found.theta, quick=quick, active=found.active)
     if given is not None and _ends_at_a_bound_with_more_noise(problem, first, found.theta, given, noise):
@@ -259,6 +259,43 @@ def fit(
         problem = problem.with_noise(noise)
         found = search(problem, found.theta, quick=quick, active=found.active)
     return outcome(problem, found.theta, noise, converged=found.minimum.converged)
+
+
+def fit_like(
+    other: Fit,
+    model: Model,
+    *,
+    start: Mapping[str, float],
+    noise: Sequence[Noise],
+    share: Iterable[str] = (),
+    per_case: Iterable[str] = (),
+    steady: Iterable[str] = (),
+    quick: bool = False,
+) -> Fit:
+    """Fit a model to the data of another fit, with the same parameters shared by all cases.
+
+    Parameters
+    ----------
+    other : Fit
+        The other fit.
+    model : Model
+        Its model with effects added, removed or changed.
+    start, noise, steady, quick
+        As for `fit`.
+    share, per_case : iterable of str
+        Parameters that are shared, or each case's own, in addition to those of the other fit.
+    """
+    shared, own = ([k for k in keys if k in model.free] for keys in other.problem.layout.choices)
+    return fit(
+        model,
+        other.problem.data,
+        share=[*shared, *share],
+        per_case=[*own, *per_case],
+        start=start,
+        noise=noise,
+        steady=steady,
+        quick=quick,
+    )
 
 
 def _check(model: Model, data: Sequence[CaseData]) -> None:
@@ -291,16 +328,16 @@ def _check(model: Model, data: Sequence[CaseData]) -> None:
 def _changes_sign(divisor: Expr, data: CaseData) -> bool:
     """Return whether an expression without parameters passes through zero along the measured motion.
 
-    A tenth of the range of each speed is added on both sides, as far as the speed keeps its sign: a trial of the fit
-    may start a little slower or faster than the record.
+    The range of each speed is extended by a tenth on both sides, but not beyond zero: a trial of the fit may start a
+    little slower or faster than the record.
     """
     names = symbols(divisor)
     if not names or not names <= {"t", "omega_r", "omega_c", "delta"}:
         return False  # a constant, a parameter that the fit may move, or an angle
     time, speeds = data.initial_speeds
-    own = {"omega_r": speeds[:, 0], "omega_c": speeds[:, 1], "delta": speeds[:, 0] - speeds[:, 1]}
+    measured = {"omega_r": speeds[:, 0], "omega_c": speeds[:, 1], "delta": speeds[:, 0] - speeds[:, 1]}
     motion = {"t": np.concatenate([time, time[[0, -1]]])}
-    for name, value in own.items():
+    for name, value in measured.items():
         low, high = float(value.min()), float(value.max())
         margin = 0.1 * (high - low)
         ends = [max(low - margin, min(low, 0.0)), min(high + margin, max(high, 0.0))]
@@ -312,10 +349,10 @@ def _changes_sign(divisor: Expr, data: CaseData) -> bool:
 
 Psi = Callable[[Array], tuple[Array, Array]]
 
-# 95 % of the efficiency of least squares where the noise is normal
+# 95 % of the efficiency of least squares for normal noise
 _HUBER, _CAUCHY = 1.345, 2.385
-_ROUNDS = 12
-_STILL = 0.01
+# iterations at most, and change of a parameter in standard errors at convergence
+_ITERATIONS, _CONVERGED = 12, 0.01
 
 
 def huber(x: Array) -> tuple[Array, Array]:
@@ -325,7 +362,7 @@ def huber(x: Array) -> tuple[Array, Array]:
 
 
 def cauchy(x: Array) -> tuple[Array, Array]:
-    """Return psi and its slope: x / (1 + (x / 2.385)^2), which forgets what lies far out."""
+    """Return psi and its slope: x / (1 + (x / 2.385)^2), which tends to zero for outliers."""
     q = (x / _CAUCHY) ** 2
     return x / (1 + q), (1 - q) / (1 + q) ** 2
 
@@ -334,7 +371,7 @@ _LOSSES: dict[str, tuple[Psi, ...]] = {"linear": (), "huber": (huber,), "cauchy"
 
 
 def robust_fit(model: Model, cases: Sequence[Record | CaseData], loss: str = "linear", **options: Any) -> Fit:
-    """Fit a model with a loss that outliers do not rule.
+    """Fit a model with a loss that limits the influence of outliers.
 
     Parameters
     ----------
@@ -343,15 +380,15 @@ def robust_fit(model: Model, cases: Sequence[Record | CaseData], loss: str = "li
     cases : sequence of Record or CaseData
         As for `fit`.
     loss : {"linear", "huber", "cauchy"}
-        "linear" is least squares; "huber" limits the pull of a sample; "cauchy" forgets outliers, and starts from
-        "huber".
+        "linear" is least squares; "huber" limits the influence of a sample; with "cauchy", which starts at the
+        result of "huber", the influence of an outlier tends to zero.
     **options
-        Passed on to `fit`.
+        Arguments of `fit`.
 
     Returns
     -------
     Fit
-        R2, rmse and energy are of the data as measured; chi-square and held-out error of the pseudo-values.
+        R2, rmse and energy refer to the measured data; chi-square and cross-validation error to the pseudo-values.
 
     Raises
     ------
@@ -368,28 +405,28 @@ def robust_fit(model: Model, cases: Sequence[Record | CaseData], loss: str = "li
     found = fit(model, cases, **options)
     data = found.problem.data
     for psi in _LOSSES[loss]:
-        for _ in range(_ROUNDS):
+        for _ in range(_ITERATIONS):
             pseudo = [_pseudo(d, case, found, psi) for case, d in enumerate(data)]
             before = found.theta
-            again: Mapping[str, Any] = options | {"start": {k: e.value for k, e in found.estimates.items()}}
+            again: Mapping[str, Any] = options | {"start": found.values}
             found = fit(model, pseudo, **again)
             errors = np.sqrt(np.diag(found.covariance))
-            moved = np.abs(found.theta - before) > _STILL * errors
+            moved = np.abs(found.theta - before) > _CONVERGED * errors
             if not np.any(moved & (errors > 0)):
                 break
     return found
 
 
 def _pseudo(data: CaseData, case: int, found: Fit, psi: Psi) -> CaseData:
-    """Return the case with pseudo-values about a fit; its record stays what was measured."""
+    """Return the case with pseudo-values about a fit; its record contains the measured data."""
     values = []
     for samples, model in zip(
         (data.record.casing, *data.record.rotor), _predicted(data, case, found), strict=True
     ):
         x = (samples.value - model) / samples.sigma
         scale = 1.4826 * float(np.median(np.abs(x)))
-        pull, slope = psi(x / scale)
-        values.append(model + samples.sigma * scale * pull / max(float(slope.mean()), 0.1))
+        influence, slope = psi(x / scale)
+        values.append(model + samples.sigma * scale * influence / max(float(slope.mean()), 0.1))
     runs = [
         Samples(s.time, v, s.sigma)
         for s, v in zip((data.record.casing, *data.record.rotor), values, strict=True)
@@ -399,13 +436,14 @@ def _pseudo(data: CaseData, case: int, found: Fit, psi: Psi) -> CaseData:
 
 
 def _predicted(data: CaseData, case: int, found: Fit) -> Iterator[Array]:
-    """Yield the prediction of the model with its nuisances at every sample: of the casing, then of each window."""
+    """Yield the prediction with fitted nuisance parameters at every sample, of the casing, then of each window."""
     record, prediction = data.record, found.predictions[case]
     path = prediction.path
     project = found.problem.projections[case]
-    own = found.problem.data[case]
-    # the nuisances as generalised least squares sees them
-    white = project.whitener(np.concatenate([own.nuisance, (own.z - prediction.rows)[:, None]], axis=1))
+    fitted = found.problem.data[case]
+    # nuisance parameters by generalised least squares
+    rows = np.concatenate([fitted.nuisance, (fitted.z - prediction.rows)[:, None]], axis=1)
+    white = project.whitener(rows)
     size = np.linalg.norm(white[:, :-1], axis=0)
     size[size == 0] = np.inf
     coefficients = np.linalg.lstsq(white[:, :-1] / size, white[:, -1], rcond=1e-7)[0] / size
@@ -417,5 +455,5 @@ def _predicted(data: CaseData, case: int, found: Fit) -> Iterator[Array]:
             continue
         angle = sampler.integral(*path.angle(state)) + coefficients[i]
         if i == 0:
-            angle = angle + own.camera_columns @ coefficients[1 + len(record.rotor) :]
+            angle = angle + fitted.camera_columns @ coefficients[1 + len(record.rotor) :]
         yield angle

@@ -1,4 +1,4 @@
-"""Initial values that need no guess from the user.
+"""Initial values of a fit from the data alone.
 
 The laws are linear in their strengths gamma_k, so along the rough speeds
 
@@ -6,10 +6,10 @@ The laws are linear in their strengths gamma_k, so along the rough speeds
 
 and the same for the rotor: a linear least-squares problem with bounds.
 
-A law whose strength is nothing has no gradient by its shape, and from a wrong shape the search may not find back. So
-the model is fitted without the law; then, for every shape on a grid, the derivative of the rows by the strength shows
-how far the deviance would fall (a score test), and the best shape is where the full search starts. The random torque
-that a model without the law is excused with would excuse any shape: its level competes with the law for what is left.
+At strength zero, chi-square has no gradient by the shape of a law, and with a wrong shape the search may end in a wrong
+minimum. So the model is fitted without the law; then, for every shape on a grid, the derivative of the rows by the
+strength gives the fall of the deviance (a score test), and the full search starts at the best shape. At the level of
+random torque of the model without the law, any shape would be consistent with the data: the level is optimised as well.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from fitting.effects._effect import RATIO, Effect
 from fitting.effects._library import LIBRARY
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import Prediction
+from fitting.inference._linear_algebra import r_factor
 from fitting.inference._noise import Noise
 from fitting.inference._noise_level import measure_noise
 from fitting.inference._optimisation import minimise, search
@@ -39,42 +40,42 @@ from fitting.inference._parameters import (
     ParameterLayout,
     is_power_law,
 )
-from fitting.inference._problem import Problem, r_factor, reference_speed
+from fitting.inference._problem import Problem, reference_speed
 from fitting.inference._record import Record, Samples
 
 Array = NDArray[np.float64]
 
 _FIRST_SHARE = 0.1
-# a casing slower than this share of its largest speed is taken to stand still, for start values
+# a casing slower than this share of its largest speed counts as at rest, for initial values
 _AT_REST = 0.01
-# part of a run that is its end
+# the last tenth of a run is its end
 _END = 10
-# of an oscillation: periods of the first search, samples that it takes at least, steps
+# of an oscillation: periods of the first search, smallest number of its samples, largest number of its steps
 _FIRST_PERIODS = 2.0
 _FEWEST_SAMPLES = 24
-_PATIENCE = 60
+_MOST_STEPS = 60
 
 
 def initial_values(problem: Problem, given: Mapping[str, float] | None) -> Array:
-    """Return where a fit starts: what was given, and the start values of all else."""
+    """Return the initial values of a fit: the given ones, and for all others those from the data."""
     layout = problem.layout
     known = dict(given or {})
-    swings = layout.model.restoring
-    if swings and any(k in known for k in layout.names if _is(START_CASING, k)):
+    oscillates = layout.model.restoring
+    if oscillates and any(k in known for k in layout.names if _is(START_CASING, k)):
         if not any(k in known for k in layout.names if _is(START_DEFLECTION, k)):
-            # values of a model that does not oscillate
+            # the values of a model that does not oscillate are discarded
             known = {}
         else:
-            # a start too far from the minimum slips by periods: new laws begin with no strength
+            # far from the minimum the motion slips by periods, so new laws have strength zero at first
             known = {n: 0.0 for n in layout.names if layout.parameter(n).role == "amplitude"} | known
     if not set(layout.names) <= set(known):
         rough = [d.initial_speeds for d in problem.data]
         deflections = [_deflection(d, times) for d, (times, _) in zip(problem.data, rough, strict=True)]
         found = start_values(layout, problem.reference, rough, deflections, _prior_means(problem))
-        if swings and not known:
+        if oscillates and not known:
             found = _period_by_period(problem, found)
-        guessed = dict(zip(layout.names, found.tolist(), strict=True))
-        known = guessed | {k: v for k, v in known.items() if k in guessed}
+        usual = dict(zip(layout.names, found.tolist(), strict=True))
+        known = usual | {k: v for k, v in known.items() if k in usual}
     return np.array([known[n] for n in layout.names])
 
 
@@ -88,7 +89,7 @@ def _is(start: str, name: str) -> bool:
 
 
 def equation_error(model: Model, data: Sequence[CaseData]) -> float:
-    """Return the part of the measured change of the speeds that a model does not account for, without a fit.
+    """Return the relative error of the measured change of the speeds under a model, without a fit.
 
     Parameters
     ----------
@@ -106,12 +107,12 @@ def equation_error(model: Model, data: Sequence[CaseData]) -> float:
     rough = [d.initial_speeds for d in data]
     deflections = [_deflection(d, times) for d, (times, _) in zip(data, rough, strict=True)]
     theta = start_values(layout, reference_speed(data), rough, deflections)
-    left = whole = 0.0
+    residual = whole = 0.0
     for case, ((times, speeds), deflection) in enumerate(zip(rough, deflections, strict=True)):
         keys, design, target = _equations(layout, case, times, speeds, deflection, theta)
-        left += float(np.sum((design @ theta[layout.places(case, keys)] - target) ** 2))
+        residual += float(np.sum((design @ theta[layout.places(case, keys)] - target) ** 2))
         whole += float(np.sum(target**2))
-    return math.sqrt(left / whole) if whole > 0 else 0.0
+    return math.sqrt(residual / whole) if whole > 0 else 0.0
 
 
 def _deflection(data: CaseData, times: Array) -> Array:
@@ -127,8 +128,8 @@ def _deflection(data: CaseData, times: Array) -> Array:
 def _period_by_period(problem: Problem, theta: Array) -> Array:
     """Return initial values from the first periods of oscillations: two of them, then twice as many, up to half.
 
-    Over a record of n periods a frequency that is off by 1 / 2n slips by half a period, and the search ends in a wrong
-    minimum; the error that k periods leave is always small enough for 2 k.
+    Over a record of n periods a relative frequency error of 1 / 2n is a slip by half a period, and the search ends in a
+    wrong minimum; the frequency from k periods is accurate enough for 2 k periods.
     """
     layout = problem.layout
     longest = max(d.oscillation.periods for d in problem.data if d.oscillation is not None)
@@ -137,7 +138,7 @@ def _period_by_period(problem: Problem, theta: Array) -> Array:
         data = [CaseData.of(_first_periods(d, count)) for d in problem.data]
         part = Problem.of(replace(layout, records=tuple(d.record for d in data)), data)
         with suppress(EstimationError):
-            theta = search(part, theta, quick=True, max_iterations=_PATIENCE).theta
+            theta = search(part, theta, quick=True, max_iterations=_MOST_STEPS).theta
         count *= 2
     return theta
 
@@ -159,23 +160,23 @@ def start_values(
     deflections: Sequence[Array],
     prior: Mapping[str, float] | None = None,
 ) -> Array:
-    """Return start values of all variables.
+    """Return initial values of all variables from the data.
 
     Parameters
     ----------
     layout : ParameterLayout
         The variables.
     rough : sequence of (times, speeds)
-        Of each case, as `fitting.inference._record` gives them.
+        Rough speeds of each case (`fitting.inference._record.initial_speeds`).
     reference : float
         Speed difference [rad/s] at which a power law starts with a tenth of the linear law's torque.
     deflections : sequence of ndarray
         Angle of each case from its equilibrium at the same times [rad].
     prior : mapping, optional
-        Values of parameters that are known beforehand, by key: the others are found for these.
+        Known values of parameters by key; the others are estimated given these.
     """
     prior = prior or {}
-    theta = np.array([prior.get(name.partition("@")[0], _resting(layout, name)) for name in layout.names])
+    theta = np.array([prior.get(name.partition("@")[0], _declared(layout, name)) for name in layout.names])
     for e in layout.model.effects:
         if e.joint == "contact" and RATIO in {p.symbol for p in e.free}:
             for case, (_, speeds) in enumerate(rough):
@@ -186,7 +187,7 @@ def start_values(
         free = [i for i, k in enumerate(keys) if k not in prior]
         known = design @ np.array([prior.get(k, 0.0) for k in keys])
         parts.append((layout.places(case, [keys[i] for i in free]), design[:, free], target - known))
-    # what cases share is sought in all of them at once: a mean of the separate estimates need not suit any
+    # shared parameters are estimated from all cases together: a mean of separate estimates may suit none of them
     places, values = _regress(layout, parts)
     theta[places] = values
     for case, (_, speeds) in enumerate(rough):
@@ -209,13 +210,13 @@ def start_values(
 
 
 def _ratio(speeds: Array, *, rigid: bool) -> float:
-    """Return the ratio of the speeds: of all the run if there is no slip, else of its end, where slip has decayed."""
+    """Return the median ratio of the speeds: in the whole run without slip, else at its end, where slip has decayed."""
     rotor, casing = (speeds if rigid else speeds[-(len(speeds) // _END) - 1 :]).T
     turning = np.abs(casing) > _AT_REST * np.abs(casing).max(initial=0.0)
     return float(np.median(rotor[turning] / casing[turning])) if turning.any() else 1.0
 
 
-def _resting(layout: ParameterLayout, name: str) -> float:
+def _declared(layout: ParameterLayout, name: str) -> float:
     p = layout.parameter(name)
     if p.relative and p.grid:
         first, last = layout.records[0].span
@@ -226,42 +227,42 @@ def _resting(layout: ParameterLayout, name: str) -> float:
 def _equations(
     layout: ParameterLayout, case: int, times: Array, speeds: Array, deflection: Array, theta: Array
 ) -> tuple[list[str], Array, Array]:
-    """Return the strengths of one case, and the linear equations for them with both start speeds free."""
+    """Return the strengths of one case, and the linear equations for them with both initial speeds free."""
     dynamics = Dynamics(layout.model.smooth)
     numbers = layout.numbers(theta, case)
     if dynamics.ratio is not None:
-        # with errors of their own the two speeds would separate laws of the two bodies that only differ by a factor
+        # independent errors of both speeds would spuriously separate laws that differ by a factor only
         speeds = np.column_stack([numbers[dynamics.ratio] * speeds[:, 1], speeds[:, 1]])
     state = np.concatenate([speeds, np.zeros((len(times), len(dynamics.states) - 2))], axis=1)
     if dynamics.free_starts > 2:
         state[:, 2] = deflection
     linear = _strengths(layout, dynamics.parameters)
     with np.errstate(all="ignore"):
-        # without the strengths that are sought: what parameters held at a value do
-        still, _, b = dynamics.linearised(times, state, numbers | dict.fromkeys(linear, 0.0))
+        # with zero strengths: the rates by held parameters
+        constant, _, b = dynamics.linearised(times, state, numbers | dict.fromkeys(linear, 0.0))
     columns = np.array([dynamics.parameters.index(k) for k in linear])
     weight = np.array([numbers[INERTIA_ROTOR], numbers[INERTIA_CASING]])
     rates = b[:, :2][:, :, columns]
-    wild = ~np.isfinite(rates).all(axis=(0, 1))
-    if wild.any():
-        name = linear[int(np.flatnonzero(wild)[0])].rpartition(".")[0]
+    singular = ~np.isfinite(rates).all(axis=(0, 1))
+    if singular.any():
+        name = linear[int(np.flatnonzero(singular)[0])].rpartition(".")[0]
         raise EstimationError(
             f"the law of {name[:80]!r} has no finite value at the measured speeds",
             "look for a division by zero or a huge exponent",
         )
     integrals = _integral(times, rates)
-    held = _integral(times, still[:, :2])
-    # while friction holds the casing its torque is what it has to be, and carries no information
+    held = _integral(times, constant[:, :2])
+    # while friction holds the casing, its torque equals the others and contains no information
     everywhere = np.ones(len(times), dtype=bool)
-    seen = [everywhere, everywhere if dynamics.free_starts > 2 else _turning(speeds[:, 1])]
-    # the integral of a deflection from a wrong equilibrium drifts: the speed is free in each period
+    used = [everywhere, everywhere if dynamics.free_starts > 2 else _longest_motion(speeds[:, 1])]
+    # the integral of a deflection from a wrong equilibrium drifts, so the initial speed of each period is free
     free = _periods(deflection) if dynamics.free_starts > 2 else None
     blocks, targets = [], []
     balances = [
-        (np.column_stack([integrals[:, i], speeds[:, i] - held[:, i]]) * weight[i], seen[i]) for i in (0, 1)
+        (np.column_stack([integrals[:, i], speeds[:, i] - held[:, i]]) * weight[i], used[i]) for i in (0, 1)
     ]
     if dynamics.ratio is not None:
-        # the torque of a contact without slip is what it has to be: it drops out of rotor times ratio plus casing
+        # the torque of a contact without slip cancels in the sum of ratio times rotor and casing
         (rotor, _), (casing, moving) = balances
         balances = [(numbers[dynamics.ratio] * rotor + casing, moving)]
     for columns, chosen in balances:
@@ -286,9 +287,9 @@ def _means(groups: NDArray[np.intp], columns: Array) -> Array:
 
 
 def _strengths(layout: ParameterLayout, parameters: Sequence[str]) -> list[str]:
-    """Return the parameters in which the equations are linear, and which the data can separate so."""
+    """Return the parameters in which the equations are linear, without nearly collinear ones."""
     every = [k for k in parameters if layout.model.parameters[k].role == "amplitude"]
-    # linear in its strength, but hardly distinguishable from the linear law while its power is free
+    # linear in its strength, but nearly collinear with the linear law while its exponent is free
     curved = ("bearing.heating.", *(("bearing.power.",) if "bearing.power.g" in parameters else ()))
     linear = [k for k in every if not k.startswith(curved)] or every
     if not {"bearing.linear.d", "bearing.power.f"} & {*linear} and "bearing.power.f" in parameters:
@@ -300,12 +301,12 @@ def _regress(
     layout: ParameterLayout, parts: Sequence[tuple[NDArray[np.intp], Array, Array]]
 ) -> tuple[NDArray[np.intp], Array]:
     """Return the places of all strengths and their values within bounds, by linear least squares."""
-    places = np.unique(np.concatenate([own for own, _, _ in parts]))
+    places = np.unique(np.concatenate([of_case for of_case, _, _ in parts]))
     rows, aims = [], []
-    for own, design, target in parts:
+    for of_case, design, target in parts:
         few = r_factor(np.column_stack([design, target]))
         rows.append(np.zeros((len(few), len(places))))
-        rows[-1][:, np.searchsorted(places, own)] = few[:, :-1]
+        rows[-1][:, np.searchsorted(places, of_case)] = few[:, :-1]
         aims.append(few[:, -1])
     stacked, aim = np.concatenate(rows), np.concatenate(aims)
     size = np.linalg.norm(stacked, axis=0)
@@ -319,8 +320,8 @@ def _regress(
     return places, solution.x / size * scale
 
 
-def _turning(omega_c: Array) -> NDArray[np.bool_]:
-    """Return the longest stretch in which the casing does not rest."""
+def _longest_motion(omega_c: Array) -> NDArray[np.bool_]:
+    """Return which samples are in the longest interval without rest of the casing."""
     slow = np.abs(omega_c) < _AT_REST * np.abs(omega_c).max(initial=0.0)
     ends = np.flatnonzero(np.diff(np.concatenate([[True], slow, [True]]).astype(int)))
     if not len(ends):
@@ -337,21 +338,22 @@ def _integral(times: Array, rates: Array) -> Array:
     return np.concatenate([np.zeros((1, *rates.shape[1:])), np.cumsum(middle, axis=0)])
 
 
+# trial exponents of a power law, and largest number of trial shapes of a law
 _POWERS = (0.25, 0.5, 0.75, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0)
 _MOST = 80
 _COLLINEAR = 1e-7
-# of the level of random torque without the law
+# trial levels over the level of random torque without the law
 _SHARES = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3)
 
 
 def unknown_shapes(layout: ParameterLayout, given: Mapping[str, float] | None) -> list[Effect]:
-    """Return the effects of a model whose shape constants were not given and need a search of their own."""
+    """Return the effects of a model with shape constants that were not given and that need a search."""
     known = {name.partition("@")[0] for name in given or {}}
     effects = []
     for e in layout.model.smooth.effects:
         roles = {p.role for p in e.parameters}
         shapes = [f"{e.name}.{p.symbol}" for p in e.parameters if p.role == "shape"]
-        # the exponent of the bearing's own power law has straight variables and a start that serves
+        # the exponent of the bearing's power law has transformed variables and a sufficient initial value
         alone = e.joint == "bearing" and sum(o.joint == "bearing" for o in layout.model.effects) == 1
         searched = (
             not alone and e.name != "bearing.power" and "phase" not in roles and e.amplitude is not None
@@ -369,18 +371,18 @@ def initial_shapes(
     fitted: bool,
     noise: Sequence[Noise] | None = None,
 ) -> tuple[Problem, Array]:
-    """Return variables with the shapes of some effects on the best point of their grids, and the problem at its noise.
+    """Return variables with the shapes of effects at the best points of their grids, and the problem with its noise.
 
     Parameters
     ----------
     problem : Problem
-        The fit, at a cautious noise.
+        The fit, at the noise of a first search.
     theta : ndarray
-        Variables so far.
+        Variables with the declared shapes.
     effects : list of Effect
         The effects.
     fitted : bool
-        Whether the others are at the best fit without these effects already.
+        Whether the other variables are at the optimum without these effects.
     noise : sequence of Noise, optional
         The noise without these effects, if it is known.
     """
@@ -437,7 +439,7 @@ def _best(problem: Problem, theta: Array, effect: Effect, noise: Sequence[Noise]
 def _stepped(
     problem: Problem, begin: Array, predictions: Sequence[Prediction], strength: NDArray[np.intp]
 ) -> tuple[float, Array] | None:
-    """Return chi-square after one linear step of all variables, and variables with the strength it gives."""
+    """Return chi-square after one linear step of all variables, and variables with the strength of this step."""
     lower, upper = problem.layout.bounds()
     r, j = problem.residuals(predictions)
     size = np.linalg.norm(j, axis=0)

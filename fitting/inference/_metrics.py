@@ -2,25 +2,25 @@
 
 K(t) + integral_0^t [ tau_cr D + (a1 w_r + a2 w_r^2) w_r + (b1 + b2 w_c) w_c ] dt = K(0),
 
-every friction term a loss; for any model the loss is minus the power of its torques on both bodies,
--(tau_r w_r + tau_c w_c). As in the paper, the casing's *measured* speed enters, so that a model that
-misses a torque does not balance; the rotor's speed is the model's, held to its windows by the fit.
+with the losses of the paper's friction terms; for any model the loss is minus the power of its torques on both bodies,
+-(tau_r w_r + tau_c w_c). As in the paper, the speed of the casing is the *measured* one, so that the balance of a model
+without a relevant torque drifts; the speed of the rotor is that of the model, which is fitted to its windows.
 
-For a linear model with noise covariance C, leaving out the rows h changes the prediction so that the error is
+For a linear model with noise covariance C, the error of the rows h, predicted by a fit without them, is
 
     e_h = (G_hh)^-1 (G r)_h,   cov(e_h) = (G_hh)^-1,   G = C^-1 - C^-1 X (X' C^-1 X)^-1 X' C^-1,
 
-with the residuals r of the full fit and the columns X of parameters and nuisances: the exact result of
-refitting without them, without refitting (leave-block-out; O. Dubrule, Math. Geol. 15, 687 (1983)).
+with the residuals r of the full fit and the columns X of parameters and nuisance parameters, exactly and without
+a refit (leave-block-out; O. Dubrule, Math. Geol. 15, 687 (1983)).
 
-The test of lack of fit is one against any slow torque. Slow torques on the casing and in the bearing, piecewise linear
-in time with knots a twentieth of the record apart, are added to the fitted model all at once. With the whitened
+The alternative of the lack-of-fit test is any slow torque. Slow torques on the casing and in the bearing, piecewise
+linear in time with knots a twentieth of the record apart, are added to the fitted model. With the whitened
 response S to them, in addition to all free parameters,
 
     chi2 = r'S (S'S)^-1 S'r   with rank(S) degrees of freedom
 
 if the model is right: the test of lack of fit against pure error (N. Draper, H. Smith, Applied Regression
-Analysis, Wiley (1998), 1.5), which does not depend on which law is missing.
+Analysis, Wiley (1998), 1.5), whatever law is missing.
 """
 
 from __future__ import annotations
@@ -39,8 +39,15 @@ from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
 from fitting.inference._case_data import SPEED_BLOCKS, CaseData
 from fitting.inference._case_model import CaseModel, Prediction
 from fitting.inference._compression import CASING_DEGREE
+from fitting.inference._linear_algebra import (
+    block_diagonal,
+    orthogonal_to,
+    orthonormal,
+    piecewise_linear,
+    r_factor,
+)
 from fitting.inference._noise import Noise, TorqueResponse, tail_probability
-from fitting.inference._problem import Problem, Projection, r_factor
+from fitting.inference._problem import Problem, Projection
 from fitting.inference._record import Record, Samples, median_width, speeds
 
 Array = NDArray[np.float64]
@@ -51,8 +58,8 @@ _TERMS = 21
 def as_velocities(record: Record) -> Record:
     """Return the record with the paper's velocities in place of angles: median, gradient, median, ends dropped.
 
-    Their sigma is that of independent samples which would leave as much slow noise (`median_noise`): neighbours share
-    most of theirs, and the fit sees only what is slow.
+    Their sigma is that of independent samples with the same noise at low frequencies (`median_noise`), which alone
+    matters for the fit: the noise of neighbouring samples is strongly correlated.
     """
     if record.quantity == "omega":
         return record
@@ -67,21 +74,21 @@ def _velocities(samples: Samples, blocks: int) -> Samples:
     noise = np.hypot(*(np.roll(samples.sigma, k) for k in (-1, 1))) / (2 * step)
     noise = np.interp(time, samples.time, noise)
     rise = np.abs(np.gradient(np.convolve(omega, np.full(width, 1 / width), mode="same"), time))
-    # the mean runs into nothing at both ends
+    # the moving average is incomplete at both ends
     rise[: width // 2 + 1], rise[-width // 2 :] = rise[width // 2 + 1], rise[-width // 2 - 1]
-    reach = 0.5 * width * float(np.median(step)) * rise / noise
-    # a block of gradients e_(i+1) - e_(i-1) keeps the e of both its ends: on the Legendre polynomials of degree k, as
-    # large there as (2 k + 1) / samples, mean (degree + 1) / samples
+    cutoff = 0.5 * width * float(np.median(step)) * rise / noise
+    # the sum of the gradients e_(i+1) - e_(i-1) of a block contains the e of both its ends; their variance on the
+    # Legendre polynomial of degree k is (2 k + 1) / samples, on average (degree + 1) / samples
     ends = 2 * (CASING_DEGREE + 1) * blocks / len(samples)
-    return Samples(time, omega, noise * np.sqrt(median_noise(reach) + ends))
+    return Samples(time, omega, noise * np.sqrt(median_noise(cutoff) + ends))
 
 
-def median_noise(reach: Array) -> Array:
-    """Return the slow noise of a running median of gradients, as a variance over that of one gradient.
+def median_noise(cutoff: Array) -> Array:
+    """Return the noise of a running median of gradients at low frequencies, as a variance over that of one gradient.
 
-    Where the speed rises, sample j next to the middle counts as long as its noise does not lift it over the slope: in
-    sums over many medians every gradient v counts as psi(v), cut off at c = slope x half the width. So the spectral
-    density at frequency nothing is that of Huber's estimate,
+    Where the speed rises, a sample next to the middle changes the median only if its noise exceeds the rise: in sums
+    over many medians every gradient v contributes psi(v), limited to c = slope x half the width. So the spectral
+    density at frequency zero is that of Huber's estimate,
 
         S = sum over lags of cov[psi(v_0), psi(v_k)] / P(|v| < c)^2,
 
@@ -91,10 +98,10 @@ def median_noise(reach: Array) -> Array:
 
     Parameters
     ----------
-    reach : ndarray
+    cutoff : ndarray
         c, in standard deviations of the noise of one gradient.
     """
-    c = np.clip(reach, 0.02, 5.0)
+    c = np.clip(cutoff, 0.02, 5.0)
     density = np.exp(-0.5 * c**2) / np.sqrt(2 * np.pi)
     inside = np.vectorize(math.erf, otypes=[float])(c / np.sqrt(2))
     variance = inside - 2 * c * density + c**2 * (1 - inside)
@@ -111,9 +118,9 @@ _POINTS = 2000
 
 @dataclass(frozen=True)
 class EnergyBalance:
-    """Time [s], balance K + losses [J], constant for a right model, and its change over the initial energy.
+    """Time [s], energy K + losses [J], constant for a right model, and its change relative to the initial energy.
 
-    Of a motion that begins at a turning point the change is over the largest kinetic energy.
+    For a motion that begins at a turning point, the change is relative to the largest kinetic energy.
     """
 
     time: Array
@@ -153,7 +160,6 @@ def energy_balance(case: CaseModel, theta: Array, path: Path) -> EnergyBalance:
     power = -np.sum(rates[:, :2] * inertia * state[:, :2], axis=1)
     lost = np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(t))])
     energy = kinetic + lost
-    # an oscillation may begin at a turning point
     scale = energy[0] if energy[0] > _SLOW_START * kinetic.max() else kinetic.max()
     return EnergyBalance(t, energy, (energy - energy[0]) / scale)
 
@@ -164,28 +170,28 @@ FOLDS = 6
 
 
 def held_out(data: CaseData, project: Projection, prediction: Prediction) -> dict[str, float]:
-    """Return the rms error of held-out stretches over their noise, for each body.
+    """Return the cross-validation error: the rms error of rows left out of the fit over their noise, for each body.
 
     Parameters
     ----------
     data : CaseData
         The case.
     project : Projection
-        Its noise and nuisances.
+        Its noise and nuisance parameters.
     prediction : Prediction
         The fitted model.
 
     Returns
     -------
     dict
-        ``casing``: each of six stretches of time predicted from the others; ``rotor``: each
-        window predicted from all else. 1 means as good as the noise allows.
+        ``casing``: each of six intervals of time predicted from all other rows; ``rotor``: each window predicted from
+        all other rows. 1 = noise limit.
     """
     jacobian = project(prediction.columns)
     size = np.linalg.norm(jacobian, axis=0)
     used = np.concatenate([project.basis, np.linalg.qr(jacobian[:, size > 0] / size[size > 0])[0]], axis=1)
     residual = project(prediction.rows - data.z)
-    residual = residual - used @ (used.T @ residual)
+    residual = orthogonal_to(used, residual)
     weighted = project.whitener(residual)
     result = {}
     for body, folds, rest, count in (
@@ -209,8 +215,8 @@ def _error(project: Projection, used: Array, weighted: Array, fold: Array) -> fl
     inner = used.T @ white
     values, vectors = np.linalg.eigh(white.T @ white - inner.T @ inner)
     keep = values > 1e-9 * values[-1]
-    seen = vectors[:, keep].T @ weighted[fold]
-    return float(np.sum(seen**2 / values[keep]))
+    rows = vectors[:, keep].T @ weighted[fold]
+    return float(np.sum(rows**2 / values[keep]))
 
 
 def _casing_folds(data: CaseData) -> list[Array]:
@@ -235,7 +241,7 @@ _SPEED = {"casing": "omega_c", "rotor": "omega_r"}
 
 @dataclass(frozen=True)
 class BodyMetrics:
-    """How well one body is described.
+    """Figures of merit of one body.
 
     Attributes
     ----------
@@ -244,7 +250,7 @@ class BodyMetrics:
     reduced_chi2 : float
         Chi-square of what was fitted over the effective number of samples.
     held_out : float
-        Rms error of held-out stretches over the noise; 1 = noise limit.
+        Cross-validation error over the noise; 1 = noise limit.
     """
 
     r2: float
@@ -255,7 +261,7 @@ class BodyMetrics:
 
 @dataclass(frozen=True)
 class CaseMetrics:
-    """How well one case is described; `misfit` is chi2 per row of what a model can reach."""
+    """Figures of merit of one case; `misfit` is chi2 per row that contains a model."""
 
     label: str
     casing: BodyMetrics
@@ -269,7 +275,7 @@ def case_metrics(case: CaseModel, project: Projection, prediction: Prediction, t
     data = case.data
     residual = project(prediction.rows - data.z)
     chi2 = {name: float(np.sum(residual[where] ** 2)) for name, where in data.slices.items()}
-    outside = held_out(data, project, prediction)
+    errors = held_out(data, project, prediction)
     quality = {
         "casing": (chi2["casing"] + chi2["harmonic"] + data.casing.rest, data.casing.n_effective),
         "rotor": (chi2["rotor"] + sum(w.rest for w in data.rotor), sum(w.n_effective for w in data.rotor)),
@@ -283,8 +289,8 @@ def case_metrics(case: CaseModel, project: Projection, prediction: Prediction, t
         total, count = quality[body]
         reduced = total / max(1.0, count)
         if body == "rotor" and data.record.generated:  # no noise to measure against
-            reduced = outside[body] = float("nan")
-        bodies[body] = BodyMetrics(r2, rmse, reduced, outside[body])
+            reduced = errors[body] = float("nan")
+        bodies[body] = BodyMetrics(r2, rmse, reduced, errors[body])
     rows = max(1, data.row_count - project.basis.shape[1])
     return CaseMetrics(
         data.record.label,
@@ -308,10 +314,10 @@ _THIRD_DIFFERENCE = 20.0  # 1 + 9 + 9 + 1: its variance for white noise of varia
 
 
 def smoothing_noise(data: CaseData, path: Path) -> float:
-    """Return the rms error of the casing's smoothed speed that noise alone makes [rad/s].
+    """Return the rms error of the casing's smoothed speed by noise and smoothing alone [rad/s].
 
-    The smoothing of the paper has an error of its own, which no model lowers. It is found by putting the modelled
-    angle with added noise through the same smoothing. The noise level is that of third differences of the data,
+    The smoothing of the paper has an error that does not depend on the model: that of the modelled angle with added
+    noise after the same smoothing. The noise level is that of third differences of the data,
     whose rms is sqrt(20) times that of white noise.
 
     Parameters
@@ -336,15 +342,15 @@ def smoothing_noise(data: CaseData, path: Path) -> float:
 _KNOTS = 21
 _RANK = 1e-4
 _RANK_FREE = 1e-7
-# cases from which on they are looked at one by one
+# number of cases above which the slow torques of each case are projected out first
 _MANY = 4
 
 
 @dataclass(frozen=True)
 class LackOfFit:
-    """Chi-square that slow torques take away, its degrees of freedom, and the probability of as much by noise.
+    """Fall of chi-square by slow torques, its degrees of freedom, and its p-value.
 
-    The process noise is known with an uncertainty, which is integrated out.
+    The uncertainty of the process noise is integrated out.
     """
 
     chi2: float
@@ -360,7 +366,7 @@ def lack_of_fit(problem: Problem, predictions: Sequence[Prediction], noise: Sequ
     problem : Problem
         The cases.
     predictions : sequence of Prediction
-        What the fitted model predicts for each.
+        Prediction of the fitted model for each.
     noise : sequence of Noise
         Their noise.
     """
@@ -387,8 +393,8 @@ def _together(slow: Sequence[Array], free: Sequence[Array], residual: Sequence[A
         np.concatenate(residual),
         block_diagonal(slow),
     )
-    r = r - basis @ (basis.T @ r)
-    span = orthonormal(s - basis @ (basis.T @ s), _RANK)
+    r = orthogonal_to(basis, r)
+    span = orthonormal(orthogonal_to(basis, s), _RANK)
     return float(np.sum((span.T @ r) ** 2)), span.shape[1]
 
 
@@ -397,18 +403,20 @@ def _case_by_case(
 ) -> tuple[float, int]:
     """Return the lack of fit of many cases: P(S, B) - P(B), with each case's S projected out first.
 
-    The same but for the ranks, which are decided case by case; its cost does not grow with the cube of the cases.
+    The same except that ranks are determined for each case; the cost is linear in the number of cases.
     """
-    total, rank, left = 0.0, 0, []
+    total, rank, rests = 0.0, 0, []
     for s, b, r in zip(slow, free, residual, strict=True):
         span = orthonormal(s, _RANK)
         total += float(np.sum((span.T @ r) ** 2))
         rank += span.shape[1]
-        left.append(np.concatenate([b, r[:, None]], axis=1) - span @ (span.T @ np.column_stack([b, r])))
-    both = np.concatenate(left)
-    # share of a parameter's information that slow torques leave
+        rests.append(orthogonal_to(span, np.column_stack([b, r])))
+    # columns of the parameters that slow torques absorb are near zero
     size = np.linalg.norm(np.concatenate(free), axis=0)
-    for rows, sign in ((both, 1), (np.column_stack([np.concatenate(free), np.concatenate(residual)]), -1)):
+    for rows, sign in (
+        (np.concatenate(rests), 1),
+        (np.column_stack([np.concatenate(free), np.concatenate(residual)]), -1),
+    ):
         u, value, _ = np.linalg.svd(rows[:, :-1][:, size > 0] / size[size > 0], full_matrices=False)
         u = u[:, value > (_RANK if sign > 0 else _RANK_FREE) * value[0]]
         total += sign * float(np.sum((u.T @ rows[:, -1]) ** 2))
@@ -423,33 +431,9 @@ def slow_responses(data: CaseData, prediction: Prediction) -> Array:
     is linear.
     """
     response = TorqueResponse(data, prediction.motion)
-    hats = _hats(response.centres)
+    times = response.centres
+    hats = piecewise_linear(times, np.linspace(times[0], times[-1], _KNOTS))
     columns = np.concatenate([response.casing @ hats, (response.casing - response.rotor) @ hats], axis=1)
     rows = np.zeros((len(data.z), columns.shape[1]))
     rows[: len(columns)] = columns
     return rows
-
-
-def block_diagonal(parts: Sequence[Array]) -> Array:
-    """Return a block-diagonal matrix of these parts."""
-    rows, columns = sum(len(p) for p in parts), sum(p.shape[1] for p in parts)
-    out = np.zeros((rows, columns))
-    i = j = 0
-    for p in parts:
-        out[i : i + len(p), j : j + p.shape[1]] = p
-        i, j = i + len(p), j + p.shape[1]
-    return out
-
-
-def _hats(times: Array) -> Array:
-    knots = np.linspace(times[0], times[-1], _KNOTS)
-    return np.stack([np.interp(times, knots, row) for row in np.eye(_KNOTS)], axis=1)
-
-
-def orthonormal(columns: Array, smallest: float) -> Array:
-    """Return an orthonormal basis of scaled columns, without directions whose singular value is a share this small."""
-    size = np.linalg.norm(columns, axis=0)
-    if not (size > 0).any():
-        return np.zeros((len(columns), 0))
-    u, s, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
-    return np.asarray(u[:, s > smallest * s[0]])

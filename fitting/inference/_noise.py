@@ -1,12 +1,12 @@
-"""Covariance of the rows of a case, and the level of random torque that a model leaves.
+"""Covariance of the rows of a case, and the level of random torque in the residuals of a model.
 
 Rows in units of the white noise of the angles have the covariance C(s) = 1 + s^2 K, K their response to an
 Ornstein-Uhlenbeck torque of rms 1 N m on the casing and another one between the bodies, with the correlation time of
 the process noise of the recording.
 
-Two levels matter. The *pure* level is that of the recording (`fitting.inference._recording_noise`): no model enters,
-and chi-square, cross-validation errors and tests of every fit of the recording use it. The *level* of a fit is what its
-model leaves: the maximum of the restricted likelihood of its residuals. It is larger if the model has a lack of fit,
+Two levels matter. The *pure* level is that of the recording (`fitting.inference._process_noise`): no model enters,
+and chi-square, cross-validation errors and tests of every fit of the recording use it. The *level* of a fit is the
+maximum of the restricted likelihood of its residuals. It is larger than the pure level if the model has a lack of fit,
 and smaller if the model needs less random torque than the recording alone can exclude. Parameters and rival models are
 estimated at this level, so that a model that fails by a thousand standard deviations somewhere is not dominated by its
 worst interval.
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from fitting.dynamics._sensitivities import LinearMotion
 from fitting.inference._case_data import CaseData
-from fitting.inference._recording_noise import ProcessNoise
+from fitting.inference._process_noise import ProcessNoise
 
 Array = NDArray[np.float64]
 
@@ -79,7 +79,7 @@ WHITE = Whitener(np.zeros((0, 0)), np.zeros(0))
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise of one case, and the random torque that a model leaves.
+    """Noise of one case, and the random torque in the residuals of a model.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class Noise:
         Rms of the process noise of the recording [N m], on the casing and between the bodies, each, and its standard
         uncertainty.
     level : float
-        Rms of the random torque that the fitted model leaves [N m].
+        Rms of the random torque in the residuals of the fitted model [N m].
     time : float
         Correlation time of both [s].
     whitener : Whitener
@@ -97,7 +97,7 @@ class Noise:
     process : ProcessNoise
         The process noise as an acceleration.
     excess : float
-        Twice the log-likelihood by which `level` exceeds none.
+        Twice the logarithm of the likelihood ratio of `level` against no random torque.
     """
 
     scale: float
@@ -154,7 +154,7 @@ def tail_probability(chi2: float | Array, dof: int, noise: Sequence[Noise], shar
 
 
 def possible_scales(noise: Sequence[Noise], shares: Sequence[float]) -> tuple[Array, Array]:
-    """Return by which factors the variance of a sum of squares may be wrong, and how probable each is.
+    """Return factors by which the variance of a sum of squares may be wrong, and their probabilities.
 
     The process noise of each case is known with an uncertainty; several cases are mixed with equal weights.
 
@@ -179,14 +179,14 @@ def possible_scales(noise: Sequence[Noise], shares: Sequence[float]) -> tuple[Ar
 
 LEVELS = np.concatenate([[0.0], np.geomspace(0.03, 3e5, 57)])
 _ROUNDING = 1e-20
-# over the lowest level that the recording allows
+# ratio to the lowest level that the recording allows from which on a level counts as raised
 _MORE = 1.5
 
 
 def remaining_level(whitener: Whitener, residual: Array, free: Array) -> tuple[float, float]:
-    """Return the level of random torque that a model leaves, and twice the log-likelihood it gains over none.
+    """Return the most likely level of random torque, and twice the log-likelihood ratio against no random torque.
 
-    The likelihood is restricted: what is free is integrated out.
+    The likelihood is restricted: free parameters are integrated out.
 
     Parameters
     ----------
@@ -195,16 +195,16 @@ def remaining_level(whitener: Whitener, residual: Array, free: Array) -> tuple[f
     residual : ndarray, shape (rows,)
         Measured minus predicted.
     free : ndarray, shape (rows, columns)
-        What is free: derivatives by the parameters, and nuisances.
+        Derivatives by the free parameters, and nuisance columns.
     """
     m = len(whitener.values)
     size = np.linalg.norm(free, axis=0)
     columns = np.concatenate([free[:, size > 0] / size[size > 0], residual[:, None]], axis=1)
     rotated = np.concatenate([whitener.vectors.T @ columns[:m], columns[m:]])
     values = np.concatenate([whitener.values, np.zeros(len(residual) - m)])
-    # rows of a casing that is held respond to no torque
-    answering = whitener.values > _ROUNDING * whitener.values.max(initial=0.0)
-    unit = 1 / np.sqrt(np.median(whitener.values[answering]) + 1e-300) if answering.any() else 0.0
+    # rows of a casing at rest do not respond to a torque
+    responding = whitener.values > _ROUNDING * whitener.values.max(initial=0.0)
+    unit = 1 / np.sqrt(np.median(whitener.values[responding]) + 1e-300) if responding.any() else 0.0
     levels = LEVELS * unit if unit else np.zeros(1)
     deviances = [_deviance(rotated, 1 + s**2 * values) for s in levels]
     best = int(np.argmin(deviances))
@@ -219,25 +219,26 @@ def _peak(levels: Array, likelihood: Array) -> float:
     x = np.log(levels[i - 1 : i + 2])
     (a, b), y = x[[0, 2]] - x[1], likelihood[i - 1 : i + 2] - likelihood[i]
     # of the parabola through three points, the middle one highest
-    bend = (y[0] / a - y[2] / b) / (a - b)
-    if not bend < 0:
+    curvature = (y[0] / a - y[2] / b) / (a - b)
+    if not curvature < 0:
         return float(levels[i])
-    return float(np.exp(x[1] + np.clip(-(y[0] / a - bend * a) / (2 * bend), a, b)))
+    return float(np.exp(x[1] + np.clip(-(y[0] / a - curvature * a) / (2 * curvature), a, b)))
 
 
 def _deviance(rotated: Array, variance: Array) -> float:
     white = rotated / np.sqrt(variance)[:, None]
     r = np.abs(np.diag(np.linalg.qr(white, mode="r")))
-    # the last entry is the residual's part beyond all free columns
+    # the last entry is the part of the residual that is orthogonal to all free columns
     return float(np.log(variance).sum() + 2 * np.log(np.maximum(r[:-1], 1e-12)).sum() + r[-1] ** 2)
 
 
+# cells of the torque per row, and groups of cells of which the first rows that respond are known
 _CELLS_PER_ROW = 2.5
-_RUNS = 8
+_GROUPS = 8
 
 
 class TorqueResponse:
-    """How the smooth rows of a case answer to a random torque on the casing and in the bearing.
+    """Response of the smooth rows of a case to a random torque on the casing and in the bearing.
 
     Parameters
     ----------
@@ -258,7 +259,6 @@ class TorqueResponse:
         count = int(_CELLS_PER_ROW * self._smooth.stop)
         self.edges = np.linspace(*data.record.span, count + 1)
         inertia = data.record.I_rotor, data.record.I_casing
-        self._known: dict[float, Array] = {}
         self.rotor = _impulses(data, motion, self.edges, np.array([1 / inertia[0], 0.0]))[self._smooth]
         self.casing = _impulses(data, motion, self.edges, np.array([0.0, 1 / inertia[1]]))[self._smooth]
 
@@ -269,43 +269,38 @@ class TorqueResponse:
 
     def covariance(self, time: float) -> Array:
         """Return the covariance K of the smooth rows for torques of rms 1 N m."""
-        if time not in self._known:
-            self._known[time] = self._covariance(time)
-        return self._known[time]
-
-    def _covariance(self, time: float) -> Array:
         decay = float(np.exp(-(self.edges[1] - self.edges[0]) / time))
         total = np.zeros((self._smooth.stop, self._smooth.stop))
         order, starts, responses = self._by_time
         for w in responses:
-            # R = U' D U with the upper triangle U_kl = decay^(l-k) and D = diag(1, 1 - decay^2, ...): a random torque
-            # as what independent kicks leave behind; a product with itself costs half of one with another
-            kicked = decaying_sums(w, decay)
-            kicked[1:] *= np.sqrt(1 - decay**2)
+            # R = U' D U with the upper triangle U_kl = decay^(l-k) and D = diag(1, 1 - decay^2, ...): the sum of
+            # decaying responses to independent impulses; X'X costs half of a product X'Y
+            root = decaying_sums(w, decay)
+            root[1:] *= np.sqrt(1 - decay**2)
             for first, run in starts:
-                part = kicked[run, first:]
+                part = root[run, first:]
                 total[first:, first:] += part.T @ part
         place = np.argsort(order)
         return np.asarray(total[np.ix_(place, place)])
 
     @cached_property
     def _by_time(self) -> tuple[NDArray[np.intp], list[tuple[int, slice]], list[Array]]:
-        """Return the rows in the order in which torques reach them, runs of cells, and both responses.
+        """Return the rows in the order of the last cell that changes them, groups of cells, and both responses.
 
-        No torque moves what was seen before it: a run of cells touches the rows from its `first` on only.
+        A torque changes no earlier row: a group of cells changes only the rows from its `first` on.
         """
         responses = [self.casing.T, (self.casing - self.rotor).T]
-        touched = np.any([w != 0 for w in responses], axis=0)
-        last = np.where(touched.any(axis=0), len(touched) - np.argmax(touched[::-1], axis=0), 0)
+        changed = np.any([w != 0 for w in responses], axis=0)
+        last = np.where(changed.any(axis=0), len(changed) - np.argmax(changed[::-1], axis=0), 0)
         order = np.argsort(last, kind="stable")
-        edges = np.linspace(0, len(touched), _RUNS + 1).astype(int)
+        edges = np.linspace(0, len(changed), _GROUPS + 1).astype(int)
         starts = [
             (int(np.searchsorted(last[order], a, side="right")), slice(a, b)) for a, b in pairwise(edges)
         ]
         return order, starts, [np.ascontiguousarray(w[:, order]) for w in responses]
 
     def whitener(self, noise: TorqueNoise) -> Whitener:
-        """Return what whitens rows with this noise."""
+        """Return the whitener of rows with this noise."""
         values, vectors = np.linalg.eigh(self.covariance(noise.time))
         return Whitener(vectors, np.maximum(values, 0.0), noise.rms)
 
@@ -313,24 +308,24 @@ class TorqueResponse:
 def _impulses(data: CaseData, motion: LinearMotion, cells: Array, direction: Array) -> Array:
     """Return the rows' response to a unit torque in each cell, by variation of constants."""
     centres = 0.5 * (cells[1:] + cells[:-1])
-    kicks = motion.kicks(centres, direction) * np.diff(cells)[:, None]
+    impulses = motion.impulses(centres, direction) * np.diff(cells)[:, None]
     before = motion.integrated(centres)
     parts = []
     for state, compressed in ((1, data.casing), *((0, w) for w in data.rotor)):
         times = compressed.node_times
         if data.is_angle:
-            answer = motion.integrated(times)[:, state] @ kicks.T - np.einsum(
-                "cm,cm->c", before[:, state], kicks
+            response = motion.integrated(times)[:, state] @ impulses.T - np.einsum(
+                "cm,cm->c", before[:, state], impulses
             )
         else:
-            answer = motion.fundamental(times)[:, state] @ kicks.T
-        answer = np.where(times[:, None] > centres, answer, 0.0)
-        # within its own cell a torque has acted for a part of the cell only
+            response = motion.fundamental(times)[:, state] @ impulses.T
+        response = np.where(times[:, None] > centres, response, 0.0)
+        # within its cell a torque has acted for a part of the cell only
         cell = np.clip(np.searchsorted(cells, times, side="right") - 1, 0, len(centres) - 1)
         since = times - cells[cell]
-        answers = motion.accelerations(direction)[state] * (motion.moving(times) if state else 1.0)
-        answer[np.arange(len(times)), cell] = answers * (0.5 * since**2 if data.is_angle else since)
-        parts.append(answer)
+        acceleration = motion.accelerations(direction)[state] * (motion.moving(times) if state else 1.0)
+        response[np.arange(len(times)), cell] = acceleration * (0.5 * since**2 if data.is_angle else since)
+        parts.append(response)
     return data.rows(parts[0], parts[1:])
 
 

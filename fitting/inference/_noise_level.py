@@ -1,4 +1,4 @@
-"""Noise of the cases of a fit: what each recording has, and the random torque that a model leaves."""
+"""Noise of the cases of a fit: that of each recording, and the random torque in the residuals of the model."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from fitting.inference._problem import Problem
 Array = NDArray[np.float64]
 
 _FIRST_LEVEL = 0.01
-# correlation time, of the record: a slower torque would account for the misfit of the initial values
+# correlation time over the length of the record: a slower torque would absorb the error of the initial values
 _FIRST_TIME = 1 / 200
 
 
 def recording_noise(data: CaseData, prediction: Prediction) -> Noise:
     """Return the noise of a recording, with the response of its rows linearised about a prediction.
 
-    The random torques on the casing and between the bodies are of one size; together they accelerate the casing.
+    The random torques on the casing and between the bodies have the same rms; their sum accelerates the casing.
     """
     process = data.process_noise
     torque = data.record.I_casing / float(np.sqrt(2))
@@ -35,7 +35,7 @@ def recording_noise(data: CaseData, prediction: Prediction) -> Noise:
 
 
 def first_noise(problem: Problem, theta: Array) -> tuple[Noise, ...]:
-    """Return a cautious noise to begin with: a hundredth of the bearing's torque."""
+    """Return the noise of a first search: a random torque of a hundredth of that on the rotor."""
     found = []
     predictions = problem.predict(theta)
     for case, p, level in zip(problem.cases, predictions, _first_levels(problem, theta), strict=True):
@@ -48,7 +48,7 @@ def first_noise(problem: Problem, theta: Array) -> tuple[Noise, ...]:
 
 
 def raised_noise(problem: Problem, theta: Array, noise: Sequence[Noise]) -> tuple[Noise, ...]:
-    """Return a known noise raised to the level of `first_noise`, for a search that begins far away."""
+    """Return a known noise raised to the level of `first_noise`, for a search that starts far from the minimum."""
     levels = _first_levels(problem, theta)
     return tuple(n.at(max(n.level, level)) for n, level in zip(noise, levels, strict=True))
 
@@ -63,21 +63,21 @@ def _first_levels(problem: Problem, theta: Array) -> list[float]:
 
 
 def measure_noise(problem: Problem, theta: Array) -> tuple[Noise, ...]:
-    """Return the noise of each case about a fitted model, with what the model leaves."""
+    """Return the noise of each case about a fitted model, with the level of its residuals."""
     found = [recording_noise(d, p) for d, p in zip(problem.data, problem.predict(theta), strict=True)]
     return refine_level(problem, theta, found)
 
 
 def refine_level(
-    problem: Problem, theta: Array, noise: Sequence[Noise], *, settled: bool = False
+    problem: Problem, theta: Array, noise: Sequence[Noise], *, fixed: bool = False
 ) -> tuple[Noise, ...]:
-    """Return the noise with the level that the model at these variables leaves.
+    """Return the noise with the level of the residuals of the model at these variables.
 
-    The level of each case is estimated by itself, with its variables free; if `settled`, they keep their values: cases
-    that share a variable may each need it elsewhere.
+    The level of each case is estimated separately, with its variables free, or with `fixed` ones: cases that share a
+    variable may have different optima of it.
     """
     found = []
-    moving = ~problem.layout.at_bound(theta) & (not settled)
+    moving = ~problem.layout.at_bound(theta) & (not fixed)
     for data, p, n in zip(problem.data, problem.predict(theta), noise, strict=True):
         columns = np.concatenate([p.columns[:, moving[p.places]], data.nuisance], axis=1)
         level, excess = remaining_level(n.whitener, data.z - p.rows, columns)

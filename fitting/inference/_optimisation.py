@@ -1,10 +1,10 @@
 """Nonlinear least squares with bounds: Levenberg-Marquardt, and the search for the minimum of a fit.
 
 J. J. More, The Levenberg-Marquardt algorithm, Lect. Notes Math. 630 (1978), with H. B. Nielsen's update of
-the damping (IMM-REP-1999-05). A variable on its bound whose gradient points outward is held for the step.
+the damping (IMM-REP-1999-05). A variable at its bound whose gradient points outward is held for the step.
 
-Where a search ends far from anything that noise explains, the start was at fault, or the model is: it is repeated
-from the program's own start, and from other exponents.
+If chi-square at the end of a search is far above that of noise, the search is repeated from initial values of the
+program, and from other exponents: the initial values, or the model, may be wrong.
 """
 
 from __future__ import annotations
@@ -16,15 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import EstimationError, SimulationError
+from fitting.inference._linear_algebra import orthogonal_to
 from fitting.inference._parameters import PowerLaw
 from fitting.inference._problem import Problem
 
 Array = NDArray[np.float64]
 ResidualFunction = Callable[[Array], tuple[Array, Array]]
 
-# a fall of the sum of squares, in variances of the noise, that moves no parameter by a tenth of its error
-_WORTH_WHILE = 0.01
-_HARDLY_DAMPED = 1e-20
+# a fall of the sum of squares, in variances of the noise, with which no parameter changes by a tenth of its error
+_NEGLIGIBLE_FALL = 0.01
+_NO_DAMPING = 1e-20
 
 
 @dataclass(frozen=True)
@@ -55,16 +56,16 @@ def minimise(
     Parameters
     ----------
     problem : callable
-        x -> (residuals (m,), Jacobian (m, n)); may raise `SimulationError` where it has no value.
+        x -> (residuals (m,), Jacobian (m, n)); may raise `SimulationError` where it cannot be computed.
     start, lower, upper : ndarray, shape (n,)
         Start and bounds.
     tolerance : float
-        The search ends when the sum of squares is predicted to fall, and falls, by less than this
-        share of itself, or by less than `absolute` in all.
+        The search ends when the predicted and the actual fall of the sum of squares are less than this share of it, or
+        less than `absolute`.
     absolute : float
         See `tolerance`.
     max_iterations : int
-        Steps tried at most.
+        Largest number of steps.
 
     Returns
     -------
@@ -73,7 +74,7 @@ def minimise(
     Raises
     ------
     EstimationError
-        If the problem has no value at the start.
+        If the problem cannot be computed at the start.
     """
     x = np.clip(start, lower, upper)
     try:
@@ -94,7 +95,7 @@ def minimise(
         predicted = cost - float(np.sum((r + j @ step) ** 2))
         enough = max(tolerance * cost, absolute)
         if damping <= 1 and predicted < 1e-3 * enough:
-            if _undamped(r, j, unit, lower - x, upper - x) < _WORTH_WHILE + enough:
+            if _undamped(r, j, unit, lower - x, upper - x) < _NEGLIGIBLE_FALL + enough:
                 converged = True
                 break
             damping *= 0.01
@@ -112,13 +113,13 @@ def minimise(
             damping *= max(1 / 5, 1 - (2 * ratio - 1) ** 3)
             growth = 2.0
             if damping <= 1 and max(fall, predicted) < enough:
-                if _undamped(r, j, unit, lower - x, upper - x) < _WORTH_WHILE + enough:
+                if _undamped(r, j, unit, lower - x, upper - x) < _NEGLIGIBLE_FALL + enough:
                     converged = True
                     break
                 damping *= 0.01
         elif damping > 1e14 or (damping > 1 and predicted < 1e-3 * enough):
-            # no step helps, however short: the limit is rounding, or a kink where dry friction holds the body
-            converged = _undamped(r, j, unit, lower - x, upper - x) < _WORTH_WHILE + enough
+            # no step lowers the sum of squares: the limit is rounding, or a kink where dry friction holds the body
+            converged = _undamped(r, j, unit, lower - x, upper - x) < _NEGLIGIBLE_FALL + enough
             break
         else:
             damping *= growth
@@ -127,16 +128,16 @@ def minimise(
 
 
 def _undamped(r: Array, j: Array, unit: Array, down: Array, up: Array) -> float:
-    """Return by how much the sum of squares would fall with no damping, if the problem were linear.
+    """Return the fall of the sum of squares without damping, if the problem were linear.
 
-    Where variables are nearly collinear a damped step promises little although the valley still falls.
+    Where variables are nearly collinear a damped step predicts a small fall far from the minimum.
     """
-    step = _step(r, j, unit, _HARDLY_DAMPED, down, up)
+    step = _step(r, j, unit, _NO_DAMPING, down, up)
     return float(r @ r) - float(np.sum((r + j @ step) ** 2))
 
 
 def _step(r: Array, j: Array, scale: Array, damping: float, down: Array, up: Array) -> Array:
-    """Return the damped Gauss-Newton step within the room `down` to `up`; who hits a bound stays there."""
+    """Return the damped Gauss-Newton step between `down` and `up`; a variable that reaches a bound is held there."""
     gradient = j.T @ r
     step = np.zeros(len(scale))
     free = ~(((down >= 0) & (gradient > 0)) | ((up <= 0) & (gradient < 0)))
@@ -153,16 +154,15 @@ def _step(r: Array, j: Array, scale: Array, damping: float, down: Array, up: Arr
     return step
 
 
-# a chi-square this near to its minimum moves no parameter by a hundredth of its error
-_ENOUGH = 1e-5
-_ENOUGH_TO_RANK = 3e-3
-# chi2 per row above which a search is repeated from elsewhere
+# fall of chi-square at which a search ends: no parameter changes by a hundredth of its error; enough for a ranking
+_CONVERGED, _CONVERGED_QUICK = 1e-5, 3e-3
+# chi2 per row above which a search is repeated from other initial values
 _FAR = 10.0
-_PATIENCE = 60
-# steps tried at most where only an order is needed
-_QUICK = 40
-# exponents tried for the slope of a law
-_POWERS = 241
+# largest number of steps of one of several searches, and of a quick one
+_STEPS, _QUICK_STEPS = 60, 40
+# number of trial exponents of a law at a bound
+_EXPONENTS = 241
+# relative difference below which two searches have the same minimum
 _SAME = 1e-3
 
 
@@ -195,18 +195,18 @@ def search_widely(
     best: Solution | None = None
     for begin in (theta, *others):
         try:
-            found = search(problem, begin, quick=quick, max_iterations=_PATIENCE, active=active)
+            found = search(problem, begin, quick=quick, max_iterations=_STEPS, active=active)
         except EstimationError:
             active = None
             continue
         active, cost = found.active, found.minimum.cost
-        # two starts with the same end: the model is at fault, not the start
+        # the same minimum from two starts: the model fails, not the search
         same = best is not None and abs(cost - best.minimum.cost) < _SAME * best.minimum.cost
         if best is None or cost < best.minimum.cost:
             best = found
         if same or (found.minimum.converged and cost < _FAR * problem.rows):
             break
-    # without any end the solver's error of the first start is raised
+    # if all searches failed, the error of the first is raised
     return search(problem, theta, quick=quick) if best is None else best
 
 
@@ -229,14 +229,16 @@ def search(
     quick : bool
         Stop where chi-square is within about 0.01 of its minimum.
     max_iterations : int
-        Steps tried at most.
+        Largest number of steps.
     active : ActiveBounds, optional
-        The active bounds of an earlier solution near this one: the search starts along them.
+        The active bounds of an earlier solution near this one, which are tried first.
     """
-    enough, most = (_ENOUGH_TO_RANK, min(_QUICK, max_iterations)) if quick else (_ENOUGH, max_iterations)
+    enough, most = (
+        (_CONVERGED_QUICK, min(_QUICK_STEPS, max_iterations)) if quick else (_CONVERGED, max_iterations)
+    )
     lower, upper = problem.layout.bounds()
     if active is not None:
-        found = _along(problem, theta, active, enough, most)
+        found = _minimum_at_bounds(problem, theta, active, enough, most)
         if (
             found is not None
             and found.minimum.converged
@@ -255,16 +257,16 @@ def search(
         return Solution(theta, minimum)
     if not minimum.converged and minimum.cost > _FAR * problem.rows:
         return Solution(np.clip(theta, lower, upper), minimum)
-    return _on_bounds(problem, minimum, theta, enough, most)
+    return _within_bounds(problem, minimum, theta, enough, most)
 
 
 def search_with_held(
     problem: Problem, theta: Array, held: Iterable[str], *, active: ActiveBounds | None = None
 ) -> Solution:
-    """Return the end of a quick search in which some variables are held: initial values for the search of all.
+    """Return the minimum with some variables held: initial values for a search with all variables free.
 
-    A law that is added to a fitted model is far from the data at first, because the others have not yet adapted to it.
-    A step of all variables would move its shape, about which the data contain no information there.
+    When a law is added to a fitted model, the other parameters are not yet consistent with it. A step of all variables
+    would change its shape, about which the residuals contain no information there.
     """
     fixed = {name: (x := float(theta[problem.layout.index[name]]), x) for name in held}
     return search(problem.with_ranges(fixed), theta, quick=True, active=active)
@@ -278,8 +280,10 @@ def _minimise(
     return minimise(problem, start, least, greatest, absolute=enough, max_iterations=most)
 
 
-def _along(problem: Problem, theta: Array, active: ActiveBounds, enough: float, most: int) -> Solution | None:
-    """Return the minimum along active bounds, from variables on them; None if there is no value there."""
+def _minimum_at_bounds(
+    problem: Problem, theta: Array, active: ActiveBounds, enough: float, most: int
+) -> Solution | None:
+    """Return the minimum along active bounds, from variables at them; None if the model cannot be computed there."""
     lower, upper = problem.layout.bounds()
     held = list(active.held)
     lower[held] = upper[held] = theta[held]
@@ -292,47 +296,47 @@ def _along(problem: Problem, theta: Array, active: ActiveBounds, enough: float, 
 
 
 def _is_minimum(problem: Problem, theta: Array, held: Sequence[int], enough: float) -> bool:
-    """Return whether chi-square grows if a variable held at its bound moves into its range."""
+    """Return whether chi-square rises if a variable held at its bound moves into its range."""
     lower, upper = problem.layout.bounds()
     r, j = problem.residuals(problem.predict(theta))
     others = [i for i in range(len(theta)) if i not in held and lower[i] < theta[i] < upper[i]]
     size = np.linalg.norm(j[:, others], axis=0)
     basis = np.linalg.qr(j[:, others] / np.where(size > 0, size, 1.0))[0]
     for i in held:
-        own = j[:, i] - basis @ (basis.T @ j[:, i])
-        slope = float(own @ r)
+        column = orthogonal_to(basis, j[:, i])
+        slope = float(column @ r)
         inward = slope < 0 if theta[i] <= lower[i] else slope > 0
-        if inward and slope**2 > enough * float(own @ own):
+        if inward and slope**2 > enough * float(column @ column):
             return False
     return True
 
 
-def _on_bounds(problem: Problem, minimum: Minimum, theta: Array, enough: float, most: int) -> Solution:
+def _within_bounds(problem: Problem, minimum: Minimum, theta: Array, enough: float, most: int) -> Solution:
     """Return the best fit with d and f within their bounds where the unconstrained one violates them.
 
-    One bound is active then, or two: a quick search along every bound, and the best one to its end.
+    Then one or two bounds are active: a quick search along every bound, and the best one to convergence.
     """
     lower, upper = problem.layout.bounds()
-    ends = list(_ends_on_bounds(problem, theta, ActiveBounds(problem.power_laws), min(_QUICK, most)))
+    ends = list(_ends_at_bounds(problem, theta, ActiveBounds(problem.power_laws), min(_QUICK_STEPS, most)))
     if ends:
         best = min(ends, key=lambda end: end.minimum.cost)
         theta, active = best.theta, best.active
-        found = None if active is None else _along(problem, theta, active, enough, most)
+        found = None if active is None else _minimum_at_bounds(problem, theta, active, enough, most)
         if found and active and not _out_of_bounds(active.power_laws, found.theta, lower, upper):
             return found
     return Solution(np.clip(theta, lower, upper), replace(minimum, converged=False))
 
 
-def _ends_on_bounds(problem: Problem, theta: Array, edge: ActiveBounds, most: int) -> Iterator[Solution]:
+def _ends_at_bounds(problem: Problem, theta: Array, active: ActiveBounds, most: int) -> Iterator[Solution]:
     """Yield the ends of quick searches along each bound of the first power law that violates them."""
     lower, upper = problem.layout.bounds()
-    (v, *_) = _out_of_bounds(edge.power_laws, theta, lower, upper)
-    for side, begin in _sides(v, edge, theta, lower, upper):
-        found = _along(problem, begin, side, _ENOUGH_TO_RANK, most)
+    (v, *_) = _out_of_bounds(active.power_laws, theta, lower, upper)
+    for side, begin in _choices_of_bound(v, active, theta, lower, upper):
+        found = _minimum_at_bounds(problem, begin, side, _CONVERGED_QUICK, most)
         if found is None:
             continue
         if _out_of_bounds(side.power_laws, found.theta, lower, upper):
-            yield from _ends_on_bounds(problem, found.theta, side, most)
+            yield from _ends_at_bounds(problem, found.theta, side, most)
         else:
             yield found
 
@@ -349,39 +353,39 @@ def _out_of_bounds(
     return broken
 
 
-def _sides(
-    v: PowerLaw, edge: ActiveBounds, theta: Array, lower: Array, upper: Array
+def _choices_of_bound(
+    v: PowerLaw, active: ActiveBounds, theta: Array, lower: Array, upper: Array
 ) -> Iterator[tuple[ActiveBounds, Array]]:
-    """Yield the bounds of d and f, each with variables on it: torque and slope at the reference speed are kept."""
-    rest = tuple(w for w in edge.power_laws if w.f != v.f)
+    """Yield the bounds of d and f with variables at each, of the same torque and slope at the reference speed."""
+    rest = tuple(w for w in active.power_laws if w.f != v.f)
     if v.d is None:
-        # a lone power law: with f within its range, in f itself
-        yield ActiveBounds(rest, edge.held), np.clip(theta, lower, upper)
+        # a single power law is fitted in f, within its range
+        yield ActiveBounds(rest, active.held), np.clip(theta, lower, upper)
         return
     if v.held:
         place = v.f if v.held == "d" else v.d
         begin = theta.copy()
         begin[place] = np.clip(theta[place], lower[place], upper[place])
-        yield ActiveBounds(rest, (*edge.held, place)), begin
+        yield ActiveBounds(rest, (*active.held, place)), begin
         return
     d, f, g = theta[v.d], theta[v.f], theta[v.g]
     straight = v.reference**v.order
     torque = max(d * straight + f * v.reference**g, 1e-12)
     curvature = (g - v.order) * f * v.reference**g
     powers = (
-        np.linspace(lower[v.g], upper[v.g], _POWERS)
+        np.linspace(lower[v.g], upper[v.g], _EXPONENTS)
         if np.isfinite(upper[v.g] - lower[v.g])
         else np.array([g])
     )
     for bound in {float(b[v.d]) for b in (lower, upper) if np.isfinite(b[v.d])}:
         begin = theta.copy()
-        left = max(torque - bound * straight, 1e-3 * torque)
-        begin[v.d], begin[v.g] = bound, np.clip(v.order + curvature / left, lower[v.g], upper[v.g])
-        begin[v.f] = left / v.reference ** begin[v.g]
-        yield ActiveBounds((*rest, replace(v, held="d")), (*edge.held, v.d)), begin
+        rest_torque = max(torque - bound * straight, 1e-3 * torque)
+        begin[v.d], begin[v.g] = bound, np.clip(v.order + curvature / rest_torque, lower[v.g], upper[v.g])
+        begin[v.f] = rest_torque / v.reference ** begin[v.g]
+        yield ActiveBounds((*rest, replace(v, held="d")), (*active.held, v.d)), begin
     for bound in {float(b[v.f]) for b in (lower, upper) if np.isfinite(b[v.f])}:
         begin = theta.copy()
-        bent = (powers - v.order) * bound * v.reference**powers
-        begin[v.f], begin[v.g] = bound, powers[np.argmin(np.abs(bent - curvature))]
+        curvatures = (powers - v.order) * bound * v.reference**powers
+        begin[v.f], begin[v.g] = bound, powers[np.argmin(np.abs(curvatures - curvature))]
         begin[v.d] = (torque - bound * v.reference ** begin[v.g]) / straight
-        yield ActiveBounds((*rest, replace(v, held="f")), (*edge.held, v.f)), begin
+        yield ActiveBounds((*rest, replace(v, held="f")), (*active.held, v.f)), begin

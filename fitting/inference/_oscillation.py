@@ -1,9 +1,9 @@
-"""Whether a body oscillates, with which period, and about which equilibrium: read from the measured motion.
+"""Detection of an oscillation in the measured motion: period, reversals and equilibrium.
 
-Turning points are found with hysteresis: the angle has to come back by more than the noise, and by more than a
-hundredth of its range, before an extreme counts. Three successive turning points e_1, e_2, e_3 of a damped oscillation
-give the equilibrium (e_1 + 2 e_2 + e_3) / 4, free of the decay to first order; dry friction, which shifts it to
-alternate sides, cancels too.
+Turning points are found with hysteresis: an extreme of the angle counts if the angle then returns by more than the
+noise and by more than a hundredth of its range. Three successive turning points e_1, e_2, e_3 of a damped oscillation
+give the equilibrium (e_1 + 2 e_2 + e_3) / 4, in which the decay cancels to first order, and the shift to alternate
+sides by dry friction as well.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from fitting.inference._record import Record
 
 Array = NDArray[np.float64]
 
-# smallest change of sense that counts: in standard uncertainties, and as a share of the range
+# hysteresis of a reversal: in standard uncertainties, and as a share of the range
 _SIGMAS = 8.0
 _SHARE = 0.01
 _FEWEST = 3
-# largest progress over the path, of a body that does not get ahead
+# largest net rotation over the total path of a body that oscillates
 _PROGRESS = 0.6
 _PHASE_DEGREE = 5
 # harmonics of an oscillation, and highest power of time of the amplitude of each
@@ -35,7 +35,7 @@ class Oscillation:
     Attributes
     ----------
     reversals : ndarray, shape (n,)
-        Times at which the body turns back [s].
+        Times at which the body reverses [s].
     period : float
         Median of twice the time between neighbouring reversals [s].
     time, deflection : ndarray, shape (samples,)
@@ -65,8 +65,8 @@ class Oscillation:
         steady = 2 * np.pi / self.period * half * (x - inside)
         return np.asarray(np.polynomial.chebyshev.chebval(inside, phase) + steady)
 
-    def waves(self) -> Array:
-        """Return harmonics of the oscillation, each times powers of time: of any slowly varying amplitude and phase.
+    def harmonics(self) -> Array:
+        """Return harmonics of the oscillation with slowly varying amplitude and phase: products with powers of time.
 
         Returns
         -------
@@ -75,8 +75,8 @@ class Oscillation:
         phase = self.phase(self.time)
         x = 2 * (self.time - self.time[0]) / np.ptp(self.time) - 1
         slow = np.polynomial.legendre.legvander(x, _MODULATION)
-        waves = [f(m * phase)[:, None] * slow for m in range(1, _HARMONICS + 1) for f in (np.cos, np.sin)]
-        return np.concatenate(waves, axis=1)
+        columns = [f(m * phase)[:, None] * slow for m in range(1, _HARMONICS + 1) for f in (np.cos, np.sin)]
+        return np.concatenate(columns, axis=1)
 
 
 def find_oscillation(record: Record) -> Oscillation | None:
@@ -115,7 +115,7 @@ def find_oscillation(record: Record) -> Oscillation | None:
 
 
 def turning_points(angle: Array, least: float) -> NDArray[np.intp]:
-    """Return the samples at which a curve turns back by more than `least`; its ends are none."""
+    """Return the samples at which a curve reverses by more than `least`; its ends do not count."""
     found: list[int] = []
     low = high = extreme = 0
     sense = 0
@@ -134,10 +134,10 @@ def turning_points(angle: Array, least: float) -> NDArray[np.intp]:
 
 
 def _sign_changes(speed: Array, least: float) -> NDArray[np.intp]:
-    """Return the samples before which a speed changed its sign, from beyond `least` on one side to the other."""
-    clear = np.flatnonzero(np.abs(speed) > least)
-    change = np.flatnonzero(np.diff(np.sign(speed[clear])) != 0)
-    before, after = clear[change], clear[change + 1]
+    """Return the samples at which a speed changes its sign, from more than `least` on one side to the other."""
+    significant = np.flatnonzero(np.abs(speed) > least)
+    change = np.flatnonzero(np.diff(np.sign(speed[significant])) != 0)
+    before, after = significant[change], significant[change + 1]
     share = speed[before] / (speed[before] - speed[after])
     return np.asarray(np.round(before + share * (after - before)), dtype=np.intp)
 

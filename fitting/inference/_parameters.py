@@ -1,21 +1,22 @@
-"""The parameter vector of a fit, and the variables in which its least-squares valley is straight.
+"""The parameter vector of a fit, and transformed variables in which its least-squares problem is nearly linear.
 
-A law d x^m and a power law f x^g on the same body have a curved valley in (d, f, g): near g = m both are the same.
-With X = x / x_ref they read T1 X^m + K (X^g - X^m) / (g - m), where T1 is the torque at x_ref and K its curvature:
+For a law d x^m and a power law f x^g on the same body, chi-square has a curved valley in (d, f, g): near g = m both are
+the same. With X = x / x_ref they are T1 X^m + K (X^g - X^m) / (g - m), where T1 is the torque at x_ref and K its
+curvature:
 
     T1 = d x_ref^m + f x_ref^g,    K = (g - m) f x_ref^g.
 
-So it is for the bearing's d D + f D^g, with m = 1, and for any power law that a user adds to a law of fixed power.
-A power law without one of the same body has the torque F = f x_ref^g for f. Where d or f is held at a bound, the other
-is replaced by T1, which the data know well.
+This applies to the bearing's d D + f D^g, with m = 1, and to any power law that a user adds to a law of fixed power. A
+single power law has the variable F = f x_ref^g instead of f. Where d or f is held at a bound, the other is replaced by
+T1, which the data determine well.
 
 A law of strength k and phase phi is k [cos(phi) s + sin(phi) c] with its responses s and c at phase 0 and at a quarter
-turn. In k and phi a search that begins at k = 0 has no slope by phi, cannot turn round once k is at its bound, and
-moves the others, above all the start speed, which have to make room for both. In
+period. In k and phi the derivative by phi vanishes at k = 0, and a search cannot leave the bound k = 0 in the opposite
+phase. In
 
     a = k cos(phi),   b = k sin(phi)
 
-there is neither a bound nor a bend.
+the law is linear and has no bound.
 """
 
 from __future__ import annotations
@@ -95,7 +96,7 @@ class ParameterLayout:
 
     @cached_property
     def choices(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """What is shared, and what each case has of its own, other than is usual: `of` takes both."""
+        """The arguments `share` and `per_case` of `of`: parameters that differ from the defaults of the model."""
         if len(self.records) == 1:
             return (), ()
         usual = self.model.per_case
@@ -106,7 +107,7 @@ class ParameterLayout:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """The name of each variable: `key`, `key@label`, and the start speeds of each case."""
+        """The name of each variable: `key`, `key@label`, and the initial values of each case."""
         names: list[str] = []
         for key in self.model.free:
             names += [f"{key}@{r.label}" for r in self.records] if key in self.per_case else [key]
@@ -125,11 +126,11 @@ class ParameterLayout:
 
     @cached_property
     def index(self) -> dict[str, int]:
-        """The place of each name."""
+        """The index of each name."""
         return {name: i for i, name in enumerate(self.names)}
 
     def places(self, case: int, keys: Sequence[str]) -> NDArray[np.intp]:
-        """Return where the parameters of one case stand."""
+        """Return the indices of the parameters of one case."""
         label = self.records[case].label
         return np.array([self.index.get(f"{k}@{label}", self.index.get(k, -1)) for k in keys], dtype=np.intp)
 
@@ -142,11 +143,11 @@ class ParameterLayout:
 
     def start(self, theta: Array, case: int) -> Array:
         """Return the initial values of one case: speeds [rad/s], and the deflection [rad] if it is a state."""
-        own = theta[self.places(case, self.starts)]
+        values = theta[self.places(case, self.starts)]
         rigid = self.model.rigid_contact
         if rigid is None:
-            return np.asarray(own)
-        return np.concatenate([[own[0] * self.numbers(theta, case)[f"{rigid.name}.{RATIO}"]], own])
+            return np.asarray(values)
+        return np.concatenate([[values[0] * self.numbers(theta, case)[f"{rigid.name}.{RATIO}"]], values])
 
     def parameter(self, name: str) -> Parameter:
         """Return the declaration behind a name."""
@@ -173,36 +174,36 @@ class ParameterLayout:
         return lower, upper
 
     def declared_bounds(self) -> tuple[Array, Array]:
-        """Return the bounds that effects declare, whatever range is given."""
+        """Return the bounds that effects declare, without the ranges of the fit."""
         declared = [self.parameter(n) for n in self.names]
         return np.array([p.lower for p in declared]), np.array([p.upper for p in declared])
 
     def at_bound(self, theta: Array) -> NDArray[np.bool_]:
-        """Return which variables lie on a bound."""
+        """Return which variables are at a bound."""
         lower, upper = self.bounds()
         near = 1e-9 * np.maximum(np.abs(theta), 1e-30)
         return np.asarray((theta - lower <= near) | (upper - theta <= near))
 
     def is_physical_bound(self, name: str) -> bool:
-        """Return whether nature sets the bounds of a variable (friction takes energy), not habit or a range."""
+        """Return whether the bounds of a variable are physical (friction dissipates energy)."""
         return self.parameter(name).role == "amplitude" and name not in self.ranges
 
 
 def covers(name: str, key: str) -> bool:
-    """Return whether a name stands for a parameter: its key, its effect or a part of that, or its symbol alone."""
+    """Return whether a name covers a parameter: its key, its effect, a prefix of the effect, or its symbol."""
     return key == name or key.startswith(name.rstrip(".") + ".") or key.rpartition(".")[2] == name
 
 
-# closer to m the two terms cancel too many digits; the torque itself hardly changes from here to m
+# smallest |g - m|: closer to m the difference of the two terms loses digits, and the torque hardly changes
 _NEAREST = 3e-3
 _SAME = 1e-9
 
 
 @dataclass(frozen=True)
 class PowerLaw:
-    """A power law, alone (d is None) or together with a law of fixed power m: places among the variables, x_ref, and m.
+    """A power law, alone (d is None) or with a law of fixed power m: indices of the variables, x_ref, and m.
 
-    `held` names which of d and f is held.
+    `held` is the one of d and f that is held.
     """
 
     d: int | None
@@ -224,9 +225,9 @@ def to_physical(u: Array, power_laws: Sequence[PowerLaw]) -> tuple[Array, Array]
             slope[v.f, v.g] = -theta[v.f] * np.log(v.reference)
             continue
         if v.held:
-            _beside_held(theta, slope, u, v, v.d)
+            _with_held(theta, slope, u, v, v.d)
             continue
-        t1, curvature, g = u[v.d], u[v.f], _away(u[v.g], v.order)
+        t1, curvature, g = u[v.d], u[v.f], _away_from(u[v.g], v.order)
         beyond, full, unit = g - v.order, v.reference**g, v.reference**v.order
         theta[v.g] = g
         theta[v.f] = curvature / (beyond * full)
@@ -239,7 +240,7 @@ def to_physical(u: Array, power_laws: Sequence[PowerLaw]) -> tuple[Array, Array]
     return theta, slope
 
 
-def _beside_held(theta: Array, slope: Array, u: Array, v: PowerLaw, d: int) -> None:
+def _with_held(theta: Array, slope: Array, u: Array, v: PowerLaw, d: int) -> None:
     full, unit = v.reference ** u[v.g], v.reference**v.order
     if v.held == "d":
         theta[v.f] = (u[v.f] - u[d] * unit) / full
@@ -263,7 +264,7 @@ def from_physical(theta: Array, power_laws: Sequence[PowerLaw]) -> Array:
                 theta[v.d] * v.reference**v.order + theta[v.f] * v.reference ** theta[v.g]
             )
             continue
-        g = _away(theta[v.g], v.order)
+        g = _away_from(theta[v.g], v.order)
         power = theta[v.f] * v.reference**g
         u[v.d] = theta[v.d] * v.reference**v.order + power
         u[v.f] = (g - v.order) * power
@@ -271,21 +272,22 @@ def from_physical(theta: Array, power_laws: Sequence[PowerLaw]) -> Array:
     return u
 
 
-def _away(g: float, order: float) -> float:
+def _away_from(g: float, order: float) -> float:
+    """Return an exponent with a minimum distance from the order of the other law."""
     if abs(g - order) >= _NEAREST:
         return float(g)
     return order + _NEAREST if g >= order else order - _NEAREST
 
 
 def find_power_laws(layout: ParameterLayout, rough: Sequence[tuple[Array, Array]]) -> tuple[PowerLaw, ...]:
-    """Return the pairs of laws of a model that need straight variables.
+    """Return the power laws of a model that need transformed variables, with the laws of fixed power.
 
     Parameters
     ----------
     layout : ParameterLayout
-        The variables. A pair whose f or g is a case's own while the other, or d, is shared has none.
+        The variables. A pair is not transformed if f has a value for each case and g or d is shared, or vice versa.
     rough : sequence of (times, speeds)
-        Of each case, for x_ref: the median of x.
+        Rough speeds of each case, for x_ref, the median of x.
     """
     known = [_variables(*r) for r in rough]
     power_laws: list[PowerLaw] = []
@@ -324,7 +326,7 @@ def exponent(effect: Effect) -> Parameter | None:
 
 
 def is_power_law(effect: Effect, times: Array, speeds: Array) -> bool:
-    """Return whether a law is k x^n, with x a positive quantity, along these speeds."""
+    """Return whether a law is k x^n with a positive x along these speeds."""
     return exponent(effect) is not None and _base(effect, _variables(times, speeds)) is not None
 
 
@@ -340,18 +342,18 @@ def _law(effect: Effect, known: dict[str, Array], n: float | None = None) -> Arr
 
 
 def _base(effect: Effect, known: dict[str, Array]) -> Array | None:
-    """Return x of a law k x^n, or None if it is none."""
+    """Return x of a law k x^n; None if it has another form."""
     at = [_law(effect, known, n) for n in (0.0, 1.0, 2.0)]
     with np.errstate(all="ignore"):
         x, again = at[1] / at[0], at[2] / at[1]
-    sound = np.isfinite(x) & np.isfinite(again)
-    if sound.sum() < len(x) / 2 or (x[sound] <= 0).any():
+    finite = np.isfinite(x) & np.isfinite(again)
+    if finite.sum() < len(x) / 2 or (x[finite] <= 0).any():
         return None
-    return x[sound] if np.allclose(x[sound], again[sound], rtol=_SAME, atol=0) else None
+    return x[finite] if np.allclose(x[finite], again[finite], rtol=_SAME, atol=0) else None
 
 
 def _order(power: Effect, straight: Effect, known: dict[str, Array]) -> float | None:
-    """Return the exponent m at which a power law is the other law, or None."""
+    """Return the exponent m at which a power law is equal to the other law; None if there is none."""
     if straight.joint != power.joint or straight.state:
         return None
     if straight.depends_on_angle or straight.restoring:
@@ -362,10 +364,10 @@ def _order(power: Effect, straight: Effect, known: dict[str, Array]) -> float | 
     with np.errstate(all="ignore"):
         x, share = at[1] / at[0], _law(straight, known) / at[0]
         m = np.log(share) / np.log(x)
-    sound = np.isfinite(m) & (np.abs(np.log(np.where(x > 0, x, 1.0))) > 0.1)
-    if sound.sum() < len(x) / 2 or np.ptp(m[sound]) > 1e-6:
+    valid = np.isfinite(m) & (np.abs(np.log(np.where(x > 0, x, 1.0))) > 0.1)
+    if valid.sum() < len(x) / 2 or np.ptp(m[valid]) > 1e-6:
         return None
-    return round(float(np.median(m[sound])), 9)
+    return round(float(np.median(m[valid])), 9)
 
 
 def _places(
@@ -377,30 +379,30 @@ def _places(
     keys = [f"{power.name}.{strength.symbol}", f"{power.name}.{shape.symbol}"]
     if straight is not None and straight.amplitude is not None:
         keys.append(f"{straight.name}.{straight.amplitude.symbol}")
-    own = [k in layout.per_case for k in keys]
-    if own[0] != own[1] or (own[0] and not own[-1]):
+    per_case = [k in layout.per_case for k in keys]
+    if per_case[0] != per_case[1] or (per_case[0] and not per_case[-1]):
         return []
     places = dict.fromkeys(tuple(layout.places(i, keys).tolist()) for i in range(len(layout.records)))
     return [PowerLaw(d[0] if d else None, f, g, reference, order) for f, g, *d in places]
 
 
-# a strength that moves nothing, but still has a phase
+# smallest strength, which has a phase but no influence
 _TINY = 1e-30
 
 
 @dataclass(frozen=True)
 class Sinusoid:
-    """Places of a strength and of its phase among the variables."""
+    """Indices of a strength and of its phase among the variables."""
 
     strength: int
     phase: int
 
 
 def find_sinusoids(layout: ParameterLayout) -> tuple[Sinusoid, ...]:
-    """Return the pairs of strength and phase that nothing holds or limits.
+    """Return the pairs of strength and phase that are free and without other bounds than a strength of zero.
 
-    A law whose shape is free as well has none: the data do not determine its shape while its strength is small. Nor
-    has one whose strength is each case's own while all share the phase, or the other way round.
+    Laws with a free shape are excluded: the data do not determine the shape while the strength is small. So are laws
+    whose strength has a value for each case and whose phase is shared, or vice versa.
     """
     found: dict[Sinusoid, None] = {}
     for effect in layout.model.effects:
@@ -423,7 +425,7 @@ def _ends(w: Sinusoid, lower: Array, upper: Array) -> list[float]:
 
 
 def to_polar(u: Array, sinusoids: Sequence[Sinusoid]) -> tuple[Array, Array]:
-    """Return (k, phi) in place of (a, b), the other variables as they are, and the derivatives of all."""
+    """Return (k, phi) in place of (a, b), the other variables unchanged, and the derivatives of all."""
     theta, slope = u.copy(), np.eye(len(u))
     for w in sinusoids:
         a, b = u[w.strength], u[w.phase]

@@ -1,4 +1,4 @@
-"""Prior knowledge of parameters: values and covariance that another study has found.
+"""Prior knowledge of parameters: values and covariance from another study.
 
 A Gaussian prior of mean m and covariance C = L L' adds to the rows of a case, in units of their noise, the rows
 
@@ -9,10 +9,10 @@ density, and (J'J)^-1 its covariance; in a linear model (J'J + C^-1)^-1 (J'z + C
 by generalised least squares (A. Gelman et al., Bayesian Data Analysis, 3rd ed., ch. 14.8). Because they are rows, the
 score test, the test for lack of fit and every refit take them into account.
 
-Where the cases of a joint fit have values of their own, the prior is about each of them: its uncertainty then has to
-include how much a run differs from the next.
+Where each case of a joint fit has its own value of a parameter, the prior applies to each of them: its uncertainty then
+has to include the spread between runs.
 
-The studies have to be independent: a prior from the same data would count them twice.
+The studies have to be independent: with a prior from the same data, these would count twice.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ class Prior:
         )
 
     def renamed(self, names: Mapping[str, str]) -> Self:
-        """Return the prior about parameters of other names; those without one are left out."""
+        """Return the prior of parameters with other names; those without a new name are left out."""
         kept = [i for i, name in enumerate(self.names) if name in names]
         covariance = tuple(tuple(self.covariance[i][j] for j in kept) for i in kept)
         new = tuple(names[self.names[i]] for i in kept)
@@ -140,14 +140,14 @@ class Prior:
     def whitened(
         self, names: Sequence[str], label: str = "", *, shared: bool = True
     ) -> tuple[tuple[str, ...], Array, Array]:
-        """Return which variables of a fit the prior is about, their means, and L^-1 of their covariance.
+        """Return the variables of a fit to which the prior applies, their means, and L^-1 of their covariance.
 
         Parameters
         ----------
         names : sequence of str
             The variables of the fit.
         label : str
-            A case: of a parameter with a value for each case the prior is about that of this one, ``name@label``.
+            A case: a prior of a parameter with a value for each case applies to ``name@label``.
         shared : bool
             Include the parameters that all cases share; each must be counted once.
 

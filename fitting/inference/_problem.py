@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import CaseModel, Prediction
+from fitting.inference._linear_algebra import covariance_of, orthogonal_to, orthonormal, r_factor
 from fitting.inference._noise import WHITE, Noise, Whitener
 from fitting.inference._parameters import (
     ParameterLayout,
@@ -26,37 +27,33 @@ from fitting.inference._parameters import (
 
 Array = NDArray[np.float64]
 
-_ROUNDING = 1e-11
+_RANK, _ROUNDING = 1e-7, 1e-11
 
 
 class Projection:
-    """Whitens the rows of a case and takes out what its nuisances can explain."""
+    """Whitens the rows of a case and projects out its nuisance parameters."""
 
     def __init__(self, data: CaseData, whitener: Whitener) -> None:
         self.whitener = whitener
-        columns = whitener(data.nuisance)
-        size = np.linalg.norm(columns, axis=0)
-        u, s, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
-        self.basis = u[:, s > 1e-7 * s.max(initial=1.0)]
+        self.basis = orthonormal(whitener(data.nuisance), _RANK)
 
     def __call__(self, rows: Array) -> Array:
-        """Return the whitened rows, orthogonal to the nuisances."""
-        white = self.whitener(rows)
-        return np.asarray(white - self.basis @ (self.basis.T @ white))
+        """Return the whitened rows, orthogonal to the nuisance columns."""
+        return orthogonal_to(self.basis, self.whitener(rows))
 
     def unexplained(self, columns: Array) -> Array:
-        """Return the same of columns, nothing where a nuisance explains a column down to rounding."""
+        """Return the same for columns; zero where nuisance parameters explain a column up to rounding."""
         white = self.whitener(columns)
-        left = white - self.basis @ (self.basis.T @ white)
+        projected = orthogonal_to(self.basis, white)
         size = np.linalg.norm(white, axis=0)
-        return np.asarray(np.where(np.linalg.norm(left, axis=0) > _ROUNDING * size, left, 0.0))
+        return np.asarray(np.where(np.linalg.norm(projected, axis=0) > _ROUNDING * size, projected, 0.0))
 
 
 @dataclass(frozen=True)
 class Problem:
     """Residuals and Jacobian of all cases at given noise levels.
 
-    A value: another noise, other ranges or other transformed variables make a new problem.
+    Immutable: another noise, other ranges or other transformed variables make a new problem.
 
     Parameters
     ----------
@@ -114,8 +111,8 @@ class Problem:
     def residuals(self, predictions: Sequence[Prediction]) -> tuple[Array, Array]:
         """Return whitened, projected residuals and their Jacobian by the physical variables.
 
-        The rows of each case are turned so that a few hold all: a case with p variables has p + 1 rows. Sums of
-        squares and of products, all that least squares knows, stay what they are.
+        The rows of each case are reduced by a QR decomposition: a case with p variables has p + 1 rows. Sums of squares
+        and products of columns, which determine the least-squares problem, are unchanged.
         """
         r, j = [], []
         for data, project, p in zip(self.data, self.projections, predictions, strict=True):
@@ -129,31 +126,32 @@ class Problem:
 
     @property
     def rows(self) -> int:
-        """Number of rows of all cases that nuisances leave."""
+        """Number of rows of all cases minus the number of nuisance parameters."""
         return sum(d.row_count - p.basis.shape[1] for d, p in zip(self.data, self.projections, strict=True))
 
     def __call__(self, u: Array) -> tuple[Array, Array]:
-        """Return residuals and Jacobian by the straight variables u."""
+        """Return residuals and Jacobian by the transformed variables u."""
         sinusoids = find_sinusoids(self.layout)
         theta, slope = to_physical(u, self.power_laws)
-        theta, turn = to_polar(theta, sinusoids)
+        theta, polar_slope = to_polar(theta, sinusoids)
         r, j = self.residuals(self.predict(theta))
         if sinusoids:
-            j = j @ turn
+            j = j @ polar_slope
         return r, j @ slope if self.power_laws else j
 
     def transformed(self, theta: Array) -> Array:
-        """Return the straight variables of physical ones."""
+        """Return the transformed variables of physical ones."""
         return from_physical(from_polar(theta, find_sinusoids(self.layout)), self.power_laws)
 
     def physical(self, u: Array) -> Array:
-        """Return the physical variables of straight ones."""
+        """Return the physical variables of transformed ones."""
         return to_polar(to_physical(u, self.power_laws)[0], find_sinusoids(self.layout))[0]
 
     def transformed_bounds(self, lower: Array, upper: Array) -> tuple[Array, Array]:
-        """Return the bounds of the straight variables: d and f may leave theirs on the way, a lone f only upwards.
+        """Return the bounds of the transformed variables.
 
-        A strength with a phase has none.
+        During the search d and f of a pair have no bounds, f of a single power law has no upper bound, and a strength
+        with a phase has none.
         """
         lower, upper = lower.copy(), upper.copy()
         for w in find_sinusoids(self.layout):
@@ -169,11 +167,6 @@ class Problem:
         return lower, upper
 
 
-def r_factor(columns: Array) -> Array:
-    """Return columns turned into as many rows as there are columns: all their products stay the same."""
-    return np.asarray(np.linalg.qr(columns, mode="r") if np.isfinite(columns).all() else columns)
-
-
 def reference_speed(data: Sequence[CaseData]) -> float:
     """Return a typical speed of the bearing in these cases [rad/s]."""
     typical = []
@@ -183,9 +176,10 @@ def reference_speed(data: Sequence[CaseData]) -> float:
     return float(max(np.mean(typical), 1e-3))
 
 
-# a bound counts as the truth when the best value lies so many standard errors beyond it
-_SURELY = 3.0
-_MATTERS = 0.2
+# a parameter equals its bound if the unconstrained optimum is this many standard errors beyond it
+_BEYOND = 3.0
+# smallest relative change that is part of a degenerate direction
+_LEAST_CHANGE = 0.2
 
 
 def surely_at_bound(
@@ -193,32 +187,32 @@ def surely_at_bound(
 ) -> NDArray[np.bool_]:
     """Return which variables are known to equal their bound.
 
-    A friction whose best value is far below zero is nothing. One that is hardly below, or an exponent on the
-    edge of what is tried, is not known to be there: the errors of all that goes with it must leave it free.
+    A friction whose unconstrained optimum is far below zero is zero. One that is hardly below zero, or an exponent at a
+    bound of its range, is uncertain: the standard errors of correlated parameters are those with it free.
     """
-    dead = np.linalg.norm(j, axis=0) == 0
-    covariance = covariance_of(j, ~dead)
+    no_influence = np.linalg.norm(j, axis=0) == 0
+    covariance = covariance_of(j, ~no_influence)
     with np.errstate(invalid="ignore", divide="ignore"):
         beyond = np.abs(covariance @ (j.T @ r)) / np.sqrt(np.diag(covariance))
     physical = np.array([layout.is_physical_bound(name) for name in layout.names])
-    return np.asarray(dead | (at_bound & physical & (np.nan_to_num(beyond) > _SURELY)))
+    return np.asarray(no_influence | (at_bound & physical & (np.nan_to_num(beyond) > _BEYOND)))
 
 
 def degenerate_directions(names: Sequence[str], theta: Array, covariance: Array) -> list[dict[str, float]]:
-    """Return combinations of parameters that the data does not hold although each alone may seem to matter.
+    """Return combinations of parameters that the data do not determine although each alone may seem determined.
 
     Parameters
     ----------
     names : sequence of str
-        The variables that are looked at.
+        The variables in question.
     theta, covariance : ndarray, shapes (n,) and (n, n)
         Their values and covariance.
 
     Returns
     -------
     list of dict
-        By name the relative changes, the largest +1, that together cost less than one standard error;
-        changes under a fifth of the largest are left out, and directions of one parameter too.
+        Relative changes by name, the largest +1, that together are within one standard error; changes below a fifth of
+        the largest, and directions of one parameter, are left out.
     """
     error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     kept = np.flatnonzero((theta != 0) & np.isfinite(error) & (error > 0))
@@ -229,26 +223,7 @@ def degenerate_directions(names: Sequence[str], theta: Array, covariance: Array)
     directions = []
     for i in np.flatnonzero(values > 1.0)[::-1]:
         weights = vectors[:, i] / vectors[np.argmax(np.abs(vectors[:, i])), i]
-        chosen = {names[kept[k]]: float(w) for k, w in enumerate(weights) if abs(w) > _MATTERS}
+        chosen = {names[kept[k]]: float(w) for k, w in enumerate(weights) if abs(w) > _LEAST_CHANGE}
         if len(chosen) > 1:
             directions.append(chosen)
     return directions
-
-
-def covariance_of(j: Array, free: NDArray[np.bool_]) -> Array:
-    """Return (J'J)^-1 over the free columns of a Jacobian, zero for the others, infinite for what moves nothing."""
-    n = j.shape[1]
-    covariance = np.zeros((n, n))
-    size = np.linalg.norm(j, axis=0)
-    size[size == 0] = np.inf
-    scaled = (j / size)[:, free]
-    _, s, vt = np.linalg.svd(scaled, full_matrices=False)
-    # directions that the data does not determine keep a huge, honest variance
-    inner = (vt.T / np.maximum(s, 1e-12 * s.max(initial=1.0)) ** 2) @ vt
-    # a parameter that moves nothing has no error to speak of: it is not determined at all
-    unknown = ~np.isfinite(size[free])
-    scale = np.where(unknown, 1.0, size[free])
-    inner = inner / np.outer(scale, scale)
-    inner[unknown, unknown] = np.inf
-    covariance[np.ix_(free, free)] = inner
-    return covariance

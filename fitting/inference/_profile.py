@@ -2,8 +2,8 @@
 
 The deviance with one parameter held and all others fitted anew rises by the quantile of chi-square with one degree of
 freedom at the ends of the interval, 3.84 for 95 % (S. S. Wilks, Ann. Math. Statist. 9, 60 (1938)); the noise is that of
-the fit. Its square root is nearly straight, so a few fits find each end. A side on which the deviance never rises so
-far is open: the data set no limit there.
+the fit. Its square root is nearly linear in the parameter, so a few fits find each end. A side on which the deviance
+does not reach the quantile is open: the data set no limit there.
 """
 
 from __future__ import annotations
@@ -25,16 +25,15 @@ from fitting.inference._problem import Problem
 Array = NDArray[np.float64]
 
 LEVEL = 0.95
-_NEAR = 0.02
-_STEPS = 20
-_PATIENCE = 300
-# a parameter is weakly known if its error is more than this share of it
+# tolerance of an end in standard deviations, fits for each end, steps of each fit
+_NEAR, _FITS, _MOST_STEPS = 0.02, 20, 300
+# relative uncertainty above which a parameter is weakly determined
 _WEAK = 0.3
 
 
 @dataclass(frozen=True)
 class Interval:
-    """A confidence interval; an open end is where the range of the parameter ends, or where the search gave up.
+    """A confidence interval; an open end is the bound of the parameter, or the last value that was tried.
 
     Attributes
     ----------
@@ -60,7 +59,7 @@ class _Estimate(Protocol):
 
 
 class _Fitted(Protocol):
-    """What a profile needs of a `Fit`."""
+    """The attributes of a `Fit` that a profile uses."""
 
     @property
     def problem(self) -> Problem: ...
@@ -116,7 +115,7 @@ def profile(fit: _Fitted, name: str, level: float = LEVEL) -> Interval:
 
 
 def weakly_determined(fit: _Fitted) -> list[str]:
-    """Return the parameters that need a profile: an error that is no small share of the value, or a bound nearby."""
+    """Return the parameters that need a profile: a large relative uncertainty, or an active bound."""
     weak = []
     for name, e in fit.estimates.items():
         if name.startswith("initial.") or name not in fit.problem.layout.index:
@@ -137,7 +136,7 @@ class _Held:
         lower, upper = layout.bounds()
         self._range = float(lower[self._place]), float(upper[self._place])
         problem = Problem.of(layout, fit.problem.data).with_noise(fit.noise)
-        # transformed variables combine d and f: a parameter that is held is fitted as it is
+        # transformed variables combine d and f, so a parameter that is held must not be transformed
         kept = tuple(v for v in problem.power_laws if self._place not in (v.d, v.f))
         self._problem = replace(problem, power_laws=kept)
         self._active: ActiveBounds | None = None
@@ -154,7 +153,7 @@ class _Held:
         theta[self._place] = value
         problem = self._problem.with_ranges({self._name: (value, value)})
         try:
-            found = search(problem, theta, max_iterations=_PATIENCE, active=self._active)
+            found = search(problem, theta, max_iterations=_MOST_STEPS, active=self._active)
         except (EstimationError, SimulationError):
             self._active = None
             return math.inf, begin
@@ -168,13 +167,13 @@ class _Held:
         inside, z_inside, theta = self._value, 0.0, self._theta
         outside, z_outside = math.nan, math.nan
         step, repeated, within = self._step, 0, True
-        for _ in range(_STEPS):
+        for _ in range(_FITS):
             if math.isnan(outside):
                 trial = inside + sign * step
             elif math.isinf(z_outside) or repeated > 1:
                 trial = 0.5 * (inside + outside)
             else:
-                # the root of the rise is nearly straight
+                # linear interpolation of the root of the rise
                 share = float(np.clip((target - z_inside) / (z_outside - z_inside), 0.1, 0.9))
                 trial = inside + share * (outside - inside)
             if sign * (limit - trial) <= 0:
@@ -182,7 +181,7 @@ class _Held:
             z, end = self._root(trial, theta)
             if abs(z - target) < _NEAR:
                 return trial, False
-            # where the rise is far from straight one end would creep: then halve
+            # if interpolation moves the same end repeatedly, bisect
             repeated = repeated + 1 if (z < target) == within else 1
             within = z < target
             if z < target:

@@ -26,15 +26,15 @@ from fitting.inference._prior import Prior
 Array = NDArray[np.float64]
 Quantity = Literal["angle", "omega"]
 
-# an angle gives a speed only over several samples, a measured speed at once
-# a block of the compression takes 12 samples for what a model does, and as many measure the noise
+# samples of a block of the compression: 12 for the model, and as many for the noise
 _FEWEST_OF_BODY = 24
+# samples of a rotor window: a speed follows from several angles, or from one measured speed
 _FEWEST: dict[str, int] = {"angle": 8, "omega": 1}
 
 
 @dataclass(frozen=True)
 class Samples:
-    """A run of measured values without a break: time [s], value [rad or rad/s], sigma (same unit)."""
+    """A run of measured values without interruption: time [s], value [rad or rad/s], sigma (same unit)."""
 
     time: Array
     value: Array
@@ -51,7 +51,7 @@ class Record:
     Parameters
     ----------
     label, surface : str
-        Names for people; the label distinguishes the cases of a joint fit.
+        Names; the label distinguishes the cases of a joint fit.
     I_rotor, I_casing : float
         Moments of inertia [kg m2].
     I_rotor_u, I_casing_u : float
@@ -65,13 +65,13 @@ class Record:
     source : str
         The file, for provenance.
     tracked : bool
-        The angles come from film, with tracking's own artefacts once and twice a turn.
+        The angles come from film, with tracking errors once and twice per turn.
     gradients : bool
-        The speeds are gradients of filmed angles, with what the camera added to those.
+        The speeds are gradients of filmed angles, including the errors of the camera.
     generated : bool
         The rotor is a curve that was generated, not measured (see `fitting.study._paper`).
     windows : tuple of Samples
-        Where it is, what was measured of it.
+        The measured windows of a generated rotor.
     start_sigma : tuple of float
         Uncertainty of the start of each rotor window on the casing's clock [s]; empty if it is known.
     per_inertia : bool
@@ -79,7 +79,7 @@ class Record:
     digest : str
         SHA-256 of the numbers.
     prior : Prior, optional
-        What another study has found about the parameters.
+        Prior of the parameters from another study.
     """
 
     label: str
@@ -107,12 +107,12 @@ class Record:
 
     @property
     def single(self) -> bool:
-        """Whether it is the record of one body alone, which stands in the casing's place."""
+        """Whether it is the record of one body alone, which is stored as the casing."""
         return not self.rotor
 
     @property
     def body(self) -> str:
-        """What people call the body in the casing's place: "casing", or "body" where only one was recorded."""
+        """Name of the casing: "casing", or "body" where only one body was recorded."""
         return "body" if self.single else "casing"
 
     @property
@@ -161,7 +161,7 @@ def make_record(
     tracked : bool
         The data come from film.
     single : bool
-        There is one body only, given as `casing`; nothing is known of a rotor.
+        There is one body only, given as `casing`.
     start_sigma : sequence of float
         Standard uncertainty of the start of each film of the rotor on the casing's clock [s]; empty if exact.
     I_rotor_u, I_casing_u : float
@@ -172,7 +172,7 @@ def make_record(
     Raises
     ------
     RecordError
-        If too few samples are left, or times do not grow.
+        If too few samples are usable, or times are not strictly increasing.
     """
     runs = [_clean(*casing, what="body" if single else "casing"), *(_clean(*r, what="rotor") for r in rotor)]
     if len(runs[0]) < _FEWEST_OF_BODY:
@@ -201,7 +201,7 @@ def _clean(time: Array, value: Array, sigma: Array, *, what: str) -> Samples:
     if len(time) > 1 and not (np.diff(time) > 0).all():
         raise RecordError(f"the times of the {what} do not grow from sample to sample")
     good = np.isfinite(sigma) & (sigma > 0)
-    # where no uncertainty is known all samples weigh the same; the level is measured from the data
+    # where no uncertainty is known all samples have the same weight; the noise level is estimated from the data
     typical = float(np.median(sigma[good])) if good.any() else 1e-3
     return Samples(time, value, np.where(good, sigma, typical))
 
@@ -239,7 +239,7 @@ def speeds(
     width : int
         Points of the running median; the paper has 51.
     dropped : int
-        Points left out at each end; the paper has 50. Short runs drop a tenth at most.
+        Points left out at each end; the paper has 50, short runs a tenth of their samples at most.
 
     Returns
     -------
@@ -249,7 +249,7 @@ def speeds(
     width = median_width(len(samples), width)
     value = samples.value
     if quantity == "angle":
-        # the median of a monotonic angle is its middle point; it only acts on outliers
+        # the median of a monotonic angle is its middle point, so only outliers change
         value = np.gradient(running_median(value, width), samples.time)
     omega = running_median(value, width)
     cut = min(dropped, len(samples) // 10)
@@ -274,12 +274,12 @@ def running_median(value: Array, width: int) -> Array:
 
 
 _POINTS = 160
-# share of a run from which on a rotor window is a recording of its own and no short film
-_MOST_OF_THE_RUN = 0.5
+# share of a run from which on a rotor window is divided like the run
+_LONG_WINDOW = 0.5
 
 
 def initial_speeds(record: Record, points: int = _POINTS, samples: int = 12) -> tuple[Array, Array]:
-    """Return times and speeds of rotor and casing (points, 2) from local straight lines of so many samples at least."""
+    """Return times and speeds of rotor and casing (points, 2) from local regressions over at least so many samples."""
     is_angle = record.quantity == "angle"
     casing = _local(record.casing, min(points, len(record.casing) // samples), is_angle)
     windows = np.concatenate(
@@ -292,13 +292,13 @@ def initial_speeds(record: Record, points: int = _POINTS, samples: int = 12) -> 
 
 
 def _pieces(window: Samples, record: Record, points: int, samples: int) -> int:
-    """Return the number of straight lines of a rotor window: one, unless it is no short film but most of the run."""
+    """Return the number of regressions in a rotor window: one, unless it covers most of the run."""
     share = (window.time[-1] - window.time[0]) / (record.span[1] - record.span[0])
-    return min(round(points * share), len(window) // samples) if share > _MOST_OF_THE_RUN else 1
+    return min(round(points * share), len(window) // samples) if share > _LONG_WINDOW else 1
 
 
 def _local(samples: Samples, count: int, is_angle: bool) -> Array:  # noqa: FBT001
-    """Return (time, speed, slope) of a run cut in equal pieces, by the normal equations of all pieces at once."""
+    """Return (time, speed, slope) of equal pieces of a run, by the normal equations of all pieces at once."""
     pieces = np.array_split(np.arange(len(samples)), max(1, count))
     first = np.array([p[0] for p in pieces])
     size = np.array([len(p) for p in pieces])
@@ -312,7 +312,7 @@ def _local(samples: Samples, count: int, is_angle: bool) -> Array:  # noqa: FBT0
     y = samples.value - np.repeat(samples.value[first], size)
     rows = np.full((len(first), 3), np.nan)
     rows[:, 0] = middle
-    # of one length, or of two that differ by a sample: the shortest determines the degree of all
+    # the lengths differ by one sample at most: the shortest determines the degree of all
     degree = min(2 if is_angle else 1, int(size.min()) - 1)
     powers = [np.ones(len(x)), x, x * x][: degree + 1]
     gram = np.stack([np.stack([sums(p * q) for q in powers], axis=-1) for p in powers], axis=-1)
@@ -331,15 +331,15 @@ def _local(samples: Samples, count: int, is_angle: bool) -> Array:  # noqa: FBT0
 def _rotor_curve(windows: Array, times: Array) -> Array:
     windows = windows[np.argsort(windows[:, 0])]
     t, speed, slope = windows.T
-    between = np.gradient(speed, t) if len(t) > 1 else np.zeros(1)
-    slope = np.where(np.isfinite(slope), slope, between)
+    finite_difference = np.gradient(speed, t) if len(t) > 1 else np.zeros(1)
+    slope = np.where(np.isfinite(slope), slope, finite_difference)
     if len(t) == 1:
         curve = speed[0] + slope[0] * (times - t[0])
     else:
         clipped = np.clip(times, t[0], t[-1])
-        edge = np.where(times < t[0], slope[0], slope[-1])
-        curve = hermite(t, speed, slope, clipped) + edge * (times - clipped)
-    # the rotor keeps its sense
+        end_slope = np.where(times < t[0], slope[0], slope[-1])
+        curve = hermite(t, speed, slope, clipped) + end_slope * (times - clipped)
+    # the rotor does not reverse
     sense = 1.0 if speed.mean() >= 0 else -1.0
     return np.asarray(sense * np.maximum(sense * curve, 0.05 * np.abs(speed).min()))
 

@@ -1,6 +1,6 @@
 """The result of a fit: parameters, uncertainties, figures of merit, verdict.
 
-Cross-validation errors, the lack-of-fit test and the energy balance cost more than a step of the optimisation and are
+Cross-validation errors, the lack-of-fit test and the energy balance take longer than a step of the optimisation and are
 computed on first access: most candidate effects are only ranked.
 """
 
@@ -31,7 +31,9 @@ from fitting._display import (
 from fitting._errors import EstimationError
 from fitting._numbers import PER_INERTIA, TORQUE, rounded, short, with_uncertainty
 from fitting.dynamics._model import Model
+from fitting.inference._angle_noise import AngleNoise
 from fitting.inference._case_model import Prediction
+from fitting.inference._linear_algebra import covariance_of
 from fitting.inference._metrics import (
     CaseMetrics,
     EnergyBalance,
@@ -43,9 +45,9 @@ from fitting.inference._metrics import (
 )
 from fitting.inference._noise import Noise
 from fitting.inference._parameters import START_ROTOR, ParameterLayout
-from fitting.inference._problem import Problem, Projection, covariance_of, surely_at_bound
+from fitting.inference._prior import Prior
+from fitting.inference._problem import Problem, Projection, surely_at_bound
 from fitting.inference._record import speeds
-from fitting.inference._recording_noise import AngleNoise
 from fitting.inference._speed_residuals import SpeedResidual, modelled_speed, speed_residuals
 
 if TYPE_CHECKING:
@@ -80,7 +82,7 @@ Origin = tuple[tuple[str, ...], Array, tuple[str, ...], tuple[str, ...]]
 
 
 class FitSummary:
-    """What a fit and a saved fit have in common: tables and text."""
+    """Tables and text that a fit and a saved fit have in common."""
 
     model: Model
     estimates: Mapping[str, Estimate]
@@ -120,7 +122,7 @@ class FitSummary:
         Returns
         -------
         pandas.DataFrame
-            Columns value, stderr (nan on a bound and for what is held), unit, at_bound.
+            Columns value, stderr (nan at a bound and for held parameters), unit, at_bound.
 
         Raises
         ------
@@ -137,8 +139,13 @@ class FitSummary:
         frame = pd.DataFrame.from_dict(rows, orient="index", columns=["value", "stderr", "unit", "at_bound"])
         return frame.rename_axis("parameter")
 
+    @property
+    def values(self) -> dict[str, float]:
+        """The values of the parameters by name."""
+        return {name: e.value for name, e in self.estimates.items()}
+
     def save(self, path: str | Path) -> None:
-        """Write the fit as JSON, whole or not at all; `fitting.load_fit` reads it back."""
+        """Write the fit as JSON, atomically; `fitting.load_fit` reads it."""
         from fitting._schema import SavedFitDocument, own_effects, write_document
 
         names, covariance, sources, digests = self._origin()
@@ -156,8 +163,8 @@ def summary_lines(fit: FitSummary) -> list[str]:
     """Return the figures of merit and the parameters of a fit as lines of at most 80 columns."""
     lines = [f"{'':<12}{'R2':>10}{'rmse [rad/s]':>14}{'chi2/n':>12}{'cv error':>11}"]
     for case in fit.cases:
-        alone = math.isnan(case.rotor.rmse)  # the record of one body has none of a rotor
-        for name, body in (("body" if alone else "casing", case.casing), ("rotor", case.rotor)):
+        single = math.isnan(case.rotor.rmse)
+        for name, body in (("body" if single else "casing", case.casing), ("rotor", case.rotor)):
             if math.isnan(body.rmse):
                 continue
             title = f"{case.label[:5]} {name}" if len(fit.cases) > 1 else name
@@ -182,11 +189,7 @@ def summary_lines(fit: FitSummary) -> list[str]:
             parts.append(f"{level} that repeats with the turn, changing in {noise.turn_time:.2g} s")
         text = f"correlated angle noise{label}: {'; '.join(parts)}"
         lines += wrap(text, 79, subsequent_indent="  ")
-    prior = (
-        next((d.record.prior for d in fit.problem.data if d.record.prior), None)
-        if isinstance(fit, Fit)
-        else None
-    )
+    prior = fit.prior if isinstance(fit, Fit) else None
     if prior is not None:
         known = {name.partition("@")[0] for name in fit.estimates}
         used = [n for n in prior.names if n in known]
@@ -246,7 +249,7 @@ class Estimate:
     at_bound : bool
         Whether a bound is active.
     vary : bool
-        Whether it was fitted, and not held.
+        Whether it was fitted (and not held).
     min, max : float
         Bounds of the fit, in `unit`.
     """
@@ -273,11 +276,11 @@ class Fit(FitSummary):
     model : Model
         What was fitted.
     estimates : dict of str to Estimate
-        Every parameter and start speed by name.
+        Every parameter and initial value by name.
     chi2, rows, n_eff, deviance, bic : float
-        Chi-square over the rows a model can reach and their number; effective number of samples;
-        minus twice the log-likelihood (up to a constant of the data); deviance + p ln rows: only these
-        rows differ between models, all other combinations of the samples are noise.
+        Chi-square over the rows that contain a model, and their number; effective number of samples; minus twice the
+        log-likelihood (up to a constant of the data); deviance + p ln rows: only these rows differ between models, all
+        other combinations of the samples are noise.
     converged : bool
         Whether the optimisation converged.
     """
@@ -329,7 +332,7 @@ class Fit(FitSummary):
 
     @property
     def lacks_restoring_torque(self) -> bool:
-        """Whether the body oscillates but no torque of the model drives it back: residuals and torques mean nothing."""
+        """Whether the body oscillates but the model has no restoring torque: then residuals have no meaning."""
         return self.problem.data[0].oscillation is not None and not self.model.restoring
 
     def fails(self, criteria: Criteria = DEFAULT) -> bool:
@@ -347,7 +350,7 @@ class Fit(FitSummary):
 
     @property
     def undetermined(self) -> list[str]:
-        """Parameters whose standard uncertainty exceeds their value a hundredfold; an angle is none of them."""
+        """Parameters, without phases, whose standard uncertainty exceeds their value a hundredfold."""
         return [
             k
             for k in not_determined(self.estimates)
@@ -387,10 +390,15 @@ class Fit(FitSummary):
 
     @property
     def bic_noise(self) -> float:
-        """BIC that a model with as many parameters would have if nothing but noise were left."""
+        """BIC of a model with as many parameters whose residuals are noise."""
         logs = sum(n.whitener.at(min(n.pure, n.level)).log_determinant for n in self.noise)
         free = len(self.theta)
         return logs + self.rows - free + free * float(np.log(self.rows))
+
+    @property
+    def prior(self) -> Prior | None:
+        """The prior of its parameters; None without one."""
+        return next((d.record.prior for d in self.problem.data if d.record.prior is not None), None)
 
     @property
     def generated(self) -> bool:
@@ -484,7 +492,7 @@ class Fit(FitSummary):
             draw_speed(ax, runs, [(t, *self.modelled_speed(case, body, t)) for t in times])
             ax.set_ylabel(f"{symbol} [rad/s]")
         ax.set_xlabel("time [s]")
-        # above the axes, where it covers nothing
+        # above the axes
         above: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.1}
         ax.legend(fontsize="small", frameon=False, ncols=2, **above)
 
@@ -510,7 +518,7 @@ class Fit(FitSummary):
         Raises
         ------
         EffectError
-            If a name is none of a fitted parameter.
+            If a name is not that of a fitted parameter.
         EstimationError
             If the level is not between 0 and 1.
         """
@@ -580,7 +588,7 @@ def outcome(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, converg
     at_bound = layout.at_bound(theta)
     covariance = covariance_of(j, ~surely_at_bound(layout, at_bound, r, j))
     free = int((~at_bound).sum())
-    # with a significant misfit the noise alone understates the uncertainty
+    # with a significant lack of fit, the noise alone understates the uncertainty
     covariance *= max(1.0, chi2 / max(1, rows - free))
     deviance = chi2 + sum(n.whitener.log_determinant for n in noise)
     return Fit(

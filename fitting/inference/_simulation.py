@@ -21,7 +21,7 @@ from fitting.inference._record import Record, Samples
 
 Array = NDArray[np.float64]
 
-# intervals per turn that a law following the casing's angle needs at least
+# intervals per turn that a law of the casing's angle needs at least
 _PER_TURN = 0.5
 # a mesh for a boundary layer at the start: its first interval over the duration, and its number of intervals
 _FIRST_INTERVAL, _GRADED = 1e-6, 60
@@ -78,7 +78,7 @@ def simulate_path(
     angles = bool(model.angle_dependent)
     dynamics = Dynamics(model, angles=angles)
     smooth = Dynamics(model.smooth)
-    # a casing with a restoring torque starts at its equilibrium
+    # the initial deflection of a casing with a restoring torque is zero
     deflection = (0.0,) * (dynamics.free_starts - 2)
     first = np.array(
         [
@@ -102,7 +102,7 @@ def _smooth_path(dynamics: Dynamics, numbers: Mapping[str, float], first: Array,
     try:
         return solve(dynamics, numbers, first, Mesh.uniform(0.0, duration, 12))
     except SimulationError:
-        # a state that relaxes fast at the beginning, such as a contact that yields, has a boundary layer there
+        # a state that relaxes fast at the start, such as the slip of a contact, has a boundary layer there
         graded = duration * np.geomspace(_FIRST_INTERVAL, 1.0, _GRADED)
         return solve(dynamics, numbers, first, Mesh(np.concatenate([[0.0], graded])))
 
@@ -149,20 +149,20 @@ def simulate(
     if any(w < 0 or w + experiment.window_length > experiment.duration for w in experiment.windows):
         raise SimulationError("a rotor window is outside the recording", "move it or record for longer")
     dynamics, path = simulate_path(model, values, experiment)
-    # ripples hardly change how the speeds answer to a torque: the smooth motion stands in for the whole
+    # harmonics of the angle hardly change the response to a torque: that of the smooth motion is used
     smooth = (
         (dynamics, path) if not model.angle_dependent else simulate_path(model.smooth, values, experiment)
     )
-    shake = _RandomTorque(*smooth, values, experiment, random)
+    random_angle = _RandomTorque(*smooth, values, experiment, random)
     time = np.arange(0.0, experiment.duration, 1 / experiment.casing_fps)
-    psi = _angle(path, "omega_c", time) + shake(time, 1)
+    psi = _angle(path, "omega_c", time) + random_angle(time, 1)
     psi = psi + experiment.centre_offset * np.sin(psi - 0.7)
     casing = _noisy(time, psi, experiment.sigma, random)
     rotor = []
     for start in experiment.windows:
         t = start + np.arange(0.0, experiment.window_length, 1 / experiment.rotor_fps)
-        turned = _angle(path, "omega_r", t) + shake(t, 0)
-        rotor.append(_noisy(t, turned - turned[0] + random.uniform(0, 2 * np.pi), experiment.sigma, random))
+        psi = _angle(path, "omega_r", t) + random_angle(t, 0)
+        rotor.append(_noisy(t, psi - psi[0] + random.uniform(0, 2 * np.pi), experiment.sigma, random))
     return Record(label, inertia_rotor, inertia_casing, casing, tuple(rotor))
 
 
@@ -213,7 +213,7 @@ class _RandomTorque:
 def _ornstein_uhlenbeck(n: int, experiment: Experiment, random: np.random.Generator) -> Array:
     from scipy.signal import lfilter
 
-    keep = float(np.exp(-_NOISE_STEP / experiment.torque_time))
-    pushes = random.standard_normal(n) * experiment.torque_noise * np.sqrt(1 - keep**2)
-    pushes[0] = random.standard_normal() * experiment.torque_noise
-    return np.asarray(lfilter([1.0], [1.0, -keep], pushes))
+    decay = float(np.exp(-_NOISE_STEP / experiment.torque_time))
+    increments = random.standard_normal(n) * experiment.torque_noise * np.sqrt(1 - decay**2)
+    increments[0] = random.standard_normal() * experiment.torque_noise
+    return np.asarray(lfilter([1.0], [1.0, -decay], increments))

@@ -1,20 +1,20 @@
-"""Spectral lines of a recording: sinusoidal torques of a single frequency, which are no noise.
+"""Spectral lines of a recording: sinusoidal torques of a single frequency, which do not count as noise.
 
-A fan, a vibrating table or a mains hum shakes the casing at one frequency. Process noise has a continuous spectrum; a
-line in it is a torque that some effect has to explain, and counts neither as process noise nor as correlated angle
-noise. Where it is, the angle contains
+A fan, a vibrating table or mains hum drives the casing at one frequency. Process noise has a continuous spectrum; a
+line is a torque that an effect has to explain, and counts neither as process noise nor as correlated angle noise. The
+angle then contains
 
     a cos(w t) + b sin(w t)
 
-over the whole record. The rows beyond the polynomials of each stretch (`fitting.inference._recording_noise`), whitened
-by the process noise of the stretch itself, are compared with these two columns at every frequency of at least ten
+over the whole record. The rows orthogonal to the polynomials of each stretch (`fitting.inference._process_noise`),
+whitened by the process noise of that stretch, are compared with these two columns at every frequency of at least ten
 periods a record; the deviance is minimised over the level of the process noise with and without them. Noise reaches a
 chi-square 2 z of two degrees of freedom anywhere in a band of width f with probability
 
     p = W sqrt(z) exp(-z),   W = f sqrt(4 pi var t)
 
-(R. Baluev, Mon. Not. R. Astron. Soc. 385, 1279 (2008), eq. 6). A kink or a jump has no line, but a broad spectrum in
-one stretch: a line remains significant whichever stretch is left out.
+(R. Baluev, Mon. Not. R. Astron. Soc. 385, 1279 (2008), eq. 6). A kink or a jump has a broad spectrum in one stretch: a
+line has to be significant whichever stretch is left out.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from fitting._criteria import DEFAULT
 from fitting.inference._compression import Compressed
-from fitting.inference._recording_noise import FREE, Stretch, binned_operators, stretches_of
+from fitting.inference._process_noise import FLAT_PRIOR_SIGMA, Stretch, split_into_stretches
 
 Array = NDArray[np.float64]
 
@@ -39,10 +39,10 @@ _FINER = 16
 # highest frequency: radians per row
 _FASTEST = 2.5
 _MOST = 4
-# share of its rows that a line must keep beyond the polynomials
+# share of its rows that a line must have orthogonal to the polynomials
 _RETAINED = 0.05
 _TINY = 1e-6
-# of the process noise most likely without a line, which contains the line
+# shares of the most likely process noise without a line, which is an upper bound
 _SHARES = (1.0, 0.5, 0.25, 0.12, 0.06)
 
 
@@ -82,8 +82,10 @@ def spectral_lines(run: Compressed, nuisance: Array) -> tuple[SpectralLine, ...]
     """
     found: list[SpectralLine] = []
     while len(found) < _MOST:
-        free = np.concatenate([nuisance, FREE * line_rows(run, [line.rate for line in found])], axis=1)
-        line = _strongest(run, stretches_of(run, free))
+        free = np.concatenate(
+            [nuisance, FLAT_PRIOR_SIGMA * line_rows(run, [line.rate for line in found])], axis=1
+        )
+        line = _strongest(run, split_into_stretches(run, free))
         if line is None:
             break
         found.append(line)
@@ -96,7 +98,7 @@ def line_rows(run: Compressed, rates: Sequence[float] | Array) -> Array:
         return np.zeros((len(run.z), 0))
     start, rates = run.samples.time[0], np.asarray(rates)
     parts = []
-    for middle, operator in binned_operators(run):
+    for middle, operator in run.binned_operators():
         phase = np.outer(middle - start, rates)
         parts.append(operator @ np.concatenate([np.cos(phase), np.sin(phase)], axis=1))
     return np.concatenate(parts)
@@ -110,7 +112,7 @@ def _strongest(run: Compressed, stretches: Sequence[Stretch]) -> SpectralLine | 
     if highest <= lowest:
         return None
     block = span / len(run.lift)
-    noises = [s.own_whiteners((0.03 * block, 0.3 * block, block), _SHARES) for s in stretches]
+    noises = [s.whitenings_at((0.03 * block, 0.3 * block, block), _SHARES) for s in stretches]
 
     def left_out(parts: Array) -> Array:
         """Return the sums over all stretches but one, for each of them."""
@@ -124,20 +126,20 @@ def _strongest(run: Compressed, stretches: Sequence[Stretch]) -> SpectralLine | 
         rows = line_rows(run, rates)
         sums: list[list[list[Array]]] = [[[] for _ in _SHARES] for _ in range(5)]
         for s, noise in zip(stretches, noises, strict=True):
-            outside = s.beyond(rows[s.rows])
-            outside *= np.linalg.norm(outside, axis=0) > _RETAINED * np.linalg.norm(rows[s.rows], axis=0)
+            projected = s.project(rows[s.rows])
+            projected *= np.linalg.norm(projected, axis=0) > _RETAINED * np.linalg.norm(rows[s.rows], axis=0)
             for i, (w, _) in enumerate(noise):
-                c, d = np.split(w @ outside, 2, axis=1)
-                seen = w @ s.seen
-                products = (np.sum(c * c, 0), np.sum(d * d, 0), np.sum(c * d, 0), c.T @ seen, d.T @ seen)
+                c, d = np.split(w @ projected, 2, axis=1)
+                data = w @ s.projected
+                products = (np.sum(c * c, 0), np.sum(d * d, 0), np.sum(c * d, 0), c.T @ data, d.T @ data)
                 for total, product in zip(sums, products, strict=True):
                     total[i].append(product)
         # (stretches, shares, frequencies)
         cc, dd, cd, cr, dr = (left_out(np.swapaxes(np.array(total), 0, 1)) for total in sums)
-        area = cc * dd - cd**2
-        known = area > _TINY * cc * dd
-        chi2 = (dd * cr**2 - 2 * cd * cr * dr + cc * dr**2) / np.where(known, area, 1.0)
-        falls = np.where(known, chi2, 0.0) - deviance[:, :, None]
+        determinant = cc * dd - cd**2
+        determined = determinant > _TINY * cc * dd
+        chi2 = (dd * cr**2 - 2 * cd * cr * dr + cc * dr**2) / np.where(determined, determinant, 1.0)
+        falls = np.where(determined, chi2, 0.0) - deviance[:, :, None]
         return np.asarray(falls.max(axis=1).min(axis=0))
 
     coarse = np.arange(lowest, highest, step)
@@ -149,6 +151,8 @@ def _strongest(run: Compressed, stretches: Sequence[Stretch]) -> SpectralLine | 
     if p_value >= DEFAULT.spectral_line:
         return None
     rows = line_rows(run, fine[[top]])
-    white = np.concatenate([n[0][0] @ s.beyond(rows[s.rows]) for s, n in zip(stretches, noises, strict=True)])
-    seen = np.concatenate([n[0][0] @ s.seen for s, n in zip(stretches, noises, strict=True)])
-    return SpectralLine(float(fine[top]), float(np.hypot(*np.linalg.lstsq(white, seen, rcond=None)[0])))
+    white = np.concatenate(
+        [n[0][0] @ s.project(rows[s.rows]) for s, n in zip(stretches, noises, strict=True)]
+    )
+    data = np.concatenate([n[0][0] @ s.projected for s, n in zip(stretches, noises, strict=True)])
+    return SpectralLine(float(fine[top]), float(np.hypot(*np.linalg.lstsq(white, data, rcond=None)[0])))

@@ -1,10 +1,10 @@
 """Measured, modelled and residual speeds of a fit, with their standard uncertainties.
 
 A fit compares rows: the measured angles of a block projected on polynomials, minus those of the model,
-r = z - m. The polynomial behind the rows of a block has a mean slope in each part of it, which is the residual
-of the speed there; this is linear, D r. With the noise covariance C of the rows and the columns X of all
-free parameters, the covariance of r is C - X (X' C^-1 X)^-1 X', and the band follows from it:
-angle noise, random torque, and what the fit has absorbed.
+r = z - m. The polynomial of the rows of a block has a mean slope in each part of it, which is the residual of the
+speed there; this is linear, D r. With the noise covariance C of the rows and the columns X of all
+free parameters, the covariance of r is C - X (X' C^-1 X)^-1 X', which gives the uncertainty band: angle noise, random
+torque, and the part of both that the fit absorbs.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def modelled_speed(fit: _Fitted, case: int, body: int, time: Array) -> tuple[Arr
     places = fit.problem.layout.places(case, (*model.dynamics.parameters, *fit.problem.layout.starts))
     slope = sampler.value(prediction.sensitivity.nodes[:, :, body])
     covariance = fit.covariance[np.ix_(places, places)]
-    # a parameter that moves nothing has no finite variance and does not matter here
+    # a parameter without influence has no finite variance, but zero sensitivity
     covariance = np.where(np.isfinite(covariance), covariance, 0.0)
     variance = np.einsum("tp,pq,tq->t", slope, covariance, slope)
     return sampler.value(prediction.path.y[..., body]), np.sqrt(np.maximum(variance, 0.0))
@@ -111,10 +111,10 @@ class SpeedMap:
 
     def __init__(self, problem: Problem, noise: Noise, case: int) -> None:
         data = problem.data[case]
-        self._plain, self._whitener = data.unwhitened, noise.whitener
+        self._unwhitened, self._whitener = data.unwhitened, noise.whitener
         size = np.linalg.norm(data.nuisance, axis=0)
         self._nuisance = data.nuisance[:, size > 0] / size[size > 0]
-        self._strength = np.linalg.pinv(noise.whitener(self._nuisance), rcond=1e-10)
+        self._estimator = np.linalg.pinv(noise.whitener(self._nuisance), rcond=1e-10)
         self.parts: list[tuple[slice, Array, Array, Array]] = []
         first = 0
         for body, run in (("casing", data.casing), *(("rotor", w) for w in data.rotor)):
@@ -130,7 +130,7 @@ class SpeedMap:
         rows : ndarray, shape (rows,) or (rows, k)
             Measured minus modelled rows, or any columns of that space.
         """
-        found = self._plain(rows - self._nuisance @ (self._strength @ self._whitener(rows)))
+        found = self._unwhitened(rows - self._nuisance @ (self._estimator @ self._whitener(rows)))
         return [d @ found[where] for where, _, _, d in self.parts]
 
 
@@ -183,14 +183,14 @@ def _slopes(run: Compressed, parts: int, *, is_angle: bool) -> tuple[Array, Arra
         inside = times[where]
         edges = np.linspace(inside[0], inside[-1], parts + 1)
         centre, half = 0.5 * (edges[0] + edges[-1]), 0.5 * (edges[-1] - edges[0])
-        back = np.linalg.inv(run.lift[i] @ legendre.legvander((nodes[i] - centre) / half, k - 1))
+        to_coefficients = np.linalg.inv(run.lift[i] @ legendre.legvander((nodes[i] - centre) / half, k - 1))
         for j in range(parts):
             t = np.linspace(edges[j], edges[j + 1], _POINTS)
             weight = t - t.mean()
             weight = weight / (weight @ weight) if is_angle else np.full(_POINTS, 1 / _POINTS)
             row = i * parts + j
             operator[row, i * k : (i + 1) * k] = (
-                weight @ legendre.legvander((t - centre) / half, k - 1) @ back
+                weight @ legendre.legvander((t - centre) / half, k - 1) @ to_coefficients
             )
             middles[row], lengths[row] = t.mean(), t[-1] - t[0]
     return middles, lengths, operator

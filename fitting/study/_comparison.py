@@ -121,7 +121,7 @@ class Comparison:
     def sentences(self) -> list[str]:
         """The result in words."""
         count = max(len(self.parameters), 1)
-        # of many parameters one differs by chance: Bonferroni
+        # Bonferroni correction for the number of parameters
         differing = [p for p in self.parameters if p.p_value * count < 0.01]
         lines = []
         for p in differing:
@@ -192,11 +192,11 @@ def compare(fits: Mapping[str, Fitted]) -> Comparison:
     units: dict[str, str] = {}
     bounds: dict[str, list[str]] = {}
     for run, found in fits.items():
-        moments = {f"{e.name}.{e.breakpoint}" for e in found.model.effects if e.breakpoint}
-        held = {*found.model.constants, *moments}
+        changepoints = {f"{e.name}.{e.breakpoint}" for e in found.model.effects if e.breakpoint}
+        excluded = {*found.model.constants, *changepoints}
         for name, e in found.estimates.items():
             key, at, case = name.partition("@")
-            if key.startswith("initial.") or key in held:
+            if key.startswith("initial.") or key in excluded:
                 continue
             own = f"{run}:{case}" if at else run
             if e.at_bound or not (math.isfinite(e.stderr) and e.stderr > 0):

@@ -51,7 +51,7 @@ from fitting.study._serialisation import (
 )
 
 _ELSEWHERE = "move it away or choose another with --ledger"
-# errors from a part of the file that was edited by hand: its content is then computed again
+# errors of a part of the file that was edited by hand; its content is then computed again
 _DAMAGED = (LookupError, TypeError, ValueError, AttributeError, FittingError)
 
 
@@ -69,7 +69,7 @@ class Entry:
 
     @cached_property
     def stored(self) -> EntryDocument:
-        """The same, checked.
+        """The same as a validated object.
 
         Raises
         ------
@@ -108,7 +108,7 @@ class Entry:
         Parameters
         ----------
         source : str
-            What the other study calls this one.
+            Name of this study in the other one.
 
         Raises
         ------
@@ -133,7 +133,7 @@ class Entry:
         return self.stored.parameters
 
     def shown(self, data: Sequence[CaseData]) -> Fit:
-        """Return the fit for display: restored if the same code made it, otherwise fitted again."""
+        """Return the fit for display: restored if made by the same code, otherwise fitted again."""
         data = with_prior(data, self.prior)
         stored, found = self.document.get("restored_from"), None
         if stored:
@@ -142,7 +142,7 @@ class Entry:
         return found or self.refit(data)
 
     def diagnosis(self, fit: Fit, extra: Sequence[Effect] = ()) -> Diagnosis | None:
-        """Return the diagnosis for display, if the same code made one with these effects of the user."""
+        """Return the diagnosis for display, if there is one by the same code with these effects of the user."""
         stored = self.document.get("diagnosis")
         if stored:
             with suppress(*_DAMAGED):
@@ -150,7 +150,7 @@ class Entry:
         return None
 
     def refit(self, data: Sequence[CaseData]) -> Fit:
-        """Return the fit, made again with its own parameters as initial values."""
+        """Fit the model again with the stored parameters as initial values."""
         return robust_fit(
             self.model,
             with_prior(data, self.prior),
@@ -300,7 +300,7 @@ class Ledger:
             self.find(fit_id).document["diagnosis"] = as_json(stored_diagnosis(found, extra))
 
     def annotate(self, fit_id: str, *, name: str | None = None, note: str | None = None) -> None:
-        """Set the name or the note of a fit; None leaves what there is.
+        """Set the name or the note of a fit; None keeps the present one.
 
         Parameters
         ----------
@@ -322,7 +322,7 @@ class Ledger:
                 document["note"] = note.strip()[:2000]
 
     def delete(self, fit_id: str) -> Entry:
-        """Remove a fit that no other was made from, and return it; `restore` takes it back.
+        """Remove a fit without successors, and return it for `restore`.
 
         Parameters
         ----------
@@ -345,12 +345,12 @@ class Ledger:
             return entry
 
     def restore(self, entry: Entry) -> None:
-        """Take back a fit that was deleted, if no other has its name by now.
+        """Add a deleted fit again, if no other has its name.
 
         Parameters
         ----------
         entry : Entry
-            What `delete` returned.
+            The entry from `delete`.
 
         Raises
         ------
@@ -365,7 +365,7 @@ class Ledger:
 
     @contextmanager
     def _locked(self) -> Iterator[None]:
-        """Read the file again, let the block change the entries, and write them, while no other process can."""
+        """Read the file, let the block change the entries, and write them, under the lock of the file."""
         with locked(self.path):
             if self.path.exists():
                 self.entries = _read(self.path)

@@ -21,7 +21,7 @@ from fitting.effects._library import LIBRARY
 from fitting.effects._user import read_effects
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.]{0,60}")
-# trial values of a shape constant around the one found
+# trial values of a shape constant over the fitted one
 _AROUND = (0.5, 0.7, 1.0, 1.4, 2.0)
 
 
@@ -34,7 +34,7 @@ class TermDocument(Document):
 
 
 class DifferenceDocument(Document):
-    """Where a law differs most from another one of its set; torque [N m], times [s], speeds [rad/s]."""
+    """The largest difference of a law from another one of its set; torque [N m], times [s], speeds [rad/s]."""
 
     formula: str
     torque_Nm: Number  # noqa: N815 - the unit's own capitals
@@ -74,7 +74,7 @@ class CurveDocument(Document):
 
 
 class DependenceDocument(Document):
-    """On what the unmodelled torque depends."""
+    """The dependence of the unmodelled torque on a variable."""
 
     variable: str
     body: str
@@ -142,28 +142,14 @@ def laws_document(found: Laws, fit_id: str) -> dict[str, Any]:
 
 
 def _law(x: Law) -> LawDocument:
-    return LawDocument(
-        formula=x.formula,
-        body=x.body,
-        form=x.form,
-        terms=[
-            TermDocument(body=e.joint, law=e.law, rate=e.state.rate if e.state else "") for e in x.effects
-        ],
-        score=x.score,
-        delta_bic=x.delta_bic,
-        description_length=x.description_length,
-        p_value=x.p_value,
-        parameters={k: EstimateDocument.model_validate(e) for k, e in x.estimates.items()},
-        torque_rms_Nm=x.torque_rms_Nm,
-        verdict=x.fit.verdict,
-        indistinguishable_from=list(x.indistinguishable_from),
-        same_torque_as=list(x.same_torque_as),
-        differences=[DifferenceDocument.model_validate(d) for d in x.differences],
+    terms = [{"body": e.joint, "law": e.law, "rate": e.state.rate if e.state else ""} for e in x.effects]
+    return LawDocument.model_validate(
+        vars(x) | {"body": x.body, "terms": terms, "parameters": x.estimates, "verdict": x.fit.verdict}
     )
 
 
 def check_name(name: str, path: Path, terms: int = 1) -> None:
-    """Raise an error if a law cannot be kept in a file under this name.
+    """Raise an error if a law cannot be added to a file under this name.
 
     Parameters
     ----------
@@ -231,10 +217,8 @@ def _tables(law: Law, names: Sequence[str], source: str) -> list[str]:
         lines += [f"signature = {json.dumps(law.form)}", f"source = {json.dumps(source)}"]
         lines += ["per_case = true"] if effect.per_case else []
         for p in effect.parameters:
-            own = [e for k, e in law.estimates.items() if k.partition("@")[0].endswith(f".{p.symbol}")]
-            own = [e for k, e in law.estimates.items() if k.partition("@")[0].rpartition(".")[2] == p.symbol
-                   and _belongs(k, effect.name)] or own  # fmt: skip
-            value = own[0].value if own else p.start
+            key = f"{effect.name}.{p.symbol}"
+            value = next((e.value for k, e in law.estimates.items() if k.partition("@")[0] == key), p.start)
             lines += ["", f"[effect.parameters.{p.symbol}]", f"unit = {json.dumps(p.unit)}"]
             lines += [f"start = {value!r}"]
             for bound, limit in (("lower", p.lower), ("upper", p.upper)):
@@ -244,7 +228,3 @@ def _tables(law: Law, names: Sequence[str], source: str) -> list[str]:
                 lines += [f"grid = {grid!r}", "shape = true"]
             lines += [f"meaning = {json.dumps(p.meaning)}"] if p.meaning else []
     return lines
-
-
-def _belongs(key: str, effect: str) -> bool:
-    return key.partition("@")[0].rpartition(".")[0] == effect

@@ -1,6 +1,6 @@
-"""The data as the paper takes them, and one rotor curve through all windows.
+"""Data as in the paper: smoothed velocities, and one generated rotor curve through all windows.
 
-The default is neither: angles are fitted as measured, and the rotor in its windows only.
+By default, the measured angles are fitted, and the rotor in its windows only.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 _POINTS = 2000
 _STEPS = 400
-# slopes guide the curve between the windows; through the windows it has to go
+# weight of the slopes of the windows relative to their speeds
 _SLOPES = 0.01
 
 
@@ -31,18 +31,18 @@ def with_generated_rotor(record: Record) -> Record:
     """Return the record with one curve of the rotor's speed in place of its windows.
 
     The curve solves d omega/dt = -(k0 + k1 omega + k2 omega^2), the decay of a rotor under dry, linear and
-    quadratic friction, fitted to speed and slope of each window. Its samples together weigh as much as the
-    measured ones did. As the paper states of its own curve, it has no noise: chi-square of the rotor has no meaning.
+    quadratic friction, fitted to speed and slope of each window. Its samples have the same total weight as the measured
+    ones. As the curve of the paper it has no noise: chi-square of the rotor has no meaning.
 
     Parameters
     ----------
     record : Record
         One of velocities.
     """
-    seen = [_line(w) for w in record.rotor]
+    lines = [_line(w) for w in record.rotor]
     start, stop = record.span
     grid = np.linspace(start, stop, _STEPS)
-    found = _decay(np.array(seen), grid)
+    found = _decay(np.array(lines), grid)
     times = np.linspace(start, stop, _POINTS)
     omega = hermite(grid, found, np.gradient(found, grid, edge_order=2), times)
     weight = sum(
@@ -55,7 +55,7 @@ def with_generated_rotor(record: Record) -> Record:
 
 @dataclass(frozen=True)
 class CurveBias:
-    """A parameter from a generated curve and from the rotor's windows, with the error that the curve claims."""
+    """A parameter from a generated curve and from the rotor's windows, each with its standard error."""
 
     generated: float
     claimed: float
@@ -64,15 +64,15 @@ class CurveBias:
 
     @property
     def errors(self) -> float:
-        """How far the curve moved the parameter, in the error that it claims (or, on a bound, that of the windows)."""
+        """Shift of the parameter by the curve over its standard error (at a bound, over that of the windows)."""
         known = self.claimed if np.isfinite(self.claimed) and self.claimed > 0 else self.stderr
         return abs(self.generated - self.measured) / known if known > 0 else float("nan")
 
 
 def curve_bias(found: Fit) -> dict[str, CurveBias]:
-    """Return by how much a generated rotor curve moved each parameter: the same model is fitted to the windows.
+    """Return the shift of each parameter by a generated rotor curve, from a fit of the same model to the windows.
 
-    The curve's law is not the model's. Its values between the windows, and their errors, are not measured.
+    The law of the curve is not that of the model. Its values between the windows are not measured.
 
     Returns
     -------
@@ -111,9 +111,9 @@ def _line(window: Samples) -> tuple[float, float, float]:
     return middle, float(speed), float(slope)
 
 
-def _decay(seen: Array, grid: Array) -> Array:
-    """Return the speed on the grid; `seen` holds (time, speed, slope) of each window."""
-    time, speed, slope = seen[np.argsort(seen[:, 0])].T
+def _decay(lines: Array, grid: Array) -> Array:
+    """Return the speed on the grid; `lines` contains (time, speed, slope) of each window."""
+    time, speed, slope = lines[np.argsort(lines[:, 0])].T
     scale = float(np.abs(speed).max())
     span = float(grid[-1] - grid[0])
     sloped = np.isfinite(slope)
@@ -140,14 +140,14 @@ def _decay(seen: Array, grid: Array) -> Array:
             np.stack([np.interp(time, grid, column) for column in values.reshape(len(grid), -1).T], axis=-1)
             for values in (x, v)
         ]
-        pulls = np.concatenate(
+        errors = np.concatenate(
             [
                 parts[0] - (speed / scale)[:, None],
                 _SLOPES * span * (parts[1] - slope[:, None] / scale)[sloped],
             ]
         )
-        # what the windows leave open stays small
-        return np.concatenate([pulls, 1e-4 * u[1:].reshape(3, -1)])
+        # weak regularisation of coefficients that the windows do not determine
+        return np.concatenate([errors, 1e-4 * u[1:].reshape(3, -1)])
 
     def problem(u: Array) -> tuple[Array, Array]:
         step = 1e-6
@@ -167,9 +167,9 @@ def prepared(record: Record, data: str | None = None, rotor: str = "windows") ->
     Parameters
     ----------
     record : Record
-        What was measured.
+        The measured record.
     data : {"angle", "velocity"}, optional
-        What is fitted; what was measured, if not given.
+        The fitted quantity; the measured one by default.
     rotor : {"windows", "generated"}
         The rotor's windows as measured, or a generated curve, which is one of velocities.
 

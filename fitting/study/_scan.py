@@ -1,8 +1,7 @@
 """All on/off combinations of the paper's terms, its two models, and the robustness of parameters.
 
-Tables 1 and 2 ask which drags of rotor and casing are needed (the bearing has its linear law): all four, then
-each left out once. Tables 3 and 4 ask which laws of the bearing are needed (a1 is left out): all fifteen
-choices of c, d, e and f.
+Tables 1 and 2 vary the drags of rotor and casing (the bearing has its linear law): all four, then each left out once.
+Tables 3 and 4 vary the laws of the bearing (without a1): all fifteen choices of c, d, e and f.
 """
 
 from __future__ import annotations
@@ -90,7 +89,7 @@ def shade(r2: float) -> str:
     return next((name for least, name in _SHADES if r2 >= least), "dark gray")
 
 
-# share of the reduced value by which each parameter may move; all others keep their declared bounds
+# relative half width of the range of each parameter; all others keep their declared bounds
 WIDTHS = {
     "rotor.air.quadratic.a2": 0.2,
     "casing.air.linear.b2": 0.2,
@@ -103,20 +102,20 @@ WIDTHS = {
 def paper_ranges(reduced: Sequence[Fit], labels: Sequence[str] = ()) -> dict[str, tuple[float, float]]:
     """Return ranges about the mean of some fits of the reduced model.
 
-    That the mean is over the separate fits can be read off the paper: g = 1.05 and f = 0.0795e-7 of its second
-    case lie on the edges 0.8 (1.32 + 1.30)/2 and 0.5 (0.126 + 0.192)/2 e-7.
+    That the mean is over the separate fits follows from values of the paper: g = 1.05 and f = 0.0795e-7 of its second
+    case are the bounds 0.8 (1.32 + 1.30)/2 and 0.5 (0.126 + 0.192)/2 e-7.
 
     Parameters
     ----------
     reduced : sequence of Fit
         Fits of the reduced model.
     labels : sequence of str
-        Cases of the joint fit in which some of the parameters are each case's own.
+        Cases of the joint fit in which parameters may have a value for each case.
 
     Returns
     -------
     dict
-        Bounds by name. A parameter that the reduced fits put at zero keeps its declared bounds.
+        Bounds by name. A parameter that is zero in the reduced fits keeps its declared bounds.
     """
     ranges = {}
     for key, width in WIDTHS.items():
@@ -130,7 +129,7 @@ def paper_ranges(reduced: Sequence[Fit], labels: Sequence[str] = ()) -> dict[str
     return ranges
 
 
-# shares of the mean: what the paper calls robust moves by a few percent, what it calls unstable by half or more
+# relative changes: parameters that the paper calls robust change by a few percent, unstable ones by half or more
 _ROBUST, _UNSTABLE = 0.1, 0.5
 
 
@@ -147,8 +146,8 @@ class Robustness:
     spread : float
         Largest minus smallest value of the separate fits, over their mean; nan for a single case.
     shift : float
-        From the separate fits to the joint one, over the former: the joint value against their mean, or where
-        each case keeps a value of its own the largest of its shifts; nan without a joint fit.
+        Relative change from the separate fits to the joint one: of their mean, or the largest one where each case has
+        its own value; nan without a joint fit.
     sigma : float
         Largest difference of two separate fits over its standard error; nan where an error is not known.
     verdict : str
@@ -168,7 +167,7 @@ class Robustness:
 
 
 def robustness(separate: Sequence[Fit], joint: Fit | None) -> tuple[Robustness, ...]:
-    """Return how steady each of the paper's parameters is.
+    """Return the robustness of each of the paper's parameters.
 
     Parameters
     ----------
@@ -198,12 +197,12 @@ def _one(column: Column, own: Sequence[Estimate], together: Sequence[float]) -> 
         shift = max((_share(b - a, a) for a, b in zip(values, together, strict=True)), key=abs)
     else:
         shift = _share(together[0] - mean, mean) if together else math.nan
-    pulls = [
+    differences = [
         abs(a.value - b.value) / math.hypot(a.stderr, b.stderr)
         for a, b in combinations(own, 2)
         if a.stderr > 0 and b.stderr > 0
     ]
-    sigma = max(pulls, default=math.nan)
+    sigma = max(differences, default=math.nan)
     verdict = _verdict(column, own, spread, shift)
     return Robustness(column.symbol, column.key, column.unit, mean, spread, shift, sigma, verdict)
 
@@ -224,8 +223,8 @@ def _verdict(column: Column, own: Sequence[Estimate], spread: float, shift: floa
     return "robust" if worst < _ROBUST else "varies" if worst < _UNSTABLE else "unstable"
 
 
-# a fall of the deviance that no parameter would notice
-_SIDE_VALLEY = 0.1
+# difference of deviances with which no parameter changes significantly
+_SAME_MINIMUM = 0.1
 
 Progress = Callable[[int, int | None], None]
 
@@ -264,7 +263,7 @@ class ModelFits:
     predicted : tuple of Predicted
         Each case predicted from the others; empty for a single case.
     robustness : tuple of Robustness
-        How steady each parameter is.
+        Robustness of each parameter.
     """
 
     name: str
@@ -276,7 +275,7 @@ class ModelFits:
 
 @dataclass(frozen=True)
 class Scan:
-    """What a scan found: two tables a case, and two models on all cases.
+    """The result of a scan: two tables for each case, and two models on all cases.
 
     Attributes
     ----------
@@ -295,7 +294,7 @@ class Scan:
 
     @property
     def converged(self) -> bool:
-        """Whether both models converged everywhere (a run of the tables may fail: that is an answer)."""
+        """Whether both models converged for all cases (runs of the tables may fail)."""
         fits = [f for m in self.models for f in (*m.separate, *([m.joint] if m.joint else []))]
         return all(f.verdict != "not converged" for f in fits)
 
@@ -304,8 +303,8 @@ class Scan:
 def scan(cases: Sequence[Record | CaseData], *, progress: Progress | None = None) -> Scan:
     """Fit every on/off combination of the paper's terms, and its two models.
 
-    The general model moves within the paper's ranges about the mean of the separate reduced fits. The noise of
-    each case is measured once, with the reduced model, and every run is weighed by it.
+    The parameters of the general model are bounded by the paper's ranges about the mean of the separate reduced fits.
+    The noise of each case is estimated once, with the reduced model, and used for every run.
 
     Parameters
     ----------
@@ -339,7 +338,7 @@ def scan(cases: Sequence[Record | CaseData], *, progress: Progress | None = None
     small = _model("reduced", reduced, data, noise, {}, {})
     count.add(2)
     ranges = paper_ranges(reduced, labels)
-    # an extension starts from the model that it extends: it cannot end worse, and soon is there
+    # an extended model starts at the optimum of the smaller one, so that its deviance is not larger
     wide = Model.of(GENERAL)
     general = [
         fit(wide, [d], noise=[n], ranges=ranges, start=_extended(wide, f))
@@ -368,15 +367,15 @@ def _model(
 
 
 def _rows(runs: Sequence[Run], data: CaseData, noise: Noise, count: _Count) -> tuple[Row, ...]:
-    """Fit the runs of a table, the small ones first: a power law among others is sought from what it extends."""
+    """Fit the runs of a table, the small ones first: a larger model with a power law starts at a smaller one."""
     rows: dict[Run, Row] = {}
     for run in sorted(runs, key=lambda r: len(r.terms)):
         inner = [r.fit for r in rows.values() if r.fit is not None and set(r.run.terms) < set(run.terms)]
         best = min(inner, key=lambda f: f.deviance, default=None)
         follows = best is not None and "bearing.power" in best.model.names
         row = Row(run, None) if follows else _row(run, data, noise)
-        if best is not None and (row.fit is None or row.fit.deviance > best.deviance + _SIDE_VALLEY):
-            # no model can do worse than one that it contains: that search ended in a side valley
+        if best is not None and (row.fit is None or row.fit.deviance > best.deviance + _SAME_MINIMUM):
+            # a model has no larger deviance than one that it contains: the search ended in a local minimum
             row = _better(row, best, data, noise)
         rows[run] = row
         count.add(1)
@@ -393,9 +392,7 @@ def _better(row: Row, inner: Fit, data: CaseData, noise: Noise) -> Row:
 
 
 def _extended(model: Model, inner: Fit) -> dict[str, float]:
-    return {k: p.start for k, p in model.parameters.items()} | {
-        k: e.value for k, e in inner.estimates.items()
-    }
+    return {k: p.start for k, p in model.parameters.items()} | inner.values
 
 
 def _row(run: Run, data: CaseData, noise: Noise) -> Row:
@@ -410,11 +407,11 @@ def _fit(model: Model, data: CaseData, noise: Noise) -> Fit:
     try:
         return fit(model, [data], noise=[noise])
     except FittingError:
-        # a wrong bearing law may ask for a touch point that stops the casing: begin without one
+        # with a wrong bearing law the touch point may stop the casing: the initial values are those without it
         rough = Model(tuple(e for e in model.effects if not e.per_surface))
         if rough == model:
             raise
-        begin = {k: e.value for k, e in fit(rough, [data], noise=[noise]).estimates.items()}
+        begin = fit(rough, [data], noise=[noise]).values
         held = {k: 0.0 for k in model.free if k not in begin}
         return fit(model, [data], noise=[noise], start=begin | held)
 

@@ -17,8 +17,8 @@ from fitting.inference._result import Estimate, Fit
 from fitting.study._scan import AIR_COLUMNS, BEARING_COLUMNS, COLUMNS, ModelFits, Robustness, Row, Scan, shade
 from fitting.study._serialisation import fit_document
 
-# what the paper prints as "about 0"
-NEARLY_NOTHING = 1e-4
+# value below which the paper prints "about 0"
+NEARLY_ZERO = 1e-4
 
 
 def three_digits(x: float) -> str:
@@ -27,7 +27,7 @@ def three_digits(x: float) -> str:
         return "-"
     if x == 0:
         return "0"
-    if abs(x) < NEARLY_NOTHING:
+    if abs(x) < NEARLY_ZERO:
         return "~0"
     places = 2 - math.floor(math.log10(float(f"{abs(x):.2e}")))
     if places < -3:
@@ -56,7 +56,7 @@ LEGEND = (
     "dBIC: against the best run of the table",
 )
 _WIDTH = 8
-_HARDLY = 1e-4
+_SMALLEST_SHARE = 1e-4
 
 
 def scan_lines(scan: Scan) -> list[str]:
@@ -125,10 +125,10 @@ def _cell(fit: Fit, symbol: str, label: str = "") -> str:
     e = fit.estimates.get(f"{column.key}@{label}", fit.estimates.get(column.key))
     if e is None:
         return f"{'-':>{_WIDTH - 1}} "
-    return f"{three_digits(e.value / 10.0**column.exponent):>{_WIDTH - 1}}{_doubt(e)}"
+    return f"{three_digits(e.value / 10.0**column.exponent):>{_WIDTH - 1}}{_mark(e)}"
 
 
-def _doubt(e: Estimate) -> str:
+def _mark(e: Estimate) -> str:
     return "*" if e.at_bound else "?" if e.stderr > abs(e.value) else " "
 
 
@@ -190,7 +190,7 @@ def robustness_lines(found: Sequence[Robustness]) -> list[str]:
 def _percent(share: float) -> str:
     if not math.isfinite(share):
         return ""
-    if abs(share) < _HARDLY:
+    if abs(share) < _SMALLEST_SHARE:
         return "< 0.01 %"
     return f"{100 * share:.2g} %" if abs(share) < 1 else f"{100 * share:.0f} %"
 
@@ -279,7 +279,7 @@ def _latex_runs(rows: Sequence[Row], symbols: Sequence[str]) -> list[str]:
 
 def _value(estimate: object, symbol: str) -> str:
     value = getattr(estimate, "value", 0.0) / 10.0 ** COLUMNS[symbol].exponent
-    if 0 < abs(value) < NEARLY_NOTHING:
+    if 0 < abs(value) < NEARLY_ZERO:
         return r"$\approx 0$"
     return f"${three_digits(value)}$"
 
@@ -392,7 +392,7 @@ def _escaped(text: str) -> str:
         "\\": r"\textbackslash{}",
         "~": r"\textasciitilde{}",
         "^": r"\textasciicircum{}",
-        # with the plain encoding of fonts these would print as Spanish marks and a dash
+        # in the OT1 font encoding these print as other characters
         "<": r"\textless{}",
         ">": r"\textgreater{}",
         "|": r"\textbar{}",
@@ -429,7 +429,7 @@ def scan_records(scan: Scan) -> list[dict[str, Any]]:
 def _row(table: str, label: str, row: Row) -> dict[str, Any]:
     head = {"table": table, "fit": "separate", "case": label, "terms": " ".join(row.run.terms)}
     if row.fit is None:
-        return head | dict.fromkeys(_numbers_of_nothing()) | {"verdict": "no fit", "fault": row.fault}
+        return head | dict.fromkeys(_number_names()) | {"verdict": "no fit", "fault": row.fault}
     return head | _numbers(row.fit, label, math.nan) | {"verdict": row.fit.verdict, "fault": ""}
 
 
@@ -464,7 +464,7 @@ def _numbers(fit: Fit, label: str, predicted: float) -> dict[str, Any]:
     }
 
 
-def _numbers_of_nothing() -> list[str]:
+def _number_names() -> list[str]:
     values = [name for s in COLUMNS for name in (s, f"{s}_stderr")]
     metrics = [f"{m}_{body}" for body in ("casing", "rotor") for m in _METRICS]
     return [*values, *metrics, "held_out_recording", "energy_drift", "bic", "shade"]

@@ -1,8 +1,8 @@
 """Fits, diagnoses and histories as documents of `fitting._schema`, and back.
 
-A fit is restored from its variables and its noise: with both, and the data, everything else follows by one
-prediction. A diagnosis is restored from its sentence and its ranking; its curves follow from its fit. What is stored
-is valid only for the same code and the same data: see `fingerprint`.
+A fit is restored from its variables, its noise and the data by one prediction. A diagnosis is restored from its
+sentence and its ranking, its curves from its fit. Stored states are valid only for the same code and the same data: see
+`fingerprint`.
 """
 
 from __future__ import annotations
@@ -20,34 +20,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import FittingError, LedgerError
+from fitting._numbers import to_json
 from fitting._schema import (
     AngleNoiseDocument,
     BudgetDocument,
-    CandidateDocument,
     CaseDocument,
     DiagnosisDocument,
-    EffectLimitsDocument,
     EstimateDocument,
-    FailureDocument,
     FitDocument,
-    NextRunDocument,
-    NuisanceDocument,
     ParameterBudgetDocument,
     PlanDocument,
     PriorDocument,
-    RemainderDocument,
-    RippleDocument,
     SavedFitDocument,
     StepDocument,
     StoredCandidate,
     StoredDiagnosis,
     StoredEstimate,
-    StoredFailure,
     StoredFit,
     StoredNoise,
-    TorqueDocument,
-    UpperLimitDocument,
-    WhitenessDocument,
     effects_of,
     own_effects,
     read_json,
@@ -62,6 +52,7 @@ from fitting.discovery._select import Candidate, Step
 from fitting.discovery._verdict import Diagnosis
 from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect
+from fitting.inference._angle_noise import AngleNoise
 from fitting.inference._budget import ParameterBudget
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
@@ -71,14 +62,13 @@ from fitting.inference._parameters import ParameterLayout
 from fitting.inference._problem import Problem, degenerate_directions
 from fitting.inference._profile import LEVEL, Interval
 from fitting.inference._record import Record
-from fitting.inference._recording_noise import AngleNoise
 from fitting.inference._result import Estimate, Fit, FitSummary, Origin, not_determined, outcome
 from fitting.study._paper import CurveBias
 
 Array = NDArray[np.float64]
 
 _CURVE_POINTS = 200
-# number of candidates whose fits are stored, best first: more curves than a report draws
+# number of candidates whose fits are stored, best first; a report draws fewer
 _FITS = 4
 
 
@@ -110,14 +100,9 @@ def fit_document(fit: Fit, fit_id: str) -> dict[str, Any]:
         equations=list(fit.model.equations(single=fit.problem.data[0].record.single)),
         not_determined=not_determined(fit.estimates),
         not_determined_together=not_determined_together(fit),
-        prior=_prior_document(fit),
+        prior=None if fit.prior is None else PriorDocument.model_validate(fit.prior),
     )
     return document.model_dump()
-
-
-def _prior_document(fit: Fit) -> PriorDocument | None:
-    prior = next((d.record.prior for d in fit.problem.data if d.record.prior is not None), None)
-    return None if prior is None else PriorDocument.model_validate(prior)
 
 
 def bias_document(bias: Mapping[str, CurveBias]) -> dict[str, dict[str, float]]:
@@ -133,58 +118,44 @@ def budget_document(found: Mapping[str, ParameterBudget]) -> dict[str, Any]:
 
 def plan_document(found: Plan) -> dict[str, Any]:
     """Return a plan under the keys of `plan --json`."""
-    return PlanDocument(
-        effects=[_limits(e) for e in found.effects],
-        classes=[list(c) for c in found.classes],
-        next_run=_next_run(found.next_run) if found.next_run is not None else None,
-        power_wanted=POWER,
-        confidence=CONFIDENCE,
-        size_Nm=found.size,
-        warning=found.warning,
-    ).model_dump()
-
-
-def _limits(e: EffectLimits) -> EffectLimitsDocument:
-    return EffectLimitsDocument(
-        effect=e.effect.name,
-        kind=e.effect.kind,
-        symbol=e.strength,
-        unit=e.unit,
-        shape=e.shape,
-        stderr=e.stderr,
-        detection_limit=e.detection_limit,
-        upper_limit=e.upper_limit,
-        torque_Nm=e.detection_torque,
-        upper_torque_Nm=e.upper_torque,
-        detection_range_Nm=e.detection_range if e.effect.mechanical else (float("nan"), float("nan")),
-        size=e.size,
-        size_Nm=e.size * e.torque,
-        power=e.power,
-        runs_needed=e.runs_needed,
-        absorbed=e.absorbed,
-        indistinguishable_from=list(e.indistinguishable_from),
+    document = PlanDocument.model_validate(
+        vars(found)
+        | {
+            "effects": [_limits(e) for e in found.effects],
+            "next_run": _next_run(found.next_run) if found.next_run is not None else None,
+            "power_wanted": POWER,
+            "confidence": CONFIDENCE,
+            "size_Nm": found.size,
+        }
     )
+    return document.model_dump()
 
 
-def _next_run(n: NextRun) -> NextRunDocument:
-    run = n.run
-    return NextRunDocument(
-        omega_rotor=run.omega_rotor,
-        omega_casing=run.omega_casing,
-        duration=run.duration,
-        windows=list(run.windows),
-        window_length=run.window_length,
-        inertia_casing_ratio=run.ring,
-        touchpoint_ratio=run.surface,
-        rivals=[list(names) for names in n.rivals],
-        separation_sigma=max(n.separation, 0.0) ** 0.5,
-        present_sigma=max(n.present, 0.0) ** 0.5,
-        repeated_sigma=max(n.repeated, 0.0) ** 0.5,
-        inseparable=list(n.inseparable),
-        detection_limit_ratio=n.gains,
-        bounds=asdict(n.bounds),
-        sentence=n.sentence,
-    )
+def _limits(e: EffectLimits) -> dict[str, Any]:
+    return vars(e) | {
+        "effect": e.effect.name,
+        "kind": e.effect.kind,
+        "symbol": e.strength,
+        "torque_Nm": e.detection_torque,
+        "upper_torque_Nm": e.upper_torque,
+        "detection_range_Nm": e.detection_range if e.effect.mechanical else (float("nan"), float("nan")),
+        "size_Nm": e.size * e.torque,
+        "absorbed": e.absorbed,
+    }
+
+
+def _next_run(n: NextRun) -> dict[str, Any]:
+    return {
+        **vars(n),
+        **vars(n.run),
+        "inertia_casing_ratio": n.run.ring,
+        "touchpoint_ratio": n.run.surface,
+        "separation_sigma": max(n.separation, 0.0) ** 0.5,
+        "present_sigma": max(n.present, 0.0) ** 0.5,
+        "repeated_sigma": max(n.repeated, 0.0) ** 0.5,
+        "detection_limit_ratio": n.gains,
+        "bounds": asdict(n.bounds),
+    }
 
 
 def not_determined_together(fit: Fit) -> list[dict[str, float]]:
@@ -201,36 +172,23 @@ def interval_document(interval: Interval) -> dict[str, Any]:
 
 def diagnosis_document(d: Diagnosis, fit_id: str) -> dict[str, Any]:
     """Return a diagnosis under the keys of `diagnose --json`."""
-    document = DiagnosisDocument(
-        fit_id=fit_id,
-        verdict=d.verdict,
-        sentence=d.sentence,
-        failures=[FailureDocument.model_validate(f) for f in d.failures],
-        candidates=[_candidate(c) for c in d.candidates],
-        form=d.form,
-        explained=d.explained,
-        form_limit=d.form_limit,
-        remainder=RemainderDocument.model_validate(d.remainder) if d.remainder is not None else None,
-        nuisance=[NuisanceDocument.model_validate(n) for n in d.nuisance],
-        next_experiment=d.next_experiment,
-        upper_limits=[UpperLimitDocument.model_validate(u) for u in d.upper_limits],
-        whiteness=[WhitenessDocument.model_validate(w) for w in d.whiteness],
-        energy_drift={c.label: c.energy_drift for c in d.fit.cases},
-        residual_torque=[_torque(t) for t in d.torques],
-        residual_ripple=[
-            RippleDocument(
-                label=r.label,
-                angle=r.angle.tolist(),
-                torque_Nm=r.torque.tolist(),
-                sigma_Nm=r.sigma.tolist(),
-            )
-            for r in d.ripples
-        ],
+    ripples = [
+        {"label": r.label, "angle": r.angle, "torque_Nm": r.torque, "sigma_Nm": r.sigma} for r in d.ripples
+    ]
+    document = DiagnosisDocument.model_validate(
+        vars(d)
+        | {
+            "fit_id": fit_id,
+            "candidates": [_candidate(c) for c in d.candidates],
+            "energy_drift": {c.label: c.energy_drift for c in d.fit.cases},
+            "residual_torque": [_torque(t) for t in d.torques],
+            "residual_ripple": [{k: to_json(v) for k, v in r.items()} for r in ripples],
+        }
     )
     return document.model_dump()
 
 
-def _torque(torque: ResidualTorque) -> TorqueDocument:
+def _torque(torque: ResidualTorque) -> dict[str, Any]:
     """Return an unmodelled torque with the motion at the same times."""
     step = max(1, len(torque.time) // _CURVE_POINTS)
     columns = {
@@ -242,43 +200,30 @@ def _torque(torque: ResidualTorque) -> TorqueDocument:
         "sigma_Nm": torque.sigma,
     }
     thinned = {k: v[::step].tolist() for k, v in columns.items()}
-    return TorqueDocument(label=torque.label, body=torque.body, **thinned)
+    return {"label": torque.label, "body": torque.body} | thinned
 
 
-def _candidate(c: Candidate) -> CandidateDocument:
-    return CandidateDocument(
-        effect=c.effect.name,
-        kind=c.effect.kind,
-        score=c.score,
-        delta_bic=c.delta_bic,
-        p_value=c.p_value,
-        significant=c.significant,
-        held_out_gain=c.held_out_gain,
-        indistinguishable_from=list(c.indistinguishable_from),
-        parameters={k: EstimateDocument.model_validate(e) for k, e in c.estimates.items()},
-        law=f"{c.effect.joint}: {c.effect.law}",
-    )
+def _candidate(c: Candidate) -> dict[str, Any]:
+    law = f"{c.effect.joint}: {c.effect.law}"
+    return vars(c) | {"effect": c.effect.name, "kind": c.effect.kind, "parameters": c.estimates, "law": law}
 
 
 def step_document(fit: Fit, fit_id: str, added: str, previous: Fit | None) -> dict[str, Any]:
-    """Return one step of a history: what was changed, and what the errors did."""
-    document = StepDocument(
-        fit_id=fit_id,
-        added=added,
-        model=list(fit.model.names),
-        samples=fit.samples,
-        n_eff=fit.n_eff,
-        rmse_casing=fit.rmse_casing,
-        rmse_noise=fit.rmse_noise,
-        reduced_chi2=fit.reduced_chi2,
-        held_out=fit.held_out,
-        bic=fit.bic,
-        bic_noise=fit.bic_noise,
-        delta_bic=fit.bic - previous.bic if previous is not None else 0.0,
-        energy_drift=max(c.energy_drift for c in fit.cases),
-        torque_left_Nm=fit.torque_noise,
-        moved=_moved(fit, previous),
-        verdict=fit.verdict,
+    """Return one step of a history: the change, and the errors before and after."""
+    same = (
+        "samples", "n_eff", "rmse_casing", "rmse_noise", "reduced_chi2", "held_out", "bic", "bic_noise", "verdict",
+    )  # fmt: skip
+    document = StepDocument.model_validate(
+        {k: getattr(fit, k) for k in same}
+        | {
+            "fit_id": fit_id,
+            "added": added,
+            "model": fit.model.names,
+            "delta_bic": fit.bic - previous.bic if previous is not None else 0.0,
+            "energy_drift": max(c.energy_drift for c in fit.cases),
+            "torque_left_Nm": fit.torque_noise,
+            "moved": _moved(fit, previous),
+        }
     )
     return document.model_dump()
 
@@ -315,7 +260,7 @@ class SavedNoise:
 
 @dataclass(frozen=True, repr=False)
 class SavedFit(FitSummary):
-    """A fit read from a file: everything but the data.
+    """A fit read from a file, without the data.
 
     Attributes
     ----------
@@ -348,7 +293,7 @@ class SavedFit(FitSummary):
 
     def refit(self, cases: Sequence[Record]) -> Fit:
         """Fit the same model again, with these values as initial values."""
-        return fit(self.model, cases, start={k: e.value for k, e in self.estimates.items()})
+        return fit(self.model, cases, start=self.values)
 
 
 def load_fit(path: str | Path) -> SavedFit:
@@ -435,10 +380,10 @@ def stored_fit(fit: Fit) -> StoredFit:
 
 
 def restored_fit(stored: StoredFit, model: Model, data: Sequence[CaseData]) -> Fit | None:
-    """Return a fit as it was; None if other code made it.
+    """Return a stored fit; None if it was made by another version of the code.
 
     The noise is linearised about the optimum instead of the start of the last optimisation: figures of merit agree with
-    the original's to a few digits more than their uncertainty.
+    those of the original to far better than their uncertainty.
     """
     if stored.code != fingerprint():
         return None
@@ -454,7 +399,7 @@ def restored_fit(stored: StoredFit, model: Model, data: Sequence[CaseData]) -> F
 
 def stored_diagnosis(found: Diagnosis, extra: Sequence[Effect] = ()) -> StoredDiagnosis:
     """Return the state from which a diagnosis is restored, given its fit; `extra` are the user's effects."""
-    # one that was fitted with the moments of inertia free has another model
+    # a candidate that was fitted with free moments of inertia has another model
     base = found.fit.model
     drawn = [
         c
@@ -464,39 +409,22 @@ def stored_diagnosis(found: Diagnosis, extra: Sequence[Effect] = ()) -> StoredDi
         and c.significant
         and len(c.fit.model.names) == len(base.names) + 1
     ][:_FITS]
-    return StoredDiagnosis(
-        code=fingerprint(),
-        extra=own_effects(extra),
-        verdict=found.verdict,
-        sentence=found.sentence,
-        failures=[StoredFailure.model_validate(f) for f in found.failures],
-        candidates=[
-            StoredCandidate(
-                effect=c.effect.name,
-                own_effects=own_effects([c.effect]),
-                score=c.score,
-                delta_bic=c.delta_bic,
-                p_value=c.p_value,
-                held_out_gain=c.held_out_gain,
-                significant=c.significant,
-                indistinguishable_from=list(c.indistinguishable_from),
-                estimates={k: StoredEstimate.model_validate(e) for k, e in c.estimates.items()},
-                fit=stored_fit(c.fit) if c.fit is not None and any(c is d for d in drawn) else None,
-            )
-            for c in found.candidates
-        ],
-        form=found.form,
-        explained=found.explained,
-        form_limit=found.form_limit,
-        remainder=RemainderDocument.model_validate(found.remainder) if found.remainder is not None else None,
-        nuisance=[NuisanceDocument.model_validate(n) for n in found.nuisance],
-        next_experiment=found.next_experiment,
-        upper_limits=[UpperLimitDocument.model_validate(u) for u in found.upper_limits],
+    candidates = [
+        vars(c)
+        | {
+            "effect": c.effect.name,
+            "own_effects": own_effects([c.effect]),
+            "fit": stored_fit(c.fit) if c.fit is not None and any(c is d for d in drawn) else None,
+        }
+        for c in found.candidates
+    ]
+    return StoredDiagnosis.model_validate(
+        vars(found) | {"code": fingerprint(), "extra": own_effects(extra), "candidates": candidates}
     )
 
 
 def restored_diagnosis(stored: StoredDiagnosis, fit: Fit, extra: Sequence[Effect] = ()) -> Diagnosis | None:
-    """Return the diagnosis of a fit as it was; None if other code made it, or with other effects of the user.
+    """Return a stored diagnosis; None if it was made by another version of the code or with other effects of the user.
 
     Its candidates have no screening results: it serves display only.
 

@@ -1,4 +1,4 @@
-"""Fits of simulated recordings that several tests look at, each computed once."""
+"""Fits of simulated recordings that several tests use, each computed once."""
 
 from functools import lru_cache
 

@@ -27,7 +27,7 @@ def test_units_have_raised_exponents(unit, text):
     assert unit_text(unit) == text
 
 
-def test_sentence_is_typeset_but_names_and_formulas_are_left():
+def test_sentences_are_typeset_without_names_and_formulas():
     sentence = (
         "loses 2.7e-07 N m with k = (9.996e-11 +- 2e-14) N m s2. Effect casing: -1e-6*omega_c**2 of run s2x"
     )
@@ -45,12 +45,12 @@ def test_short_numbers(value, text):
     assert short(value) == text
 
 
-def test_large_numbers_keep_all_their_places():
+def test_large_numbers_keep_all_digits():
     assert short(199.4, 2) == "199"
     assert short(2000.0) == "2000"
 
 
-def test_what_is_no_number_is_a_dash():
+def test_missing_numbers_are_a_dash():
     assert short(math.nan) == "–"
 
 
@@ -79,7 +79,7 @@ def test_scale_keeps_the_size_readable():
         ("file 3 sand.mp4", ["file", "3", "sand.mp4"]),
     ],
 )
-def test_a_number_stays_with_its_unit(text, lines):
+def test_numbers_and_units_are_joined_by_nonbreaking_spaces(text, lines):
     from fitting._numbers import nonbreaking
 
     assert [w.replace("\u00a0", " ") for w in nonbreaking(text).split(" ")] == lines

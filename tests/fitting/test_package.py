@@ -1,4 +1,4 @@
-"""The package as a notebook uses it: quick to import, on its own, results that print, tabulate and survive a file."""
+"""The package in a notebook: imports, results that are printed, tabulated and saved."""
 
 import json
 import math
@@ -45,7 +45,7 @@ def test_the_package_needs_neither_films_nor_terminals():
     assert done.returncode == 0, done.stderr
 
 
-def test_importing_it_brings_nothing_slow():
+def test_importing_the_package_imports_nothing_slow():
     """A notebook waits for NumPy at most, and for that only when something is taken from the package."""
     foreign = "{m.partition('.')[0] for m in sys.modules if m[0] != '_'} - set(sys.stdlib_module_names)"
     done = python(
@@ -56,8 +56,8 @@ def test_importing_it_brings_nothing_slow():
 
 
 @pytest.mark.slow
-def test_a_fit_never_waits_for_imports_that_it_does_not_need(tmp_path):
-    """Its parts that would be needed take longer to import than the fit takes."""
+def test_a_fit_imports_nothing_slow_that_it_does_not_need(tmp_path):
+    """Their import takes longer than the fit."""
     path = tmp_path / "case.h5"
     assert app.run(["simulate", "-o", str(path), "--duration", "20", "-q"]) == 0
     code = (
@@ -103,7 +103,7 @@ def test_data_frame():
     assert len(frame) == len(fitted(seed=0).estimates)
 
 
-def test_without_pandas_a_sentence(monkeypatch):
+def test_a_data_frame_without_pandas_is_an_error_with_a_hint(monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(EstimationError, match="needs pandas"):
         fitted(seed=0).to_dataframe()
@@ -113,7 +113,7 @@ def same(a, b):
     return a == b or (math.isnan(a) and math.isnan(b))
 
 
-def test_there_and_back_through_a_file(tmp_path):
+def test_a_saved_fit_is_read_back(tmp_path):
     model = Model.of("reduced") + "casing: -q*omega_c**3"
     found = fit(model, data(seed=0), fixed={"g": 1.32})
     path = tmp_path / "fit.json"
@@ -154,14 +154,14 @@ def test_there_and_back_through_a_file(tmp_path):
         '{"format": "gyrotrack fit", "version": 9}',
     ],
 )
-def test_files_that_are_no_fits(tmp_path, text):
+def test_other_files_are_refused_as_saved_fits(tmp_path, text):
     path = tmp_path / "x.json"
     path.write_text(text)
     with pytest.raises(LedgerError):
         load_fit(path)
 
 
-def test_a_damaged_fit_is_refused_whatever_is_wrong(tmp_path):
+def test_damaged_fits_are_refused(tmp_path):
     path = tmp_path / "fit.json"
     fitted(seed=0).save(path)
     document = json.loads(path.read_text())
@@ -178,7 +178,7 @@ def test_a_damaged_fit_is_refused_whatever_is_wrong(tmp_path):
             assert key not in {"format", "version", "model", "estimates", "covariance", "cases"}, (key, wrong)
 
 
-def test_a_folder_that_cannot_be_written(tmp_path):
+def test_saving_into_a_read_only_folder_is_an_error(tmp_path):
     with pytest.raises(LedgerError, match="cannot be written"):
         fitted(seed=0).save(tmp_path / "nowhere" / "fit.json")
 
@@ -203,7 +203,7 @@ def test_energy_is_a_curve_and_a_number():
         found.energy("case7")
 
 
-def test_figures_of_merit_from_scratch():
+def test_figures_of_merit_agree_with_their_definitions():
     """R2, rmse and chi-square summed sample by sample from the film and the model's path."""
     from fitting.dynamics._mesh import Sampler
 
@@ -235,7 +235,7 @@ def test_one_case_or_a_list():
 
 
 @pytest.mark.slow
-def test_the_page_runs_as_it_stands(tmp_path, monkeypatch, capsys):
+def test_the_documentation_page_runs(tmp_path, monkeypatch, capsys):
     for name, seed, words in (
         ("case1", "2", []),
         ("case2", "3", ["--omega-rotor", "800", "--set", "touchpoint.constant.b1=5e-6"]),

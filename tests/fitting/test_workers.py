@@ -18,7 +18,7 @@ def _wrong(value):
     raise ValueError(value)
 
 
-def test_it_is_done_in_another_process_which_is_gone_afterwards():
+def test_a_task_runs_in_a_worker_that_ends_afterwards():
     with WorkerPool(1) as workers:
         value, where = workers.submit(_where, 3).result()
     assert value == 3
@@ -27,17 +27,17 @@ def test_it_is_done_in_another_process_which_is_gone_afterwards():
         os.kill(where, 0)
 
 
-def test_what_goes_wrong_there_is_told_here():
+def test_exceptions_of_workers_are_raised_in_the_caller():
     with WorkerPool(1) as workers, pytest.raises(ValueError, match="seven"):
         workers.submit(_wrong, "seven").result()
 
 
-def test_without_a_second_core_it_is_done_here():
+def test_on_one_core_tasks_run_in_the_caller():
     with WorkerPool(0) as workers:
         assert workers.submit(_where, 3).result() == (3, os.getpid())
 
 
-def test_if_the_process_is_killed_it_is_done_here():
+def test_tasks_of_a_killed_worker_run_in_the_caller():
     with WorkerPool(1) as workers:
         _, where = workers.submit(_where, 0).result()
         os.kill(where, signal.SIGKILL)
@@ -46,7 +46,7 @@ def test_if_the_process_is_killed_it_is_done_here():
 
 
 @pytest.mark.slow
-def test_it_does_not_outlive_a_command_that_is_killed(tmp_path):
+def test_workers_end_with_a_killed_command(tmp_path):
     script = tmp_path / "command.py"
     script.write_text(
         "import os, time\n"
@@ -66,7 +66,7 @@ def test_it_does_not_outlive_a_command_that_is_killed(tmp_path):
     pytest.fail("it is still there")
 
 
-def test_where_no_process_can_be_started_it_is_done_here(monkeypatch):
+def test_without_processes_tasks_run_in_the_caller(monkeypatch):
     """As under ``ulimit -u``: the start of a process fails with an OSError."""
 
     def refuse(*_):
@@ -78,7 +78,7 @@ def test_where_no_process_can_be_started_it_is_done_here(monkeypatch):
         assert workers.map(_first_and, ("a",), [1]) == [("a", 1, os.getpid())]
 
 
-def test_blas_has_one_thread_inside_and_as_many_as_before_afterwards():
+def test_blas_threads_are_limited_within_the_context_only():
     from threadpoolctl import threadpool_info, threadpool_limits
 
     def threads():
@@ -105,7 +105,7 @@ def _first_and(common, item):
     return common[0], item, os.getpid()
 
 
-def test_two_processes_share_the_items_and_results_refer_to_what_is_kept():
+def test_mapped_results_refer_to_shared_objects():
     common = (_Part(), _Part())
     with WorkerPool(1) as workers:
         workers.submit(_where, 0).result()
@@ -115,7 +115,7 @@ def test_two_processes_share_the_items_and_results_refer_to_what_is_kept():
     assert all(part is common[0] for part, _, _ in found)
 
 
-def test_items_are_all_done_here_if_the_process_is_killed():
+def test_mapped_items_of_a_killed_worker_run_in_the_caller():
     with WorkerPool(1) as workers:
         _, where = workers.submit(_where, 0).result()
         os.kill(where, signal.SIGKILL)
@@ -129,12 +129,12 @@ def _killed(common, item):
     return item
 
 
-def test_an_item_that_kills_the_process_is_done_here():
+def test_an_item_that_kills_its_worker_runs_in_the_caller():
     with WorkerPool(1) as workers:
         assert workers.map(_killed, os.getpid(), range(4)) == [0, 1, 2, 3]
 
 
-def test_nothing_is_started_without_with():
+def test_without_entering_the_pool_no_process_is_started():
     assert WorkerPool(1).map(_first_and, ("a",), [1]) == [("a", 1, os.getpid())]
 
 
@@ -146,8 +146,8 @@ def _interrupted(common, item):
     return item
 
 
-def test_an_interruption_leaves_no_words_behind(caplog):
-    """What is begun there comes to its end after the pool is closed, and hands nothing more over."""
+def test_an_interruption_prints_nothing(caplog):
+    """Tasks that have started end after the pool is closed, without a result."""
     with pytest.raises(KeyboardInterrupt), WorkerPool(1) as workers:
         workers.map(_interrupted, workers.submit(os.getppid).result(), range(6))
     assert caplog.records == []

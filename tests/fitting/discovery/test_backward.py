@@ -1,8 +1,8 @@
-"""What was added in vain is taken back, all of it, and what is common to all cases stays so."""
+"""Backward elimination of effects that a later one makes unnecessary; shared parameters remain shared."""
 
 import pytest
 import twobody
-from swings import APART, records, unbalance
+from sinusoidal import APART, records, unbalance
 
 from fitting._criteria import Criteria
 from fitting.discovery._select import Step, _backward
@@ -15,7 +15,7 @@ DRAG = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -4e-10 * abs(wc) * wc)
 
 
 @pytest.mark.slow
-def test_all_that_stood_in_for_the_newest_is_dropped():
+def test_effects_that_imitated_the_newest_are_dropped():
     record = make_record(**twobody.film(twobody.simulate(hidden=DRAG, ou=5e-8, seed=3), 3))
     base = fit(Model.of(REDUCED), [record])
     vain = ("touchpoint.drift", "bearing.drift")
@@ -26,7 +26,7 @@ def test_all_that_stood_in_for_the_newest_is_dropped():
 
 
 @pytest.mark.slow
-def test_phases_of_their_own_stay_when_another_effect_is_dropped():
+def test_per_case_phases_remain_when_another_effect_is_dropped():
     data = records(unbalance, APART)
     base = fit(Model.of(REDUCED), data)
     own = ["casing.unbalance.k", "casing.unbalance.phi"]

@@ -1,4 +1,4 @@
-"""The time of a step is found although the search slid into the wrong hollow."""
+"""The changepoint of a step is found although the search ended in a wrong minimum."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ T0 = 88.0
 
 
 @pytest.mark.slow
-def test_the_right_hollow():
+def test_the_local_scan_finds_a_nearby_changepoint():
     hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -1.5e-6 if t >= T0 else 0.0)
     motion = twobody.simulate(hidden=hidden, ou=1e-7, seed=2)
     data = [CaseData.of(make_record(**twobody.film(motion, 2)))]
@@ -37,7 +37,7 @@ def test_the_right_hollow():
 
 
 @pytest.mark.slow
-def test_a_step_far_off_is_found_by_what_it_leaves():
+def test_a_distant_changepoint_is_found_from_the_residual_torque():
     hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -1.5e-6 if t >= T0 else 0.0)
     data = [CaseData.of(make_record(**twobody.film(twobody.simulate(hidden=hidden, ou=1e-7, seed=2), 2)))]
     far = fit(
@@ -56,7 +56,7 @@ def test_a_step_far_off_is_found_by_what_it_leaves():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("at", [0.35, 0.57, 0.61])
-def test_a_strong_step_is_seen_in_its_narrow_hollow(at):
+def test_a_strong_step_is_found_in_its_narrow_minimum(at):
     par = {**twobody.PAPER, "a2": 1.97e-10, "b1": 3e-6, "b2": 3.7e-7, "d": 3.2e-8, "f": 4.86e-7, "g": 0.62}
     span = 60.0
     hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -4e-6 if t >= at * span else 0.0)
@@ -71,7 +71,7 @@ def test_a_strong_step_is_seen_in_its_narrow_hollow(at):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["touchpoint.step", "casing: -k*heaviside(t - t0)"])
-def test_a_step_that_is_added_to_a_fit_is_searched_first(name):
+def test_a_changepoint_that_is_added_to_a_fit_is_searched_first(name):
     hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -1.2e-5 if t >= 126.4 else 0.0)
     data = [CaseData.of(make_record(**twobody.film(twobody.simulate(hidden=hidden, ou=1e-7, seed=4), 4)))]
     base = fit(Model.of(REDUCED), data)

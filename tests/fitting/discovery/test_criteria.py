@@ -1,4 +1,4 @@
-"""Every decision threshold is a documented field of one record, and the answer follows it."""
+"""Every decision threshold is a documented field of one record, and results depend on it."""
 
 from dataclasses import FrozenInstanceError, fields, replace
 from functools import cache
@@ -28,7 +28,7 @@ def ranked():
     return rank(base())
 
 
-def test_it_prints_on_one_screen_with_the_meaning_of_every_field():
+def test_criteria_print_the_meaning_of_every_field():
     lines = str(fitting.Criteria()).splitlines()
     assert len(lines) == 1 + len(fields(Criteria)) <= 45
     assert max(map(len, lines)) <= 112
@@ -38,7 +38,7 @@ def test_it_prints_on_one_screen_with_the_meaning_of_every_field():
     assert "0.01* " in str(replace(Criteria(), significance=0.01))  # a changed value is marked
 
 
-def test_it_is_immutable_and_refuses_nonsense():
+def test_criteria_are_immutable_and_validated():
     with pytest.raises(FrozenInstanceError):
         Criteria().evidence = 3.0
     for wrong in (
@@ -52,7 +52,7 @@ def test_it_is_immutable_and_refuses_nonsense():
 
 
 @pytest.mark.slow
-def test_evidence_decides_what_is_added():
+def test_evidence_threshold_decides_which_effect_is_added():
     first = best(ranked())
     assert first is not None
     assert best(ranked(), Criteria(evidence=-first.delta_bic + 1, evidence_periodic=1e9)) is None
@@ -68,7 +68,7 @@ def test_significance_decides_the_verdict():
 
 
 @pytest.mark.slow
-def test_the_width_of_a_class_decides_who_is_in_it():
+def test_equivalence_width_decides_membership_of_a_class():
     wide = diagnose(base(), criteria=Criteria(equivalence_width=1e6))
     narrow = diagnose(base(), criteria=Criteria(equivalence_width=0.0))
     assert len(wide.candidates[0].indistinguishable_from) > len(narrow.candidates[0].indistinguishable_from)

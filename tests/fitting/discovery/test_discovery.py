@@ -1,4 +1,4 @@
-"""Hidden effects are found, and nothing is found where nothing is hidden, on data made without `fitting`."""
+"""Missing effects are found, and none is found in data of the model, on data made without `fitting`."""
 
 import math
 from functools import cache
@@ -48,7 +48,7 @@ def base(name="", seed=0, ou=0.0, centre=0.0, inertia=1.0):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", HIDDEN)
-def test_a_hidden_effect_comes_first_with_its_strength(name):
+def test_a_missing_effect_is_ranked_first_with_its_strength(name):
     found = diagnose(base(name))
     assert found.verdict == "missing_effect"
     first = found.candidates[0]
@@ -64,7 +64,7 @@ def test_a_hidden_effect_comes_first_with_its_strength(name):
 
 
 @pytest.mark.slow
-def test_two_processes_say_the_same_as_one():
+def test_two_processes_give_the_same_result_as_one():
     fit_ = base("touchpoint.stribeck")
     with WorkerPool(1) as workers:
         shared = diagnose(fit_, workers=workers)
@@ -77,7 +77,7 @@ def test_two_processes_say_the_same_as_one():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("ou", "centre"), [(0.0, 0.0), (1e-7, 2e-3)])
-def test_nothing_hidden_nothing_found(ou, centre):
+def test_no_effect_is_found_in_data_of_the_model(ou, centre):
     found = diagnose(base(seed=3, ou=ou, centre=centre))
     assert found.verdict == "adequate"
     assert found.failures == ()
@@ -87,7 +87,7 @@ def test_nothing_hidden_nothing_found(ou, centre):
 
 
 @pytest.mark.slow
-def test_a_wrong_inertia_is_no_physics():
+def test_a_wrong_inertia_is_a_measurement_effect():
     found = diagnose(base(seed=1, inertia=1.03))
     assert found.verdict == "missing_effect"
     assert found.candidates[0].effect.name == "setup.inertia"
@@ -96,7 +96,7 @@ def test_a_wrong_inertia_is_no_physics():
 
 
 @pytest.mark.slow
-def test_where_it_fails_is_where_the_step_is():
+def test_the_lack_of_fit_is_located_at_the_step():
     found = diagnose(base("touchpoint.step"))
     edges = [t for f in found.failures if f.body == "casing" for t in (f.t_start, f.t_stop)]
     assert min(abs(t - 88.0) for t in edges) < 1.5
@@ -107,7 +107,7 @@ def test_where_it_fails_is_where_the_step_is():
 
 
 @pytest.mark.slow
-def test_the_ladder_ends_where_the_noise_begins():
+def test_forward_selection_ends_at_the_noise():
     rungs = improve(base("casing.air.quadratic"))
     assert [r.change for r in rungs] == ["", "+casing.air.quadratic"]
     first, last = (r.fit.cases[0].casing for r in (rungs[0], rungs[-1]))
@@ -117,7 +117,7 @@ def test_the_ladder_ends_where_the_noise_begins():
 
 
 @pytest.mark.slow
-def test_a_law_from_outside_is_found_when_it_is_offered_and_not_named_otherwise():
+def test_a_user_law_is_found_if_given_and_no_other_effect_otherwise():
     law = resolve("casing: -k*exp(-((omega_c - 110)/12)**2)")
     hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -TORQUE * math.exp(-(((wc - 110) / 12) ** 2)))
     record = make_record(**twobody.film(twobody.simulate(hidden=hidden), 0))
@@ -134,13 +134,13 @@ def test_a_law_from_outside_is_found_when_it_is_offered_and_not_named_otherwise(
 
 @pytest.mark.slow
 def test_false_alarms_are_as_rare_as_claimed():
-    """Five empty recordings with a random torque and a centre offset: one alarm is bad luck, two are not."""
+    """Five recordings of the model with a random torque and a centre offset: at most one false alarm."""
     alarms = [diagnose(base(seed=s, ou=1e-7, centre=2e-3)).verdict != "adequate" for s in range(100, 105)]
     assert sum(alarms) <= 1
 
 
 @pytest.mark.slow
-def test_hidden_effects_under_a_random_torque_are_in_the_named_class():
+def test_the_named_class_contains_the_true_effect_under_process_noise():
     missed = []
     for name in ("casing.air.quadratic", "touchpoint.stribeck"):
         found = diagnose(base(name, seed=7, ou=5e-8))

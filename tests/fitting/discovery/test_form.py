@@ -1,4 +1,4 @@
-"""How well the data test the form of a law: its limit against simulation, and what keeps an answer from being exact."""
+"""Tests of the form of a law: the detection limit against simulation, and what prevents an exact answer."""
 
 import math
 from dataclasses import replace
@@ -38,15 +38,15 @@ def test_the_limit_is_inversely_proportional_to_the_torque():
     assert weak.limit / strong.limit == pytest.approx(10, rel=0.2)
 
 
-def test_a_law_without_memory_is_no_rival_of_time_and_has_no_active_bound():
+def test_the_form_of_a_strong_drag_is_established():
     found = form_test(drag(2e-6), DRAG, DEFAULT)
     assert not found.any_in_time
     assert found.bounds_p > 0.01
     assert found.is_strong(DEFAULT)
 
 
-def test_a_bound_that_the_residuals_pull_is_told():
-    """A range of b2 below its value: the residuals pull it up."""
+def test_a_significant_active_bound_is_reported():
+    """The range of b2 is below its value: chi-square would fall above the bound."""
     base = drag(2e-6)
     b2 = base.estimates["casing.air.linear.b2"].value
     held = fit(base.model, base.problem.data, ranges={"casing.air.linear.b2": (0.5 * b2, 0.8 * b2)})
@@ -56,7 +56,7 @@ def test_a_bound_that_the_residuals_pull_is_told():
     assert not found.is_strong(DEFAULT)
 
 
-def test_a_weak_test_or_a_pulled_bound_is_not_strong():
+def test_a_weak_test_or_an_active_bound_is_not_strong():
     good = FormTest(0.1, "t", (), 1.0, any_in_time=False)
     assert good.is_strong(DEFAULT)
     assert not replace(good, limit=0.3).is_strong(DEFAULT)
@@ -64,8 +64,8 @@ def test_a_weak_test_or_a_pulled_bound_is_not_strong():
 
 
 @pytest.mark.slow
-def test_a_torque_that_decays_in_time_is_not_named_heating_alone():
-    """A heated bearing and one that is run in are the same motion here: the answer is a class."""
+def test_a_torque_that_decays_in_time_is_not_named_heating_only():
+    """A heated bearing and one that is run in give the same motion here: the answer is a class."""
     law = resolve("bearing: k*exp(-t/9)")
     model = Model.of(REDUCED).with_effect(law)
     numbers = {

@@ -1,4 +1,4 @@
-"""The grammar of laws: units by construction, names of their own, torques that are finite along a motion."""
+"""The grammar of laws: units by construction, unique names, finite torques along a motion."""
 
 import numpy as np
 import pytest
@@ -36,14 +36,14 @@ def test_laws_are_finite_along_a_motion():
         assert np.isfinite(Tape([x.effect.expression])(values)[0]).all(), x.effect.law
 
 
-def test_one_body_has_laws_of_its_own_motion_only():
+def test_the_grammar_of_one_body_contains_laws_of_its_motion_only():
     laws = grammar(RANGES, 200.0, single=True, angles=False)
     assert laws
     assert all(x.effect.single_body for x in laws)
     assert not any(x.effect.depends_on_angle for x in laws)
 
 
-def test_a_longer_formula_costs_more():
+def test_a_longer_formula_has_a_larger_penalty():
     assert description_length(4) == pytest.approx(2 * description_length(2))
     assert description_length(1) == pytest.approx(2 * np.log(4))
 

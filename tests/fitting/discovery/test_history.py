@@ -1,4 +1,4 @@
-"""The history of `improve`: a fit that fails ends it and loses nothing."""
+"""The history of `improve`: a fit that fails ends it, and the previous steps remain."""
 
 import numpy as np
 import oscillators
@@ -9,7 +9,7 @@ from fitting.dynamics._model import Model
 from fitting.inference._fit import fit
 
 
-def test_a_step_that_fails_keeps_the_steps_before_it(monkeypatch):
+def test_a_failed_step_keeps_the_previous_steps(monkeypatch):
     t = np.arange(0, 6, 0.02)
     slowed = 20 / 0.3 * (1 - np.exp(-0.3 * t))
     base = fit(Model.of(["touchpoint.constant"]), [oscillators.record(t, slowed, 1e-3, 1)])

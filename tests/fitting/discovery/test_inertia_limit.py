@@ -62,7 +62,7 @@ def test_a_casing_one_percent_too_light(u, verdict):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("factor", "u"), [(1.03, math.nan), (0.97, 0.02)])
-def test_a_wrong_inertia_is_told_beside_the_effect(factor, u):
+def test_a_wrong_inertia_is_reported_with_the_effect(factor, u):
     """Quadratic drag and I_casing wrong by 3 %: the name stays, and the error is found with its uncertainty."""
     model = Model.of(REDUCED).with_effect(LIBRARY["casing.air.quadratic"])
     numbers = {
@@ -85,8 +85,8 @@ def test_a_wrong_inertia_is_told_beside_the_effect(factor, u):
         assert found.form != "exact"
     selection = select(base, rank(base), (), Criteria(), WorkerPool(0))
     rival = with_free_inertia(base, selection, (), Criteria())
-    if NAME in selection.end.model.names:
-        share = selection.end.estimates[f"{NAME}.eps"]
+    if NAME in selection.final.model.names:
+        share = selection.final.estimates[f"{NAME}.eps"]
         assert "second effect setup.inertia" in found.sentence
     else:
         share = rival.share

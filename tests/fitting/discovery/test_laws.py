@@ -1,4 +1,4 @@
-"""Laws outside the library: the true formula, its numbers, its variable; nothing where nothing is hidden."""
+"""Laws outside the library: formula, parameters and variable; none in data of the model."""
 
 import math
 from functools import lru_cache
@@ -46,10 +46,8 @@ def saturating():
         ("a significant remainder", (), 1e-9, False),
     ],
 )
-def test_the_library_is_the_answer_only_if_no_unknown_law_explains_the_data_as_well(
-    remainder, others, level, stops
-):
-    """Neither an unknown law nor process noise beyond what the recording shows may stand in for it."""
+def test_the_library_is_the_answer_only_without_an_equivalent_unknown_law(remainder, others, level, stops):
+    """The library is no answer if an unknown law, or process noise above that of the recording, explains the data."""
     noise = (SimpleNamespace(level=level, pure=2e-9, pure_u=2e-9),)
     known_fit = SimpleNamespace(noise=noise)
     artefact = SimpleNamespace(indistinguishable_from=(), fit=None, physical=False, significant=True)
@@ -59,7 +57,7 @@ def test_the_library_is_the_answer_only_if_no_unknown_law_explains_the_data_as_w
 
 
 def predicting(*rows, bic=0.0):
-    """Return what the grouping of laws knows of a fit: predicted rows in units of white noise, and one nuisance."""
+    """Return the attributes of a fit that the grouping of laws uses: predicted rows, and one nuisance column."""
     nuisance = np.eye(4)[:, :1]
     return SimpleNamespace(
         problem=SimpleNamespace(data=[SimpleNamespace(nuisance=nuisance) for _ in rows]),
@@ -99,7 +97,7 @@ def test_formulas_with_the_same_torque_along_the_motion_are_grouped(monkeypatch)
 
 
 @pytest.mark.slow
-def test_a_saturating_drag_is_found_with_its_numbers():
+def test_a_saturating_drag_is_found_with_its_parameters():
     _, found = saturating()
     assert found.verdict == "law"
     best = found.laws[0]
@@ -177,7 +175,7 @@ def test_the_angle_of_a_fast_rotor_is_not_tested():
 
 
 @pytest.mark.slow
-def test_a_law_is_kept_and_fits_as_an_effect(tmp_path):
+def test_a_saved_law_fits_as_an_effect(tmp_path):
     base, found = saturating()
     file = tmp_path / "lab.toml"
     save_law(found.laws[0], "lab.saturation", file, "a test")
@@ -197,20 +195,20 @@ def test_a_law_is_kept_and_fits_as_an_effect(tmp_path):
 
 
 @pytest.mark.slow
-def test_nothing_is_claimed_where_nothing_is_hidden():
+def test_no_law_is_found_in_data_of_the_model():
     found = laws(fitted())
     assert found.verdict == "none"
     assert found.laws == ()
     assert min(d.p_value for d in found.depends_on) > 0.01
 
 
-def test_names_that_cannot_be_kept(tmp_path):
+def test_invalid_names_of_laws_are_refused(tmp_path):
     for name in ("9lives", "casing.windage", "a b"):
         with pytest.raises(EffectError):
             check_name(name, tmp_path / "lab.toml")
 
 
-def test_taking_a_law_out_gives_the_residual_of_a_fit_without_it():
+def test_a_removed_law_gives_the_residual_of_a_fit_without_it():
     """To first order: the torque rows that are added back are the derivative by the strength times the strength."""
     base = fitted()
     law = resolve("casing: -k*omega_c**3")
@@ -233,8 +231,8 @@ def test_no_dependence_is_significant_in_null_data():
 
 
 @pytest.mark.slow
-def test_a_body_with_a_saturating_drag_beside_dry_and_viscous_friction():
-    """A law that replaces another moves the base's own friction by as much as itself: its refit starts from there."""
+def test_a_saturating_drag_of_a_single_body_is_found():
+    """A law that replaces another changes the friction of the base by as much: the refit starts at these values."""
     from scipy.integrate import solve_ivp
 
     t = np.arange(0, 120, 0.01)

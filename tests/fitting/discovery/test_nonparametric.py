@@ -1,4 +1,4 @@
-"""A law of the casing's speed, or of time, that no library has is a rival of names that are no such law."""
+"""Nonparametric laws of a speed, or of time, as rivals of named effects."""
 
 import math
 from dataclasses import replace
@@ -44,29 +44,29 @@ def gain(name, effect, **start):
 
 
 @pytest.mark.slow
-def test_any_law_is_as_good_as_the_true_one():
+def test_a_nonparametric_law_describes_the_data_as_well_as_the_true_one():
     truth = gain("resonance", resolve(RESONANCE))
     assert truth > 30
     assert nonparametric_law(base("resonance"), "casing", "omega_c") == pytest.approx(truth, rel=0.2)
 
 
 @pytest.mark.slow
-def test_a_step_is_no_law_of_the_speed():
+def test_a_step_in_time_is_no_law_of_the_speed():
     step = gain("step", LIBRARY["touchpoint.step"], **{"touchpoint.step.t0": 88.0})
     assert nonparametric_law(base("step"), "casing", "omega_c") < 0.6 * step
     assert diagnose(base("step")).candidates[0].indistinguishable_from == ()
 
 
 @pytest.mark.slow
-def test_a_sinusoid_of_many_periods_is_no_slow_torque():
-    """Sixteen periods: a spline with five knots in time does not follow them."""
+def test_a_sinusoid_of_many_periods_is_not_a_slow_torque():
+    """Sixteen periods: a spline with five knots in time does not resolve them."""
     effect = LIBRARY["casing.precession"]
     (found,) = (c for c in rank(base("swing")) if c.effect.name == effect.name)
     assert not form_test(found.fit, effect, DEFAULT).any_in_time
 
 
 @pytest.mark.slow
-def test_a_sinusoid_of_a_period_may_be_any_slow_torque():
+def test_a_sinusoid_of_one_period_is_a_slow_torque():
     found = base("wear")
     (slow,) = (c for c in rank(found) if c.effect.name == "casing.precession")
     answer = diagnose(found, candidates=[replace(slow, indistinguishable_from=())])
@@ -76,8 +76,8 @@ def test_a_sinusoid_of_a_period_may_be_any_slow_torque():
 
 
 @pytest.mark.slow
-def test_what_swings_may_be_an_unknown_law(monkeypatch):
-    """Where any law of the casing's speed does as well, the answer says so."""
+def test_a_periodic_candidate_may_have_an_unknown_law_as_rival(monkeypatch):
+    """Where any law of the casing's speed describes the data as well, it is named as a rival."""
     found = base("step")
     monkeypatch.setattr(
         "fitting.discovery._lack_of_fit.nonparametric_law",

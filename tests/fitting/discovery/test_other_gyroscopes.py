@@ -1,4 +1,4 @@
-"""Laws with a shape on a gyroscope whose bearing is not the paper's: what a search would lose on the way."""
+"""Laws with a shape constant on a gyroscope with another bearing than that of the paper."""
 
 import math
 from functools import lru_cache
@@ -33,7 +33,7 @@ HEATED = twobody.Hidden(softening=SOFTENING, cooling=COOLING)
 @pytest.mark.slow
 @pytest.mark.parametrize("known", [False, True], ids=["from nothing", "on top of the reduced model"])
 def test_the_time_constant_of_a_heated_bearing_is_found(known):
-    """The random torque that excuses a model without the heat would excuse any time constant."""
+    """With the process noise of a model without heating, any time constant is consistent with the data."""
     data = [filmed(1, HEATED)]
     start = {k: e.value for k, e in fit(Model.of(REDUCED), data).estimates.items()} if known else None
     found = fit(Model.of((*REDUCED, "bearing.heating")), data, start=start)
@@ -52,7 +52,7 @@ def ranked(seed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
-def test_a_refit_mends_at_least_what_its_score_promised(seed):
+def test_a_refit_lowers_the_deviance_by_at_least_its_score(seed):
     base, candidates = ranked(seed)
     (heating,) = (c for c in candidates if c.effect.name == "bearing.heating")
     assert heating.fit is not None
@@ -62,7 +62,7 @@ def test_a_refit_mends_at_least_what_its_score_promised(seed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
-def test_no_refit_is_worse_than_the_base_it_is_added_to(seed):
+def test_no_refit_is_worse_than_its_base(seed):
     base, candidates = ranked(seed)
     refits = [c.fit for c in candidates if c.fit is not None]
     assert len(refits) >= 4
@@ -71,8 +71,8 @@ def test_no_refit_is_worse_than_the_base_it_is_added_to(seed):
 
 
 @pytest.mark.slow
-def test_rivals_are_told_apart_at_the_noise_that_the_better_one_leaves():
-    """Friction that rises sharply at low speed: excused as random torque, several laws seem to explain it."""
+def test_rivals_are_separated_at_the_noise_of_the_better_one():
+    """Friction that rises sharply at low speed: with process noise of that size, several laws seem to explain it."""
     rise = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -2e-6 * math.exp(-abs(wc) / 6.0))
     found = diagnose(fit(Model.of(REDUCED), [filmed(0, rise)]))
     assert found.verdict == "missing_effect"
@@ -83,7 +83,7 @@ def test_rivals_are_told_apart_at_the_noise_that_the_better_one_leaves():
 
 
 @pytest.mark.slow
-def test_an_exponent_at_the_edge_of_its_range_is_told():
+def test_an_exponent_at_its_bound_is_reported():
     steep = {"f": 1.2e-9, "g": 1.65, "d": 3e-8}
     found = diagnose(fit(Model.of(REDUCED), [case(steep, 3, "case1")]))
     assert found.verdict != "adequate"

@@ -1,4 +1,4 @@
-"""A torque that swings in time is told apart from a random one, with its frequency and its size."""
+"""A sinusoidal torque in time is distinguished from a random one, with frequency and amplitude."""
 
 import math
 
@@ -33,7 +33,7 @@ def shaken():
     return found(SHAKEN, 3)
 
 
-def test_a_sinusoidal_torque_is_found_and_is_no_process_noise(shaken):
+def test_a_sinusoidal_torque_is_found_and_is_not_process_noise(shaken):
     assert shaken.verdict == "misfit"
     assert shaken.noise[0].pure == pytest.approx(NOISE, rel=0.5)
     line = periodogram_peak(shaken)
@@ -44,8 +44,8 @@ def test_a_sinusoidal_torque_is_found_and_is_no_process_noise(shaken):
     assert line.angle == pytest.approx(TORQUE / (twobody.I_CASING * RATE**2), rel=0.1)
 
 
-def test_a_drive_of_an_oscillator_moves_it_by_torque_over_stiffness_and_inertia():
-    """Off resonance the amplitude is k / |kappa - I rate^2|; larger than the motion itself it would be no finding."""
+def test_amplitude_of_a_driven_oscillator_is_that_of_the_formula():
+    """Off resonance the amplitude is k / |kappa - I rate^2|; an amplitude larger than the motion does not count."""
     own, rate, drive = 25.0, 2.0, 0.2
     t, angle, _ = motion(lambda t, x, v: -own * x - 0.02 * v + drive * math.cos(rate * t), (0.3, 0.0), 60.0)
     data = record(t, angle, 2e-4, 1)
@@ -56,7 +56,7 @@ def test_a_drive_of_an_oscillator_moves_it_by_torque_over_stiffness_and_inertia(
 
 
 @pytest.mark.slow
-def test_the_answer_tells_it_and_its_law_mends_it(shaken):
+def test_diagnosis_names_the_sinusoid_and_its_law_fits(shaken):
     answer = diagnose(shaken, candidates=[])
     line = periodogram_peak(shaken)
     assert answer.verdict == "unexplained"
@@ -72,7 +72,7 @@ def test_the_answer_tells_it_and_its_law_mends_it(shaken):
 
 
 @pytest.mark.slow
-def test_on_film_a_swing_below_the_error_of_an_angle_is_no_evidence():
+def test_on_film_a_sinusoid_below_the_angle_noise_is_no_evidence():
     faint = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: 0.1 * SHAKEN.casing(t, wr, wc, pr, pc))
     told, filmed = (periodogram_peak(found(faint, 4, tracked=tracked)) for tracked in (False, True))
     assert told.p_value < 0.01
@@ -81,7 +81,7 @@ def test_on_film_a_swing_below_the_error_of_an_angle_is_no_evidence():
     assert filmed.torque == pytest.approx(told.torque, rel=0.01)
 
 
-def test_noise_reaches_a_power_as_often_as_is_said():
+def test_false_alarm_probability_agrees_with_simulated_noise():
     """Against periodograms of white noise, evenly sampled, with as fine a grid."""
     n, span = 600, 200.0
     rng = np.random.default_rng(0)
@@ -98,7 +98,7 @@ def test_noise_reaches_a_power_as_often_as_is_said():
 
 
 @pytest.mark.slow
-def test_noise_swings_no_more_often_than_said():
+def test_periodogram_has_the_stated_false_alarm_rate():
     p = np.array([periodogram_peak(found(twobody.Hidden(), seed)).p_value for seed in range(18)])
     for level in (0.03, 0.1, 0.3):
         assert np.sum(p < level) <= stats.binom.ppf(0.999, len(p), level)

@@ -1,9 +1,9 @@
-"""What swings begins at another phase in each recording, and is found all the same."""
+"""Periodic effects with another phase in each recording."""
 
 import math
 
 import pytest
-from swings import ALIKE, APART, RATE, STRENGTH, precession, records, unbalance
+from sinusoidal import ALIKE, APART, RATE, STRENGTH, precession, records, unbalance
 
 from fitting.discovery._select import found_starts, rank
 from fitting.discovery._verdict import diagnose
@@ -21,7 +21,7 @@ def off(estimate, phi):
     ("name", "law"),
     [("casing.unbalance", unbalance), pytest.param("casing.precession", precession, marks=pytest.mark.slow)],
 )
-def test_each_recording_has_its_own_phase(name, law):
+def test_per_case_phases_are_found(name, law):
     answer = diagnose(fit(Model.of(REDUCED), records(law, APART)))
     assert answer.verdict == "missing_effect"
     best = answer.candidates[0]
@@ -36,7 +36,7 @@ def test_each_recording_has_its_own_phase(name, law):
 
 
 @pytest.mark.slow
-def test_one_phase_is_told_as_one():
+def test_a_common_phase_is_found_as_common():
     (best, *_) = (c for c in rank(fit(Model.of(REDUCED), records(unbalance, ALIKE))) if c.fit is not None)
     assert best.effect.name == "casing.unbalance"
     assert not best.own_phase
@@ -46,7 +46,7 @@ def test_one_phase_is_told_as_one():
 
 
 @pytest.mark.slow
-def test_what_is_added_by_hand_may_have_phases_of_its_own():
+def test_an_effect_added_by_the_user_may_have_per_case_phases():
     data = records(precession, APART)
     base = fit(Model.of(REDUCED), data)
     own = ["casing.precession.k", "casing.precession.phi"]

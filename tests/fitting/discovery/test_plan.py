@@ -17,7 +17,7 @@ from fitting.discovery._information import Information, Run, rivals, schur, simu
 from fitting.discovery._next_run import Bounds, next_run, separating_run
 from fitting.discovery._plan import plan
 from fitting.discovery._planned_recordings import read_planned
-from fitting.discovery._power import ActiveBounds, Search, delta_of_power, largest_hidden, upper_limit
+from fitting.discovery._power import Search, ShiftedToBound, delta_of_power, largest_hidden, upper_limit
 from fitting.dynamics._mesh import Sampler
 from fitting.effects._library import LIBRARY, REDUCED
 from fitting.inference._fit import fit
@@ -83,7 +83,7 @@ def described(tmp_path):
 
 
 class TestUpperLimit:
-    def test_of_a_signed_strength_covers_it_in_95_percent(self):
+    def test_upper_limit_of_a_signed_strength_has_95_percent_coverage(self):
         random = np.random.default_rng(1)
         for true in (0.0, 0.5, 3.0):
             limits = [
@@ -91,11 +91,11 @@ class TestUpperLimit:
             ]
             assert np.mean(np.array(limits) >= true) >= 0.95 - 3 * math.sqrt(0.05 * 0.95 / 4000)
 
-    def test_of_a_friction_is_the_one_sided_normal_limit(self):
+    def test_upper_limit_of_a_friction_is_the_one_sided_normal_limit(self):
         assert upper_limit(np.array([2.0]), one_sided=True) == pytest.approx(2.0 + norm.ppf(0.95))
         assert upper_limit(np.array([-2.0]), one_sided=True) == pytest.approx(norm.ppf(0.95))
 
-    def test_of_an_amplitude_with_a_phase_covers_it_in_95_percent(self):
+    def test_upper_limit_of_an_amplitude_with_a_phase_has_95_percent_coverage(self):
         random = np.random.default_rng(2)
         for true in (1.0, 4.0):
             draws = random.standard_normal((1500, 2)) + np.array([true, 0.0])
@@ -130,8 +130,8 @@ class TestLimits:
         assert power[1] == pytest.approx(0.9, abs=0.03)
         assert power[0] <= DEFAULT.significance + 3 * math.sqrt(0.03 / 600)
 
-    def test_the_search_pays_for_its_candidates(self):
-        """One candidate alone, tested at the same significance, would be seen at a smaller strength."""
+    def test_detection_limit_contains_the_correction_for_many_candidates(self):
+        """A single candidate at the same significance has a smaller detection limit."""
         alone = norm.ppf(1 - DEFAULT.significance) + norm.ppf(0.9)
         assert drag().detection_limit / drag().stderr > alone + 0.5
 
@@ -142,22 +142,22 @@ class TestLimits:
         assert 25 <= large.runs_needed <= 40
         assert small.power < large.power < 0.5
 
-    def test_what_the_model_absorbs_has_no_limit(self):
+    def test_absorbed_effects_have_no_limit(self):
         constant = search().limits(LIBRARY["external.constant"])
         assert constant.absorbed
         assert math.isinf(constant.detection_limit)
         assert math.isinf(constant.upper_limit)
 
-    def test_windage_and_bearing_load_are_named_as_indistinguishable(self):
+    def test_windage_and_bearing_load_are_indistinguishable(self):
         assert "bearing.load" in search().limits(LIBRARY["casing.windage"], 1e-6).indistinguishable_from
 
-    def test_planned_data_have_the_expected_limit(self):
+    def test_upper_limit_of_planned_data_is_the_expected_one(self):
         expected = search().limits(DRAG, planned=True)
         assert expected.upper_limit == pytest.approx(norm.ppf(0.95) * expected.stderr)
 
 
 @pytest.mark.slow
-def test_an_effect_that_drives_a_parameter_to_its_bound_is_seen_earlier(described):
+def test_an_effect_that_shifts_a_parameter_to_its_bound_has_a_smaller_detection_limit(described):
     """Drift of the bearing shifts the exponent g; held at its bound of 1.4, g no longer absorbs the drift."""
     recordings = read_planned(described())
     found = recordings.fit()
@@ -202,12 +202,12 @@ def test_a_less_certain_process_noise_needs_a_higher_score_and_has_less_power():
 
 
 def replace_noise(found, process):
-    """Return a fit whose process noise is known in another way."""
+    """Return a fit with another estimate of the process noise."""
     return replace(found, noise=tuple(replace(n, process=process) for n in found.noise))
 
 
 @pytest.mark.slow
-def test_upper_limits_cover_the_truth():
+def test_upper_limits_have_the_stated_coverage():
     """An effect of twice its standard error is below its limit in 95 % of recordings: at least 7 of 8."""
     limit, n = [], 8
     true = 2 * drag().stderr
@@ -220,7 +220,7 @@ def test_upper_limits_cover_the_truth():
 
 
 class TestHidden:
-    def test_five_effects_largest_torque_first(self):
+    def test_hidden_effects_are_sorted_by_torque(self):
         found = largest_hidden(base(), (), DEFAULT)
         torques = [u.torque_Nm for u in found]
         assert len(found) == 5
@@ -235,14 +235,14 @@ def information():
 
 
 class TestInformation:
-    def test_it_holds_the_same_standard_error_as_the_search(self):
+    def test_information_and_search_give_the_same_standard_error(self):
         info = information()
         places = info.places(0)
         left = schur(info.present, places, range(info.parameters))
         assert 1 / math.sqrt(left[0, 0]) == pytest.approx(drag().stderr, rel=1e-3)
 
-    def test_a_planned_run_tells_what_the_same_run_tells_when_it_is_made(self):
-        """The run at hand, planned again: the coarse simulation keeps the information about a torque within 10 %."""
+    def test_information_of_a_planned_run_is_that_of_the_measured_run(self):
+        """The present run, planned again: the coarse simulation has the same information about a torque within 10 %."""
         info = information()
         e = base().estimates
         label = base().labels[0]
@@ -271,7 +271,7 @@ class TestInformation:
 
 class TestNextRun:
     @pytest.mark.slow
-    def test_it_separates_windage_from_bearing_load_better_than_a_repetition(self):
+    def test_next_run_separates_windage_from_bearing_load_better_than_a_repetition(self):
         info = information()
         found = rivals_of(info, "casing.windage", "bearing.load", 3e-12)
         chosen = next_run(info, found, DEFAULT, Bounds.of(base()), evaluations=24)
@@ -284,14 +284,14 @@ class TestNextRun:
         assert chosen.run.windows[-1] + chosen.run.window_length <= chosen.run.duration + 1e-9
 
     @pytest.mark.slow
-    def test_without_rivals_it_lowers_the_detection_limits(self):
+    def test_next_run_without_rivals_lowers_the_detection_limits(self):
         chosen = next_run(information(), [], DEFAULT, Bounds.of(base()), evaluations=16)
         assert all(g <= 1 + 1e-9 for g in chosen.gains.values())
         assert min(chosen.gains.values()) < 0.7
         assert chosen.rivals == ()
         assert "rad/s" in chosen.sentence
 
-    def test_one_candidate_has_no_rival(self):
+    def test_a_single_candidate_has_no_rival(self):
         assert separating_run(base(), [], DEFAULT) == ""
 
 
@@ -314,13 +314,13 @@ def test_rivals_are_the_effects_that_the_data_do_not_separate():
     assert {"casing.windage", "bearing.load"} <= named
 
 
-def test_nothing_hidden_has_no_rivals():
+def test_an_adequate_model_has_no_rivals():
     thresholds = [s.threshold for s in search().scores().values()]
     assert rivals(information(), thresholds, DEFAULT) == []
 
 
 class TestDescription:
-    def test_it_is_read_and_simulated_with_its_noise(self, described):
+    def test_a_plan_is_read_and_simulated_with_its_noise(self, described):
         found = read_planned(described()).fit()
         record = found.problem.data[0].record
         assert record.I_casing == 2.06e-5
@@ -358,29 +358,29 @@ class TestDescription:
             ("casing_fps = 260.0", "casing_fps = 1e9", "more than 10 million frames"),
         ],
     )
-    def test_an_error_is_one_clear_sentence(self, described, old, new, message):
+    def test_errors_of_a_plan_are_explained_in_one_sentence(self, described, old, new, message):
         with pytest.raises(EstimationError) as fault:
             read_planned(described(old, new))
         assert message in fault.value.message
         assert "plan.toml" in fault.value.message
         assert "\n" not in fault.value.message
 
-    def test_a_missing_file(self, tmp_path):
+    def test_a_missing_plan_is_an_error(self, tmp_path):
         with pytest.raises(EstimationError, match="cannot be read"):
             read_planned(tmp_path / "no.toml")
 
 
 @pytest.mark.parametrize("size", [0.0, -1e-6, math.nan, math.inf])
-def test_a_size_that_is_no_torque_is_refused(size):
+def test_an_effect_size_that_is_not_positive_is_refused(size):
     with pytest.raises(EstimationError, match="size"):
         plan(base(), size=size)
 
 
-def test_an_upper_limit_ends_where_the_parameter_that_makes_room_reaches_its_bound():
+def test_an_upper_limit_respects_the_bound_of_a_correlated_parameter():
     # the response is nearly that of the only free parameter, which can give way by 2 down to its bound of zero
     alike, apart = np.array([10.0, 0.0, 0.0]), np.array([0.0, 0.01, 0.0])
     free = alike[:, None]
-    bounds = ActiveBounds(free, np.linalg.pinv(free), np.zeros((1, 1)), np.array([[-2.0], [np.inf]]))
+    bounds = ShiftedToBound(free, np.linalg.pinv(free), np.zeros((1, 1)), np.array([[-2.0], [np.inf]]))
     without = 1.6448536 / 0.01
     found = bounds.largest_strength(alike + apart, np.zeros(3), without, one_sided=True)
     # (10 (k - 2))^2 + (0.01 k)^2 = 1.645^2

@@ -1,10 +1,10 @@
-"""A refit arrives although the random torque that excuses its base would hold it."""
+"""A refit reaches the deviance of its score despite the process noise of its base."""
 
 import pytest
 import twobody
 
 from fitting._criteria import Criteria
-from fitting.discovery._refine import has_model_noise, refit, together
+from fitting.discovery._refine import fit_together, has_model_noise, refit
 from fitting.discovery._score import CaseColumns, score
 from fitting.dynamics._model import Model
 from fitting.effects._library import LIBRARY, REDUCED
@@ -26,10 +26,10 @@ def base():
     return fit(Model.of([n for n in REDUCED if n != "bearing.linear"]), data)
 
 
-def test_a_refit_that_falls_short_of_its_promise_is_begun_in_another_way(base):
+def test_a_refit_that_falls_short_of_its_score_is_repeated(base):
     assert has_model_noise(base)
     (scored,) = score(base, [LIBRARY["bearing.linear"]], [CaseColumns(base, 0)], Criteria())
-    plain = together(base, scored)
+    plain = fit_together(base, scored)
     assert base.deviance - plain.deviance < 0.1 * scored.score
     found = refit(base, scored, Criteria())
     assert base.deviance - found.deviance > scored.score

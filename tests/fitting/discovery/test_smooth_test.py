@@ -1,4 +1,4 @@
-"""One name is doubted where what it leaves follows a speed, and not where it is right."""
+"""The smooth test rejects a named law whose residuals depend on a speed, and accepts the right one."""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -35,7 +35,7 @@ def found(seed, hidden, *more):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 5])
-def test_a_law_that_any_slow_torque_lets_pass_is_doubted(seed):
+def test_smooth_test_rejects_a_law_of_the_wrong_shape_that_slow_torques_accept(seed):
     named = found(seed, DIP, "touchpoint.step")
     assert named.verdict == "adequate"
     assert smooth_test(named).p_value < 0.01
@@ -44,12 +44,12 @@ def test_a_law_that_any_slow_torque_lets_pass_is_doubted(seed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
-def test_the_right_law_is_not_doubted(seed):
+def test_smooth_test_accepts_the_right_law(seed):
     assert smooth_test(found(seed, DRAG, "casing.air.quadratic")).p_value > 0.01
 
 
 @pytest.mark.slow
-def test_a_doubted_name_is_a_hypothesis():
+def test_a_rejected_effect_is_named_as_a_hypothesis():
     base = found(5, DIP)
     (step,) = (c for c in rank(base) if c.effect.name == "touchpoint.step")
     answer = diagnose(base, candidates=[replace(step, indistinguishable_from=())])
@@ -59,15 +59,15 @@ def test_a_doubted_name_is_a_hypothesis():
 
 
 @pytest.mark.slow
-def test_what_follows_a_speed_is_told_though_no_law_of_the_library_is_like_it():
+def test_a_dependence_on_speed_is_reported_without_a_library_law():
     answer = diagnose(found(5, DIP), candidates=[])
     assert answer.verdict == "unexplained"
     assert "No effect of the library explains it" in answer.sentence
 
 
 @pytest.mark.slow
-def test_noise_is_doubted_no_more_often_than_said():
-    """The looks overlap: small probabilities are those of noise, large ones are told larger than they are."""
+def test_smooth_test_has_the_stated_false_alarm_rate():
+    """The tests are correlated: small p-values are accurate, large ones are upper bounds."""
     p = np.array([smooth_test(found(seed, NOTHING)).p_value for seed in range(18)])
     for level in (0.02, 0.1, 0.3):
         assert np.sum(p < level) <= stats.binom.ppf(0.999, len(p), level)

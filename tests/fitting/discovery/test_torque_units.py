@@ -1,4 +1,4 @@
-"""Torques in sentences carry the prefix that suits their size."""
+"""Prefixes of torques in sentences."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Equations of motion by hand, for SciPy to integrate: y = (omega_r, omega_c, own state, psi_r, psi_c)."""
+"""Independent equations of motion for SciPy: y = (omega_r, omega_c, state of an effect, psi_r, psi_c)."""
 
 import math
 

@@ -49,7 +49,7 @@ def test_speeds_and_angles_agree_with_scipy(name):
 
 
 @pytest.mark.parametrize("name", ["unbalance", "none"])
-def test_models_that_follow_the_angle(name):
+def test_models_of_an_angle_agree_with_scipy(name):
     p = PAPER | EXTRA[name]
     times = np.linspace(0, 12, 2001)
     path = path_of(p, start=(900.0, 30.0), span=12.0, angles=True)
@@ -73,7 +73,7 @@ def test_the_first_mesh_does_not_matter(intervals):
     check(p, path_of(p, intervals=intervals), TIMES)
 
 
-def test_jump_lies_on_an_edge():
+def test_a_jump_is_at_an_edge():
     path = path_of(PAPER | EXTRA["step"])
     assert 61.237 in path.mesh.edges
     assert path.kinks == (61.237,)
@@ -85,7 +85,7 @@ def test_a_jump_outside_the_record_is_no_edge():
     check(PAPER, path, TIMES)
 
 
-def test_guess_changes_nothing_but_the_way():
+def test_the_initial_solution_does_not_change_the_solution():
     dynamics = Dynamics(model_of(PAPER))
     numbers = {**PAPER, **INERTIA}
     mesh, first = Mesh.uniform(0.0, 200.0, 12), np.array([900.0, 5.0])
@@ -93,7 +93,7 @@ def test_guess_changes_nothing_but_the_way():
     check(PAPER, solve(dynamics, numbers, first, mesh, guess), TIMES)
 
 
-def test_linear_model_against_the_matrix_exponential():
+def test_the_linear_model_agrees_with_the_matrix_exponential():
     a1, b1, b2, d = 4e-8, 2.88e-6, 8.28e-7, 1.9e-7
     p = {
         "rotor.air.linear.a1": a1,
@@ -149,7 +149,7 @@ def test_motion_without_bound_is_an_error_and_no_crash():
 
 
 def test_a_mesh_that_had_to_be_fine_becomes_coarse_again():
-    """Following a sharp law's solution for a law that is smooth: the edges go that nothing needs."""
+    """From the solution of a sharp law to that of a smooth one: unnecessary edges are removed."""
     p = PAPER | EXTRA["stribeck"] | {"touchpoint.stribeck.w": 0.5}
     dynamics = Dynamics(model_of(p))
     first, mesh = np.array([900.0, 5.0]), Mesh.uniform(0.0, 200.0, 12)

@@ -16,7 +16,7 @@ def test_a_model_is_its_effects():
     assert model == Model.of(REDUCED)
 
 
-def test_an_effect_stands_in_a_model_once():
+def test_an_effect_is_in_a_model_once():
     with pytest.raises(EffectError, match="twice"):
         Model.of(["bearing.linear", "bearing.linear"])
     with pytest.raises(EffectError, match="twice"):
@@ -48,7 +48,7 @@ def test_states_and_parameters_of_the_dynamics():
     assert Dynamics(Model.of(["bearing.linear"]), angles=True).states[-2:] == ("psi_r", "psi_c")
 
 
-def test_laws_of_users_take_part():
+def test_user_laws_are_part_of_the_model():
     model = Model((find("bearing.linear"), resolve("casing: -q*omega_c**3")))
     key = "casing: -q*omega_c**3.q"
     assert model.free == ("bearing.linear.d", key)
@@ -83,7 +83,7 @@ def test_held_parameters_are_constants():
     ("held", "message"),
     [({"q": 1.0}, "no parameter"), ({"g": float("nan")}, "cannot be held"), ({"k": 1.0}, "several")],
 )
-def test_what_cannot_be_held(held, message):
+def test_invalid_held_parameters_are_refused(held, message):
     model = Model.of((*REDUCED, "casing.air.quadratic", "casing.windage"))
     with pytest.raises(EffectError, match=message):
         model.with_fixed(held)

@@ -1,4 +1,4 @@
-"""Sensitivities and small motions against differences of SciPy's solutions, which know nothing of them."""
+"""Sensitivities and linearised motions against differences of SciPy's solutions."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from fitting.dynamics._events import solve
 from fitting.dynamics._mesh import Mesh, Sampler, rule
 from fitting.dynamics._model import Dynamics, Model
-from fitting.dynamics._sensitivities import LinearMotion, angles, respond, sensitivities
+from fitting.dynamics._sensitivities import LinearMotion, angles, sensitivities
 
 TIMES = np.linspace(0, 150, 301)
 START = (900.0, 5.0)
@@ -77,8 +77,8 @@ def test_sensitivities_of_a_law_that_follows_the_angle():
         np.testing.assert_allclose(got, exact, atol=1e-5 * np.abs(exact).max())
 
 
-def test_time_of_the_jump_kicks_by_the_jump_of_the_rate():
-    """Right after the jump, d omega_c / d t0 = k / I_c: for a moment longer the casing was not braked."""
+def test_derivative_by_the_time_of_a_jump_is_the_jump_of_the_rate():
+    """Right after the jump, d omega_c / d t0 = k / I_c: a later jump brakes the casing later."""
     p = PAPER | EXTRA["step"]
     dynamics, numbers, path = solved(p)
     found = sensitivities(dynamics, numbers, path)
@@ -124,7 +124,7 @@ def directly(p, path, torque, direction, times):
 
 @pytest.mark.parametrize("body", [0, 1], ids=["rotor", "casing"])
 def test_driven_motion_matches_direct_integration(body):
-    """A fast torque of 3 to 40 rad/s on the casing, and what it does to both bodies."""
+    """A fast torque of 3 to 40 rad/s on the casing, and the response of both bodies."""
     dynamics, numbers, path = solved(PAPER)
     motion = LinearMotion(path, sensitivities(dynamics, numbers, path).propagator)
 
@@ -147,20 +147,7 @@ def test_driven_motion_matches_direct_integration(body):
     )
 
 
-def test_response_to_an_extra_rate_is_that_of_a_parameter():
-    """A small constant torque on the casing does what the derivative by external.constant says."""
-    p = PAPER | {"external.constant.k": 1e-7}
-    dynamics, numbers, path = solved(p)
-    found = sensitivities(dynamics, numbers, path)
-    forcing = np.zeros((*path.y.shape, 1))
-    forcing[:, :, 1] = 1 / INERTIA["inertia.casing"]
-    nodes, edges = respond(path, found.propagator, forcing)
-    j = dynamics.parameters.index("external.constant.k")
-    np.testing.assert_allclose(nodes[..., 0], found.nodes[..., j], rtol=1e-10, atol=1e-9)
-    np.testing.assert_allclose(edges[..., 0], found.edges[..., j], rtol=1e-10, atol=1e-9)
-
-
-def test_fundamental_matrix_starts_at_one_and_carries_start_values():
+def test_the_fundamental_matrix_is_the_derivative_by_initial_values():
     dynamics, numbers, path = solved(PAPER)
     found = sensitivities(dynamics, numbers, path)
     motion = LinearMotion(path, found.propagator)
@@ -172,8 +159,8 @@ def test_fundamental_matrix_starts_at_one_and_carries_start_values():
 
 
 @pytest.mark.parametrize("name", ["heating", "precession"])
-def test_driven_motion_takes_the_states_of_effects_along(name):
-    """A warmth, or the phase of a swinging torque, answers to a random torque and acts back on the speeds."""
+def test_driven_motion_contains_the_states_of_effects(name):
+    """A temperature, or the phase of a sinusoidal torque, is coupled with the speeds."""
     p = PAPER | EXTRA[name] | {"external.constant.k": 1e-9}
     dynamics, numbers, path = solved(p)
     found = sensitivities(dynamics, numbers, path)
@@ -189,18 +176,18 @@ def test_driven_motion_takes_the_states_of_effects_along(name):
         np.testing.assert_allclose(speed[body, :, 0], exact[:, body], atol=1e-5 * size)
 
 
-def test_a_state_that_forgets_at_once_is_held():
+def test_a_state_that_decays_fast_is_held():
     p = PAPER | EXTRA["heating"] | {"bearing.heating.tau_T": 0.5}
     dynamics, numbers, path = solved(p)
     motion = LinearMotion(path, sensitivities(dynamics, numbers, path).propagator)
-    kicks = motion.kicks(TIMES, np.array([0.0, 1 / INERTIA["inertia.casing"]]))
-    assert kicks.shape == (len(TIMES), 2)
-    assert np.isfinite(kicks).all()
+    impulses = motion.impulses(TIMES, np.array([0.0, 1 / INERTIA["inertia.casing"]]))
+    assert impulses.shape == (len(TIMES), 2)
+    assert np.isfinite(impulses).all()
 
 
 @pytest.mark.parametrize("name", ["none", "heating"])
-def test_a_light_casing_forgets_long_before_the_end(name):
-    """After forty times the span in which the casing forgets, a torque still does what the derivative by one says."""
+def test_driven_motion_of_a_light_casing_is_accurate_until_the_end(name):
+    """After forty relaxation times of the casing, the response to a torque is that of the derivative by it."""
     p = PAPER | EXTRA[name] | {"external.constant.k": 1e-9}
     dynamics = Dynamics(Model.of(dict.fromkeys(k.rpartition(".")[0] for k in p)))
     light = INERTIA | {"inertia.casing": 4e-6}

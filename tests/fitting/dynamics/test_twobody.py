@@ -1,4 +1,4 @@
-"""The oracle itself against SciPy: what is tested with it can only be as right as it is."""
+"""The oracle of the tests against SciPy."""
 
 import numpy as np
 import pytest
@@ -49,7 +49,7 @@ def test_random_torque_has_its_rms_and_correlation_time():
     assert lag == pytest.approx(np.exp(-1.0), abs=0.05)
 
 
-def test_random_torque_is_felt_by_both_bodies():
+def test_a_random_torque_acts_on_both_bodies():
     calm, shaken = twobody.simulate(span=20.0), twobody.simulate(span=20.0, ou=1e-6, seed=3)
     difference = shaken.speed - calm.speed
     # a torque of 1e-6 N m over seconds: tenths of rad/s on the casing, less on the heavier rotor

@@ -1,4 +1,4 @@
-"""Effects that are declared wrongly are refused, and what an effect is told of itself."""
+"""Declarations of effects: errors, and derived properties."""
 
 import math
 
@@ -9,7 +9,7 @@ from fitting.effects._effect import Effect, Parameter, State
 from fitting.effects._library import find
 
 
-def test_unknown_name_offers_the_closest():
+def test_an_unknown_name_is_answered_with_similar_ones():
     with pytest.raises(EffectError, match=r"no effect named 'bearing\.heat'") as caught:
         find("bearing.heat")
     assert "bearing.heating" in caught.value.hint
@@ -37,7 +37,7 @@ def test_sums_of_unlike_quantities_are_refused():
         effect.check()
 
 
-def test_phase_and_amplitude_are_told_apart():
+def test_phase_and_amplitude_are_distinguished():
     assert find("casing.unbalance").amplitude.symbol == "k"
     assert find("casing.unbalance").depends_on_angle
     assert not find("casing.precession").depends_on_angle

@@ -1,4 +1,4 @@
-"""Units: what is not a torque is not let through."""
+"""Units: laws whose unit is not that of a torque are refused."""
 
 import pytest
 
@@ -44,7 +44,7 @@ def test_units_are_read(unit, expected):
 @pytest.mark.parametrize(
     "unit", ["ft", "N*m", "m/s", "s^q", "s--1", "N m s^", "°", "kg.m", "s1.2.3", "__import__"]
 )
-def test_what_is_no_unit_is_refused(unit):
+def test_invalid_units_are_refused(unit):
     with pytest.raises(ExpressionError):
         parse_unit(unit)
 
@@ -52,7 +52,7 @@ def test_what_is_no_unit_is_refused(unit):
 @pytest.mark.parametrize(
     "unit", ["N m", "N m s", "N m s2", "N m s1.5", "s-1", "K-1", "1", "m", "kg", "N m K-1"]
 )
-def test_units_survive_the_way_there_and_back(unit):
+def test_units_are_formatted_and_parsed_back(unit):
     assert parse_unit(format_unit(parse_unit(unit))) == pytest.approx(parse_unit(unit))
 
 
@@ -70,14 +70,14 @@ def test_units_survive_the_way_there_and_back(unit):
         "k*omega*tanh(omega/w)/t",
     ],
 )
-def test_torques_come_out_as_torques(text):
+def test_laws_with_the_unit_of_a_torque_are_accepted(text):
     assert of(text) == pytest.approx((1, 2, -2, 0))
 
 
 @pytest.mark.parametrize(
     "text", ["k*omega", "k*omega**3", "k*omega*t*omega", "k*omega**2*T", "f*abs(omega)*sign(omega)"]
 )
-def test_what_is_no_torque_does_not(text):
+def test_laws_with_another_unit_are_refused(text):
     assert of(text) != pytest.approx((1, 2, -2, 0))
 
 
@@ -95,7 +95,7 @@ def test_what_is_no_torque_does_not(text):
         "cos(k*omega)",
     ],
 )
-def test_nonsense_of_units_is_refused(text):
+def test_inconsistent_units_are_refused(text):
     with pytest.raises(ExpressionError):
         of(text)
 

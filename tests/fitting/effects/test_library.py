@@ -1,4 +1,4 @@
-"""Every effect of the library, held against its law written a second time by hand, and against physics."""
+"""Every effect of the library against an independent implementation of its law, and against physics."""
 
 import numpy as np
 import pytest
@@ -171,7 +171,7 @@ def test_names_are_those_of_the_table():
     assert all(name == effect.name for name, effect in LIBRARY.items())
 
 
-def test_models_of_the_paper():
+def test_models_of_the_paper_have_the_right_effects():
     assert set(LINEAR) == {
         "rotor.air.quadratic",
         "touchpoint.constant",
@@ -195,7 +195,7 @@ def test_law_is_the_one_of_the_table(effect):
 
 
 @EFFECTS
-def test_declaration_is_sound(effect):
+def test_declarations_are_consistent(effect):
     effect.check()
     assert effect.kind == ("measurement" if effect.camera or effect.joint == "inertia" else "physical")
     assert effect.per_case >= effect.per_surface
@@ -219,7 +219,7 @@ def test_declaration_is_sound(effect):
         assert effect.breakpoint in {p.symbol for p in effect.parameters}
 
 
-def test_what_each_case_has_of_its_own():
+def test_per_case_effects_are_those_of_the_table():
     """The touch point and the casing's linear drag, as README and DESIGN state; the surface cannot be predicted."""
     touchpoint = {n for n in LIBRARY if n.startswith("touchpoint.")}
     assert {n for n, e in LIBRARY.items() if e.per_case} == touchpoint | {"casing.air.linear"}
@@ -232,7 +232,7 @@ def test_equivalence_is_mutual(effect):
     assert all(effect.name in LIBRARY[other].equivalent for other in effect.equivalent)
 
 
-def test_a_presliding_contact_takes_energy_over_each_cycle():
+def test_a_presliding_contact_dissipates_energy_in_each_cycle():
     """Steady cycles of any amplitude: the strain stays within +-1, and the work over a cycle is a loss."""
     rate = Tape([find("casing.friction.presliding").rate])
     for amplitude in (0.003, 0.3):
@@ -245,7 +245,7 @@ def test_a_presliding_contact_takes_energy_over_each_cycle():
         assert work < 0
 
 
-def test_states_feed_on_what_the_table_says():
+def test_rates_of_states_are_those_of_the_table():
     v = places(find("bearing.heating")) | {"C": 2.0, "tau_T": 30.0}
     heat = Tape([find("bearing.heating").rate])(v)[0]
     np.testing.assert_allclose(heat, v["tau"] * v["delta"] / 2.0 - v["temperature"] / 30.0, rtol=1e-12)
@@ -269,7 +269,7 @@ FORWARD_ONLY = {"bearing.load"}
 @pytest.mark.parametrize(
     "name", sorted(n for n in TABLE if not LIBRARY[n].camera and n not in DRIVERS | ELASTIC)
 )
-def test_friction_never_puts_energy_in(name):
+def test_friction_dissipates_energy(name):
     effect = find(name)
     v = places(effect, 4000)
     law = np.asarray(Tape([effect.expression])(v)[0])
@@ -288,7 +288,7 @@ def test_friction_never_puts_energy_in(name):
 
 
 @pytest.mark.parametrize("name", sorted(DRIVERS))
-def test_drivers_can_put_energy_in(name):
+def test_driving_torques_can_do_positive_work(name):
     effect = find(name)
     v = places(effect, 4000)
     assert (Tape([effect.expression])(v)[0] * v["omega_c"]).max() > 0
@@ -317,7 +317,7 @@ def test_amplitude_enters_linearly(name):
     np.testing.assert_allclose(none, 1.0 if effect.joint == "factor" else 0.0, atol=1e-300)
 
 
-def test_heating_without_strength_is_nothing():
+def test_heating_of_zero_strength_has_no_effect():
     effect = find("bearing.heating")
     v = places(effect)
     np.testing.assert_allclose(Tape([effect.expression])(v | {"k": 0.0})[0], 1.0)
@@ -345,7 +345,7 @@ def test_derivatives_match_differences(effect):
 
 @EFFECTS
 def test_dynamics_with_the_effect_has_right_derivatives(effect):
-    """All of them at once, by states and by parameters, through the sum, the products and the own state."""
+    """All derivatives by states and by parameters, of sums, products and states of effects."""
     if effect.camera:
         assert Dynamics(Model((effect,))).parameters == ()
         return

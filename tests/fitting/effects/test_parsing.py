@@ -1,4 +1,4 @@
-"""Formulas from people, some of whom mean no good: nothing that is typed is ever run."""
+"""Formulas of users, including malicious ones: no input is ever executed."""
 
 import sys
 import time
@@ -170,7 +170,7 @@ HARMLESS = [
 
 @pytest.fixture(scope="module")
 def watch():
-    """Record what the interpreter does behind our back: files, imports, processes, execution."""
+    """Record audit events of the interpreter: files, imports, processes, execution."""
     seen, active = [], [False]
 
     def hook(event, arguments):
@@ -194,7 +194,7 @@ def watch():
     return watch
 
 
-def test_the_watch_sees_what_eval_does(watch):
+def test_the_audit_hook_detects_eval(watch):
     with watch:
         eval("__import__('os').getcwd() and open('/dev/null').close()")  # noqa: S307 - the watch must bark
     assert "open" in watch.seen
@@ -202,17 +202,17 @@ def test_the_watch_sees_what_eval_does(watch):
 
 
 @pytest.mark.parametrize(("text", "value"), GOOD.items())
-def test_good_formula_has_its_value(text, value):
+def test_valid_formulas_have_the_right_value(text, value):
     result = Tape([parse(text)])(X)[0]
     assert result == pytest.approx(value, rel=1e-14, abs=1e-300)
 
 
-def test_there_are_enough_hostile_strings():
+def test_the_list_of_hostile_strings_is_long_enough():
     assert len(set(HOSTILE)) >= 100
 
 
 @pytest.mark.parametrize("text", HOSTILE)
-def test_hostile_string_is_refused_and_never_runs(text, watch):
+def test_hostile_strings_are_refused_and_not_executed(text, watch):
     begin = time.process_time()
     with watch, pytest.raises(ExpressionError) as caught:
         parse(text)
@@ -225,7 +225,7 @@ def test_hostile_string_is_refused_and_never_runs(text, watch):
 
 
 @pytest.mark.parametrize("text", HARMLESS)
-def test_harmless_string_is_a_number_or_a_name(text, watch):
+def test_harmless_strings_are_numbers_or_names(text, watch):
     begin = time.process_time()
     with watch:
         tree = parse(text)
@@ -236,7 +236,7 @@ def test_harmless_string_is_a_number_or_a_name(text, watch):
     assert time.process_time() - begin < 0.5
 
 
-def test_good_formulas_among_hostile_ones_still_parse():
+def test_valid_formulas_among_hostile_ones_are_parsed():
     for hostile, (text, value) in zip(HOSTILE, list(GOOD.items()) * 10, strict=False):
         with pytest.raises(ExpressionError):
             parse(hostile)
@@ -254,7 +254,7 @@ def test_longest_allowed_formula_is_handled_quickly():
     assert time.process_time() - begin < 1.0
 
 
-def test_message_names_what_is_in_the_way():
+def test_messages_name_the_forbidden_part():
     with pytest.raises(ExpressionError, match="'sinh' is not allowed") as caught:
         parse("sinh(x)")
     assert "tanh" in caught.value.hint

@@ -1,4 +1,4 @@
-"""Effects that users write: what they may, and one clear sentence for everything that they may not."""
+"""Effects written by users: valid ones, and a clear error for every invalid one."""
 
 import math
 
@@ -55,7 +55,7 @@ def test_a_formula_becomes_an_effect(text, joint, expected):
         assert p.role != "shape" or len(p.grid) >= 5
 
 
-def test_found_units_make_the_law_a_torque():
+def test_derived_units_make_the_law_a_torque():
     for text in (
         "casing: -k*omega_c**3",
         "casing: -k*abs(omega_c)**p*sign(omega_c)",
@@ -84,7 +84,7 @@ def test_found_units_make_the_law_a_torque():
         ("casing.air.quadratics", "no effect named"),
     ],
 )
-def test_what_is_wrong_with_a_formula_is_said(text, message):
+def test_errors_of_formulas_are_explained(text, message):
     with pytest.raises((EffectError, ExpressionError), match=message):
         resolve(text)
 
@@ -199,7 +199,7 @@ HEAD = '[[effect]]\nname = "a"\nbody = "casing"\nlaw = "-k*omega_c"\n'
         (HEAD.replace('"a"', '"casing.windage"'), "another effect named"),
     ],
 )
-def test_what_is_wrong_with_a_file_is_said(tmp_path, text, message):
+def test_errors_of_effect_files_are_explained(tmp_path, text, message):
     path = write(tmp_path, text)
     with pytest.raises(EffectError, match=message) as caught:
         read_effects(path)
@@ -213,7 +213,7 @@ def test_bounds_move_the_usual_start(tmp_path):
     assert effect.parameters[0].start == 1e-9
 
 
-def test_files_that_cannot_be_read(tmp_path):
+def test_unreadable_files_are_refused(tmp_path):
     with pytest.raises(EffectError, match="No such file"):
         read_effects(tmp_path / "nothing.toml")
     with pytest.raises(EffectError, match="directory"):
@@ -235,11 +235,11 @@ def test_files_that_cannot_be_read(tmp_path):
         ("-k*exp(-((t - t0)/w)**2)", ""),
     ],
 )
-def test_the_moment_of_a_jump_is_known_as_such(law, jump):
+def test_the_changepoint_of_a_jump_is_recognised(law, jump):
     assert resolve(f"casing: {law}").breakpoint == jump
 
 
-def test_moments_are_sought_in_the_whole_record():
+def test_changepoints_are_searched_in_the_whole_record():
     bump = {p.symbol: p for p in resolve("casing: -k*exp(-((t - t0)/w)**2)").parameters}
     assert bump["t0"].relative
     assert max(bump["t0"].grid) < 1
@@ -248,7 +248,7 @@ def test_moments_are_sought_in_the_whole_record():
     assert not any(p.relative for p in drift.parameters)
 
 
-def test_a_moment_that_was_told_is_believed(tmp_path):
+def test_a_declared_changepoint_keeps_its_values(tmp_path):
     file = tmp_path / "own.toml"
     file.write_text(
         '[[effect]]\nname = "own.step"\nbody = "casing"\nlaw = "-k*heaviside(t - t0)"\n'

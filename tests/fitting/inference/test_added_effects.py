@@ -1,4 +1,4 @@
-"""Effects beside the paper's, of bodies and cameras, are recovered with what was put in."""
+"""Effects of bodies and cameras that are not in the paper's models are recovered."""
 
 import numpy as np
 import pytest
@@ -89,7 +89,7 @@ def test_a_free_power_of_a_users_law_is_found(n, k, after):
 
 
 @pytest.mark.slow
-def test_a_ripple_of_the_casing_is_recovered():
+def test_a_harmonic_torque_on_the_casing_is_recovered():
     def gravity(t, wr, wc, pr, pc):
         return 1e-5 * np.sin(pc - 1.1)
 
@@ -123,7 +123,7 @@ def test_a_slow_clock_of_the_rotor_camera_is_recovered():
     assert clock.stderr < 1e-4
 
 
-def test_a_missing_torque_is_a_misfit_and_its_size_is_told():
+def test_a_missing_torque_is_a_lack_of_fit_of_the_right_size():
     result = fitted(seed=0, hidden="step")
     assert result.verdict == "misfit"
     assert 3e-8 < result.torque_noise < 1e-6
@@ -133,8 +133,8 @@ BUMP = "casing: -k*exp(-((t - t0)/w)**2)"
 
 
 @pytest.mark.slow
-def test_a_bump_that_a_user_writes_is_found_wherever_it_is():
-    """Nothing is told of its moment and its width."""
+def test_the_position_of_a_user_peak_is_found():
+    """Without initial values of its position and width."""
     true = {"k": 1.5e-6, "t0": 141.0, "w": 9.0}
     hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -1.5e-6 * np.exp(-(((t - 141.0) / 9.0) ** 2)))
     measured = case({}, 31, "case1", hidden=hidden)

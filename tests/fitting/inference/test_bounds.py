@@ -1,4 +1,4 @@
-"""Parameters that are held, bounded, or not known from the data; models that miss something or hold too much."""
+"""Held, bounded and undetermined parameters; models with missing and with superfluous effects."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ TRUTH = twobody.truth()
     [{"bearing.power.g": 1.32}, {"bearing.linear.d": 1.57e-7}, {"f": 1.26e-8, "b1": 2.88e-6}],
     ids=["g", "d", "f and b1"],
 )
-def test_parameters_held_at_the_truth_leave_the_others_better_known(held):
+def test_holding_parameters_at_the_truth_reduces_other_uncertainties(held):
     base = fitted(seed=0)
     result = fit(Model.of(REDUCED).with_fixed(held), [data(seed=0)])
     assert result.verdict == "adequate"
@@ -39,7 +39,7 @@ def test_a_parameter_held_far_off_is_a_misfit():
     assert fit(Model.of(REDUCED).with_fixed({"g": 0.7}), [data(seed=0)]).verdict == "misfit"
 
 
-def test_a_superfluous_power_law_is_left_at_nothing():
+def test_a_superfluous_power_law_has_strength_zero():
     measured = case({"f": 0.0, "d": 2.5e-7}, 41, "case1")
     full, linear = fit(Model.of(REDUCED), [measured]), fit(Model.of(LINEAR), [measured])
     assert linear.verdict == "adequate"
@@ -55,7 +55,7 @@ def test_a_superfluous_power_law_is_left_at_nothing():
     assert torque == pytest.approx(2.5e-7 * 600, rel=1e-3)
 
 
-def test_strengths_of_friction_are_never_negative_and_say_so():
+def test_friction_is_not_negative_and_its_bound_is_marked():
     result = fit(Model.of((*REDUCED, "casing.air.quadratic")), [data(seed=0, hidden="nothing")])
     e = result.estimates["casing.air.quadratic.k"]
     assert e.value >= 0
@@ -83,7 +83,7 @@ def test_general_model_in_the_ranges_of_the_paper():
     assert result.verdict in {"adequate", "not determined"}
 
 
-def test_a_range_that_excludes_the_truth_is_kept_and_marked():
+def test_a_range_that_excludes_the_truth_is_an_active_bound():
     low, high = 1.7e-7, 2.2e-7
     result = fit(Model.of(REDUCED), [data(seed=0)], ranges={"bearing.linear.d": (low, high)})
     d = result.estimates["bearing.linear.d"]
@@ -97,8 +97,8 @@ def test_a_range_that_excludes_the_truth_is_kept_and_marked():
 @pytest.mark.parametrize(
     "seed", [2, *(pytest.param(s, marks=pytest.mark.slow) for s in (0, 1, 3, 4, 5, 6, 7))]
 )
-def test_errors_stay_true_when_a_neighbour_lies_on_its_bound(seed):
-    """A strong random torque drives d, f or g to an edge. With it held, f would be known 20 times too well."""
+def test_uncertainties_are_valid_with_an_active_bound_of_another_parameter(seed):
+    """With a strong random torque d, f or g is at a bound. Held, f would have a 20 times too small uncertainty."""
     result = fitted(seed=seed, ou=1e-6, ou_time=3.0)
     found = {k: z for k, z in pulls(result, TRUTH).items() if not result.estimates[k].at_bound}
     assert max(map(abs, found.values())) < 4, found
@@ -106,8 +106,8 @@ def test_errors_stay_true_when_a_neighbour_lies_on_its_bound(seed):
         assert result.estimates["bearing.linear.d"].at_bound
 
 
-def test_nine_parameters_of_one_recording_are_not_known():
-    """The general model fits as well, and must admit that d, f and g are hundreds of times less certain."""
+def test_nine_parameters_of_one_recording_are_not_determined():
+    """The general model fits as well, with uncertainties of d, f and g that are hundreds of times larger."""
     general, reduced = fit(Model.of(GENERAL), [data(seed=0)]), fitted(seed=0)
     assert general.verdict == "not determined"
     assert general.chi2 == pytest.approx(reduced.chi2, abs=6)

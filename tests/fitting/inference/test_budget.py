@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import oscillators
 import pytest
 
 from fitting.dynamics._model import Model
@@ -55,7 +56,7 @@ def test_contributions_of_type_a_are_the_standard_error(found):
         } | {"clock rate"}
 
 
-def test_the_clock_acts_by_the_power_of_time_in_the_unit(found):
+def test_sensitivity_to_the_clock_follows_from_the_unit(found):
     """Times that are 1 + eps too long: a value in s^n is (1 + eps)^n too large."""
     result, budgets = found
     for name, power in {
@@ -76,7 +77,7 @@ def part_or_zero(b, source):
 
 
 def test_torques_are_in_proportion_to_both_inertias_together(found):
-    """Only ratios of torque to inertia are seen: I_r dk/dI_r + I_c dk/dI_c = k."""
+    """Only ratios of torque to inertia are observable: I_r dk/dI_r + I_c dk/dI_c = k."""
     result, budgets = found
     for name in NUMBERS:
         rotor, casing = (part(budgets[name], f"inertia.{b}").sensitivity for b in ("rotor", "casing"))
@@ -84,7 +85,7 @@ def test_torques_are_in_proportion_to_both_inertias_together(found):
         assert rotor * I_ROTOR + casing * I_CASING == pytest.approx(value, rel=0.02)
 
 
-def test_what_is_not_known_does_not_contribute():
+def test_unknown_inputs_do_not_contribute():
     plain = fit(MODEL, [record(0)])
     sources = {c.source for b in budget(plain, clock_rate_u=0.0).values() for c in b.contributions}
     assert sources <= {
@@ -102,8 +103,17 @@ def test_what_is_not_known_does_not_contribute():
     assert set(first["contributions"][0]) == {"source", "type", "u", "sensitivity", "share"}
 
 
+def test_an_oscillation_measured_by_an_encoder_has_no_camera_contribution():
+    motion = oscillators.motion(lambda t, x, v: -4 * x - 0.05 * v, (0.5, 0.0), 40.0)
+    model = Model.of(("casing.spring.linear", "casing.air.linear"))
+    result = fit(model, [oscillators.record(*motion[:2], 1e-3, 1)])
+    for name, b in budget(result, clock_rate_u=0.0).items():
+        assert {c.source for c in b.contributions} <= {"angle noise", "process noise", "lack of fit"}
+        assert b.u == pytest.approx(result.estimates[name].stderr, rel=1e-9)
+
+
 @pytest.mark.slow
-def test_monte_carlo(found):
+def test_uncertainties_agree_with_monte_carlo(found):
     """Noise, inertias and clock drawn anew: six fits scatter as the combined uncertainties say.
 
     The pulls of a fit are correlated, so their mean square has about 12 degrees of freedom.

@@ -1,4 +1,4 @@
-"""What a model predicts for a case, and every derivative of it, against the oracle and against differences."""
+"""Predicted rows of a case and their derivatives, against the oracle and against differences."""
 
 import numpy as np
 import pytest
@@ -53,8 +53,8 @@ def test_derivatives_match_differences(name, quantity):
         assert np.abs(found.jacobian[:, i] - slope).max() < within * size + 1e-6, key
 
 
-def test_true_parameters_leave_noise_alone():
-    """Rows of the true model against the data: chi-square of 734 rows, nothing adjusted but the nuisances."""
+def test_residuals_of_the_true_parameters_are_noise():
+    """Rows of the true model against the data: chi-square of 734 rows, with fitted nuisance parameters only."""
     measured = data(seed=0)
     layout = ParameterLayout.of(Model.of(REDUCED), [measured.record])
     values = twobody.truth()
@@ -66,7 +66,7 @@ def test_true_parameters_leave_noise_alone():
     assert np.sum(residual**2) / len(residual) == pytest.approx(1.0, abs=0.15)
 
 
-def test_rippling_torque_moves_the_rows_as_the_oracle_says():
+def test_response_to_a_harmonic_torque_agrees_with_the_oracle():
     """Difference of two simulated casings, one with gravity on an unbalance, against the column of the model."""
 
     def gravity(t, wr, wc, pr, pc):
@@ -100,7 +100,7 @@ def test_rippling_torque_moves_the_rows_as_the_oracle_says():
 
 
 @pytest.mark.parametrize("quantity", ["angle", "omega"])
-def test_rough_speeds_are_near_the_true_ones(quantity):
+def test_rough_speeds_agree_with_the_true_ones(quantity):
     times, speeds = data(seed=0, quantity=quantity).initial_speeds
     motion = twobody.simulate(seed=0)
     assert np.abs(speeds[:, 1] - motion.at(times, 1)[1])[2:-2].max() < 2.0
@@ -108,7 +108,7 @@ def test_rough_speeds_are_near_the_true_ones(quantity):
     assert np.abs(speeds[:, 0] / motion.at(times, 0)[1] - 1)[inside].max() < 0.01
 
 
-def test_starts_without_a_guess_are_of_the_right_size():
+def test_initial_values_have_the_right_order_of_magnitude():
     problem = fitted(seed=0).problem
     theta = dict(
         zip(
@@ -136,7 +136,7 @@ def test_starts_without_a_guess_are_of_the_right_size():
     assert all(np.isfinite(list(theta.values())))
 
 
-def test_a_law_that_follows_the_angle_may_be_held():
+def test_parameters_of_a_harmonic_law_may_be_held():
     """Strength or phase held at a value: the rows are those of the free law there, without its columns."""
     measured = data()
     model = Model.of((*REDUCED, "casing.unbalance"))

@@ -1,4 +1,4 @@
-"""What compression leaves out must not change what is learned: chi-square differences, and the noise."""
+"""Compression keeps differences of chi-square and the noise."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ SHARES = [1e-5, 1e-3, 0.1]
 @pytest.mark.parametrize("share", SHARES)
 @pytest.mark.parametrize("body", [0, 1], ids=["rotor", "casing"])
 @pytest.mark.parametrize("key", ["d", "b1"])
-def test_difference_of_two_models_is_kept(motion, record, share, body, key):
+def test_compression_keeps_the_difference_of_two_models(motion, record, share, body, key):
     other = twobody.simulate({**twobody.PAPER, key: twobody.PAPER[key] * (1 + share)})
     samples = record.casing if body == 1 else record.rotor[1]
     degree = CASING_DEGREE if body == 1 else ROTOR_DEGREE
@@ -54,7 +54,7 @@ def test_difference_of_two_models_is_kept(motion, record, share, body, key):
     assert abs(found - expected) < max(1e-3, 1e-4 * abs(expected))
 
 
-def test_a_few_hundred_numbers_remain(record):
+def test_compression_keeps_a_few_hundred_rows(record):
     compressed = compress(record.casing, degree=CASING_DEGREE, harmonics=True)
     assert len(record.casing) == 52_000
     blocks = len(compressed.lift)
@@ -63,7 +63,7 @@ def test_a_few_hundred_numbers_remain(record):
 
 
 def test_blocks_are_short_where_the_casing_is_slow(record):
-    """What follows the angle moves it by 1 / omega^2: in a block the speed must not change many times over."""
+    """The response to a harmonic of the angle is proportional to 1 / omega^2: the speed of a block varies little."""
     compressed = compress(record.casing, degree=CASING_DEGREE, harmonics=True)
     for where, _ in compressed.operators:
         t, psi = record.casing.time[where], record.casing.value[where]
@@ -73,7 +73,7 @@ def test_blocks_are_short_where_the_casing_is_slow(record):
         assert max(begin, end) / min(begin, end) < 2.0
 
 
-def test_what_is_left_is_white_and_of_unit_size(motion, record):
+def test_compressed_residuals_are_white_with_unit_variance(motion, record):
     compressed = compress(record.casing, degree=CASING_DEGREE, harmonics=True)
     noise = compressed.z - compressed.at_nodes(motion.at(compressed.node_times, 1)[0])
     # 480 numbers: standard deviation 1 +- 0.032
@@ -93,7 +93,7 @@ def test_a_law_given_sample_by_sample_projects_like_one_given_at_the_nodes(motio
     assert np.abs(harmonic).max() < 2e-2
 
 
-def test_harmonics_of_the_angle_stand_in_their_rows(motion, record):
+def test_harmonics_of_the_angle_are_in_their_rows(motion, record):
     """An offset centre of 5e-3 rad shows in the harmonic rows with its whole weight."""
     compressed = compress(record.casing, degree=CASING_DEGREE, harmonics=True)
     psi = record.casing.value
@@ -124,7 +124,7 @@ def test_level_of_white_noise_is_found(motion, factor, seed):
 # rho = 0.9 is slow enough to fall off within the rows that measure the noise: a fifth of it is missed
 @pytest.mark.parametrize(("rho", "share"), [(0.5, 0.1), (0.7, 0.1), (0.9, 0.25)])
 @pytest.mark.parametrize("seed", range(3))
-def test_correlated_noise_counts_for_what_it_is_worth(motion, rho, share, seed):
+def test_correlated_noise_reduces_the_effective_number_of_samples(motion, rho, share, seed):
     """AR(1) noise has (1 + rho) / (1 - rho) times its variance at the slow end, where models live."""
 
     def ar1(rng, n):
@@ -141,7 +141,7 @@ def test_correlated_noise_counts_for_what_it_is_worth(motion, rho, share, seed):
     assert 52_000 / compressed.n_effective == pytest.approx(expected, rel=2 * share)
 
 
-def test_outliers_do_not_carry_the_level_away(motion):
+def test_outliers_do_not_change_the_noise_level(motion):
     def noise(rng, n):
         white = SIGMA * rng.standard_normal(n)
         white[rng.integers(0, n, 5)] += 0.05

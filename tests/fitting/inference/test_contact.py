@@ -1,4 +1,4 @@
-"""Bodies whose rims touch: against the analytic motion with and without slip, and on a real rig."""
+"""Bodies in contact: against the analytic motion with and without slip, and on a real apparatus."""
 
 from pathlib import Path
 
@@ -46,7 +46,7 @@ def path_of(numbers, start, span=60.0):
     return dynamics, solve(dynamics, numbers, first, mesh)
 
 
-def test_rolling_bodies_move_as_one():
+def test_rolling_bodies_keep_the_ratio_of_speeds():
     times = np.linspace(0.5, 60.0, 50)
     _, path = path_of(NUMBERS, 30.0)
     rotor, casing = Sampler(path.mesh, times).value(path.y).T
@@ -54,7 +54,7 @@ def test_rolling_bodies_move_as_one():
     np.testing.assert_allclose(rotor, RATIO * casing, rtol=1e-9)
 
 
-def test_a_torque_on_one_body_moves_both():
+def test_a_torque_on_one_rolling_body_accelerates_both():
     """The linearised motion, by which process noise and further laws act, has the inertia of both."""
     dynamics, path = path_of(NUMBERS, 30.0)
     motion = LinearMotion(path, sensitivities(dynamics, NUMBERS, path).propagator)
@@ -205,7 +205,7 @@ RIG = Path(__file__).parents[3].parent / "shared" / "real" / "coastdown"
 
 @pytest.mark.slow
 @pytest.mark.skipif(not RIG.is_dir(), reason="recordings by others are not there")
-def test_a_wheel_that_rolls_on_a_drum():
+def test_a_wheel_on_a_drum_is_fitted():
     """The ratio is that of the counted turns, up to the slip at 575 s, which is 0.4 rad."""
     from gyrotrack.io.readers._import_case import import_case
     from gyrotrack.io.readers._motion_table import ReadOptions, read_names

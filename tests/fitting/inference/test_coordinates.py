@@ -71,7 +71,7 @@ def test_a_power_law_alone_there_and_back(f, g):
         np.testing.assert_allclose(slope[:, i], rise, rtol=1e-5)
 
 
-def test_without_a_valley_nothing_changes():
+def test_without_power_laws_variables_are_not_transformed():
     theta = np.array([1.0, 2.0])
     np.testing.assert_array_equal(from_physical(theta, ()), theta)
     same, slope = to_physical(theta, ())
@@ -97,7 +97,7 @@ def found(layout):
 BEARING = ("bearing.linear.d", "bearing.power.f", "bearing.power.g")
 
 
-def test_the_bearings_pair_is_found_with_a_typical_speed():
+def test_the_pair_of_bearing_laws_has_a_typical_reference_speed():
     (v,) = found(layout_of()).values()
     _, speeds = data(seed=0).initial_speeds
     assert found(layout_of()).keys() == {BEARING}
@@ -113,7 +113,7 @@ def test_the_bearings_pair_is_found_with_a_typical_speed():
         ("rotor: -k*abs(omega_r)**n*sign(omega_r)", "rotor.air.quadratic.a2", 2.0),
     ],
 )
-def test_a_users_power_law_is_paired_with_the_law_that_it_may_become(law, partner, order):
+def test_a_user_power_law_is_paired_with_the_law_of_fixed_power(law, partner, order):
     pairs = found(layout_of(law))
     (mine,) = [(k, v) for k, v in pairs.items() if k != BEARING]
     assert mine[0] == (partner, f"{law}.k", f"{law}.n")
@@ -127,7 +127,7 @@ def test_other_laws_have_no_pair(law):
     assert found(layout_of(law)).keys() == {BEARING}
 
 
-def test_pairs_of_each_case():
+def test_pairs_have_variables_of_each_case():
     assert found(layout_of(per_case=["g"], cases=2)) == {}
     assert found(layout_of(per_case=["f", "g"], cases=2)) == {}
     linear = found(layout_of(per_case=["d"], cases=2))

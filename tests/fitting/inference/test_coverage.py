@@ -1,4 +1,4 @@
-"""How often 95 % intervals hold the truth: recordings by SciPy, all integrated at once, with noise of three kinds."""
+"""Coverage of 95 % intervals: recordings by SciPy with three kinds of noise."""
 
 import numpy as np
 import pytest
@@ -86,7 +86,7 @@ def pulls(records):
 
 
 @pytest.mark.slow
-def test_intervals_hold_the_truth_as_often_as_they_say():
+def test_intervals_have_the_stated_coverage():
     """60 recordings. Fails where intervals that should hold 95 % hold 85 %, or are twice as wide as they need be.
 
     They are a little wide by intention: the correlation time of the torque is taken half its error longer.
@@ -101,7 +101,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
 
 
 @pytest.mark.slow
-def test_intervals_from_smoothed_velocities_too():
+def test_intervals_from_smoothed_velocities_have_the_stated_coverage():
     seen = pulls([prepared(r, "velocity") for r in recordings(0.0)[:40]])
     for key, z in seen.items():
         assert int(np.sum(np.abs(z) < 1.96)) >= binom.ppf(5e-4, len(z), 0.95), key

@@ -1,4 +1,4 @@
-"""The whole way from angles to parameters, on data whose truth is known and made without `fitting`."""
+"""Fits of angles with known parameters, on data made without `fitting`."""
 
 import itertools
 
@@ -19,7 +19,7 @@ TRUTH = twobody.truth()
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5))
-def test_the_paper_is_recovered_from_the_programs_own_starts(seed):
+def test_parameters_of_the_paper_are_recovered_without_initial_values(seed):
     result = fitted(seed=seed)
     assert result.verdict == "adequate"
     found = pulls(result, TRUTH)
@@ -34,7 +34,7 @@ def test_the_paper_is_recovered_from_the_programs_own_starts(seed):
     assert case.energy_drift < 1e-3
 
 
-def test_the_errors_are_as_small_as_the_data_allow():
+def test_uncertainties_of_a_long_record_are_small():
     """The linear parameters of such a record are known to a few parts in a hundred thousand; g to 1e-4."""
     estimates = fitted(seed=0).estimates
     for key in ("rotor.air.quadratic.a2", "touchpoint.constant.b1", "casing.air.linear.b2"):
@@ -42,7 +42,7 @@ def test_the_errors_are_as_small_as_the_data_allow():
     assert estimates["bearing.power.g"].stderr < 1e-3
 
 
-def test_units_travel_with_the_numbers():
+def test_estimates_have_units():
     units = {k: e.unit for k, e in fitted(seed=0).estimates.items()}
     assert units["bearing.linear.d"] == "N m s"
     assert units["touchpoint.constant.b1"] == "N m"
@@ -50,7 +50,7 @@ def test_units_travel_with_the_numbers():
     assert units["initial.omega_r@case1"] == "rad s-1"
 
 
-def test_figures_of_the_paper_are_what_they_say():
+def test_figures_of_merit_have_the_expected_size():
     """R2 and rms of the speeds, computed here from the motion behind the data."""
     result = fitted(seed=0)
     casing, rotor = result.cases[0].casing, result.cases[0].rotor
@@ -61,7 +61,7 @@ def test_figures_of_the_paper_are_what_they_say():
     assert rotor.r2 > 0.999
 
 
-def test_the_paths_are_the_true_motion():
+def test_fitted_paths_agree_with_the_true_motion():
     from fitting.dynamics._mesh import Sampler
 
     motion, path = twobody.simulate(seed=0), fitted(seed=0).predictions[0].path
@@ -75,7 +75,7 @@ def test_the_paths_are_the_true_motion():
 @pytest.mark.parametrize(
     "seed", [pytest.param(s, marks=pytest.mark.slow) if s in {7, 9, 11} else s for s in range(12)]
 )
-def test_starts_a_factor_of_two_off_end_in_the_same_minimum(seed):
+def test_initial_values_wrong_by_a_factor_of_two_end_in_the_same_minimum(seed):
     base = fitted(seed=1)
     rng = np.random.default_rng(seed)
     start = {}
@@ -91,7 +91,7 @@ def test_starts_a_factor_of_two_off_end_in_the_same_minimum(seed):
 
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in (1, 2))])
-def test_measured_speeds_do_as_well_as_angles(seed):
+def test_measured_speeds_give_the_same_parameters_as_angles(seed):
     result = fitted(seed=seed, quantity="omega")
     assert result.verdict == "adequate"
     assert max(map(abs, pulls(result, TRUTH).values())) < 4
@@ -99,7 +99,7 @@ def test_measured_speeds_do_as_well_as_angles(seed):
     assert result.noise[0].pure < 2e-8
 
 
-def test_a_few_single_speeds_of_the_rotor_will_do():
+def test_a_few_single_speeds_of_the_rotor_are_sufficient():
     """A stroboscope instead of a camera: twelve speeds of the rotor, one at a time."""
     raw = twobody.film(twobody.simulate(), cameras=twobody.Cameras(quantity="omega", sigma=0.05))
     motion, rng = twobody.simulate(), np.random.default_rng(4)
@@ -156,7 +156,7 @@ SEEDS = 20
 
 @pytest.mark.slow
 @pytest.mark.parametrize("ou", [0.0, 1e-7], ids=["calm", "random torque"])
-def test_errors_are_true(ou):
+def test_uncertainties_have_the_stated_coverage(ou):
     """Over 20 recordings: 95 % intervals must hold the truth in 85 to 100 % of all cases, taken together.
 
     160 pulls, of which about 40 are independent: 95 +- 3.5 %. Their spread must be near 1.

@@ -1,4 +1,4 @@
-"""Cases fitted together: what they share is one, what is their own is each one's, and the errors say so."""
+"""Joint fits: shared parameters, parameters of each case, and their uncertainties."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ from fitting.inference._record import make_record
 
 
 @pytest.mark.slow
-def test_joint_fit_of_two_surfaces():
+def test_joint_fit_of_two_surfaces_recovers_the_parameters():
     rough = {"b1": 20e-6, "b2": 9.1e-7}
     both = [case({}, 21, "glass"), case(rough, 22, "steel", start=(850.0, 9.0))]
     result = fit(Model.of(REDUCED), both)
@@ -51,8 +51,8 @@ def test_joint_fit_of_two_surfaces():
 
 @pytest.mark.parametrize("free", [["d"], pytest.param(["d", "f", "g"], marks=pytest.mark.slow)])
 @pytest.mark.slow
-def test_a_bearing_of_its_own_in_each_case(free):
-    """Two bearings: the straight variables are those of each."""
+def test_a_bearing_with_per_case_parameters_is_fitted(free):
+    """Two bearings: each has its transformed variables."""
     other = {"d": 1.3e-7, "f": 1.0e-8, "g": 1.34} if len(free) > 1 else {"d": 1.4e-7}
     both = [case({}, 21, "glass"), case(other, 22, "steel", start=(850.0, 9.0))]
     result = fit(Model.of(REDUCED), both, per_case=free)
@@ -80,8 +80,8 @@ def test_start_values_do_not_depend_on_how_many_cases_share_them():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [71, 81])
-def test_a_case_that_the_model_fails_does_not_spoil_the_other(seed):
-    """Noise in both cases would excuse a compromise: bearing and air off by a tenth, b1 of the sound case by 40 %."""
+def test_a_case_with_a_lack_of_fit_does_not_bias_the_other(seed):
+    """Process noise in both cases would allow a compromise, with b1 of the good case wrong by 40 %."""
     drag = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -3e-5 * (wc / 100) ** 2)
     cameras = twobody.Cameras(span=40.0, windows=(2.0, 18.0, 34.0), window_length=2.0)
     both = []

@@ -1,4 +1,4 @@
-"""The lack of fit is chi-square where nothing is missing, and objects where something is."""
+"""The lack-of-fit test has a chi-square distribution for the right model, and rejects a wrong one."""
 
 import math
 from types import SimpleNamespace
@@ -12,12 +12,12 @@ from fitting.effects._library import REDUCED
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 from fitting.inference._noise import tail_probability
+from fitting.inference._process_noise import ProcessNoise
 from fitting.inference._record import make_record
-from fitting.inference._recording_noise import ProcessNoise
 
 
 @pytest.mark.parametrize("share", [0.0, 0.4, 1.0])
-def test_the_tail_is_that_of_draws_with_an_uncertain_level(share):
+def test_tail_probability_agrees_with_draws_of_an_uncertain_level(share):
     """Chi-square of 5 normal variables, a share of their variance scaled by a random factor."""
     rng = np.random.default_rng(0)
     ratios, weights = np.array([0.3, 1.0, 2.5]), np.array([0.3, 0.5, 0.2])
@@ -35,7 +35,7 @@ def found(hidden, seed, model=REDUCED):
 
 
 @pytest.mark.slow
-def test_noise_alone_leaves_as_much_as_it_should():
+def test_lack_of_fit_of_noise_has_the_expected_distribution():
     lacks = [found(twobody.Hidden(), seed).lack_of_fit for seed in range(4)]
     chi2, dof = sum(x.chi2 for x in lacks), sum(x.dof for x in lacks)
     assert abs(chi2 - dof) < 5 * math.sqrt(2 * dof)
@@ -43,7 +43,7 @@ def test_noise_alone_leaves_as_much_as_it_should():
 
 
 @pytest.mark.slow
-def test_a_law_of_the_wrong_shape_does_not_pass():
+def test_a_law_of_the_wrong_shape_has_a_lack_of_fit():
     """A drag at one speed only, hidden; a step of the friction is the best that the library has."""
     hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -2e-6 * np.exp(-(((wc - 110) / 12) ** 2)))
     fitted = found(hidden, 1, (*REDUCED, "touchpoint.step"))

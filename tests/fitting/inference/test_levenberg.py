@@ -1,4 +1,4 @@
-"""The least-squares solver on problems with certified answers, and its manners at bounds and cliffs."""
+"""The least-squares solver on problems with certified solutions, at bounds and in undefined regions."""
 
 import numpy as np
 import pytest
@@ -55,7 +55,7 @@ def test_certified_values_and_errors(name, start):
     np.testing.assert_allclose(errors, certified.errors, rtol=1e-5)
 
 
-def test_the_trap_ends_without_a_crash_and_without_a_worse_fit():
+def test_a_difficult_start_ends_without_a_worse_fit():
     certified = PROBLEMS["BoxBOD"]
     free = np.full(2, np.inf)
     problem, start = problem_of(certified), np.array(certified.starts[0], dtype=float)
@@ -95,13 +95,13 @@ def test_bounds_agree_with_scipy_where_the_problem_is_linear(seed):
     )
 
 
-def test_a_start_outside_is_brought_inside():
+def test_a_start_outside_the_bounds_is_moved_inside():
     minimum = minimise(lambda x: (x - 5.0, np.eye(1)), np.array([99.0]), np.array([0.0]), np.array([3.0]))
     assert minimum.x == pytest.approx([3.0])
     assert minimum.at_bound.all()
 
 
-def test_cliffs_are_backed_away_from():
+def test_steps_into_undefined_regions_are_shortened():
     def problem(x):
         if x[0] < 0.5:
             raise SimulationError("off the cliff")
@@ -112,7 +112,7 @@ def test_cliffs_are_backed_away_from():
     assert 0.9 < minimum.x[0] < 1.1
 
 
-def test_no_value_at_the_start_is_an_error_with_a_sentence():
+def test_an_undefined_start_is_an_error():
     def problem(x):
         raise SimulationError("no bounded solution")
 
@@ -120,14 +120,14 @@ def test_no_value_at_the_start_is_an_error_with_a_sentence():
         minimise(problem, np.zeros(1), np.array([-1.0]), np.array([1.0]))
 
 
-def test_too_few_iterations_are_admitted():
+def test_too_few_iterations_are_reported_as_not_converged():
     certified = PROBLEMS["Lanczos3"]
     free = np.full(6, np.inf)
     start = np.array(certified.starts[0], dtype=float)
     assert not minimise(problem_of(certified), start, -free, free, max_iterations=2).converged
 
 
-def test_undetermined_directions_have_huge_errors_not_small_ones():
+def test_undetermined_directions_have_large_standard_errors():
     j = np.array([[1.0, 1.0], [2.0, 2.0], [3.0, 3.0]])
     errors = np.sqrt(np.diag(covariance_of(j, np.ones(2, dtype=bool))))
     assert errors.min() > 1e8

@@ -1,4 +1,4 @@
-"""The level of a small random torque, measured under angle noise that hides it in any single frame."""
+"""The level of a small random torque below the angle noise of a single frame."""
 
 from dataclasses import replace
 
@@ -68,8 +68,8 @@ def test_neither_model_nor_moments_of_inertia_change_the_process_noise(model, ca
 
 
 @pytest.mark.parametrize(("hidden", "seed"), [("step", 0), ("drag", 1)])
-def test_a_missing_effect_does_not_pass_for_noise(hidden, seed):
-    """The process noise must stay what it is; a missing effect shows in the level that the model leaves."""
+def test_a_missing_effect_does_not_count_as_process_noise(hidden, seed):
+    """The process noise is unchanged; a missing effect raises the level of the fit."""
     result = fitted(seed=seed, hidden=hidden)
     (noise,) = result.noise
     assert noise.pure < 1e-8
@@ -78,7 +78,7 @@ def test_a_missing_effect_does_not_pass_for_noise(hidden, seed):
 
 
 @pytest.mark.parametrize("hidden", ["step", pytest.param("drag", marks=pytest.mark.slow)])
-def test_noise_under_a_missing_effect_is_still_the_noise(hidden):
+def test_process_noise_is_estimated_with_a_missing_effect_present(hidden):
     (noise,) = fitted(seed=1, ou=1e-7, hidden=hidden).noise
     assert 1e-7 / 1.6 < strength(noise) < 1.6e-7
 
@@ -91,7 +91,7 @@ def response():
 
 
 def test_response_to_a_torque_in_all_cells_is_that_of_a_constant_torque(response):
-    """A constant torque on the casing moves the rows as SciPy says it moves the angles."""
+    """The response of the rows to a constant torque on the casing agrees with SciPy's integration."""
     from scipy.integrate import solve_ivp
 
     result = fitted(seed=0)
@@ -132,7 +132,7 @@ def test_covariance_is_the_sum_over_pairs_of_cells(response):
     np.testing.assert_array_equal(found, found.T)
 
 
-def test_covariance_is_what_random_torques_do(response):
+def test_covariance_agrees_with_simulated_random_torques(response):
     """Draw Ornstein-Uhlenbeck torques in the cells and compare the variance of the rows with the formula."""
     rng = np.random.default_rng(3)
     cells, time = len(response.centres), TIME
@@ -155,7 +155,7 @@ def test_covariance_is_what_random_torques_do(response):
     assert ratio.min() > 0.7
 
 
-def test_whitener_makes_white(response):
+def test_the_whitener_whitens_rows(response):
     whitener = response.whitener(TorqueNoise(1e-7, TIME))
     m = len(whitener.values)
     covariance = np.eye(m) + 1e-14 * response.covariance(TIME)
@@ -170,7 +170,7 @@ def test_whitener_makes_white(response):
     assert WHITE.log_determinant == 0
 
 
-def test_remaining_level_is_that_of_drawn_rows():
+def test_the_remaining_level_is_that_of_simulated_rows():
     rng = np.random.default_rng(4)
     m = 300
     values = np.geomspace(1e8, 1e16, m)

@@ -1,4 +1,4 @@
-"""A random torque that one camera is too loud to show, told by the recording in which it shows."""
+"""Process noise of several recordings, one of them with a noisy camera."""
 
 import pytest
 import twobody
@@ -24,14 +24,14 @@ def quiet_camera():
 
 
 @pytest.mark.slow
-def test_what_a_loud_camera_hides_is_no_missing_effect(quiet_camera):
+def test_process_noise_is_estimated_with_a_noisy_camera(quiet_camera):
     found = fit(Model.of(REDUCED), [quiet_camera, recorded("loud", 3, LEVEL, 1e-2, (700.0, 12.0))])
     assert found.verdict == "adequate"
     assert [n.pure for n in found.noise] == pytest.approx([LEVEL] * 2, rel=0.5)
 
 
 @pytest.mark.slow
-def test_a_recording_that_excludes_it_has_none(quiet_camera):
+def test_a_recording_that_excludes_process_noise_has_a_low_level(quiet_camera):
     found = fit(Model.of(REDUCED), [quiet_camera, recorded("still", 3, 0.0, 1e-3, (700.0, 12.0))])
     assert found.verdict == "adequate"
     assert found.noise[0].pure == pytest.approx(LEVEL, rel=0.5)

@@ -1,4 +1,4 @@
-"""One body that spins down by itself, against an independent integration of its equation."""
+"""One body that spins down, against an independent integration of its equation of motion."""
 
 import numpy as np
 import pytest
@@ -65,8 +65,8 @@ def test_parameters_and_errors(quantity):
     assert np.abs(pulls).max() < 4
 
 
-def test_a_short_film_of_one_turn_is_fitted():
-    """Its nuisance parameters describe all of it: nothing is left to tell noise from."""
+def test_a_recording_of_one_turn_is_fitted():
+    """Its nuisance parameters describe all rows: the noise cannot be estimated."""
     time = np.arange(50) / 25
     angle = 3.4 * time + np.random.default_rng(0).normal(0, 4e-4, 50)
     record = make_record(
@@ -83,7 +83,7 @@ def test_a_short_film_of_one_turn_is_fitted():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("quantity", ["omega", "angle"])
-def test_the_errors_are_those_of_many_wheels(quantity):
+def test_uncertainties_agree_with_the_scatter_of_many_wheels(quantity):
     fits = [fit(BASE, [wheel(quantity=quantity, seed=seed)]) for seed in range(100, 124)]
     pulls = [pull(f, "casing.air.linear.b2", LINEAR) for f in fits]
     # the rms of 24 unit normals has a spread of 0.14
@@ -91,7 +91,7 @@ def test_the_errors_are_those_of_many_wheels(quantity):
 
 
 @pytest.mark.slow
-def test_what_is_missing_is_found():
+def test_a_missing_effect_of_a_single_body_is_found():
     base = fit(BASE, [wheel(SQUARE)])
     assert base.verdict == "misfit"
     found = diagnose(base)
@@ -106,7 +106,7 @@ def test_what_is_missing_is_found():
     assert not any(name.startswith("initial.omega_r") for name in last.estimates)
 
 
-def test_what_a_wrong_law_leaves_follows_the_speed_of_the_body():
+def test_residuals_of_a_wrong_law_depend_on_the_speed():
     measured = wheel(SQUARE, quantity="angle")
     cubic = fit(BASE.with_effect(resolve("casing: -k*omega_c**3")), [measured])
     assert smooth_test(cubic).body == "body"
@@ -115,7 +115,7 @@ def test_what_a_wrong_law_leaves_follows_the_speed_of_the_body():
     assert smooth_test(right).p_value > 1e-3
 
 
-def test_a_law_of_ones_own():
+def test_a_user_law_of_a_single_body_is_fitted():
     found = fit(BASE.with_effect(resolve("casing: -k*omega_c*abs(omega_c)")), [wheel(SQUARE)])
     (name,) = [n for n in found.estimates if n.endswith(".k")]
     assert abs(pull(found, name, SQUARE)) < 4
@@ -132,13 +132,13 @@ def test_a_degenerate_law_is_never_adequate():
     assert whole.verdict == "adequate"
 
 
-def test_what_needs_a_rotor_is_refused():
+def test_laws_that_need_rotor_data_are_refused():
     for model in (Model.of(REDUCED), BASE.with_effect(resolve("casing: -k*omega_r"))):
         with pytest.raises(EstimationError, match="needs rotor data"):
             fit(model, [wheel()])
 
 
-def test_two_wheels_together_but_no_wheel_with_a_gyroscope():
+def test_single_bodies_are_fitted_jointly_but_not_with_a_gyroscope():
     both = fit(BASE, [wheel(seed=1, label="a"), wheel(seed=2, label="b")])
     assert abs(pull(both, "touchpoint.constant.b1@b", DRY)) < 4
     w = wheel()

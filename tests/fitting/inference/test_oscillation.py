@@ -1,4 +1,4 @@
-"""Oscillators fitted from nothing given, against independent integration and the analytic damped oscillator."""
+"""Oscillators fitted without initial values, against independent integration and the analytic solution."""
 
 from dataclasses import replace
 
@@ -35,7 +35,7 @@ def within(result, truth, sigmas=4.0):
 
 
 @pytest.mark.parametrize("quantity", ["angle", "omega"])
-def test_a_damped_oscillator_from_nothing_given(quantity):
+def test_a_damped_oscillator_is_fitted_without_initial_values(quantity):
     t = np.arange(0, 30, 0.01)
     angle = analytic(t, 12.0, 0.08, 1.2)
     rate = np.sqrt(12.0 - 0.04**2)
@@ -49,7 +49,7 @@ def test_a_damped_oscillator_from_nothing_given(quantity):
 
 
 @pytest.mark.parametrize("bias", [0.05, -0.3])
-def test_the_bias_of_a_gyroscope_moves_no_parameter(bias):
+def test_the_bias_of_a_gyroscope_changes_no_parameter(bias):
     t, _, omega = oscillators.motion(lambda t, a, w: -9.0 * a - 0.05 * w, (1.0, 0.3), 30.0, 50.0)
     found = fit(Model.of([SPRING, DRAG]), [oscillators.record(t, omega + bias, 0.01, 3, "omega")])
     assert found.verdict == "adequate"
@@ -59,14 +59,14 @@ def test_the_bias_of_a_gyroscope_moves_no_parameter(bias):
     )
 
 
-def test_a_pendulum_of_large_amplitude():
+def test_a_pendulum_of_large_amplitude_is_fitted():
     t, angle, _ = oscillators.motion(lambda t, a, w: -25 * np.sin(a) - 0.05 * w, (2.2, 0.0), 20.0)
     found = fit(Model.of(["casing.gravity", DRAG]), [oscillators.record(t, angle + 0.4, 1e-3, 1)])
     within(found, {"casing.gravity.k": 25.0, f"{DRAG}.b2": 0.05, "initial.deflection@body": 2.2})
 
 
 @pytest.mark.parametrize("dry", [0.0, pytest.param(0.03, marks=pytest.mark.slow)])
-def test_an_eccentric_torsion_pendulum_through_many_periods(dry):
+def test_an_eccentric_torsion_pendulum_is_fitted_over_many_periods(dry):
     """An unbalance shifts the frequency: through 14 periods by more than a response of first order describes."""
     t, angle, _ = oscillators.motion(
         lambda t, a, w: -12 * a - 0.03 * w + 0.7 * np.sin(a - 2.2), (1.6, 1.0), 25.0, 40.0, dry
@@ -143,7 +143,7 @@ def test_a_spring_is_no_power_of_a_speed():
 
 
 @pytest.mark.slow
-def test_a_trial_far_away_is_refused_and_one_nearby_is_followed():
+def test_a_distant_trial_is_refused_and_a_near_one_is_continued():
     t, angle, _ = oscillators.motion(lambda t, a, w: -12 * a - 0.03 * w, (1.2, 0.5), 40.0, 40.0, 0.02)
     found = fit(Model.of([SPRING, DRAG, "touchpoint.constant"]), [oscillators.record(t, angle, 2e-3, 5)])
     (case,), k = found.problem.cases, found.problem.layout.index[f"{SPRING}.k"]
@@ -160,13 +160,13 @@ def test_a_trial_far_away_is_refused_and_one_nearby_is_followed():
     np.testing.assert_allclose(case.solve(found.theta).edges[-1], before.edges[-1], atol=1e-7)
 
 
-def test_dry_friction_through_reversals_until_the_body_stays_at_rest():
+def test_dry_friction_with_reversals_until_rest_is_solved():
     t, angle, _ = oscillators.motion(lambda t, a, w: -10 * a - 0.05 * w, (1.0, 0.0), 25.0, dry=0.15)
     found = fit(Model.of([SPRING, DRAG, "touchpoint.constant"]), [oscillators.record(t, angle, 1e-3, 2)])
     within(found, {f"{SPRING}.k": 10.0, f"{DRAG}.b2": 0.05, "touchpoint.constant.b1": 0.15})
 
 
-def test_reversals_solved_at_once_are_those_found_one_by_one():
+def test_reversals_solved_jointly_agree_with_sequential_ones():
     dynamics = Dynamics(Model.of([SPRING, DRAG, "touchpoint.constant"]))
     numbers = {f"{SPRING}.k": 10.0, f"{DRAG}.b2": 0.02, "touchpoint.constant.b1": 0.3}
     numbers |= {INERTIA_ROTOR: 1.0, INERTIA_CASING: 1.0}
@@ -180,7 +180,7 @@ def test_reversals_solved_at_once_are_those_found_one_by_one():
     assert len(together.jumps) == len(alone.jumps) != len(near.jumps)
 
 
-def test_the_derivative_by_dry_friction_through_reversals():
+def test_the_derivative_by_dry_friction_is_right_after_reversals():
     from fitting.dynamics._sensitivities import sensitivities
 
     dynamics = Dynamics(Model.of([SPRING, "touchpoint.constant"]))
@@ -198,7 +198,7 @@ def test_the_derivative_by_dry_friction_through_reversals():
     np.testing.assert_allclose(slope[:, -1], (up - down) / 2e-5, atol=1e-6)
 
 
-def test_turning_points_need_more_than_the_noise():
+def test_turning_points_exceed_the_noise():
     t = np.linspace(0, 4 * np.pi, 400)
     assert len(turning_points(np.sin(t), 0.1)) == 4
     assert len(turning_points(0.04 * np.sin(t), 0.1)) == 0
@@ -213,7 +213,7 @@ def test_a_body_that_turns_in_one_sense_does_not_oscillate():
     assert np.abs(swing.deflection - analytic(t, 10.0, 0.1, 1.0)).max() < 0.02
 
 
-def test_a_step_of_friction_between_reversals():
+def test_a_step_of_friction_between_reversals_is_solved():
     dynamics = Dynamics(Model.of([SPRING, "touchpoint.constant", "touchpoint.step"]))
     numbers = {f"{SPRING}.k": 10.0, "touchpoint.constant.b1": 0.1, "touchpoint.step.k": 0.1}
     numbers |= {"touchpoint.step.t0": 4.1, INERTIA_ROTOR: 1.0, INERTIA_CASING: 1.0}
@@ -234,7 +234,7 @@ def test_a_step_of_friction_between_reversals():
         ("casing.spring.cubic", lambda t, a, w: -12 * a**3 - 0.1 * w),
     ],
 )
-def test_the_restoring_torque_is_found_without_being_named(name, law):
+def test_a_missing_restoring_torque_is_found(name, law):
     """From dry friction and drag, the model with which every study of a single body begins."""
     t, angle, _ = oscillators.motion(law, (1.3, 0.0), 15.0, rate=50.0)
     base = fit(Model.of(["touchpoint.constant", DRAG]), [oscillators.record(t, angle, 2e-3, 4)])
@@ -253,7 +253,7 @@ def test_the_restoring_torque_is_found_without_being_named(name, law):
         ([SPRING, "touchpoint.constant"], lambda t, a, w: -12 * a, 0.1),
     ],
 )
-def test_95_percent_intervals_cover_the_truth(model, law, dry):
+def test_95_percent_intervals_contain_the_truth(model, law, dry):
     t, angle, _ = oscillators.motion(law, (1.0, 0.0), 10.0, rate=40.0, dry=dry)
     truth = {f"{model[0]}.k": 12.0, "initial.deflection@body": 1.0}
     truth |= {"touchpoint.constant.b1": 0.1} if dry else {f"{DRAG}.b2": 0.1}

@@ -1,4 +1,4 @@
-"""Profile likelihood: against the parabola where it is one, against fits by hand where it is not."""
+"""Profile likelihood, against the parabola of a linear problem and against separate fits."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ TRUTH = twobody.truth()
 
 
 @pytest.mark.parametrize("name", ["touchpoint.constant.b1", "initial.omega_c@case1"])
-def test_a_parabola_gives_the_standard_error(name):
+def test_the_profile_of_a_linear_problem_gives_the_standard_error(name):
     result = fitted(seed=0, ou=1e-7)
     e, interval = result.estimates[name], profile(result, name)
     assert (e.value - interval.lower) / e.stderr == pytest.approx(1.96, abs=0.03)
@@ -26,7 +26,7 @@ def test_a_parabola_gives_the_standard_error(name):
     assert not interval.upper_open
 
 
-def test_the_ends_are_where_the_deviance_has_risen():
+def test_at_the_ends_of_the_interval_the_deviance_has_the_stated_rise():
     """f is skewed by its power. With f held at either end, SciPy's least squares over all else ends 3.84 higher."""
     result = fitted(seed=0, ou=1e-7)
     interval = profile(result, "bearing.power.f")
@@ -53,7 +53,7 @@ def test_the_ends_are_where_the_deviance_has_risen():
     assert interval.upper - e.value > 1.1 * (e.value - interval.lower)
 
 
-def test_a_friction_that_is_not_there_has_an_upper_limit():
+def test_an_absent_friction_has_an_upper_limit():
     result = fit(Model.of((*REDUCED, "casing.air.quadratic")), [data(seed=0)])
     name = "casing.air.quadratic.k"
     assert name in weakly_determined(result)
@@ -70,19 +70,19 @@ def test_only_free_parameters_have_a_profile():
         profile(fitted(seed=0), "bearing.heating.C")
 
 
-def test_well_known_parameters_are_not_weak():
+def test_well_determined_parameters_need_no_profile():
     assert weakly_determined(fitted(seed=0)) == []
 
 
 @pytest.mark.slow
-def test_intervals_of_the_general_model_hold_the_truth():
+def test_intervals_of_the_general_model_contain_the_truth():
     result = fit(Model.of(GENERAL), [data(seed=0)])
     for name in weakly_determined(result):
         interval = profile(result, name)
         assert interval.lower <= TRUTH.get(name, 0.0) <= interval.upper
 
 
-def test_what_is_not_determined_together_is_named():
+def test_degenerate_parameters_are_named():
     """Two columns that are nearly one: their sum is known to 1 %, their difference is not."""
     j = np.array([[100.0, 100.0, 0.0], [0.3, -0.3, 0.0], [0.0, 0.0, 50.0]])
     theta = np.array([1.0, 1.0, 2.0])
@@ -103,7 +103,7 @@ def test_another_level_gives_another_width():
         result.conf_interval(name, level=95)
 
 
-def test_an_estimate_tells_its_bounds_and_what_is_held():
+def test_estimates_contain_bounds_and_held_parameters():
     result = fit(Model.of(REDUCED).with_fixed({"bearing.power.g": 1.32}), [data(seed=0, ou=1e-7)])
     held, drag = result.estimates["bearing.power.g"], result.estimates["casing.air.linear.b2"]
     assert not held.vary

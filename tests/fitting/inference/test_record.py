@@ -1,4 +1,4 @@
-"""Case files: written by the layout alone, read by `fitting`, refused with one sentence when unsound."""
+"""Case files, written according to the layout; errors for invalid ones."""
 
 import h5py
 import numpy as np
@@ -54,7 +54,7 @@ def case(tmp_path):
     return write_case(tmp_path / "case.h5")
 
 
-def test_a_sound_case_is_read(case):
+def test_a_valid_case_is_read(case):
     record = read_record(case)
     assert (record.label, record.surface, record.quantity) == ("case 7", "glass", "angle")
     assert (record.I_rotor, record.I_casing) == (5.54e-5, 2.06e-5)
@@ -75,7 +75,7 @@ def test_speeds_are_read_where_speeds_were_measured(tmp_path):
     np.testing.assert_array_equal(record.casing.sigma, series(1)[4])
 
 
-def test_digest_follows_the_numbers_and_nothing_else(case, tmp_path):
+def test_the_digest_depends_on_the_numbers_only(case, tmp_path):
     first = read_record(case)
     renamed = read_record(write_case(tmp_path / "b.h5", attributes={"label": "other", "surface": "steel"}))
     assert first.digest == renamed.digest
@@ -86,7 +86,7 @@ def test_digest_follows_the_numbers_and_nothing_else(case, tmp_path):
     assert heavier.digest != first.digest
 
 
-def test_label_falls_back_on_the_file(tmp_path):
+def test_the_default_label_is_the_file_name(tmp_path):
     assert read_record(write_case(tmp_path / "run3.h5", attributes={"label": ""})).label == "run3"
 
 
@@ -127,7 +127,7 @@ def test_minor_versions_are_read(tmp_path):
     )
 
 
-def test_files_that_are_no_case(tmp_path):
+def test_other_files_are_refused_as_cases(tmp_path):
     assert "does not exist" in refusal(tmp_path / "nothing.h5")
     assert "not a regular file" in refusal(tmp_path)
     text = tmp_path / "text.h5"
@@ -182,7 +182,7 @@ def test_links_are_not_followed(case, tmp_path, name, kind):
     assert f"has no {name.partition('/')[0]}" in message
 
 
-def test_data_that_lie_elsewhere_are_not_read(case, tmp_path):
+def test_external_data_are_not_read(case, tmp_path):
     raw = tmp_path / "raw.bin"
     raw.write_bytes(np.arange(N, dtype=float).tobytes())
 
@@ -223,7 +223,7 @@ def test_windows_that_do_not_match_the_samples_are_refused(case):
     assert "rotor/window and rotor/time have different lengths" in refusal(short)
 
 
-def test_too_few_samples(tmp_path):
+def test_too_few_samples_are_refused(tmp_path):
     assert "the casing has 23 usable samples" in refusal(write_case(tmp_path / "short.h5", n=23))
     path = write_case(tmp_path / "case.h5")
     with h5py.File(path, "r+") as file:
@@ -261,7 +261,7 @@ def test_unknown_uncertainties_take_the_usual_one():
 
 
 @pytest.mark.parametrize("what", ["casing", "rotor"])
-def test_times_that_go_back_are_refused(what):
+def test_times_that_are_not_increasing_are_refused(what):
     time, value, sigma = arrays()
     time = time.copy()
     time[40] = time[39]

@@ -1,4 +1,4 @@
-"""A casing that comes to rest within the record, and one that spins the other way."""
+"""A casing that comes to rest within the record, and one of the opposite sense of rotation."""
 
 import numpy as np
 import pytest
@@ -59,7 +59,7 @@ def test_a_casing_that_comes_to_rest_within_the_record_is_fitted(name):
 
 
 @pytest.mark.parametrize("start", [(-900.0, -5.0), pytest.param((900.0, -20.0), marks=pytest.mark.slow)])
-def test_reversed_spin(start):
+def test_a_rotor_of_the_opposite_sense_is_fitted(start):
     """All laws of the reduced model follow the sense of the motion: the parameters are the same."""
     motion = twobody.simulate(start=start, seed=3)
     result = fit(Model.of(REDUCED), [make_record(**twobody.film(motion, seed=3))])
@@ -68,8 +68,8 @@ def test_reversed_spin(start):
 
 
 @pytest.mark.slow
-def test_a_start_from_which_the_casing_stops_again_and_again():
-    """So often that nothing is left of what a torque did before: its matrix has no inverse."""
+def test_initial_values_with_many_stops_converge():
+    """After many stops the fundamental matrix has no inverse."""
     par = {**twobody.PAPER, "b1": 4.5e-5, "b2": 9.5e-7}
     cameras = twobody.Cameras(span=180.0, windows=(4.0, 63.0, 135.0))
     motion = twobody.simulate(par, (950.0, 8.0), 180.0, ou=1e-7)

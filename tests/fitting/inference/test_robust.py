@@ -1,4 +1,4 @@
-"""Robust losses: against SciPy's on a problem of plain arrays, and errors that stay true among outliers."""
+"""Robust losses: against SciPy on a problem of plain arrays, and uncertainties with outliers."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def spoiled(seed, share=0.05, size=30.0, par=twobody.PAPER, **cameras):
 
 
 @pytest.mark.parametrize("psi", [huber, cauchy])
-def test_slopes_are_those_of_psi(psi):
+def test_the_slope_of_psi_is_its_derivative(psi):
     x = np.array([-9.0, -1.2, -0.3, 0.0, 0.5, 1.3, 2.0, 30.0])
     rise = (psi(x + 1e-6)[0] - psi(x - 1e-6)[0]) / 2e-6
     np.testing.assert_allclose(psi(x)[1], rise, atol=1e-6)
@@ -38,7 +38,7 @@ def test_slopes_are_those_of_psi(psi):
 @pytest.mark.parametrize(
     ("loss", "tuning"), [("huber", 1.345), pytest.param("cauchy", 2.385, marks=pytest.mark.slow)]
 )
-def test_minimum_is_scipys(loss, tuning):
+def test_the_robust_minimum_agrees_with_scipy(loss, tuning):
     """Speeds, the linear model, SciPy's integrator and SciPy's robust least squares with the same scales."""
     linear = {**twobody.PAPER, "f": 0.0, "d": 2.5e-7}
     cameras = {"quantity": "omega", "sigma": 0.05, "span": 30.0, "windows": (2.0, 25.0), "window_length": 1.0}
@@ -88,7 +88,7 @@ def test_outliers_cost_little():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("loss", ["huber", "cauchy"])
-def test_errors_are_true_among_outliers(loss):
+def test_uncertainties_are_valid_with_outliers(loss):
     """7 recordings x 8 parameters, of which about two are independent: rms pull 1 +- 0.2."""
     found = [robust_fit(Model.of(REDUCED), [make_record(**spoiled(70 + s))], loss) for s in range(7)]
     table = np.array([list(pulls(f, TRUTH).values()) for f in found])
@@ -106,7 +106,7 @@ def test_linear_is_least_squares():
     assert [e.value for e in plain.estimates.values()] == [e.value for e in same.estimates.values()]
 
 
-def test_what_cannot_be_had_is_said():
+def test_unsupported_robust_fits_are_refused():
     raw = spoiled(1, share=0.0, span=20.0, windows=(2.0, 15.0))
     with pytest.raises(EstimationError, match="no loss named"):
         robust_fit(Model.of(LINEAR), [make_record(**raw)], "l1")

@@ -1,4 +1,4 @@
-"""A torque that swings is found from nothing, however much the start speed has to make room for it."""
+"""A periodic torque is found from strength zero although the initial speed is correlated with it."""
 
 import math
 
@@ -28,7 +28,7 @@ def unbalanced():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("start", [{}, {"casing.unbalance.k": 1e-6, "casing.unbalance.phi": PHASE + math.pi}])
-def test_a_strong_unbalance_is_found_from_nothing_and_from_the_wrong_side(unbalanced, start):
+def test_a_strong_unbalance_is_found_from_zero_and_from_the_opposite_phase(unbalanced, start):
     found = fit(Model.of((*REDUCED, "casing.unbalance")), [unbalanced], start=start)
     k, phi = (found.estimates[f"casing.unbalance.{s}"] for s in ("k", "phi"))
     assert found.verdict == "adequate"
@@ -43,7 +43,7 @@ def layout(*effects, cases=1, **more):
     return ParameterLayout.of(Model((*Model.of(REDUCED).effects, *effects)), records, **more)
 
 
-def test_which_laws_have_linear_variables():
+def test_laws_with_free_strength_and_phase_have_linear_variables():
     unbalance, swing = LIBRARY["casing.unbalance"], resolve("casing: k*cos(3*t + phi)")
     place = layout(unbalance).index
     assert find_sinusoids(layout(unbalance)) == (
@@ -57,7 +57,7 @@ def test_which_laws_have_linear_variables():
 
 
 @pytest.mark.parametrize("held", [{"casing.unbalance.phi": (1.0, 1.0)}, {"casing.unbalance.k": (0.0, 1e-6)}])
-def test_what_is_held_or_limited_keeps_its_own_variables(held):
+def test_held_or_bounded_laws_keep_strength_and_phase(held):
     assert find_sinusoids(layout(LIBRARY["casing.unbalance"], ranges=held)) == ()
 
 
@@ -71,7 +71,7 @@ def test_there_and_back_and_the_slope():
         assert slope[:, i] == pytest.approx((there - back) / (2 * step), rel=1e-6, abs=1e-12)
 
 
-def test_nothing_has_a_phase_still():
+def test_zero_strength_keeps_a_phase():
     theta, slope = to_polar(np.zeros(2), (Sinusoid(0, 1),))
     assert 0 < theta[0] < 1e-20
     assert np.isfinite(slope).all()

@@ -19,14 +19,14 @@ def test_noiseless_speed_is_the_derivative():
     np.testing.assert_array_equal(t, samples.time[50:-50])
 
 
-def test_noise_falls_as_the_paper_has_it():
+def test_smoothing_reduces_noise_as_in_the_paper():
     """Gradient of angles of 1e-3 rad at 260 Hz: 0.18 rad/s; the median over 51 points leaves a tenth."""
     samples, omega = run(n=20_000, noise=1e-3, fall=-0.2)
     _, found = speeds(samples, "angle")
     assert 0.01 < np.std(found - omega[50:-50]) < 0.03
 
 
-def test_outliers_do_no_harm():
+def test_outliers_do_not_change_smoothed_speeds():
     samples, omega = run()
     value = samples.value.copy()
     value[500] += 3.0
@@ -51,6 +51,6 @@ def test_short_runs_keep_most_of_their_points(n):
 
 
 @pytest.mark.parametrize(("n", "width"), [(5, 3), (60, 51), (3000, 51), (1025, 7)])
-def test_running_median_is_scipys(n, width):
+def test_running_median_agrees_with_scipy(n, width):
     value = np.random.default_rng(n).standard_normal(n)
     np.testing.assert_array_equal(running_median(value, width), median_filter(value, width, mode="nearest"))

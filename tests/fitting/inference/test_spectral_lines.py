@@ -1,4 +1,4 @@
-"""A sinusoidal torque is no noise: lines are found with frequency and amplitude, and in noise there are none."""
+"""Spectral lines are found with frequency and amplitude; there are none in noise."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def recording(seed, *, amplitude=0.0, frequency=4.3, jump=0.0, noise=NOISE, trac
     )
 
 
-def test_a_line_is_found_and_is_no_process_noise():
+def test_a_spectral_line_is_found_and_is_not_process_noise():
     data = recording(1, amplitude=0.05)
     (line,) = data.spectral_lines
     assert line.rate == pytest.approx(4.3, abs=0.3 / SPAN)
@@ -47,7 +47,7 @@ def test_two_lines_are_found():
 
 
 @pytest.mark.slow
-def test_neither_noise_nor_a_jump_is_a_line():
+def test_noise_and_jumps_are_no_spectral_lines():
     """One in a thousand recordings may have one; a jump of the friction has a broad spectrum in one stretch."""
     assert not any(recording(seed).spectral_lines for seed in range(10, 22))
     assert not any(recording(seed, noise=0.1).spectral_lines for seed in range(22, 28))
@@ -55,7 +55,7 @@ def test_neither_noise_nor_a_jump_is_a_line():
     assert not recording(40, jump=0.2, noise=1e-4).spectral_lines
 
 
-def test_on_film_a_line_below_the_error_of_an_angle_is_noise():
+def test_on_film_a_line_below_the_angle_noise_counts_as_noise():
     amplitude = 0.5e-3 * 4.3**2
     assert recording(3, amplitude=amplitude, noise=0.0).spectral_lines
     assert not recording(3, amplitude=amplitude, noise=0.0, tracked=True).spectral_lines

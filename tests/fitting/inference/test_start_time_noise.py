@@ -1,4 +1,4 @@
-"""Rotor windows whose start is uncertain: counted as the noise that it is, and no more."""
+"""Rotor windows with uncertain start times."""
 
 from dataclasses import replace
 
@@ -63,15 +63,15 @@ def test_rows_are_white_with_the_noise_of_the_starts(quantity):
     )
 
 
-def test_windows_whose_starts_are_known_stay_as_they_are():
+def test_windows_with_known_starts_are_unchanged():
     data = CaseData.of(filmed(0, known=True))
     assert data.start_time_noise == StartTimeNoise(())
     assert len(CaseData.of(replace(data.record, start_sigma=(0.0, 1e-3, 0.0))).start_time_noise.parts) == 1
 
 
 @pytest.mark.slow
-def test_late_windows_are_no_missing_effect():
-    """Taken for exact, starts that are off by a millisecond look like physics; said to be uncertain they do not."""
+def test_uncertain_window_starts_are_no_missing_effect():
+    """Start times wrong by a millisecond give a lack of fit if they count as exact, and none if uncertain."""
     model = Model.of(REDUCED)
     for seed in range(3):
         exact = fit(model, [CaseData.of(filmed(seed, known=True))])
@@ -85,7 +85,7 @@ def test_late_windows_are_no_missing_effect():
 
 
 @pytest.mark.slow
-def test_the_errors_are_those_of_many_recordings():
+def test_uncertainties_agree_with_the_scatter_of_many_recordings():
     pulls = []
     for seed in range(10, 28):
         found = fit(Model.of(REDUCED), [CaseData.of(filmed(seed))])

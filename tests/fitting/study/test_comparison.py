@@ -35,7 +35,7 @@ def test_two_runs_differ_by_their_combined_uncertainty():
     assert found.document()["parameters"][KEY]["values"][0]["total"] == pytest.approx(totals[0])
 
 
-def test_times_at_which_a_law_sets_in_belong_to_their_run():
+def test_changepoints_are_not_compared_between_runs():
     step = {"effects": ("touchpoint.step",)}
     runs = {
         "a": fitted(3.0, 0.1, name="touchpoint.step.t0", **step),
@@ -74,7 +74,7 @@ def test_a_single_run_is_refused():
         compare({"a": fitted(1.0, 0.1)})
 
 
-def test_intervals_of_mean_and_spread_cover_the_truth():
+def test_intervals_of_mean_and_spread_have_the_stated_coverage():
     """600 sets of 8 runs of unequal uncertainty: 68 % intervals of spread, and of the mean by Student's t with 7."""
     rng = np.random.default_rng(1)
     inside = {"mean": 0, "spread": 0}

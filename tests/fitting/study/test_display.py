@@ -104,7 +104,7 @@ def test_one_chart_is_drawn_into_given_axes(story):
     sheet.canvas.draw()
 
 
-def test_modelled_speed_and_its_error_hold_the_true_speed(story):
+def test_modelled_speed_agrees_with_the_true_speed_within_its_uncertainty(story):
     from fitting.dynamics._mesh import Sampler
 
     *_, ladder, path = story

@@ -1,4 +1,4 @@
-"""Names of cases as LaTeX text: nothing that LaTeX reads as a command is left, and every character is printed."""
+"""Names of cases as LaTeX text: no commands, and every character is printed."""
 
 import re
 
@@ -23,7 +23,7 @@ def test_names_are_text(name, latex):
     assert _escaped(name) == latex
 
 
-def test_no_special_character_is_left_bare():
+def test_special_characters_are_escaped():
     written = _escaped("".join(chr(c) for c in range(32, 127)))
     rest = re.sub(r"\\text[a-z]+\{\}|\\[&%$#_{}]", "", written)
     assert not set(rest) & set("&%$#_{}\\~^<>|")

@@ -1,4 +1,4 @@
-"""Several processes add fits to one ledger at the same time: none is lost, none is mixed."""
+"""Several processes add fits to one ledger at the same time."""
 
 import json
 import subprocess
@@ -36,7 +36,7 @@ for _ in range(15):
 
 
 @pytest.mark.slow
-def test_no_fit_is_lost(tmp_path):
+def test_concurrent_writers_lose_no_fit(tmp_path):
     path = tmp_path / "x.fits.json"
     writers = [
         subprocess.Popen([sys.executable, "-c", WRITER, str(path), name], cwd=ROOT)

@@ -1,4 +1,4 @@
-"""Velocities and the generated rotor curve, as the paper takes them."""
+"""Velocities and the generated rotor curve, as in the paper."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def record():
     return make_record(**twobody.film(twobody.simulate(seed=1), seed=1))
 
 
-def test_velocities_are_the_motions(record):
+def test_velocities_agree_with_the_motion(record):
     made = as_velocities(record)
     assert made.quantity == "omega"
     assert made.digest != record.digest
@@ -29,8 +29,8 @@ def test_velocities_are_the_motions(record):
     assert as_velocities(made) is made
 
 
-def test_their_sigma_is_the_slow_noise_that_the_median_leaves(record):
-    """What a fit sees, polynomials of low degree, has the errors that it takes them to have."""
+def test_sigma_of_velocities_is_their_noise_at_low_frequencies(record):
+    """The polynomials of low degree, which a fit uses, have the stated uncertainty."""
     data = CaseData.of(as_velocities(record))
     motion = twobody.simulate(seed=1)
     pulls = [data.casing.z - data.casing.at_nodes(motion.at(data.casing.node_times, 1)[1])]
@@ -44,7 +44,7 @@ def test_their_sigma_is_the_slow_noise_that_the_median_leaves(record):
 
 
 @pytest.mark.parametrize("reach", [0.1, 0.5, 1.0, 1.5])
-def test_slow_noise_of_a_median_against_the_median(reach):
+def test_noise_of_a_running_median_agrees_with_simulation(reach):
     """Means of 500 medians of simulated gradients on a slope, 2400 of them."""
     rng = np.random.default_rng(7)
     count, width = 500, 51
@@ -59,8 +59,8 @@ def test_slow_noise_of_a_median_against_the_median(reach):
     assert np.sqrt(count * np.var(np.concatenate(means)) / expected) == pytest.approx(0.95, abs=0.1)
 
 
-def test_the_papers_way_finds_the_parameters(record):
-    """Its errors are larger by far than those of angles, and hold the truth."""
+def test_the_method_of_the_paper_recovers_the_parameters(record):
+    """Its uncertainties are much larger than those of angles, and are valid."""
     found = fit(Model.of(REDUCED), [CaseData.of(prepared(record, "velocity"))])
     angles = fit(Model.of(REDUCED), [CaseData.of(record)])
     truth = twobody.truth()
@@ -84,7 +84,7 @@ def test_generated_curve_goes_through_its_windows(record):
         assert np.interp(middle, curve.time, curve.value) == pytest.approx(seen, abs=0.2)
 
 
-def test_a_decay_of_the_curves_own_law_is_found():
+def test_a_decay_with_the_law_of_the_curve_is_reproduced():
     grid = np.linspace(0, 200, 4001)
     omega = np.empty(len(grid))
     omega[0] = 900.0
@@ -102,7 +102,7 @@ def test_a_decay_of_the_curves_own_law_is_found():
 
 
 @pytest.mark.slow
-def test_a_fit_with_a_generated_rotor_is_told_as_such(record):
+def test_a_fit_with_a_generated_rotor_is_marked(record):
     found = fit(Model.of(REDUCED), [CaseData.of(prepared(record, "velocity", "generated"))])
     (case,) = found.cases
     assert np.isnan(case.rotor.reduced_chi2)
@@ -123,7 +123,7 @@ def test_a_fit_with_a_generated_rotor_is_told_as_such(record):
     assert not curve_bias(fit(Model.of(REDUCED), [CaseData.of(record)]))
 
 
-def test_what_does_not_go_together_is_refused(record):
+def test_contradictory_options_are_refused(record):
     with pytest.raises(RecordError, match="one of velocities"):
         prepared(record, "angle", "generated")
     with pytest.raises(RecordError, match="no angles"):

@@ -1,4 +1,4 @@
-"""The paper's tables on recordings made without `fitting`: what is on, what is off, and that each run is the fit."""
+"""The paper's tables on recordings made without `fitting`: which terms are on, and that each run is the fit."""
 
 import csv
 import io
@@ -59,12 +59,12 @@ def test_the_runs_are_those_of_the_paper():
     assert [len(c) for c in choices] == [4, 3, 3, 3, 3, 2, 2, 2, 2, 2, 2, 1, 1, 1, 1]
 
 
-def test_shades_have_the_papers_edges():
+def test_shades_have_the_thresholds_of_the_paper():
     shades = [shade(x) for x in (1.0, 0.99, 0.9899, 0.90, 0.899, 0.0, -1e-9, float("-inf"))]
     assert shades == ["white", "white", *["light gray"] * 2, "gray", "gray", "dark gray", "dark gray"]
 
 
-def test_every_run_is_there_for_every_case(found, data):
+def test_the_scan_has_every_run_for_every_case(found, data):
     assert found.labels == ("case_1", "case 2")
     assert [len(rows) for rows in (*found.air, *found.bearing)] == [5, 5, 15, 15]
     for label, rows in zip(found.labels * 2, (*found.air, *found.bearing), strict=True):
@@ -97,7 +97,7 @@ def test_the_true_model_is_the_best_run(found):
                 assert row.fit.verdict == "misfit", row.run
 
 
-def test_a_model_is_never_worse_than_one_within_it(found):
+def test_a_model_is_never_worse_than_one_that_it_contains(found):
     for rows in (*found.air, *found.bearing):
         for outer in rows:
             for inner in rows:
@@ -144,7 +144,7 @@ def test_recordings_predicted_from_the_others(found):
             assert p.r2 > 0.9999
 
 
-def test_robustness_tells_the_surface_from_the_bearing(found):
+def test_robustness_distinguishes_surface_and_bearing(found):
     table = {r.symbol: r for r in found.models[0].robustness}
     assert set(table) == {"a2", "b1", "b2", "d", "f", "g"}
     assert table["a2"].verdict == table["b2"].verdict == "robust"
@@ -196,7 +196,7 @@ def test_latex_is_well_formed(found):
     assert f"${concise(estimate.value / unit, estimate.stderr / unit)}$" in text
 
 
-def test_document_is_plain(found):
+def test_the_document_contains_plain_numbers(found):
     document = scan_document(found)
     assert [t["table"] for t in document["tables"]] == ["air", "air", "bearing", "bearing"]
     rows = document["tables"][2]["rows"]

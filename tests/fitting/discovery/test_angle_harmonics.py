@@ -1,4 +1,4 @@
-"""What follows the angle of the casing is measured, with a band that is true."""
+"""Harmonics of the unmodelled torque in the angle of the casing, with their uncertainty band."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ AMPLITUDE, PHASE = 4e-6, 0.9
 
 @pytest.mark.slow
 @pytest.mark.parametrize("order", [0, 1])
-def test_gravity_on_an_unbalance(order):
+def test_harmonics_of_the_residual_torque_contain_an_unbalance(order):
     hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: order * AMPLITUDE * np.sin(pc - PHASE))
     cameras = twobody.Cameras(span=60.0, windows=(2.0, 25.0, 55.0))
     motion = twobody.simulate(span=60.0, step=0.002, hidden=hidden, seed=4)
@@ -43,7 +43,7 @@ def test_gravity_on_an_unbalance(order):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("centre", "width"), [(10, 3), (12, 1), (30, 3)])  # rad/s
-def test_what_is_missing_elsewhere_is_no_ripple(centre, width):
+def test_a_lack_of_fit_elsewhere_is_no_harmonic(centre, width):
     hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -8e-6 * np.exp(-(((wc - centre) / width) ** 2)))
     cameras = twobody.Cameras(span=60.0, windows=(2.0, 25.0, 55.0))
     motion = twobody.simulate(span=60.0, step=0.002, hidden=hidden, seed=4)

@@ -1,4 +1,4 @@
-"""A torque that swings hides as noise; once it is named, the noise falls and what is smaller comes to light."""
+"""A sinusoidal torque counts as process noise until it is named; then smaller effects are found."""
 
 import math
 
@@ -41,7 +41,7 @@ def unbalance(phase, angle):
     return UNBALANCE * math.sin(angle - TURNED)
 
 
-def test_which_laws_need_a_search_of_their_own():
+def test_laws_with_frequency_or_changepoint_need_a_search():
     assert [e.name for e in LIBRARY.values() if needs_search(e)] == ["touchpoint.step", "casing.precession"]
 
 
@@ -51,7 +51,7 @@ def base():
 
 
 @pytest.mark.slow
-def test_added_by_its_name_it_starts_where_the_screen_finds_it(base):
+def test_an_added_effect_starts_at_the_optimum_of_the_score(base):
     assert base.torque_noise > 10 * NOISE
     effect = LIBRARY["casing.precession"]
     start = {k: e.value for k, e in base.estimates.items()} | found_starts(base, [effect])
@@ -64,7 +64,7 @@ def test_added_by_its_name_it_starts_where_the_screen_finds_it(base):
 
 
 @pytest.mark.slow
-def test_what_it_hid_comes_to_light():
+def test_a_second_effect_is_found_after_a_sinusoidal_one():
     fitted = fit(Model.of(REDUCED), [make_record(**twobody.film(motion(swing, unbalance)))])
     rungs = improve(fitted)
     assert {r.change for r in rungs[1:]} == {"+casing.precession", "+casing.unbalance"}

@@ -1,4 +1,4 @@
-"""What is added next: on tracked angles, what swings needs more than chance and a tracker's beats could give."""
+"""Evidence for adding an effect: on tracked angles, periodic laws need more because of tracking errors."""
 
 from dataclasses import replace
 from functools import cache
@@ -31,13 +31,13 @@ def named(tracked, effect, delta_bic):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("effect", ["casing.precession", "casing.unbalance"])
-def test_what_swings_needs_very_strong_evidence_on_film(effect):
+def test_periodic_laws_need_stronger_evidence_on_film(effect):
     assert not named(True, effect, -5.0)
     assert named(True, effect, -11.0)
     assert named(False, effect, -5.0)
 
 
 @pytest.mark.slow
-def test_what_does_not_swing_needs_the_usual_evidence():
+def test_other_laws_need_the_usual_evidence():
     assert named(True, "casing.air.quadratic", -5.0)
     assert not named(True, "casing.air.quadratic", -1.0)

@@ -1,4 +1,4 @@
-"""Correlated noise of the casing's angles: found where it is, with its level and time, and nowhere else."""
+"""Correlated angle noise of the casing: level and correlation time, and none in white noise."""
 
 from dataclasses import replace
 from functools import cache
@@ -10,10 +10,10 @@ import twobody
 from scipy.signal import lfilter
 
 from fitting.dynamics._model import Model
+from fitting.inference._angle_noise import _row_covariance_beyond_white
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 from fitting.inference._record import Samples, make_record
-from fitting.inference._recording_noise import _covariance
 from fitting.inference._simulation import Experiment, simulate
 
 ROOT = Path(__file__).parents[3]
@@ -50,7 +50,7 @@ def case(sigma=0.0, correlation=0.1, seed=0, torque_noise=0.0):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("sigma", "correlation"), [(3e-3, 0.1), (1e-3, 0.3)])
-def test_level_and_time_are_found(sigma, correlation):
+def test_level_and_correlation_time_are_estimated(sigma, correlation):
     found = case(sigma, correlation).angle_noise
     # what a level over the root of the time has, is what slow rows see
     expected = sigma**2 * correlation
@@ -60,7 +60,7 @@ def test_level_and_time_are_found(sigma, correlation):
 
 
 @pytest.mark.parametrize("torque_noise", [0.0, pytest.param(1e-7, marks=pytest.mark.slow), 1e-6])
-def test_neither_white_nor_process_noise_is_correlated_angle_noise(torque_noise):
+def test_white_and_process_noise_are_no_correlated_angle_noise(torque_noise):
     assert all(case(seed=seed, torque_noise=torque_noise).angle_noise.sigma == 0 for seed in range(1, 3))
 
 
@@ -94,12 +94,12 @@ def test_a_torque_that_changes_within_the_windows_is_no_angle_noise():
     assert found.sigma == 0
 
 
-def test_covariance_of_the_rows_is_that_of_many_draws():
+def test_row_covariance_agrees_with_that_of_many_simulated_recordings():
     run, time = case().casing, 0.5
     k = run.lift.shape[1]
     draws = np.stack([wandering(run.samples.time, 1.0, time, seed) for seed in range(400)], axis=1)
     rows = np.concatenate([op[:k] @ draws[where] for where, op in run.operators[:4]])
-    expected = _covariance(run, time)[: 4 * k, : 4 * k]
+    expected = _row_covariance_beyond_white(run, time)[: 4 * k, : 4 * k]
     # the part that counts as white noise already is taken off the diagonal
     slow = np.arange(4 * k) % k < 2
     seen = np.cov(rows)
@@ -110,7 +110,7 @@ def test_covariance_of_the_rows_is_that_of_many_draws():
     )
 
 
-def test_whitening_and_back():
+def test_whitening_is_invertible():
     data = case(3e-3, 0.1)
     rows = np.random.default_rng(0).standard_normal((len(data.z), 2))
     assert data.unwhitened(data.whitened(rows)) == pytest.approx(rows, abs=1e-9)
@@ -128,8 +128,8 @@ def test_a_fit_with_correlated_noise_is_adequate_and_its_uncertainties_hold():
         assert e.stderr > quiet.estimates[key].stderr
 
 
-def test_deceleration_of_a_real_wheel():
-    """A hand-held film of 1.4 s: its hub wanders, which is no random torque of ten times the friction.
+def test_deceleration_of_a_real_wheel_is_fitted():
+    """A hand-held film of 1.4 s: the hub moves slowly, which is not a random torque of ten times the friction.
 
     Least squares with a block bootstrap gives -0.402 +- 0.018 rad/s2, points marked by hand -0.396.
     """

@@ -1,4 +1,4 @@
-"""Significance and size are two questions: laws near those of the library are named as such, with what remains."""
+"""Significance and size: laws similar to those of the library are named as such, with the remainder."""
 
 import math
 from functools import cache
@@ -48,7 +48,7 @@ def answer(name):
 
 
 @pytest.mark.slow
-def test_an_exact_law_leaves_nothing():
+def test_an_exact_law_has_no_remainder():
     found = answer("exact")
     assert (found.verdict, found.form, found.explained, found.remainder) == (
         "missing_effect",
@@ -60,7 +60,7 @@ def test_an_exact_law_leaves_nothing():
 
 
 @pytest.mark.slow
-def test_an_exponent_near_the_library_is_told_with_its_interval():
+def test_a_similar_exponent_is_reported_with_its_uncertainty():
     found = answer("exponent")
     assert (found.verdict, found.form) == ("missing_effect", "approximate")
     assert found.candidates[0].effect.name == "casing.air.quadratic"
@@ -73,7 +73,7 @@ def test_an_exponent_near_the_library_is_told_with_its_interval():
 
 
 @pytest.mark.slow
-def test_the_free_exponent_covers_the_truth():
+def test_interval_of_the_free_exponent_contains_the_truth():
     steps = improve(base("exponent"))
     assert steps[-1].change == "+casing.air.quadratic.n"
     n = steps[-1].fit.estimates["casing.air.quadratic.n"]
@@ -84,7 +84,7 @@ def test_the_free_exponent_covers_the_truth():
 
 
 @pytest.mark.slow
-def test_a_step_of_finite_width_is_a_step():
+def test_a_step_of_finite_width_is_named_a_step():
     found = answer("ramp")
     assert (found.verdict, found.form) == ("missing_effect", "approximate")
     assert found.candidates[0].effect.name == "touchpoint.step"
@@ -92,7 +92,7 @@ def test_a_step_of_finite_width_is_a_step():
 
 
 @pytest.mark.slow
-def test_a_third_harmonic_is_the_remainder_of_an_unbalance():
+def test_a_third_harmonic_is_the_remainder_after_an_unbalance():
     found = answer("unbalance")
     assert found.verdict == "missing_effect"
     assert found.candidates[0].effect.name == "casing.unbalance"
@@ -101,7 +101,7 @@ def test_a_third_harmonic_is_the_remainder_of_an_unbalance():
 
 
 @pytest.mark.slow
-def test_a_law_from_outside_is_no_exact_one():
+def test_a_law_outside_the_library_is_not_named_exactly():
     found = answer("resonance")
     assert found.form != "exact"
     assert found.verdict == "unexplained"
@@ -127,7 +127,7 @@ def test_camera_effects_are_nuisance_parameters_and_no_candidates():
 
 
 @pytest.mark.slow
-def test_the_nuisance_interval_covers_in_repeated_recordings():
+def test_nuisance_intervals_have_the_stated_coverage():
     pulls = []
     for seed in range(6):
         motion = twobody.simulate(seed=seed)
@@ -140,7 +140,7 @@ def test_the_nuisance_interval_covers_in_repeated_recordings():
 
 
 @pytest.mark.slow
-def test_the_document_has_the_grades_and_is_restored():
+def test_the_document_contains_form_and_remainder_and_is_restored():
     found = answer("exponent")
     document = diagnosis_document(found, "f1")
     assert document["form"] == "approximate"
@@ -153,7 +153,7 @@ def test_the_document_has_the_grades_and_is_restored():
     )  # fmt: skip
 
 
-def test_a_smooth_law_is_any_cubic_of_a_speed():
+def test_a_smooth_law_represents_any_cubic_of_a_speed():
     """The spline without its constant and linear part, which the base has: fitted to a cube, it is the cube."""
     law = smooth_law("casing", "omega_c", (2, 3), 5.0, 160.0)
     w = np.linspace(5.0, 160.0, 200)
@@ -170,7 +170,7 @@ def test_a_smooth_law_is_any_cubic_of_a_speed():
 
 
 @pytest.mark.slow
-def test_a_law_of_another_speed_is_not_close_to_an_effect_that_mimics_it():
+def test_a_law_of_another_speed_is_not_called_close_to_an_effect():
     """A saturating drag: the heating of the bearing, with the base adapted, explains 99.9 % of the net torque.
 
     The brake of eddy currents, a saturating law of the casing's speed, may be called close to it.

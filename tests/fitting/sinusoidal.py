@@ -1,4 +1,4 @@
-"""Two recordings in which something swings, at one phase or at another in each."""
+"""Two recordings with a sinusoidal torque, of the same phase or of another phase in each."""
 
 import math
 

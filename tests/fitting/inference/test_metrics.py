@@ -1,4 +1,4 @@
-"""Figures of merit against their definitions: held-out error by really leaving out, energy by adding up."""
+"""Figures of merit against their definitions: cross-validation by refits, energy by integration."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from fitting.inference._problem import Projection
 
 
 def parts(result, level):
-    """Return the case, its noise, its prediction, and what a fit can adjust in well determined directions."""
+    """Return the case, its noise, its prediction, and the well determined directions of the fit."""
     problem = result.problem
     data, p = problem.data[0], result.predictions[0]
     project = Projection(data, result.noise[0].whitener.at(level))
@@ -25,8 +25,8 @@ def parts(result, level):
 # a random torque of 1e-9 N m already correlates the rows; more would be beyond the digits of this plain algebra
 @pytest.mark.parametrize("level", [0.0, 1e-9])
 @pytest.mark.parametrize("body", ["casing", "rotor"])
-def test_held_out_error_is_that_of_a_fit_without_the_fold(level, body):
-    """Least squares on the other rows, prediction of the fold with its covariance, all in the open."""
+def test_cross_validation_error_is_that_of_a_fit_without_the_fold(level, body):
+    """Least squares on the other rows, prediction of the fold with its covariance, computed explicitly."""
     data, project, used, residual = parts(fitted(seed=1, ou=1e-7), level)
     n = len(data.z)
     root = project.whitener(np.eye(n))  # C^-1/2
@@ -55,19 +55,19 @@ def test_held_out_error_is_that_of_a_fit_without_the_fold(level, body):
         assert found == pytest.approx(expected, rel=2e-3)
 
 
-def test_held_out_error_is_one_where_the_model_is_right_and_more_where_not():
+def test_cross_validation_error_is_one_for_the_right_model_only():
     right, wrong = fitted(seed=0), fitted(seed=0, hidden="step")
     assert right.cases[0].casing.held_out == pytest.approx(1.0, abs=0.04)
     assert wrong.cases[0].casing.held_out > 2
 
 
-def test_folds_cover_everything_once():
+def test_folds_contain_every_row_once():
     data = fitted(seed=0).problem.data[0]
     rows = np.concatenate([*_casing_folds(data), *_rotor_folds(data)])
     assert sorted(rows.tolist()) == list(range(data.slices["harmonic"].stop))  # and no prior
 
 
-def test_energy_of_a_right_model_balances():
+def test_energy_balance_of_the_right_model_is_constant():
     result = fitted(seed=0)
     balance = energy_balance(result.problem.cases[0], result.theta, result.predictions[0].path)
     start = 0.5 * (twobody.I_ROTOR * 900**2 + twobody.I_CASING * 5**2)
@@ -76,7 +76,7 @@ def test_energy_of_a_right_model_balances():
     assert balance.drift == pytest.approx(np.max(np.abs(balance.energy / balance.energy[0] - 1)))
 
 
-def test_energy_of_the_oracle_balances_by_the_papers_formula_with_the_signs_put_right():
+def test_energy_balance_agrees_with_the_formula_of_the_paper():
     """K + integral of [tau D + a2 w_r^3 + (b1 + b2 w_c) w_c] dt is constant: every term is a loss."""
     motion, p = twobody.simulate(), twobody.PAPER
     wr, wc = motion.speed.T
@@ -89,6 +89,6 @@ def test_energy_of_the_oracle_balances_by_the_papers_formula_with_the_signs_put_
     assert np.abs(total / total[0] - 1).max() < 1e-6
 
 
-def test_missing_torques_unbalance_the_energy():
+def test_a_missing_torque_makes_the_energy_balance_drift():
     right, wrong = fitted(seed=0), fitted(seed=0, hidden="step")
     assert wrong.cases[0].energy_drift > 1.5 * right.cases[0].energy_drift

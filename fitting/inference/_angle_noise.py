@@ -1,0 +1,498 @@
+"""Correlated angle noise of a recording, estimated once and used for every fit.
+
+Tracking errors are not white: a hub that is estimated from neighbouring frames, a hand-held camera or a codec shift the
+measured angle for a time. The angle noise of a run has the covariance
+
+    cov[n(t), n(t')] = a^2 exp(-|t - t'| / T),
+
+an Ornstein-Uhlenbeck process of standard deviation a and correlation time T. Neither a model nor a moment of inertia
+enters: as for the process noise (`fitting.inference._process_noise`), the motion is a polynomial in each of a few
+stretches of time. Projected rows with unit white noise have
+
+    C = 1 + a^2 (P R P' - f 1) + s^2 K,
+
+P the projection, f the mean of P R P' in the band in which the white noise is measured (it is not counted twice), K the
+response to a random acceleration of rms s. a maximises the likelihood with process noise of any level and correlation
+time integrated out; angle noise is included if twice the log-likelihood ratio exceeds `Criteria.correlated_noise`. Rows
+that are slower than T depend only on a^2 T, faster ones only on a^2 / T, so that T is known much less well than the
+noise of either: the covariance that every fit uses is the mean over the posterior of a and T, with priors uniform in
+ln a and ln T, which adds their uncertainty to that of all parameters.
+
+In a short record both kinds of noise may fit equally well. Then process noise is accepted as long as its torque is
+smaller than the mean torque on the body; a random torque larger than the one that slows the body is not credible, and
+the deviations are angle noise.
+
+Where a block contains few turns, errors that are periodic in the angle affect its rows: a hub that is displaced or a
+tilted camera (nuisance functions of every fit), and, if the camera or the hub moves slowly, harmonics whose amplitude
+varies,
+
+    cov[n(t), n(t')] = b^2 cos(psi - psi') exp(-|t - t'| / T).
+
+They are included, instead of the noise above or with it, by the same likelihood. In longer blocks they are orthogonal
+to the polynomials.
+
+The windows of the rotor are estimated together, (a, T) of one camera, given the process noise of the casing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting._criteria import DEFAULT
+from fitting.inference._compression import NOISE_ROWS, Compressed
+from fitting.inference._linear_algebra import block_diagonal
+from fitting.inference._process_noise import (
+    CONSISTENT,
+    StretchLikelihood,
+    mean_acceleration,
+    split_into_stretches,
+)
+
+Array = NDArray[np.float64]
+
+_SIGNIFICANT = DEFAULT.correlated_noise
+# correlation times in lengths of a block, levels in units of the white noise of the rows, those that are tried first
+_TIMES = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0)
+_LEVELS = np.geomspace(0.3, 300.0, 13)
+_FIRST_LEVELS = (2, 5, 8)
+# half width of the parabola at the most likely level, in its logarithm
+_HALF_WIDTH = 0.3
+# correlation times of the process noise, in lengths of a block
+_TORQUE_TIMES = (0.1, 0.3, 1.0)
+_FINER = 16
+# standard deviation of the logarithm of a level that the data hardly determine
+_LARGEST_RELATIVE_U = 0.7
+# noise periodic in the angle: largest number of turns per block, correlation times, samples of all blocks
+_TURNS_PER_BLOCK, _PERIODIC_TIMES, _FEWEST_BINS, _ALL_BINS = 3.0, 5, 24, 1500
+# two kinds of angle noise at once: levels over the most likely ones of each kind alone
+_LOWER_LEVELS, _NEAR_LEVELS = (0.1, 0.2, 0.4, 0.8), (0.5, 0.7, 1.0, 1.4, 2.0)
+
+
+@dataclass(frozen=True)
+class AngleNoise:
+    """Correlated angle noise of the casing, or of the rotor's windows.
+
+    Attributes
+    ----------
+    sigma, sigma_u : float
+        Standard deviation a and its standard uncertainty [rad]; 0 if it is not significant.
+    time, time_u : float
+        Correlation time T and its standard uncertainty [s].
+    turn_sigma, turn_sigma_u : float
+        Standard deviation b of the part periodic in the angle, and its standard uncertainty [rad]; 0 if not
+        significant.
+    turn_time : float
+        Correlation time of the amplitude of this part [s].
+    gain : float
+        Twice the logarithm of the likelihood ratio of this noise against white noise.
+    root, inverse : ndarray, shape (rows, rows)
+        C^(1/2) and C^(-1/2) of the polynomial rows, or empty for white noise.
+    """
+
+    sigma: float = 0.0
+    sigma_u: float = 0.0
+    time: float = 0.0
+    time_u: float = 0.0
+    turn_sigma: float = 0.0
+    turn_sigma_u: float = 0.0
+    turn_time: float = 0.0
+    gain: float = 0.0
+    root: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
+    inverse: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
+
+    @property
+    def is_white(self) -> bool:
+        """Whether no correlated noise is significant."""
+        return self.sigma == 0 and self.turn_sigma == 0
+
+    @classmethod
+    def of_posterior(
+        cls, times: Array, levels: Array, weights: Array, gain: float, covariances: Sequence[Array]
+    ) -> Self:
+        """Return the angle noise of a posterior distribution, with the covariances of rows averaged over it.
+
+        The mean covariance contains the uncertainty of level and time (law of total variance).
+        """
+        log_time, log_time_u = _moments(np.log(times), weights)
+        roots, inverses = zip(*map(_roots, covariances), strict=True)
+        sigma = float(np.sqrt(weights @ levels**2))
+        return cls(
+            sigma,
+            _moments(levels, weights)[1],
+            math.exp(log_time),
+            math.exp(log_time) * log_time_u,
+            gain=gain,
+            root=block_diagonal(roots),
+            inverse=block_diagonal(inverses),
+        )
+
+
+def _moments(values: Array, weights: Array) -> tuple[float, float]:
+    """Return mean and standard deviation."""
+    mean = float(weights @ values)
+    return mean, float(np.sqrt(weights @ (values - mean) ** 2))
+
+
+def _roots(covariance: Array) -> tuple[Array, Array]:
+    """Return C^(1/2) and C^(-1/2)."""
+    values, vectors = np.linalg.eigh(covariance)
+    return (vectors * np.sqrt(values)) @ vectors.T, (vectors / np.sqrt(values)) @ vectors.T
+
+
+def estimate_angle_noise(run: Compressed, nuisance: Array) -> AngleNoise:
+    """Estimate the correlated angle noise of a run.
+
+    Parameters
+    ----------
+    run : Compressed
+        Projected angles.
+    nuisance : ndarray, shape (rows, columns)
+        Polynomial rows of the nuisance functions, at one standard deviation of their prior.
+
+    Returns
+    -------
+    AngleNoise
+        White (`sigma` = 0) if no correlated noise is significant.
+    """
+    stretches = split_into_stretches(run, nuisance)
+    span = float(np.ptp(run.samples.time))
+    block = span / len(run.lift)
+    torque_times = [block * t for t in _TORQUE_TIMES]
+    if not all(len(s.projected) for s in stretches):
+        return AngleNoise()  # the nuisance parameters describe all of a short recording
+    white = sum(s.likelihood(None) for s in stretches)
+    with_torque = StretchLikelihood(stretches, None).marginal(torque_times)
+    credible = max(s.most_likely_level(torque_times) for s in stretches) < mean_acceleration(run)
+
+    def gain(covariance: Array) -> float:
+        if credible:
+            return 2 * (StretchLikelihood(stretches, covariance).marginal(torque_times) - with_torque)
+        return 2 * (sum(s.likelihood(covariance) for s in stretches) - white)
+
+    times = block * np.array(_TIMES)
+    covariances = [_row_covariance_beyond_white(run, t) for t in times]
+    first = max(gain((_unit(k) * _LEVELS[j]) ** 2 * k) for k in covariances for j in _FIRST_LEVELS)
+    few_turns = abs(float(np.ptp(run.samples.value))) / (2 * np.pi * len(run.lift)) < _TURNS_PER_BLOCK
+    if first < 0.25 * _SIGNIFICANT and not few_turns:
+        return AngleNoise(gain=float(first))
+    least = max(_SIGNIFICANT, 0.0 if credible else 2 * (with_torque - white) - _SIGNIFICANT)
+    exponential = _Kind.of(times, covariances, gain)
+    if few_turns:
+        slow = np.geomspace(block, 2 * span, _PERIODIC_TIMES)
+        found = _with_periodic_part(exponential, _Kind.of(slow, _periodic_covariances(run, slow), gain), gain)
+        if found is not None:
+            return found if found.gain >= least else AngleNoise(gain=found.gain)
+    if exponential.gain < least:
+        return AngleNoise(gain=exponential.gain)
+    fine, levels, relative_u, weights = _fine_posterior(exponential)
+    # mean of the square of a log-normal level
+    squares = levels**2 * np.exp(2 * relative_u**2)
+    shares = np.stack([np.interp(np.log(fine), np.log(times), row) for row in np.eye(len(times))])
+    total = np.eye(len(covariances[0]))
+    for share, covariance in zip(shares @ (weights * squares), covariances, strict=True):
+        total += share * covariance
+    # two levels for each, one standard deviation below and above
+    change = np.exp(relative_u)
+    both = np.concatenate([levels / change, levels * change])
+    return AngleNoise.of_posterior(np.tile(fine, 2), both, np.tile(weights / 2, 2), exponential.gain, [total])
+
+
+class _Peak(NamedTuple):
+    """The most likely level of a noise of one correlation time [rad], its relative uncertainty, the gain there."""
+
+    level: float
+    relative_u: float
+    gain: float
+
+
+class _Kind(NamedTuple):
+    """Angle noise of one kind: correlation times [s], covariances of the rows, the most likely level of each."""
+
+    times: Array
+    covariances: list[Array]
+    peaks: list[_Peak]
+
+    @classmethod
+    def of(cls, times: Array, covariances: list[Array], gain: Callable[[Array], float]) -> Self:
+        return cls(times, covariances, [_peak(k, gain) for k in covariances])
+
+    @property
+    def gain(self) -> float:
+        """The largest gain."""
+        return max(p.gain for p in self.peaks)
+
+    def points(self, factors: Sequence[float], least: float = math.inf) -> list[tuple[float, float, Array]]:
+        """Return time, level and covariance at factors of the most likely level of each time."""
+        return [
+            (float(t), f * p.level, k)
+            for t, k, p in zip(self.times, self.covariances, self.peaks, strict=True)
+            for f in factors
+            if p.gain > self.gain - least
+        ]
+
+
+def _peak(covariance: Array, gain: Callable[[Array], float]) -> _Peak:
+    """Return the level of the largest gain, from a grid and from parabolas in the logarithm of the level."""
+    unit = _unit(covariance)
+
+    def gain_at(log_level: float) -> float:
+        return gain((unit * float(np.exp(log_level))) ** 2 * covariance)
+
+    x = np.log(_LEVELS[::2])
+    y = [gain_at(v) for v in x]
+    top = int(np.clip(np.argmax(y), 1, len(x) - 2))
+    at, value, curvature = x[top], y[top], 0.0
+    for half in (x[1] - x[0], _HALF_WIDTH, _HALF_WIDTH):
+        low, high = gain_at(at - half), gain_at(at + half)
+        curvature = (low - 2 * value + high) / half**2
+        slope = (high - low) / (2 * half)
+        step = -slope / curvature if curvature < 0 else math.copysign(half, slope)
+        at += float(np.clip(step, -half, half))
+        value = gain_at(at)
+    relative_u = math.sqrt(-2 / curvature) if curvature < 0 else 1.0
+    return _Peak(float(np.exp(at)) * unit, relative_u, float(value))
+
+
+def _unit(covariance: Array) -> float:
+    """Return the level at which the noise is as large as white noise in half of the rows."""
+    return 1 / float(np.sqrt(np.median(np.diag(covariance)) + 1e-300))
+
+
+def _with_periodic_part(
+    exponential: _Kind, periodic: _Kind, gain: Callable[[Array], float]
+) -> AngleNoise | None:
+    """Return the angle noise with a part periodic in the angle; None where the other kind alone is as likely.
+
+    A second kind needs a likelihood ratio of its own.
+    """
+    near = periodic.points(_NEAR_LEVELS, CONSISTENT)
+    alone = [(exponential.times[0], 0.0, exponential.covariances[0], *p) for p in near]
+    both = [(*e, *p) for e in exponential.points(_LOWER_LEVELS) for p in near]
+    points = alone + both
+    log = 0.5 * np.array([gain(a**2 * k + b**2 * r) for _, a, k, _, b, r in points])
+    best = 2 * float(log.max())
+    if best - _SIGNIFICANT * (int(np.argmax(log)) >= len(alone)) <= exponential.gain:
+        return None
+    # the prior probability of two kinds is that of one
+    weights = np.exp(log - log.max()) / np.repeat([len(alone), len(both)], [len(alone), len(both)])
+    weights /= weights.sum()
+    total = np.eye(len(points[0][2]))
+    for w, (_, a, k, _, b, r) in zip(weights, points, strict=True):
+        total += w * (a**2 * k + b**2 * r)
+    times, levels, _, slow, turns, _ = (list(c) for c in zip(*points, strict=True))
+    found = AngleNoise.of_posterior(np.array(times), np.array(levels), weights, best, [total])
+    amplitudes = np.array(turns)
+    return replace(
+        found,
+        turn_sigma=float(np.sqrt(weights @ amplitudes**2)),
+        turn_sigma_u=_moments(amplitudes, weights)[1],
+        turn_time=float(np.exp(weights @ np.log(slow))),
+    )
+
+
+def _fine_posterior(kind: _Kind) -> tuple[Array, Array, Array, Array]:
+    """Return correlation times [s], levels [rad] and relative uncertainties at each, and the probability of each time.
+
+    The prior is uniform in the logarithms of time and level; the integral over the level is that of a normal
+    distribution in its logarithm. Between the times of the grid gain and level are interpolated by cubic splines.
+    """
+    from scipy.interpolate import CubicSpline
+
+    x = np.log(kind.times)
+    fine = np.linspace(x[0], x[-1], _FINER * (len(x) - 1) + 1)
+    gain = CubicSpline(x, [p.gain for p in kind.peaks])(fine)
+    level = CubicSpline(x, np.log([p.level for p in kind.peaks]))(fine)
+    relative_u = np.interp(fine, x, [p.relative_u for p in kind.peaks])
+    weights = np.exp(0.5 * (gain - gain.max())) * relative_u
+    limited = np.minimum(relative_u, _LARGEST_RELATIVE_U)
+    return np.exp(fine), np.exp(level), limited, weights / weights.sum()
+
+
+def _periodic_covariances(run: Compressed, times: Array) -> list[Array]:
+    """Return P R P' of the rows for R = cos(psi - psi') exp(-|t - t'| / T), for each T [s]."""
+    operators = run.binned_operators(max(_FEWEST_BINS, _ALL_BINS // len(run.lift)))
+    rows = block_diagonal([p for _, p in operators])
+    t = np.concatenate([t for t, _ in operators])
+    psi = np.interp(t, run.samples.time, run.samples.value)
+    lag, cosine = np.abs(t[:, None] - t), np.cos(psi[:, None] - psi)
+    return [np.asarray(rows @ (cosine * np.exp(-lag / time)) @ rows.T) for time in times]
+
+
+def _row_covariance(run: Compressed, time: float) -> Array:
+    """Return P R P' of the polynomial rows of a run."""
+    operators = run.binned_operators()
+    rows = block_diagonal([p for _, p in operators])
+    t = np.concatenate([t for t, _ in operators])
+    return np.asarray(rows @ np.exp(-np.abs(t[:, None] - t) / time) @ rows.T)
+
+
+def _row_covariance_beyond_white(run: Compressed, time: float) -> Array:
+    """Return P R P' - f 1 of a run, without negative eigenvalues.
+
+    Between two blocks the kernel is a product of functions of one time each, so its cost is linear in the samples.
+    """
+    blocks, k, _ = run.lift.shape
+    forward, backward, first, last, diagonal = [], [], [], [], []
+    for (where, _), (middle, p) in zip(run.operators, run.binned_operators(), strict=True):
+        t = run.samples.time[where]
+        diagonal.append(p @ np.exp(-np.abs(middle[:, None] - middle) / time) @ p.T)
+        forward.append(p @ np.exp((middle - t[-1]) / time))
+        backward.append(p @ np.exp((t[0] - middle) / time))
+        first.append(t[0])
+        last.append(t[-1])
+    between = np.exp(-np.maximum(np.array(first) - np.array(last)[:, None], 0.0) / time)
+    upper = np.einsum("bc,bi,cj->bicj", np.triu(between, 1), np.array(forward), np.array(backward))
+    total = upper.reshape(blocks * k, blocks * k)
+    total = total + total.T + block_diagonal(diagonal)
+    # rows of degree n have frequencies about n / (2 block lengths)
+    length = float(np.ptp(run.samples.time)) / blocks
+    band, highest = np.arange(k, k + NOISE_ROWS) / (2 * length), np.array((k - 1) / (2 * length))
+    share = float(np.mean(_spectrum(band, time)) / _spectrum(highest, time))
+    counted_twice = share * float(np.median([d[-1, -1] for d in diagonal]))
+    values, vectors = np.linalg.eigh(total - counted_twice * np.eye(len(total)))
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
+
+
+def _spectrum(frequency: Array, time: float) -> Array:
+    return np.asarray(1 / (1 + (2 * np.pi * frequency * time) ** 2))
+
+
+# of a window of one block: degree of the polynomial, to whose rows a smooth torque adds little
+_WINDOW_DEGREE = 5
+# groups of samples per block, fewest samples in one, fewest groups
+_GROUPS, _FEWEST_IN_GROUP, _FEWEST_GROUPS = 128, 4, 40
+# number of correlation times; length of a block over the shortest and the longest one: slower noise is a polynomial
+_WINDOW_TIMES, _SHORTEST, _LONGEST = 15, 64.0, 3.0
+# variance of angle noise over that of the white noise of a group
+_RATIOS = np.geomspace(1e-3, 1e6, 91)
+_NEGLIGIBLE_SHARE = 1e-4
+_RANK = 1e-7
+# median of chi-square with one degree of freedom; variance of the third difference of unit white noise
+_MEDIAN_CHI2, _THIRD_DIFFERENCE, _TINY = 0.4549, 20.0, 1e-300
+
+
+def estimate_window_noise(
+    windows: Sequence[Compressed], nuisance: Sequence[Array], level: float, time: float
+) -> AngleNoise:
+    """Estimate the correlated angle noise that all windows of the rotor have in common.
+
+    The few rows of a window hardly determine a correlation time. So the means of groups of samples are compared,
+    many in each window, orthogonal to a polynomial and the nuisance functions: white noise of variance s^2 sigma^2 and
+    angle noise of variance rho s^2 and time T. s is integrated out with the prior 1 / s,
+
+        log L = -1/2 [log det V + n log(r'V^-1 r)],   V = 1 + rho R_T + process noise,
+
+    and the covariance of the rows is the mean over the posterior of s, rho and T, with priors uniform in ln rho and
+    ln T. A window is too short to separate angle noise from process noise, whose level is that of the casing.
+
+    Parameters
+    ----------
+    windows : sequence of Compressed
+        Projected angles of each window.
+    nuisance : sequence of ndarray, shape (samples, columns)
+        Functions that the camera adds, at the samples of each window.
+    level : float
+        Rms of the random acceleration of the rotor [rad/s2].
+    time : float
+        Its correlation time [s].
+
+    Returns
+    -------
+    AngleNoise
+        Of the rows of all windows; white (`sigma` = 0) if no correlated noise is significant.
+    """
+    groups = [_WindowGroups(w, n, level, time) for w, n in zip(windows, nuisance, strict=True)]
+    count = sum(len(g.projected) for g in groups)
+    if count < _FEWEST_GROUPS:
+        return AngleNoise()
+    block = float(np.median([np.ptp(w.samples.time) / len(w.lift) for w in windows]))
+    shortest = max(2 * float(np.median([g.width for g in groups])), block / _SHORTEST)
+    times = np.geomspace(shortest, block / _LONGEST, _WINDOW_TIMES)
+    unit = float(np.median(np.concatenate([g.white for g in groups])))
+    ratios = unit * _RATIOS
+    logs, squares = [], []
+    for t in times:
+        determinant, square = np.zeros(len(ratios)), np.zeros(len(ratios))
+        for g in groups:
+            terms = g.likelihood_terms(t, ratios)
+            determinant, square = determinant + terms[0], square + terms[1]
+        logs.append(-0.5 * (determinant + count * np.log(square)))
+        squares.append(square)
+    log_likelihood, scales = np.array(logs), np.array(squares) / (count - 2)
+    white = -0.5 * count * math.log(sum(float(g.projected @ g.projected) for g in groups))
+    best = 2 * float(log_likelihood.max() - white)
+    if best < _SIGNIFICANT:
+        return AngleNoise(gain=best)
+    density = np.exp(log_likelihood - log_likelihood.max())
+    density /= density.sum()
+    levels = np.sqrt(ratios * scales)
+    per_time = np.sum(density * levels**2, axis=1)
+    scale = float(np.sum(density * scales))
+    kept = per_time > _NEGLIGIBLE_SHARE * per_time.sum()
+    covariances = [
+        scale / w.scale**2 * np.eye(len(w.z))
+        + sum(s * _row_covariance(w, t) for t, s in zip(times[kept], per_time[kept], strict=True))
+        for w in windows
+    ]
+    return AngleNoise.of_posterior(
+        np.repeat(times, len(ratios)), levels.ravel(), density.ravel(), best, covariances
+    )
+
+
+class _WindowGroups:
+    """Means of groups of samples of one window, orthogonal to what is free, in units of the stated uncertainty.
+
+    Attributes
+    ----------
+    width : float
+        Time between two groups [s].
+    white : ndarray
+        Variance of the mean of each group by the stated uncertainties [rad2].
+    projected : ndarray
+        The part of the means that is orthogonal to what is free, whitened by the process noise.
+    """
+
+    def __init__(self, window: Compressed, nuisance: Array, level: float, time: float) -> None:
+        samples, blocks = window.samples, len(window.lift)
+        n = len(samples)
+        count = min(n // _FEWEST_IN_GROUP, _GROUPS * blocks)
+        first = np.linspace(0, n, count + 1).astype(int)[:-1]
+        weight = 1 / samples.sigma**2
+        total = np.add.reduceat(weight, first)
+        self._time, value = (
+            np.add.reduceat(v * weight, first) / total for v in (samples.time, samples.value)
+        )
+        self.width = float(np.ptp(samples.time)) / count
+        self.white = 1 / total
+        nuisance = np.add.reduceat(nuisance * weight[:, None], first, axis=0) / total[:, None]
+        x = 2 * (self._time - samples.time[0]) / np.ptp(samples.time) - 1
+        powers = np.polynomial.legendre.legvander(x, _WINDOW_DEGREE + 2 * (blocks - 1))
+        free = np.concatenate([powers, nuisance], axis=1) / np.sqrt(self.white)[:, None]
+        size = np.linalg.norm(free, axis=0)
+        u, s, _ = np.linalg.svd(free[:, size > 0] / size[size > 0], full_matrices=True)
+        self._complement = u[:, int((s > _RANK * s[0]).sum()) :] / np.sqrt(self.white)[:, None]
+        since = np.maximum(self._time[:, None] - self._time, 0.0) * self.width
+        response = self._complement.T @ since * level
+        self._lag = np.abs(self._time[:, None] - self._time)
+        random = response @ np.exp(-self._lag / time) @ response.T
+        third = np.diff(samples.value / samples.sigma, 3)
+        frames = float(np.median(third**2)) / _MEDIAN_CHI2 / _THIRD_DIFFERENCE
+        self._whitening = np.linalg.inv(np.linalg.cholesky(np.eye(len(random)) + random / max(frames, _TINY)))
+        self.projected = self._whitening @ (self._complement.T @ value)
+
+    def likelihood_terms(self, time: float, ratios: Array) -> tuple[Array, Array]:
+        """Return log det V and r'V^-1 r for each ratio rho."""
+        h = self.width / time
+        kernel = np.exp(-self._lag / time) * (2 * math.sinh(0.5 * h) / h) ** 2
+        np.fill_diagonal(kernel, 2 / h * (1 - (1 - math.exp(-h)) / h))
+        inner = self._whitening @ (self._complement.T @ kernel @ self._complement) @ self._whitening.T
+        values, vectors = np.linalg.eigh(inner)
+        variance = 1 + ratios[:, None] * np.maximum(values, 0.0)
+        rows = vectors.T @ self.projected
+        return np.log(variance).sum(axis=1), (rows**2 / variance).sum(axis=1)

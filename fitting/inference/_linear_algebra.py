@@ -1,0 +1,63 @@
+"""Bases, projections and block matrices, as all least-squares problems of this package need them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def orthonormal(columns: Array, smallest: float) -> Array:
+    """Return an orthonormal basis of scaled columns, without directions whose relative singular value is this small."""
+    size = np.linalg.norm(columns, axis=0)
+    if not (size > 0).any():
+        return np.zeros((len(columns), 0))
+    u, s, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
+    return np.asarray(u[:, s > smallest * s[0]])
+
+
+def orthogonal_to(basis: Array, columns: Array) -> Array:
+    """Return the part of columns, or of a vector, that is orthogonal to an orthonormal basis."""
+    return np.asarray(columns - basis @ (basis.T @ columns))
+
+
+def block_diagonal(parts: Sequence[Array]) -> Array:
+    """Return a block-diagonal matrix of these parts."""
+    rows, columns = sum(len(p) for p in parts), sum(p.shape[1] for p in parts)
+    out = np.zeros((rows, columns))
+    i = j = 0
+    for p in parts:
+        out[i : i + len(p), j : j + p.shape[1]] = p
+        i, j = i + len(p), j + p.shape[1]
+    return out
+
+
+def piecewise_linear(values: Array, knots: Array) -> Array:
+    """Return the functions that are 1 at one knot and 0 at the others, linear between, shape (values, knots)."""
+    return np.stack([np.interp(values, knots, row) for row in np.eye(len(knots))], axis=1)
+
+
+def r_factor(columns: Array) -> Array:
+    """Return a matrix with as many rows as columns and the same products of columns: R of the QR decomposition."""
+    return np.asarray(np.linalg.qr(columns, mode="r") if np.isfinite(columns).all() else columns)
+
+
+def covariance_of(j: Array, free: NDArray[np.bool_]) -> Array:
+    """Return (J'J)^-1 over the free columns of a Jacobian; zero for the others, infinite for a column of zeros."""
+    n = j.shape[1]
+    covariance = np.zeros((n, n))
+    size = np.linalg.norm(j, axis=0)
+    size[size == 0] = np.inf
+    scaled = (j / size)[:, free]
+    _, s, vt = np.linalg.svd(scaled, full_matrices=False)
+    # directions that the data do not determine keep a variance that is large but finite
+    inner = (vt.T / np.maximum(s, 1e-12 * s.max(initial=1.0)) ** 2) @ vt
+    unknown = ~np.isfinite(size[free])
+    scale = np.where(unknown, 1.0, size[free])
+    inner = inner / np.outer(scale, scale)
+    inner[unknown, unknown] = np.inf
+    covariance[np.ix_(free, free)] = inner
+    return covariance

@@ -1,0 +1,381 @@
+"""Process noise of a recording: a random acceleration of the casing, estimated once and used for every fit.
+
+Neither a model nor a moment of inertia enters: the motion is described by a polynomial in each of a few stretches of
+time, with the camera's nuisance functions free, and the restricted likelihood of the rows orthogonal to them (H.
+Patterson, R. Thompson, Biometrika 58, 545 (1971)) decides. A slow torque, fitted or missing, is part of the
+polynomials.
+
+The acceleration is an Ornstein-Uhlenbeck process of rms s [rad/s2] and correlation time T. Level and time are the
+posterior means of s and ln T; no test decides whether there is process noise. The prior of s at a given T is the
+positive half of a Student distribution with three degrees of freedom. Its scale is the camera's resolution, the
+spectral density 2 s^2 T of an acceleration that is white for the rows and as large as their noise in half of them. So
+the level is never zero, and where the data contain no process noise it is a small part of that resolution. A random
+torque is not expected to exceed the mean torque that slows the body: the scale is at most the mean acceleration, which
+matters in records of a second or two. The prior of T is uniform in ln T from a thirty-second of a block, within which
+the noise is white for the rows, to three blocks, a twentieth of a long record. A stretch with a kink or a jump is far
+noisier than the others: the likelihood of a stretch is a mixture, with a share of a twentieth for a level of its own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.inference._compression import Compressed
+
+Array = NDArray[np.float64]
+
+# standard deviation of a prior without information: far beyond any angle [rad] or speed [rad/s]
+FLAT_PRIOR_SIGMA = 1e6
+# twice the logarithm of a likelihood ratio up to which two descriptions of the data are consistent
+CONSISTENT = 6.0
+
+_MOST_STRETCHES = 6
+# grid of the level in one stretch, in units of the noise of the rows; cells of the random torque per row
+_GRID = np.concatenate([[0.0], np.geomspace(0.1, 1e5, 31)])
+_CELLS_PER_ROW = 2.5
+_DEGREE = 11
+# number of blocks, and degree, of a stretch that holds several periods of an oscillation
+_SHORT_BLOCKS, _SHORT_DEGREE = 4, 14
+_MOST_ROWS = 170
+# up to this number of stretches none may have a level of its own
+_FEW_STRETCHES = 2
+_OWN_LEVEL_SHARE = 0.05
+# correlation times in lengths of a block, levels in units of the noise of the rows, finer levels per level
+_TIMES = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0, 3.0)
+_LEVELS = np.geomspace(1e-4, 1e6, 121)
+_FINER = 16
+# share of the largest probability of a time from which on the grid of times is refined about it
+_REFINED_SHARE = 1e-4
+_STUDENT_DOF = 3
+# the lowest level that the recording allows is this quantile
+_LEAST_QUANTILE = 1e-3
+_NEGLIGIBLE = 1e-25
+_BINS = 60
+
+
+@dataclass(frozen=True)
+class ProcessNoise:
+    """Random acceleration of the casing, without a fit.
+
+    Attributes
+    ----------
+    level, level_u : float
+        Rms s and its standard uncertainty [rad/s2].
+    time : float
+        Correlation time T [s].
+    least : float
+        The quantile 0.001 of the posterior distribution of s [rad/s2].
+    ratios, weights : ndarray, shape (n,)
+        Posterior distribution of s^2 T, on which the variance of slow rows depends, in units of `level`^2 `time`.
+    """
+
+    level: float
+    level_u: float
+    time: float
+    least: float
+    ratios: Array = field(repr=False)
+    weights: Array = field(repr=False)
+
+
+def estimate_process_noise(
+    run: Compressed, nuisance: Array, angle_root: Array, *, angle: bool, typical: float = math.inf
+) -> ProcessNoise:
+    """Estimate the process noise of a run.
+
+    Parameters
+    ----------
+    run : Compressed
+        Projected angles or speeds.
+    nuisance : ndarray, shape (rows, columns)
+        Polynomial rows of the nuisance functions, at one standard deviation of their prior.
+    angle_root : ndarray, shape (rows, rows)
+        C^(1/2) of correlated angle noise; empty if the angle noise is white.
+    angle : bool
+        Whether angles were measured (and not speeds).
+    typical : float
+        Mean acceleration of the body [rad/s2], which the scale of the prior does not exceed.
+    """
+    blocks, k, _ = run.lift.shape
+    times = float(np.ptp(run.samples.time)) / blocks * np.array(_TIMES)
+    angle_covariance = angle_root @ angle_root - np.eye(len(angle_root)) if len(angle_root) else None
+
+    def stretch(part: NDArray[np.intp], degree: int) -> Stretch:
+        degree = min(degree - (not angle), len(part) * k // 3)
+        found = Stretch(run, part, nuisance, degree, angle=angle)
+        return found if len(found.projected) else Stretch(run, part, nuisance[:, :0], 2, angle=angle)
+
+    def divided(count: int, degree: int) -> StretchLikelihood:
+        parts = np.array_split(np.arange(blocks), max(1, count))
+        return StretchLikelihood([stretch(p, degree) for p in parts], angle_covariance)
+
+    found = divided(min(_MOST_STRETCHES, blocks // _SHORT_BLOCKS), _DEGREE)
+    if blocks // _SHORT_BLOCKS > _MOST_STRETCHES:
+        fine = divided(blocks // _SHORT_BLOCKS, _SHORT_DEGREE)
+        if not found.is_consistent_with(fine, times):
+            found = fine
+    # longer stretches, where they describe the motion as well, determine slower noise
+    while len(found.stretches) > 1:
+        pairs = list(zip(found.stretches[::2], found.stretches[1::2], strict=False))
+        merged: list[Stretch] = []
+        for pair in pairs:
+            both = np.concatenate([p.blocks for p in pair])
+            joint = (
+                StretchLikelihood([stretch(both, _DEGREE)], angle_covariance)
+                if len(both) * k <= _MOST_ROWS
+                else None
+            )
+            merged += (
+                joint.stretches if joint is not None and joint.is_consistent_with(found, times) else pair
+            )
+        merged += found.stretches[2 * len(pairs) :]
+        if len(merged) == len(found.stretches):
+            break
+        found = StretchLikelihood(merged, angle_covariance)
+    return _process_noise(found, times, typical)
+
+
+def _process_noise(likelihood: StretchLikelihood, times: Array, typical: float) -> ProcessNoise:
+    """Return the posterior of level and correlation time on a grid of times, refined where its weight is."""
+    resolution = 2 * times[0] * likelihood.unit(times[0]) ** 2
+    levels, density = _posterior(likelihood, times, resolution, typical)
+    total = density.sum(axis=1)
+    probable = np.flatnonzero(total > _REFINED_SHARE * total.max())
+    if len(probable) < len(times) // 2:
+        first, last = max(probable[0] - 1, 0), min(probable[-1] + 1, len(times) - 1)
+        times = np.geomspace(times[first], times[last], len(times))
+        levels, density = _posterior(likelihood, times, resolution, typical)
+    weight = density.sum(axis=1)
+    time = float(np.exp(weight @ np.log(times)))
+    level = float(np.sum(density * levels))
+    level_u = float(np.sqrt(np.sum(density * (levels - level) ** 2)))
+    flat, order = density.ravel(), np.argsort(levels.ravel())
+    least = float(levels.ravel()[order][np.searchsorted(np.cumsum(flat[order]), _LEAST_QUANTILE)])
+    ratios, weights = _binned((levels**2 * times[:, None]).ravel() / (level**2 * time), flat)
+    return ProcessNoise(level, level_u, time, least, ratios, weights)
+
+
+def _posterior(
+    likelihood: StretchLikelihood, times: Array, resolution: float, typical: float
+) -> tuple[Array, Array]:
+    """Return levels [rad/s2] and their probabilities, (times, levels): equally spaced in both logarithms."""
+    from scipy.interpolate import CubicSpline
+
+    levels, logs = [], []
+    for time in times:
+        coarse = likelihood.unit(time) * _LEVELS
+        fine = np.geomspace(coarse[0], coarse[-1], _FINER * len(coarse))
+        spline = CubicSpline(np.log(coarse), likelihood(time, coarse))
+        levels.append(fine)
+        logs.append(spline(np.log(fine)) + _log_prior(fine, time, resolution, typical))
+    density = np.array(logs)
+    density = np.exp(density - density.max())
+    return np.array(levels), density / density.sum()
+
+
+def _log_prior(levels: Array, time: float, resolution: float, typical: float = math.inf) -> Array:
+    """Return the logarithm of the prior density of process noise in the logarithm of its level."""
+    scale = min(math.sqrt(resolution / (2 * time)), typical)
+    return np.asarray(
+        np.log(levels)
+        - np.log(scale)
+        - 0.5 * (_STUDENT_DOF + 1) * np.log1p((levels / scale) ** 2 / _STUDENT_DOF)
+    )
+
+
+def _binned(values: Array, weights: Array) -> tuple[Array, Array]:
+    """Return the means and the weights of bins that are equally spaced in the logarithm of the values."""
+    kept = weights > _NEGLIGIBLE
+    values, weights = values[kept], weights[kept]
+    edges = np.geomspace(values.min(), values.max() * (1 + 1e-9), _BINS + 1)
+    index = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, _BINS - 1)
+    total = np.bincount(index, weights, _BINS)
+    mean = np.bincount(index, weights * values, _BINS)
+    return mean[total > 0] / total[total > 0], total[total > 0] / total.sum()
+
+
+def mean_acceleration(run: Compressed) -> float:
+    """Return the mean absolute acceleration of a run, from the mean speeds in its parts [rad/s2]."""
+    t, y = run.samples.time, run.samples.value
+    edges = np.linspace(0, len(t) - 1, int(np.clip(len(run.lift), 4, 12)) + 1).astype(int)
+    speed = np.diff(y[edges]) / np.diff(t[edges])
+    return float(np.abs(np.diff(speed)).sum() / np.ptp(t))
+
+
+class StretchLikelihood:
+    """The restricted likelihood of process noise of a run whose motion is a polynomial in each stretch.
+
+    Parameters
+    ----------
+    stretches : sequence of Stretch
+        The stretches.
+    angle_covariance : ndarray or None
+        Covariance of the rows by correlated angle noise, in addition to the unit white noise.
+    """
+
+    def __init__(self, stretches: Sequence[Stretch], angle_covariance: Array | None) -> None:
+        self.stretches = list(stretches)
+        self._whitening = [s.whitening(angle_covariance) for s in stretches]
+
+    def unit(self, time: float) -> float:
+        """Return the rms acceleration that is as large as the noise in half of the rows [rad/s2]."""
+        return float(np.median([s.torque_covariance(time)[1] for s in self.stretches]))
+
+    def __call__(self, time: float, levels: Array) -> Array:
+        """Return the log-likelihood of each level [rad/s2] at a correlation time."""
+        total = np.zeros(len(levels))
+        for stretch, whitening in zip(self.stretches, self._whitening, strict=True):
+            covariance, unit = stretch.torque_covariance(time)
+            values, vectors = np.linalg.eigh(whitening @ covariance @ whitening.T)
+            values, rows = np.maximum(values, 0.0), vectors.T @ (whitening @ stretch.projected)
+            found = _log_likelihood(rows, values, levels / unit)
+            if len(self.stretches) > _FEW_STRETCHES:
+                any_level = _log_likelihood(rows, values, _LEVELS)
+                average = float(np.logaddexp.reduce(any_level)) - np.log(len(any_level))
+                found = np.logaddexp(np.log1p(-_OWN_LEVEL_SHARE) + found, np.log(_OWN_LEVEL_SHARE) + average)
+            total += found
+        return total
+
+    def marginal(self, times: Sequence[float]) -> float:
+        """Return the log-likelihood with the level, and correlation times of equal prior probability, integrated out.
+
+        All stretches have the same level: a level of its own in each, at its most likely value, would describe the slow
+        part of angle noise.
+        """
+        resolution = 2 * times[0] * self.unit(times[0]) ** 2
+        found, total = -np.inf, -np.inf
+        for time in times:
+            levels = self.unit(time) * _LEVELS
+            prior = _log_prior(levels, time, resolution)
+            found = np.logaddexp(found, np.logaddexp.reduce(self(time, levels) + prior))
+            total = np.logaddexp(total, np.logaddexp.reduce(prior))
+        log_determinant = float(sum(np.log(np.diag(w)).sum() for w in self._whitening))
+        return float(found - total) + log_determinant
+
+    def is_consistent_with(self, finer: StretchLikelihood, times: Array) -> bool:
+        """Return whether the process noise that these stretches need is one that shorter stretches allow.
+
+        Polynomials that do not follow the motion need more.
+        """
+        levels = [finer.unit(t) * _LEVELS for t in times]
+        here = np.array([self(t, x) for t, x in zip(times, levels, strict=True)])
+        there = np.array([finer(t, x) for t, x in zip(times, levels, strict=True)])
+        allowed = 2 * (there.max() - there) < CONSISTENT
+        return bool(2 * (here.max() - here[allowed].max()) < CONSISTENT)
+
+
+def _log_likelihood(rows: Array, values: Array, levels: Array) -> Array:
+    """Return the log-likelihood of independent rows of variance 1 + level^2 value, for each level."""
+    variance = 1 + levels[:, None] ** 2 * values
+    return np.asarray(-0.5 * (np.log(variance) + rows**2 / variance).sum(axis=1))
+
+
+class Stretch:
+    """Rows of some neighbouring blocks, orthogonal to a polynomial in time and to the nuisance functions.
+
+    Attributes
+    ----------
+    blocks, rows : ndarray of int
+        The blocks, and their rows among those of the run.
+    projected : ndarray
+        The part of the measured rows that is orthogonal to what is free.
+    """
+
+    def __init__(
+        self, run: Compressed, blocks: NDArray[np.intp], nuisance: Array, degree: int, *, angle: bool = True
+    ) -> None:
+        k = run.lift.shape[1]
+        self.blocks = blocks
+        self._angle = angle
+        self._torques: dict[float, tuple[Array, float]] = {}
+        self.rows = (blocks[:, None] * k + np.arange(k)).ravel()
+        self._nodes = run.node_times.reshape(-1, k)[blocks]
+        self._lift = run.lift[blocks]
+        x = 2 * (self._nodes - self._nodes.min()) / np.ptp(self._nodes) - 1
+        powers = np.polynomial.legendre.legvander(x.ravel(), degree).reshape(*x.shape, -1)
+        nuisance = nuisance[self.rows]
+        # the last rows are those of the prior of the nuisance functions, whose measured value is zero
+        free = np.block(
+            [
+                [self._rows_of(powers), nuisance],
+                [np.zeros((nuisance.shape[1], degree + 1)), np.eye(nuisance.shape[1])],
+            ]
+        )
+        u, s, _ = np.linalg.svd(free / np.linalg.norm(free, axis=0), full_matrices=True)
+        self._complement = u[: len(nuisance), int((s > 1e-7 * s[0]).sum()) :]
+        self.projected = self.project(run.z[self.rows])
+
+    def project(self, rows: Array) -> Array:
+        """Return the coordinates of rows of this stretch in the space orthogonal to what is free."""
+        return np.asarray(self._complement.T @ rows)
+
+    def _rows_of(self, values: Array) -> Array:
+        return np.asarray((self._lift @ values).reshape(len(self.rows), -1))
+
+    def torque_covariance(self, time: float) -> tuple[Array, float]:
+        """Return the covariance by a random acceleration, with a median variance of 1, and its rms [rad/s2]."""
+        if time not in self._torques:
+            self._torques[time] = self._torque_covariance(time)
+        return self._torques[time]
+
+    def _torque_covariance(self, time: float) -> tuple[Array, float]:
+        cells = np.linspace(self._nodes.min(), self._nodes.max(), int(_CELLS_PER_ROW * len(self.rows)))
+        width = float(cells[1] - cells[0])
+        since = np.maximum(self._nodes[..., None] - cells, 0.0)
+        if not self._angle:
+            # a speed changes only while the torque of the cell acts
+            since = np.minimum(since / width, 1.0)
+        response = self._complement.T @ self._rows_of(since) * width
+        total = response @ np.exp(-np.abs(cells[:, None] - cells) / time) @ response.T
+        size = float(np.median(np.diag(total)))
+        return np.asarray(total / size), 1 / float(np.sqrt(size))
+
+    def whitening(self, angle_covariance: Array | None) -> Array:
+        """Return the matrix that whitens the projected rows, without process noise."""
+        m = len(self.projected)
+        if angle_covariance is None:
+            return np.eye(m)
+        inner = self._complement.T @ angle_covariance[np.ix_(self.rows, self.rows)] @ self._complement
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(np.eye(m) + inner)))
+
+    def whitenings_at(self, times: Sequence[float], shares: Sequence[float]) -> list[tuple[Array, float]]:
+        """Return whitening matrix and deviance at shares of the process noise most likely in this stretch alone."""
+        best, found = -np.inf, (np.eye(len(self.projected)), np.zeros(len(self.projected)), 0.0)
+        for covariance in (self.torque_covariance(t)[0] for t in times):
+            values, vectors = np.linalg.eigh(covariance)
+            values = np.maximum(values, 0.0)
+            likelihood = _log_likelihood(vectors.T @ self.projected, values, _GRID)
+            i = int(np.argmax(likelihood))
+            if likelihood[i] > best:
+                best, found = float(likelihood[i]), (vectors.T, values, float(_GRID[i]))
+        vectors, values, level = found
+        variances = [1 + (share * level) ** 2 * values for share in shares]
+        rows = vectors @ self.projected
+        return [(vectors / np.sqrt(v)[:, None], float(np.sum(np.log(v) + rows**2 / v))) for v in variances]
+
+    def likelihood(self, angle_covariance: Array | None) -> float:
+        """Return the restricted log-likelihood without process noise."""
+        whitening = self.whitening(angle_covariance)
+        white = whitening @ self.projected
+        return float(np.log(np.diag(whitening)).sum()) - 0.5 * float(white @ white)
+
+    def most_likely_level(self, times: Sequence[float]) -> float:
+        """Return the most likely level of process noise of white angles, over some correlation times [rad/s2]."""
+        best = (-0.5 * float(self.projected @ self.projected), 0.0)
+        for covariance, unit in map(self.torque_covariance, times):
+            values, vectors = np.linalg.eigh(covariance)
+            likelihood = _log_likelihood(vectors.T @ self.projected, np.maximum(values, 0.0), _GRID)
+            i = int(np.argmax(likelihood))
+            best = max(best, (float(likelihood[i]), float(_GRID[i]) * unit))
+        return best[1]
+
+
+def split_into_stretches(run: Compressed, nuisance: Array) -> list[Stretch]:
+    """Return at most six stretches of a run, with a polynomial and the nuisance functions free in each."""
+    blocks = len(run.lift)
+    parts = np.array_split(np.arange(blocks), max(1, min(_MOST_STRETCHES, blocks // 4)))
+    return [Stretch(run, part, nuisance, 3 if len(part) < 8 else len(part) + 1) for part in parts]
