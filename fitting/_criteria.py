@@ -64,6 +64,9 @@ class Criteria:
         100.0, "standard uncertainty over value above which a parameter is undetermined"
     )
     correlated_noise: float = _criterion(8.0, "deviance that correlated angle noise needs", "chi2, 2 dof")
+    excess_noise: float = _criterion(
+        4.0, "process noise of a fit above that of the recording that voids its form [sigma]"
+    )
     spectral_line: float = _criterion(0.001, "p-value of a sinusoid that is no noise", "Baluev 2008")
     doubt_named: float = _criterion(0.01, "smooth-test p-value that contradicts a named effect", "Hart 1997")
     doubt_adequate: float = _criterion(

@@ -75,8 +75,6 @@ _DRAWS = 1000
 _FIRST, _LATER, _KEPT = 5, 9, 48
 _SEARCHES = 3
 _POINTS = 1000
-# standard uncertainties of the pure process noise by which that of a fit may exceed it
-_NOISE_MARGIN = 4.0
 # share of the best law's fall of the deviance from which on an effect of the library is fitted at the same noise
 _COMPARABLE_SHARE = 0.8
 # difference of explained shares below which two variables explain as much
@@ -268,7 +266,7 @@ def laws(
     workers = workers or WorkerPool(0)
     known = diagnosis or diagnose(base, criteria=criteria, workers=workers)
     steps.next()
-    named = None if beyond_library else library_answer(known)
+    named = None if beyond_library else library_answer(known, criteria)
     if named is not None:
         depends_on = tuple(dependence(base))
         steps.done()
@@ -305,19 +303,18 @@ def laws(
     )
 
 
-def library_answer(known: Diagnosis) -> Candidate | None:
+def library_answer(known: Diagnosis, criteria: Criteria = DEFAULT) -> Candidate | None:
     """Return the effect of the library that makes other laws unnecessary, if there is one.
 
-    An equivalence class that contains an unknown law does not.
+    An equivalence class that contains an unknown law does not, nor a fit that needs more process noise than the
+    recording has: it describes the data by that noise.
     """
     if known.verdict != "missing_effect" or known.remainder is not None or not known.candidates:
         return None
     best = next((c for c in known.candidates if c.physical and c.significant), known.candidates[0])
     if not set(UNKNOWN_LAWS.values()).isdisjoint(best.indistinguishable_from):
         return None
-    # a fit that needs more process noise than the recording has describes the data by that noise
-    noise = () if best.fit is None else best.fit.noise
-    return None if any(n.level > n.pure + _NOISE_MARGIN * n.pure_u for n in noise) else best
+    return None if best.fit is not None and best.fit.has_excess_noise(criteria) else best
 
 
 class _Steps:

@@ -199,7 +199,7 @@ class Grade:
 
     `unknown` is a speed of which a law outside the library explains more than the named effect; `test` shows how well
     the data test the form. Without form and remainder the residuals are consistent with noise, but the form is not
-    established.
+    established; `noisy` states that this is because the fit needs more process noise than the recording shows.
     """
 
     form: str | None
@@ -208,6 +208,7 @@ class Grade:
     rivals: tuple[str, ...] = ()
     unknown: str = ""
     test: FormTest | None = None
+    noisy: bool = False
 
 
 _INNER_KNOTS = 4

@@ -272,6 +272,9 @@ def diagnose(
             if allowed_error
             else replace(size, form="approximate")
         )
+    if size.form == "exact" and selection.final.has_excess_noise(criteria):
+        # the law may describe the data by that noise
+        size = replace(size, form=None, noisy=True)
     if size.form is None and isinstance(doubt, PeriodogramPeak):
         # an effect that does not explain the sinusoid is no part of the answer
         peak = significant_peak(fit, criteria)
@@ -423,6 +426,11 @@ def _unexplained(
             "No effect of the library explains it.",
         ]
     level = max((n.level for n in selection.final.noise), default=0.0)
+    if not level > 0:
+        return [
+            "No effect of the library explains it, and no random torque describes it.",
+            "Check the tracking and the noise of the angle.",
+        ]
     unit = selection.final.torque_unit
     return [
         f"An unexplained torque of {format_torque(level, unit=unit)} rms remains; no effect of the library explains it."
@@ -454,6 +462,10 @@ def _missing(selection: Selection, size: Grade, criteria: Criteria) -> list[str]
         )
     if size.remainder is not None:
         parts.append(size.remainder.sentence)
+    elif size.noisy:
+        parts.append(
+            "The form is not established: the fit needs more random torque than the recording shows."
+        )
     elif size.form is None and size.test is not None:
         parts += _untested(size.test, criteria)
     return parts

@@ -348,6 +348,16 @@ class Fit(FitSummary):
             or any(c.misfit > criteria.reduced_chi2 for c in self.cases)
         )
 
+    def has_excess_noise(self, criteria: Criteria = DEFAULT) -> bool:
+        """Return whether the fit needs more process noise than the recording shows against the most flexible motion.
+
+        Parameters
+        ----------
+        criteria : Criteria
+            Its `excess_noise` is the excess that counts, in standard uncertainties of the recording's level.
+        """
+        return any(n.level > n.pure + criteria.excess_noise * n.pure_u for n in self.noise)
+
     @property
     def undetermined(self) -> list[str]:
         """Parameters, without phases, whose standard uncertainty exceeds their value a hundredfold."""

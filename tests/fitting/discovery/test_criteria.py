@@ -78,3 +78,11 @@ def test_equivalence_width_decides_membership_of_a_class():
 def test_failure_sigma_decides_what_is_reported():
     assert diagnose(base()).failures
     assert not diagnose(base(), criteria=Criteria(failure_sigma=1e6, harmonic_sigma=1e6)).failures
+
+
+def test_excess_noise_compares_the_fit_with_the_recording():
+    found = base()
+    assert found.has_excess_noise(Criteria(excess_noise=0.0)) == any(n.level > n.pure for n in found.noise)
+    assert not found.has_excess_noise(Criteria(excess_noise=1e9))
+    raised = tuple(replace(n, level=n.pure + 5 * n.pure_u) for n in found.noise)
+    assert replace(found, noise=raised).has_excess_noise()

@@ -22,6 +22,7 @@ from fitting.effects._user import read_effects, resolve
 from fitting.inference._fit import fit
 from fitting.inference._noise import WHITE
 from fitting.inference._record import make_record
+from fitting.inference._result import Fit
 from fitting.study._law_documents import check_name, laws_document, save_law
 
 K, W = 3e-6, 40.0
@@ -50,6 +51,7 @@ def test_the_library_is_the_answer_only_without_an_equivalent_unknown_law(remain
     """The library is no answer if an unknown law, or process noise above that of the recording, explains the data."""
     noise = (SimpleNamespace(level=level, pure=2e-9, pure_u=2e-9),)
     known_fit = SimpleNamespace(noise=noise)
+    known_fit.has_excess_noise = lambda criteria: Fit.has_excess_noise(known_fit, criteria)
     artefact = SimpleNamespace(indistinguishable_from=(), fit=None, physical=False, significant=True)
     candidate = SimpleNamespace(indistinguishable_from=others, fit=known_fit, physical=True, significant=True)
     known = SimpleNamespace(verdict="missing_effect", remainder=remainder, candidates=(artefact, candidate))
