@@ -155,7 +155,7 @@ def test_a_cancelled_film_is_continued_from_its_checkpoint(open_page, tmp_path):
     page.locator("#still[data-shown='1:40']").wait_for()
     box = page.locator("#still").bounding_box()
     page.locator("#still").click(position={"x": 0.6 * box["width"], "y": 0.7 * box["height"]})
-    page.locator("#corrected", has_text="Frame 40: red corrected. 1 corrected in all").wait_for(
+    page.locator("#corrected", has_text="Frame 40: red corrected. Corrections in total: 1").wait_for(
         timeout=20_000
     )
     (note,) = read_recording(tmp_path / "casing_260fps.h5").extra["corrections"]

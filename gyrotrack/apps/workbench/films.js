@@ -322,7 +322,7 @@
   /* manual correction of a marker in one frame */
   async function correct(place) {
     const found = await act("correct", { key: chosen, marker: correcting(), index, place });
-    if (found) { await show(index); at("corrected").textContent = `Frame ${index}: ${correcting()} ${place ? "corrected" : "marked as lost"}. ${measured?.corrections || 0} corrections in total; synchronise the clips again when you have finished.`; }
+    if (found) { await show(index); at("corrected").textContent = `Frame ${index}: ${correcting()} ${place ? "corrected" : "marked as lost"}. Corrections in total: ${measured?.corrections || 0}; synchronise the clips again when you have finished.`; }
   }
 
   function rows() {
