@@ -36,7 +36,7 @@ STUDIES = {
     "drift": ["--add", "bearing.drift", "--strength", "0.02"],
     "disk": ["--add", "rotor.air.disk", "--strength", "0.02"],
     "precession": ["--add", "casing.precession", "--strength", "0.01"],
-    "own_law": ["--add", "casing: -k*omega_c**3", "--set", "casing.k=1e-12"],
+    "own_law": ["--add", "casing: -k*omega_c**3", "--set", "casing: -k*omega_c**3.k=1e-12"],
 }
 VOLATILE = {
     "seconds",

@@ -324,6 +324,8 @@ def pdf(parts: Mapping[str, Any]) -> bytes:
         document |= {
             "improved": view.improved,
             "body": view.body,
+            "torque_unit": view.torque_unit,
+            "energy_unit": "J" if view.torque_unit == "N m" else "rad²/s²",
             "cases": len(view.cases),
             "surfaces": [[v.label, v.surface] for v in view.cases if v.surface],
             "next_experiment": view.next_experiment,
