@@ -51,7 +51,7 @@ def test_the_start_page_lists_the_films_of_the_work_folder(open_page, tmp_path):
     assert "480 × 360 px, 2200 frames, stored at 25 fps" in card.inner_text()
     # the rate of the container is offered, and never taken by itself
     assert card.get_by_label("capture rate [fps]").input_value() == ""
-    assert "The capture rate of rotor.mp4 is not given." in page.locator("#missing-track").inner_text()
+    assert "Enter the capture rate of rotor.mp4." in page.locator("#missing-track").inner_text()
     assert page.locator("#track").is_disabled()
     card.get_by_role("button", name="rotor.mp4: capture rate 1000 fps").click()
     page.locator("#track:enabled").wait_for()
