@@ -464,6 +464,8 @@ _MAX_EVENTS = 2000
 # number of reversals from which on all stretches of an oscillation are solved at once
 _MANY = 3
 _MOST_STEPS = 25
+# largest time between two reversals of an oscillation, within which the next event is sought first
+_HORIZON = 2.0
 # shares of the reversals that are solved at once: near a known solution, and near the measured motion
 _NEARBY = (1.0, 0.97)
 _SHARES = (*_NEARBY, 0.9, 0.7, 0.4)
@@ -522,7 +524,9 @@ def solve(
     sense = run.sense_after(time, y, float(np.sign(y[_CASING])))
     known = guess.pieces() if guess is not None and guess.exact else []
     ready: list[Path] = []
+    horizon = math.inf
     if dynamics.dry and guess is not None and len(guess.jumps) >= _MANY:
+        horizon = _HORIZON * float(np.diff(guess.mesh.edges[sorted(guess.jumps)]).max())
         ready = run.oscillating(y, sense, guess)
         if len(guess.jumps) - len(ready) > most:
             raise SimulationError(UNBOUNDED)
@@ -547,8 +551,11 @@ def solve(
             piece = run.continued(y, time, end, sense, known_piece, stops=stops)
         most -= piece is None
         if piece is None:
-            rest = mesh.between(time, end)
-            piece = run.held(y, rest, guess) if sense == 0 else run.moving(y, rest, sense, guess)
+            piece = (
+                run.held(y, mesh.between(time, end), guess)
+                if sense == 0
+                else _until_event(run, y, mesh, (time, end), sense, guess, horizon)
+            )
         pieces.append(piece)
         time = float(piece.mesh.edges[-1])
         if time >= end:
@@ -562,6 +569,29 @@ def solve(
         jumps.append(run.saltation(time, y, sense, following))
         sense = following
     raise SimulationError("the casing stops and starts too often to be followed")
+
+
+def _until_event(
+    run: Segments,
+    start: Array,
+    mesh: Mesh,
+    span: tuple[float, float],
+    sense: float,
+    guess: Path | None,
+    horizon: float,
+) -> Path:
+    """Return the path from a time to the next stop of the casing, or to the end of the record.
+
+    It is sought within `horizon` [s] first: with dry friction of one sense, the rest of an oscillation would be solved
+    in vain for each of its reversals.
+    """
+    time, end = span
+    while True:
+        until = min(end, time + horizon)
+        path = run.moving(start, mesh.between(time, until), sense, guess)
+        if until >= end or path.mesh.edges[-1] < until:
+            return path
+        horizon *= 4.0
 
 
 def _joined(pieces: list[Path], jumps: list[Array], breaks: tuple[float, ...]) -> Path:
